@@ -1,0 +1,248 @@
+"""The plugin interface, whole: what a device language must bring, and how it is found.
+
+Rules. A driver, an ear and a twin own no socket, no clock, no thread and no randomness of their
+own: time is an argument, randomness is seeded, what is to be sent is returned. Their state is plain
+data that `copy.deepcopy` copies (no generators, no open files). `receive` and `hear` never raise, on
+any bytes; bad bytes are counted in `tally` and change nothing. `protocols.conformance` proves all this.
+
+A third party's distribution is found by one line in its pyproject.toml:
+
+    [project.entry-points."motor_gateway.protocols"]
+    foo = "their_package:plugin"
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal, Protocol
+
+from protocols.wire import BusState, Wire
+from protocols.words import Command, Event, Nanos, Request, Torque
+
+GROUP = "motor_gateway.protocols"
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """One device of a language on one bus, as the robot file has it."""
+
+    name: str
+    """Name of the motor or sensor in the robot file."""
+    address: int
+    options: Any
+    """An instance of the plugin's `options` dataclass: what our driver should do."""
+    settings: Any
+    """An instance of the plugin's `settings` dataclass: what is configured on the device itself.
+    The twin is built with it; a driver must not need it."""
+
+
+@dataclass(slots=True)
+class Tally:
+    """Exact counts of what came in: every wire (or, on a stream, every message) is counted once."""
+
+    heard: int = 0
+    """Understood and ours."""
+    bad: int = 0
+    """Addressed to us, but of a wrong length, checksum or content: it changed nothing."""
+    foreign: int = 0
+    """Not ours: another device, another language, another kind of wire."""
+
+
+class FeedbackKind(StrEnum):
+    """How the device tells its state."""
+
+    NONE = "none"
+    POLLED = "polled"
+    CYCLIC = "cyclic"
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """What a quantity may be on the wire at the device's shaft, in SI."""
+
+    low: float
+    high: float
+    resolution: float
+    """The largest error that encoding and decoding may make: absolute, in the quantity's unit."""
+    relative: float = 0.0
+    """And relative to the value (float32: 2**-24)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Watchdog:
+    """What the device does when its host falls silent."""
+
+    timeout: Nanos | None
+    """None: the device has no watchdog."""
+    enabled: bool
+    """Whether it is on as the device stands, as far as options and settings tell."""
+    note: str = ""
+    """What a person must know, said at every start until the robot file acknowledges it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """The contract of one device: the one source for joint, guard, doctor and conformance kit."""
+
+    bus: Literal["can", "canfd", "serial"]
+    kind: Literal["motor", "sensor"]
+    sends: frozenset[int]
+    """CAN ids that the driver may send for this device (empty on serial)."""
+    expects: frozenset[int]
+    """CAN ids that the device sends (empty on serial)."""
+    read_only: Callable[[Wire], bool]
+    """Whether a wire neither moves, arms, clears nor configures anything."""
+    feedback: FeedbackKind
+    feedback_period: Nanos
+    """How often the device reports its motion or, if polled, how often the driver asks."""
+    offline_after: Nanos
+    """Silence of the device after which its joint is blind."""
+    commands: frozenset[type[Command]]
+    requests: frozenset[type[Request]]
+    ranges: dict[str, Range]
+    """By "Word.field" for each number that can stand in a command or feedback: "Velocity.velocity",
+    "Feedback.position"."""
+    watchdog: Watchdog
+    holds_unattended: bool
+    """Whether the device keeps its load after Hold as the last word, with nobody feeding it."""
+    stop_clears_faults: bool
+    """Whether disarming clears the device's own faults (then a joint must remember them)."""
+
+
+class Driver(Protocol):
+    """Our end of the wire, for all devices of a language on one bus. Keeps no clock and no bus."""
+
+    tally: Tally
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        """What the wire says. `t` is the packet's own stamp. Never raises; [] to what is not ours."""
+        ...
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        """The bus changed its state: what was sent may be lost, devices may have restarted."""
+        ...
+
+    def send(
+        self, now: Nanos, words: Sequence[Command | Request]
+    ) -> tuple[Sequence[Event], Sequence[Wire]]:
+        """Say the words: at most one Command per motor, and what the driver has to say by itself.
+
+        Returns the events that need no answer of the device (Refused, a timeout, State offline) and
+        what is to be sent, in order. A command holding a value that is not finite, or outside
+        the spec's range, puts no frame on the wire."""
+        ...
+
+    def due(self) -> Nanos | None:
+        """When the driver next has something to say by itself (polling, keep-alive, a timeout)."""
+        ...
+
+
+class Ear(Protocol):
+    """What the devices would obey. Remembers what it has heard (mode, mapping), touches nothing else."""
+
+    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+        """The words that a device would obey on hearing this wire; [] if it would do nothing."""
+        ...
+
+
+class Twin(Protocol):
+    """One device: an ear, and the firmware behind it. The shaft belongs to the world."""
+
+    def receive(self, t: Nanos, wire: Wire) -> None:
+        """A wire reached the device. Never raises."""
+        ...
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+        """Run the firmware up to `now`, given what the world says of the shaft (Feedback) or shows
+        to the sensor (Imu, LaserScan). Returns the torque on the shaft, at the device's side of
+        the gear, and what the device has put on the wire. Steps may be as short as the world's."""
+        ...
+
+    def due(self) -> Nanos | None:
+        """When the device next has something to say by itself."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Plugin:
+    """One device language."""
+
+    name: str
+    title: str
+    """One line: which devices, which firmware lines."""
+    trust: str
+    """Which bytes were checked against which package@version or repository@commit."""
+    options: type
+    """Dataclass of typed options with defaults: what the driver should do. Checked by `config`
+    (types, unknown names); its `__post_init__` may raise ValueError with a sentence."""
+    settings: type
+    """Dataclass of typed settings with defaults: what is configured on the device (for the twin)."""
+    spec: Callable[[Device], Spec]
+    driver: Callable[[Sequence[Device]], Driver]
+    ear: Callable[[Sequence[Device]], Ear]
+    twin: Callable[[Device, int], Twin]
+    """From the device and a seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Broken:
+    """An installed plugin that could not be loaded: named and left out, it hinders nobody."""
+
+    name: str
+    distribution: str
+    reason: str
+
+
+class UnknownProtocol(LookupError):
+    """No such protocol is installed, or it is broken."""
+
+    def __init__(self, name: str, installed: Sequence[str], broken: Broken | None = None) -> None:
+        self.name, self.installed, self.broken = name, tuple(installed), broken
+        if broken:
+            said = f"protocol {name!r} of {broken.distribution} is broken: {broken.reason}"
+        else:
+            near = difflib.get_close_matches(name, self.installed, 1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            said = f"no protocol {name!r}; installed: {', '.join(self.installed)}{hint}"
+        super().__init__(said)
+
+
+def installed() -> tuple[EntryPoint, ...]:
+    """The entry points of every installed protocol, by name. Takes milliseconds: call it at start."""
+    return tuple(sorted(entry_points(group=GROUP), key=lambda point: point.name))
+
+
+def load(name: str) -> Plugin:
+    """The plugin of this name. Raises UnknownProtocol with what there is."""
+    points = installed()
+    for point in points:
+        if point.name == name:
+            plugin = _load(point)
+            if isinstance(plugin, Broken):
+                raise UnknownProtocol(name, [p.name for p in points], plugin)
+            return plugin
+    raise UnknownProtocol(name, [p.name for p in points])
+
+
+def load_all() -> tuple[tuple[Plugin, ...], tuple[Broken, ...]]:
+    """Every installed plugin, and those that could not be loaded with the reason."""
+    loaded = [_load(point) for point in installed()]
+    return (
+        tuple(p for p in loaded if isinstance(p, Plugin)),
+        tuple(p for p in loaded if isinstance(p, Broken)),
+    )
+
+
+def _load(point: EntryPoint) -> Plugin | Broken:
+    distribution = point.dist.name if point.dist else "?"
+    try:
+        plugin = point.load()
+    except Exception as error:  # noqa: BLE001 -- a third party's module may raise anything at import
+        return Broken(point.name, distribution, f"{type(error).__name__}: {error}")
+    if not isinstance(plugin, Plugin):
+        return Broken(point.name, distribution, f"{point.value} is not a protocols.plugin.Plugin")
+    return plugin
