@@ -126,9 +126,7 @@ class Driver(Protocol):
         """The bus changed its state: what was sent may be lost, devices may have restarted."""
         ...
 
-    def send(
-        self, now: Nanos, words: Sequence[Command | Request]
-    ) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
         """Say the words: at most one Command per motor, and what the driver has to say by itself.
 
         Returns the events that need no answer of the device (Refused, a timeout, State offline) and

@@ -2,7 +2,7 @@
 
 Rules of this file. A word is a frozen value and nothing else: no method, no default that hides a
 missing measurement (`None` says "not measured"). Everything is SI (rad, rad/s, N·m, m, s, kg, V, A,
-degrees Celsius) in the frame of the *device's* shaft as a driver sees it; `gateway.joint` moves words between
+degrees Celsius) at the *device's* shaft as a driver sees it; `gateway.joint` moves words between
 that shaft and the joint's output shaft. Time is `Nanos`: integer nanoseconds of one clock. No word
 holds a value that is not finite. Words of different kinds never compare equal.
 """
@@ -367,7 +367,5 @@ class Fix:
     variance: float | None = None
 
 
-Event: TypeAlias = (
-    Feedback | State | Fault | Found | Done | Refused | Parameter | Imu | LaserScan | Fix
-)
+Event: TypeAlias = Feedback | State | Fault | Found | Done | Refused | Parameter | Imu | LaserScan | Fix
 Word: TypeAlias = Command | Request | Task | Event
