@@ -3,15 +3,41 @@
 Rules. Between this file and the wire nobody looks at limits again but the guard; between this file and
 the brain nobody knows of gears. A joint gives exactly one command a step (`allow`), whatever the
 brain said or did not say. Faults latch here until an operator clears them. Nothing can be switched
-off: every limit and timeout is a positive finite number. Inside, all is at the output shaft.
+off: every limit and timeout is a positive finite number. Inside, all is at the output shaft; what goes
+to the driver, and what comes from it, is at the device's shaft (one turn of the joint is `gear` turns
+of the device, in the other sense if `sign` is -1).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from math import copysign, isfinite, sqrt
+from typing import Literal, TypeAlias
 
-from protocols.words import MILLISECOND, Nanos
+from protocols.plugin import Spec
+from protocols.words import (
+    MILLISECOND,
+    SECOND,
+    Command,
+    Fault,
+    Feedback,
+    Hold,
+    Idle,
+    Impedance,
+    Mode,
+    Nanos,
+    Position,
+    State,
+    Torque,
+    Velocity,
+)
+
+JointEvent: TypeAlias = Feedback | State | Fault
+
+BLIND = -1
+"""Our own fault code: the device fell silent while it was commanded."""
+LEFT = -2
+"""Our own fault code: the device disarmed itself while it was commanded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,3 +70,332 @@ class JointSettings:
     """A fault or blindness of this joint stops the whole robot, or only this joint."""
     command_timeout: Nanos = 100 * MILLISECOND
     feedback_timeout: Nanos = 100 * MILLISECOND
+
+
+class Joint:
+    """One motor's gate. Its state is plain data."""
+
+    def __init__(self, name: str, settings: JointSettings, spec: Spec) -> None:
+        self.name = name
+        self.settings = settings
+        self._commands = spec.commands
+        self._ratio = settings.gear * settings.sign
+        self.feedback = Feedback(name, 0)
+        """The newest of each quantity, at the output shaft; t is the newest motion's."""
+        self.mode = Mode.OFFLINE
+        self.detail = ""
+        self.faults: dict[tuple[int, str], Fault] = {}
+        """Latched, in the order in which they came."""
+        self.claimed = False
+        """Whether any command but Idle has gone out: only then does the safe word go out."""
+        self.refused = ""
+        """Why the brain's last command was not taken; "" if it was."""
+        self.not_finite = 0
+        """How many values that are not finite were kept from the wire or from the brain."""
+        self._untold: list[Fault] = []
+        self._said: Command | None = None
+        self._said_at: Nanos = 0
+        self._out: Command = Idle(name)
+        self._out_at: Nanos = 0
+        self._heard_at: Nanos | None = None
+        self._position: float | None = None
+        self._velocity: float | None = None
+
+    # -- from the device ----------------------------------------------------------------------
+
+    def hear(self, event: JointEvent) -> JointEvent | None:
+        """Move a driver's event to the output shaft and remember it; None if it must not go on."""
+        if isinstance(event, Feedback):
+            return self._hear_feedback(event)
+        if isinstance(event, State):
+            if self._left_by_itself(event):
+                self.latch(
+                    Fault(
+                        self.name,
+                        event.t,
+                        LEFT,
+                        f"disarmed itself: {event.mode}{f' ({event.detail})' if event.detail else ''}",
+                        "the device restarted, was disarmed by another host, or its watchdog expired",
+                        f"find out why, then clear {self.name}",
+                    )
+                )
+            self.mode, self.detail = event.mode, event.detail
+            return event
+        self.latch(event)
+        return event
+
+    def _left_by_itself(self, event: State) -> bool:
+        return (
+            self.mode is Mode.ARMED
+            and event.mode in (Mode.READY, Mode.INITIALISING)
+            and not isinstance(self._out, Idle)
+        )
+
+    def _hear_feedback(self, event: Feedback) -> Feedback | None:
+        if not _finite(event):
+            self.not_finite += 1
+            return None
+        ratio = self._ratio
+        moved = Feedback(
+            event.motor,
+            event.t,
+            None if event.position is None else event.position / ratio,
+            None if event.velocity is None else event.velocity / ratio,
+            None if event.torque is None else event.torque * ratio,
+            event.current,
+            event.voltage,
+            event.temperature,
+        )
+        old = self.feedback
+        motion = moved.position is not None or moved.velocity is not None
+        if motion:
+            self._heard_at = event.t
+        self.feedback = Feedback(
+            self.name,
+            event.t if motion else old.t,
+            *(
+                new if new is not None else before
+                for new, before in (
+                    (moved.position, old.position),
+                    (moved.velocity, old.velocity),
+                    (moved.torque, old.torque),
+                    (moved.current, old.current),
+                    (moved.voltage, old.voltage),
+                    (moved.temperature, old.temperature),
+                )
+            ),
+        )
+        return moved
+
+    def latch(self, fault: Fault) -> None:
+        """Keep a fault until it is cleared."""
+        key = (fault.code, fault.name)
+        if key not in self.faults:
+            self.faults[key] = fault
+            self._untold.append(fault)
+
+    def take_untold(self) -> list[Fault]:
+        """The faults that have latched since this was last asked."""
+        untold, self._untold = self._untold, []
+        return untold
+
+    def clear(self) -> None:
+        """An operator has cleared the faults; the joint starts anew, from where it is measured."""
+        self.faults.clear()
+        self._said = None
+        self._forget_motion()
+
+    def age(self, now: Nanos) -> Nanos | None:
+        """The age of the newest motion; None if the device has never told any."""
+        return None if self._heard_at is None else now - self._heard_at
+
+    def blind(self, now: Nanos) -> bool:
+        """Whether there is no feedback, or too old a one."""
+        age = self.age(now)
+        return age is None or age > self.settings.feedback_timeout
+
+    def command_age(self, now: Nanos) -> Nanos | None:
+        """The age of the brain's command; None if it has none."""
+        return None if self._said is None else now - self._said_at
+
+    # -- from the brain -----------------------------------------------------------------------
+
+    def allow(self, now: Nanos, said: Command | None, stopped: bool) -> Command:
+        """The one command of this step, at the device's shaft.
+
+        `said` is what the brain says now, None if it says nothing new. A blind joint that was commanded
+        latches a fault, for a motor that came back must not start by itself."""
+        if said is not None:
+            self._take(now, said)
+        if self.claimed and self.blind(now) and not isinstance(self._out, Idle):
+            self.latch(self._blindness(now))
+        wanted = self._wanted(now, stopped)
+        if self._heard_at is None:
+            wanted = Idle(self.name)  # never arm what was never heard
+        out = self._limited(now, wanted)
+        if not isinstance(out, Idle):
+            self.claimed = True
+        self._out, self._out_at = out, now
+        return self._at_device(out)
+
+    def word(self, which: Literal["idle", "hold"]) -> Command:
+        """The silent or safe word as a command."""
+        return Hold(self.name) if which == "hold" else Idle(self.name)
+
+    def _blindness(self, now: Nanos) -> Fault:
+        age = self.age(now)
+        silent = "ever" if age is None else f"{age / MILLISECOND:.0f} ms"
+        return Fault(
+            self.name,
+            now,
+            BLIND,
+            f"silent: no feedback for {silent}",
+            "cable, supply, termination, the device's cyclic messages, or the device itself",
+            f"mend it, then clear {self.name}",
+        )
+
+    def _take(self, now: Nanos, said: Command) -> None:
+        self.refused = self._objection(said)
+        if not self.refused:
+            self._said, self._said_at = said, now
+        elif not _finite(said):
+            self.not_finite += 1
+
+    def _objection(self, said: Command) -> str:
+        if type(said) not in self._commands:
+            able = ", ".join(sorted(c.__name__ for c in self._commands))
+            return f"{type(said).__name__} is not among what {self.name} can do: {able}"
+        if not _finite(said):
+            return f"a value of {said} is not finite"
+        if isinstance(said, Impedance) and (said.stiffness < 0.0 or said.damping < 0.0):
+            return f"stiffness and damping of {said} must not be negative"
+        return ""
+
+    def _wanted(self, now: Nanos, stopped: bool) -> Command:
+        if stopped or self.faults:
+            return self.word(self.settings.safe)
+        if self._said is None or now - self._said_at > self.settings.command_timeout:
+            return self.word(self.settings.silent)
+        return self._said
+
+    # -- limits, at the output shaft ------------------------------------------------------------
+
+    def _limited(self, now: Nanos, wanted: Command) -> Command:
+        dt = min(now - self._out_at, self.settings.command_timeout) / SECOND
+        if self.mode is not Mode.ARMED:
+            self._forget_motion()  # the profile starts from where the shaft is when the device is armed
+        if isinstance(wanted, Velocity):
+            return self._limit_velocity(wanted, dt)
+        if isinstance(wanted, Position):
+            return self._limit_position(wanted, dt)
+        self._forget_motion()
+        if isinstance(wanted, Torque):
+            return Torque(self.name, self._limit_torque(wanted.torque))
+        if isinstance(wanted, Impedance):
+            return replace(
+                wanted,
+                position=self._inside(wanted.position),
+                velocity=_clamp(wanted.velocity, self.settings.limits.velocity),
+                torque=self._limit_torque(wanted.torque),
+            )
+        return wanted
+
+    def _limit_velocity(self, wanted: Velocity, dt: float) -> Velocity:
+        limits = self.settings.limits
+        before = self._velocity
+        if before is None:
+            before = _clamp(self.feedback.velocity or 0.0, limits.velocity)
+        goal = self._brake_for_end(_clamp(wanted.velocity, limits.velocity))
+        velocity = _toward(before, goal, limits.acceleration * dt)
+        # a set-point that is beyond the end of travel is worth more than a limit of acceleration
+        velocity = self._brake_for_end(velocity)
+        self._position, self._velocity = None, velocity
+        return Velocity(self.name, velocity, self._limit_torque(wanted.torque))
+
+    def _limit_position(self, wanted: Position, dt: float) -> Position:
+        """A trapezoidal profile from where the joint is: no jump, within velocity and acceleration."""
+        limits = self.settings.limits
+        if self._position is None or self._velocity is None:
+            self._position = self._measured()
+            self._velocity = _clamp(self.feedback.velocity or 0.0, limits.velocity)
+        rest = self._inside(wanted.position) - self._position
+        # the highest speed from which the rest of the way, less this step's, is enough to stop
+        reach = 0.5 * limits.acceleration * dt
+        speed = min(
+            limits.velocity, max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
+        )
+        velocity = _toward(self._velocity, copysign(speed, rest), limits.acceleration * dt)
+        move = velocity * dt
+        if abs(move) >= abs(rest) and move * rest >= 0.0 and abs(velocity) <= 2.0 * limits.acceleration * dt:
+            move, velocity = rest, 0.0
+        self._position, self._velocity = self._position + move, velocity
+        ahead = velocity if velocity else _clamp(wanted.velocity, limits.velocity) if rest == 0.0 else 0.0
+        return Position(self.name, self._inside(self._position), ahead, self._limit_torque(wanted.torque))
+
+    def _limit_torque(self, torque: float) -> float:
+        limits = self.settings.limits
+        torque = _clamp(torque, limits.torque)
+        velocity, position = self.feedback.velocity, self.feedback.position
+        if velocity is not None and abs(velocity) > limits.velocity and velocity * torque > 0.0:
+            return 0.0
+        if limits.position is not None and position is not None:
+            low, high = limits.position
+            if (position >= high and torque > 0.0) or (position <= low and torque < 0.0):
+                return 0.0
+        return torque
+
+    def _brake_for_end(self, velocity: float) -> float:
+        limits = self.settings.limits
+        if limits.position is None:
+            return velocity
+        low, high = limits.position
+        here = self._measured()
+        up = sqrt(2.0 * limits.acceleration * max(0.0, high - here))
+        down = sqrt(2.0 * limits.acceleration * max(0.0, here - low))
+        return max(-down, min(up, velocity))
+
+    def _inside(self, position: float) -> float:
+        if self.settings.limits.position is None:
+            return position
+        low, high = self.settings.limits.position
+        return max(low, min(high, position))
+
+    def _measured(self) -> float:
+        return self.feedback.position if self.feedback.position is not None else 0.0
+
+    def _forget_motion(self) -> None:
+        self._position = self._velocity = None
+
+    def _at_device(self, out: Command) -> Command:
+        ratio = self._ratio
+        match out:
+            case Velocity(motor, velocity, torque):
+                return Velocity(motor, velocity * ratio, torque / ratio)
+            case Position(motor, position, velocity, torque):
+                return Position(motor, position * ratio, velocity * ratio, torque / ratio)
+            case Torque(motor, torque):
+                return Torque(motor, torque / ratio)
+            case Impedance(motor, position, velocity, torque, stiffness, damping):
+                square = ratio * ratio
+                return Impedance(
+                    motor,
+                    position * ratio,
+                    velocity * ratio,
+                    torque / ratio,
+                    stiffness / square,
+                    damping / square,
+                )
+        return out
+
+    def change(self, key: str, value: float) -> str:
+        """Set a limit while running; "" or why not. A limit may be lowered or raised, never removed."""
+        if key not in ("velocity", "acceleration", "torque"):
+            return f"no limit {key!r} of {self.name}; there are velocity, acceleration, torque"
+        if not (isfinite(value) and value > 0.0):
+            return f"{self.name}.{key} must be a positive finite number, not {value}"
+        old = self.settings.limits
+        limits = Limits(
+            value if key == "velocity" else old.velocity,
+            value if key == "acceleration" else old.acceleration,
+            value if key == "torque" else old.torque,
+            old.position,
+        )
+        self.settings = replace(self.settings, limits=limits)
+        return ""
+
+
+def _finite(word: Feedback | Command) -> bool:
+    """Whether every number in the word is finite. Integers are times."""
+    for name in word.__slots__:
+        value = getattr(word, name)
+        if isinstance(value, float) and not isfinite(value):
+            return False
+    return True
+
+
+def _clamp(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
+
+
+def _toward(value: float, goal: float, step: float) -> float:
+    return value + _clamp(goal - value, step)
