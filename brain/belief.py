@@ -83,3 +83,5 @@ class Belief:
     """How many measurements the chi-square gate refused, by sensor."""
     reached: int
     """How many goals were reached so far."""
+    raw: Pose | None = None
+    """Dead reckoning by the wheels alone, for comparison; nothing is steered by it."""
