@@ -1,0 +1,160 @@
+"""The command line, thin: it parses, and hands over. Imports are lazy, so that `--help` is quick.
+
+Exit status: 0 it did what was asked; 1 it ran and the answer is no (a goal missed, a replay that differs);
+2 it could not begin (a wrong argument, a wrong robot file, a bus that is not there).
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+from pathlib import Path
+
+DESCRIPTION = "One brain, any body, over real wires."
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The `gateway` command."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
+    options = _parser().parse_args(arguments)
+    _log(options.verbose - options.quiet)
+    from gateway import commands
+
+    command = {
+        "demo": commands.demo,
+        "run": commands.run,
+        "replay": commands.replay,
+        "check": commands.check,
+        "protocols": commands.protocols,
+        "ask": commands.ask,
+    }[options.command]
+    try:
+        return command(options)
+    except commands.Sentence as sentence:
+        print(f"gateway {options.command}: {sentence}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone: not our mistake, nothing to say to it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="gateway", description=DESCRIPTION)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    demo = _command(
+        commands, "demo", "drive a robot through an office, with everything simulated but the bytes"
+    )
+    demo.add_argument("--fast", action="store_true", help="as fast as the machine can, instead of real time")
+    demo.add_argument(
+        "--out", type=Path, default=Path("out"), metavar="DIR", help="recording and picture (default: out)"
+    )
+    demo.add_argument("--robot", default="diffbot", metavar="ROBOT", help="another robot file")
+    demo.add_argument("--seed", type=int, help="of the world's noise (default: the robot file's)")
+    demo.add_argument(
+        "--goal", type=_goal, action="append", metavar="X,Y[,YAW]", help="instead of the world's tour"
+    )
+
+    run = _command(commands, "run", "run a robot on its buses")
+    _robot(run)
+    run.add_argument(
+        "--bus",
+        type=_interface,
+        action="append",
+        default=[],
+        metavar="NAME=INTERFACE:CHANNEL",
+        help="put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin",
+    )
+    run.add_argument(
+        "--goal", type=_goal, action="append", default=[], metavar="X,Y[,YAW]", help="m, m, degrees"
+    )
+    run.add_argument("--record", type=Path, metavar="FILE", help="an MCAP file; must not exist yet")
+    run.add_argument(
+        "--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C, or quit)"
+    )
+    run.add_argument("--dry-run", action="store_true", help="do everything but write to the buses")
+    run.add_argument("--fast", action="store_true", help="in simulated time; only if every bus is a twin")
+    run.add_argument("--seed", type=int, help="of the world's noise, where buses are twins")
+    run.add_argument("--realtime", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO with this priority")
+
+    replay = _command(commands, "replay", "run a recording through the same code, and compare every byte")
+    replay.add_argument("file", type=Path, metavar="FILE")
+    replay.add_argument("--robot", metavar="ROBOT", help="another robot file than the one in the recording")
+
+    check = _command(
+        commands, "check", "read a robot file, and say what was understood, or every mistake in it"
+    )
+    _robot(check)
+
+    protocols = _command(commands, "protocols", "the installed device languages")
+    protocols.add_argument("check", nargs="*", metavar="check NAME", help="run the contract over one of them")
+
+    ask = _command(commands, "ask", "say something to a robot that is running, as on its terminal")
+    _robot(ask)
+    ask.add_argument(
+        "line", nargs="+", metavar="LINE", help="goal 2 1 | drive 0.2 0 | stop | release | status | help …"
+    )
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
+) -> argparse.ArgumentParser:
+    command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    command.add_argument("-v", "--verbose", action="count", default=0, help="more; twice: everything")
+    command.add_argument("-q", "--quiet", action="count", default=0, help="less")
+    return command
+
+
+def _robot(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "robot", metavar="ROBOT", help="a robot file, or the name of one that ships with the gateway"
+    )
+
+
+def _log(verbosity: int) -> None:
+    levels = {-2: logging.CRITICAL, -1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
+    level = levels.get(max(-2, verbosity), logging.DEBUG)
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
+    logging.getLogger("gateway").setLevel(level)
+
+
+def _goal(text: str) -> tuple[float, float, float | None]:
+    from math import isfinite, radians
+
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(isfinite(n) for n in numbers):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not X,Y or X,Y,YAW in m, m, degrees (as in 2.5,1 or 2.5,1,90)"
+        )
+    return numbers[0], numbers[1], radians(numbers[2]) if len(numbers) == 3 else None
+
+
+def _interface(text: str) -> tuple[str, str]:
+    name, equals, interface = text.partition("=")
+    if not (name and equals and interface):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not NAME=INTERFACE:CHANNEL (as in can0=socketcan:vcan0)"
+        )
+    return name, interface
+
+
+def _positive(text: str) -> float:
+    from math import isfinite
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not (isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,259 @@
+"""The three loops: live (our end, on real buses or on twins), serve (the devices' end), and replay.
+
+Rules. These loops own what the step must not: buses, clock, recorder, operator, signals. They are generators
+that yield what happened, so that a caller can watch, stop, or run two of them face to face; wrap them in
+`contextlib.closing`, since leaving one is what says the safe word. Deadlines are absolute; a moment that was
+missed is counted and told, never caught up. Whatever the reason for leaving, the safe word goes out first.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from brain.belief import Belief
+from gateway.buses import Bus
+from gateway.clock import Clock
+from gateway.gateway import Gateway
+from gateway.tick import Inputs, Note, Tick
+from protocols.wire import BusState, Packet
+from protocols.words import MILLISECOND, Asked, Nanos, Stop
+
+log = logging.getLogger("gateway")
+
+FAREWELL = 200 * MILLISECOND
+"""How long leaving waits for the devices to say that they are disarmed."""
+LEAST_STEP = MILLISECOND
+"""A driver that is due between two periods gets a step of its own, but not more often than this."""
+
+
+class Recording(Protocol):
+    """Where ticks go."""
+
+    def record(self, tick: Tick, belief: Belief) -> None:
+        """Keep a tick. Never raises, never waits for the disk."""
+        ...
+
+
+@dataclass(slots=True)
+class Account:
+    """What a live loop counts."""
+
+    ticks: int = 0
+    missed: int = 0
+    """Moments that were due while a step was still at work."""
+    longest_step: Nanos = 0
+    first_frame: Nanos | None = None
+    """When the first frame went out."""
+    sent: int = 0
+    received: int = 0
+    bits: dict[str, int] = field(default_factory=dict)
+    """Both ways, by bus."""
+
+
+def no_questions() -> Sequence[Asked]:
+    """For a run that nobody talks to."""
+    return ()
+
+
+def live(
+    gateway: Gateway,
+    buses: Mapping[str, Bus],
+    clock: Clock,
+    *,
+    ask: Callable[[], Sequence[Asked]] = no_questions,
+    recording: Recording | None = None,
+    until: Nanos | None = None,
+    account: Account | None = None,
+    dry: bool = False,
+) -> Iterator[Tick]:
+    """Step the gateway at its period, and when a driver is due, until `until` or until it is closed.
+
+    `ask` is polled for what a person wants. With `dry`, everything is done but writing to the buses.
+    """
+    account = account if account is not None else Account()
+    number = 0
+
+    def tick(now: Nanos, asked: Sequence[Asked]) -> Tick:
+        nonlocal number
+        inputs = _gather(buses, now, asked)
+        outputs = gateway.step(now, inputs)
+        if not dry:
+            _write(buses, now, outputs.packets)
+        made = Tick(number, now, inputs, outputs)
+        number += 1
+        if recording is not None:
+            recording.record(made, gateway.belief())
+        _tell(outputs.notes)
+        _count(account, made, clock.now() - now)
+        return made
+
+    broken = True
+    try:
+        for now in moments(clock, gateway.robot.period, gateway.due, account):
+            if until is not None and now >= until:
+                break
+            yield tick(now, ask())
+        broken = False
+    except GeneratorExit:
+        broken = False
+        raise
+    finally:
+        if broken:
+            # The step itself failed: nothing of it can be trusted but the joints and the drivers.
+            if not dry:
+                _write(buses, clock.now(), gateway.leave(clock.now()))
+        else:
+            _farewell(gateway, clock, tick)
+
+
+def _farewell(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Asked]], Tick]) -> None:
+    """The safe word at once, and a moment of listening until the devices say that they are disarmed."""
+    start = clock.now()
+    tick(start, (Stop("the run ends"),))
+    while gateway.armed() and clock.now() - start < FAREWELL:
+        clock.wait(clock.now() + gateway.robot.period)
+        tick(clock.now(), ())
+    if gateway.armed() and any(j.settings.safe == "idle" for j in gateway.joints.values()):
+        names = [
+            n
+            for n, j in gateway.joints.items()
+            if j.claimed and j.mode == "armed" and j.settings.safe == "idle"
+        ]
+        if names:
+            log.error("%s did not say that it is disarmed: cut its supply", ", ".join(names))
+
+
+def moments(
+    clock: Clock, period: Nanos, due: Callable[[], Nanos | None], account: Account
+) -> Iterator[Nanos]:
+    """The moments to step at: absolute deadlines, and a driver's own moments between them."""
+    deadline = last = clock.now()
+    while True:
+        now = clock.now()
+        if now >= deadline:
+            late = (now - deadline) // period
+            account.missed += late
+            deadline += (late + 1) * period
+        last = now
+        yield now
+        own = due()
+        between = deadline if own is None else max(own, last + LEAST_STEP)
+        clock.wait(min(deadline, between) if between + LEAST_STEP <= deadline else deadline)
+
+
+def serve(
+    world_buses: Mapping[str, Bus], buses: Mapping[str, Bus], clock: Clock, period: Nanos
+) -> Iterator[Nanos]:
+    """Be the devices: carry what the real buses bring to the world of twins, and back."""
+    account = Account()
+    for now in moments(clock, period, lambda: None, account):
+        for name, bus in buses.items():
+            _states, packets = bus.read(now)
+            world_buses[name].write(now, [p.wire for p in packets])
+        for name, twins in world_buses.items():
+            _states, packets = twins.read(now)
+            buses[name].write(now, [p.wire for p in packets])
+        yield now
+
+
+def _gather(buses: Mapping[str, Bus], now: Nanos, asked: Sequence[Asked]) -> Inputs:
+    states: list[tuple[str, BusState]] = []
+    packets: list[Packet] = []
+    for name, bus in buses.items():
+        changes, arrived = bus.read(now)
+        states += [(name, state) for state in changes]
+        packets += arrived
+    # In order of time; what came at the same moment stays in the order of the robot file's buses.
+    packets.sort(key=lambda packet: packet.t)
+    return Inputs(tuple(states), tuple(packets), tuple(asked))
+
+
+def _write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> None:
+    if not packets:
+        return
+    for name, bus in buses.items():
+        wires = [p.wire for p in packets if p.bus == name]
+        if wires:
+            bus.write(now, wires)
+
+
+_LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+
+
+def _tell(notes: Sequence[Note]) -> None:
+    for note in notes:
+        log.log(_LEVELS[note.level], "%s: %s", note.about, note.text)
+
+
+def _count(account: Account, tick: Tick, took: Nanos) -> None:
+    account.ticks += 1
+    account.longest_step = max(account.longest_step, took)
+    account.sent += len(tick.outputs.packets)
+    account.received += len(tick.inputs.packets)
+    if account.first_frame is None and tick.outputs.packets:
+        account.first_frame = tick.now
+    for packet in (*tick.inputs.packets, *tick.outputs.packets):
+        account.bits[packet.bus] = account.bits.get(packet.bus, 0) + wire_bits(packet)
+
+
+def wire_bits(packet: Packet) -> int:
+    """Bits that a packet takes on its wire: an estimate without stuffing, and 8N1 on a serial line.
+
+    Classic CAN: 47 + 8n bits, or 67 + 8n with an extended identifier, interframe space included."""
+    wire = packet.wire
+    if isinstance(wire, bytes):
+        return 10 * len(wire)
+    return (67 if wire.extended else 47) + 8 * len(wire.data)
+
+
+# -- what a process needs around a live loop ------------------------------------------------------
+
+
+@contextmanager
+def signals(stop: Callable[[str], None]) -> Iterator[None]:
+    """While inside, SIGINT and SIGTERM call `stop` with their name; a second one is a plain interrupt."""
+    seen: list[int] = []
+
+    def handler(number: int, _frame: object) -> None:
+        if seen:
+            raise KeyboardInterrupt
+        seen.append(number)
+        stop(signal.Signals(number).name)
+
+    with ExitStack() as stack:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before = signal.signal(number, handler)
+            stack.callback(signal.signal, number, before)
+        yield
+
+
+@contextmanager
+def quiet_collector() -> Iterator[None]:
+    """Keep the garbage collector out of the way of what was made before the loop began."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+def real_time(priority: int) -> str:
+    """Ask for real-time priority (SCHED_FIFO); "" if it was given, else why not and what to do."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError:
+        return (
+            f"real-time priority {priority} was not allowed: run with CAP_SYS_NICE, or add "
+            f"'@realtime - rtprio {priority}' to /etc/security/limits.conf for your group"
+        )
+    except OSError as error:
+        return f"real-time priority {priority} was not given: {error}"
+    return ""

@@ -1,0 +1,132 @@
+"""A session: everything that a live run needs, opened in order and closed in the opposite one.
+
+Rules. Buses are opened before anything is armed, and closed after the safe word. The world is made only for
+buses whose interface is "twin". What cannot be opened is a sentence (`BusError`), and nothing has moved yet.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway import run
+from gateway.clock import Clock, SimulatedClock
+from gateway.config import Robot, cautions
+from gateway.gateway import Gateway
+from gateway.tick import Tick
+from protocols.words import SECOND, Asked, Nanos
+
+if TYPE_CHECKING:
+    from gateway.buses import Bus
+    from gateway.buses.twin import TwinWorld
+    from gateway.recording import Recorder
+
+log = logging.getLogger("gateway")
+
+
+@dataclass(slots=True)
+class Session:
+    """What a run consists of, for those who watch it."""
+
+    robot: Robot
+    gateway: Gateway
+    clock: Clock
+    buses: dict[str, Bus]
+    twins: TwinWorld | None
+    recorder: Recorder | None
+    account: run.Account = field(default_factory=run.Account)
+    leaving: str = ""
+    """Why the run is to end before its time: a signal, or an operator's quit."""
+
+    def ticks(
+        self,
+        until: Nanos | None = None,
+        ask: Callable[[], Sequence[Asked]] = run.no_questions,
+        *,
+        dry: bool = False,
+    ) -> Iterator[Tick]:
+        """The live loop, until `until` or until something asks it to leave; closing says the safe word."""
+        ticks = run.live(
+            self.gateway,
+            self.buses,
+            self.clock,
+            ask=ask,
+            recording=self.recorder,
+            until=until,
+            account=self.account,
+            dry=dry,
+        )
+        with closing(ticks):  # type: ignore[type-var]  # a generator has close()
+            for tick in ticks:
+                yield tick
+                if self.leaving:
+                    log.warning("leaving: %s", self.leaving)
+                    return
+
+
+def with_interfaces(robot: Robot, interfaces: dict[str, str]) -> Robot:
+    """The robot with some of its buses on other interfaces ("socketcan:can0")."""
+    buses = dict(robot.buses)
+    for name, interface in interfaces.items():
+        buses[name] = replace(buses[name], interface=interface)
+    return replace(robot, buses=buses)
+
+
+@contextmanager
+def session(
+    robot: Robot, clock: Clock, *, record: Path | None = None, seed: int | None = None
+) -> Iterator[Session]:
+    """Open everything, in order; on the way out close everything, in the opposite order."""
+    with ExitStack() as stack:
+        buses, twins = _open_buses(robot, clock, seed, stack)
+        recorder = None
+        if record is not None:
+            from gateway.recording import Recorder, facts
+
+            recorder = Recorder(record, robot.text, facts(), patient=isinstance(clock, SimulatedClock))
+            stack.callback(recorder.close)
+        gateway = Gateway(robot)
+        for caution in cautions(robot):
+            log.warning("%s", caution)
+        stack.enter_context(run.quiet_collector())
+        made = Session(robot, gateway, clock, buses, twins, recorder)
+        stack.enter_context(run.signals(lambda name: setattr(made, "leaving", name)))
+        yield made
+
+
+def _open_buses(
+    robot: Robot, clock: Clock, seed: int | None, stack: ExitStack
+) -> tuple[dict[str, Bus], TwinWorld | None]:
+    twins = None
+    if any(bus.interface == "twin" for bus in robot.buses.values()):
+        from gateway.buses.twin import open_world
+
+        twins = open_world(robot, robot.seed if seed is None else seed)
+    buses: dict[str, Bus] = {}
+    for name, settings in robot.buses.items():
+        if settings.interface == "twin" and twins is not None:
+            buses[name] = twins.buses[name]
+        elif settings.kind == "serial":
+            from gateway.buses.serial import open_serial
+
+            buses[name] = open_serial(settings, clock)
+        else:
+            from gateway.buses.can import open_can
+
+            buses[name] = open_can(settings, clock)
+        stack.callback(buses[name].close)
+    return buses, twins
+
+
+def speed(account: run.Account, robot: Robot, took: Nanos) -> float:
+    """Simulated time over real time."""
+    return account.ticks * robot.period / max(1, took)
+
+
+def hertz(robot: Robot) -> float:
+    """Steps per second."""
+    return SECOND / robot.period
