@@ -40,31 +40,14 @@ LOCK_HEADER = """\
 # Made from pyproject.toml by `./go lock`; not edited by hand.
 """
 
-BREAKING = frozenset(
-    [  # fmt: skip
-        "PYTHONPATH",
-        "PYTHONHOME",
-        "PIP_TARGET",
-        "PIP_PREFIX",
-        "PIP_ROOT",
-        "PIP_USER",
-        "PIP_PYTHON",
-        "PIP_DRY_RUN",
-        "PIP_REPORT",
-        "PIP_IGNORE_INSTALLED",
-        "PIP_REQUIREMENT",
-        "PIP_CONSTRAINT",
-        "PIP_EDITABLE",
-        "PIP_NO_DEPS",
-        "PIP_NO_BINARY",
-        "UV_SYSTEM_PYTHON",
-        "UV_PYTHON",
-        "UV_CONSTRAINT",
-        "UV_OVERRIDE",
-        "UV_NO_BINARY",
-        "UV_ENV_FILE",
-    ]
-)
+# fmt: off
+BREAKING = frozenset([
+    "PYTHONPATH", "PYTHONHOME",
+    "PIP_TARGET", "PIP_PREFIX", "PIP_ROOT", "PIP_USER", "PIP_PYTHON", "PIP_DRY_RUN", "PIP_REPORT",
+    "PIP_IGNORE_INSTALLED", "PIP_REQUIREMENT", "PIP_CONSTRAINT", "PIP_EDITABLE", "PIP_NO_DEPS", "PIP_NO_BINARY",
+    "UV_SYSTEM_PYTHON", "UV_PYTHON", "UV_CONSTRAINT", "UV_OVERRIDE", "UV_NO_BINARY", "UV_ENV_FILE",
+])
+# fmt: on
 """Variables that change what is imported or what is installed where. Where packages come from stays."""
 
 TOOLS = (
