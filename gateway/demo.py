@@ -97,7 +97,7 @@ class Figures:
         """For a person."""
         near = sum(a.near for a in self.arrivals)
         rows = [
-            f"goal {i}: {a.x:.2f}, {a.y:.2f} m after {a.t / SECOND:.1f} s, the true pose {a.distance:.3f} m away"
+            f"goal {i}: {a.x:.2f}, {a.y:.2f} m after {a.t / SECOND:.1f} s, true pose {a.distance:.3f} m away"
             for i, a in enumerate(self.arrivals, 1)
         ]
         rows.append(f"goals reached within {NEAR:.2f} m by the true pose: {near} of {self.goals}")
@@ -108,9 +108,8 @@ class Figures:
             ("raw odometry ", self.raw_error, self.raw_length),
         ):
             share = 100 * error / max(self.length, 1e-9)
-            rows.append(
-                f"{name}: at most {error:.3f} m off the true one ({share:.2f} % of its length), {length:.2f} m long"
-            )
+            off = f"at most {error:.3f} m off the true one ({share:.2f} % of its length)"
+            rows.append(f"{name}: {off}, {length:.2f} m long")
         rows.append(f"age of commands: median {self.age_median:.1f} ms, worst {self.age_worst:.1f} ms")
         rows.append(
             "bus load: " + ", ".join(f"{name} {100 * share:.1f} %" for name, share in self.load.items())

@@ -9,16 +9,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway import run
 from gateway.clock import Clock, SimulatedClock
-from gateway.config import Robot, cautions
+from gateway.config import cautions
 from gateway.gateway import Gateway
+from gateway.robot import TWIN, Robot
 from gateway.tick import Tick
-from protocols.words import SECOND, Asked, Nanos
+from protocols.words import Asked, Nanos
 
 if TYPE_CHECKING:
     from gateway.buses import Bus
@@ -68,14 +69,6 @@ class Session:
                     return
 
 
-def with_interfaces(robot: Robot, interfaces: dict[str, str]) -> Robot:
-    """The robot with some of its buses on other interfaces ("socketcan:can0")."""
-    buses = dict(robot.buses)
-    for name, interface in interfaces.items():
-        buses[name] = replace(buses[name], interface=interface)
-    return replace(robot, buses=buses)
-
-
 @contextmanager
 def session(
     robot: Robot, clock: Clock, *, record: Path | None = None, seed: int | None = None
@@ -102,13 +95,13 @@ def _open_buses(
     robot: Robot, clock: Clock, seed: int | None, stack: ExitStack
 ) -> tuple[dict[str, Bus], TwinWorld | None]:
     twins = None
-    if any(bus.interface == "twin" for bus in robot.buses.values()):
+    if any(bus.interface == TWIN for bus in robot.buses.values()):
         from gateway.buses.twin import open_world
 
         twins = open_world(robot, robot.seed if seed is None else seed)
     buses: dict[str, Bus] = {}
     for name, settings in robot.buses.items():
-        if settings.interface == "twin" and twins is not None:
+        if settings.interface == TWIN and twins is not None:
             buses[name] = twins.buses[name]
         elif settings.kind == "serial":
             from gateway.buses.serial import open_serial
@@ -120,13 +113,3 @@ def _open_buses(
             buses[name] = open_can(settings, clock)
         stack.callback(buses[name].close)
     return buses, twins
-
-
-def speed(account: run.Account, robot: Robot, took: Nanos) -> float:
-    """Simulated time over real time."""
-    return account.ticks * robot.period / max(1, took)
-
-
-def hertz(robot: Robot) -> float:
-    """Steps per second."""
-    return SECOND / robot.period
