@@ -1,0 +1,332 @@
+"""The robot file → a Robot: the composition root. Read here, and nowhere else, what a robot is made of.
+
+Rules. A wrong file raises `ConfigError` with every mistake at once, before anything moves; a right one
+gives a `Robot`, which is values only. Nothing can be switched off: limits, timeouts and rates are
+positive finite numbers. What a protocol, a joint or the brain can be told is typed by their own
+dataclasses, so this file knows no setting of theirs by name. Files are TOML (toml.io, version 1.0.0).
+
+    name, rate_hz, world, seed          the robot; `world` is what stands behind the twins
+    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate
+    [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.joint)
+    [motors.NAME.limits]                velocity, acceleration, torque, position
+    [motors.NAME.options]               what our driver should do: the protocol's own
+    [motors.NAME.settings]              what is configured on the device: the protocol's own, for its twin
+    [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
+    [defaults.motors] …                 what every motor (bus, sensor) has that does not say otherwise
+    [brain]                             brain.brain.BrainSettings
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from math import inf
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+try:  # until the brain's own are there
+    from brain.brain import BrainSettings
+    from brain.perception.mount import Mount
+except ModuleNotFoundError:
+    from gateway._brain_later import BrainSettings, Mount
+from gateway import rules
+from gateway.joint import JointSettings
+from gateway.mistakes import ConfigError, Key, Mistakes, shown, unknown
+from gateway.robot import TWIN, BusSettings, Motor, Robot, Sensor
+from gateway.typed import build, keys, positive
+from protocols import plugin
+from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
+from protocols.words import MILLISECOND, SECOND, Nanos
+
+__all__ = [
+    "TWIN",
+    "BusSettings",
+    "ConfigError",
+    "Motor",
+    "Robot",
+    "Sensor",
+    "cautions",
+    "devices",
+    "load",
+    "loads",
+    "with_interfaces",
+]
+
+Find: TypeAlias = Callable[[str], Plugin]
+Table: TypeAlias = dict[str, Any]
+
+GROUPS = ("buses", "motors", "sensors")
+SECTIONS = (*GROUPS, "defaults", "brain")
+RESERVED = ("all", "brain", "operator", "scan")
+"""Names that stand for something else in what an operator says or a note is about."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Top:
+    name: str
+    rate_hz: float = 200.0
+    world: str | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Bus:
+    kind: Literal["can", "canfd", "serial"]
+    interface: str
+    bitrate: int = 0
+    data_bitrate: int = 0
+    baudrate: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Wiring:
+    """What a motor and a sensor have in common."""
+
+    protocol: str
+    bus: str
+    address: int
+    options: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Mounting:
+    """What a sensor has beside its wiring."""
+
+    mount: Mount = field(default_factory=Mount)
+    timeout: Nanos = 500 * MILLISECOND
+
+
+# -- what others call --------------------------------------------------------------------------
+
+
+def load(path: Path, find: Find = plugin.load) -> Robot:
+    """Read a robot file. Raises ConfigError with every mistake in it, or that it cannot be read."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        mistakes = Mistakes(str(path), "")
+        mistakes.add((), f"cannot be read: {error}")
+        raise mistakes.error() from error
+    return loads(text, str(path), find)
+
+
+def loads(text: str, name: str = "robot.toml", find: Find = plugin.load) -> Robot:
+    """A robot from the text of its file; `name` is the file's in mistakes, `find` knows the protocols."""
+    mistakes = Mistakes(name, text)
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r"line (\d+)", str(error))
+        mistakes.add((), f"not TOML: {error}", int(place[1]) if place else 0)
+        raise mistakes.error() from error
+    defaults = _section(table, "defaults", mistakes, GROUPS)
+    groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
+    top = build(_Top, table, (), mistakes, also=SECTIONS)
+    _check_top(table, mistakes)
+
+    known = tuple(groups["buses"])
+    buses = {n: bus for n, t in groups["buses"].items() if (bus := _bus(n, t, mistakes))}
+    motors = {n: m for n, t in groups["motors"].items() if (m := _motor(n, t, known, find, mistakes))}
+    sensors = {n: s for n, t in groups["sensors"].items() if (s := _sensor(n, t, known, find, mistakes))}
+    brain = build(BrainSettings, table.get("brain", {}), ("brain",), mistakes)
+
+    period = round(SECOND / top.rate_hz) if top and top.rate_hz > 0 else 0
+    rules.check_devices(buses, motors, sensors, period, mistakes)
+    if brain is not None:
+        rules.check_brain(brain, tuple(groups["motors"]), tuple(groups["sensors"]), mistakes)
+    mistakes.check()
+    if top is None or brain is None:
+        raise AssertionError("a part is missing, and no mistake was told")
+    return Robot(top.name, text, period, top.world, top.seed, buses, motors, sensors, brain)
+
+
+def devices(robot: Robot, bus: str) -> list[tuple[Plugin, Device]]:
+    """The devices on a bus, in the order of the file: motors first, then sensors."""
+    parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]
+    return [(part.plugin, part.device) for part in parts if part.bus == bus]
+
+
+def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
+    """The robot with some of its buses on other interfaces: {"can0": "socketcan:vcan0"}.
+
+    Raises ConfigError for buses that the robot does not have and for what is not INTERFACE:CHANNEL.
+    """
+    mistakes = Mistakes("--bus", "")
+    buses = dict(robot.buses)
+    for name, interface in interfaces.items():
+        if name not in buses:
+            mistakes.add((), unknown("bus", name, buses))
+            continue
+        buses[name] = replace(buses[name], interface=interface)
+        _check_interface(interface, buses[name].kind, (name,), mistakes)
+    mistakes.check()
+    return replace(robot, buses=buses)
+
+
+def cautions(robot: Robot) -> list[str]:
+    """What a person must be told at every start, until the robot file acknowledges it."""
+    return rules.cautions(robot)
+
+
+# -- parts of the file -------------------------------------------------------------------------
+
+
+def _section(table: Table, name: str, mistakes: Mistakes, known: tuple[str, ...] = ()) -> dict[str, Table]:
+    """A table of tables; whatever is none of these is told and left out."""
+    section = table.get(name, {})
+    if not isinstance(section, dict):
+        mistakes.add((name,), f"found {shown(section)}, expected tables: [{name}.NAME]")
+        return {}
+    for key, value in section.items():
+        if known and key not in known:
+            mistakes.add((name, key), unknown("key", key, known))
+        elif not isinstance(value, dict):
+            mistakes.add((name, key), f"found {shown(value)}, expected a table [{name}.{key}]")
+    return {key: value for key, value in section.items() if isinstance(value, dict)}
+
+
+def _group(table: Table, group: str, defaults: Table, mistakes: Mistakes) -> dict[str, Table]:
+    """The buses, motors or sensors by name, each with the defaults of its group."""
+    named = _section(table, group, mistakes)
+    if not named and group != "sensors":
+        mistakes.add((group,), f"missing; expected at least one table [{group}.NAME]")
+    for name in named:
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+            mistakes.add((group, name), "expected a name of letters, digits and _ that begins with no digit")
+        if name in RESERVED:
+            mistakes.add((group, name), f"{name!r} has a meaning of its own; expected another name")
+        if group == "sensors" and name in table.get("motors", {}):
+            mistakes.add((group, name), f"a motor is called {name!r} too; expected another name")
+    return {name: _merged(defaults, own) for name, own in named.items()}
+
+
+def _merged(defaults: Table, own: Table) -> Table:
+    """A table with what it does not say taken from the defaults, all the way down."""
+    merged = dict(defaults)
+    for key, value in own.items():
+        below = merged.get(key)
+        merged[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _check_top(table: Table, mistakes: Mistakes) -> None:
+    positive(table, (), ("rate_hz",), mistakes)
+    rate, name, seed = table.get("rate_hz"), table.get("name"), table.get("seed")
+    if isinstance(rate, int | float) and 2000 < rate < inf:
+        mistakes.add(("rate_hz",), f"found {shown(rate)}, expected at most 2000 steps per second")
+    if isinstance(name, str) and not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+        mistakes.add(("name",), f"found {shown(name)}, expected letters, digits, _ and -")
+    if isinstance(seed, int) and not 0 <= seed < 2**63:
+        mistakes.add(("seed",), f"found {shown(seed)}, expected an integer from 0 to 2**63 - 1")
+
+
+_RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": ("baudrate",)}
+
+
+def _bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
+    at = ("buses", name)
+    made = build(_Bus, table, at, mistakes)
+    rates = ("bitrate", "data_bitrate", "baudrate")
+    positive(table, at, rates, mistakes)
+    kind, interface = table.get("kind"), table.get("interface")
+    if not isinstance(kind, str) or kind not in _RATES:
+        return None
+    for rate in rates:
+        if rate in _RATES[kind] and rate not in table:
+            mistakes.add((*at, rate), "missing; expected an integer: bits per second")
+        elif rate not in _RATES[kind] and rate in table:
+            mistakes.add(
+                (*at, rate), f"a bus of kind {kind!r} has no {rate}; expected {' and '.join(_RATES[kind])}"
+            )
+    if isinstance(interface, str):
+        _check_interface(interface, kind, at, mistakes)
+    if made is None:
+        return None
+    return BusSettings(name, made.kind, made.interface, made.bitrate, made.data_bitrate, made.baudrate)
+
+
+def _check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> None:
+    """ "twin", or INTERFACE:CHANNEL with an interface that fits the kind of bus."""
+    if interface == TWIN:
+        return
+    driver, colon, channel = interface.partition(":")
+    example = "serial:/dev/ttyUSB0" if kind == "serial" else "socketcan:can0"
+    if not (driver and colon and channel):
+        wanted = f'expected "{TWIN}" or INTERFACE:CHANNEL, such as "{example}"'
+        mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
+    elif kind == "serial" and driver != "serial":
+        mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
+
+
+@dataclass(frozen=True, slots=True)
+class _Wired:
+    """A device whose wiring is right as far as its own language can tell."""
+
+    bus: str
+    plugin: Plugin
+    device: Device
+    spec: Spec
+
+
+def _motor(name: str, table: Table, buses: tuple[str, ...], find: Find, mistakes: Mistakes) -> Motor | None:
+    at = ("motors", name)
+    wired = _wired(at, table, buses, find, "motor", mistakes)
+    joint = build(JointSettings, table, at, mistakes, also=keys(_Wiring))
+    positive(table, at, ("gear", "command_timeout_ms", "feedback_timeout_ms"), mistakes)
+    rules.check_limits(table.get("limits"), (*at, "limits"), mistakes)
+    if wired is None or joint is None:
+        return None
+    return Motor(name, wired.bus, wired.plugin, wired.device, wired.spec, joint)
+
+
+def _sensor(name: str, table: Table, buses: tuple[str, ...], find: Find, mistakes: Mistakes) -> Sensor | None:
+    at = ("sensors", name)
+    wired = _wired(at, table, buses, find, "sensor", mistakes)
+    mounting = build(_Mounting, table, at, mistakes, also=keys(_Wiring))
+    positive(table, at, ("timeout_ms",), mistakes)
+    if wired is None or mounting is None:
+        return None
+    return Sensor(name, wired.bus, wired.plugin, wired.device, wired.spec, mounting.mount, mounting.timeout)
+
+
+def _wired(
+    at: Key,
+    table: Table,
+    buses: tuple[str, ...],
+    find: Find,
+    kind: Literal["motor", "sensor"],
+    mistakes: Mistakes,
+) -> _Wired | None:
+    """The device with its own language's options, settings and spec."""
+    own = {key: value for key, value in table.items() if key in keys(_Wiring)}
+    wiring = build(_Wiring, own, at, mistakes)
+    protocol, bus, address = table.get("protocol"), table.get("bus"), table.get("address")
+    if isinstance(bus, str) and bus not in buses:
+        mistakes.add((*at, "bus"), unknown("bus", bus, buses))
+    if isinstance(address, int) and address < 0:
+        mistakes.add((*at, "address"), f"found {shown(address)}, expected an integer of at least 0")
+        wiring = None
+    if not isinstance(protocol, str):
+        return None
+    try:
+        language = find(protocol)
+    except UnknownProtocol as error:
+        mistakes.add((*at, "protocol"), str(error))
+        return None
+    options: object = build(language.options, table.get("options", {}), (*at, "options"), mistakes)
+    settings: object = build(language.settings, table.get("settings", {}), (*at, "settings"), mistakes)
+    if wiring is None or options is None or settings is None:
+        return None
+    device = Device(at[-1], wiring.address, options, settings)
+    try:
+        spec = language.spec(device)
+    except ValueError as error:
+        mistakes.add((*at, "address") if "address" in str(error) else at, str(error))
+        return None
+    if spec.kind != kind:
+        mistakes.add((*at, "protocol"), f"{protocol!r} speaks to a {spec.kind} here, expected a {kind}")
+        return None
+    return _Wired(wiring.bus, language, device, spec)

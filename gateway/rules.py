@@ -1,0 +1,147 @@
+"""What must hold between the parts of a robot file, each right by itself; and what a person must be told.
+
+Rules. Each check tells its own mistakes and leaves the others to the rest; parts that were wrong by
+themselves are not among those given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, TypeAlias
+
+from gateway.mistakes import Key, Mistakes, shown, unknown
+from gateway.robot import BusSettings, Motor, Robot, Sensor
+from gateway.typed import positive
+from protocols.plugin import FeedbackKind
+from protocols.words import MILLISECOND, Nanos
+
+if TYPE_CHECKING:
+    from brain.brain import BrainSettings
+
+Part: TypeAlias = Motor | Sensor
+
+_CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
+"""Which kinds of bus carry a device's wires: a classic CAN device may stand on a CAN FD bus."""
+
+
+def check_limits(limits: object, at: Key, mistakes: Mistakes) -> None:
+    """Every limit of a joint is greater than zero, and the lowest position is below the highest."""
+    positive(limits, at, ("velocity", "acceleration", "torque"), mistakes)
+    position = limits.get("position") if isinstance(limits, Mapping) else None
+    match position:
+        case [int() | float() as low, int() | float() as high] if low >= high:
+            mistakes.add((*at, "position"), f"found [{low}, {high}], expected the lowest first")
+
+
+def check_devices(
+    buses: Mapping[str, BusSettings],
+    motors: Mapping[str, Motor],
+    sensors: Mapping[str, Sensor],
+    period: Nanos,
+    mistakes: Mistakes,
+) -> None:
+    """Devices against their buses, against each other, and a joint's settings against its device."""
+    parts: list[tuple[Key, Part]] = [
+        *((("motors", name), motor) for name, motor in motors.items()),
+        *((("sensors", name), sensor) for name, sensor in sensors.items()),
+    ]
+    for at, part in parts:
+        bus = buses.get(part.bus)
+        if bus and bus.kind not in _CARRIES[part.spec.bus]:
+            kinds = " or ".join(_CARRIES[part.spec.bus])
+            said = f"{part.plugin.name} needs a bus of kind {kinds}, and {bus.name!r} is {bus.kind}"
+            mistakes.add((*at, "bus"), said)
+    for (_, first), (at, second) in combinations(parts, 2):
+        if first.bus == second.bus:
+            _check_pair(first, at, second, mistakes)
+    for name, motor in motors.items():
+        _check_motor(("motors", name), motor, period, mistakes)
+    for name, sensor in sensors.items():
+        _check_longer(("sensors", name, "timeout_ms"), sensor.timeout, _reports(sensor), mistakes)
+
+
+def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:
+    """Two devices on one bus do not answer to the same address, nor use each other's ids."""
+    if first.plugin.name == second.plugin.name:
+        if first.device.address == second.device.address:
+            said = f"{first.name!r} has address {first.device.address} on bus {first.bus!r} too"
+            mistakes.add((*at, "address"), f"{said}; expected an address of its own")
+        return
+    shared = (first.spec.sends | first.spec.expects) & (second.spec.sends | second.spec.expects)
+    if shared:
+        ids = ", ".join(f"0x{one:X}" for one in sorted(shared)[:4]) + (", …" if len(shared) > 4 else "")
+        said = f"uses CAN ids of {first.name!r} ({first.plugin.name}) on bus {first.bus!r}: {ids}"
+        mistakes.add((*at, "address"), f"{said}; expected another address or bus")
+
+
+def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> None:
+    joint, spec = motor.joint, motor.spec
+    for key, word in (("safe", joint.safe), ("silent", joint.silent)):
+        if word == "hold" and not spec.holds_unattended:
+            why = "with nobody feeding it, the device lets go of its load (its watchdog)"
+            mistakes.add((*at, key), f'found "hold", expected "idle": {why}')
+    _check_longer((*at, "feedback_timeout_ms"), joint.feedback_timeout, _reports(motor), mistakes)
+    _check_longer((*at, "command_timeout_ms"), joint.command_timeout, ("the robot steps", period), mistakes)
+
+
+def _reports(part: Part) -> tuple[str, Nanos]:
+    """How often something is heard of the device; 0 if it tells nothing."""
+    told = part.spec.feedback is not FeedbackKind.NONE
+    return "the device reports", part.spec.feedback_period if told else 0
+
+
+def _check_longer(at: Key, timeout: Nanos, cycle: tuple[str, Nanos], mistakes: Mistakes) -> None:
+    """A timeout is longer than the cycle of what it waits for."""
+    what, period = cycle
+    if 0 < timeout <= period:
+        every = f"{what} every {period / MILLISECOND:g} ms"
+        mistakes.add(at, f"found {timeout / MILLISECOND:g} ms, but {every}; expected more than that")
+
+
+def check_brain(
+    brain: BrainSettings, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes
+) -> None:
+    """The body's motors are motors of this robot, each used once."""
+    named: list[tuple[Key, str]] = []
+    table: Key = ("brain", brain.body)
+    if brain.body == "differential" and brain.differential is not None:
+        named = [((*table, "left"), brain.differential.left), ((*table, "right"), brain.differential.right)]
+    elif brain.body == "joints" and brain.joints is not None:
+        named = [((*table, "motors"), name) for name in brain.joints.motors]
+    else:
+        mistakes.add(table, f'missing; the body "{brain.body}" expects this table')
+    for index, (at, name) in enumerate(named):
+        if name in sensors:
+            mistakes.add(at, f"{name!r} is a sensor; expected a motor: {', '.join(motors)}")
+        elif name not in motors:
+            mistakes.add(at, unknown("motor", name, motors))
+        elif name in [other for _, other in named[:index]]:
+            mistakes.add(at, f"found {shown(name)} twice; expected each motor once")
+
+
+def cautions(robot: Robot) -> list[str]:
+    """What a person must be told at every start, until the robot file acknowledges it."""
+    parts: list[Part] = [*robot.motors.values(), *robot.sensors.values()]
+    told = [f"{part.name}: {part.spec.watchdog.note}" for part in parts if part.spec.watchdog.note]
+    for motor in robot.motors.values():
+        told.extend(_beyond(motor))
+    return told
+
+
+def _beyond(motor: Motor) -> list[str]:
+    """Limits at the joint that its device cannot be told."""
+    told: list[str] = []
+    limits, gear = motor.joint.limits, motor.joint.gear
+    for word, limit, unit in (
+        ("Velocity.velocity", limits.velocity * gear, "rad/s"),
+        ("Torque.torque", limits.torque / gear, "N·m"),
+    ):
+        able = motor.spec.ranges.get(word)
+        if able and limit > able.high:
+            quantity = word.split(".")[1]
+            told.append(
+                f"{motor.name}: its limit of {quantity} is {limit:g} {unit} at the device's shaft, but the "
+                f"device can be told at most {able.high:g}; commands beyond that are refused"
+            )
+    return told
