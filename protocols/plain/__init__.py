@@ -1,0 +1,80 @@
+"""Plain: our own words in bytes, for sensors and motors that have no wire of their own.
+
+Rules. The smallest plugin there is, to be read first by whoever writes one. One serial line carries
+any number of devices, each with an address of 1 … 255; words travel exactly (see `codec`).
+"""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from protocols.plain import codec
+from protocols.plain.driver import OFFLINE, Options, PlainDriver
+from protocols.plain.twin import PlainEar, Settings, twin
+from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.wire import Wire
+from protocols.words import COMMANDS, MILLISECOND, Command, ReadParameter, Request, Scan
+
+MEASUREMENTS = ("Imu", "LaserScan", "Fix")
+SENSOR_PERIOD = 100 * MILLISECOND
+"""Of the slowest sensor that is usual; what a robot waits for is in its own file."""
+
+
+def read_only(wire: Wire) -> bool:
+    """Whether these bytes are whole messages that only ask: Scan, ReadParameter."""
+    if not isinstance(wire, bytes):
+        return False
+    stream = codec.Stream()
+    bodies = stream.feed(wire)
+    whole = sum(len(codec.frame(body)) for body in bodies) == len(wire)
+    asked = [codec.read(body, 0, "") for body in bodies]
+    return whole and all(isinstance(word, Scan | ReadParameter) for word in asked)
+
+
+def spec(device: Device) -> Spec:
+    """The contract of one plain device. Raises ValueError for an address that it cannot have."""
+    if not 1 <= device.address <= 0xFF:
+        raise ValueError(f"a plain device has an address of 1 … 255, not {device.address}")
+    motor = device.options.kind == "motor"
+    settings: Settings = device.settings
+    line: frozenset[type[Request]] = frozenset(get_args(codec.LineRequest))
+    asked: frozenset[type[Request]] = line | frozenset(get_args(codec.MotorRequest))
+    commands: frozenset[type[Command]] = frozenset(COMMANDS)
+    patience = round(settings.watchdog_ms * MILLISECOND)
+    return Spec(
+        bus="serial",
+        kind="motor" if motor else "sensor",
+        sends=frozenset(),
+        expects=frozenset(),
+        read_only=read_only,
+        feedback=FeedbackKind.CYCLIC,
+        feedback_period=round(settings.feedback_ms * MILLISECOND) if motor else SENSOR_PERIOD,
+        offline_after=OFFLINE,
+        commands=commands if motor else frozenset(),
+        requests=asked if motor else line,
+        ranges=_ranges(motor),
+        watchdog=Watchdog(patience if motor and patience else None, enabled=motor and patience > 0),
+        holds_unattended=motor and not patience,
+        stop_clears_faults=False,
+    )
+
+
+def _ranges(motor: bool) -> dict[str, Range]:
+    """Everything is float64 on the wire: nothing is rounded."""
+    measured = {name: name.partition(".")[0] in MEASUREMENTS for name in codec.LIMITS}
+    return {
+        name: Range(low, high, 0.0) for name, (low, high) in codec.LIMITS.items() if measured[name] != motor
+    }
+
+
+plugin = Plugin(
+    name=codec.NAME,
+    title="our own words in bytes on a serial line: sensors and motors without a wire of their own",
+    trust="defined here; the bytes of fixtures/vectors/plain.json are made with msgpack and zlib alone",
+    options=Options,
+    settings=Settings,
+    spec=spec,
+    driver=PlainDriver,
+    ear=PlainEar,
+    twin=twin,
+)

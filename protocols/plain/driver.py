@@ -1,0 +1,230 @@
+"""Our end of a plain line: commands and requests down; feedback, states, faults and measurements up.
+
+Rules. A device's measurements are stamped with the packet's time less the age that the device tells.
+An unclaimed motor is told nothing but Scan and ReadParameter; any command but Idle claims it, and it
+stays claimed. A fault is told once, until the device has left its fault state. Every request ends:
+with the device's answer, or refused after `ANSWER`. What is told by itself is only silence: a motor
+not heard for `OFFLINE` is offline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
+
+from protocols.plain import codec
+from protocols.plugin import Device, Tally
+from protocols.wire import BusState, Wire
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Done,
+    Event,
+    Fault,
+    Feedback,
+    Fix,
+    Found,
+    Idle,
+    Imu,
+    LaserScan,
+    Mode,
+    Nanos,
+    Parameter,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    State,
+    Word,
+)
+
+ANSWER: Nanos = 200 * MILLISECOND
+"""How long a device may take to answer a request, and how long a scan listens."""
+OFFLINE: Nanos = 250 * MILLISECOND
+"""Silence after which a motor is called offline."""
+Measured: TypeAlias = Imu | LaserScan | Fix
+Told: TypeAlias = Feedback | State | Fault | Done | Refused | Parameter
+"""What a sensor, and what a motor may say; Found comes from either."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the driver should do."""
+
+    kind: Literal["sensor", "motor"] = "sensor"
+    """What the device is: it decides which words it is asked for and believed."""
+
+
+@dataclass(slots=True)
+class _Seat:
+    """What the driver knows of one device."""
+
+    name: str
+    motor: bool
+    claimed: bool = False
+    heard: Nanos | None = None
+    """When it last spoke, or when we began to listen."""
+    offline: bool = False
+    faults: list[int] = field(default_factory=list)
+    """Codes already told, until the device has left its fault state."""
+    asked: dict[str, Nanos] = field(default_factory=dict)
+    """Requests without an answer yet, by class name: when patience ends."""
+
+
+class PlainDriver:
+    """The driver of all plain devices on one serial line."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self.tally = Tally()
+        self._stream = codec.Stream()
+        self._seats = {d.address: _Seat(d.name, d.options.kind == "motor") for d in devices}
+        self._addresses = {d.name: d.address for d in devices}
+        self._line: list[tuple[Nanos, Scan | SetId]] = []
+        """Requests to the whole line: when they end."""
+        self._serials: dict[int, int] = {}
+        """Serial numbers found since the last scan, by address."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        """The events in the messages that are complete with these bytes."""
+        if not isinstance(wire, bytes):
+            self.tally.foreign += 1
+            return []
+        stream = self._stream
+        bad, noise = stream.bad, stream.noise
+        events = [event for body in stream.feed(wire) for event in self._hear(t, body)]
+        self.tally.bad += stream.bad - bad
+        self.tally.foreign += stream.noise - noise
+        return events
+
+    def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- silence is counted from what was heard
+        """A line that was away has lost the rest of a message, and its devices may have restarted."""
+        if state in (BusState.GONE, BusState.OFF, BusState.BACK):
+            self._stream.drop()
+            for seat in self._seats.values():
+                seat.faults.clear()
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+        """Each word that its device takes becomes one message; the others are refused."""
+        events: list[Event] = []
+        wires: list[Wire] = []
+        for word in words:
+            try:
+                address = self._address(word)
+                wire = codec.message(address, word)
+            except ValueError as error:
+                events.append(Refused(now, type(word).__name__, _about(word), str(error)))
+                continue
+            if self._say(now, address, word):
+                wires.append(wire)
+        return events + self._impatient(now), wires
+
+    def due(self) -> Nanos | None:
+        """When a request has waited, or a motor been silent, for too long."""
+        moments = [end for end, _ in self._line]
+        for seat in self._seats.values():
+            moments += seat.asked.values()
+            if seat.motor and seat.heard is not None and not seat.offline:
+                moments.append(seat.heard + OFFLINE)
+        return min(moments, default=None)
+
+    # -- down ------------------------------------------------------------------------------------------
+
+    def _address(self, word: Command | Request) -> int:
+        """The address that a word goes to. ValueError: it can go to none."""
+        if isinstance(word, codec.LineRequest):
+            return codec.EVERYONE
+        if not isinstance(word, Command | codec.MotorRequest):
+            raise ValueError("a plain device cannot do that")  # noqa: TRY004 -- a right word, wrong device
+        address = self._addresses.get(word.motor)
+        if address is None or not self._seats[address].motor:
+            raise ValueError(f"no motor {word.motor!r} on this line")
+        return address
+
+    def _say(self, now: Nanos, address: int, word: Command | Request) -> bool:
+        """Whether this word goes out; and remember that it did."""
+        if isinstance(word, codec.LineRequest):
+            self._line.append((now + ANSWER, word))
+            self._serials = {} if isinstance(word, Scan) else self._serials
+            return True
+        seat = self._seats[address]
+        if isinstance(word, Idle):
+            return seat.claimed
+        if isinstance(word, codec.MotorRequest):
+            seat.asked[type(word).__name__] = now + ANSWER
+        else:
+            seat.claimed = True
+        return True
+
+    def _impatient(self, now: Nanos) -> list[Event]:
+        events: list[Event] = []
+        for seat in self._seats.values():
+            late = [request for request, end in seat.asked.items() if end <= now]
+            for request in late:
+                del seat.asked[request]
+                events.append(Refused(now, request, seat.name, f"no answer in {ANSWER // MILLISECOND} ms"))
+            seat.heard = now if seat.heard is None else seat.heard
+            if seat.motor and not seat.offline and now - seat.heard >= OFFLINE:
+                seat.offline = True
+                events.append(State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms"))
+        ended = [word for end, word in self._line if end <= now]
+        self._line = [(end, word) for end, word in self._line if end > now]
+        for word in ended:
+            if isinstance(word, Scan):
+                events.append(Done(now, "Scan", word.bus, f"{len(self._serials)} found"))
+            else:
+                events.append(Refused(now, "SetId", word.bus, f"no device has serial number {word.serial}"))
+        return events
+
+    # -- up --------------------------------------------------------------------------------------------
+
+    def _hear(self, t: Nanos, body: bytes) -> Sequence[Event]:
+        seat = self._seats.get(body[0])
+        word = codec.read(body, t, seat.name if seat else "")
+        if isinstance(word, Found) and word.protocol == codec.NAME and word.address == body[0]:
+            self.tally.heard += 1
+            return self._found(word)
+        # A command on the way up is somebody's echo (RS-485), a stranger's message is not for us.
+        if seat is None or isinstance(word, Command | Request):
+            self.tally.foreign += 1
+            return []
+        if not isinstance(word, Told if seat.motor else Measured):
+            self.tally.bad += 1
+            return []
+        self.tally.heard += 1
+        seat.heard, seat.offline = t, False
+        return [word] if self._news(seat, word) else []
+
+    def _news(self, seat: _Seat, word: Event) -> bool:
+        """Remember what the device says; whether it says anything new."""
+        if isinstance(word, Done | Refused):
+            seat.asked.pop(word.request, None)
+        elif isinstance(word, Parameter):
+            seat.asked.pop("ReadParameter", None)
+        elif isinstance(word, State) and word.mode != Mode.FAULT:
+            seat.faults.clear()
+        elif isinstance(word, Fault):
+            if word.code in seat.faults:
+                return False
+            seat.faults.append(word.code)
+        return True
+
+    def _found(self, word: Found) -> Sequence[Event]:
+        """A device answered to Scan or SetId. Two serial numbers at one address are told."""
+        before = self._serials.get(word.address, word.serial)
+        if before != word.serial:
+            word = replace(word, detail=f"{word.detail}; address {word.address} is also held by {before}")
+        if word.serial is not None:
+            self._serials[word.address] = word.serial
+        events: list[Event] = [word]
+        for end, asked in self._line:
+            if isinstance(asked, SetId) and (asked.serial, asked.address) == (word.serial, word.address):
+                self._line.remove((end, asked))
+                events.append(Done(word.t, "SetId", asked.bus, f"{asked.serial} is now at {asked.address}"))
+                break
+        return events
+
+
+def _about(word: Word) -> str:
+    """The motor or bus that a word is about."""
+    return getattr(word, "motor", getattr(word, "bus", ""))
