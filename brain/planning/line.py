@@ -1,0 +1,85 @@
+"""A polyline by the length along it: where a path is nearest, where it goes on, where it leaves a circle."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from itertools import accumulate, pairwise
+from math import hypot, inf, sqrt
+
+Point = tuple[float, float]
+"""m, m"""
+
+
+class Line:
+    """A polyline by the length along it. Immutable."""
+
+    def __init__(self, points: tuple[Point, ...]) -> None:
+        apart = [b for a, b in pairwise(points) if a != b]
+        self.points = (points[0], *apart)
+        steps = (hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(self.points))
+        self.at = (0.0, *accumulate(steps))
+        """m along the line, of each point"""
+
+    @property
+    def length(self) -> float:
+        """m"""
+        return self.at[-1]
+
+    def point(self, along: float) -> Point:
+        """The point so many metres along the line; beyond its end, straight on."""
+        if len(self.points) == 1:
+            return self.points[0]
+        i = min(max(bisect_right(self.at, along) - 1, 0), len(self.points) - 2)
+        (ax, ay), (bx, by) = self.points[i], self.points[i + 1]
+        share = (along - self.at[i]) / (self.at[i + 1] - self.at[i])
+        return ax + share * (bx - ax), ay + share * (by - ay)
+
+    def project(self, place: Point, low: float = 0.0, high: float = inf) -> tuple[float, float]:
+        """Of the stretch from low to high: how far along [m] its nearest point is, and how far off [m]."""
+        best = (low, inf)
+        for i in range(len(self.points) - 1):
+            begin, end = self.at[i], self.at[i + 1]
+            if end < low or begin > high:
+                continue
+            (ax, ay), (bx, by) = self.points[i], self.points[i + 1]
+            ux, uy = (bx - ax) / (end - begin), (by - ay) / (end - begin)
+            run = (place[0] - ax) * ux + (place[1] - ay) * uy
+            run = min(max(run, 0.0, low - begin), min(end, high) - begin)
+            off = hypot(ax + run * ux - place[0], ay + run * uy - place[1])
+            if off < best[1]:
+                best = (begin + run, off)
+        if best[1] == inf:
+            end = min(max(low, 0.0), self.length)
+            x, y = self.point(end)
+            return end, hypot(x - place[0], y - place[1])
+        return best
+
+    def ahead(self, place: Point, along: float, distance: float) -> Point:
+        """The first point beyond `along` that lies this distance from the place.
+
+        Where the line goes on past its end, it is met there; a place that is farther off than
+        the distance gets the point that lies the distance along."""
+        x, y = self.point(along)
+        if hypot(x - place[0], y - place[1]) >= distance:
+            return self.point(along + distance)
+        i = min(max(bisect_right(self.at, along) - 1, 0), max(len(self.points) - 2, 0))
+        for j in range(i, len(self.points) - 1):
+            last = j == len(self.points) - 2
+            hit = _leaves(self.points[j], self.points[j + 1], place, distance, onward=last)
+            if hit is not None:
+                return hit
+        return self.point(along + distance)
+
+
+def _leaves(a: Point, b: Point, centre: Point, radius: float, *, onward: bool) -> Point | None:
+    """Where the line from a through b leaves the circle: before b, or anywhere if it goes onward."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    fx, fy = a[0] - centre[0], a[1] - centre[1]
+    square, half, rest = dx * dx + dy * dy, fx * dx + fy * dy, fx * fx + fy * fy - radius * radius
+    root = half * half - square * rest
+    if root < 0.0:
+        return None
+    share = (-half + sqrt(root)) / square
+    if share < 0.0 or (share > 1.0 and not onward):
+        return None
+    return a[0] + share * dx, a[1] + share * dy
