@@ -1,0 +1,379 @@
+"""An extended Kalman filter of the base's motion, on filterpy.
+
+Rules of this file. Every measurement brings its own time; the filter predicts to that time, so no
+caller forms a dt. A measurement up to `rewind` late is put in its place and what came after it is
+applied again; an older one is refused. Each is gated as a vector by its squared Mahalanobis distance
+against chi-square; a refused one changes nothing and is counted. No gate locks the filter out: when
+a sensor has been refused for longer than `lockout` without a break, its next measurement is taken
+with the covariance widened, and that is counted too. What is not finite never enters.
+
+State (frame "odom", SI): x, y, yaw; v: the speed of the wheels' treads [m/s]; w: the base's rate of
+turn [rad/s]; bias of the gyro [rad/s]; slip: the share of the treads' way that the base does not go.
+The base moves on an exact arc of length (1 - slip) v dt and turn w dt. Because v is what the wheels
+measure, wheels alone never move the slip (nor do they have anything to say on it): only a reference
+to the outside, such as a matched scan, does. An always-on scale that wheels and gyro settle between
+themselves makes odometry worse, not better.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from brain.belief import Floats, Pose
+from brain.bodies.differential import arc, sinc, wrap
+from protocols.words import MILLISECOND, SECOND, Nanos, seconds
+
+X, Y, YAW, V, W, BIAS, SLIP = range(7)
+POSE = slice(X, YAW + 1)
+TWIST = slice(V, W + 1)
+SIZE = 7
+
+CHI_SQUARE: dict[float, tuple[float, float, float]] = {
+    0.95: (3.841459, 5.991465, 7.814728),
+    0.99: (6.634897, 9.210340, 11.344867),
+    0.999: (10.827566, 13.815511, 16.266236),
+}
+"""Quantiles of chi-square by confidence, for 1, 2 and 3 degrees of freedom."""
+
+
+@dataclass(frozen=True, slots=True)
+class EkfSettings:
+    """Where the base starts, how much it is trusted to go on as it goes, and the gates."""
+
+    start_x: float = 0.0
+    """m, in the frame "odom" """
+    start_y: float = 0.0
+    start_yaw: float = 0.0
+    """rad"""
+    start_sigma: float = 1e-3
+    """m and rad: the start is where the frame is, by definition"""
+    linear_noise: float = 1.0
+    """m/s per √s: how the treads' speed wanders"""
+    angular_noise: float = 2.0
+    """rad/s per √s: how the rate of turn wanders"""
+    travel_noise: float = 0.005
+    """m per √m: what the way along differs by, beside the slip"""
+    sideways_noise: float = 0.003
+    """m per √m: what the base is pushed sideways"""
+    bias_sigma: float = 0.05
+    """rad/s: the gyro's bias at switch-on"""
+    bias_noise: float = 1e-4
+    """rad/s per √s: how it wanders"""
+    slip_sigma: float = 0.03
+    """share: of the wheels' way, at the start"""
+    slip_noise: float = 2e-3
+    """share per √s: how the slip wanders while the base moves"""
+    confidence: float = 0.999
+    """Of the gates: 0.95, 0.99 or 0.999"""
+    lockout: Nanos = 1 * SECOND
+    """A sensor refused for this long without a break is believed again."""
+    rewind: Nanos = 500 * MILLISECOND
+    """How late a measurement may come."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not math.isfinite(value):
+                raise ValueError(f"{field.name} must be finite, not {value!r}")
+            if not field.name.startswith("start_") and value < 0:
+                raise ValueError(f"{field.name} must not be negative, but is {value!r}")
+        if self.start_sigma <= 0.0:
+            raise ValueError(f"start_sigma must be above 0, not {self.start_sigma!r}")
+        if self.confidence not in CHI_SQUARE:
+            raise ValueError(f"confidence must be one of {list(CHI_SQUARE)}, not {self.confidence!r}")
+
+
+class Verdict(StrEnum):
+    """What became of a measurement."""
+
+    ACCEPTED = "accepted"
+    REFUSED = "refused by the gate"
+    FORCED = "believed again after refusals"
+    """Taken although the gate refused it, with the covariance widened: see `lockout`."""
+    LATE = "too late"
+    NOT_FINITE = "not finite"
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What one sensor says at one time: value = H · state + noise of covariance R."""
+
+    source: str
+    """Gates and lockouts are kept by this name."""
+    t: Nanos
+    value: Floats
+    """m of them: m ≤ 3"""
+    matrix: Floats
+    """H, m × 7"""
+    noise: Floats
+    """R, m × m"""
+    heading: int | None = None
+    """Which component is a heading, whose residual must be wrapped."""
+
+
+def wheels(source: str, t: Nanos, linear: float, angular: float, noise: Floats) -> Measurement:
+    """Treads' speed [m/s] and rate of turn [rad/s] as the wheels have them; R is 2 × 2."""
+    return Measurement(source, t, np.array([linear, angular]), _WHEELS, noise)
+
+
+def gyro(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
+    """Rate of turn about the robot's own z axis [rad/s], bias included."""
+    return Measurement(source, t, np.array([rate]), _GYRO, np.array([[sigma * sigma]]))
+
+
+def located(source: str, t: Nanos, pose: Pose, noise: Floats) -> Measurement:
+    """A pose, from a reference outside the robot; R is 3 × 3."""
+    return Measurement(source, t, np.array([pose.x, pose.y, pose.yaw]), _LOCATED, noise, heading=YAW)
+
+
+_WHEELS = np.eye(SIZE)[[V, W]]
+_GYRO = np.eye(SIZE)[[W]] + np.eye(SIZE)[[BIAS]]
+_LOCATED = np.eye(SIZE)[POSE]
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """A measurement in its place, what was decided on it, and the state after it."""
+
+    t: Nanos
+    measurement: Measurement | None
+    """None: the start"""
+    verdict: Verdict
+    state: Floats
+    covariance: Floats
+    doubt: float = 1.0
+    """By what the variances were widened before it was taken."""
+
+
+def move(state: Floats, dt: float) -> Floats:
+    """The state after dt seconds without news."""
+    moved = state.copy()
+    distance = (1.0 - state[SLIP]) * state[V] * dt
+    pose = arc(
+        Pose(float(state[X]), float(state[Y]), float(state[YAW])), float(distance), float(state[W]) * dt
+    )
+    moved[X], moved[Y], moved[YAW] = pose.x, pose.y, pose.yaw
+    return moved
+
+
+def arc_jacobian(yaw: float, distance: float, turn: float) -> tuple[Floats, Floats, Floats]:
+    """How the end (x, y, yaw) of an arc changes with the heading at its start, its length, its turn."""
+    half = turn / 2.0
+    chord = sinc(half)
+    if abs(half) < 1e-4:
+        slope = -half / 3.0
+    else:
+        slope = (half * math.cos(half) - math.sin(half)) / (half * half)
+    c, s = math.cos(yaw + half), math.sin(yaw + half)
+    of_yaw = np.array([-distance * chord * s, distance * chord * c, 1.0])
+    of_distance = np.array([chord * c, chord * s, 0.0])
+    of_turn = np.array(
+        [0.5 * distance * (slope * c - chord * s), 0.5 * distance * (slope * s + chord * c), 1.0]
+    )
+    return of_yaw, of_distance, of_turn
+
+
+def jacobian(state: Floats, dt: float) -> Floats:
+    """d move / d state, 7 × 7."""
+    keep = 1.0 - float(state[SLIP])
+    v = float(state[V])
+    of_yaw, of_distance, of_turn = arc_jacobian(float(state[YAW]), keep * v * dt, float(state[W]) * dt)
+    F = np.eye(SIZE)
+    F[POSE, YAW] = of_yaw
+    F[POSE, V] = of_distance * (keep * dt)
+    F[POSE, W] = of_turn * dt
+    F[POSE, SLIP] = of_distance * (-v * dt)
+    return F
+
+
+def process_noise(state: Floats, dt: float, settings: EkfSettings) -> Floats:
+    """What dt seconds add to the covariance, 7 × 7: speeds that wander (white acceleration, carried
+    through to the pose), bias and slip that wander, and a floor that is not quite even."""
+    keep = 1.0 - float(state[SLIP])
+    distance = keep * float(state[V]) * dt
+    _, along, around = arc_jacobian(float(state[YAW]), distance, float(state[W]) * dt)
+    q_v, q_w = settings.linear_noise**2, settings.angular_noise**2
+    travel = abs(distance)
+    c, s = math.cos(float(state[YAW])), math.sin(float(state[YAW]))
+    sideways = np.array([-s, c, 0.0])
+    Q = np.zeros((SIZE, SIZE))
+    Q[POSE, POSE] = (
+        (q_v * keep * keep * dt**3 / 3.0 + settings.travel_noise**2 * travel) * np.outer(along, along)
+        + (q_w * dt**3 / 3.0) * np.outer(around, around)
+        + (settings.sideways_noise**2 * travel) * np.outer(sideways, sideways)
+    )
+    Q[POSE, V] = Q[V, POSE] = along * (q_v * keep * dt * dt / 2.0)
+    Q[POSE, W] = Q[W, POSE] = around * (q_w * dt * dt / 2.0)
+    Q[V, V] = q_v * dt
+    Q[W, W] = q_w * dt
+    Q[BIAS, BIAS] = settings.bias_noise**2 * dt
+    Q[SLIP, SLIP] = settings.slip_noise**2 * dt if travel > 1e-4 * dt else 0.0
+    return Q
+
+
+class Ekf:
+    """The filter: `hear` measurements in any order, read the state."""
+
+    def __init__(self, settings: EkfSettings) -> None:
+        self.settings = settings
+        self.t: Nanos | None = None
+        """Time of the newest measurement; None before the first."""
+        self._filter = _filter(settings)
+        self._history: deque[_Entry] = deque()
+        self._refused_since: dict[str, Nanos] = {}
+
+    @property
+    def state(self) -> Floats:
+        """x, y, yaw, v, w, bias, slip; must not be written to."""
+        state: Floats = self._filter.x
+        return state
+
+    @property
+    def covariance(self) -> Floats:
+        """7 × 7; must not be written to."""
+        covariance: Floats = self._filter.P
+        return covariance
+
+    def hear(self, measurement: Measurement) -> Verdict:
+        """Put one measurement in its place, and say what became of it."""
+        if not _finite(measurement):
+            return Verdict.NOT_FINITE
+        t = measurement.t
+        if self.t is None:
+            self._start(t)
+        later = self._back_to(t)
+        if later is None:
+            return Verdict.LATE
+        verdict = self._judge(measurement)
+        for entry in later:
+            self._predict(entry.t)
+            self._repeat(entry)
+        self._forget()
+        return verdict
+
+    def at(self, t: Nanos) -> tuple[Floats, Floats] | None:
+        """State and covariance at a time within the rewind (newer: predicted); None if older."""
+        entry = next((e for e in reversed(self._history) if e.t <= t), None)
+        if entry is None:
+            return None
+        dt = seconds(t - entry.t)
+        F = jacobian(entry.state, dt)
+        covariance = F @ entry.covariance @ F.T + process_noise(entry.state, dt, self.settings)
+        return move(entry.state, dt), covariance
+
+    def _start(self, t: Nanos) -> None:
+        self.t = t
+        self._history.append(_Entry(t, None, Verdict.ACCEPTED, self.state, self.covariance))
+
+    def _back_to(self, t: Nanos) -> list[_Entry] | None:
+        """Stand at time t; what lies after it, to be done again. None if t is too long ago."""
+        if t < self._history[0].t:
+            return None
+        later: list[_Entry] = []
+        while self._history[-1].t > t:
+            later.append(self._history.pop())
+        last = self._history[-1]
+        self._filter.x, self._filter.P, self.t = last.state, last.covariance, last.t
+        self._predict(t)
+        return later[::-1]
+
+    def _predict(self, t: Nanos) -> None:
+        assert self.t is not None
+        assert t >= self.t
+        if t > self.t:
+            dt = seconds(t - self.t)
+            state = self.state
+            self._filter.F = jacobian(state, dt)
+            self._filter.Q = process_noise(state, dt, self.settings)
+            self._filter.predict()
+            self._filter.x = move(state, dt)  # filterpy's own mean is F x: the arc is exact
+            self.t = t
+
+    def _judge(self, measurement: Measurement) -> Verdict:
+        prior = self.state, self.covariance
+        gate = CHI_SQUARE[self.settings.confidence][len(measurement.value) - 1]
+        doubt = 1.0
+        distance = self._update(measurement)
+        since = self._refused_since.get(measurement.source)
+        if distance <= gate:
+            verdict = Verdict.ACCEPTED
+            self._refused_since.pop(measurement.source, None)
+        elif since is not None and measurement.t - since >= self.settings.lockout:
+            verdict = Verdict.FORCED
+            self._refused_since.pop(measurement.source, None)
+            self._filter.x, self._filter.P = prior
+            doubt = min(distance / gate, WIDEST)
+            self._widened(measurement, doubt)
+        else:
+            verdict = Verdict.REFUSED
+            self._refused_since.setdefault(measurement.source, measurement.t)
+            self._filter.x, self._filter.P = prior
+        self._remember(measurement, verdict, doubt)
+        return verdict
+
+    def _repeat(self, entry: _Entry) -> None:
+        """Apply a measurement again, as it was decided on before."""
+        if entry.measurement is not None and entry.verdict is not Verdict.REFUSED:
+            if entry.verdict is Verdict.FORCED:
+                self._widened(entry.measurement, entry.doubt)
+            else:
+                self._update(entry.measurement)
+        self._remember(entry.measurement, entry.verdict, entry.doubt)
+
+    def _update(self, measurement: Measurement) -> float:
+        """Take a measurement in; its squared Mahalanobis distance before that."""
+        H, heading = measurement.matrix, measurement.heading
+
+        def residual(a: Floats, b: Floats) -> Floats:
+            difference = a - b
+            if heading is not None:
+                difference[heading] = wrap(float(difference[heading]))
+            return difference
+
+        self._filter.update(
+            measurement.value, lambda _: H, lambda x: H @ x, R=measurement.noise, residual=residual
+        )
+        self._filter.x[YAW] = wrap(float(self._filter.x[YAW]))
+        self._filter.P = (self._filter.P + self._filter.P.T) / 2.0
+        return float(self._filter.mahalanobis) ** 2
+
+    def _widened(self, measurement: Measurement, doubt: float) -> None:
+        """Take a measurement in that contradicts the state, after doubting what it is about."""
+        scale = np.ones(SIZE)
+        scale[np.any(measurement.matrix != 0.0, axis=0)] = math.sqrt(doubt)
+        self._filter.P = self._filter.P * np.outer(scale, scale)
+        self._update(measurement)
+
+    def _remember(self, measurement: Measurement | None, verdict: Verdict, doubt: float) -> None:
+        assert self.t is not None
+        self._history.append(_Entry(self.t, measurement, verdict, self.state, self.covariance, doubt))
+
+    def _forget(self) -> None:
+        oldest = self._history[-1].t - self.settings.rewind
+        while len(self._history) > 1 and self._history[1].t <= oldest:
+            self._history.popleft()
+
+
+WIDEST = 1e4
+"""How much a variance is widened at most."""
+
+
+def _filter(settings: EkfSettings) -> Any:  # noqa: ANN401 -- filterpy has no types
+    from filterpy.kalman import ExtendedKalmanFilter  # here, because it takes seconds to import
+
+    made = ExtendedKalmanFilter(dim_x=SIZE, dim_z=1)
+    made.x = np.zeros(SIZE)
+    made.x[POSE] = settings.start_x, settings.start_y, wrap(settings.start_yaw)
+    sigmas = (settings.start_sigma,) * 3 + (1.0, 1.0, settings.bias_sigma, settings.slip_sigma)
+    made.P = np.diag(np.square(sigmas))
+    return made
+
+
+def _finite(measurement: Measurement) -> bool:
+    return bool(np.isfinite(measurement.value).all() and np.isfinite(measurement.noise).all())
