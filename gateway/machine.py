@@ -1,0 +1,64 @@
+"""What a recording must tell of where it was made: versions, processor, arithmetic.
+
+Equal bytes are demanded of a replay on the processor and the packages that recorded; elsewhere BLAS may round
+otherwise. So the judge must be able to say what is different here.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+PACKAGES = (
+    "motor-gateway",
+    "filterpy",
+    "lz4",
+    "mcap",
+    "msgpack",
+    "mujoco",
+    "numpy",
+    "pydantic",
+    "pyserial",
+    "python-can",
+    "rosbags",
+    "scipy",
+)
+_ENVIRONMENT = ("OPENBLAS_CORETYPE", "OPENBLAS_NUM_THREADS", "PYTHONHASHSEED")
+_CPU_KEYS = ("model name", "Hardware", "CPU implementer", "CPU part", "flags", "Features")
+
+
+def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
+    """Name to value: packages, Python, numpy's BLAS, processor, platform, the environment that matters."""
+    told = {f"package {name}": found for name in PACKAGES if (found := _version(name))}
+    told["python"] = sys.version.replace("\n", " ")
+    told["platform"] = platform.platform()
+    told["machine"] = platform.machine()
+    blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
+    told["numpy blas"] = " ".join(
+        str(blas.get(key, "")) for key in ("name", "version", "openblas configuration")
+    )
+    told |= {f"processor {key}": value for key, value in _processor(cpuinfo).items()}
+    told |= {f"environment {name}": os.environ[name] for name in _ENVIRONMENT if name in os.environ}
+    return told
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def _processor(cpuinfo: Path) -> dict[str, str]:
+    """Of the first core, as Linux tells it; elsewhere what Python knows."""
+    try:
+        lines = cpuinfo.read_text().partition("\n\n")[0].splitlines()
+    except OSError:
+        return {"model name": platform.processor() or platform.machine()}
+    pairs = (line.partition(":") for line in lines)
+    return {key.strip(): value.strip() for key, _, value in pairs if key.strip() in _CPU_KEYS}

@@ -1,0 +1,467 @@
+"""Recordings: every tick in an MCAP file, with what shows it to others; and reading one back.
+
+Rules. Writing never hinders the robot: the loop hands over values, one thread writes them. What cannot be
+written is counted in `lost` and told in `trouble`, and no error of a disk reaches the loop. What was handed
+over is on disk at most 100 ms later (so much may be lost on a kill), at once with a warning or an error. The
+ticks in a file are whole, sealed and in the order in which they happened; their own numbers tell if one is
+missing. Reading takes a file without an end as far as it goes, and never believes a byte that its digest
+does not prove.
+
+The file: profile "ros2"; attachment "robot.toml"; metadata "motor_gateway" (the format, the digest of the
+robot file) and "facts" (versions, processor, …); channel /gateway/tick with `journal.DEFINITION`, after each
+tick its views. A message's log time is the tick's `now`, its publish time the stamp of what it shows, its
+sequence the number of the tick. Chunks are lz4; all can be read with `rosbags` as a bare .mcap.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import struct
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from brain.belief import Belief, MapView
+from brain.perception.mount import Mount
+from gateway import journal, machine
+from gateway.journal import JournalError
+from gateway.tick import Tick
+from gateway.views import View, Views
+from protocols.words import MILLISECOND, Nanos
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+    from mcap.writer import Writer
+
+FORMAT = "1"
+"""Of the ticks and metadata; a reader refuses another."""
+ROBOT_FILE = "robot.toml"
+METADATA = "motor_gateway"
+FACTS = "facts"
+
+FLUSH_PERIOD: Nanos = 80 * MILLISECOND
+"""Between two flushes, by the ticks' own time. More would break the promise of 100 ms, less costs memory:
+the index of a chunk stays in the writer, about 1 kB each."""
+IDLE = 0.02
+"""s without a tick after which is flushed too, so that the promise holds at any period."""
+CHUNK = 64 * 1024
+DEPTH = 1024
+"""Ticks that may wait for the writer: 5 s at 200 Hz."""
+CLOSE_WITHIN = 10.0
+"""s that closing waits for a slow disk"""
+
+_MAGIC = b"\x89MCAP0\r\n"
+_UINT64 = 2**64 - 1
+# Their subscribers come late: rosbag2 must offer them what was sent before (QoS as rosbag2 writes it).
+_LATCHED = frozenset({"/tf_static", "/map", "/plan", "/goal_pose"})
+_LATCHED_QOS = """\
+- history: keep_last
+  depth: 1
+  reliability: reliable
+  durability: transient_local
+  deadline: {sec: 0, nsec: 0}
+  lifespan: {sec: 0, nsec: 0}
+  liveliness: automatic
+  liveliness_lease_duration: {sec: 0, nsec: 0}
+  avoid_ros_namespace_conventions: false
+"""
+
+
+class RecordingError(Exception):
+    """This file cannot be written, or is no recording that this program can read. A sentence."""
+
+
+# -- writing -----------------------------------------------------------------------------------
+
+
+class Recorder:
+    """Takes ticks from the loop and gives them to the one thread that writes.
+
+    Raises RecordingError if the file cannot be begun. Afterwards nothing raises."""
+
+    def __init__(
+        self,
+        path: Path,
+        robot_text: str,
+        facts: Mapping[str, str],
+        mounts: Mapping[str, Mount] | None = None,
+        depth: int = DEPTH,
+    ) -> None:
+        self.path = path
+        self.trouble = ""
+        """What went wrong last, in a sentence; "" as long as nothing has. Changes at most a few times."""
+        self._refused = 0
+        self._file = _File(path, robot_text, {**machine.facts(), **facts}, Views(mounts))
+        self._map: MapView | None = None
+        self._queue: queue.Queue[tuple[Tick, Belief] | None] = queue.Queue(depth)
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def lost(self) -> int:
+        """Ticks that are not in the file although they were handed over."""
+        return self._refused + self._file.lost
+
+    def record(self, tick: Tick, belief: Belief, *, patient: bool = False) -> None:
+        """Hand over a tick and the belief after it. Never waits, unless `patient` (in simulated time)."""
+        try:
+            self._put((tick, self._freeze(belief)), patient)
+        except queue.Full:
+            if not self._refused:
+                why = "the disk is too slow" if self._thread.is_alive() else "it is closed"
+                self.trouble = (
+                    f"ticks from {tick.number} on are missing in {self.path}: {why}; the robot drives on"
+                )
+            self._refused += 1
+
+    def close(self) -> None:
+        """Write what is waiting, and the file's index. May be called again."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._put(None, patient=True)
+        except queue.Full:
+            pass
+        else:
+            self._thread.join(CLOSE_WITHIN)
+        if self._thread.is_alive() and not self.trouble:
+            self.trouble = f"{self.path} has no end: the disk did not take it within {CLOSE_WITHIN:g} s"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _put(self, item: tuple[Tick, Belief] | None, patient: bool) -> None:
+        """Raises queue.Full if nobody takes it: at once, or if patient, when nobody ever will."""
+        while self._thread.is_alive():
+            try:
+                self._queue.put(item, block=patient, timeout=CLOSE_WITHIN)
+            except queue.Full:
+                if not patient or item is None:
+                    raise
+            else:
+                return
+        raise queue.Full
+
+    def _freeze(self, belief: Belief) -> Belief:
+        """A copy of what the brain may go on writing to while the thread reads; a map once per version."""
+        estimate, grid = belief.estimate, belief.map
+        if grid is not None and (self._map is None or self._map.version != grid.version):
+            self._map = replace(grid, log_odds=grid.log_odds.copy())
+        return replace(
+            belief,
+            estimate=estimate and replace(estimate, covariance=estimate.covariance.copy()),
+            map=grid and self._map,
+            rejected=dict(belief.rejected),
+        )
+
+    def _run(self) -> None:
+        while True:
+            try:
+                item = self._queue.get(timeout=IDLE if self._file.pending else None)
+            except queue.Empty:
+                self._tell(self._file.flush())
+                continue
+            if item is None:
+                break
+            self._tell(self._file.add(*item))
+        self._tell(self._file.finish())
+
+    def _tell(self, trouble: str) -> None:
+        if trouble:
+            self.trouble = trouble
+
+
+class _File:
+    """The file, seen by the writer's thread only. Each method returns what went wrong, or ""."""
+
+    def __init__(self, path: Path, robot_text: str, facts: Mapping[str, str], views: Views) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        self.path = path
+        self.lost = 0
+        self._views = views
+        self._seals = journal.UNSEALED
+        self._channels: dict[tuple[str, str], int] = {}
+        self.pending = 0
+        """Ticks not yet flushed,"""
+        self._since: Nanos = 0
+        """the first of them from then."""
+        self._broken = False
+        try:
+            self._stream = path.open("wb")
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+        self._writer: Writer = Writer(self._stream, chunk_size=CHUNK, compression=CompressionType.LZ4)
+        try:
+            self._begin(robot_text, facts)
+        except OSError as error:
+            self._abandon()
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+
+    def _begin(self, robot_text: str, facts: Mapping[str, str]) -> None:
+        robot = robot_text.encode(errors="surrogateescape")
+        self._writer.start(profile="ros2", library=f"motor-gateway {facts.get('package motor-gateway', '')}")
+        self._writer.add_metadata(METADATA, {"format": FORMAT, "robot digest": _digest(robot)})
+        self._writer.add_metadata(FACTS, dict(sorted(facts.items())))
+        self._writer.add_attachment(0, 0, ROBOT_FILE, "application/toml", robot)
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments only
+
+    def add(self, tick: Tick, belief: Belief) -> str:
+        """One tick and its views."""
+        if self._broken:
+            self.lost += 1
+            return ""
+        try:
+            data, seals = journal.encode(tick, self._seals)
+        except (ValueError, struct.error) as error:
+            self.lost += 1
+            return f"tick {tick.number} is not in the recording: {error}"
+        self._since = self._since if self.pending else tick.now
+        self.pending += 1
+        self._seals = seals
+        try:
+            self._message(tick, journal.TOPIC, journal.TYPE, tick.now, data)
+            for view in self._views.messages(tick, belief):
+                self._message(tick, *view)
+        except OSError as error:
+            return self._break(error)
+        urgent = any(note.level != "info" for note in tick.outputs.notes)
+        return self.flush() if urgent or tick.now - self._since >= FLUSH_PERIOD else ""
+
+    def flush(self) -> str:
+        """Everything so far, out of this process."""
+        if self._broken or not self.pending:
+            return ""
+        try:
+            self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments only
+        except OSError as error:
+            return self._break(error)
+        self.pending = 0
+        return ""
+
+    def finish(self) -> str:
+        """The index, and the end."""
+        trouble = self.flush()
+        if self._broken:
+            return trouble
+        try:
+            with self._stream:
+                self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates arguments only
+                self._stream.flush()
+                os.fsync(self._stream.fileno())
+        except OSError as error:
+            return self._break(error)
+        return ""
+
+    def _break(self, error: OSError) -> str:
+        """Nothing is written after the first error: what lies before it stays readable."""
+        self._broken = True
+        self.lost += self.pending
+        self._abandon()
+        return f"the recording ends here: {self.path}: {error.strerror}; the robot drives on"
+
+    def _abandon(self) -> None:
+        with suppress(OSError):  # the same error again: what is still buffered cannot be written
+            self._stream.close()
+
+    def _message(self, tick: Tick, topic: str, type_: str, t: Nanos, data: bytes) -> None:
+        channel = self._channels.get((topic, type_))
+        if channel is None:
+            channel = self._channels[topic, type_] = self._channel(topic, type_)
+        self._writer.add_message(
+            channel,
+            log_time=_uint64(tick.now),
+            data=data,
+            publish_time=_uint64(t),
+            sequence=tick.number & 0xFFFFFFFF,
+        )
+
+    def _channel(self, topic: str, type_: str) -> int:
+        definition = journal.DEFINITION if type_ == journal.TYPE else self._views.definition(type_)
+        schema = self._writer.register_schema(type_, "ros2msg", definition.encode())
+        qos = {"offered_qos_profiles": _LATCHED_QOS} if topic in _LATCHED else {}
+        return self._writer.register_channel(topic, "cdr", schema, qos)
+
+
+def _uint64(t: Nanos) -> int:
+    return max(0, min(_UINT64, t))
+
+
+def _digest(data: bytes) -> str:
+    return blake2b(data, digest_size=16).hexdigest()
+
+
+# -- reading -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A tick as it stands in a recording, with what was shown of it."""
+
+    tick: Tick
+    views: tuple[View, ...]
+    damage: tuple[str, ...]
+    """What was changed since it was written, in words; empty if nothing."""
+    whole: bool
+    """False for the last one before a cut: views may be missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording on disk. Its ticks are read as they are asked for, every time anew."""
+
+    path: Path
+    robot_text: str
+    """The robot file it was made with."""
+    facts: dict[str, str]
+    """Where and with what it was made."""
+    whole: bool
+    """Whether it was closed; otherwise it ends where the writing ended."""
+    promised: int | None
+    """How many ticks its index says there are; None without an index."""
+
+    @property
+    def ticks(self) -> Iterator[Tick]:
+        """The ticks, in the order in which they happened. Raises RecordingError where it is damaged."""
+        return (step.tick for step in self.steps)
+
+    @property
+    def steps(self) -> Iterator[Step]:
+        """The ticks with their views and with what was changed since. Raises RecordingError as `ticks`."""
+        return _steps(self.path, self.whole)
+
+
+def read(path: Path) -> Recording:
+    """Open a recording. Raises RecordingError if it is none, of another format, or unreadable."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(_MAGIC) + 8)
+            file.seek(-min(len(_MAGIC), file.seek(0, os.SEEK_END)), os.SEEK_END)
+            whole = file.read() == _MAGIC and len(start) > len(_MAGIC)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}") from error
+    if not start.startswith(_MAGIC):
+        raise RecordingError(f"{path}: {_what_it_is(start)}, not a recording of this gateway")
+    robot_text, facts = _head(path, whole)
+    return Recording(path, robot_text, facts, whole, _promised(path) if whole else None)
+
+
+def _what_it_is(start: bytes) -> str:
+    if not start:
+        return "an empty file"
+    if start.startswith(b"#ROSBAG"):
+        return "a ROS 1 bag"
+    return "a ROS 2 bag of kind sqlite3" if start.startswith(b"SQLite format") else "no MCAP file"
+
+
+def _head(path: Path, whole: bool) -> tuple[str, dict[str, str]]:
+    """The robot file and the facts, which stand before the first tick."""
+    from mcap.records import Attachment, Header, Message, Metadata
+
+    metadata: dict[str, dict[str, str]] = {}
+    library = ""
+    robot: bytes | None = None
+    for record in _records(path, whole):
+        if isinstance(record, Header):
+            library = record.library
+        elif isinstance(record, Metadata):
+            metadata[record.name] = record.metadata
+        elif isinstance(record, Attachment) and record.name == ROBOT_FILE:
+            robot = record.data
+        elif isinstance(record, Message):
+            break
+    if METADATA not in metadata:
+        if not whole and not library:
+            raise RecordingError(f"{path}: cut off in its first bytes: nothing can be read")
+        raise RecordingError(f"{path}: an MCAP file of {library or 'another program'}, not of this gateway")
+    _check_head(path, metadata[METADATA], robot)
+    return (robot or b"").decode(errors="surrogateescape"), metadata.get(FACTS, {})
+
+
+def _check_head(path: Path, head: Mapping[str, str], robot: bytes | None) -> None:
+    if head.get("format") != FORMAT:
+        raise RecordingError(
+            f"{path}: a recording of format {head.get('format')}; this program reads format {FORMAT}"
+        )
+    if robot is None:
+        raise RecordingError(f"{path}: cut off before the robot file: there is no tick in it")
+    if _digest(robot) != head.get("robot digest"):
+        raise RecordingError(f"{path}: damaged: the robot file in it does not match its digest")
+
+
+def _promised(path: Path) -> int | None:
+    """How many ticks the index at the end counts."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+    except (McapError, struct.error, ValueError, OSError) as error:
+        raise RecordingError(f"{path}: damaged: its index cannot be read") from error
+    if summary is None or summary.statistics is None:
+        return None
+    counts = summary.statistics.channel_message_counts
+    return sum(counts.get(c.id, 0) for c in summary.channels.values() if c.topic == journal.TOPIC)
+
+
+def _records(path: Path, whole: bool) -> Iterator[McapRecord]:
+    """The file's records in the order of the file, chunks opened; a cut ends it, damage raises."""
+    from mcap.exceptions import McapError
+    from mcap.stream_reader import StreamReader
+
+    with path.open("rb") as file:
+        reader = StreamReader(file, validate_crcs=True, record_size_limit=path.stat().st_size)
+        try:
+            yield from reader.records
+        except (McapError, struct.error, ValueError, RuntimeError, MemoryError) as error:
+            # RuntimeError is lz4's word for a broken frame; a cut may fall anywhere.
+            if whole:
+                raise RecordingError(f"{path}: damaged near byte {file.tell()}: {error}") from error
+
+
+def _steps(path: Path, whole: bool) -> Iterator[Step]:
+    from mcap.records import Channel, Message, Schema
+
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
+    seals = journal.UNSEALED
+    entry: journal.Entry | None = None
+    views: list[View] = []
+    for record in _records(path, whole):
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
+        elif isinstance(record, Message):
+            topic, type_ = channels[record.channel_id]
+            if topic != journal.TOPIC:
+                views.append(View(topic, type_, record.publish_time, record.data))
+                continue
+            if entry is not None:
+                yield Step(entry.tick, tuple(views), entry.damage(), whole=True)
+            entry, views = _entry(path, record.data, seals, entry), []
+            seals = entry.seals
+    if entry is not None:
+        yield Step(entry.tick, tuple(views), entry.damage(), whole)
+
+
+def _entry(path: Path, data: bytes, seals: journal.Seals, last: journal.Entry | None) -> journal.Entry:
+    try:
+        return journal.decode(data, seals)
+    except JournalError as error:
+        where = f"after tick {last.tick.number}" if last else "at its first tick"
+        raise RecordingError(f"{path}: damaged {where}: {error}") from error
