@@ -1,0 +1,239 @@
+"""A CAN bus by python-can's name for it: "socketcan:can0", "slcan:/dev/ttyACM0", "virtual:test".
+
+Rules. Opening says in a sentence what is missing; afterwards nothing is raised, everything is told as a
+BusState, once for each change. Reading drains what is there, a bounded number of frames at a time, and never
+waits. Own frames are not heard. What cannot go out at once waits in a bounded queue in which a newer frame
+replaces an older one of the same id: no stale command goes out after a newer one was given. What waits when
+the interface vanishes is thrown away; whether it has come back is looked for once a second.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+
+import can
+
+from gateway.buses import BusError
+from gateway.buses.can_open import open_interface
+from gateway.clock import Clock, WallClock
+from gateway.robot import BusSettings
+from protocols.wire import BusState, CanFrame, Packet, Wire
+from protocols.words import SECOND, Nanos
+
+MOST_READ = 1024
+"""Frames taken in by one read: more than a full bus of 1 Mbit/s carries in 0.1 s."""
+MOST_WAITING = 256
+"""Frames that may wait to go out; beyond that the oldest is dropped."""
+REOPEN = SECOND
+_FULL = (errno.ENOBUFS, errno.EAGAIN)
+
+
+def open_can(settings: BusSettings, clock: Clock) -> CanBus:
+    """Open the bus. Raises BusError with what is missing and how to get it."""
+    return CanBus(settings, clock, open_interface(settings))
+
+
+class CanBus:
+    """A CAN interface that is open."""
+
+    def __init__(self, settings: BusSettings, clock: Clock, wire: can.BusABC) -> None:
+        self.name = settings.name
+        self.dropped = 0
+        """Frames that never went out, because a newer one took their place or the interface was gone."""
+        self._settings = settings
+        self._clock = clock
+        self._wire: can.BusABC | None = wire
+        self._hears_itself = settings.interface.startswith("udp_multicast:")
+        self._echoes: dict[CanFrame, int] = {}
+        self._waiting: dict[tuple[int, bool, bool], CanFrame] = {}
+        self._state = BusState.UP
+        self._told: list[BusState] = []
+        self._reopen_at: Nanos = 0
+        self._last: Nanos = 0
+
+    def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
+        """What has changed and what has come in up to `now`; stamps never run backwards."""
+        packets: list[Packet] = []
+        if self._wire is None:
+            self._come_back(now)
+        for _ in range(MOST_READ):
+            message = self._receive(now)
+            if message is None:
+                break
+            if message.is_error_frame:
+                self._hear_error(message)
+                continue
+            frame = _frame(message)
+            if not self._is_echo(frame):
+                packets.append(Packet(self._stamp(message.timestamp, now), self.name, frame))
+        self._flush(now)
+        told, self._told = self._told, []
+        return told, packets
+
+    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+        """Put frames on the bus, in order; whatever finds no room waits."""
+        self._flush(now)
+        for wire in wires:
+            assert isinstance(wire, CanFrame), f"{self.name} is a CAN bus"
+            if self._waiting or not self._send(wire, now):
+                self._wait(wire)
+
+    def close(self) -> None:
+        """Give the interface back."""
+        wire, self._wire = self._wire, None
+        self._reopen_at = 1 << 63
+        if wire is not None:
+            _shut(wire)
+
+    # -- out ----------------------------------------------------------------------------------
+
+    def _send(self, frame: CanFrame, now: Nanos) -> bool:
+        """Whether the frame is off our hands: sent, or lost with the interface."""
+        if self._wire is None:
+            self.dropped += 1
+            return True
+        try:
+            self._wire.send(_message(frame))
+        except can.CanTimeoutError:
+            self._tell(BusState.FULL)
+            return False
+        except (can.CanError, OSError) as error:
+            if _is_full(error):
+                self._tell(BusState.FULL)
+                return False
+            self._lose(now)
+            self.dropped += 1
+            return True
+        if self._hears_itself:
+            self._echoes[frame] = self._echoes.get(frame, 0) + 1
+        return True
+
+    def _wait(self, frame: CanFrame) -> None:
+        if self._wire is None:
+            self.dropped += 1
+            return
+        key = (frame.id, frame.extended, frame.remote)
+        self.dropped += self._waiting.pop(key, None) is not None
+        self._waiting[key] = frame
+        if len(self._waiting) > MOST_WAITING:
+            self._waiting.pop(next(iter(self._waiting)))
+            self.dropped += 1
+
+    def _flush(self, now: Nanos) -> None:
+        while self._waiting:
+            key = next(iter(self._waiting))
+            if not self._send(self._waiting[key], now):
+                return
+            self._waiting.pop(key, None)  # nothing waits any more if the interface has just gone
+        if self._state is BusState.FULL:
+            self._tell(BusState.UP)
+
+    # -- in -----------------------------------------------------------------------------------
+
+    def _receive(self, now: Nanos) -> can.Message | None:
+        if self._wire is None:
+            return None
+        try:
+            return self._wire.recv(timeout=0)
+        except (can.CanError, OSError):
+            self._lose(now)
+            return None
+
+    def _is_echo(self, frame: CanFrame) -> bool:
+        """Whether a frame is our own, come back over an interface that hears itself."""
+        sent = self._echoes.get(frame, 0)
+        if sent > 1:
+            self._echoes[frame] = sent - 1
+        elif sent == 1:
+            del self._echoes[frame]
+        return sent > 0
+
+    def _stamp(self, timestamp: float, now: Nanos) -> Nanos:
+        """The back end's stamp on our clock if it is one of the system's clock, else now."""
+        t = now
+        if isinstance(self._clock, WallClock):
+            told = self._clock.from_system(timestamp)
+            t = told if now - SECOND < told < now else now
+        self._last = max(self._last, t)
+        return self._last
+
+    def _hear_error(self, message: can.Message) -> None:
+        """The classes of SocketCAN's error frames that change the state of the bus (linux/can/error.h)."""
+        what, data = message.arbitration_id, bytes(message.data).ljust(8, b"\0")
+        if what & 0x100:  # CAN_ERR_RESTARTED
+            self._tell(BusState.BACK)
+        elif what & 0x040:  # CAN_ERR_BUSOFF
+            self._forget()
+            self._tell(BusState.OFF)
+        elif what & 0x004 and data[1] & 0x30:  # CAN_ERR_CRTL: receive or transmit error-passive
+            self._tell(BusState.PASSIVE)
+        elif what & 0x004 and data[1] & 0x40:  # CAN_ERR_CRTL_ACTIVE
+            self._tell(BusState.UP)
+
+    # -- gone and back ------------------------------------------------------------------------
+
+    def _tell(self, state: BusState) -> None:
+        """Note a change of state. BACK is up again."""
+        after = BusState.UP if state is BusState.BACK else state
+        if after is not self._state:
+            self._told.append(state)
+            self._state = after
+
+    def _forget(self) -> None:
+        self.dropped += len(self._waiting)
+        self._waiting.clear()
+        self._echoes.clear()
+
+    def _lose(self, now: Nanos) -> None:
+        wire, self._wire = self._wire, None
+        if wire is not None:
+            _shut(wire)
+        self._forget()
+        self._reopen_at = now + REOPEN
+        self._tell(BusState.GONE)
+
+    def _come_back(self, now: Nanos) -> None:
+        if now < self._reopen_at:
+            return
+        self._reopen_at = now + REOPEN
+        try:
+            self._wire = open_interface(self._settings)
+        except BusError:
+            return
+        self._tell(BusState.BACK)
+
+
+def _frame(message: can.Message) -> CanFrame:
+    return CanFrame(
+        message.arbitration_id,
+        b"" if message.is_remote_frame else bytes(message.data),
+        message.is_extended_id,
+        message.is_remote_frame,
+        message.is_fd,
+        message.bitrate_switch,
+    )
+
+
+def _message(frame: CanFrame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+        is_fd=frame.fd,
+        bitrate_switch=frame.brs,
+    )
+
+
+def _is_full(error: Exception) -> bool:
+    """Whether the transmit queue is full, as the kernel or python-can itself says it."""
+    code = error.error_code if isinstance(error, can.CanError) else getattr(error, "errno", None)
+    return code in _FULL or "buffer full" in str(error)
+
+
+def _shut(wire: can.BusABC) -> None:
+    try:
+        wire.shutdown()
+    except (can.CanError, OSError):
+        return  # what has vanished cannot be shut down either

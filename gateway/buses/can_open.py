@@ -1,0 +1,102 @@
+"""Opening a CAN interface, and saying in a sentence what is missing where it cannot be opened."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from pathlib import Path
+from typing import Any
+
+import can
+
+from gateway.buses import BusError
+from gateway.mistakes import unknown
+from gateway.robot import TWIN, BusSettings
+
+NET = Path("/sys/class/net")
+ARPHRD_CAN = "280"
+"""The type of a network interface that is a CAN bus (Linux, if_arp.h)."""
+
+_REFUSALS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, ImportError)
+"""What python-can's back ends raise when they cannot be opened (NotImplementedError is a RuntimeError)."""
+
+
+def open_interface(settings: BusSettings) -> can.BusABC:
+    """python-can's bus for these settings. Raises BusError with what is missing and how to get it."""
+    interface, _, channel = settings.interface.partition(":")
+    if interface == "socketcan" and (why := missing(settings, channel, kernel_has_can())):
+        raise BusError(why)
+    rates: dict[str, Any] = {"bitrate": settings.bitrate, "fd": settings.kind == "canfd"}
+    if settings.data_bitrate:
+        rates["data_bitrate"] = settings.data_bitrate
+    if interface == "slcan":
+        rates["sleep_after_open"] = 0.0  # the loop must not stand still while it is opened again
+    try:
+        return can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
+    except _REFUSALS as error:
+        raise BusError(_refusal(settings, interface, error)) from error
+
+
+def _refusal(settings: BusSettings, interface: str, error: Exception) -> str:
+    said = f"bus {settings.name!r} cannot be opened as {settings.interface!r}"
+    if interface in can.VALID_INTERFACES:
+        return f"{said}: {error}"
+    kinds = unknown("interface", interface, [TWIN, *sorted(can.VALID_INTERFACES)])
+    return f"{said}: {kinds}. {_what_there_is(can_interfaces())}"
+
+
+def kernel_has_can() -> bool:
+    """Whether a CAN socket can be made here (errno 97 where there is no CAN in the kernel)."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as error:
+        return error.errno != errno.EAFNOSUPPORT
+    return True
+
+
+def can_interfaces(net: Path = NET) -> list[str]:
+    """The names of the machine's CAN interfaces, as the kernel lists them."""
+    types = {path.parent.name: path.read_text().strip() for path in sorted(net.glob("*/type"))}
+    return [name for name, kind in types.items() if kind == ARPHRD_CAN]
+
+
+def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET) -> str:
+    """Why a SocketCAN channel cannot be opened, what there is, and what to type; "" if nothing is missing."""
+    head = f"bus {settings.name!r} cannot be opened as {settings.interface!r}"
+    there = can_interfaces(net) if has_can else []
+    if channel in there:
+        if int((net / channel / "flags").read_text(), 16) & 1:  # IFF_UP
+            return ""
+        return f"{head}: {channel} is down.\n{_to_type(settings, channel)}"
+    if has_can:
+        why = f"there is no CAN interface {channel!r}"
+    else:
+        why = "this machine's kernel has no CAN (errno 97: address family not supported by protocol)"
+    return f"{head}: {why}. {_what_there_is(there)}\n{_to_type(settings, channel)}"
+
+
+def _what_there_is(there: list[str]) -> str:
+    names = ", ".join(there) or "none"
+    return (
+        f'CAN interfaces of this machine: {names}. "twin" (the simulated world) and "slcan:PORT" need none.'
+    )
+
+
+def _to_type(settings: BusSettings, channel: str) -> str:
+    """The lines that create a missing vcan, or bring up a real interface at the robot file's bit rate."""
+    if channel.startswith("vcan"):
+        size = " mtu 72" if settings.kind == "canfd" else ""
+        lines = [
+            "To create it:",
+            "sudo modprobe vcan",
+            f"sudo ip link add dev {channel} type vcan",
+            f"sudo ip link set {channel}{size} up",
+        ]
+    else:
+        fd = f" dbitrate {settings.data_bitrate} fd on" if settings.kind == "canfd" else ""
+        lines = [
+            "With the adapter plugged in, to bring it up:",
+            f"sudo ip link set {channel} type can bitrate {settings.bitrate}{fd}",
+            f"sudo ip link set {channel} up",
+        ]
+    return "\n  ".join(lines)
