@@ -15,7 +15,7 @@ from math import hypot
 from typing import Literal, TypeAlias
 
 from brain.planning.astar import Searching
-from brain.planning.costmap import BLOCKED, Costmap, Map, build
+from brain.planning.costmap import BLOCKED, Costmap, Map, build, origin
 from brain.planning.line import Line, Point
 from brain.planning.planner import NoPath, Path, PlannerSettings, Planning, Toward, survey
 from protocols.words import SECOND, Drive, Goal, Nanos, seconds

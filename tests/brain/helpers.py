@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
-from math import inf, sqrt
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import cos, inf, pi, sin, sqrt
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 
+from brain.belief import Belief, Floats, Pose
+from brain.bodies.differential import Differential
+from brain.brain import Brain, BrainSettings
+from brain.perception.mount import Mount
 from brain.planning.costmap import Costmap
+from protocols.words import (
+    MILLISECOND,
+    SECOND,
+    Command,
+    Drive,
+    Event,
+    Feedback,
+    Goal,
+    Imu,
+    LaserScan,
+    Nanos,
+    Velocity,
+    seconds,
+)
 
 
 def dijkstra(costmap: Costmap, start: int, goal: int) -> float:
@@ -32,3 +52,175 @@ def dijkstra(costmap: Costmap, start: int, goal: int) -> float:
     graph = csr_array((weights, (tails, heads)), shape=(cost.size, cost.size))
     distances = scipy_dijkstra(graph, indices=start)
     return float(distances[goal]) * costmap.resolution
+
+
+# -- a kinematic office ------------------------------------------------------------------------
+
+BODY = Differential("left", "right", 0.05, 0.22, 0.25, 0.6, 2.0, 0.8, 4.0)
+MOUNTS = {"lidar": Mount(x=0.12, z=0.12), "imu": Mount(z=0.05)}
+TICK: Nanos = 5 * MILLISECOND
+
+Box = tuple[float, float, float, float]
+"""x from, y from, x to, y to [m]"""
+
+ROOMS: tuple[Box, ...] = (
+    (-2.1, -2.1, 6.1, -2.0),
+    (-2.1, 4.0, 6.1, 4.1),
+    (-2.1, -2.1, -2.0, 4.1),
+    (6.0, -2.1, 6.1, 4.1),
+    (2.0, -2.0, 2.1, 1.5),
+    (2.0, 2.5, 2.1, 4.0),
+    (0.7, -0.6, 1.1, 0.4),
+    (3.6, 0.4, 4.4, 0.8),
+)
+"""Two rooms, a doorway of 1 m between them, and a box in each."""
+
+
+@dataclass
+class Noise:
+    """What a body does not do as it should."""
+
+    gyro: float = 0.005
+    """rad/s, each reading"""
+    gyro_bias: float = 0.01
+    """rad/s"""
+    range: float = 0.01
+    """m, each beam"""
+    slip: float = 0.0
+    """Share of the wheels' way that is lost"""
+    encoder: float = 2.0 * pi / 65536.0
+    """rad, one count"""
+
+
+class Office:
+    """A base between boxes, in simulated time: commands in, events out. Exact arcs, ideal wheels with lag."""
+
+    def __init__(
+        self,
+        boxes: Sequence[Box] = ROOMS,
+        pose: Pose = Pose(0.0, 0.0, 0.0),
+        noise: Noise | None = None,
+        seed: int = 1,
+        body: Differential = BODY,
+    ) -> None:
+        self.boxes, self.pose, self.body, self.noise = list(boxes), pose, body, noise or Noise()
+        self.now: Nanos = SECOND
+        self.silent: set[str] = set()
+        """Motors and sensors that say nothing."""
+        self.touched = 0
+        """Ticks in which the robot's rectangle of 0.4 × 0.2 m touched a box."""
+        self.speed = 0.0
+        self._rng = np.random.Generator(np.random.PCG64(seed))
+        self._angle = {body.left: 0.0, body.right: 0.0}
+        self._rate = {body.left: 0.0, body.right: 0.0}
+        self._turn_rate = 0.0
+
+    def step(self, commands: Sequence[Command]) -> list[Event]:
+        """One tick on: the wheels follow with a lag of 30 ms; Idle lets them roll out."""
+        dt = seconds(TICK)
+        self.now += TICK
+        for command in commands:
+            wanted = command.velocity if isinstance(command, Velocity) else 0.0
+            self._rate[command.motor] += (wanted - self._rate[command.motor]) * dt / 0.03
+        turned = {name: rate * dt for name, rate in self._rate.items()}
+        for name, angle in turned.items():
+            self._angle[name] += angle
+        distance, turn = self.body.forward(turned[self.body.left], turned[self.body.right])
+        distance *= 1.0 - self.noise.slip
+        self.pose = self.body.arc(self.pose, distance, turn)
+        self.speed, self._turn_rate = distance / dt, turn / dt
+        self.touched += self.touches()
+        return self._events()
+
+    def touches(self) -> bool:
+        """Whether any point of the robot's outline lies in a box."""
+        along, across = np.linspace(-0.2, 0.2, 17), np.linspace(-0.1, 0.1, 9)
+        x = np.concatenate([along, along, np.full(9, -0.2), np.full(9, 0.2)])
+        y = np.concatenate([np.full(17, -0.1), np.full(17, 0.1), across, across])
+        c, s = cos(self.pose.yaw), sin(self.pose.yaw)
+        px, py = self.pose.x + c * x - s * y, self.pose.y + s * x + c * y
+        return any(
+            bool(np.any((px > x0) & (px < x1) & (py > y0) & (py < y1))) for x0, y0, x1, y1 in self.boxes
+        )
+
+    def scan(self) -> LaserScan:
+        """360 beams from the lidar's place, exact against the boxes, and then noise."""
+        mount = MOUNTS["lidar"]
+        at = self.body.arc(self.pose, mount.x, 0.0)
+        angles = np.arange(360) * (2.0 * pi / 360.0) - pi
+        ranges = cast(self.boxes, (at.x, at.y), angles + self.pose.yaw)
+        noisy = np.maximum(ranges + self._rng.normal(0.0, self.noise.range, 360), 0.0)
+        told = np.where(ranges < 10.0, np.minimum(noisy, 10.0), 10.0)
+        return LaserScan("lidar", self.now, -pi, 2.0 * pi / 360.0, 0.1, 10.0, tuple(told.tolist()))
+
+    def _events(self) -> list[Event]:
+        events: list[Event] = []
+        if self.now % (10 * MILLISECOND) == 0:
+            for motor, angle in self._angle.items():
+                counts = round(angle / self.noise.encoder) * self.noise.encoder
+                events.append(Feedback(motor, self.now, counts, self._rate[motor]))
+            rate = self._turn_rate + self.noise.gyro_bias + self._rng.normal(0.0, self.noise.gyro)
+            events.append(Imu("imu", self.now, (0.0, 0.0, float(rate)), (0.0, 0.0, 9.81)))
+        if self.now % (100 * MILLISECOND) == 0:
+            events.append(self.scan())
+        return [e for e in events if getattr(e, "motor", getattr(e, "sensor", "")) not in self.silent]
+
+
+def cast(boxes: Sequence[Box], origin: tuple[float, float], angles: Floats) -> Floats:
+    """How far [m] each beam goes until it meets a box, by the slabs of each; infinite if it meets none."""
+    dx, dy = np.cos(angles), np.sin(angles)
+    dx, dy = np.where(np.abs(dx) < 1e-12, 1e-12, dx), np.where(np.abs(dy) < 1e-12, 1e-12, dy)
+    best: Floats = np.full(len(angles), inf)
+    for x0, y0, x1, y1 in boxes:
+        xa, xb = (x0 - origin[0]) / dx, (x1 - origin[0]) / dx
+        ya, yb = (y0 - origin[1]) / dy, (y1 - origin[1]) / dy
+        near = np.maximum(np.minimum(xa, xb), np.minimum(ya, yb))
+        far = np.minimum(np.maximum(xa, xb), np.maximum(ya, yb))
+        met = (near <= far) & (near > 0.0)
+        best = np.where(met, np.minimum(best, near), best)
+    return best
+
+
+class Trip:
+    """A brain in an office, and what it has done so far."""
+
+    def __init__(self, office: Office, settings: BrainSettings | None = None) -> None:
+        self.office = office
+        self.brain = Brain(
+            settings or BrainSettings("differential", office.body),
+            [office.body.left, office.body.right],
+            MOUNTS,
+        )
+        self.commands: Sequence[Command] = ()
+        self.notes: list[tuple[str, str]] = []
+        self.states: list[str] = []
+        """Each state once per change."""
+        self.said: list[Sequence[Command]] = []
+        self.track: list[Pose] = []
+
+    def tick(self, tasks: Sequence[Goal | Drive | Command] = (), stopped: str = "") -> Belief:
+        """The office and then the brain, one tick on."""
+        events = self.office.step(self.commands)
+        self.commands = self.brain.step(self.office.now, events, tasks, stopped)
+        self.notes += self.brain.take_notes()
+        self.said.append(self.commands)
+        self.track.append(self.office.pose)
+        belief = self.brain.belief()
+        if not self.states or self.states[-1] != belief.state:
+            self.states.append(belief.state)
+        return belief
+
+    def run(self, span: float, until: Callable[[Belief], bool] = lambda _: False) -> Belief:
+        """Tick for so many seconds, or until it is so."""
+        belief = self.brain.belief()
+        for _ in range(round(span / seconds(TICK))):
+            belief = self.tick()
+            if until(belief):
+                break
+        return belief
+
+    def go(self, *goals: Goal, span: float = 60.0) -> Belief:
+        """Ask for the goals, and run until all are reached or the time is over."""
+        count = self.brain.belief().reached + len(goals)
+        self.tick(goals)
+        return self.run(span, lambda b: b.reached >= count)

@@ -1,0 +1,66 @@
+"""The brain: `step(now, events, tasks, stopped)` gives one command per motor. It knows no vendor and no bus.
+
+Rules. What a body needs of a brain stands in that body's file (`driving`, `bench`); here is what all share.
+Time is an argument, work is bounded, state is plain data: a deep copy goes on as the original, and the
+same inputs give the same commands.
+
+    brain = Brain(settings, ["left", "right"], {"lidar": Mount(x=0.12)})
+    commands = brain.step(now, events, [Goal(4.0, 2.0)], "")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from brain.belief import Belief
+from brain.bench import Bench
+from brain.driving import Driving
+from brain.health import HealthSettings
+from brain.perception.mount import Mount
+from brain.planning.mission import Remark
+from brain.settings import BrainSettings, changed
+from protocols.words import Command, Drive, Event, Goal, Nanos
+
+__all__ = ["Brain", "BrainSettings", "HealthSettings"]
+
+
+class Brain:
+    """One brain for one body. Raises ValueError if the settings lack the body's own table."""
+
+    def __init__(self, settings: BrainSettings, motors: Sequence[str], sensors: Mapping[str, Mount]) -> None:
+        self.settings = settings
+        self._body = _body(settings, motors, sensors)
+
+    def step(
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+    ) -> Sequence[Command]:
+        """Perceive, plan, control: one command per motor, in the order in which they were named.
+
+        `now` must not go back. `events` are what was heard since the last step, in order; `stopped` is why
+        the gateway has stopped the robot, or "": while it is there, every command is Idle, and
+        what was asked for is dropped."""
+        return self._body.step(now, events, tasks, stopped)
+
+    def belief(self) -> Belief:
+        """What is believed and wanted, as a value."""
+        return self._body.belief()
+
+    def take_notes(self) -> list[Remark]:
+        """(level, sentence) for the operator, in order, since this was last asked."""
+        return self._body.take_remarks()
+
+    def set(self, key: str, value: float) -> str:
+        """Change a number of the settings while running, e.g. "pursuit.lookahead_time"; "" or why not."""
+        settings, why = changed(self.settings, key, value)
+        if not why:
+            self.settings = settings
+            self._body.adopt(settings)
+        return why
+
+
+def _body(settings: BrainSettings, motors: Sequence[str], sensors: Mapping[str, Mount]) -> Driving | Bench:
+    if settings.body == "differential":
+        if settings.differential is None:
+            raise ValueError('the body "differential" needs its table, brain.differential')
+        return Driving(settings, settings.differential, motors, sensors)
+    return Bench(settings, motors)

@@ -1,0 +1,42 @@
+"""The brain's own state, its reason, and what there is to say to a person.
+
+Rules. Each change of state is said once; a reason that changes within a state is not, so that a source that
+is lost does not fill the terminal.
+"""
+
+from __future__ import annotations
+
+from brain.belief import BrainState
+from brain.planning.mission import Level, Remark
+
+_LEVELS: dict[BrainState, Level] = {
+    BrainState.INITIALISING: "info",
+    BrainState.READY: "info",
+    BrainState.RUNNING: "info",
+    BrainState.DEGRADED: "warning",
+    BrainState.STOPPED: "error",
+}
+
+
+class Condition:
+    """State, reason, remarks. Plain data."""
+
+    def __init__(self) -> None:
+        self.state = BrainState.INITIALISING
+        self.reason = "waiting for the first measurements"
+        self._remarks: list[Remark] = []
+
+    def become(self, state: BrainState, reason: str) -> None:
+        """Be in this state, for this reason."""
+        if state is not self.state:
+            self.say(_LEVELS[state], f"{state}: {reason}" if reason else f"{state}")
+        self.state, self.reason = state, reason
+
+    def say(self, level: Level, text: str) -> None:
+        """Have something said to the operator."""
+        self._remarks.append((level, text))
+
+    def take_remarks(self) -> list[Remark]:
+        """What there is to say since this was last asked."""
+        remarks, self._remarks = self._remarks, []
+        return remarks
