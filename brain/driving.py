@@ -1,6 +1,6 @@
 """The brain of a base on wheels: perceive → plan → control, and when it may move.
 
-Rules. Perception hears every event at every step; planning does a bounded amount of work at each step; control
+Rules. Perception hears every event at every step, planning does a bounded amount of work at each, control
 is due by `now`. What may be driven is a share of the body's limits: all of it while all is well, some while
 something is late, none while something is missing. None means braking within the acceleration limits, not
 letting go; only a stop from above, or standing still with nothing to do, lets the motors go (Idle).
@@ -185,14 +185,16 @@ class Driving:
         period = self._settings.pursuit.period
         late = self._control_at is None or now - self._control_at >= period
         self._control_at = now + period if late or self._control_at is None else self._control_at + period
-        dt = (
-            seconds(min(now - self._controlled, LONGEST)) if self._controlled is not None else seconds(period)
-        )
+        since = period if self._controlled is None else min(now - self._controlled, LONGEST)
         self._controlled = now
         body = self._body
         wanted = body.limit(*self._wanted(now, share))
         self._twist = approach(
-            self._twist, Twist(*wanted), dt, body.max_linear_acceleration, body.max_angular_acceleration
+            self._twist,
+            Twist(*wanted),
+            seconds(since),
+            body.max_linear_acceleration,
+            body.max_angular_acceleration,
         )
         self._said = self._words(now)
         return self._said

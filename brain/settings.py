@@ -7,10 +7,10 @@ key, as in the robot file below [brain]; times are in milliseconds there, with `
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import Field, dataclass, field, fields, replace
 from difflib import get_close_matches
 from math import isfinite
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, Protocol, TypeVar
 
 from brain.bodies.differential import Differential
 from brain.bodies.joints import Joints
@@ -34,15 +34,23 @@ class BrainSettings:
     health: HealthSettings = field(default_factory=HealthSettings)
 
 
+class Settings(Protocol):
+    """Any dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+S = TypeVar("S", bound=Settings)
+
 AT_START = ("perception.", "differential.wheel_radius", "differential.wheel_separation")
 """Keys that perception was built with: a change of these would make what it believes wrong."""
 
 
-def keys(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Every number below a dataclass: its dotted key and its value, as in the robot file."""
     for one in fields(settings):
         value = getattr(settings, one.name)
-        if is_dataclass(value):
+        if hasattr(value, "__dataclass_fields__"):
             yield from keys(value, f"{prefix}{one.name}.")
         elif "Nanos" in str(one.type):
             yield f"{prefix}{one.name}_ms", value / MILLISECOND
@@ -55,12 +63,8 @@ def changed(settings: BrainSettings, key: str, value: float) -> tuple[BrainSetti
     known = dict(keys(settings))
     if key not in known:
         near = get_close_matches(key, known, 3, 0.5)
-        hint = (
-            f"; did you mean {' or '.join(repr(k) for k in near)}?"
-            if near
-            else f"; there are {', '.join(known)}"
-        )
-        return settings, f"there is no setting {key!r}{hint}"
+        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(known)}"
+        return settings, f"there is no setting {key!r}; {hint}"
     if key.startswith(AT_START):
         return settings, f"{key} counts from the start on: change it in the robot file"
     if not isfinite(value):
@@ -76,7 +80,7 @@ def changed(settings: BrainSettings, key: str, value: float) -> tuple[BrainSetti
         return settings, f"{key}: {error}"
 
 
-def _replaced(settings: Any, path: list[str], value: float) -> Any:
+def _replaced(settings: S, path: list[str], value: float) -> S:
     name, *rest = path
     if rest:
         return replace(settings, **{name: _replaced(getattr(settings, name), rest, value)})

@@ -92,13 +92,16 @@ class Noise:
     """rad, one count"""
 
 
+START = Pose(0.0, 0.0, 0.0)
+
+
 class Office:
     """A base between boxes, in simulated time: commands in, events out. Exact arcs, ideal wheels with lag."""
 
     def __init__(
         self,
         boxes: Sequence[Box] = ROOMS,
-        pose: Pose = Pose(0.0, 0.0, 0.0),
+        pose: Pose = START,
         noise: Noise | None = None,
         seed: int = 1,
         body: Differential = BODY,
@@ -147,8 +150,8 @@ class Office:
         """360 beams from the lidar's place, exact against the boxes, and then noise."""
         mount = MOUNTS["lidar"]
         at = self.body.arc(self.pose, mount.x, 0.0)
-        angles = np.arange(360) * (2.0 * pi / 360.0) - pi
-        ranges = cast(self.boxes, (at.x, at.y), angles + self.pose.yaw)
+        angles: Floats = np.linspace(-pi, pi, 360, endpoint=False)
+        ranges = beams(self.boxes, (at.x, at.y), np.asarray(angles + self.pose.yaw, np.float64))
         noisy = np.maximum(ranges + self._rng.normal(0.0, self.noise.range, 360), 0.0)
         told = np.where(ranges < 10.0, np.minimum(noisy, 10.0), 10.0)
         return LaserScan("lidar", self.now, -pi, 2.0 * pi / 360.0, 0.1, 10.0, tuple(told.tolist()))
@@ -166,7 +169,7 @@ class Office:
         return [e for e in events if getattr(e, "motor", getattr(e, "sensor", "")) not in self.silent]
 
 
-def cast(boxes: Sequence[Box], origin: tuple[float, float], angles: Floats) -> Floats:
+def beams(boxes: Sequence[Box], origin: tuple[float, float], angles: Floats) -> Floats:
     """How far [m] each beam goes until it meets a box, by the slabs of each; infinite if it meets none."""
     dx, dy = np.cos(angles), np.sin(angles)
     dx, dy = np.where(np.abs(dx) < 1e-12, 1e-12, dx), np.where(np.abs(dy) < 1e-12, 1e-12, dy)
