@@ -26,11 +26,8 @@ from math import inf
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-try:  # until the brain's own are there
-    from brain.brain import BrainSettings
-    from brain.perception.mount import Mount
-except ModuleNotFoundError:
-    from gateway._brain_later import BrainSettings, Mount
+from brain.perception.mount import Mount
+from brain.settings import BrainSettings
 from gateway import rules
 from gateway.joint import JointSettings
 from gateway.mistakes import ConfigError, Key, Mistakes, shown, unknown

@@ -10,8 +10,8 @@ from protocols.plugin import Device, Plugin, Spec
 from protocols.words import Nanos
 
 if TYPE_CHECKING:
-    from brain.brain import BrainSettings
     from brain.perception.mount import Mount
+    from brain.settings import BrainSettings
 
 TWIN = "twin"
 """The interface of a bus that is no wire: the world with its twins."""

@@ -17,7 +17,7 @@ from protocols.plugin import FeedbackKind
 from protocols.words import MILLISECOND, Nanos
 
 if TYPE_CHECKING:
-    from brain.brain import BrainSettings
+    from brain.settings import BrainSettings
 
 Part: TypeAlias = Motor | Sensor
 
