@@ -1,0 +1,245 @@
+"""What an ODrive of firmware 0.6.x complains of: its own words, the likely cause, what to do.
+
+Rules. One row per bit of `ODrive.Error` and per value of `ODrive.ProcedureResult`; names as in
+odriverobotics/ODriveArduino@f52eef5 `src/ODriveEnums.h`. A bit without a row is told by its number. Codes
+above 32 bits are not the device's: a procedure result, or what the driver itself has noticed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+
+class Error(IntFlag):
+    """`ODrive.Error`: bits of Heartbeat.Axis_Error, Get_Error.Active_Errors and Get_Error.Disarm_Reason."""
+
+    INITIALIZING = 0x1
+    SYSTEM_LEVEL = 0x2
+    TIMING_ERROR = 0x4
+    MISSING_ESTIMATE = 0x8
+    BAD_CONFIG = 0x10
+    DRV_FAULT = 0x20
+    MISSING_INPUT = 0x40
+    DC_BUS_OVER_VOLTAGE = 0x100
+    DC_BUS_UNDER_VOLTAGE = 0x200
+    DC_BUS_OVER_CURRENT = 0x400
+    DC_BUS_OVER_REGEN_CURRENT = 0x800
+    CURRENT_LIMIT_VIOLATION = 0x1000
+    MOTOR_OVER_TEMP = 0x2000
+    INVERTER_OVER_TEMP = 0x4000
+    VELOCITY_LIMIT_VIOLATION = 0x8000
+    POSITION_LIMIT_VIOLATION = 0x10000
+    WATCHDOG_TIMER_EXPIRED = 0x1000000
+    ESTOP_REQUESTED = 0x2000000
+    SPINOUT_DETECTED = 0x4000000
+    BRAKE_RESISTOR_DISARMED = 0x8000000
+    THERMISTOR_DISCONNECTED = 0x10000000
+    CALIBRATION_ERROR = 0x40000000
+
+
+class Result(IntEnum):
+    """`ODrive.ProcedureResult`: how the last state request ended."""
+
+    SUCCESS = 0
+    BUSY = 1
+    CANCELLED = 2
+    DISARMED = 3
+    NO_RESPONSE = 4
+    POLE_PAIR_CPR_MISMATCH = 5
+    PHASE_RESISTANCE_OUT_OF_RANGE = 6
+    PHASE_INDUCTANCE_OUT_OF_RANGE = 7
+    UNBALANCED_PHASES = 8
+    INVALID_MOTOR_TYPE = 9
+    ILLEGAL_HALL_STATE = 10
+    TIMEOUT = 11
+    HOMING_WITHOUT_ENDSTOP = 12
+    INVALID_STATE = 13
+    NOT_CALIBRATED = 14
+    NOT_CONVERGING = 15
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """Words for a person."""
+
+    name: str
+    cause: str
+    cure: str
+
+
+PROCEDURE = 1 << 32
+"""Added to a procedure result, to tell it from an error bit."""
+DUPLICATE_NODE = 2 << 32
+WRONG_FIRMWARE = 3 << 32
+NOT_ARMED = 4 << 32
+
+ERRORS: dict[int, Text] = {
+    Error.INITIALIZING: Text(
+        "INITIALIZING", "the device is starting", "wait; if it stays, look at its supply"
+    ),
+    Error.SYSTEM_LEVEL: Text(
+        "SYSTEM_LEVEL",
+        "a fault of the firmware, or memory corrupted",
+        "reboot it; if it comes back, update its firmware",
+    ),
+    Error.TIMING_ERROR: Text(
+        "TIMING_ERROR",
+        "the firmware missed a deadline of its control loop",
+        "reboot it; lower its cyclic message rates",
+    ),
+    Error.MISSING_ESTIMATE: Text(
+        "MISSING_ESTIMATE",
+        "no valid position or velocity: encoder not calibrated, not connected or disturbed",
+        "check the encoder's cable and magnet, then calibrate",
+    ),
+    Error.BAD_CONFIG: Text(
+        "BAD_CONFIG",
+        "a setting of the device is missing or contradicts another",
+        "compare its configuration with a known one",
+    ),
+    Error.DRV_FAULT: Text(
+        "DRV_FAULT",
+        "the gate driver reported a fault: short circuit, over-current or over-temperature",
+        "unplug the motor, look for shorts between phases, reboot",
+    ),
+    Error.MISSING_INPUT: Text(
+        "MISSING_INPUT", "no valid set-point", "check what is sent, and which input mode is set"
+    ),
+    Error.DC_BUS_OVER_VOLTAGE: Text(
+        "DC_BUS_OVER_VOLTAGE",
+        "braking fed energy back into a supply that cannot take it",
+        "fit or configure a brake resistor, brake more gently",
+    ),
+    Error.DC_BUS_UNDER_VOLTAGE: Text(
+        "DC_BUS_UNDER_VOLTAGE",
+        "the supply sagged or is off",
+        "check battery, fuse and cables; lower the current limit",
+    ),
+    Error.DC_BUS_OVER_CURRENT: Text(
+        "DC_BUS_OVER_CURRENT",
+        "more current drawn than dc_max_positive_current",
+        "accelerate more gently, or raise the limit",
+    ),
+    Error.DC_BUS_OVER_REGEN_CURRENT: Text(
+        "DC_BUS_OVER_REGEN_CURRENT",
+        "more current fed back than dc_max_negative_current allows",
+        "configure the brake resistor, or raise the limit if a battery can take it",
+    ),
+    Error.CURRENT_LIMIT_VIOLATION: Text(
+        "CURRENT_LIMIT_VIOLATION",
+        "motor current above its hard limit",
+        "check gains and phase wires; raise current_hard_max",
+    ),
+    Error.MOTOR_OVER_TEMP: Text(
+        "MOTOR_OVER_TEMP", "the motor is too hot", "let it cool; reduce load or current limit"
+    ),
+    Error.INVERTER_OVER_TEMP: Text(
+        "INVERTER_OVER_TEMP", "the power stage is too hot", "let it cool; improve its cooling"
+    ),
+    Error.VELOCITY_LIMIT_VIOLATION: Text(
+        "VELOCITY_LIMIT_VIOLATION",
+        "the shaft turned faster than vel_limit × vel_limit_tolerance",
+        "check for a load that drives the motor; raise vel_limit; lower vel_gain if it overshot",
+    ),
+    Error.POSITION_LIMIT_VIOLATION: Text(
+        "POSITION_LIMIT_VIOLATION",
+        "the position left the range allowed on the device",
+        "move it back by hand",
+    ),
+    Error.WATCHDOG_TIMER_EXPIRED: Text(
+        "WATCHDOG_TIMER_EXPIRED",
+        "no set-point came within watchdog_timeout",
+        "find out why the host fell silent, then clear; set-points must come faster than the timeout",
+    ),
+    Error.ESTOP_REQUESTED: Text(
+        "ESTOP_REQUESTED", "an emergency stop was sent over the bus", "make sure it is safe, then clear"
+    ),
+    Error.SPINOUT_DETECTED: Text(
+        "SPINOUT_DETECTED",
+        "electrical and mechanical power contradict each other: the encoder slipped or is badly calibrated",
+        "fasten the encoder, calibrate its offset again",
+    ),
+    Error.BRAKE_RESISTOR_DISARMED: Text(
+        "BRAKE_RESISTOR_DISARMED",
+        "the brake resistor is switched off after a fault",
+        "clear; check resistor and its settings",
+    ),
+    Error.THERMISTOR_DISCONNECTED: Text(
+        "THERMISTOR_DISCONNECTED",
+        "the motor's thermistor is not connected",
+        "check its cable, or switch it off in the settings",
+    ),
+    Error.CALIBRATION_ERROR: Text(
+        "CALIBRATION_ERROR",
+        "a calibration failed",
+        "read the procedure result, calibrate with the shaft free",
+    ),
+}
+
+_CALIBRATE = "calibrate with the vendor's tool, shaft free, and save"
+RESULTS: dict[int, Text] = {
+    Result.CANCELLED: Text(
+        "CANCELLED", "another state was requested meanwhile", "ask again; is there a second host?"
+    ),
+    Result.DISARMED: Text(
+        "DISARMED", "the axis disarmed by a fault", "read the disarm reason, remove it, clear"
+    ),
+    Result.NO_RESPONSE: Text("NO_RESPONSE", "the encoder does not answer", "check its cable and settings"),
+    Result.POLE_PAIR_CPR_MISMATCH: Text(
+        "POLE_PAIR_CPR_MISMATCH",
+        "pole pairs or encoder resolution are set wrongly",
+        "correct them, calibrate again",
+    ),
+    Result.PHASE_RESISTANCE_OUT_OF_RANGE: Text(
+        "PHASE_RESISTANCE_OUT_OF_RANGE", "phase resistance is not plausible", "check the phase wires"
+    ),
+    Result.PHASE_INDUCTANCE_OUT_OF_RANGE: Text(
+        "PHASE_INDUCTANCE_OUT_OF_RANGE", "phase inductance is not plausible", "check the phase wires"
+    ),
+    Result.UNBALANCED_PHASES: Text("UNBALANCED_PHASES", "the three phases differ", "check the phase wires"),
+    Result.INVALID_MOTOR_TYPE: Text(
+        "INVALID_MOTOR_TYPE", "motor_type does not allow this", "correct motor_type"
+    ),
+    Result.ILLEGAL_HALL_STATE: Text(
+        "ILLEGAL_HALL_STATE", "the Hall sensors contradict each other", "check their wires"
+    ),
+    Result.TIMEOUT: Text("TIMEOUT", "the procedure took too long", "is the shaft blocked? try again"),
+    Result.HOMING_WITHOUT_ENDSTOP: Text(
+        "HOMING_WITHOUT_ENDSTOP", "no end stop is configured", "configure one"
+    ),
+    Result.INVALID_STATE: Text("INVALID_STATE", "the requested state is not allowed now", _CALIBRATE),
+    Result.NOT_CALIBRATED: Text("NOT_CALIBRATED", "motor or encoder is not calibrated", _CALIBRATE),
+    Result.NOT_CONVERGING: Text(
+        "NOT_CONVERGING", "the calibration did not settle", "calibrate with the shaft free"
+    ),
+}
+
+
+def bits(errors: int) -> Iterator[int]:
+    """The set bits of an error word, lowest first."""
+    for shift in range(32):
+        if errors >> shift & 1:
+            yield 1 << shift
+
+
+def text_of(bit: int) -> Text:
+    """The words for one error bit."""
+    known = ERRORS.get(bit)
+    return known or Text(f"error bit 0x{bit:X}", "not known to this driver", "look it up for this firmware")
+
+
+def names(errors: int) -> str:
+    """The vendor's names of all set bits, for a sentence."""
+    return ", ".join(text_of(bit).name for bit in bits(errors))
+
+
+def result_name(result: int) -> str:
+    """The vendor's name of a procedure result."""
+    return Result(result).name if result in Result._value2member_map_ else f"procedure result {result}"
+
+
+def state_name(state: int, enum: type[IntEnum]) -> str:
+    """The vendor's name of an axis state."""
+    return enum(state).name if state in enum._value2member_map_ else f"axis state {state}"
