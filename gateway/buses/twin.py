@@ -153,7 +153,8 @@ class TwinWorld:
         self._count = 2.0 * math.pi / self.world.counts_per_turn
         self._motors: list[tuple[Node, TwinBus, float]] = []
         self._sensors: list[tuple[Node, TwinBus]] = []
-        for part in (*robot.motors.values(), *robot.sensors.values()):
+        parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]
+        for part in parts:
             if bus := self._buses.get(part.bus):
                 self._add(part.name, part, bus)
 
