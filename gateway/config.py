@@ -28,7 +28,7 @@ from typing import Any, Literal, TypeAlias
 
 from brain.perception.mount import Mount
 from brain.settings import BrainSettings
-from gateway import rules
+from gateway import rules, shipped
 from gateway.joint import JointSettings
 from gateway.mistakes import ConfigError, Key, Mistakes, shown, unknown
 from gateway.robot import TWIN, BusSettings, Motor, Robot, Sensor
@@ -107,11 +107,15 @@ def load(path: Path, find: Find = plugin.load) -> Robot:
         mistakes = Mistakes(str(path), "")
         mistakes.add((), f"cannot be read: {error}")
         raise mistakes.error() from error
-    return loads(text, str(path), find)
+    return loads(text, str(path), find, with_world=True)
 
 
-def loads(text: str, name: str = "robot.toml", find: Find = plugin.load) -> Robot:
-    """A robot from the text of its file; `name` is the file's in mistakes, `find` knows the protocols."""
+def loads(
+    text: str, name: str = "robot.toml", find: Find = plugin.load, *, with_world: bool = False
+) -> Robot:
+    """A robot from the text of its file; `name` is the file's in mistakes, `find` knows the protocols.
+
+    Whether its world is there is only looked at `with_world`: a replay needs none."""
     mistakes = Mistakes(name, text)
     try:
         table = tomllib.loads(text)
@@ -123,6 +127,8 @@ def loads(text: str, name: str = "robot.toml", find: Find = plugin.load) -> Robo
     groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
     top = build(_Top, table, (), mistakes, also=SECTIONS)
     _check_top(table, mistakes)
+    if with_world:
+        _check_world(table.get("world"), mistakes)
 
     known = tuple(groups["buses"])
     buses = {n: bus for n, t in groups["buses"].items() if (bus := _bus(n, t, mistakes))}
@@ -132,8 +138,7 @@ def loads(text: str, name: str = "robot.toml", find: Find = plugin.load) -> Robo
 
     period = round(SECOND / top.rate_hz) if top and top.rate_hz > 0 else 0
     rules.check_devices(buses, motors, sensors, period, mistakes)
-    if brain is not None:
-        rules.check_brain(brain, tuple(groups["motors"]), tuple(groups["sensors"]), mistakes)
+    rules.check_brain(table.get("brain"), tuple(groups["motors"]), tuple(groups["sensors"]), mistakes)
     mistakes.check()
     if top is None or brain is None:
         raise AssertionError("a part is missing, and no mistake was told")
@@ -218,6 +223,14 @@ def _check_top(table: Table, mistakes: Mistakes) -> None:
         mistakes.add(("name",), f"found {shown(name)}, expected letters, digits, _ and -")
     if isinstance(seed, int) and not 0 <= seed < 2**63:
         mistakes.add(("seed",), f"found {shown(seed)}, expected an integer from 0 to 2**63 - 1")
+
+
+def _check_world(world: object, mistakes: Mistakes) -> None:
+    if isinstance(world, str):
+        try:
+            shipped.find("worlds", world)
+        except shipped.NotFound as error:
+            mistakes.add(("world",), str(error))
 
 
 _RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": ("baudrate",)}

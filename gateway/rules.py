@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
-from gateway.mistakes import Key, Mistakes, shown, unknown
+from gateway.mistakes import Key, Mistakes, unknown
 from gateway.robot import BusSettings, Motor, Robot, Sensor
 from gateway.typed import positive
 from protocols.plugin import FeedbackKind
 from protocols.words import MILLISECOND, Nanos
-
-if TYPE_CHECKING:
-    from brain.settings import BrainSettings
 
 Part: TypeAlias = Motor | Sensor
 
@@ -57,8 +54,6 @@ def check_devices(
             _check_pair(first, at, second, mistakes)
     for name, motor in motors.items():
         _check_motor(("motors", name), motor, period, mistakes)
-    for name, sensor in sensors.items():
-        _check_longer(("sensors", name, "timeout_ms"), sensor.timeout, _reports(sensor), mistakes)
 
 
 def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:
@@ -81,14 +76,10 @@ def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> No
         if word == "hold" and not spec.holds_unattended:
             why = "with nobody feeding it, the device lets go of its load (its watchdog)"
             mistakes.add((*at, key), f'found "hold", expected "idle": {why}')
-    _check_longer((*at, "feedback_timeout_ms"), joint.feedback_timeout, _reports(motor), mistakes)
+    if spec.feedback is not FeedbackKind.NONE:
+        reports = ("the device reports", spec.feedback_period)
+        _check_longer((*at, "feedback_timeout_ms"), joint.feedback_timeout, reports, mistakes)
     _check_longer((*at, "command_timeout_ms"), joint.command_timeout, ("the robot steps", period), mistakes)
-
-
-def _reports(part: Part) -> tuple[str, Nanos]:
-    """How often something is heard of the device; 0 if it tells nothing."""
-    told = part.spec.feedback is not FeedbackKind.NONE
-    return "the device reports", part.spec.feedback_period if told else 0
 
 
 def _check_longer(at: Key, timeout: Nanos, cycle: tuple[str, Nanos], mistakes: Mistakes) -> None:
@@ -99,25 +90,26 @@ def _check_longer(at: Key, timeout: Nanos, cycle: tuple[str, Nanos], mistakes: M
         mistakes.add(at, f"found {timeout / MILLISECOND:g} ms, but {every}; expected more than that")
 
 
-def check_brain(
-    brain: BrainSettings, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes
-) -> None:
-    """The body's motors are motors of this robot, each used once."""
-    named: list[tuple[Key, str]] = []
-    table: Key = ("brain", brain.body)
-    if brain.body == "differential" and brain.differential is not None:
-        named = [((*table, "left"), brain.differential.left), ((*table, "right"), brain.differential.right)]
-    elif brain.body == "joints" and brain.joints is not None:
-        named = [((*table, "motors"), name) for name in brain.joints.motors]
-    else:
-        mistakes.add(table, f'missing; the body "{brain.body}" expects this table')
-    for index, (at, name) in enumerate(named):
-        if name in sensors:
-            mistakes.add(at, f"{name!r} is a sensor; expected a motor: {', '.join(motors)}")
-        elif name not in motors:
-            mistakes.add(at, unknown("motor", name, motors))
-        elif name in [other for _, other in named[:index]]:
-            mistakes.add(at, f"found {shown(name)} twice; expected each motor once")
+_MOTORS = {"differential": ("left", "right"), "joints": ("motors",)}
+"""Where a body's table names its motors."""
+
+
+def check_brain(brain: object, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes) -> None:
+    """The body's own table is there, and the motors that it names too. `brain` is as in the file."""
+    body = brain.get("body") if isinstance(brain, Mapping) else None
+    if not isinstance(brain, Mapping) or not isinstance(body, str) or body not in _MOTORS:
+        return
+    table = brain.get(body)
+    if table is None:
+        mistakes.add(("brain", body), f"missing; the body {body!r} expects this table")
+    if not isinstance(table, Mapping):
+        return
+    for key in _MOTORS[body]:
+        key_path, found = ("brain", body, key), table.get(key, [])
+        for name in found if isinstance(found, list) else [found]:
+            if isinstance(name, str) and name not in motors:
+                said = f"{name!r} is a sensor; there is " + ", ".join(motors)
+                mistakes.add(key_path, said if name in sensors else unknown("motor", name, motors))
 
 
 def cautions(robot: Robot) -> list[str]:

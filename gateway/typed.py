@@ -2,20 +2,21 @@
 
 Rules. Strict: "5" is not 5, 1.5 is no integer, a number must be finite; an integer may stand for a float.
 A key that no field has is a mistake. A field annotated `Nanos` is written in milliseconds, under its
-name with `_ms`. What `__post_init__` says in a ValueError is told at the field that it names. So a new
-setting in any of the dataclasses needs no change here.
+name with `_ms`. What `__post_init__` says in a ValueError ("; " between several) is told at the field
+that it names. So a new setting in any of the dataclasses needs no change here.
 """
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import Field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from enum import Enum
 from types import GenericAlias, NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from gateway.mistakes import Key, Mistakes, shown, unknown
 from protocols.words import MILLISECOND
@@ -50,15 +51,80 @@ def build(kind: type[T], table: object, at: Key, mistakes: Mistakes, also: Seque
     try:
         alone: Any = GenericAlias(tuple, (kind,))  # a dataclass itself would not take our configuration
         adapter: TypeAdapter[tuple[T]] = TypeAdapter(alone, config=strict)
-        made = adapter.validate_json(json.dumps([plain], default=lambda _: {}))[0]
-    except ValidationError as error:
-        for one in error.errors(include_url=False):
-            _tell(kind, own, at, one["type"], one["loc"][1:], one["msg"], one.get("ctx", {}), also, mistakes)
-        return None
     except (PydanticUserError, NameError, TypeError) as error:
         mistakes.add(at, f"{kind.__module__}.{kind.__qualname__} cannot be filled from a file: {error}")
         return None
-    return made if len(mistakes) == before else None
+    replaced: set[Loc] = set()
+    for _ in range(MOST_ROUNDS):
+        try:
+            made = adapter.validate_json(json.dumps([plain], default=lambda _: {}))[0]
+        except ValidationError as error:
+            rows = error.errors(include_url=False)
+        else:
+            return made if len(mistakes) == before else None
+        complaints = [_Error(row["type"], row["loc"][1:], row["msg"], row.get("ctx", {})) for row in rows]
+        wrong = [one for said in complaints for one in _fields_of(kind, said) if one[0] not in replaced]
+        for place, said in wrong:
+            _tell(kind, own, at, place, said, also, mistakes)
+        replaced |= {place for place, _ in wrong}
+        if not wrong or not all(_replace(kind, plain, place, said) for place, said in wrong):
+            break
+    return None
+
+
+MOST_ROUNDS = 20
+"""How often a table is looked at: a `__post_init__` tells only of the first field that is wrong."""
+
+
+Loc: TypeAlias = tuple[int | str, ...]
+"""Where something stands below a table, by the names of fields."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Error:
+    """One of pydantic's errors."""
+
+    kind: str
+    loc: Loc
+    message: str
+    context: Mapping[str, Any]
+
+
+def _fields_of(kind: type, error: _Error) -> list[tuple[Loc, _Error]]:
+    """The fields that an error is about: what a `__post_init__` said is split by the fields that it names."""
+    if error.kind != "value_error":
+        return [(error.loc, error)]
+    hint = _bare(_walk(kind, error.loc)[1])
+    split: list[tuple[Loc, _Error]] = []
+    for sentence in str(error.context.get("error", error.message)).split("; "):
+        place = (*error.loc, *_fields_named(sentence, hint)[:1])
+        split.append((place, _Error(error.kind, place, sentence, {})))
+    return split
+
+
+def _replace(kind: type, plain: dict[str, Any], place: Loc, error: _Error) -> bool:
+    """Take what is wrong away, or put a default or a plain value there, so that the next complaint shows."""
+    *above, name = place or ("",)
+    inner: Any = plain
+    for step in above:
+        inner = inner.get(step) if isinstance(inner, dict) else None
+    if not isinstance(inner, dict) or not isinstance(name, str):
+        return False
+    if inner.pop(name, None) is not None and error.kind == "unexpected_keyword_argument":
+        return True
+    around = _bare(_walk(kind, tuple(above))[1])
+    field = next((one for one in fields(around) if one.name == name), None) if is_dataclass(around) else None
+    if field is None:
+        return False
+    if field.default is MISSING and field.default_factory is MISSING:
+        hint = _bare(get_type_hints(around)[name])
+        if hint not in _HARMLESS:
+            return False
+        inner[name] = _HARMLESS[hint]
+    return True
+
+
+_HARMLESS: dict[object, object] = {float: 1.0, int: 1, str: "x", bool: False}
 
 
 def positive(table: object, at: Key, names: Iterable[str], mistakes: Mistakes) -> None:
@@ -113,31 +179,37 @@ def _tell(
     kind: type,
     table: Mapping[str, object],
     at: Key,
-    error: str,
-    loc: Sequence[int | str],
-    message: str,
-    context: Mapping[str, Any],
+    place: Loc,
+    error: _Error,
     also: Sequence[str],
     mistakes: Mistakes,
 ) -> None:
     """Put one of pydantic's errors into a sentence, at its key."""
-    unexpected = error == "unexpected_keyword_argument"
-    below, hint, inside = _walk(kind, loc[:-1] if unexpected else loc)
+    unexpected = error.kind == "unexpected_keyword_argument"
+    below, hint, inside = _walk(kind, place[:-1] if unexpected else place)
     path = (*at, *below)
     if unexpected:
+        name = str(place[-1])
         known = [*keys(inside), *(also if not below else ())] if inside else []
-        mistakes.add((*path, str(loc[-1])), unknown("key", str(loc[-1]), known))
-    elif error == "missing":
+        mistakes.add((*path, name), unknown("key", name, known))
+    elif error.kind == "missing":
         mistakes.add(path, f"missing; expected {wanted(hint)}")
-    elif error == "value_error":
-        said = str(context.get("error", message))
-        mistakes.add((*path, *_named(said, _bare(hint))), said)
+    elif error.kind == "value_error":
+        mistakes.add(path, error.message)
     else:
-        found = shown(_at(table, below))
-        expected = wanted(hint) if hint is not None else message
-        limits = {name: value for name, value in context.items() if name in _BOUNDS}
-        bounds = "".join(f" {_BOUNDS[name]} {value:g}" for name, value in limits.items())
-        mistakes.add(path, f"found {found}, expected {expected}{bounds}")
+        value = _at(table, below)
+        expected = wanted(hint) if hint is not None else error.message
+        bounds = [f" {_BOUNDS[name]} {limit:g}" for name, limit in error.context.items() if name in _BOUNDS]
+        mistakes.add(
+            path, f"found {shown(value)}, expected {expected}{''.join(bounds)}{_nearest(value, hint)}"
+        )
+
+
+def _nearest(value: object, hint: object) -> str:
+    """The nearest of the words that a field takes."""
+    words = [one for one in get_args(_bare(hint)) if isinstance(one, str)]
+    near = difflib.get_close_matches(value, words, 1) if isinstance(value, str) else []
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 _BOUNDS = {"gt": "greater than", "ge": "of at least", "lt": "less than", "le": "of at most"}
@@ -170,12 +242,12 @@ def _at(table: object, path: Key) -> object:
     return table
 
 
-def _named(sentence: str, kind: object) -> Key:
-    """The first field that a sentence names, as its key."""
+def _fields_named(sentence: str, kind: object) -> list[str]:
+    """The fields that a sentence names, in its order."""
     if not (isinstance(kind, type) and is_dataclass(kind)):
-        return ()
-    by_name = {field.name: written(field) for field in fields(kind)}
-    return next(((by_name[word],) for word in re.findall(r"\w+", sentence) if word in by_name), ())
+        return []
+    names = [field.name for field in fields(kind)]
+    return [word for word in re.findall(r"\w+", sentence) if word in names]
 
 
 _SIMPLE = {float: "a finite number", int: "an integer", str: "a string", bool: "true or false"}
