@@ -1,0 +1,146 @@
+"""The contract that every plugin must pass. Ships with the interface; needs no pytest.
+
+    from protocols.conformance import check, table
+    results = check(plugin)
+    print(table(results))
+
+Rules. A clause is a function; a failure is a value with the shortest bytes and words that show it, and
+comes again with the same seed. The kit knows a plugin only through `protocols.plugin`: it builds devices
+named alpha, beta and stranger at the addresses 1, 2 and 3 (or those given), with the plugin's default
+settings, once with its default options and once for each other value of an option that is a Literal or
+a bool. Driver and twins then talk in virtual time, over a wire without faults, with a simple shaft.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from protocols.conformance.bytes import no_bytes_raise, streams_may_be_cut, wires_are_counted
+from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
+from protocols.conformance.manners import (
+    nothing_non_finite,
+    only_declared_wires,
+    strangers_change_nothing,
+    unclaimed_is_read_only,
+)
+from protocols.conformance.rehearsal import ADDRESSES
+from protocols.conformance.state import copies_go_on, same_in_same_out
+from protocols.conformance.survival import commands_survive, measurements_survive
+from protocols.plugin import Plugin
+from protocols.wire import Wire
+from protocols.words import Word
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """One promise of the contract."""
+
+    name: str
+    text: str
+    """The promise in a sentence."""
+    check: Callable[[Case], Verdict]
+
+
+CLAUSES: tuple[Clause, ...] = (
+    Clause("commands", "commands survive the wire within the declared resolution", commands_survive),
+    Clause(
+        "measurements", "measurements survive the wire, of the right device and time", measurements_survive
+    ),
+    Clause("bytes", "no bytes raise, at either end", no_bytes_raise),
+    Clause("counts", "every wire is counted once; what is not understood changes nothing", wires_are_counted),
+    Clause("streams", "a serial stream may be cut anywhere", streams_may_be_cut),
+    Clause("strangers", "foreign traffic is counted and changes nothing", strangers_change_nothing),
+    Clause("unclaimed", "until commanded, only read-only wires go out", unclaimed_is_read_only),
+    Clause("declared", "nothing is said outside the declared kinds and ids of wires", only_declared_wires),
+    Clause("finite", "what is not finite or out of range passes neither down nor up", nothing_non_finite),
+    Clause("repeatable", "the same inputs give the same outputs, in the same order", same_in_same_out),
+    Clause("copies", "a copy made between any two calls goes on the same", copies_go_on),
+)
+
+Outcome = Literal["passed", "failed", "not applicable"]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a clause found."""
+
+    clause: str
+    outcome: Outcome
+    text: str
+    """The promise, or what is wrong, or why it does not apply."""
+    seed: int
+    """With which it comes again."""
+    wires: tuple[Wire, ...] = ()
+    words: tuple[Word, ...] = ()
+    """The counterexample."""
+
+
+def check(
+    plugin: Plugin,
+    seed: int = 0,
+    addresses: tuple[int, int, int] = ADDRESSES,
+    clauses: Sequence[Clause] = CLAUSES,
+) -> tuple[Result, ...]:
+    """What each clause finds in a plugin. Never raises, whatever the plugin does.
+
+    `addresses` are those of two devices of one driver and of a stranger, for a language that cannot
+    have 1, 2 and 3."""
+    cases = [Case(plugin, options, seed, addresses) for options in variants(plugin)]
+    return tuple(_judge(clause, cases) for clause in clauses)
+
+
+def variants(plugin: Plugin) -> Iterator[Any]:
+    """The plugin's default options, then those that differ in one Literal or bool each."""
+    default = plugin.options()
+    yield default
+    hints = get_type_hints(plugin.options)
+    for f in fields(plugin.options):
+        literal = get_origin(hints[f.name]) is Literal
+        values = get_args(hints[f.name]) if literal else (False, True) if hints[f.name] is bool else ()
+        for value in values:
+            if value != getattr(default, f.name):
+                try:
+                    yield plugin.options(**{f.name: value})
+                except ValueError:
+                    continue  # It does not stand alone; the plugin says so itself.
+
+
+def table(results: Sequence[Result]) -> str:
+    """The results as text: a line for each clause, and under a failure what shows it."""
+    width = max((len(result.clause) for result in results), default=0)
+    lines = []
+    for result in results:
+        lines.append(f"{result.clause:<{width}}  {result.outcome:<14}  {result.text}")
+        if result.outcome == "failed":
+            shown = [str(w) if not isinstance(w, bytes) else w.hex(" ") or "(no bytes)" for w in result.wires]
+            lines += [f"{'':<{width}}  {'':<14}    {item}" for item in [*shown, *map(repr, result.words)]]
+            lines.append(f"{'':<{width}}  {'':<14}    again with seed {result.seed}")
+    return "\n".join(lines)
+
+
+def _judge(clause: Clause, cases: Sequence[Case]) -> Result:
+    """The first failure in any case; else passed if it applies to one of them."""
+    reasons: list[str] = []
+    for case in cases:
+        verdict = _verdict(clause, case)
+        if isinstance(verdict, Failure):
+            text = f"{verdict.text} [{case.options}]" if case is not cases[0] else verdict.text
+            return Result(clause.name, "failed", text, case.seed, verdict.wires, verdict.words)
+        if isinstance(verdict, Inapplicable):
+            reasons.append(verdict.reason)
+    if len(reasons) == len(cases):
+        return Result(clause.name, "not applicable", reasons[0], cases[0].seed)
+    return Result(clause.name, "passed", clause.text, cases[0].seed)
+
+
+def _verdict(clause: Clause, case: Case) -> Verdict:
+    try:
+        return clause.check(case)
+    except Exception as error:  # noqa: BLE001 -- a third party's plugin may raise anything, anywhere
+        trace = error.__traceback__
+        while trace and trace.tb_next:
+            trace = trace.tb_next
+        where = f"{trace.tb_frame.f_code.co_qualname}, line {trace.tb_lineno}" if trace else "?"
+        return Failure(f"the plugin raises {type(error).__name__}: {error} ({where})")

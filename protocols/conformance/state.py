@@ -1,0 +1,116 @@
+"""State: the same inputs give the same outputs, and a copy made between any two calls goes on the same."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from protocols.conformance import rehearsal as play
+from protocols.conformance.case import Case, Failure, Verdict, difference
+from protocols.conformance.dice import Dice
+from protocols.conformance.rehearsal import NAMES, Rehearsal
+from protocols.plugin import Driver, Ear, Tally, Twin
+from protocols.wire import BusState, Wire
+from protocols.words import Command, Event, Nanos, Request, Torque
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def same_in_same_out(case: Case) -> Verdict:
+    """Two drivers, ears and twins fed the same say the same, in the same order."""
+    return _alike(case, case.start(), "the first", "the second")
+
+
+def copies_go_on(case: Case) -> Verdict:
+    """State can be copied and put in place of the original between any two calls."""
+    stage, dice = case.start(), Dice(case.seed)
+    stage.driver = _CopiedDriver(stage.driver, dice)
+    stage.ear = _CopiedEar(stage.ear, dice)
+    stage.twins = [_CopiedTwin(twin, dice) for twin in stage.twins]
+    try:
+        return _alike(case, stage, "the original", "the copy")
+    except _Uncopied as error:
+        return Failure(str(error))
+
+
+def _alike(case: Case, other: Rehearsal, this: str, that: str) -> Verdict:
+    """Play the same day on two stages, with a bus that comes and goes."""
+    one = case.start()
+    states = [BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP, BusState.OFF, BusState.BACK]
+    for at, words in enumerate(play.script(case.spec, NAMES)):
+        if at % 97 == 96:
+            for stage in (one, other):
+                stage.driver.bus(stage.now, states[at // 97 % len(states)])
+        left, right = one.step(words), other.step(words)
+        if left != right:
+            return difference(left, right, f"from {this}", f"from {that}")
+    if one.driver.tally != other.driver.tally:
+        return Failure(f"{one.driver.tally} of {this}, {other.driver.tally} of {that}")
+    return None
+
+
+class _Uncopied(Exception):
+    """A copy could not be made."""
+
+
+@dataclass(slots=True)
+class _Copied(Generic[T]):
+    """Before some calls, puts a copy in place of the original.
+
+    The original is called too, and its answer thrown away: if the two share any state, the copy's
+    answer is no longer what it should be."""
+
+    inner: T
+    dice: Dice
+
+    def call(self, method: Callable[[T], R]) -> R:
+        if self.dice.below(6) == 0:
+            original = self.inner
+            try:
+                self.inner = copy.deepcopy(original)
+            except Exception as error:
+                said = f"{type(error).__name__}: {error}"
+                raise _Uncopied(f"{type(original).__name__} cannot be copied: {said}") from error
+            method(original)
+        return method(self.inner)
+
+
+class _CopiedDriver(_Copied[Driver]):
+    @property
+    def tally(self) -> Tally:
+        return self.inner.tally
+
+    @tally.setter
+    def tally(self, tally: Tally) -> None:
+        self.inner.tally = tally
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        return self.call(lambda driver: driver.receive(t, wire))
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        self.call(lambda driver: driver.bus(t, state))
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+        return self.call(lambda driver: driver.send(now, words))
+
+    def due(self) -> Nanos | None:
+        return self.inner.due()
+
+
+class _CopiedEar(_Copied[Ear]):
+    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+        return self.call(lambda ear: ear.hear(t, wire))
+
+
+class _CopiedTwin(_Copied[Twin]):
+    def receive(self, t: Nanos, wire: Wire) -> None:
+        self.call(lambda twin: twin.receive(t, wire))
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+        return self.call(lambda twin: twin.step(now, truth))
+
+    def due(self) -> Nanos | None:
+        return self.inner.due()

@@ -1,0 +1,221 @@
+"""Words survive the wire: commands downwards, measurements upwards, within the declared resolution.
+
+Rules. Samples lie densely around the limits of each number and sparsely between; the simplest come
+first, so that the first that fails is short. Alpha and beta are always told different numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+from protocols.conformance import rehearsal as play
+from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
+from protocols.conformance.dice import Dice
+from protocols.conformance.rehearsal import NAMES, STEP, Rehearsal
+from protocols.plugin import Range, Spec
+from protocols.wire import Wire
+from protocols.words import (
+    Command,
+    Event,
+    Feedback,
+    Fix,
+    Hold,
+    Idle,
+    Imu,
+    LaserScan,
+    Nanos,
+    Position,
+    Request,
+    Word,
+)
+
+
+def commands_survive(case: Case) -> Verdict:
+    """Every command, dense around the limits of each of its numbers, is heard as it was said."""
+    spec, dice = case.spec, case.dice()
+    if not spec.commands:
+        return Inapplicable("the spec lists no commands")
+    for kind in by_name(spec.commands):
+        if kind is Idle:
+            continue
+        samples = [(kind, values) for values in _samples(kind, spec.ranges, dice)]
+        failure = _all_heard(case, spec, samples)
+        if failure:
+            return failure
+    return _idle_heard(case, spec)
+
+
+def _all_heard(
+    case: Case, spec: Spec, samples: list[tuple[type[Command], dict[str, float]]]
+) -> Failure | None:
+    stage = None
+    for at, (kind, values) in enumerate(samples):
+        # Beta is told the next sample: the two must not be mixed up.
+        other = samples[(at + 1) % len(samples)][1]
+        commands = [play.build(kind, NAMES[0], values), play.build(kind, NAMES[1], other)]
+        if stage and not _heard(stage, spec, commands):
+            continue
+        # A device may have gone into fault over the last sample: once more, on a fresh one.
+        stage = _armed(case, play.gentle(kind, spec.ranges))
+        if stage is None:
+            return Failure(f"{kind.__name__} does not arm in {play.ARMING} ms")
+        failure = _heard(stage, spec, commands)
+        if failure:
+            return failure
+    return None
+
+
+def _armed(case: Case, make: Callable[[str], Command]) -> Rehearsal | None:
+    """Alpha and beta, armed, with shafts that stand still."""
+    stage = case.start()
+    for shaft in stage.shafts.values():
+        shaft.locked = True
+    return stage if stage.arm(make) else None
+
+
+def _heard(stage: Rehearsal, spec: Spec, commands: Sequence[Command]) -> Failure | None:
+    """None if the ear hears each command within 30 steps, else what it heard."""
+    missing, wires, heard = list(commands), list[Wire](), list[Word]()
+    for _ in range(30):
+        said = stage.step(commands)
+        missing = [w for w in missing if not any(_obeyed(stage, spec, w, h) for h in said.heard)]
+        if not missing:
+            return None
+        wires += [w for w in said.down if w not in wires]
+        heard += [w for w in said.heard if w not in heard]
+    told = ", ".join(map(str, heard[-3:])) or "nothing"
+    return Failure(f"said {missing[0]}, heard {told}", tuple(wires[-4:]), (missing[0], *heard[-3:]))
+
+
+def _obeyed(stage: Rehearsal, spec: Spec, said: Command, heard: Command | Request) -> bool:
+    if isinstance(said, Hold) and isinstance(heard, Position) and heard.motor == said.motor:
+        # Many devices have no word for Hold: the driver then says where the shaft was measured to be.
+        measured = spec.ranges.get("Feedback.position", Range(0.0, 0.0, 0.0))
+        bounds = spec.ranges.get("Position.position", measured)
+        both = replace(bounds, resolution=bounds.resolution + measured.resolution)
+        return play.close(stage.shafts[said.motor].position, heard.position, both)
+    return play.same(said, heard, spec.ranges)
+
+
+def _idle_heard(case: Case, spec: Spec) -> Failure | None:
+    kind = next((kind for kind in by_name(spec.commands) if kind is not Idle), None)
+    if Idle not in spec.commands or kind is None:
+        return None
+    stage = _armed(case, play.gentle(kind, spec.ranges))
+    return _heard(stage, spec, [Idle(name) for name in NAMES]) if stage else None
+
+
+def _samples(kind: type[Word], ranges: dict[str, Range], dice: Dice) -> Iterator[dict[str, float]]:
+    """Values for the numbers of a word: one at a time dense around its limits, then all at random."""
+    named = play.numbers(kind, ranges)
+    rest = {name: play.nearest(ranges[key], 0.0) for name, key in named}
+    yield rest
+    for name, key in named:
+        for value in _dense(ranges[key], dice):
+            yield {**rest, name: value}
+    for _ in range(10 if named else 0):
+        yield {name: _anywhere(ranges[key], dice) for name, key in named}
+
+
+def _dense(bounds: Range, dice: Dice) -> list[float]:
+    """Numbers in a range, the simplest first: round ones, both limits and what lies next to them, any."""
+    low, high, fine = bounds.low, bounds.high, bounds.resolution
+    values = [1.0, -1.0, 0.5, 0.1, -0.1, low, high, math.nextafter(low, high), math.nextafter(high, low)]
+    values += [low + fine, high - fine, low + 3 * fine, high - 3 * fine, 0.5 * (low + high)]
+    values += [fine, -fine, 0.5 * fine, 1.5 * fine, 1e-3, -1e-3, 1e-9, 1.0 / 3.0]
+    values += [0.999 * low, 0.999 * high, 0.126, 0.128, -0.129, 32.767, 32.769]
+    values += [_anywhere(bounds, dice) for _ in range(6)]
+    return list(dict.fromkeys(value for value in values if low <= value <= high))
+
+
+def _anywhere(bounds: Range, dice: Dice) -> float:
+    """A number in a range, small ones as likely as large ones."""
+    size = max(abs(bounds.low), abs(bounds.high))
+    value = size * 10.0 ** dice.uniform(-9.0, 0.0) * dice.choice((-1.0, 1.0))
+    return play.nearest(bounds, value)
+
+
+def measurements_survive(case: Case) -> Verdict:
+    """What the world shows to a device comes up as it was shown, from the right device, not from later."""
+    spec, dice = case.spec, case.dice()
+    if spec.kind == "sensor":
+        return _sights_survive(case, spec, dice)
+    if not {"Feedback.position", "Feedback.velocity"} & set(spec.ranges):
+        return Inapplicable("the spec has no range for position or velocity: the device measures neither")
+    for name in ("position", "velocity"):
+        bounds = spec.ranges.get(f"Feedback.{name}")
+        values = _dense(bounds, dice) if bounds else []
+        for at, value in enumerate(values):
+            failure = _told(case, spec, name, (value, values[(at + 1) % len(values)]))
+            if failure:
+                return failure
+    return None
+
+
+def _told(case: Case, spec: Spec, name: str, values: tuple[float, float]) -> Failure | None:
+    """None if both motors tell this position or velocity within ten periods (and half a second)."""
+    stage = case.start()
+    bounds = spec.ranges[f"Feedback.{name}"]
+    count = 500 + 10 * (spec.feedback_period // STEP)
+    for motor, value in zip(NAMES, values, strict=True):
+        shaft = stage.shafts[motor]
+        shaft.locked = True
+        shaft.position = value if name == "position" else 0.0
+        shaft.velocity = value if name == "velocity" else 0.0
+    missing, wires, heard = dict(zip(NAMES, values, strict=True)), list[Wire](), list[Feedback]()
+    for _ in range(count):
+        said = stage.step()
+        wires += said.up
+        for event in said.events:
+            if not isinstance(event, Feedback):
+                continue
+            if not said.now - count * STEP <= event.t <= said.now:
+                return Failure(f"measured at {event.t}, told at {said.now}", said.up, (event,))
+            heard.append(event)
+            number = getattr(event, name)
+            wanted = missing.get(event.motor)
+            if wanted is not None and number is not None and play.close(wanted, number, bounds):
+                del missing[event.motor]
+        if not missing:
+            return None
+    motor, value = next(iter(missing.items()))
+    last = tuple(event for event in heard if event.motor == motor and getattr(event, name) is not None)[-1:]
+    told = getattr(last[0], name) if last else "nothing"
+    return Failure(f"{name} of {motor} is {value!r}, told {told!r}", tuple(wires[-4:]), last)
+
+
+def _sights_survive(case: Case, spec: Spec, dice: Dice) -> Verdict:
+    kinds = [kind for kind in (Imu, LaserScan, Fix) if play.numbers(kind, spec.ranges)]
+    if not kinds:
+        return Inapplicable("the spec has no range for any measurement")
+    stage = case.start()
+    for kind in kinds:
+        for values in _samples(kind, spec.ranges, dice):
+            shown = [_sight(kind, name, stage.now + STEP, values) for name in NAMES]
+            step = stage.step(truth=shown)
+            events = (*step.events, *stage.step().events)
+            for word in shown:
+                if not any(_seen(word, event, spec, step.now) for event in events):
+                    told = tuple(event for event in events if type(event) is kind)[-1:]
+                    return Failure(f"shown {word}, told {told or 'nothing'}", step.up[-2:], (word, *told))
+    return None
+
+
+def _sight(kind: type[Imu | LaserScan | Fix], sensor: str, t: Nanos, values: dict[str, float]) -> Event:
+    get = values.get
+    if kind is Imu:
+        rate, push = get("angular_velocity", 0.0), get("linear_acceleration", 0.0)
+        turned = get("orientation")
+        still = None if turned is None else (turned, 0.0, 0.0, turned)
+        return Imu(sensor, t, (rate, 0.0, -rate), (0.0, push, push), still)
+    if kind is LaserScan:
+        near = get("ranges", 0.0)
+        parts = [get(n, 0.0) for n in ("angle_min", "angle_increment", "range_min", "range_max")]
+        return LaserScan(sensor, t, parts[0], parts[1], parts[2], parts[3], (near, 0.5 * near, near))
+    return Fix(sensor, t, get("latitude", 0.0), get("longitude", 0.0), get("altitude"), get("variance"))
+
+
+def _seen(shown: Event, told: Event, spec: Spec, now: Nanos) -> bool:
+    return play.same(shown, told, spec.ranges) and now - 1000 * STEP <= told.t <= now + STEP
