@@ -121,7 +121,7 @@ class Watcher:
     """Looks over the shoulder of a session with twins: samples, arrivals, contacts."""
 
     def __init__(self, session: Session) -> None:
-        if session.twins is None or session.twins.world is None:
+        if session.twins is None:
             raise ValueError("only a world knows the true pose")
         self._session = session
         self._world = session.twins.world
@@ -143,6 +143,13 @@ class Watcher:
         arrival = Arrival(x, y, now, hypot(true.x - x, true.y - y))
         self.log.arrivals.append(arrival)
         return arrival
+
+    def outlines(self) -> list[list[tuple[float, float]]]:
+        """The true walls and boxes, as polygons [m] in the frame "odom"."""
+        flat = [
+            [relative(Pose(x, y, 0.0), self.log.start) for x, y in wall] for wall in self._world.outlines()
+        ]
+        return [[(corner.x, corner.y) for corner in wall] for wall in flat]
 
     def _sample(self, now: Nanos) -> None:
         log, gateway = self.log, self._session.gateway

@@ -16,7 +16,7 @@ from brain.belief import Belief
 from brain.brain import Brain
 from gateway.joint import Joint
 from gateway.tick import Inputs, Note, Outputs
-from protocols.plugin import Device, Driver, Plugin
+from protocols.plugin import Device, Driver, Ear, Plugin, Tally
 from protocols.wire import BusState, Packet, Wire
 from protocols.words import (
     COMMANDS,
@@ -114,13 +114,19 @@ class Gateway:
 
     def why_stopped(self) -> str:
         """Why the whole robot must not move; "" if it may."""
-        if self.stopped:
-            return self.stopped
+        return self.stopped or self.in_fault()
+
+    def in_fault(self) -> str:
+        """The first fault that stops the whole robot, with its joint; "" if there is none."""
         for name, joint in self.joints.items():
             if joint.faults and joint.settings.on_fault == "stop":
                 fault = next(iter(joint.faults.values()))
                 return f"{name}: {fault.name}"
         return ""
+
+    def tallies(self) -> list[tuple[str, Tally]]:
+        """What each driver has counted, with its bus."""
+        return [(bus, driver.tally) for bus, _, driver in self._drivers]
 
     # -- in -----------------------------------------------------------------------------------
 
@@ -252,6 +258,22 @@ class Gateway:
     def _out(self, now: Nanos, bus: str, wires: Sequence[Wire]) -> Iterable[Packet]:
         """The one place through which everything passes on its way to a wire: a guard stands here."""
         return [Packet(now, bus, wire) for wire in wires]
+
+
+class _Ears:
+    """The ears of all languages of a bus as one."""
+
+    def __init__(self, ears: Sequence[Ear]) -> None:
+        self._ears = ears
+
+    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+        """What any device on the bus would obey."""
+        return [word for ear in self._ears for word in ear.hear(t, wire)]
+
+
+def ear_of(robot: Robot, bus: str) -> Ear:
+    """What the devices on a bus would obey."""
+    return _Ears([plugin.ear(devices) for plugin, devices in _by_plugin(robot, bus)])
 
 
 def _is_for(request: Request, bus: str, motors: frozenset[str]) -> bool:

@@ -15,7 +15,7 @@ import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TypeAlias
 
 from brain.belief import Belief
 from gateway.buses import Bus
@@ -33,12 +33,8 @@ LEAST_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but not more often than this."""
 
 
-class Recording(Protocol):
-    """Where ticks go."""
-
-    def record(self, tick: Tick, belief: Belief) -> None:
-        """Keep a tick. Never raises, never waits for the disk."""
-        ...
+Keep: TypeAlias = Callable[[Tick, Belief], None]
+"""Where ticks go. Never raises, and never waits for a disk in real time."""
 
 
 @dataclass(slots=True)
@@ -68,7 +64,7 @@ def live(
     clock: Clock,
     *,
     ask: Callable[[], Sequence[Asked]] = no_questions,
-    recording: Recording | None = None,
+    keep: Keep | None = None,
     until: Nanos | None = None,
     account: Account | None = None,
     dry: bool = False,
@@ -88,8 +84,8 @@ def live(
             _write(buses, now, outputs.packets)
         made = Tick(number, now, inputs, outputs)
         number += 1
-        if recording is not None:
-            recording.record(made, gateway.belief())
+        if keep is not None:
+            keep(made, gateway.belief())
         _tell(outputs.notes)
         _count(account, made, clock.now() - now)
         return made

@@ -13,13 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from brain.belief import Belief
 from gateway import run
-from gateway.clock import Clock, SimulatedClock
+from gateway.clock import Clock, SimulatedClock, date
 from gateway.config import cautions
 from gateway.gateway import Gateway
 from gateway.robot import TWIN, Robot
 from gateway.tick import Tick
-from protocols.words import Asked, Nanos
+from protocols.words import Asked, Goal, Nanos
 
 if TYPE_CHECKING:
     from gateway.buses import Bus
@@ -43,6 +44,14 @@ class Session:
     leaving: str = ""
     """Why the run is to end before its time: a signal, or an operator's quit."""
 
+    def tour(self) -> list[Goal]:
+        """The goals of the world's own tour; none where there is no world."""
+        return [Goal(x, y) for x, y in self.twins.world.tour] if self.twins is not None else []
+
+    def _keep(self, tick: Tick, belief: Belief) -> None:
+        if self.recorder is not None:
+            self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
+
     def ticks(
         self,
         until: Nanos | None = None,
@@ -56,7 +65,7 @@ class Session:
             self.buses,
             self.clock,
             ask=ask,
-            recording=self.recorder,
+            keep=self._keep,
             until=until,
             account=self.account,
             dry=dry,
@@ -78,9 +87,10 @@ def session(
         buses, twins = _open_buses(robot, clock, seed, stack)
         recorder = None
         if record is not None:
-            from gateway.recording import Recorder, facts
+            from gateway.recording import Recorder
 
-            recorder = Recorder(record, robot.text, facts(), patient=isinstance(clock, SimulatedClock))
+            mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
+            recorder = Recorder(record, robot.text, {"date": date()}, mounts)
             stack.callback(recorder.close)
         gateway = Gateway(robot)
         for caution in cautions(robot):

@@ -231,6 +231,8 @@ class SceneFile:
     imus: dict[str, InertialUnit] = field(default_factory=dict)
     walls: dict[str, Wall] = field(default_factory=dict)
     boxes: dict[str, Box] = field(default_factory=dict)
+    tour: tuple[tuple[float, float], ...] = ()
+    """m, goals for a demo, relative to where the robot starts"""
 
 
 WorldFile: TypeAlias = SceneFile | BenchFile

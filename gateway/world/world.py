@@ -134,6 +134,11 @@ class World:
         """How often walls and boxes (on a bench: hard stops) were touched so far."""
         return self._plant.touches
 
+    @property
+    def tour(self) -> tuple[tuple[float, float], ...]:
+        """m, goals for a demo, relative to where the robot starts."""
+        return () if isinstance(self.file, BenchFile) else self.file.tour
+
     def outlines(self) -> list[Polygon]:
         """Walls and boxes seen from above, as polygons [m] in the world's frame."""
         return [] if isinstance(self.file, BenchFile) else outlines(self.file)

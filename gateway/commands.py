@@ -1,0 +1,327 @@
+"""What each word of the command line does. Imports what is heavy only where it is used.
+
+Each command returns its exit status (see `gateway.__main__`), and raises `Sentence` for whatever a person
+got wrong before anything moved.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocols.words import MILLISECOND, SECOND, Asked, Goal, Nanos
+
+if TYPE_CHECKING:
+    from gateway.demo import Figures, Watcher
+    from gateway.operator import Operator
+    from gateway.robot import Robot
+    from gateway.session import Session
+
+PATIENCE: Nanos = 240 * SECOND
+"""How long the demo waits for one goal, in the robot's time."""
+
+
+class Sentence(Exception):
+    """Something a person can mend, in words."""
+
+
+@contextmanager
+def _sentences() -> Iterator[None]:
+    """Our own complaints about files, buses and recordings become a sentence; anything else is our mistake."""
+    from gateway.buses import BusError
+    from gateway.mistakes import ConfigError
+    from gateway.recording import RecordingError
+    from gateway.shipped import NotFound
+
+    try:
+        yield
+    except (ConfigError, BusError, RecordingError, NotFound) as error:
+        text = str(error)
+        raise Sentence(f"\n{text}" if "\n" in text else text) from error
+
+
+def _read_robot(name: str, interfaces: Sequence[tuple[str, str]] = ()) -> Robot:
+    from gateway import config, shipped
+
+    return config.with_interfaces(config.load(shipped.find("robots", name)), dict(interfaces))
+
+
+def demo(options: Namespace) -> int:
+    """Drive a tour through the robot's world; figures, recording and picture."""
+    from gateway.clock import SimulatedClock, WallClock, stopwatch
+    from gateway.demo import Watcher, figures
+    from gateway.session import session
+
+    with _sentences():
+        robot = _read_robot(options.robot)
+        _make_folder(options.out)
+        recording = options.out / "demo.mcap"
+        clock = SimulatedClock() if options.fast else WallClock()
+        with session(robot, clock, record=recording, seed=options.seed) as made:
+            tour = [Goal(*goal) for goal in options.goal or ()] or made.tour()
+            if not tour:
+                raise Sentence(f"the world of {robot.name!r} has no tour: say where to go with --goal X,Y")
+            watcher = Watcher(made)
+            began = stopwatch()
+            _drive_tour(made, watcher, tour)
+            took = stopwatch() - began
+            outlines = watcher.outlines()
+        verdict = figures(watcher.log, len(tour))
+        _print_figures(made, verdict, took)
+        picture = options.out / "demo.png"
+        from gateway.picture import draw
+
+        draw(watcher.log, verdict, outlines, picture)
+    _print_recording(made)
+    print(f"picture: {picture}\nreplay it: gateway replay {recording}")
+    return 0 if verdict.reached else 1
+
+
+def _drive_tour(made: Session, watcher: Watcher, tour: Sequence[Goal]) -> None:
+    """One goal after the other, each judged by the true pose when the brain says that it is there."""
+    from gateway.clock import stopwatch
+    from gateway.demo import progress
+
+    asked = 0
+    since: Nanos = 0
+    shown = stopwatch()
+
+    def ask() -> Sequence[Asked]:
+        nonlocal asked, since
+        if asked < len(tour) and len(watcher.log.arrivals) == asked:
+            asked += 1
+            since = made.clock.now()
+            return (tour[asked - 1],)
+        return ()
+
+    with closing(made.ticks(ask=ask)) as ticks:
+        for tick in ticks:
+            watcher.watch(tick)
+            if made.gateway.belief().reached > len(watcher.log.arrivals):
+                goal = tour[len(watcher.log.arrivals)]
+                watcher.arrived(tick.now, goal.x, goal.y)
+            if stopwatch() - shown > SECOND:
+                shown = stopwatch()
+                print(progress(made, tick.now, len(tour)), flush=True)
+            if len(watcher.log.arrivals) == len(tour):
+                break
+            if tick.now - since > PATIENCE or made.gateway.why_stopped():
+                why = made.gateway.why_stopped() or f"not there after {PATIENCE / SECOND:.0f} s"
+                print(f"goal {asked} is given up: {why}", file=sys.stderr)
+                break
+
+
+def _print_figures(made: Session, verdict: Figures, took: Nanos) -> None:
+    print("\n".join(verdict.lines()))
+    account = made.account
+    print(
+        f"{account.ticks} ticks in {took / SECOND:.1f} s: {verdict.seconds * SECOND / took:.1f} times real time"
+    )
+    if account.missed:
+        print(f"ticks missed: {account.missed}")
+    print(f"memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB at the most")
+
+
+def _print_recording(made: Session) -> None:
+    recorder = made.recorder
+    if recorder is None:
+        return
+    size = recorder.path.stat().st_size / 1e6 if recorder.path.exists() else 0.0
+    print(f"recording: {recorder.path} ({size:.1f} MB)")
+    if recorder.trouble:
+        print(f"recording: {recorder.trouble} ({recorder.lost} ticks lost)", file=sys.stderr)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise Sentence(f"--out {folder}: {error.strerror}") from error
+
+
+def run(options: Namespace) -> int:
+    """Run a robot on its buses until it is told to leave."""
+    from gateway.clock import SimulatedClock, WallClock
+    from gateway.operator import Operator
+    from gateway.robot import TWIN
+    from gateway.run import real_time
+    from gateway.session import session
+
+    with _sentences():
+        robot = _read_robot(options.robot, options.bus)
+        real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
+        if options.fast and real:
+            raise Sentence(
+                f"--fast needs a world: {', '.join(real)} is on a real interface; leave out --fast"
+            )
+        if options.record is not None and options.record.exists():
+            raise Sentence(f"--record {options.record}: there is such a file already; it is not overwritten")
+        if options.realtime is not None and (refused := real_time(options.realtime)):
+            print(refused, file=sys.stderr)
+        clock = SimulatedClock() if options.fast else WallClock()
+        with (
+            session(robot, clock, record=options.record, seed=options.seed) as made,
+            Operator(robot) as operator,
+        ):
+            goals = [Goal(*goal) for goal in options.goal]
+            until = None if options.seconds is None else round(options.seconds * SECOND)
+            status = _run_loop(made, operator, goals, until, options)
+    _print_recording(made)
+    return status
+
+
+def _run_loop(
+    made: Session, operator: Operator, goals: list[Goal], until: Nanos | None, options: Namespace
+) -> int:
+    """The loop of `run`: what a person asks goes in, what the robot says comes out."""
+    print(
+        f"{made.robot.name} runs; say help, here or with: gateway ask {operator.path.stem} help", flush=True
+    )
+    waiting: list[Asked] = list(goals)
+
+    def status() -> str:
+        return status_text(made)
+
+    def ask() -> Sequence[Asked]:
+        asked = [*waiting, *operator.poll(status)]
+        waiting.clear()
+        if operator.leaving and not made.leaving:
+            made.leaving = "an operator said quit"
+        return asked
+
+    faults = ""
+    with closing(made.ticks(until, ask, dry=options.dry_run)) as ticks:
+        for tick in ticks:
+            for note in tick.outputs.notes:
+                operator.tell(f"{note.about}: {note.text}")
+            faults = made.gateway.in_fault()
+            if options.fast and until is None and _all_done(made, len(goals)):
+                break
+    account = made.account
+    print(f"{account.ticks} ticks, {account.received} packets in, {account.sent} out", end="")
+    print(f", {account.missed} ticks missed, longest step {account.longest_step / MILLISECOND:.1f} ms")
+    if faults:
+        print(f"left in fault: {faults}", file=sys.stderr)
+    return 1 if faults or made.gateway.belief().reached < len(goals) else 0
+
+
+def _all_done(made: Session, goals: int) -> bool:
+    """In simulated time a run without an end ends when there is nothing left to do."""
+    return bool(made.gateway.why_stopped()) or made.gateway.belief().reached >= goals
+
+
+def status_text(made: Session) -> str:
+    """What the robot does, and why: for a person who asks."""
+    gateway, now = made.gateway, made.clock.now()
+    belief = gateway.belief()
+    lines = [f"{made.robot.name}: {belief.state}{f' ({belief.reason})' if belief.reason else ''}"]
+    if gateway.why_stopped():
+        lines.append(f"stopped: {gateway.why_stopped()}")
+    if belief.estimate is not None:
+        pose = belief.estimate.pose
+        lines.append(f"pose: {pose.x:.3f} m, {pose.y:.3f} m, {degrees(pose.yaw):.1f} degrees")
+    if belief.goal is not None:
+        lines.append(f"goal: {belief.goal.x:g}, {belief.goal.y:g} m ({belief.reached} reached so far)")
+    for name, joint in gateway.joints.items():
+        told, age = joint.feedback, joint.age(now)
+        heard = "never heard" if age is None else f"heard {age / MILLISECOND:.0f} ms ago"
+        parts = [
+            f"{label} {value:.3f} {unit}"
+            for label, value, unit in (
+                ("at", told.position, "rad"),
+                ("turns", told.velocity, "rad/s"),
+                ("gives", told.torque, "N·m"),
+                ("supply", told.voltage, "V"),
+                ("temperature", told.temperature, "degrees C"),
+            )
+            if value is not None
+        ]
+        lines.append(f"{name}: {joint.mode}, {heard}{''.join(', ' + part for part in parts)}")
+        lines += [f"  fault: {fault.name}; {fault.cure}" for fault in joint.faults.values()]
+    for name, driver in gateway.tallies():
+        lines.append(f"{name}: {driver.heard} messages heard, {driver.bad} bad, {driver.foreign} foreign")
+    lines.append(f"ticks: {made.account.ticks}, {made.account.missed} missed")
+    return "\n".join(lines)
+
+
+def replay(options: Namespace) -> int:
+    """Run a recording's inputs through the code of today, and compare every byte."""
+    from gateway import config, machine, shipped
+    from gateway.clock import stopwatch
+    from gateway.gateway import Gateway, ear_of
+    from gateway.judge import compare
+    from gateway.recording import read
+
+    with _sentences():
+        recording = read(options.file)
+        if options.robot is None:
+            robot = config.loads(recording.robot_text, f"{options.file}: robot.toml")
+        else:
+            robot = config.load(shipped.find("robots", options.robot))
+        gateway = Gateway(robot)
+    began = stopwatch()
+    verdict = compare(
+        recording,
+        gateway.step,
+        gateway.belief,
+        lambda bus: ear_of(robot, bus),
+        robot_text=robot.text,
+        facts=machine.facts(),
+        mounts={name: sensor.mount for name, sensor in robot.sensors.items()},
+        buses=robot.buses,
+    )
+    print(verdict.text())
+    print(f"replayed in {(stopwatch() - began) / SECOND:.1f} s")
+    return 0 if verdict.ok else 1
+
+
+def check(options: Namespace) -> int:
+    """Read a robot file; every mistake in it, or what was understood."""
+    from gateway.config import describe
+
+    with _sentences():
+        print(describe(_read_robot(options.robot)))
+    return 0
+
+
+def protocols(options: Namespace) -> int:
+    """The installed device languages; or the contract over one of them."""
+    from protocols.conformance import check as conform
+    from protocols.conformance import table
+    from protocols.plugin import UnknownProtocol, load, load_all
+
+    if options.check:
+        if options.check[0] != "check" or len(options.check) != 2:
+            raise Sentence("say `gateway protocols`, or `gateway protocols check NAME`")
+        try:
+            results = conform(load(options.check[1]))
+        except UnknownProtocol as error:
+            raise Sentence(str(error)) from error
+        print(table(results))
+        return 1 if any(result.failed for result in results) else 0
+    plugins, broken = load_all()
+    for plugin in plugins:
+        print(f"{plugin.name}: {plugin.title}\n    trust: {plugin.trust}")
+    for bad in broken:
+        print(f"{bad.name}: left out: {bad.distribution} is broken: {bad.reason}", file=sys.stderr)
+    return 1 if broken else 0
+
+
+def ask(options: Namespace) -> int:
+    """Say a line to a robot that runs, and print its answer."""
+    from gateway.operator import OperatorError, socket_path
+    from gateway.operator import ask as say
+
+    name = options.robot
+    path = Path(name) if name.endswith(".sock") else socket_path(Path(name).stem)
+    try:
+        print(say(path, " ".join(options.line)))
+    except OperatorError as error:
+        raise Sentence(str(error)) from error
+    return 0
