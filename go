@@ -227,7 +227,7 @@ def install(uv: Optional[str], python: Optional[str]) -> None:
         try:
             install_with_uv(uv, python)
         except Missing as missing:
-            say("%s; trying pip: %s" % (missing, " ".join(missing.tail[-1:])))
+            say("\n    ".join(["%s; trying pip" % missing, *missing.tail]))
         else:
             return
     install_with_pip(python)
