@@ -86,6 +86,8 @@ class Grid:
         """How many hits each cell's mean is made of, up to FIRST."""
         self.means = np.zeros((self.rows * self.columns, 2))
         """Each cell's mean of its first hits [m]; of no meaning where `hits` is 0."""
+        self.facing = np.zeros((self.rows * self.columns, 2))
+        """The mean of the unit vectors from those hits to the lidar: from which side it was seen."""
         self._view: MapView | None = None
         self._blocked: dict[float, Bools] = {}
         self._blocked_version = 0
@@ -182,7 +184,7 @@ class Grid:
         self._fall(np.flatnonzero(passed & ~hit))
         self._rise(np.flatnonzero(hit))
         self._fill(origin[0], pose.yaw, sweep, ends)
-        self._average(self._flat(stops[hit_beams]), ends[hit_beams])
+        self._average(self._flat(stops[hit_beams]), ends[hit_beams], origin[0])
         self.version += 1
 
     def _fall(self, cells: Indices) -> None:
@@ -240,24 +242,32 @@ class Grid:
         )
         self.log_odds[rows[seen], columns[seen]] = -np.float32(self.settings.miss)
 
-    def _average(self, cells: Indices, points: Floats) -> None:
+    def _average(self, cells: Indices, points: Floats, origin: Floats) -> None:
         """Take hits into the means of those cells that are occupied and have too few."""
         wanted = (self.hits[cells] < FIRST) & (self.log_odds.reshape(-1)[cells] > 0.0)
         cells, points = cells[wanted], points[wanted]
         touched, which = np.unique(cells, return_inverse=True)
-        new = np.bincount(which, minlength=len(touched))
         before = self.hits[touched]
-        for axis in (0, 1):
-            total = self.means[touched, axis] * before
-            total = total + np.bincount(which, weights=points[:, axis], minlength=len(touched))
-            self.means[touched, axis] = total / (before + new)
-        self.hits[touched] = before + new
+        after = before + np.bincount(which, minlength=len(touched))
+        towards = unit(origin - points)
+        for means, values in ((self.means, points), (self.facing, towards)):
+            for axis in (0, 1):
+                new = np.bincount(which, weights=values[:, axis], minlength=len(touched))
+                means[touched, axis] = (means[touched, axis] * before + new) / after
+        self.hits[touched] = after
 
 
 FIRST = 10
 """How many hits make a cell's mean: the first, from when the pose was best known."""
 KNOWN = np.float32(-1e-3)
 """What a cell is set to whose hits and misses happen to cancel: known, and free by a hair."""
+
+
+def unit(vectors: Floats) -> Floats:
+    """Vectors (n × 2) of length 1; those of length 0 stay."""
+    lengths = np.sqrt(np.sum(vectors * vectors, axis=1))
+    units: Floats = vectors / np.maximum(lengths, 1e-12)[:, None]
+    return units
 
 
 def _reach(dx: Floats, dy: Floats, yaw: float, sweep: Sweep) -> Floats:

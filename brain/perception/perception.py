@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from brain.belief import Estimate, Pose
+from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, arc
 from brain.perception.ekf import (
     BIAS,
@@ -122,9 +122,8 @@ class Perception:
         if ekf.t is None or self._moved_at is None:
             return None
         x = ekf.state
-        pose = Pose(float(x[X]), float(x[Y]), float(x[YAW]))
         linear = float((1.0 - x[SLIP]) * x[V])
-        return Estimate(ekf.t, pose, linear, float(x[W]), ekf.covariance[POSE, POSE].copy())
+        return Estimate(ekf.t, _pose(x), linear, float(x[W]), ekf.covariance[POSE, POSE].copy())
 
     @property
     def gyro_bias(self) -> float:
@@ -233,33 +232,25 @@ class Perception:
                 self._note(scan.sensor, "no estimate for its time")
 
     def _take_scan(self, scan: LaserScan) -> None:
-        seen = sweep(scan, self._mounts[scan.sensor], self.settings.grid.farthest)
-        pose = self._pose_at(scan.t)
-        if pose is None:
+        known = self._ekf.at(scan.t)
+        if known is None:
             self._note(scan.sensor, Verdict.LATE)
             return
-        found = match(self.map, seen, pose, self.settings.match) if self.settings.matching else None
+        seen = sweep(scan, self._mounts[scan.sensor], self.settings.grid.farthest)
+        pose, sigma = _pose(known[0]), math.sqrt(max(known[1][X, X], known[1][Y, Y]))
+        found = match(self.map, seen, pose, self.settings.match, sigma) if self.settings.matching else None
         if found is not None:
             if self._take(located(scan.sensor, scan.t, found.pose, found.noise)) is Verdict.REFUSED:
                 return
-            pose = self._pose_at(scan.t) or found.pose
-        self.map.add(pose, seen)
-
-    def _pose_at(self, t: Nanos) -> Pose | None:
-        known = self._ekf.at(t)
-        if known is None:
-            return None
-        x = known[0]
-        return Pose(float(x[X]), float(x[Y]), float(x[YAW]))
+            known = self._ekf.at(scan.t) or known
+        self.map.add(_pose(known[0]), seen)
 
     def _note(self, name: str, reason: str) -> None:
         reasons = self.ledger[name]
         reasons[str(reason)] = reasons.get(str(reason), 0) + 1
 
 
-def wheel_noise(
-    body: Differential, travel: Travel, resolution: float, settings: WheelSettings
-) -> np.typing.NDArray[np.float64]:
+def wheel_noise(body: Differential, travel: Travel, resolution: float, settings: WheelSettings) -> Floats:
     """Covariance (2 × 2) of the treads' speed and the base's rate of turn over one travel.
 
     Each end of each wheel's way is rounded to a count (variance resolution² / 12) and stamped with
@@ -277,6 +268,10 @@ def wheel_noise(
     cross = (right - left) / (2.0 * body.wheel_separation)
     angular = (left + right + slips) / body.wheel_separation**2
     return np.array([[linear, cross], [cross, angular]]) / dt**2
+
+
+def _pose(state: Floats) -> Pose:
+    return Pose(float(state[X]), float(state[Y]), float(state[YAW]))
 
 
 def _sound(scan: LaserScan) -> bool:

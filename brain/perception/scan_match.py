@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
-from brain.perception.grid import Grid
+from brain.perception.grid import Grid, unit
 from brain.perception.mount import Sweep, place
 
 
@@ -32,19 +32,23 @@ class MatchSettings:
     """How many hits of a scan are looked at, at most, evenly chosen"""
     steps: int = 6
     """Gauss-Newton steps, at most"""
-    reach: int = 2
-    """Cells to each side in which the map's line is looked for"""
+    reach: float = 0.15
+    """m to each side in which the map's line is looked for, where the guess is good"""
+    widest: float = 0.4
+    """m: the same, at most, where the guess is poor"""
     sigma: float = 0.03
     """m: how far hits lie from the map's lines where all is well (lidar, rounding, corners)"""
-    straight: float = 0.1
+    straight: float = 0.15
     """The cells about a point are a line if their spread across it is less than this part of that along"""
     least: int = 20
     """Points that must lie on lines"""
     overlap: float = 0.4
     """Share of the points looked at that must lie on lines"""
-    floor: float = 0.01
+    hold: float = 0.02
+    """Share of the points that must hold the scan in a direction for it to be known in that direction"""
+    floor: float = 0.015
     """m: no match is believed to be better than this (the map itself is no better)"""
-    floor_yaw: float = 0.004
+    floor_yaw: float = 0.006
     """rad"""
 
     def __post_init__(self) -> None:
@@ -78,41 +82,57 @@ class _Lines:
     found: npt.NDArray[np.bool_]
 
 
-def match(grid: Grid, sweep: Sweep, guess: Pose, settings: MatchSettings) -> Match | None:
-    """The pose near the guess at which the scan lies best on the map; None if too little of it does."""
+def match(grid: Grid, sweep: Sweep, guess: Pose, settings: MatchSettings, sigma: float = 0.0) -> Match | None:
+    """The pose near the guess at which the scan lies best on the map; None if too little of it does.
+
+    `sigma` [m]: how far off the guess may be (one standard deviation). Lines are first looked for
+    as far away as that asks, and then, from the better pose, near by."""
     hits = np.flatnonzero(sweep.hit)
-    chosen = hits[:: max(1, math.ceil(len(hits) / settings.beams))]
-    points = sweep.ends[chosen]
+    points = sweep.ends[hits[:: max(1, math.ceil(len(hits) / settings.beams))]]
+    reach = min(max(3.0 * sigma, settings.reach), settings.widest)
     pose = guess
     for _ in range(settings.steps):
-        step = _step(grid, points, pose, settings)
-        if step is None:
+        equations = _equations(grid, points, sweep.origin, pose, reach, settings)
+        if equations is None:
             return None
-        dx, dy, turn = (float(d) for d in step[0])
-        pose = Pose(pose.x + dx, pose.y + dy, wrap(pose.yaw + turn))
-        if abs(dx) + abs(dy) < 1e-4 and abs(turn) < 1e-4:
+        step = -equations.known @ equations.pull
+        pose = Pose(pose.x + float(step[0]), pose.y + float(step[1]), wrap(pose.yaw + float(step[2])))
+        if reach == settings.reach and np.abs(step).max() < 1e-4:
             break
-    last = _step(grid, points, pose, settings)
-    if last is None:
+        reach = max(settings.reach, reach / 2.0)
+    final = _equations(grid, points, sweep.origin, pose, settings.reach, settings)
+    if final is None:
         return None
-    _, information, count, spread = last
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
-    noise = np.asarray(np.linalg.inv(information + _FAINT) + floor, dtype=np.float64)
-    return Match(pose, noise, count, spread)
+    return Match(pose, final.known + final.unknown * UNKNOWN + floor, final.points, final.spread)
 
 
-_FAINT = np.diag([1.0, 1.0, 1.0])
-"""Information of a guess good to 1 m and 1 rad: keeps the equations solvable along a bare wall."""
+UNKNOWN = 1e4
+"""Variance [m², rad²] of a direction in which nothing holds the scan."""
 SHARED = 4.0
 """Neighbouring points see the same cells: so many of them tell as much as one alone."""
 
 
-def _step(
-    grid: Grid, points: Floats, pose: Pose, settings: MatchSettings
-) -> tuple[Floats, Floats, int, float] | None:
-    """One Gauss-Newton step: (dx, dy, turn), the information 3 × 3, the points used, their spread."""
+@dataclass(frozen=True, slots=True)
+class _Equations:
+    """The least-squares problem about a pose, in x [m], y [m], yaw [rad]."""
+
+    pull: Floats
+    """3: gradient of half the squared distances, each over its variance"""
+    known: Floats
+    """3 × 3: the inverse of the information, in the directions that are held"""
+    unknown: Floats
+    """3 × 3: the projection on the others"""
+    points: int
+    spread: float
+
+
+def _equations(
+    grid: Grid, points: Floats, origin: tuple[float, float], pose: Pose, reach: float, settings: MatchSettings
+) -> _Equations | None:
     placed = place(points, pose)
-    lines = _lines(grid, placed, settings)
+    towards = unit(place(np.array([origin]), pose) - placed)
+    lines = _lines(grid, placed, towards, reach, settings)
     count = int(np.count_nonzero(lines.found))
     if count < max(settings.least, settings.overlap * len(points)):
         return None
@@ -121,34 +141,53 @@ def _step(
     arm = placed - (pose.x, pose.y)
     lever = normals[:, 1] * arm[:, 0] - normals[:, 0] * arm[:, 1]
     J = np.column_stack([normals, lever])
-    weight = 1.0 / np.maximum(1.0, np.abs(away) / (2.0 * settings.sigma))  # Huber
-    weighted = J * (weight / (SHARED * settings.sigma**2))[:, None]
-    information = weighted.T @ J
-    wanted = np.linalg.solve(information + _FAINT, -(weighted.T @ away))
-    return wanted, information, count, float(np.sqrt(np.mean(away * away)))
+    spread = float(np.sqrt(np.mean(away * away)))
+    sigma = max(settings.sigma, spread)
+    trust = 1.0 / (SHARED * sigma**2)
+    weight = trust / np.maximum(1.0, np.abs(away) / (2.0 * sigma))  # Huber
+    weighted = J * weight[:, None]
+    length = max(float(np.sqrt(np.mean(np.sum(arm * arm, axis=1)))), 0.1)
+    known, unknown = _held(weighted.T @ J, length, settings.hold * trust * count)
+    return _Equations(weighted.T @ away, known, unknown, count, spread)
 
 
-def _lines(grid: Grid, placed: Floats, settings: MatchSettings) -> _Lines:
-    """The line through the means of the occupied cells about each point, where they are one."""
-    span = np.arange(-settings.reach, settings.reach + 1)
+def _held(information: Floats, length: float, least: float) -> tuple[Floats, Floats]:
+    """The covariance in the directions of which at least so much is known, and the projection on
+    the others. To compare metres with radians, a turn counts by how far it moves things at `length`."""
+    scale = np.array([1.0, 1.0, 1.0 / length])
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    directions = vectors * scale[:, None]
+    held = values >= least
+    known = (directions[:, held] / values[held]) @ directions[:, held].T
+    unknown = directions[:, ~held] @ directions[:, ~held].T
+    return np.asarray(known, dtype=np.float64), np.asarray(unknown, dtype=np.float64)
+
+
+def _lines(grid: Grid, placed: Floats, towards: Floats, reach: float, settings: MatchSettings) -> _Lines:
+    """The line through the means of the occupied cells about each point, where they are one.
+
+    Only cells seen from the same side count: a thin wall has two faces, and they are two lines."""
+    cells_away = max(1, math.ceil(reach / grid.resolution - 1e-9))
+    span = np.arange(-cells_away, cells_away + 1)
     cells = grid.cells(placed)
-    edge = np.array([grid.columns, grid.rows]) - 1 - settings.reach
-    within = np.all((cells >= settings.reach) & (cells <= edge), axis=1)
-    cells = np.clip(cells, settings.reach, edge)
+    edge = np.array([grid.columns, grid.rows]) - 1 - cells_away
+    within = np.all((cells >= cells_away) & (cells <= edge), axis=1)
+    cells = np.clip(cells, cells_away, edge)
     window = (span[:, None] * grid.columns + span[None, :]).reshape(-1)
     index = (cells[:, 1] * grid.columns + cells[:, 0])[:, None] + window[None, :]
-    known = (grid.hits[index] > 0).astype(np.float64)
-    number = known.sum(axis=1)
-    some = np.maximum(number, 1.0)
-    away = grid.means[index] - placed[:, None, :]
-    mean = (away * known[:, :, None]).sum(axis=1) / some[:, None]
-    spread = (away - mean[:, None, :]) * known[:, :, None]
-    xx = (spread[:, :, 0] ** 2).sum(axis=1) / some
-    yy = (spread[:, :, 1] ** 2).sum(axis=1) / some
-    xy = (spread[:, :, 0] * spread[:, :, 1]).sum(axis=1) / some
+    facing = grid.facing[:, 0][index] * towards[:, 0, None] + grid.facing[:, 1][index] * towards[:, 1, None]
+    weight = np.where(facing > 0.0, grid.hits[index], 0).astype(np.float64)
+    number = np.count_nonzero(weight, axis=1)
+    total = np.maximum(weight.sum(axis=1), 1.0)
+    dx = grid.means[:, 0][index] - placed[:, 0, None]
+    dy = grid.means[:, 1][index] - placed[:, 1, None]
+    mean_x, mean_y = (weight * dx).sum(axis=1) / total, (weight * dy).sum(axis=1) / total
+    xx = (weight * dx * dx).sum(axis=1) / total - mean_x * mean_x
+    yy = (weight * dy * dy).sum(axis=1) / total - mean_y * mean_y
+    xy = (weight * dx * dy).sum(axis=1) / total - mean_x * mean_y
     along = 0.5 * np.arctan2(2.0 * xy, xx - yy)
     root = np.sqrt(((xx - yy) / 2.0) ** 2 + xy**2)
     half = (xx + yy) / 2.0
     straight = (half - root) < settings.straight * (half + root)
     normals = np.column_stack([-np.sin(along), np.cos(along)])
-    return _Lines(placed + mean, normals, within & (number >= 3) & straight)
+    return _Lines(placed + np.column_stack([mean_x, mean_y]), normals, within & (number >= 3) & straight)
