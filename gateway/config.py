@@ -20,39 +20,36 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
 
-from brain.perception.mount import Mount
 from brain.settings import BrainSettings
 from gateway import rules, shipped
-from gateway.joint import JointSettings
-from gateway.mistakes import ConfigError, Key, Mistakes, shown, unknown
-from gateway.robot import TWIN, BusSettings, Motor, Robot, Sensor
-from gateway.typed import build, keys, positive
+from gateway.describe import describe
+from gateway.mistakes import ConfigError, Mistakes, shown, unknown
+from gateway.parts import Find, Table, check_interface, read_bus, read_motor, read_sensor
+from gateway.robot import BusSettings, Motor, Robot, Sensor
+from gateway.rules import cautions
+from gateway.typed import build, positive
 from protocols import plugin
-from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
-from protocols.words import MILLISECOND, SECOND, Nanos
+from protocols.plugin import Device, Plugin
+from protocols.words import SECOND
 
 __all__ = [
-    "TWIN",
     "BusSettings",
     "ConfigError",
     "Motor",
     "Robot",
     "Sensor",
     "cautions",
+    "describe",
     "devices",
     "load",
     "loads",
     "with_interfaces",
 ]
-
-Find: TypeAlias = Callable[[str], Plugin]
-Table: TypeAlias = dict[str, Any]
 
 GROUPS = ("buses", "motors", "sensors")
 SECTIONS = (*GROUPS, "defaults", "brain")
@@ -66,34 +63,6 @@ class _Top:
     rate_hz: float = 200.0
     world: str | None = None
     seed: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Bus:
-    kind: Literal["can", "canfd", "serial"]
-    interface: str
-    bitrate: int = 0
-    data_bitrate: int = 0
-    baudrate: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Wiring:
-    """What a motor and a sensor have in common."""
-
-    protocol: str
-    bus: str
-    address: int
-    options: dict[str, Any] = field(default_factory=dict)
-    settings: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class _Mounting:
-    """What a sensor has beside its wiring."""
-
-    mount: Mount = field(default_factory=Mount)
-    timeout: Nanos = 500 * MILLISECOND
 
 
 # -- what others call --------------------------------------------------------------------------
@@ -131,9 +100,9 @@ def loads(
         _check_world(table.get("world"), mistakes)
 
     known = tuple(groups["buses"])
-    buses = {n: bus for n, t in groups["buses"].items() if (bus := _bus(n, t, mistakes))}
-    motors = {n: m for n, t in groups["motors"].items() if (m := _motor(n, t, known, find, mistakes))}
-    sensors = {n: s for n, t in groups["sensors"].items() if (s := _sensor(n, t, known, find, mistakes))}
+    buses = {n: bus for n, t in groups["buses"].items() if (bus := read_bus(n, t, mistakes))}
+    motors = {n: m for n, t in groups["motors"].items() if (m := read_motor(n, t, known, find, mistakes))}
+    sensors = {n: s for n, t in groups["sensors"].items() if (s := read_sensor(n, t, known, find, mistakes))}
     brain = build(BrainSettings, table.get("brain", {}), ("brain",), mistakes)
 
     period = round(SECOND / top.rate_hz) if top and top.rate_hz > 0 else 0
@@ -163,14 +132,9 @@ def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
             mistakes.add((), unknown("bus", name, buses))
             continue
         buses[name] = replace(buses[name], interface=interface)
-        _check_interface(interface, buses[name].kind, (name,), mistakes)
+        check_interface(interface, buses[name].kind, (name,), mistakes)
     mistakes.check()
     return replace(robot, buses=buses)
-
-
-def cautions(robot: Robot) -> list[str]:
-    """What a person must be told at every start, until the robot file acknowledges it."""
-    return rules.cautions(robot)
 
 
 # -- parts of the file -------------------------------------------------------------------------
@@ -231,112 +195,3 @@ def _check_world(world: object, mistakes: Mistakes) -> None:
             shipped.find("worlds", world)
         except shipped.NotFound as error:
             mistakes.add(("world",), str(error))
-
-
-_RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": ("baudrate",)}
-
-
-def _bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
-    at = ("buses", name)
-    made = build(_Bus, table, at, mistakes)
-    rates = ("bitrate", "data_bitrate", "baudrate")
-    positive(table, at, rates, mistakes)
-    kind, interface = table.get("kind"), table.get("interface")
-    if not isinstance(kind, str) or kind not in _RATES:
-        return None
-    for rate in rates:
-        if rate in _RATES[kind] and rate not in table:
-            mistakes.add((*at, rate), "missing; expected an integer: bits per second")
-        elif rate not in _RATES[kind] and rate in table:
-            mistakes.add(
-                (*at, rate), f"a bus of kind {kind!r} has no {rate}; expected {' and '.join(_RATES[kind])}"
-            )
-    if isinstance(interface, str):
-        _check_interface(interface, kind, at, mistakes)
-    if made is None:
-        return None
-    return BusSettings(name, made.kind, made.interface, made.bitrate, made.data_bitrate, made.baudrate)
-
-
-def _check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> None:
-    """ "twin", or INTERFACE:CHANNEL with an interface that fits the kind of bus."""
-    if interface == TWIN:
-        return
-    driver, colon, channel = interface.partition(":")
-    example = "serial:/dev/ttyUSB0" if kind == "serial" else "socketcan:can0"
-    if not (driver and colon and channel):
-        wanted = f'expected "{TWIN}" or INTERFACE:CHANNEL, such as "{example}"'
-        mistakes.add((*at, "interface"), f"found {shown(interface)}, {wanted}")
-    elif kind == "serial" and driver != "serial":
-        mistakes.add((*at, "interface"), f'found {shown(interface)}, expected "serial:PORT" on a serial bus')
-
-
-@dataclass(frozen=True, slots=True)
-class _Wired:
-    """A device whose wiring is right as far as its own language can tell."""
-
-    bus: str
-    plugin: Plugin
-    device: Device
-    spec: Spec
-
-
-def _motor(name: str, table: Table, buses: tuple[str, ...], find: Find, mistakes: Mistakes) -> Motor | None:
-    at = ("motors", name)
-    wired = _wired(at, table, buses, find, "motor", mistakes)
-    joint = build(JointSettings, table, at, mistakes, also=keys(_Wiring))
-    positive(table, at, ("gear", "command_timeout_ms", "feedback_timeout_ms"), mistakes)
-    rules.check_limits(table.get("limits"), (*at, "limits"), mistakes)
-    if wired is None or joint is None:
-        return None
-    return Motor(name, wired.bus, wired.plugin, wired.device, wired.spec, joint)
-
-
-def _sensor(name: str, table: Table, buses: tuple[str, ...], find: Find, mistakes: Mistakes) -> Sensor | None:
-    at = ("sensors", name)
-    wired = _wired(at, table, buses, find, "sensor", mistakes)
-    mounting = build(_Mounting, table, at, mistakes, also=keys(_Wiring))
-    positive(table, at, ("timeout_ms",), mistakes)
-    if wired is None or mounting is None:
-        return None
-    return Sensor(name, wired.bus, wired.plugin, wired.device, wired.spec, mounting.mount, mounting.timeout)
-
-
-def _wired(
-    at: Key,
-    table: Table,
-    buses: tuple[str, ...],
-    find: Find,
-    kind: Literal["motor", "sensor"],
-    mistakes: Mistakes,
-) -> _Wired | None:
-    """The device with its own language's options, settings and spec."""
-    own = {key: value for key, value in table.items() if key in keys(_Wiring)}
-    wiring = build(_Wiring, own, at, mistakes)
-    protocol, bus, address = table.get("protocol"), table.get("bus"), table.get("address")
-    if isinstance(bus, str) and bus not in buses:
-        mistakes.add((*at, "bus"), unknown("bus", bus, buses))
-    if isinstance(address, int) and address < 0:
-        mistakes.add((*at, "address"), f"found {shown(address)}, expected an integer of at least 0")
-        wiring = None
-    if not isinstance(protocol, str):
-        return None
-    try:
-        language = find(protocol)
-    except UnknownProtocol as error:
-        mistakes.add((*at, "protocol"), str(error))
-        return None
-    options: object = build(language.options, table.get("options", {}), (*at, "options"), mistakes)
-    settings: object = build(language.settings, table.get("settings", {}), (*at, "settings"), mistakes)
-    if wiring is None or options is None or settings is None:
-        return None
-    device = Device(at[-1], wiring.address, options, settings)
-    try:
-        spec = language.spec(device)
-    except ValueError as error:
-        mistakes.add((*at, "address") if "address" in str(error) else at, str(error))
-        return None
-    if spec.kind != kind:
-        mistakes.add((*at, "protocol"), f"{protocol!r} speaks to a {spec.kind} here, expected a {kind}")
-        return None
-    return _Wired(wiring.bus, language, device, spec)
