@@ -46,7 +46,7 @@ class Mission:
         self.given_up = ""
         """Why the last goals were given up; "" after a new task."""
         self.costmap: Costmap | None = None
-        """As it was when the last plan was begun."""
+        """As it was at the last look at the map."""
         self.remarks: list[Remark] = []
         self._drive_until: Nanos = 0
         self._planning: Planning | None = None
@@ -136,6 +136,9 @@ class Mission:
 
     def _look(self, here: Point, grid: Map) -> None:
         """Is the path still good? Is it time for another?"""
+        goal = (self.goals[0].x, self.goals[0].y)
+        costmap = survey(grid, self.radius, self.settings, standing=here, goal=goal, given_up=self._dead)
+        self.costmap = costmap
         if self.path is not None:
             off = self._obstructed(here, grid)
             if off:
@@ -143,15 +146,8 @@ class Mission:
                 self._forget_path()
             elif isinstance(self.path, Path):
                 return
-        goal = self.goals[0]
-        costmap = survey(
-            grid, self.radius, self.settings, standing=here, goal=(goal.x, goal.y), given_up=self._dead
-        )
-        self.costmap = costmap
-        occupied = None
-        if costmap.level_at(*here) == BLOCKED:
-            occupied = _plain(grid, 0.0)
-        self._planning = Planning(costmap, occupied, here, (goal.x, goal.y), self.settings)
+        occupied = _plain(grid, 0.0) if costmap.level_at(*here) == BLOCKED else None
+        self._planning = Planning(costmap, occupied, here, goal, self.settings)
 
     def _obstructed(self, here: Point, grid: Map) -> str:
         """Why the rest of the path cannot be followed; "" if it can.
@@ -205,11 +201,11 @@ class Mission:
         return self.path is not None
 
     def _take(self, answer: Path | Toward) -> None:
-        kind = "a path" if isinstance(answer, Path) else "toward the edge of the known"
-        length = Line(answer.points).length
-        self._say(
-            "info", f"{kind}: {length:.2f} m to ({answer.points[-1][0]:.2f}, {answer.points[-1][1]:.2f})"
-        )
+        end, length = answer.points[-1], Line(answer.points).length
+        if isinstance(answer, Path):
+            self._say("info", f"a path: {length:.2f} m to ({end[0]:.2f}, {end[1]:.2f})")
+        elif not isinstance(self.path, Toward):
+            self._say("info", f"exploring: nothing known leads to goal {self._number(1)}")
         if answer.escapes > 0.0:
             self._say(
                 "warning",

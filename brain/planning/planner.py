@@ -220,6 +220,10 @@ class Planning:
         return (self.start, *short) if self._escape > 0.0 else short
 
 
+AHEAD = 30
+"""Corners"""
+
+
 def shortcut(costmap: Costmap, points: list[Point]) -> tuple[Point, ...]:
     """The same way with fewer corners: a straight line replaces a piece where it is not dearer."""
     corners = [
@@ -228,10 +232,11 @@ def shortcut(costmap: Costmap, points: list[Point]) -> tuple[Point, ...]:
     ]
     corners += points[-1:] if len(points) > 1 else []
     cost = [costmap.line_cost(a, b) for a, b in pairwise(corners)]
+    # AHEAD bounds the work of a step: beyond it, a straighter line is not even looked for.
     kept, at = [corners[0]], 0
     while at < len(corners) - 1:
         best, so_far = at + 1, cost[at]
-        for ahead in range(at + 2, len(corners)):
+        for ahead in range(at + 2, min(at + AHEAD, len(corners))):
             so_far += cost[ahead - 1]
             straight = costmap.line_cost(corners[at], corners[ahead])
             if straight == inf:
