@@ -33,15 +33,16 @@ class Sentence(Exception):
 
 @contextmanager
 def _sentences() -> Iterator[None]:
-    """Our own complaints about files, buses and recordings become a sentence; anything else is our mistake."""
+    """Complaints about files, buses and recordings become a sentence; anything else is our mistake."""
     from gateway.buses import BusError
     from gateway.mistakes import ConfigError
+    from gateway.operator import OperatorError
     from gateway.recording import RecordingError
     from gateway.shipped import NotFound
 
     try:
         yield
-    except (ConfigError, BusError, RecordingError, NotFound) as error:
+    except (BusError, ConfigError, NotFound, OperatorError, RecordingError) as error:
         text = str(error)
         raise Sentence(f"\n{text}" if "\n" in text else text) from error
 
@@ -120,9 +121,8 @@ def _drive_tour(made: Session, watcher: Watcher, tour: Sequence[Goal]) -> None:
 def _print_figures(made: Session, verdict: Figures, took: Nanos) -> None:
     print("\n".join(verdict.lines()))
     account = made.account
-    print(
-        f"{account.ticks} ticks in {took / SECOND:.1f} s: {verdict.seconds * SECOND / took:.1f} times real time"
-    )
+    ratio = verdict.seconds * SECOND / took
+    print(f"{account.ticks} ticks in {took / SECOND:.1f} s: {ratio:.1f} times real time")
     if account.missed:
         print(f"ticks missed: {account.missed}")
     print(f"memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB at the most")
@@ -304,7 +304,7 @@ def protocols(options: Namespace) -> int:
         except UnknownProtocol as error:
             raise Sentence(str(error)) from error
         print(table(results))
-        return 1 if any(result.failed for result in results) else 0
+        return 1 if any(result.outcome == "failed" for result in results) else 0
     plugins, broken = load_all()
     for plugin in plugins:
         print(f"{plugin.name}: {plugin.title}\n    trust: {plugin.trust}")
@@ -315,13 +315,11 @@ def protocols(options: Namespace) -> int:
 
 def ask(options: Namespace) -> int:
     """Say a line to a robot that runs, and print its answer."""
-    from gateway.operator import OperatorError, socket_path
     from gateway.operator import ask as say
+    from gateway.operator import socket_path
 
     name = options.robot
     path = Path(name) if name.endswith(".sock") else socket_path(Path(name).stem)
-    try:
+    with _sentences():
         print(say(path, " ".join(options.line)))
-    except OperatorError as error:
-        raise Sentence(str(error)) from error
     return 0

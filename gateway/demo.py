@@ -58,7 +58,7 @@ class Log:
     load: list[dict[str, float]] = field(default_factory=list)
     """Share of each bus's capacity since the sample before."""
     age: list[float] = field(default_factory=list)
-    """ms: the oldest command of any motor."""
+    """ms: how old the feedback is that the commands of this moment rest on (the oldest motor's)."""
     arrivals: list[Arrival] = field(default_factory=list)
     paths: list[tuple[tuple[float, float], ...]] = field(default_factory=list)
     """The last path wanted on the way to each goal."""
@@ -163,7 +163,7 @@ class Watcher:
         log.believed.append(belief.estimate.pose)
         log.raw.append(belief.raw or belief.estimate.pose)
         log.covariance.append(belief.estimate.covariance)
-        ages = [age for joint in gateway.joints.values() if (age := joint.command_age(now)) is not None]
+        ages = [age for joint in gateway.joints.values() if (age := joint.age(now)) is not None]
         log.age.append(max(ages) / MILLISECOND if ages else 0.0)
         robot = self._session.robot
         log.load.append(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from brain.belief import Belief
 from brain.brain import Brain
@@ -19,20 +19,27 @@ from gateway.tick import Inputs, Note, Outputs
 from protocols.plugin import Device, Driver, Ear, Plugin, Tally
 from protocols.wire import BusState, Packet, Wire
 from protocols.words import (
-    COMMANDS,
     Asked,
     ClearFault,
     Command,
     Done,
     Drive,
+    Estop,
     Event,
     Fault,
     Feedback,
     Found,
     Goal,
+    Hold,
+    Home,
+    Idle,
+    Impedance,
     Mode,
     Nanos,
     Parameter,
+    Position,
+    ReadParameter,
+    Reboot,
     Refused,
     Release,
     Request,
@@ -41,13 +48,21 @@ from protocols.words import (
     SetId,
     State,
     Stop,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
 )
 
 if TYPE_CHECKING:
-    from gateway.config import Robot
+    from gateway.robot import Motor, Robot, Sensor
 
 ALL = "all"
 """The name by which a request means every motor."""
+
+
+OfMotor: TypeAlias = ClearFault | Estop | Zero | Home | ReadParameter | WriteParameter | Reboot
+"""The requests that are about one motor, or about all."""
 
 
 class Gateway:
@@ -108,9 +123,13 @@ class Gateway:
         """What the brain believes."""
         return self.brain.belief()
 
-    def armed(self) -> bool:
-        """Whether any motor that we commanded is armed."""
-        return any(j.claimed and j.mode is Mode.ARMED for j in self.joints.values())
+    def still_armed(self) -> list[str]:
+        """The motors that we commanded, whose safe word is Idle, and that do not say that they are disarmed."""
+        return [
+            name
+            for name, joint in self.joints.items()
+            if joint.claimed and joint.mode is Mode.ARMED and joint.settings.safe == "idle"
+        ]
 
     def why_stopped(self) -> str:
         """Why the whole robot must not move; "" if it may."""
@@ -152,8 +171,7 @@ class Gateway:
                     continue
                 if isinstance(event, State) and event.mode is not mode:
                     detail = f" ({event.detail})" if event.detail else ""
-                    level = "warning" if event.mode in (Mode.FAULT, Mode.OFFLINE) else "info"
-                    self._notes.append(Note(level, joint.name, f"{event.mode}{detail}"))
+                    self._notes.append(Note(_LEVELS[event.mode], joint.name, f"{event.mode}{detail}"))
                 heard.append(passed)
             else:
                 self._tell(event)
@@ -192,10 +210,10 @@ class Gateway:
                     self._notes.append(Note("info", "operator", text))
                 case Set(key, value):
                     self._set(key, value)
-                case Goal() | Drive():
+                case Goal() | Drive() | Idle() | Hold() | Position() | Velocity() | Torque() | Impedance():
                     tasks.append(word)
-                case _ if isinstance(word, COMMANDS):
-                    tasks.append(word)
+                case Scan() | SetId():
+                    self._requests.append(word)
                 case _:
                     self._request(now, word)
         return tasks
@@ -212,21 +230,16 @@ class Gateway:
         text = f"set {key}: refused: {objection}" if objection else f"{key} = {value:g}"
         self._notes.append(Note("warning" if objection else "info", "operator", text))
 
-    def _request(self, now: Nanos, word: Request | Command | Goal | Drive) -> None:
-        if isinstance(word, Scan | SetId):
-            self._requests.append(word)
-            return
-        name = getattr(word, "motor", "")
-        for motor in self.joints if name == ALL else (name,):
-            joint = self.joints.get(motor)
-            kind = type(word).__name__
-            if joint is None:
+    def _request(self, now: Nanos, word: OfMotor) -> None:
+        kind = type(word).__name__
+        for motor in self.joints if word.motor == ALL else (word.motor,):
+            if motor not in self.joints:
                 known = ", ".join(self.joints)
                 self._late.append(
                     Refused(now, kind, motor, f"there is no motor {motor!r}; there are {known}")
                 )
             elif type(word) in self._specs[motor].requests:
-                self._requests.append(replace(word, motor=motor))  # type: ignore[type-var, call-arg]  # it has one
+                self._requests.append(replace(word, motor=motor))
             elif isinstance(word, ClearFault):
                 self._late.append(Done(now, kind, motor, "in the joint; the device has nothing to clear"))
             else:
@@ -286,10 +299,20 @@ def _in_brackets(detail: str) -> str:
     return f" ({detail})" if detail else ""
 
 
+_LEVELS: dict[Mode, Literal["info", "warning"]] = {
+    Mode.INITIALISING: "info",
+    Mode.READY: "info",
+    Mode.ARMED: "info",
+    Mode.FAULT: "warning",
+    Mode.OFFLINE: "warning",
+}
+
+
 def _by_plugin(robot: Robot, bus: str) -> list[tuple[Plugin, list[Device]]]:
     """The devices on a bus, gathered by language, in the order of the robot file."""
     gathered: dict[str, tuple[Plugin, list[Device]]] = {}
-    for part in (*robot.motors.values(), *robot.sensors.values()):
+    parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]
+    for part in parts:
         if part.bus == bus:
             gathered.setdefault(part.plugin.name, (part.plugin, []))[1].append(part.device)
     return list(gathered.values())

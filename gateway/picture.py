@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 TRUE, BELIEVED, WANTED, RAW = "#1b9e77", "#1f4fa8", "#d95f02", "#999999"
 SIGMAS = 3.0
+ENLARGED = 5.0
+"""An ellipse of a few centimetres would hide under the line."""
+WINDOW = 4
+"""Samples over which the bus load is averaged: two scans of the lidar."""
 
 
 def draw(log: Log, figures: Figures, outlines: Sequence[Sequence[tuple[float, float]]], file: Path) -> None:
@@ -49,14 +53,15 @@ def _map(axes: Axes, log: Log, figures: Figures, outlines: Sequence[Sequence[tup
         closed = [*outline, outline[0]]
         axes.plot([x for x, _ in closed], [y for _, y in closed], color="#c0392b", lw=0.8)
     for i, path in enumerate(log.paths):
-        label = "wanted" if i == 0 else None
-        axes.plot([x for x, _ in path], [y for _, y in path], color=WANTED, lw=2.5, alpha=0.5, label=label)
-    for name, poses, colour, style in (
+        name = "wanted" if i == 0 else None
+        axes.plot([x for x, _ in path], [y for _, y in path], color=WANTED, lw=2.5, alpha=0.5, label=name)
+    sigma = f"believed, with {SIGMAS:g}-sigma ellipses × {ENLARGED:g}"
+    for label, poses, colour, style in (
         ("raw odometry", log.raw, RAW, ":"),
         ("true", log.true, TRUE, "-"),
-        ("believed", log.believed, BELIEVED, "--"),
+        (sigma, log.believed, BELIEVED, "--"),
     ):
-        axes.plot([p.x for p in poses], [p.y for p in poses], style, color=colour, lw=1.4, label=name)
+        axes.plot([p.x for p in poses], [p.y for p in poses], style, color=colour, lw=1.4, label=label)
     _ellipses(axes, log.believed, log.covariance)
     for i, arrival in enumerate(log.arrivals, 1):
         axes.plot(arrival.x, arrival.y, "*", color=WANTED, ms=14, mec="black")
@@ -91,12 +96,12 @@ def _grid(axes: Axes, view: MapView) -> None:
 
 
 def _ellipses(axes: Axes, poses: Sequence[Pose], covariances: Sequence[Floats]) -> None:
-    """Every two seconds, the ellipse that should hold the true position (3 sigma), to scale."""
+    """Every two seconds, the ellipse that should hold the true position (3 sigma), enlarged."""
     from matplotlib.patches import Ellipse
 
     for pose, covariance in list(zip(poses, covariances, strict=True))[::40]:
         values, vectors = np.linalg.eigh(np.asarray(covariance)[:2, :2])
-        width, height = 2 * SIGMAS * np.sqrt(np.maximum(values, 0.0))
+        width, height = 2 * SIGMAS * ENLARGED * np.sqrt(np.maximum(values, 0.0))
         angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
         axes.add_patch(
             Ellipse((pose.x, pose.y), width, height, angle=angle, fill=False, color=BELIEVED, lw=0.8)
@@ -105,7 +110,9 @@ def _ellipses(axes: Axes, poses: Sequence[Pose], covariances: Sequence[Floats]) 
 
 def _load(axes: Axes, log: Log, seconds: Floats) -> None:
     for name in log.load[0] if log.load else ():
-        axes.plot(seconds, [100 * sample.get(name, 0.0) for sample in log.load], lw=0.8, label=name)
+        load = np.array([100 * sample.get(name, 0.0) for sample in log.load])
+        mean = np.convolve(load, np.full(WINDOW, 1 / WINDOW), mode="same")
+        axes.plot(seconds, mean, lw=0.8, label=name)
     axes.set_ylabel("bus load [%]")
     axes.set_ylim(bottom=0.0)
     if log.load:
@@ -114,6 +121,6 @@ def _load(axes: Axes, log: Log, seconds: Floats) -> None:
 
 def _age(axes: Axes, log: Log, seconds: Floats) -> None:
     axes.plot(seconds, log.age, lw=0.8, color=BELIEVED)
-    axes.set_ylabel("age of\ncommands [ms]")
+    axes.set_ylabel("age of what\ncommands\nrest on [ms]")
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time [s]")

@@ -12,7 +12,7 @@ import gc
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import TypeAlias
@@ -68,13 +68,14 @@ def live(
     until: Nanos | None = None,
     account: Account | None = None,
     dry: bool = False,
-) -> Iterator[Tick]:
+) -> Generator[Tick]:
     """Step the gateway at its period, and when a driver is due, until `until` or until it is closed.
 
     `ask` is polled for what a person wants. With `dry`, everything is done but writing to the buses.
     """
     account = account if account is not None else Account()
     number = 0
+    leaving = False
 
     def tick(now: Nanos, asked: Sequence[Asked]) -> Tick:
         nonlocal number
@@ -86,7 +87,7 @@ def live(
         number += 1
         if keep is not None:
             keep(made, gateway.belief())
-        _tell(outputs.notes)
+        _tell(outputs.notes, leaving)
         _count(account, made, clock.now() - now)
         return made
 
@@ -106,6 +107,7 @@ def live(
             if not dry:
                 _write(buses, clock.now(), gateway.leave(clock.now()))
         else:
+            leaving = True
             _farewell(gateway, clock, tick)
 
 
@@ -113,17 +115,11 @@ def _farewell(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[As
     """The safe word at once, and a moment of listening until the devices say that they are disarmed."""
     start = clock.now()
     tick(start, (Stop("the run ends"),))
-    while gateway.armed() and clock.now() - start < FAREWELL:
+    while gateway.still_armed() and clock.now() - start < FAREWELL:
         clock.wait(clock.now() + gateway.robot.period)
         tick(clock.now(), ())
-    if gateway.armed() and any(j.settings.safe == "idle" for j in gateway.joints.values()):
-        names = [
-            n
-            for n, j in gateway.joints.items()
-            if j.claimed and j.mode == "armed" and j.settings.safe == "idle"
-        ]
-        if names:
-            log.error("%s did not say that it is disarmed: cut its supply", ", ".join(names))
+    if still := gateway.still_armed():
+        log.error("%s did not say that it is disarmed: cut its supply", ", ".join(still))
 
 
 def moments(
@@ -146,7 +142,7 @@ def moments(
 
 def serve(
     world_buses: Mapping[str, Bus], buses: Mapping[str, Bus], clock: Clock, period: Nanos
-) -> Iterator[Nanos]:
+) -> Generator[Nanos]:
     """Be the devices: carry what the real buses bring to the world of twins, and back."""
     account = Account()
     for now in moments(clock, period, lambda: None, account):
@@ -183,9 +179,10 @@ def _write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> N
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
 
-def _tell(notes: Sequence[Note]) -> None:
+def _tell(notes: Sequence[Note], leaving: bool) -> None:
+    """To the log. On the way out, that all stops is no news."""
     for note in notes:
-        log.log(_LEVELS[note.level], "%s: %s", note.about, note.text)
+        log.log(logging.DEBUG if leaving else _LEVELS[note.level], "%s: %s", note.about, note.text)
 
 
 def _count(account: Account, tick: Tick, took: Nanos) -> None:

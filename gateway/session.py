@@ -7,7 +7,7 @@ buses whose interface is "twin". What cannot be opened is a sentence (`BusError`
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -58,7 +58,7 @@ class Session:
         ask: Callable[[], Sequence[Asked]] = run.no_questions,
         *,
         dry: bool = False,
-    ) -> Iterator[Tick]:
+    ) -> Generator[Tick]:
         """The live loop, until `until` or until something asks it to leave; closing says the safe word."""
         ticks = run.live(
             self.gateway,
@@ -70,7 +70,7 @@ class Session:
             account=self.account,
             dry=dry,
         )
-        with closing(ticks):  # type: ignore[type-var]  # a generator has close()
+        with closing(ticks):
             for tick in ticks:
                 yield tick
                 if self.leaving:
