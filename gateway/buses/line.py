@@ -32,7 +32,8 @@ class Line:
         self.limit = limit
         """How many wires of one sender may wait."""
         self._waiting: dict[str, deque[Sent]] = {}
-        self._count = 0
+        self.pending = 0
+        """How many wires wait or are on their way."""
         self._free: Nanos | None = None
 
     def send(self, t: Nanos, sender: str, wire: Wire) -> bool:
@@ -42,7 +43,7 @@ class Line:
         if full:
             queue.popleft()
         queue.append(Sent(t, sender, wire))
-        self._count += not full
+        self.pending += not full
         return not full
 
     def waiting(self, sender: str) -> int:
@@ -52,12 +53,12 @@ class Line:
     def clear(self) -> None:
         """Drop all that waits."""
         self._waiting.clear()
-        self._count = 0
+        self.pending = 0
 
     def run(self, until: Nanos) -> list[Sent]:
         """All that has arrived up to a time, in order."""
         arrived: list[Sent] = []
-        while self._count:
+        while self.pending:
             first = min(queue[0].t for queue in self._waiting.values() if queue)
             start = first if self._free is None else max(first, self._free)
             if start > until:
@@ -68,7 +69,7 @@ class Line:
             if end > until:
                 break
             self._waiting[best.sender].popleft()
-            self._count -= 1
+            self.pending -= 1
             self._free = end
             arrived.append(Sent(end, best.sender, best.wire))
         return arrived

@@ -97,9 +97,10 @@ class TwinBus:
 
     def carry(self, until: Nanos) -> None:
         """Let arrive what has arrived up to a time."""
-        for sent in self._out.run(until):
-            self._arrive(sent)
-        if self._in is not self._out:
+        if self._out.pending:
+            for sent in self._out.run(until):
+                self._arrive(sent)
+        if self._in.pending and self._in is not self._out:
             for sent in self._in.run(until):
                 self._arrive(sent)
         if self._full and not self._out.waiting(HOST):
