@@ -1,0 +1,127 @@
+"""The house rules about imports, as data and one pure function, for tests/test_house.py.
+
+import-linter holds the layers among our own rooms (pyproject.toml); here are the outside modules, each with
+the few places that may import it, and what a room may lean on at all.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+
+RECORDINGS = ("gateway.recording", "gateway.views", "gateway.bags")
+OWN_THREAD = ("gateway.recording", "gateway.operator")
+
+ONLY: dict[str, tuple[str, ...]] = {
+    "asyncio": (),
+    "can": ("gateway.buses",),
+    "concurrent": (),
+    "filterpy": ("brain.perception.ekf",),
+    "matplotlib": ("gateway.picture",),
+    "mcap": RECORDINGS,
+    "mujoco": ("gateway.world",),
+    "multiprocessing": (),
+    "queue": OWN_THREAD,
+    "random": (),
+    "rosbags": RECORDINGS,
+    "secrets": (),
+    "serial": ("gateway.buses",),
+    "signal": ("gateway.run",),
+    "socket": ("gateway.buses", "gateway.operator"),
+    "threading": OWN_THREAD,
+    "time": ("gateway.clock",),
+    "uuid": (),
+}
+"""Outside modules, and the only places that may import them. Ruff's banned-api tells why (pyproject.toml)."""
+
+# fmt: off
+INPUT_OUTPUT = frozenset({
+    "asyncio", "ctypes", "fcntl", "io", "logging", "mmap", "multiprocessing", "os", "pathlib", "pty", "queue",
+    "select", "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile", "termios", "threading",
+    "time",
+})
+# fmt: on
+"""What nothing below the loop may import: the outside world comes in as arguments."""
+
+OUTSIDE = {"protocols": {"msgpack"}, "brain": {"numpy", "filterpy"}}
+"""What a room may import beside the standard library and the rooms below it."""
+
+STEP = ("gateway.gateway", "gateway.joint", "gateway.tick")
+"""The modules of the gateway that are the step itself."""
+
+CONTRACT = ("protocols.words", "protocols.wire", "protocols.plugin")
+"""What a device language may import of ours, beside its own folder."""
+
+SHARED = (*CONTRACT, "protocols.conformance")
+"""The modules of `protocols` that are no device language."""
+
+
+def imports(module: str, source: str, *, package: bool = False) -> Iterator[tuple[int, str]]:
+    """Every import in a source as (line, dotted name), also one in a function or by a constant name.
+
+    `from a import b` gives `a.b`; a relative import is resolved from `module`."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parts = module.split(".") + (["__init__"] if package else [])
+            above = parts[: len(parts) - node.level] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            yield from ((node.lineno, f"{base}.{alias.name}") for alias in node.names)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
+            constants = [a.value for a in node.args if isinstance(a, ast.Constant)]
+            yield from ((node.lineno, str(value)) for value in constants[:1])
+
+
+def within(name: str, *places: str) -> bool:
+    """Whether a dotted name is one of the places, or lies in one."""
+    return any(name == place or name.startswith(place + ".") for place in places)
+
+
+def language_of(module: str) -> str:
+    """The folder of the device language that a module belongs to, "" if to none."""
+    if not within(module, "protocols") or module == "protocols" or within(module, *SHARED):
+        return ""
+    return ".".join(module.split(".")[:2])
+
+
+def violations(module: str, source: str, *, package: bool = False) -> list[str]:
+    """What a source may not import, one line each: where, what, and the rule."""
+    return [
+        f"{module}:{line}: {name}: {rule}"
+        for line, name in imports(module, source, package=package)
+        for rule in _broken(module, name)
+    ]
+
+
+def _broken(module: str, name: str) -> Iterator[str]:
+    top = name.split(".")[0]
+    room = module.split(".")[0]
+    places = ONLY.get(top)
+    if places is not None and not within(module, *places):
+        yield f"only in {', '.join(places) or 'no place at all'}"
+    if room in OUTSIDE:
+        if top not in sys.stdlib_module_names | OUTSIDE[room] | {"protocols", "brain", "gateway"}:
+            yield f"{room} imports no {top}"
+        if top in ("brain", "gateway") and top != room:
+            yield f"{room} lies below {top}"
+    if (room in OUTSIDE or within(module, *STEP)) and top in INPUT_OUTPUT:
+        yield "no clock, bus, thread or file below the loop"
+    if room == "brain" and top == "protocols" and not within(name, "protocols.words"):
+        yield "the brain knows the words alone"
+    yield from _broken_by_language(module, name)
+
+
+def _broken_by_language(module: str, name: str) -> Iterator[str]:
+    language = language_of(module)
+    if not language:
+        if within(module, "protocols") and language_of(name):
+            yield "what all languages share knows none of them"
+        return
+    if within(name, "protocols") and not within(name, language, *CONTRACT):
+        yield "a language imports words, wire, plugin and its own folder"
+    forbidden = {"driver": ("twin",), "twin": ("driver",), "codec": ("driver", "twin")}
+    for other in forbidden.get(module.removeprefix(language + "."), ()):
+        if within(name, f"{language}.{other}"):
+            yield "driver and twin meet only in their codec"

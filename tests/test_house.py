@@ -1,0 +1,296 @@
+"""The house keeps its rules: who imports whom, what lies where, and what no text may name.
+
+Each rule is also shown something that breaks it, so that none of them can fall asleep.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.house import ONLY, OUTSIDE, imports, language_of, violations
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = ("protocols", "brain", "gateway")
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SOURCES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
+LANGUAGES = sorted(
+    path.parent
+    for path in (ROOT / "protocols").glob("*/__init__.py")
+    if language_of(f"protocols.{path.parent.name}")
+)
+
+
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+# -- who imports whom ---------------------------------------------------------------------------
+
+
+def test_every_source_keeps_the_rules() -> None:
+    assert len(SOURCES) > 30
+    broken = [
+        line
+        for path in SOURCES
+        for line in violations(module_of(path), path.read_text(), package=path.name == "__init__.py")
+    ]
+    assert not broken, "\n".join(broken)
+
+
+BREAKS = [
+    ("brain.brain", "import time", "only in gateway.clock"),
+    ("gateway.run", "from time import monotonic_ns", "only in gateway.clock"),
+    ("gateway.run", "def f():\n    import time", "only in gateway.clock"),
+    ("gateway.clock2", "import time", "only in gateway.clock"),
+    ("gateway.run", "importlib.import_module('time')", "only in gateway.clock"),
+    ("gateway.run", "__import__('time')", "only in gateway.clock"),
+    ("protocols.plain.driver", "import can", "only in gateway.buses"),
+    ("gateway.run", "from serial.tools import list_ports", "only in gateway.buses"),
+    ("gateway.run", "import random", "no place at all"),
+    ("protocols.plain.twin", "import numpy", "protocols imports no numpy"),
+    ("brain.planning.astar", "import scipy.ndimage", "brain imports no scipy"),
+    ("brain.perception.grid", "import filterpy.kalman", "only in brain.perception.ekf"),
+    ("brain.brain", "from gateway.joint import Joint", "brain lies below gateway"),
+    ("protocols.words", "import brain", "protocols lies below brain"),
+    ("protocols.plain", "from brain import belief", "protocols lies below brain"),
+    ("protocols.plain.driver", "import socket", "below the loop"),
+    ("brain.belief", "from pathlib import Path", "below the loop"),
+    ("gateway.joint", "import logging", "below the loop"),
+    ("gateway.gateway", "import os.path", "below the loop"),
+    ("brain.brain", "from protocols.plugin import Spec", "the words alone"),
+    ("brain.brain", "from protocols import wire", "the words alone"),
+    ("protocols.foo.driver", "from protocols.plain import codec", "and its own folder"),
+    ("protocols.foo.driver", "from ..plain.codec import pack", "and its own folder"),
+    ("protocols.foo", "from protocols.conformance import check", "and its own folder"),
+    ("protocols.plugin", "from protocols.plain import plugin", "knows none of them"),
+    ("protocols.conformance.state", "import protocols.foo.codec", "knows none of them"),
+    ("protocols.foo.driver", "from protocols.foo.twin import Twin", "only in their codec"),
+    ("protocols.foo.driver", "from .twin import Twin", "only in their codec"),
+    ("protocols.foo.twin", "from protocols.foo import driver", "only in their codec"),
+    ("protocols.foo.codec", "import protocols.foo.twin", "only in their codec"),
+]
+KEEPS = [
+    ("gateway.clock", "import time"),
+    ("gateway.buses.can", "import can\nfrom gateway.clock import Clock"),
+    ("brain.perception.ekf", "from filterpy.kalman import ExtendedKalmanFilter\nimport numpy as np"),
+    ("brain.brain", "from protocols.words import Nanos\nfrom brain import belief\nimport math"),
+    ("protocols.foo.driver", "from .codec import pack\nfrom protocols.words import Nanos\nimport struct"),
+    ("protocols.foo.driver", "from protocols.foo import codec\nfrom protocols import plugin"),
+    ("protocols.foo.twin", "from protocols.foo.servo import Servo"),
+    ("protocols.conformance.state", "from protocols.plugin import load\nfrom .case import Case"),
+    ("gateway.journal", "from protocols.plain.codec import pack\nfrom brain.belief import Belief\nimport os"),
+    ("gateway.timing", "import timeit"),
+]
+
+
+@pytest.mark.parametrize(("module", "source", "rule"), BREAKS)
+def test_a_broken_rule_is_found(module: str, source: str, rule: str) -> None:
+    found = violations(module, source, package=module in ("protocols.plain", "protocols.foo"))
+    assert any(rule in line for line in found), found
+
+
+@pytest.mark.parametrize(("module", "source"), KEEPS)
+def test_what_keeps_the_rules_is_left_alone(module: str, source: str) -> None:
+    assert violations(module, source) == []
+
+
+def test_relative_imports_are_resolved() -> None:
+    source = "from . import a\nfrom ..b import c\nfrom .d.e import f"
+    assert list(imports("x.y.z", source)) == [(1, "x.y.a"), (2, "x.b.c"), (3, "x.y.d.e.f")]
+    assert list(imports("x.y", source, package=True)) == [(1, "x.y.a"), (2, "x.b.c"), (3, "x.y.d.e.f")]
+
+
+def test_ruff_bans_the_same_and_says_why() -> None:
+    banned = PROJECT["tool"]["ruff"]["lint"]["flake8-tidy-imports"]["banned-api"]
+    assert sorted(banned) == sorted(ONLY)
+    source = "".join(f"import {name}\n" for name in banned)
+    command = [
+        sys.executable,
+        "-m",
+        "ruff",
+        "check",
+        "--select",
+        "TID251",
+        "--stdin-filename",
+        "brain/brain.py",
+        "-",
+    ]
+    done = subprocess.run(command, cwd=ROOT, input=source, capture_output=True, text=True, check=False)
+    missed = [name for name, ban in banned.items() if ban["msg"] not in done.stdout]
+    assert done.returncode == 1
+    assert not missed
+
+
+LAYERS = [
+    ("brain/belief.py", "import gateway.joint", "gateway over brain over protocols"),
+    ("protocols/wire.py", "import brain.belief", "gateway over brain over protocols"),
+    ("brain/belief.py", "import protocols.plugin", "the brain knows the words"),
+    ("protocols/plain/driver.py", "import protocols.plain.twin", "driver and twin meet only in their codec"),
+    ("protocols/words.py", "import protocols.plugin", "no import cycles"),
+    ("gateway/joint.py", "import gateway.clock", "the step knows no clock, bus, world or file"),
+    ("gateway/tick.py", "import gateway.buses.twin", "the step knows no clock, bus, world or file"),
+]
+
+
+@pytest.mark.parametrize(("file", "line", "contract"), LAYERS)
+def test_the_contracts_of_the_layers_hold_and_can_break(
+    tmp_path: Path, file: str, line: str, contract: str
+) -> None:
+    for room in ROOMS:
+        shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    with (tmp_path / file).open("a") as source:
+        source.write(f"\n{line}\n")
+    command = [
+        sys.executable,
+        "-c",
+        "from importlinter.cli import lint_imports_command as run; run()",
+        "--no-cache",
+    ]
+    environment = {**os.environ, "COLUMNS": "200"}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stdout
+    assert re.search(rf"^{re.escape(contract)}.* BROKEN", done.stdout, re.MULTILINE), done.stdout
+
+
+# -- what lies where ----------------------------------------------------------------------------
+
+
+def test_every_folder_with_code_is_a_package() -> None:
+    folders = {path.parent for path in [*SOURCES, *(ROOT / "tests").rglob("*.py")]}
+    assert not [str(folder) for folder in sorted(folders) if not (folder / "__init__.py").exists()]
+
+
+def test_every_package_has_tests() -> None:
+    """tests/a/b/test_*.py for the package a/b, or tests/a/test_b*.py."""
+    packages = sorted({path.parent.relative_to(ROOT) for path in SOURCES if path.name != "__init__.py"})
+    assert len(packages) >= 8
+
+    def tested(package: Path) -> bool:
+        own = (ROOT / "tests" / package).glob("test_*.py")
+        beside = (ROOT / "tests" / package.parent).glob(f"test_{package.name}*.py")
+        return any([*own, *beside])
+
+    assert not [str(package) for package in packages if not tested(package)]
+
+
+def test_a_device_language_is_a_whole_folder() -> None:
+    assert LANGUAGES
+    declared = PROJECT["project"]["entry-points"]["motor_gateway.protocols"]
+    assert declared == {folder.name: f"protocols.{folder.name}:plugin" for folder in LANGUAGES}
+    for folder in LANGUAGES:
+        missing = [n for n in ("codec.py", "driver.py", "twin.py", "README.md") if not (folder / n).is_file()]
+        assert not missing, f"{folder.name} lacks {', '.join(missing)}"
+
+
+def test_no_vendor_is_named_outside_its_folder() -> None:
+    names = {folder.name.split("_")[0] for folder in LANGUAGES if "_" in folder.name}
+    assert "odrive" in names
+    pattern = re.compile("|".join(sorted(names)), re.IGNORECASE)
+    named = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in SOURCES
+        if not any(path.is_relative_to(folder) for folder in LANGUAGES)
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if pattern.search(line)
+    ]
+    assert not named, "\n".join(named)
+
+
+# -- dependencies -------------------------------------------------------------------------------
+
+
+def requirement_names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[<>=!~\[; ]", requirement)[0].lower() for requirement in requirements}
+
+
+def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
+    distributions = packages_distributions()
+    tops = {
+        name.split(".")[0]
+        for path in SOURCES
+        for _, name in imports(module_of(path), path.read_text(), package=path.name == "__init__.py")
+    }
+    outside = tops - set(sys.stdlib_module_names) - {*ROOMS, "fixtures"}
+    # A distribution may bring its module through another one (mujoco through mujoco-core).
+    providers = {top: {top, *(name.lower() for name in distributions[top])} for top in outside}
+    optional = PROJECT["project"]["optional-dependencies"]
+    declared = requirement_names([*PROJECT["project"]["dependencies"], *optional["sim"]])
+    assert not {top for top, names in providers.items() if not names & declared}, "imported, not declared"
+    assert not declared - set().union(*providers.values()), "declared, not imported"
+    assert set().union(*OUTSIDE.values()) <= outside
+
+
+def test_the_lock_holds_every_dependency_and_no_address() -> None:
+    lock = (ROOT / "requirements.lock").read_text()
+    entries = re.split(
+        r"\n(?=\S)", "\n".join(line for line in lock.splitlines() if not line.lstrip().startswith("#"))
+    )
+    assert "://" not in lock
+    assert not re.search(r"index-url|find-links|file:|-e ", lock)
+    bare = [
+        entry
+        for entry in entries
+        if not re.match(r"[a-z0-9.-]+==\S+.*--hash=sha256:[0-9a-f]{64}", entry, re.DOTALL)
+    ]
+    assert not bare
+    locked = {entry.split("==")[0] for entry in entries}
+    optional = PROJECT["project"]["optional-dependencies"]
+    wanted = [*PROJECT["project"]["dependencies"], *optional["sim"], *optional["dev"]]
+    assert requirement_names(wanted) <= locked
+    assert len(locked) > 50
+
+
+# -- what no text may name ----------------------------------------------------------------------
+
+PRIVATE = [
+    r"(?<![\w.~])/(?:work|root|home|tmp|Users)/[\w.]",
+    r"shared/(?:facts|wire|data|HOUSE|STYLE)",
+    r"(?:pypi|pythonhosted|crates|npmjs)\.(?:org|io|com)",
+]
+"""Paths of somebody's machine, and addresses of package indexes."""
+TEXT = {".py", ".toml", ".json", ".md", ".lock", ".typed", ".txt", ".yml", ""}
+
+
+def texts() -> list[Path]:
+    """Every text file of the project: the rooms, fixtures, tests, docs, and what lies at the top."""
+    folders = [*ROOMS, "fixtures", "tests", "docs", ".ci"]
+    below = [path for folder in folders for path in (ROOT / folder).rglob("*")]
+    at_top = [path for path in ROOT.iterdir() if path.name not in (".git", ".coverage")]
+    files = {path for path in [*below, *at_top] if path.is_file() and path.suffix in TEXT}
+    return sorted(path for path in files if "__pycache__" not in path.parts)
+
+
+def private(text: str) -> list[str]:
+    return [match.group() for pattern in PRIVATE for match in re.finditer(pattern, text)]
+
+
+def test_no_text_names_a_private_place() -> None:
+    files = [path for path in texts() if path != Path(__file__).resolve()]
+    assert {ROOT / "go", ROOT / "pyproject.toml", ROOT / ".ci" / "run"} <= set(files)
+    found = {str(path.relative_to(ROOT)): private(path.read_text()) for path in files}
+    assert not {name: places for name, places in found.items() if places}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["x = '/home/me/x'", "see ../shared/facts/y.md", "https://pypi.org/simple", "(/tmp/x)", "/root/.venv"],
+)
+def test_a_private_place_is_found(text: str) -> None:
+    assert private(text)
+
+
+@pytest.mark.parametrize("text", ["gateway/world/files.py", "~/root/x", "http://www.apache.org/", "a/tmp/"])
+def test_a_public_place_is_no_private_one(text: str) -> None:
+    assert not private(text)
