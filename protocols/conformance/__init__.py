@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from protocols.conformance.bytes import no_bytes_raise, streams_may_be_cut, wires_are_counted
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.manners import (
     nothing_non_finite,
@@ -28,6 +27,7 @@ from protocols.conformance.manners import (
 from protocols.conformance.rehearsal import ADDRESSES
 from protocols.conformance.state import copies_go_on, same_in_same_out
 from protocols.conformance.survival import commands_survive, measurements_survive
+from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
 from protocols.plugin import Plugin
 from protocols.wire import Wire
 from protocols.words import Word
