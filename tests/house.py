@@ -38,8 +38,8 @@ ONLY: dict[str, tuple[str, ...]] = {
 # fmt: off
 INPUT_OUTPUT = frozenset({
     "asyncio", "ctypes", "fcntl", "io", "logging", "mmap", "multiprocessing", "os", "pathlib", "pty", "queue",
-    "select", "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile", "termios", "threading",
-    "time",
+    "select", "selectors", "shutil", "signal", "socket", "subprocess", "sys", "tempfile", "termios",
+    "threading", "time",
 })
 # fmt: on
 """What nothing below the loop may import: the outside world comes in as arguments."""
