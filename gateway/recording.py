@@ -27,7 +27,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from brain.belief import Belief, MapView
+from brain.belief import Belief
 from brain.perception.mount import Mount
 from gateway import journal, machine
 from gateway.journal import JournalError
@@ -57,7 +57,6 @@ CLOSE_WITHIN = 10.0
 """s that closing waits for a slow disk"""
 
 _MAGIC = b"\x89MCAP0\r\n"
-_UINT64 = 2**64 - 1
 # Their subscribers come late: rosbag2 must offer them what was sent before (QoS as rosbag2 writes it).
 _LATCHED = frozenset({"/tf_static", "/map", "/plan", "/goal_pose"})
 _LATCHED_QOS = """\
@@ -98,7 +97,6 @@ class Recorder:
         """What went wrong last, in a sentence; "" as long as nothing has. Changes at most a few times."""
         self._refused = 0
         self._file = _File(path, robot_text, {**machine.facts(), **facts}, Views(mounts))
-        self._map: MapView | None = None
         self._queue: queue.Queue[tuple[Tick, Belief] | None] = queue.Queue(depth)
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -112,7 +110,8 @@ class Recorder:
     def record(self, tick: Tick, belief: Belief, *, patient: bool = False) -> None:
         """Hand over a tick and the belief after it. Never waits, unless `patient` (in simulated time)."""
         try:
-            self._put((tick, self._freeze(belief)), patient)
+            # The counts are the one part of a belief that its owner goes on writing to.
+            self._put((tick, replace(belief, rejected=dict(belief.rejected))), patient)
         except queue.Full:
             if not self._refused:
                 why = "the disk is too slow" if self._thread.is_alive() else "it is closed"
@@ -154,18 +153,6 @@ class Recorder:
             else:
                 return
         raise queue.Full
-
-    def _freeze(self, belief: Belief) -> Belief:
-        """A copy of what the brain may go on writing to while the thread reads; a map once per version."""
-        estimate, grid = belief.estimate, belief.map
-        if grid is not None and (self._map is None or self._map.version != grid.version):
-            self._map = replace(grid, log_odds=grid.log_odds.copy())
-        return replace(
-            belief,
-            estimate=estimate and replace(estimate, covariance=estimate.covariance.copy()),
-            map=grid and self._map,
-            rejected=dict(belief.rejected),
-        )
 
     def _run(self) -> None:
         while True:
@@ -283,9 +270,9 @@ class _File:
             channel = self._channels[topic, type_] = self._channel(topic, type_)
         self._writer.add_message(
             channel,
-            log_time=_uint64(tick.now),
+            log_time=max(0, tick.now),
             data=data,
-            publish_time=_uint64(t),
+            publish_time=max(0, t),
             sequence=tick.number & 0xFFFFFFFF,
         )
 
@@ -294,10 +281,6 @@ class _File:
         schema = self._writer.register_schema(type_, "ros2msg", definition.encode())
         qos = {"offered_qos_profiles": _LATCHED_QOS} if topic in _LATCHED else {}
         return self._writer.register_channel(topic, "cdr", schema, qos)
-
-
-def _uint64(t: Nanos) -> int:
-    return max(0, min(_UINT64, t))
 
 
 def _digest(data: bytes) -> str:

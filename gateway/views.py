@@ -56,6 +56,8 @@ BELIEF_PERIOD = 20 * MILLISECOND
 MAP_PERIOD = SECOND
 DIAGNOSTICS_PERIOD = 500 * MILLISECOND
 
+UINT64 = 2**64 - 1
+
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
 _BRAIN_LEVELS = {
     BrainState.INITIALISING: _WARN,
@@ -81,7 +83,7 @@ class View(NamedTuple):
     type: str
     """"package/msg/Name"""
     t: Nanos
-    """When what it shows was measured, believed or sent."""
+    """When what it shows was measured, believed or sent, cut to 64 bits without a sign as a file has them."""
     data: bytes
     """CDR"""
 
@@ -146,6 +148,10 @@ class Views:
         """The definition of a message type, with those of all types in it (ros2msg)."""
         return self._store.generate_msgdef(type_, ros_version=2)[0]
 
+    def open(self, view: View) -> object:
+        """The message again, as an object with its fields."""
+        return self._store.deserialize_cdr(view.data, view.type)
+
     # -- when -----------------------------------------------------------------------------------
 
     def _due(self, topic: str, now: Nanos, period: Nanos) -> bool:
@@ -163,7 +169,12 @@ class Views:
 
     def _view(self, topic: str, t: Nanos, message: Message) -> View:
         type_ = message.__msgtype__
-        return View(topic, type_, t, bytes(self._store.serialize_cdr(message, type_, little_endian=True)))
+        return View(
+            topic,
+            type_,
+            max(0, min(UINT64, t)),
+            bytes(self._store.serialize_cdr(message, type_, little_endian=True)),
+        )
 
     # -- what came in and went out ----------------------------------------------------------------
 

@@ -1,0 +1,205 @@
+"""A little robot for tests of recordings: one wheel on one CAN bus, with a belief, all of it deterministic.
+
+Also strategies for ticks of every kind, with every word there is.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from hypothesis import strategies as st
+
+from brain.belief import Belief, BrainState, Estimate, MapView, Pose
+from brain.perception.mount import Mount
+from gateway.recording import Recorder
+from gateway.tick import Inputs, Note, Outputs, Tick
+from protocols.plain.codec import CODES
+from protocols.wire import BusState, CanFrame, Packet, Wire
+from protocols.words import (
+    MILLISECOND,
+    Asked,
+    Command,
+    Drive,
+    Event,
+    Feedback,
+    Goal,
+    LaserScan,
+    Mode,
+    Nanos,
+    Request,
+    Velocity,
+    Word,
+)
+
+PERIOD = 5 * MILLISECOND
+FEEDBACK_ID, COMMAND_ID = 0x029, 0x00D
+ROBOT = 'name = "little"\n[brain]\ngain = 2.0\n[[motors]]\nname = "left"\ngear = 8.0\n'
+MOUNTS = {"lidar": Mount(x=0.1, z=0.2, yaw=math.pi / 2)}
+
+
+@dataclass
+class Little:
+    """Hears positions as float32, says velocities = -gain · position as float32."""
+
+    gain: float = 2.0
+    position: float = 0.0
+    t: Nanos = 0
+    seen: int = 0
+    goal: Goal | None = None
+    grid: np.ndarray[Any, np.dtype[np.float32]] = field(default_factory=lambda: np.zeros((4, 6), np.float32))
+
+    def step(self, now: Nanos, inputs: Inputs) -> Outputs:
+        events: list[Event] = []
+        for packet in inputs.packets:
+            if isinstance(packet.wire, CanFrame) and packet.wire.id == FEEDBACK_ID:
+                (self.position,) = struct.unpack("<f", packet.wire.data[:4])
+                self.t, self.seen = packet.t, self.seen + 1
+                events.append(Feedback("left", packet.t, self.position))
+        for word in inputs.asked:
+            if isinstance(word, Goal):
+                self.goal = word
+        notes = (Note("info", "brain", f"goal {self.goal}"),) if inputs.asked else ()
+        velocity = -self.gain * self.position
+        return Outputs((Packet(now, "can0", command(velocity)),), tuple(events), notes)
+
+    def belief(self) -> Belief:
+        estimate = Estimate(self.t, Pose(self.position, 0.5, 0.1), 0.2, 0.3, np.eye(3) * 0.01)
+        grid = self.grid.copy()
+        grid[0, 0] = self.seen
+        view = MapView(self.seen // 100, 0.05, -1.0, -2.0, grid)
+        return Belief(
+            BrainState.RUNNING, "", estimate, self.goal, ((0.0, 0.0), (1.0, 1.0)), 1, view, {"lidar": 0}, 0
+        )
+
+
+class LittleEar:
+    """What the wheel obeys."""
+
+    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+        if isinstance(wire, CanFrame) and wire.id == COMMAND_ID:
+            return (Velocity("left", struct.unpack("<f", wire.data[:4])[0]),)
+        return ()
+
+
+def command(velocity: float) -> CanFrame:
+    return CanFrame(COMMAND_ID, struct.pack("<ff", velocity, 0.0))
+
+
+def feedback(position: float) -> CanFrame:
+    return CanFrame(FEEDBACK_ID, struct.pack("<ff", position, 0.0))
+
+
+def inputs(number: int) -> Inputs:
+    """What the wheel says at 200 Hz, a foreign frame, serial bytes, and now and then a goal."""
+    now = number * PERIOD
+    packets = (
+        Packet(now - 1_000, "can0", feedback(math.sin(0.01 * number))),
+        Packet(now - 500, "can0", CanFrame(0x7FF, bytes([number & 0xFF]))),
+        Packet(now - 100, "tty", bytes([0xA5, number & 0xFF])),
+    )
+    states = (("can0", BusState.UP),) if number == 0 else ()
+    asked: tuple[Asked, ...] = (Goal(number * 0.1, 1.0), Drive(0.1, 0.2)) if number % 50 == 10 else ()
+    return Inputs(states, packets, asked)
+
+
+def life(count: int, robot: Little | None = None) -> Iterator[tuple[Tick, Belief]]:
+    """The first ticks of a little robot."""
+    robot = robot or Little()
+    for number in range(count):
+        now, given = number * PERIOD, inputs(number)
+        yield Tick(number, now, given, robot.step(now, given)), robot.belief()
+
+
+def record(path: Path, count: int, *, facts: dict[str, str] | None = None) -> list[Tick]:
+    """A closed recording of a little robot's first ticks."""
+    ticks = []
+    with Recorder(path, ROBOT, facts or {}, MOUNTS) as recorder:
+        for tick, belief in life(count):
+            recorder.record(tick, belief, patient=True)
+            ticks.append(tick)
+    assert (recorder.lost, recorder.trouble) == (0, "")
+    return ticks
+
+
+def bare_belief() -> Belief:
+    """Nothing is believed."""
+    return Belief(BrainState.READY, "", None, None, (), 0, None, {}, 0)
+
+
+def scan(t: Nanos = 0, beams: int = 360) -> LaserScan:
+    """Something to see in every beam but the first three: no reading, nothing hit, just out of range."""
+    ranges = (0.0, 10.0, 11.0, *(1.0 + 0.01 * i for i in range(beams - 3)))
+    return LaserScan("lidar", t, -math.pi, 2 * math.pi / beams, 0.1, 10.0, ranges)
+
+
+# -- anything ----------------------------------------------------------------------------------
+
+text = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+int64 = st.integers(-(2**63), 2**63 - 1)
+_floats = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def _of(hint: object) -> st.SearchStrategy[Any]:
+    plain: dict[object, st.SearchStrategy[Any]] = {
+        float: _floats,
+        int: int64,
+        str: text,
+        Mode: st.sampled_from(Mode),
+        type(None): st.none(),
+    }
+    if hint in plain:
+        return plain[hint]
+    arguments = get_args(hint)
+    if get_origin(hint) is tuple:
+        if arguments[-1] is Ellipsis:
+            return st.lists(_of(arguments[0]), max_size=5).map(tuple)
+        return st.tuples(*(_of(a) for a in arguments))
+    assert get_origin(hint) is Union or type(hint).__name__ == "UnionType", hint
+    return st.one_of(*(_of(a) for a in arguments))
+
+
+def words(kinds: Sequence[type[Word]]) -> st.SearchStrategy[Any]:
+    """Any word of these kinds."""
+    return st.one_of(*(st.builds(k, **{n: _of(h) for n, h in get_type_hints(k).items()}) for k in kinds))
+
+
+EVENTS = tuple(get_args(Event))
+ASKED = tuple(kind for kind in CODES.values() if kind not in EVENTS)
+
+wires: st.SearchStrategy[Wire] = st.one_of(
+    st.binary(max_size=70),
+    st.builds(
+        CanFrame,
+        id=st.integers(0, 2**29 - 1),
+        data=st.binary(max_size=64),
+        extended=st.booleans(),
+        remote=st.booleans(),
+        fd=st.booleans(),
+        brs=st.booleans(),
+    ),
+)
+packets = st.lists(st.builds(Packet, t=int64, bus=text, wire=wires), max_size=4).map(tuple)
+notes = st.lists(st.builds(Note, st.sampled_from(("info", "warning", "error")), text, text), max_size=3)
+ticks: st.SearchStrategy[Tick] = st.builds(
+    Tick,
+    number=st.integers(0, 2**64 - 1),
+    now=int64,
+    inputs=st.builds(
+        Inputs,
+        states=st.lists(st.tuples(text, st.sampled_from(BusState)), max_size=2).map(tuple),
+        packets=packets,
+        asked=st.lists(words(ASKED), max_size=3).map(tuple),
+    ),
+    outputs=st.builds(
+        Outputs,
+        packets=packets,
+        events=st.lists(words(EVENTS), max_size=3).map(tuple),
+        notes=notes.map(tuple),
+    ),
+)
