@@ -1,14 +1,14 @@
 """Plain: our own words in bytes, for sensors and motors that have no wire of their own.
 
 Rules. The smallest plugin there is, to be read first by whoever writes one. One serial line carries
-any number of devices, each with an address of 1 … 255; words travel exactly (see `codec`).
+any number of devices, each with an address of 1 … 255; words travel exactly (see `codec`, `line`).
 """
 
 from __future__ import annotations
 
 from typing import get_args
 
-from protocols.plain import codec
+from protocols.plain import line
 from protocols.plain.driver import OFFLINE, Options, PlainDriver
 from protocols.plain.twin import PlainEar, Settings, twin
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
@@ -24,10 +24,10 @@ def read_only(wire: Wire) -> bool:
     """Whether these bytes are whole messages that only ask: Scan, ReadParameter."""
     if not isinstance(wire, bytes):
         return False
-    stream = codec.Stream()
+    stream = line.Stream()
     bodies = stream.feed(wire)
-    whole = sum(len(codec.frame(body)) for body in bodies) == len(wire)
-    asked = [codec.read(body, 0, "") for body in bodies]
+    whole = sum(len(line.frame(body)) for body in bodies) == len(wire)
+    asked = [line.read(body, 0, "") for body in bodies]
     return whole and all(isinstance(word, Scan | ReadParameter) for word in asked)
 
 
@@ -37,8 +37,8 @@ def spec(device: Device) -> Spec:
         raise ValueError(f"a plain device has an address of 1 … 255, not {device.address}")
     motor = device.options.kind == "motor"
     settings: Settings = device.settings
-    line: frozenset[type[Request]] = frozenset(get_args(codec.LineRequest))
-    asked: frozenset[type[Request]] = line | frozenset(get_args(codec.MotorRequest))
+    shared: frozenset[type[Request]] = frozenset(get_args(line.LineRequest))
+    own: frozenset[type[Request]] = frozenset(get_args(line.MotorRequest))
     commands: frozenset[type[Command]] = frozenset(COMMANDS)
     patience = round(settings.watchdog_ms * MILLISECOND)
     return Spec(
@@ -51,7 +51,7 @@ def spec(device: Device) -> Spec:
         feedback_period=round(settings.feedback_ms * MILLISECOND) if motor else SENSOR_PERIOD,
         offline_after=OFFLINE,
         commands=commands if motor else frozenset(),
-        requests=asked if motor else line,
+        requests=shared | own if motor else shared,
         ranges=_ranges(motor),
         watchdog=Watchdog(patience if motor and patience else None, enabled=motor and patience > 0),
         holds_unattended=motor and not patience,
@@ -61,14 +61,14 @@ def spec(device: Device) -> Spec:
 
 def _ranges(motor: bool) -> dict[str, Range]:
     """Everything is float64 on the wire: nothing is rounded."""
-    measured = {name: name.partition(".")[0] in MEASUREMENTS for name in codec.LIMITS}
+    measured = {name: name.partition(".")[0] in MEASUREMENTS for name in line.LIMITS}
     return {
-        name: Range(low, high, 0.0) for name, (low, high) in codec.LIMITS.items() if measured[name] != motor
+        name: Range(low, high, 0.0) for name, (low, high) in line.LIMITS.items() if measured[name] != motor
     }
 
 
 plugin = Plugin(
-    name=codec.NAME,
+    name=line.NAME,
     title="our own words in bytes on a serial line: sensors and motors without a wire of their own",
     trust="defined here; the bytes of fixtures/vectors/plain.json are made with msgpack and zlib alone",
     options=Options,

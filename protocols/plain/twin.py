@@ -1,7 +1,7 @@
 """The device's end of a plain line: an ear, a sensor, and the firmware of a small motor controller.
 
 Rules. A device obeys whole messages to its address, or to everyone (Scan, SetId), whose numbers lie
-within `codec.LIMITS`; all else it does not hear. A sensor tells what the world shows it at once. A motor
+within `line.LIMITS`; all else it does not hear. A sensor tells what the world shows it at once. A motor
 is armed by any command but Idle, and its watchdog is fed by commands alone. A fault disarms, is told
 with every State, and goes only by ClearFault or Reboot. README.md holds the table of behaviours.
 """
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from protocols.plain import codec
+from protocols.plain import line
 from protocols.plugin import Device, Twin
 from protocols.wire import Wire
 from protocols.words import (
@@ -99,9 +99,14 @@ class PlainEar:
     """What plain devices would obey. A motor in fault hears a command too, and does not obey it."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
-        self._stream = codec.Stream()
+        self._stream = line.Stream()
         self._names = {d.address: d.name for d in devices}
         self._motors = [d.name for d in devices if d.options.kind == "motor"]
+
+    def follow(self, device: Device) -> None:
+        """This device has a new address."""
+        self._names = {a: name for a, name in self._names.items() if name != device.name}
+        self._names[device.address] = device.name
 
     def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
         """The words in the messages that are complete with this wire."""
@@ -112,10 +117,10 @@ class PlainEar:
 
     def _read(self, t: Nanos, body: bytes) -> Command | Request | None:
         name = self._names.get(body[0], "")
-        word = codec.read(body, t, name)
-        if isinstance(word, codec.LineRequest):
-            return word if body[0] == codec.EVERYONE else None
-        if name in self._motors and isinstance(word, Command | codec.MotorRequest):
+        word = line.read(body, t, name)
+        if isinstance(word, line.LineRequest):
+            return word if body[0] == line.EVERYONE else None
+        if name in self._motors and isinstance(word, Command | line.MotorRequest):
             return word
         return None
 
@@ -133,7 +138,8 @@ class PlainSensor:
         for word in self._ear.hear(t, wire):
             device = _line(self._device, word, t, self._answers)
             if device is not self._device:
-                self._device, self._ear = device, PlainEar([device])
+                self._device = device
+                self._ear.follow(device)
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
         """Tell what the world shows to this sensor, each measurement at once."""
@@ -180,12 +186,13 @@ class PlainMotor:
         for word in self._ear.hear(t, wire):
             if isinstance(word, Command):
                 self._obey(t, word)
-            elif isinstance(word, codec.MotorRequest):
+            elif isinstance(word, line.MotorRequest):
                 self._answer(t, word)
             else:
                 device = _line(self._device, word, t, self._answers)
                 if device is not self._device:
-                    self._device, self._ear = device, PlainEar([device])
+                    self._device = device
+                self._ear.follow(device)
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
         """Run the loop with the shaft as it is, and say what is due."""
@@ -247,7 +254,7 @@ class PlainMotor:
 
     # -- requests --------------------------------------------------------------------------------------
 
-    def _answer(self, t: Nanos, word: codec.MotorRequest) -> None:
+    def _answer(self, t: Nanos, word: line.MotorRequest) -> None:
         """Do what is asked; say that it is done, or why not."""
         name, request = self._device.name, type(word).__name__
         refused = ""
@@ -351,7 +358,7 @@ def _line(device: Device, word: Command | Request, t: Nanos, answers: list[Event
         device = replace(device, address=word.address)
     elif not isinstance(word, Scan):
         return device
-    answers.append(Found(t, codec.NAME, device.address, serial, device.options.kind))
+    answers.append(Found(t, line.NAME, device.address, serial, device.options.kind))
     return device
 
 
@@ -360,7 +367,7 @@ def _messages(device: Device, now: Nanos, said: Sequence[Event]) -> list[bytes]:
     messages = []
     for word in said:
         with contextlib.suppress(ValueError):
-            messages.append(codec.message(device.address, word, now))
+            messages.append(line.message(device.address, word, now))
     return messages
 
 
