@@ -103,6 +103,8 @@ def loads(
     buses = {n: bus for n, t in groups["buses"].items() if (bus := read_bus(n, t, mistakes))}
     motors = {n: m for n, t in groups["motors"].items() if (m := read_motor(n, t, known, find, mistakes))}
     sensors = {n: s for n, t in groups["sensors"].items() if (s := read_sensor(n, t, known, find, mistakes))}
+    if "brain" not in table:
+        mistakes.add(("brain",), "missing; expected a table [brain] that says which body")
     brain = build(BrainSettings, table.get("brain", {}), ("brain",), mistakes)
 
     period = round(SECOND / top.rate_hz) if top and top.rate_hz > 0 else 0

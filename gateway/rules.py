@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import TypeAlias
 
+from brain.settings import BrainSettings
 from gateway.mistakes import Key, Mistakes, unknown
 from gateway.robot import BusSettings, Motor, Robot, Sensor
 from gateway.typed import positive
@@ -96,8 +97,10 @@ _MOTORS = {"differential": ("left", "right"), "joints": ("motors",)}
 
 def check_brain(brain: object, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes) -> None:
     """The body's own table is there, and the motors that it names too. `brain` is as in the file."""
-    body = brain.get("body") if isinstance(brain, Mapping) else None
-    if not isinstance(brain, Mapping) or not isinstance(body, str) or body not in _MOTORS:
+    if not isinstance(brain, Mapping):
+        return
+    body = brain.get("body", BrainSettings().body)
+    if not isinstance(body, str) or body not in _MOTORS:
         return
     table = brain.get(body)
     if table is None:

@@ -13,7 +13,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from enum import Enum
 from types import GenericAlias, NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -93,7 +93,9 @@ class _Error:
 def _fields_of(kind: type, error: _Error) -> list[tuple[Loc, _Error]]:
     """The fields that an error is about: what a `__post_init__` said is split by the fields that it names."""
     if error.kind != "value_error":
-        return [(error.loc, error)]
+        place = error.loc[: len(_walk(kind, error.loc)[0])]  # not which item of an array, nor of a union
+        inside = place != error.loc
+        return [(place, replace(error, kind="inside") if inside else error)]
     hint = _bare(_walk(kind, error.loc)[1])
     split: list[tuple[Loc, _Error]] = []
     for sentence in str(error.context.get("error", error.message)).split("; "):
