@@ -21,7 +21,8 @@ from gateway.buses import Bus
 from gateway.buses.line import Line, Sent
 from gateway.robot import TWIN, BusSettings, Motor, Robot, Sensor
 from gateway.world.bench import Shaft
-from gateway.world.files import STEP, BenchFile, ShaftFile, load_world
+from gateway.world.files import STEP, BenchFile, ShaftFile
+from gateway.world.load import load_world
 from gateway.world.world import World
 from protocols.plugin import Twin
 from protocols.wire import BusState, Packet, Wire

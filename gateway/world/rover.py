@@ -17,7 +17,8 @@ import numpy.typing as npt
 
 from brain.belief import Pose
 from brain.perception.mount import Mount
-from gateway.world.files import SceneFile, Slip, Start, complaint
+from gateway.world.files import SceneFile, Slip, Start
+from gateway.world.load import complaint
 from gateway.world.mjcf import scene_xml
 
 if TYPE_CHECKING:

@@ -15,17 +15,8 @@ from brain.belief import Pose
 from brain.perception.mount import Mount
 from gateway.mistakes import unknown
 from gateway.world.bench import Bench
-from gateway.world.files import (
-    STEP,
-    BenchFile,
-    SceneFile,
-    WorldError,
-    WorldFile,
-    complaint,
-    known_worlds,
-    load_world,
-    loads_world,
-)
+from gateway.world.files import STEP, BenchFile, SceneFile, WorldFile
+from gateway.world.load import WorldError, complaint, known_worlds, load_world, loads_world
 from gateway.world.mjcf import Polygon, outlines
 from gateway.world.rover import Rover
 from gateway.world.sensors import ImuSensor, LidarSensor

@@ -7,15 +7,8 @@ from pathlib import Path
 import pytest
 
 from gateway.mistakes import ConfigError
-from gateway.world.files import (
-    STEP,
-    BenchFile,
-    SceneFile,
-    WorldError,
-    known_worlds,
-    load_world,
-    loads_world,
-)
+from gateway.world.files import STEP, BenchFile, SceneFile
+from gateway.world.load import WorldError, known_worlds, load_world, loads_world
 from protocols.words import MILLISECOND
 from tests.gateway.world_helpers import ROOM
 
