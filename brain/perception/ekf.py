@@ -153,16 +153,15 @@ class _Entry:
 
 def move(state: Floats, dt: float) -> Floats:
     """The state after dt seconds without news."""
-    moved = state.copy()
-    distance = (1.0 - state[SLIP]) * state[V] * dt
-    pose = arc(
-        Pose(float(state[X]), float(state[Y]), float(state[YAW])), float(distance), float(state[W]) * dt
-    )
-    moved[X], moved[Y], moved[YAW] = pose.x, pose.y, pose.yaw
-    return moved
+    x, y, yaw, v, w, bias, slip = state.tolist()
+    pose = arc(Pose(x, y, yaw), (1.0 - slip) * v * dt, w * dt)
+    return np.array([pose.x, pose.y, pose.yaw, v, w, bias, slip])
 
 
-def arc_jacobian(yaw: float, distance: float, turn: float) -> tuple[Floats, Floats, Floats]:
+Triple = tuple[float, float, float]
+
+
+def arc_jacobian(yaw: float, distance: float, turn: float) -> tuple[Triple, Triple, Triple]:
     """How the end (x, y, yaw) of an arc changes with the heading at its start, its length, its turn."""
     half = turn / 2.0
     chord = sinc(half)
@@ -171,49 +170,51 @@ def arc_jacobian(yaw: float, distance: float, turn: float) -> tuple[Floats, Floa
     else:
         slope = (half * math.cos(half) - math.sin(half)) / (half * half)
     c, s = math.cos(yaw + half), math.sin(yaw + half)
-    of_yaw = np.array([-distance * chord * s, distance * chord * c, 1.0])
-    of_distance = np.array([chord * c, chord * s, 0.0])
-    of_turn = np.array(
-        [0.5 * distance * (slope * c - chord * s), 0.5 * distance * (slope * s + chord * c), 1.0]
-    )
+    of_yaw = (-distance * chord * s, distance * chord * c, 1.0)
+    of_distance = (chord * c, chord * s, 0.0)
+    of_turn = (0.5 * distance * (slope * c - chord * s), 0.5 * distance * (slope * s + chord * c), 1.0)
     return of_yaw, of_distance, of_turn
 
 
 def jacobian(state: Floats, dt: float) -> Floats:
     """d move / d state, 7 × 7."""
-    keep = 1.0 - float(state[SLIP])
-    v = float(state[V])
-    of_yaw, of_distance, of_turn = arc_jacobian(float(state[YAW]), keep * v * dt, float(state[W]) * dt)
+    _, _, yaw, v, w, _, slip = state.tolist()
+    keep = 1.0 - slip
+    of_yaw, along, around = arc_jacobian(yaw, keep * v * dt, w * dt)
     F = np.eye(SIZE)
-    F[POSE, YAW] = of_yaw
-    F[POSE, V] = of_distance * (keep * dt)
-    F[POSE, W] = of_turn * dt
-    F[POSE, SLIP] = of_distance * (-v * dt)
+    F[POSE, YAW:] = [
+        [of_yaw[i], along[i] * keep * dt, around[i] * dt, 0.0, along[i] * -v * dt] for i in (X, Y, YAW)
+    ]
     return F
 
 
 def process_noise(state: Floats, dt: float, settings: EkfSettings) -> Floats:
     """What dt seconds add to the covariance, 7 × 7: speeds that wander (white acceleration, carried
     through to the pose), bias and slip that wander, and a floor that is not quite even."""
-    keep = 1.0 - float(state[SLIP])
-    distance = keep * float(state[V]) * dt
-    _, along, around = arc_jacobian(float(state[YAW]), distance, float(state[W]) * dt)
+    _, _, yaw, v, w, _, slip = state.tolist()
+    keep = 1.0 - slip
+    distance = keep * v * dt
+    _, along, around = arc_jacobian(yaw, distance, w * dt)
+    across = (-math.sin(yaw), math.cos(yaw), 0.0)
     q_v, q_w = settings.linear_noise**2, settings.angular_noise**2
-    travel = abs(distance)
-    c, s = math.cos(float(state[YAW])), math.sin(float(state[YAW]))
-    sideways = np.array([-s, c, 0.0])
+    on_along = q_v * keep * keep * dt**3 / 3.0 + settings.travel_noise**2 * abs(distance)
+    on_around = q_w * dt**3 / 3.0
+    on_across = settings.sideways_noise**2 * abs(distance)
     Q = np.zeros((SIZE, SIZE))
-    Q[POSE, POSE] = (
-        (q_v * keep * keep * dt**3 / 3.0 + settings.travel_noise**2 * travel) * np.outer(along, along)
-        + (q_w * dt**3 / 3.0) * np.outer(around, around)
-        + (settings.sideways_noise**2 * travel) * np.outer(sideways, sideways)
-    )
-    Q[POSE, V] = Q[V, POSE] = along * (q_v * keep * dt * dt / 2.0)
-    Q[POSE, W] = Q[W, POSE] = around * (q_w * dt * dt / 2.0)
-    Q[V, V] = q_v * dt
-    Q[W, W] = q_w * dt
+    Q[POSE, : W + 1] = [
+        [
+            on_along * along[i] * along[j]
+            + on_around * around[i] * around[j]
+            + on_across * across[i] * across[j]
+            for j in (X, Y, YAW)
+        ]
+        + [along[i] * q_v * keep * dt * dt / 2.0, around[i] * q_w * dt * dt / 2.0]
+        for i in (X, Y, YAW)
+    ]
+    Q[TWIST, POSE] = Q[POSE, TWIST].T
+    Q[V, V], Q[W, W] = q_v * dt, q_w * dt
     Q[BIAS, BIAS] = settings.bias_noise**2 * dt
-    Q[SLIP, SLIP] = settings.slip_noise**2 * dt if travel > 1e-4 * dt else 0.0
+    Q[SLIP, SLIP] = settings.slip_noise**2 * dt if abs(distance) > 1e-4 * dt else 0.0
     return Q
 
 

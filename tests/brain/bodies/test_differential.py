@@ -1,0 +1,152 @@
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from brain.belief import Pose
+from brain.bodies.differential import Differential, arc, sinc, wrap
+
+BODY = Differential("left", "right", 0.05, 0.22, 0.24, 0.6, 2.0, 1.0, 4.0)
+
+speeds = st.floats(-20.0, 20.0)
+turns = st.floats(-12.0, 12.0)
+places = st.builds(Pose, st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.14, 3.14))
+
+
+@given(speeds, speeds)
+def test_forward_undoes_inverse(linear: float, angular: float) -> None:
+    assert BODY.forward(*BODY.inverse(linear, angular)) == pytest.approx((linear, angular), abs=1e-9)
+
+
+@given(speeds, speeds)
+def test_inverse_undoes_forward(left: float, right: float) -> None:
+    assert BODY.inverse(*BODY.forward(left, right)) == pytest.approx((left, right), abs=1e-9)
+
+
+def test_signs() -> None:
+    distance, turn = BODY.forward(1.0, 2.0)
+    assert distance == pytest.approx(0.075)
+    assert turn == pytest.approx(0.05 / 0.22)  # the right wheel goes further: to the left
+    left, right = BODY.inverse(0.0, 1.0)
+    assert left == pytest.approx(-2.2)
+    assert right == pytest.approx(2.2)
+
+
+@given(places, st.floats(-5.0, 5.0), turns)
+def test_arc_equals_fine_integration(start: Pose, distance: float, turn: float) -> None:
+    """Midpoint steps, whose error goes with the square of the step: 2000 of them leave < 1e-5 m."""
+    n = 2000
+    x, y = start.x, start.y
+    for i in range(n):
+        heading = start.yaw + turn * (i + 0.5) / n
+        x += distance / n * math.cos(heading)
+        y += distance / n * math.sin(heading)
+    end = BODY.arc(start, distance, turn)
+    assert (end.x, end.y) == pytest.approx((x, y), abs=1e-5)
+    assert math.remainder(end.yaw - start.yaw - turn, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_quarter_of_a_circle_is_exact() -> None:
+    radius = 1.76 / (math.pi / 2)
+    end = arc(Pose(0.0, 0.0, 0.0), 1.76, math.pi / 2)
+    assert (end.x, end.y, end.yaw) == pytest.approx((radius, radius, math.pi / 2), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "end"),
+    [
+        (1.0, 1.0, (1.0, 0.0, 0.0)),
+        (-1.0, 1.0, (0.0, 0.0, 2.0)),
+        (1.0, 2.0, (1.5 * math.sin(1.0), -1.5 * (math.cos(1.0) - 1.0), 1.0)),
+    ],
+)
+def test_ros2_controllers_agrees(left: float, right: float, end: tuple[float, float, float]) -> None:
+    """Wheels of 1 m radius, 1 m apart, turning for 1 s: the figures expected by ros2_controllers
+    @94e74de, diff_drive_controller/test/test_odometry.cpp."""
+    body = replace(BODY, wheel_radius=1.0, wheel_separation=1.0)
+    pose = body.arc(Pose(0.0, 0.0, 0.0), *body.forward(left, right))
+    assert (pose.x, pose.y, pose.yaw) == pytest.approx(end, abs=1e-12)
+
+
+@given(places, st.floats(-5.0, 5.0), turns, st.floats(0.0, 1.0))
+def test_two_parts_of_an_arc_are_the_arc(start: Pose, distance: float, turn: float, part: float) -> None:
+    whole = arc(start, distance, turn)
+    middle = arc(start, distance * part, turn * part)
+    parts = arc(middle, distance * (1 - part), turn * (1 - part))
+    assert (parts.x, parts.y) == pytest.approx((whole.x, whole.y), abs=1e-9)
+    assert wrap(parts.yaw - whole.yaw) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(places, st.floats(-5.0, 5.0), turns)
+def test_back_along_the_same_arc(start: Pose, distance: float, turn: float) -> None:
+    back = arc(arc(start, distance, turn), -distance, -turn)
+    assert (back.x, back.y) == pytest.approx((start.x, start.y), abs=1e-9)
+
+
+@pytest.mark.parametrize("half", [1e-4 * (1 + 1e-9), 1e-4 * (1 - 1e-9), -1e-4])
+def test_sinc_has_no_seam(half: float) -> None:
+    assert sinc(half) == pytest.approx(math.sin(half) / half, abs=1e-15)
+
+
+@given(st.floats(-100.0, 100.0))
+def test_wrap(angle: float) -> None:
+    wrapped = wrap(angle)
+    assert -math.pi < wrapped <= math.pi
+    assert math.cos(wrapped - angle) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_wrap_has_one_name_for_backwards() -> None:
+    assert wrap(-math.pi) == wrap(math.pi) == wrap(3 * math.pi) == math.pi
+
+
+@given(st.floats(-5.0, 5.0), st.floats(-20.0, 20.0), st.sampled_from([None, 8.0, 100.0]))
+def test_limit_keeps_curvature_and_limits(linear: float, angular: float, fastest: float | None) -> None:
+    body = replace(BODY, max_wheel_speed=fastest)
+    v, w = body.limit(linear, angular)
+    assert abs(v) <= body.max_linear + 1e-12
+    assert abs(w) <= body.max_angular + 1e-12
+    assert max(abs(speed) for speed in body.inverse(v, w)) <= body.wheel_speed + 1e-9
+    assert v * angular == pytest.approx(w * linear, abs=1e-9)
+    within = abs(linear) <= body.max_linear and abs(angular) <= body.max_angular
+    if within and max(abs(speed) for speed in body.inverse(linear, angular)) <= body.wheel_speed:
+        assert (v, w) == (linear, angular)
+    else:
+        used = [abs(v) / body.max_linear, abs(w) / body.max_angular]
+        used += [abs(speed) / body.wheel_speed for speed in body.inverse(v, w)]
+        assert max(used) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_limit_refuses_what_is_not_finite(bad: float) -> None:
+    with pytest.raises(ValueError, match="must be finite"):
+        BODY.limit(bad, 0.0)
+    with pytest.raises(ValueError, match="must be finite"):
+        BODY.limit(0.0, bad)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.3, -0.6])
+def test_stop_distance_is_what_braking_takes(speed: float) -> None:
+    dt, v, way = 1e-5, abs(speed), abs(speed) * 0.1
+    while v > 0.0:
+        way += v * dt
+        v -= BODY.max_linear_acceleration * dt
+    assert BODY.stop_distance(speed, 0.1) == pytest.approx(way, abs=1e-4)
+
+
+def test_stop_turn() -> None:
+    assert BODY.stop_turn(-2.0, 0.5) == pytest.approx(1.0 + 4.0 / 8.0)
+
+
+@pytest.mark.parametrize("field", [f for f in BODY.__slots__ if f not in ("left", "right")])
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
+def test_every_measure_is_above_nought(field: str, bad: float) -> None:
+    with pytest.raises(ValueError, match=f"{field} must be a number above 0"):
+        replace(BODY, **{field: bad})  # type: ignore[arg-type]  # only numbers are replaced
+
+
+@pytest.mark.parametrize(("left", "right"), [("a", "a"), ("", "b"), ("a", "")])
+def test_two_wheels_are_two_motors(left: str, right: str) -> None:
+    with pytest.raises(ValueError, match="must name two motors"):
+        replace(BODY, left=left, right=right)
