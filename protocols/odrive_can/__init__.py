@@ -100,7 +100,7 @@ def spec(device: Device) -> Spec:
     cmds = [layout.cmd for layout in LAYOUTS if layout.cmd not in NOT_SENT]
     told = [layout.cmd for layout in LAYOUTS if layout.told()]
     quiet = options.watchdog == "acknowledged" or settings.enable_watchdog
-    timeout = round(settings.watchdog_timeout * SECOND) if settings.watchdog_timeout > 0 else SECOND
+    timeout = round(settings.watchdog_timeout * SECOND) or None
     return Spec(
         bus="can",
         kind="motor",

@@ -87,8 +87,8 @@ class Layout:
     cmd: int
     direction: Direction
     codes: str
-    """One letter per field: b bit 0, B u8, c u8 or left out, H u16, I u32, S u48, f binary32, n binary32 or NaN,
-    m int16 × 0.001."""
+    """One letter per field: b bit 0, B u8, c u8 that may be left out, H u16, I u32, S u48, f binary32,
+    n binary32 or NaN, m int16 × 0.001."""
     dlc: int
     """Bytes that we send, and the fewest that are taken from a device."""
     names: tuple[str, ...]

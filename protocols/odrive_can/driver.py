@@ -29,6 +29,7 @@ from protocols.plugin import Device, Range, Tally
 from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (
     SECOND,
+    ClearFault,
     Command,
     Event,
     Fault,
@@ -70,33 +71,32 @@ class OdriveDriver:
 
     def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
         """What a wire says; [] to what is not ours."""
-        message_of = self._sort(wire)
-        if message_of is None or not isinstance(wire, CanFrame):
+        if not isinstance(wire, CanFrame) or not self._ours(wire):
+            self.tally.foreign += 1
             self._overhear(t, wire)
             return []
-        node = wire.id >> CMD_BITS
         message = decode_from_device(wire)
-        if message is None or (isinstance(message, Address) and message.node != node):
+        if message is None:
             self.tally.bad += 1
             return []
         self.tally.heard += 1
         if isinstance(message, Address):
             return self._hear_address(t, message)
-        return self._hear_node(t, self.nodes[node], message)
+        return self._hear_node(t, self.nodes[wire.id >> CMD_BITS], message)
 
-    def _sort(self, wire: Wire) -> int | None:
-        """The command number, if it is a device's data frame of ours; else it is counted as foreign."""
-        if isinstance(wire, CanFrame) and not (wire.extended or wire.fd or wire.remote):
-            node, cmd = wire.id >> CMD_BITS, wire.id & 0x1F
-            layout = BY_CMD.get(cmd)
-            if layout is not None and layout.told() and wire.data:
-                unaddressed = node == BROADCAST and wire.data[0] == BROADCAST
-                if cmd == cmd_of(Address) and (unaddressed or (node != BROADCAST and wire.data[0] == node)):
-                    return cmd
-                if node in self.nodes and cmd != cmd_of(Address):
-                    return cmd
-        self.tally.foreign += 1
-        return None
+    def _ours(self, frame: CanFrame) -> bool:
+        """Whether it is the data frame of a device: of ours, or anybody's answer to a roll call.
+
+        What a host sends under the same ids is not: a node id given out on the broadcast node differs
+        from an unaddressed device's answer in its first byte."""
+        node, layout = frame.id >> CMD_BITS, BY_CMD.get(frame.id & 0x1F)
+        if layout is None or not layout.told() or not frame.data:
+            return False
+        if frame.extended or frame.fd or frame.remote:
+            return False
+        if layout.message is Address:
+            return frame.data[0] == node
+        return node in self.nodes
 
     def _hear_node(self, t: Nanos, node: Node, message: Message) -> list[Event]:
         events = node.hear(t, message)
@@ -267,7 +267,8 @@ class OdriveDriver:
                 begun = requests.refuse(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
             else:
                 begun = requests.begin(now, request, node, self._written.setdefault(node.name, {}))
-                self._told_double.pop(node.address, None)
+                if isinstance(request, ClearFault):
+                    self._told_double.pop(node.address, None)
         if isinstance(begun, Refused):
             return [begun]
         self._pending.append(begun)

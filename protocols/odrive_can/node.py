@@ -9,9 +9,6 @@ out only while heartbeats say closed loop.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import isfinite
-
 from protocols.odrive_can.codec import cmd_of, radians, turns
 from protocols.odrive_can.faults import (
     NOT_ARMED,
@@ -74,6 +71,8 @@ CONFIRMED = 2
 ARM_ATTEMPTS = 5
 """After so many tries without closed loop it is a fault."""
 VERSION_ATTEMPTS = 10
+REASON_ATTEMPTS = 5
+"""A disarm reason that is not told in so many tries is not waited for."""
 WAITING = (Result.SUCCESS, Result.BUSY, Result.CANCELLED, Result.DISARMED)
 """Results that may be left over from before the request: no verdict on it."""
 NEVER: Nanos = 1 << 62
@@ -115,6 +114,7 @@ class Node:
         self.told_errors = 0
         self.told_firmware = False
         self.want_reason = False
+        self.reason_asks = 0
         self.beats: list[tuple[Nanos, int, int]] = []
         """The last heartbeats: time, state, errors."""
         self.heard: dict[int, Nanos] = {}
@@ -176,7 +176,7 @@ class Node:
         fell = self.armed and not closed
         if fell:
             self.armed, self.mode, self.hold = False, None, None
-            self.want_reason = True
+            self.want_reason, self.reason_asks = True, 0
         elif closed and self.claimed and not self.releasing:
             self.armed, self.attempts, self.beats_since_arming = True, 0, 0
         self._confirm_release(closed=closed)
@@ -286,6 +286,8 @@ class Node:
             return "its position is not known yet"
         if self.errors:
             return "it is in fault"
+        if self.want_reason:  # arming again might wipe it
+            return "why it disarmed is not known yet"
         return "it would not arm" if self.refused else ""
 
     def _steer(self, mode: ControlMode, target: Message) -> list[Message]:
@@ -323,9 +325,10 @@ class Node:
         return [SetAxisState(AxisState.IDLE)]
 
     def cleared(self) -> None:
-        """An operator cleared the device's faults: tell again what stays, and let it arm again."""
-        self.told_errors, self.refused, self.attempts, self.beats_since_arming = 0, False, 0, 0
-        self.want_reason = False
+        """An operator clears the device's faults: it may arm again, and is asked again what it is."""
+        self.refused, self.attempts, self.beats_since_arming, self.want_reason = False, 0, 0, False
+        if self.told_firmware:
+            self.told_firmware, self.version, self.version_asks = False, None, 0
 
     # -- by itself ----------------------------------------------------------------------------
 
@@ -342,8 +345,9 @@ class Node:
         for cmd in asks:
             self.asked[cmd] = now
             self.unanswered = self.unanswered or cmd == ESTIMATES
-            if cmd == VERSION and self.state is not None:
-                self.version_asks += 1
+            self.version_asks += cmd == VERSION and self.state is not None
+            self.reason_asks += cmd == ERROR
+        self.want_reason = self.want_reason and self.reason_asks < REASON_ATTEMPTS
         if self.version_asks > VERSION_ATTEMPTS and self.version is None:
             events += self._wrong_firmware(
                 now, "firmware unknown", "it sends heartbeats but does not answer Get_Version: 0.5.x?"
@@ -404,8 +408,3 @@ def standstill(mode: ControlMode, position: float) -> Message:
     if mode == ControlMode.POSITION:
         return SetInputPos(position, 0.0, 0.0)
     return SetInputVel(0.0, 0.0) if mode == ControlMode.VELOCITY else SetInputTorque(0.0)
-
-
-def finite(values: Sequence[float]) -> bool:
-    """Whether all of them may stand on a wire."""
-    return all(isfinite(value) for value in values)

@@ -301,6 +301,7 @@ def give_up(pending: Pending, now: Nanos) -> Refused:
     if node is None or node.heard_at is None or node.heard_at < pending.began:
         return pending.refuse(now, "no answer of the device")
     if isinstance(pending.request, ClearFault):
+        node.told_errors = 0  # what stays is told again
         return pending.refuse(now, f"still in fault: {names(node.errors)}")
     if isinstance(pending.request, Zero):
         return pending.refuse(now, "its position did not become zero: is it turning?")
