@@ -108,17 +108,10 @@ class Joint:
         if isinstance(event, Feedback):
             return self._hear_feedback(event)
         if isinstance(event, State):
-            if self._left_by_itself(event):
-                self.latch(
-                    Fault(
-                        self.name,
-                        event.t,
-                        LEFT,
-                        f"disarmed itself: {event.mode}{f' ({event.detail})' if event.detail else ''}",
-                        "the device restarted, was disarmed by another host, or its watchdog expired",
-                        f"find out why, then clear {self.name}",
-                    )
-                )
+            if event.mode is Mode.OFFLINE:
+                self._latch_if_lost(event.t)
+            elif self._left_by_itself(event):
+                self.latch(self._desertion(event))
             self.mode, self.detail = event.mode, event.detail
             return event
         self.latch(event)
@@ -203,12 +196,12 @@ class Joint:
     def allow(self, now: Nanos, said: Command | None, stopped: bool) -> Command:
         """The one command of this step, at the device's shaft.
 
-        `said` is what the brain says now, None if it says nothing new. A blind joint that was commanded
-        latches a fault, for a motor that came back must not start by itself."""
+        `said` is what the brain says now, None if it says nothing new. A joint that went blind while
+        it was armed latches a fault, for a motor that comes back must not start by itself."""
         if said is not None:
             self._take(now, said)
-        if self.claimed and self.blind(now) and not isinstance(self._out, Idle):
-            self.latch(self._blindness(now))
+        if self.blind(now):
+            self._latch_if_lost(now)
         wanted = self._wanted(now, stopped)
         if self._heard_at is None:
             wanted = Idle(self.name)  # never arm what was never heard
@@ -222,16 +215,31 @@ class Joint:
         """The silent or safe word as a command."""
         return Hold(self.name) if which == "hold" else Idle(self.name)
 
+    def _latch_if_lost(self, now: Nanos) -> None:
+        """A device that we armed, and that was armed when last heard: nobody knows what it does."""
+        if self.claimed and self.mode is Mode.ARMED:
+            self.latch(self._blindness(now))
+
     def _blindness(self, now: Nanos) -> Fault:
-        age = self.age(now)
-        silent = "ever" if age is None else f"{age / MILLISECOND:.0f} ms"
+        limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
         return Fault(
             self.name,
             now,
             BLIND,
-            f"silent: no feedback for {silent}",
+            f"silent: no feedback for more than {limit}",
             "cable, supply, termination, the device's cyclic messages, or the device itself",
             f"mend it, then clear {self.name}",
+        )
+
+    def _desertion(self, event: State) -> Fault:
+        detail = f" ({event.detail})" if event.detail else ""
+        return Fault(
+            self.name,
+            event.t,
+            LEFT,
+            f"disarmed itself: {event.mode}{detail}",
+            "a restart, its watchdog, another host, or a second device at the same address",
+            f"find out why, then clear {self.name}",
         )
 
     def _take(self, now: Nanos, said: Command) -> None:
