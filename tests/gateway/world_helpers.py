@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 from gateway.config import loads
 from gateway.robot import Robot
@@ -100,6 +101,7 @@ size = [0.4, 1.0, 0.5]
 """Faces at x = 2, y = 1.5 and x = -1; nothing to the south."""
 
 
+@cache
 def robot(world: str = "", lidar: str = "x = 0.0", imu: str = "x = 0.0", sensors: bool = True) -> Robot:
     """Two plain motors (gear 8, the right one mounted the other way round), with lidar and IMU."""
     text = BASE.format(world=f'world = "{world}"' if world else "")
