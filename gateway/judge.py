@@ -19,6 +19,7 @@ from brain.belief import Belief
 from brain.perception.mount import Mount
 from gateway import difference
 from gateway.journal import show
+from gateway.messages import CAN_FRAME, FD_FRAME
 from gateway.recording import Recording, RecordingError, Step
 from gateway.tick import Inputs, Note, Outputs, Tick
 from gateway.views import View, Views
@@ -28,6 +29,7 @@ from protocols.words import Command, Event, Nanos, Request, seconds
 
 Kind: TypeAlias = Literal["recording", "events", "packets", "notes", "views"]
 _KINDS: tuple[Kind, ...] = ("recording", "events", "packets", "notes", "views")
+FRAMES = (CAN_FRAME, FD_FRAME)
 _MOST_SETTINGS = 12
 
 
@@ -282,7 +284,17 @@ class _Judge:
         self.shown += len(recorded)
         if "views" in self.found or list(recorded) == list(now):
             return
-        one, two = next((a, b) for a, b in zip_longest(recorded, now) if a != b)
+        # Frames last: that they differ was told already, as packets or as a change of the recording.
+        for frames in (False, True):
+            pairs = zip_longest(
+                *([v for v in side if (v.type in FRAMES) is frames] for side in (recorded, now))
+            )
+            differing = next(((a, b) for a, b in pairs if a != b), None)
+            if differing and not (frames and self.found):
+                self._differ_view(*differing)
+                return
+
+    def _differ_view(self, one: View | None, two: View | None) -> None:
         if one and two and one[:2] == two[:2]:
             field = (
                 difference.first_field(self._views.open(one), self._views.open(two))

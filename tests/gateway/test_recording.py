@@ -20,8 +20,10 @@ import pytest
 from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
-from gateway import journal, machine, recording
-from gateway.recording import FORMAT, METADATA, Recorder, Recording, RecordingError, read
+from gateway import journal, machine
+from gateway.recording import Recorder, Recording, RecordingError, read
+from gateway.recording.layout import FORMAT, METADATA
+from gateway.recording.writer import _File
 from gateway.tick import Inputs, Note, Outputs, Tick
 from gateway.views import Views
 from protocols.words import SetId
@@ -170,7 +172,7 @@ def test_an_idle_recorder_flushes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("level", "flushed"), [("error", True), ("warning", True), ("info", False)])
 def test_trouble_is_flushed_at_once(tmp_path: Path, level: Any, flushed: bool) -> None:
     path = tmp_path / "a.mcap"
-    file = recording._File(path, little.ROBOT, {}, Views())
+    file = _File(path, little.ROBOT, {}, Views())
     tick = Tick(0, 0, Inputs(), Outputs((), (), (Note(level, "left", "something"),)))
     assert file.add(tick, little.bare_belief()) == ""
     assert [t.number for t in read(path).ticks] == ([0] if flushed else [])

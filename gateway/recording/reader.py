@@ -1,0 +1,179 @@
+"""Reads a recording: closed, cut short, or damaged."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gateway import journal
+from gateway.journal import JournalError
+from gateway.recording.layout import FACTS, FORMAT, MAGIC, METADATA, ROBOT_FILE, RecordingError, digest
+from gateway.tick import Tick
+from gateway.views import View
+
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A tick as it stands in a recording, with what was shown of it."""
+
+    tick: Tick
+    views: tuple[View, ...]
+    damage: tuple[str, ...]
+    """What was changed since it was written, in words; empty if nothing."""
+    whole: bool
+    """False for the last one before a cut: views may be missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording on disk. Its ticks are read as they are asked for, every time anew."""
+
+    path: Path
+    robot_text: str
+    """The robot file it was made with."""
+    facts: dict[str, str]
+    """Where and with what it was made."""
+    whole: bool
+    """Whether it was closed; otherwise it ends where the writing ended."""
+    promised: int | None
+    """How many ticks its index says there are; None without an index."""
+
+    @property
+    def ticks(self) -> Iterator[Tick]:
+        """The ticks, in the order in which they happened. Raises RecordingError where it is damaged."""
+        return (step.tick for step in self.steps)
+
+    @property
+    def steps(self) -> Iterator[Step]:
+        """The ticks with their views and with what was changed since. Raises RecordingError as `ticks`."""
+        return _steps(self.path, self.whole)
+
+
+def read(path: Path) -> Recording:
+    """Open a recording. Raises RecordingError if it is none, of another format, or unreadable."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(MAGIC) + 8)
+            file.seek(-min(len(MAGIC), file.seek(0, os.SEEK_END)), os.SEEK_END)
+            whole = file.read() == MAGIC and len(start) > len(MAGIC)
+    except OSError as error:
+        raise RecordingError(f"{path}: {error.strerror}") from error
+    if not start.startswith(MAGIC):
+        raise RecordingError(f"{path}: {_what_it_is(start)}, not a recording of this gateway")
+    robot_text, facts = _head(path, whole)
+    return Recording(path, robot_text, facts, whole, _promised(path) if whole else None)
+
+
+def _what_it_is(start: bytes) -> str:
+    if not start:
+        return "an empty file"
+    if start.startswith(b"#ROSBAG"):
+        return "a ROS 1 bag"
+    return "a ROS 2 bag of kind sqlite3" if start.startswith(b"SQLite format") else "no MCAP file"
+
+
+def _head(path: Path, whole: bool) -> tuple[str, dict[str, str]]:
+    """The robot file and the facts, which stand before the first tick."""
+    from mcap.records import Attachment, Header, Message, Metadata
+
+    metadata: dict[str, dict[str, str]] = {}
+    library = ""
+    robot: bytes | None = None
+    for record in _records(path, whole):
+        if isinstance(record, Header):
+            library = record.library
+        elif isinstance(record, Metadata):
+            metadata[record.name] = record.metadata
+        elif isinstance(record, Attachment) and record.name == ROBOT_FILE:
+            robot = record.data
+        elif isinstance(record, Message):
+            break
+    if METADATA not in metadata:
+        if not whole and not library:
+            raise RecordingError(f"{path}: cut off in its first bytes: nothing can be read")
+        raise RecordingError(f"{path}: an MCAP file of {library or 'another program'}, not of this gateway")
+    _check_head(path, metadata[METADATA], robot)
+    return (robot or b"").decode(errors="surrogateescape"), metadata.get(FACTS, {})
+
+
+def _check_head(path: Path, head: Mapping[str, str], robot: bytes | None) -> None:
+    if head.get("format") != FORMAT:
+        raise RecordingError(
+            f"{path}: a recording of format {head.get('format')}; this program reads format {FORMAT}"
+        )
+    if robot is None:
+        raise RecordingError(f"{path}: cut off before the robot file: there is no tick in it")
+    if digest(robot) != head.get("robot digest"):
+        raise RecordingError(f"{path}: damaged: the robot file in it does not match its digest")
+
+
+def _promised(path: Path) -> int | None:
+    """How many ticks the index at the end counts."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+    except (McapError, struct.error, ValueError, OSError) as error:
+        raise RecordingError(f"{path}: damaged: its index cannot be read") from error
+    if summary is None or summary.statistics is None:
+        return None
+    counts = summary.statistics.channel_message_counts
+    return sum(counts.get(c.id, 0) for c in summary.channels.values() if c.topic == journal.TOPIC)
+
+
+def _records(path: Path, whole: bool) -> Iterator[McapRecord]:
+    """The file's records in the order of the file, chunks opened; a cut ends it, damage raises."""
+    from mcap.exceptions import McapError
+    from mcap.stream_reader import StreamReader
+
+    with path.open("rb") as file:
+        reader = StreamReader(file, validate_crcs=True, record_size_limit=path.stat().st_size)
+        try:
+            yield from reader.records
+        except (McapError, struct.error, ValueError, RuntimeError, MemoryError) as error:
+            # RuntimeError is lz4's word for a broken frame; a cut may fall anywhere.
+            if whole:
+                raise RecordingError(f"{path}: damaged near byte {file.tell()}: {error}") from error
+
+
+def _steps(path: Path, whole: bool) -> Iterator[Step]:
+    from mcap.records import Channel, Message, Schema
+
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
+    seals = journal.UNSEALED
+    entry: journal.Entry | None = None
+    views: list[View] = []
+    for record in _records(path, whole):
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
+        elif isinstance(record, Message):
+            topic, type_ = channels[record.channel_id]
+            if topic != journal.TOPIC:
+                views.append(View(topic, type_, record.publish_time, record.data))
+                continue
+            if entry is not None:
+                yield Step(entry.tick, tuple(views), entry.damage(), whole=True)
+            entry, views = _entry(path, record.data, seals, entry), []
+            seals = entry.seals
+    if entry is not None:
+        yield Step(entry.tick, tuple(views), entry.damage(), whole)
+
+
+def _entry(path: Path, data: bytes, seals: journal.Seals, last: journal.Entry | None) -> journal.Entry:
+    try:
+        return journal.decode(data, seals)
+    except JournalError as error:
+        where = f"after tick {last.tick.number}" if last else "at its first tick"
+        raise RecordingError(f"{path}: damaged {where}: {error}") from error
