@@ -243,7 +243,10 @@ def _standard_input() -> int | None:
 
 
 def _in_foreground(terminal: int) -> bool:
-    return not os.isatty(terminal) or os.tcgetpgrp(terminal) == os.getpgrp()
+    try:
+        return not os.isatty(terminal) or os.tcgetpgrp(terminal) == os.getpgrp()
+    except OSError:  # a terminal, but not the one that controls this process: reading it stops nobody
+        return True
 
 
 # -- the socket --------------------------------------------------------------------------------
