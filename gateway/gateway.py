@@ -111,7 +111,7 @@ class Gateway:
 
     def leave(self, now: Nanos) -> tuple[Packet, ...]:
         """The safe word for every motor, without asking the brain: for the way out after an error."""
-        words = {name: joint.allow(now, None, stopped=True) for name, joint in self.joints.items()}
+        words = {name: joint.allow(now, None, stopped=True, last=True) for name, joint in self.joints.items()}
         return tuple(self._send(now, words))
 
     def due(self) -> Nanos | None:
@@ -128,7 +128,7 @@ class Gateway:
         return [
             name
             for name, joint in self.joints.items()
-            if joint.claimed and joint.mode is Mode.ARMED and joint.settings.safe == "idle"
+            if joint.claimed and joint.mode is Mode.ARMED and joint.settings.safe != "hold"
         ]
 
     def why_stopped(self) -> str:

@@ -36,6 +36,8 @@ JointEvent: TypeAlias = Feedback | State | Fault
 
 BLIND = -1
 """Our own fault code: the device fell silent while it was commanded."""
+AT_REST = 0.02
+"""Part of the velocity limit below which a braking joint is at rest."""
 LEFT = -2
 """Our own fault code: the device disarmed itself while it was commanded."""
 
@@ -64,8 +66,9 @@ class JointSettings:
     sign: Literal[1, -1] = 1
     silent: Literal["idle", "hold"] = "idle"
     """What a silent brain means."""
-    safe: Literal["idle", "hold"] = "idle"
-    """The last word on stop, fault and exit."""
+    safe: Literal["idle", "hold", "brake"] = "idle"
+    """The last word on stop, fault and exit. "brake": slow down within the limit of acceleration, then
+    Idle; at once Idle if the joint itself is in fault or blind, or if the loop has failed."""
     on_fault: Literal["stop", "continue"] = "stop"
     """A fault or blindness of this joint stops the whole robot, or only this joint."""
     command_timeout: Nanos = 100 * MILLISECOND
@@ -98,6 +101,8 @@ class Joint:
         self._out: Command = Idle(name)
         self._out_at: Nanos = 0
         self._heard_at: Nanos | None = None
+        self._braking: Nanos | None = None
+        """Since when the safe word brakes."""
         self._position: float | None = None
         self._velocity: float | None = None
 
@@ -193,16 +198,17 @@ class Joint:
 
     # -- from the brain -----------------------------------------------------------------------
 
-    def allow(self, now: Nanos, said: Command | None, stopped: bool) -> Command:
+    def allow(self, now: Nanos, said: Command | None, stopped: bool, last: bool = False) -> Command:
         """The one command of this step, at the device's shaft.
 
-        `said` is what the brain says now, None if it says nothing new. A joint that went blind while
-        it was armed latches a fault, for a motor that comes back must not start by itself."""
+        `said` is what the brain says now, None if it says nothing new. `last`: nothing will follow, so
+        there is no time to brake. A joint that went blind while it was armed latches a fault, for a
+        motor that comes back must not start by itself."""
         if said is not None:
             self._take(now, said)
         if self.blind(now):
             self._latch_if_lost(now)
-        wanted = self._wanted(now, stopped)
+        wanted = self._wanted(now, stopped, last)
         if self._heard_at is None:
             wanted = Idle(self.name)  # never arm what was never heard
         out = self._limited(now, wanted)
@@ -211,9 +217,27 @@ class Joint:
         self._out, self._out_at = out, now
         return self._at_device(out)
 
-    def word(self, which: Literal["idle", "hold"]) -> Command:
-        """The silent or safe word as a command."""
-        return Hold(self.name) if which == "hold" else Idle(self.name)
+    @property
+    def braking_time(self) -> Nanos:
+        """How long the safe word may brake: twice what the limits ask for."""
+        if self.settings.safe != "brake":
+            return 0
+        return round(2.0 * self.settings.limits.velocity / self.settings.limits.acceleration * SECOND)
+
+    def _safe_word(self, now: Nanos, last: bool) -> Command:
+        if self.settings.safe == "hold":
+            return Hold(self.name)
+        if self.settings.safe == "brake" and not last and self._may_brake(now):
+            return Velocity(self.name, 0.0)
+        return Idle(self.name)
+
+    def _may_brake(self, now: Nanos) -> bool:
+        if self.faults or self.blind(now) or self.mode is not Mode.ARMED or isinstance(self._out, Idle):
+            return False
+        if self._braking is None:
+            self._braking = now
+        moving = abs(self.feedback.velocity or 0.0) > AT_REST * self.settings.limits.velocity
+        return moving and now - self._braking < self.braking_time
 
     def _latch_if_lost(self, now: Nanos) -> None:
         """A device that we armed, and that was armed when last heard: nobody knows what it does."""
@@ -259,11 +283,12 @@ class Joint:
             return f"stiffness and damping of {said} must not be negative"
         return ""
 
-    def _wanted(self, now: Nanos, stopped: bool) -> Command:
+    def _wanted(self, now: Nanos, stopped: bool, last: bool) -> Command:
         if stopped or self.faults:
-            return self.word(self.settings.safe)
+            return self._safe_word(now, last)
+        self._braking = None
         if self._said is None or now - self._said_at > self.settings.command_timeout:
-            return self.word(self.settings.silent)
+            return Hold(self.name) if self.settings.silent == "hold" else Idle(self.name)
         return self._said
 
     # -- limits, at the output shaft ------------------------------------------------------------

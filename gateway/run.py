@@ -28,7 +28,7 @@ from protocols.words import MILLISECOND, Asked, Nanos, Stop
 log = logging.getLogger("gateway")
 
 FAREWELL = 200 * MILLISECOND
-"""How long leaving waits for the devices to say that they are disarmed."""
+"""How long leaving waits for the devices to say that they are disarmed, when they have braked."""
 LEAST_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but not more often than this."""
 
@@ -115,7 +115,8 @@ def _farewell(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[As
     """The safe word at once, and a moment of listening until the devices say that they are disarmed."""
     start = clock.now()
     tick(start, (Stop("the run ends"),))
-    while gateway.still_armed() and clock.now() - start < FAREWELL:
+    patience = FAREWELL + max(joint.braking_time for joint in gateway.joints.values())
+    while gateway.still_armed() and clock.now() - start < patience:
         clock.wait(clock.now() + gateway.robot.period)
         tick(clock.now(), ())
     if still := gateway.still_armed():

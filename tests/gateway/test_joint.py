@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -61,8 +62,8 @@ def joint(
 ) -> Joint:
     limits = Limits(velocity=10.0, acceleration=50.0, torque=2.0, position=position)
     settings = JointSettings(limits, gear, 1 if sign > 0 else -1, "hold" if silent == "hold" else "idle")
-    if safe == "hold":
-        settings = JointSettings(limits, gear, settings.sign, settings.silent, "hold")
+    if safe != "idle":
+        settings = replace(settings, safe="hold" if safe == "hold" else "brake")
     return Joint("m", settings, spec())
 
 
@@ -242,6 +243,42 @@ def test_stop_is_the_safe_word_at_once(safe: str) -> None:
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
     out = made.allow(2 * STEP, Velocity("m", 1.0), stopped=True)
     assert out == (Hold("m") if safe == "hold" else Idle("m"))
+
+
+def test_braking_slows_down_within_the_limit_and_then_disarms() -> None:
+    made = armed(joint(safe="brake"), velocity=5.0)
+    drive(made, Velocity("m", 5.0), 1)
+    speeds, now = [5.0], STEP
+    while isinstance(out := made.allow(now + STEP, None, stopped=True), Velocity):
+        now += STEP
+        speeds.append(out.velocity)
+        made.hear(Feedback("m", now, 0.0, out.velocity))
+    assert out == Idle("m")
+    assert len(speeds) == pytest.approx(5.0 / (50.0 * 0.005), abs=2)
+    assert all(a - b <= 50.0 * 0.005 + 1e-9 for a, b in pairwise(speeds))
+    assert made.allow(now + 2 * STEP, None, stopped=True) == Idle("m")
+
+
+def test_braking_ends_in_bounded_time_even_if_the_shaft_does_not_slow_down() -> None:
+    made = armed(joint(safe="brake"), velocity=5.0)
+    drive(made, Velocity("m", 5.0), 1)
+    out = []
+    for now in range(2 * STEP, 1000 * MS, STEP):
+        made.hear(Feedback("m", now, 0.0, 5.0))
+        out.append(made.allow(now, None, stopped=True))
+    braked = [c for c in out if isinstance(c, Velocity)]
+    assert len(braked) * STEP <= made.braking_time == 400 * MS
+    assert out[-1] == Idle("m")
+
+
+@pytest.mark.parametrize("why", ["fault", "blind", "last", "idle before"])
+def test_what_cannot_be_trusted_to_brake_is_disarmed_at_once(why: str) -> None:
+    made = armed(joint(safe="brake"), velocity=5.0)
+    drive(made, Idle("m") if why == "idle before" else Velocity("m", 5.0), 1)
+    if why == "fault":
+        made.hear(Fault("m", STEP, 1, "X"))
+    later = 500 * MS if why == "blind" else 2 * STEP
+    assert made.allow(later, None, stopped=True, last=why == "last") == Idle("m")
 
 
 def test_a_commanded_joint_that_falls_silent_latches_and_does_not_start_by_itself() -> None:
