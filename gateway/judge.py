@@ -19,6 +19,7 @@ from brain.belief import Belief
 from brain.perception.mount import Mount
 from gateway import difference
 from gateway.journal import show
+from gateway.machine import PROGRAM
 from gateway.messages import CAN_FRAME, FD_FRAME
 from gateway.recording import Recording, RecordingError, Step
 from gateway.tick import Inputs, Note, Outputs, Tick
@@ -324,13 +325,17 @@ def _causes(
     if changed:
         more = [f"and {len(changed) - _MOST_SETTINGS} more"] if len(changed) > _MOST_SETTINGS else []
         causes.append("the robot file is not the recorded one: " + "; ".join(changed[:_MOST_SETTINGS] + more))
-    if "recording" in judge.found:
+    spoilt = judge.found.get("recording")
+    if spoilt and all(spoilt.tick <= other.tick for other in judge.found.values()):
         causes.append("the recording is not as it was written: see above")
     machine = difference.mappings(*_comparable(recording.facts, facts)) if facts is not None else []
-    if machine:
-        causes.append("it was recorded elsewhere: " + "; ".join(machine))
+    if any(line.startswith(PROGRAM) for line in machine):
+        causes.append("the program: its sources have changed since")
+    elsewhere = [line for line in machine if not line.startswith(PROGRAM)]
+    if elsewhere:
+        causes.append("it was recorded elsewhere: " + "; ".join(elsewhere))
     if not causes:
-        causes.append("the program itself: settings and inputs are the recorded ones")
+        causes.append("the program: robot file and inputs are the recorded ones")
     return causes
 
 

@@ -1,4 +1,4 @@
-"""What a recording must tell of where it was made: versions, processor, arithmetic.
+"""What a recording must tell of where it was made: program, versions, processor, arithmetic.
 
 Equal bytes are demanded of a replay on the processor and the packages that recorded; elsewhere BLAS may round
 otherwise. So the judge must be able to say what is different here.
@@ -9,11 +9,14 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from hashlib import blake2b
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
+PROGRAM = "program sources"
+ROOMS = ("protocols", "brain", "gateway")
 PACKAGES = (
     "motor-gateway",
     "filterpy",
@@ -33,8 +36,8 @@ _CPU_KEYS = ("model name", "Hardware", "CPU implementer", "CPU part", "flags", "
 
 
 def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
-    """Name to value: packages, Python, numpy's BLAS, processor, platform, the environment that matters."""
-    told = {f"package {name}": found for name in PACKAGES if (found := _version(name))}
+    """Name to value: our sources, packages, Python, BLAS, processor, platform, environment."""
+    told = {PROGRAM: sources()} | {f"package {name}": found for name in PACKAGES if (found := _version(name))}
     told["python"] = sys.version.replace("\n", " ")
     told["platform"] = platform.platform()
     told["machine"] = platform.machine()
@@ -45,6 +48,16 @@ def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     told |= {f"processor {key}": value for key, value in _processor(cpuinfo).items()}
     told |= {f"environment {name}": os.environ[name] for name in _ENVIRONMENT if name in os.environ}
     return told
+
+
+def sources(root: Path = Path(__file__).parent.parent) -> str:
+    """A digest over every source file of ours, since two programs of one version may differ."""
+    digest = blake2b(digest_size=16)
+    for room in ROOMS:
+        for file in sorted((root / room).rglob("*.py")):
+            digest.update(f"{file.relative_to(root).as_posix()}\0".encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def _version(package: str) -> str:

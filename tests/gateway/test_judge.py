@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from brain.belief import Belief
-from gateway import difference, journal
+from gateway import difference, journal, machine
 from gateway.judge import Verdict, compare
 from gateway.recording import Recorder, read
 from gateway.tick import Inputs, Note, Outputs, Tick
@@ -236,7 +236,7 @@ def test_a_difference_in_belief_alone_is_found(recorded: Path) -> None:
     assert [d.kind for d in verdict.differences] == ["views"]
     assert verdict.differing == 0
     assert "/odom: pose.pose.position.y: 0.5 recorded, 0.500000000001 now" in verdict.text()
-    assert verdict.causes == ("the program itself: settings and inputs are the recorded ones",)
+    assert verdict.causes == ("the program: robot file and inputs are the recorded ones",)
 
 
 def test_a_difference_in_what_a_driver_hears_is_found(recorded: Path) -> None:
@@ -291,6 +291,9 @@ def test_another_machine_is_named_as_a_cause(recorded: Path, tmp_path: Path) -> 
     assert judged(path, facts=facts).causes == ()
     causes = judged(path, Little(gain=1.0), facts=facts).causes
     assert causes == ("it was recorded elsewhere: package numpy: '1.0' recorded, '2.0' now",)
+    facts = {**read(path).facts, machine.PROGRAM: "another"}
+    causes = judged(path, Little(gain=1.0), facts=facts).causes
+    assert causes == ("the program: its sources have changed since",)
 
 
 # -- a change of the recording -----------------------------------------------------------------
@@ -324,6 +327,16 @@ def test_a_flipped_bit_that_moves_the_wheel(recorded: Path, tmp_path: Path) -> N
     assert "left: Velocity" in verdict.text()
     assert verdict.causes == ("the recording is not as it was written: see above",)
     assert verdict.differing == 1
+
+
+def test_a_flipped_bit_is_no_cause_of_what_came_before(recorded: Path, tmp_path: Path) -> None:
+    frame = little.feedback(math.sin(0.01 * 120))
+    path = rewritten(recorded, tmp_path / "b.mcap", flip(120, frame.data, 4))
+    verdict = judged(path, Little(gain=1.0))
+    assert verdict.first is not None
+    assert verdict.first.tick == 1
+    assert "recording" in [d.kind for d in verdict.differences]
+    assert verdict.causes == ("the program: robot file and inputs are the recorded ones",)
 
 
 def test_a_flipped_bit_that_changes_nothing_is_found_too(recorded: Path, tmp_path: Path) -> None:

@@ -86,9 +86,29 @@ def test_where_it_was_made_stands_in_it(tmp_path: Path) -> None:
     little.record(path, 1)
     facts = read(path).facts
     assert facts == machine.facts()
-    for key in ("package numpy", "package mcap", "package rosbags", "python", "platform", "numpy blas"):
+    for key in (
+        "program sources",
+        "package numpy",
+        "package mcap",
+        "package rosbags",
+        "python",
+        "platform",
+        "numpy blas",
+    ):
         assert facts[key]
     assert any(key.startswith("processor") for key in facts)
+
+
+def test_any_change_of_a_source_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "brain").mkdir()
+    file = tmp_path / "brain" / "a.py"
+    file.write_text("x = 1\n")
+    first = machine.sources(tmp_path)
+    file.write_text("x = 2\n")
+    second = machine.sources(tmp_path)
+    file.rename(tmp_path / "brain" / "b.py")
+    assert len({first, second, machine.sources(tmp_path)}) == 3
+    assert machine.sources() == machine.sources()
 
 
 def test_a_machine_without_cpuinfo_tells_its_processor(tmp_path: Path) -> None:
