@@ -171,8 +171,8 @@ class PlainMotor:
         self._shaft: Feedback | None = None
         """As the encoder last told it, before the offset."""
         self._offset = 0.0
-        self._held = 0.0
-        """rad, where Hold was first said"""
+        self._held: float | None = None
+        """rad, where the shaft was when Hold was first said; None: not yet looked at."""
         self._integral = 0.0
         """N·m that the velocity loop has gathered."""
         self._torque = 0.0
@@ -200,7 +200,9 @@ class PlainMotor:
             if isinstance(word, Feedback) and word.motor == self._device.name and _measured(word):
                 self._shaft = word
         self._watch(now)
-        dt = 0.0 if self._now is None else seconds(max(now - self._now, 0))
+        if self._now is None:
+            self._now = self._state_at = self._feedback_at = now
+        dt = seconds(max(now - self._now, 0))
         self._now = now
         self._torque = self._loop(dt) if self._mode == Mode.ARMED else 0.0
         said = [*self._answers, *self._cyclic(now)]
@@ -234,11 +236,8 @@ class PlainMotor:
         if self._mode not in (Mode.READY, Mode.ARMED):
             return
         self._fed = t
-        if isinstance(command, Hold) and self._shaft is not None:
-            held = isinstance(self._command, Hold) and self._mode == Mode.ARMED
-            self._held = self._held if held else self._position()
         if type(command) is not type(self._command):
-            self._integral = 0.0
+            self._integral, self._held = 0.0, None
         self._command = command
         self._enter(t, Mode.READY if isinstance(command, Idle) else Mode.ARMED)
 
@@ -313,6 +312,7 @@ class PlainMotor:
         s, command = self._settings, self._command
         position, velocity = self._position(), self._shaft.velocity or 0.0
         if isinstance(command, Hold):
+            self._held = position if self._held is None else self._held
             command = Position(command.motor, self._held)
         if isinstance(command, Position):
             spring = s.position_gain * (command.position - position)

@@ -1,0 +1,58 @@
+"""Any word there is, and the vectors from outside, for the tests of this folder."""
+
+from __future__ import annotations
+
+import json
+import types
+from dataclasses import fields
+from importlib.resources import files
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from hypothesis import strategies as st
+
+from protocols import words
+from protocols.plain.codec import CODES
+from protocols.words import Mode, Word
+
+VECTORS: dict[str, Any] = json.loads((files("fixtures") / "vectors" / "plain.json").read_text("utf-8"))
+FLOATS = st.floats(allow_nan=False, allow_infinity=False)
+INTS = st.integers(-(2**63), 2**64 - 1)
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+
+
+def word_of(row: dict[str, Any]) -> Word:
+    """The word that a row of the vectors names."""
+    kind = getattr(words, row["word"])
+    values: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in row["fields"].items()
+    }
+    if "mode" in values:
+        values["mode"] = Mode(values["mode"])
+    word: Word = kind(**values)
+    return word
+
+
+def _strategy(hint: object) -> st.SearchStrategy[Any]:
+    plain: dict[object, st.SearchStrategy[Any]] = {
+        float: FLOATS,
+        int: INTS,
+        str: TEXTS,
+        Mode: st.sampled_from(Mode),
+    }
+    if hint in plain:
+        return plain[hint]
+    if get_origin(hint) in (Union, types.UnionType):
+        return st.one_of(*(st.none() if part is type(None) else _strategy(part) for part in get_args(hint)))
+    items = get_args(hint)
+    if items[-1] is Ellipsis:
+        return st.lists(FLOATS, max_size=40).map(tuple)
+    return st.tuples(*(_strategy(item) for item in items))
+
+
+def words_of(kind: type[Word]) -> st.SearchStrategy[Word]:
+    """Words of a kind, with any values that they may hold."""
+    hints = get_type_hints(kind)
+    return st.builds(kind, *(_strategy(hints[f.name]) for f in fields(kind)))
+
+
+ANY_WORD = st.one_of(*(words_of(kind) for kind in CODES.values()))

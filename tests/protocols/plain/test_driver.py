@@ -1,0 +1,331 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from protocols.conformance.rehearsal import Rehearsal
+from protocols.plain import line, plugin
+from protocols.plain.driver import ANSWER, OFFLINE
+from protocols.plugin import Tally
+from protocols.wire import BusState, CanFrame
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Command,
+    Done,
+    Estop,
+    Fault,
+    Feedback,
+    Found,
+    Hold,
+    Home,
+    Idle,
+    Imu,
+    LaserScan,
+    Mode,
+    Parameter,
+    Position,
+    ReadParameter,
+    Reboot,
+    Refused,
+    Release,
+    Request,
+    Scan,
+    SetId,
+    State,
+    Stop,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+from tests.protocols.plain.bench import ask, bench, told
+
+T = 1_000_000_000
+
+
+def heard(stage: Rehearsal, *messages: bytes, t: int = T) -> list[Any]:
+    return [event for data in messages for event in stage.driver.receive(t, data)]
+
+
+# -- up ------------------------------------------------------------------------------------------------
+
+
+def test_measurements_are_stamped_with_the_packets_time_less_their_age() -> None:
+    stage = bench(sensors=["imu"], motors=[])
+    word = Imu("", 400, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))
+    assert heard(stage, line.message(101, word, now=1000)) == [
+        Imu("imu", T - 600, word.angular_velocity, word.linear_acceleration)
+    ]
+
+
+def test_each_address_has_its_own_name() -> None:
+    stage = bench(motors=["left", "right"])
+    words = [line.message(address, Feedback("", 0, float(address))) for address in (2, 1)]
+    assert heard(stage, *words) == [Feedback("right", T, 2.0), Feedback("left", T, 1.0)]
+
+
+# Who says what, and how it is counted: heard, bad, foreign.
+COUNTED: list[tuple[str, bytes | CanFrame, tuple[int, int, int]]] = [
+    ("a motor's feedback", line.message(1, Feedback("", 0, 1.0)), (1, 0, 0)),
+    ("a sensor's scan", line.message(101, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (1, 0, 0)),
+    ("a motor's scan", line.message(1, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (0, 1, 0)),
+    ("a sensor's feedback", line.message(101, Feedback("", 0, 1.0)), (0, 1, 0)),
+    ("a stranger's feedback", line.message(77, Feedback("", 0, 1.0)), (0, 0, 1)),
+    ("rubbish from a motor", line.frame(b"\1rubbish"), (0, 1, 0)),
+    ("rubbish from a stranger", line.frame(b"\7rubbish"), (0, 0, 1)),
+    ("an address alone", line.frame(b"\1"), (0, 1, 0)),
+    ("an echo of our command", line.message(1, Velocity("", 1.0)), (0, 0, 1)),
+    ("an echo of our scan", line.message(0, Scan("")), (0, 0, 1)),
+    ("a stranger found", line.message(77, Found(0, "plain", 77, 5)), (1, 0, 0)),
+    ("one who says he is another", line.message(77, Found(0, "plain", 78, 5)), (0, 0, 1)),
+    ("our motor says it is another", line.message(1, Found(0, "plain", 78, 5)), (0, 1, 0)),
+    ("another language found", line.message(1, Found(0, "odrive_can", 1, 5)), (0, 1, 0)),
+    ("a wrong CRC", line.message(1, Feedback("", 0, 1.0))[:-1] + b"\0", (0, 1, 0)),
+    ("noise", b"noise", (0, 0, 1)),
+    ("no bytes", b"", (0, 0, 0)),
+    ("a CAN frame", CanFrame(1, b"\1"), (0, 0, 1)),
+]
+
+
+@pytest.mark.parametrize(("wire", "tally"), [c[1:] for c in COUNTED], ids=[c[0] for c in COUNTED])
+def test_counted(wire: bytes | CanFrame, tally: tuple[int, int, int]) -> None:
+    stage = bench(sensors=["lidar"])
+    events = stage.driver.receive(T, wire)
+    assert stage.driver.tally == Tally(*tally)
+    assert len(events) == tally[0]
+
+
+def test_a_fault_is_told_once_until_it_is_gone() -> None:
+    stage = bench()
+    fault = line.message(1, Fault("", 0, 4, "too hot"))
+    other = line.message(1, Fault("", 0, 5, "too cold"))
+    in_fault, ready = (line.message(1, State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
+    assert heard(stage, fault, fault) == [Fault("m", T, 4, "too hot")]
+    assert heard(stage, other, fault, in_fault, fault) == [
+        Fault("m", T, 5, "too cold"),
+        State("m", T, Mode.FAULT),
+    ]
+    assert heard(stage, ready, fault) == [State("m", T, Mode.READY), Fault("m", T, 4, "too hot")]
+
+
+def test_a_line_that_was_away_loses_the_message_begun_and_tells_faults_again() -> None:
+    stage = bench()
+    fault, feedback = line.message(1, Fault("", 0, 4, "too hot")), line.message(1, Feedback("", 0, 1.0))
+    heard(stage, fault, feedback[:10])
+    stage.driver.bus(T, BusState.GONE)
+    stage.driver.bus(T, BusState.BACK)
+    assert [type(event) for event in heard(stage, feedback, fault)] == [Feedback, Fault]
+    assert stage.driver.tally == Tally(heard=3)
+
+
+def test_a_full_queue_does_not_break_the_message_begun() -> None:
+    stage, feedback = bench(), line.message(1, Feedback("", 0, 1.0))
+    heard(stage, feedback[:10])
+    stage.driver.bus(T, BusState.FULL)
+    assert heard(stage, feedback[10:]) == [Feedback("m", T, 1.0)]
+
+
+# -- down ----------------------------------------------------------------------------------------------
+
+
+def sent(stage: Rehearsal, *words: Command | Request) -> list[Any]:
+    return list(stage.driver.send(T, words)[1])
+
+
+def test_idle_goes_only_to_whom_we_have_claimed() -> None:
+    stage = bench(motors=["left", "right"])
+    assert sent(stage, Idle("left"), Idle("right")) == []
+    assert len(sent(stage, Velocity("left", 1.0), Idle("right"))) == 1
+    assert sent(stage, Idle("left"), Idle("right")) == [line.message(1, Idle(""))]
+
+
+COMMANDS: list[Command] = [
+    Hold("m"),
+    Position("m", 1.0, 2.0, 3.0),
+    Velocity("m", 1.0, 2.0),
+    Torque("m", 1.0),
+]
+
+
+@pytest.mark.parametrize("word", COMMANDS, ids=repr)
+def test_a_command_becomes_one_message(word: Command) -> None:
+    stage = bench()
+    assert sent(stage, word) == [line.message(1, word)]
+    assert stage.ear.hear(T, line.message(1, word)) == [word]
+
+
+REFUSED: list[tuple[Command | Request, str]] = [
+    (Velocity("m", float("nan")), "not in"),
+    (Velocity("m", 1e9), "not in"),
+    (Velocity("nobody", 1.0), "no motor 'nobody'"),
+    (Velocity("lidar", 1.0), "no motor 'lidar'"),
+    (ClearFault("lidar"), "no motor 'lidar'"),
+    (Home("m"), "cannot do that"),
+    (Stop(), "cannot do that"),
+    (Release(), "cannot do that"),
+    (WriteParameter("m", "velocity_gain", float("inf")), "not finite"),
+    (WriteParameter("m", "x" * 20_000, 1.0), "a body of"),
+    (SetId("line", 2**70, 1), "64 bits"),
+]
+
+
+@pytest.mark.parametrize(("word", "reason"), REFUSED, ids=[type(word).__name__ for word, _ in REFUSED])
+def test_refused_at_once_and_nothing_goes_out(word: Command | Request, reason: str) -> None:
+    stage = bench(sensors=["lidar"])
+    events, wires = stage.driver.send(T, [word])
+    (refused,) = events
+    assert isinstance(refused, Refused)
+    assert refused.request == type(word).__name__
+    assert reason in refused.reason
+    assert wires == []
+    assert sent(stage, Idle("m")) == []  # it has not been claimed either
+
+
+REQUESTS: list[Request] = [
+    ClearFault("m"),
+    Estop("m"),
+    Zero("m"),
+    ReadParameter("m", "supply"),
+    WriteParameter("m", "supply", 12.0),
+    Reboot("m"),
+]
+
+
+@pytest.mark.parametrize("request_", REQUESTS, ids=lambda word: type(word).__name__)
+def test_a_request_without_an_answer_is_refused_in_time(request_: Request) -> None:
+    stage = bench()
+    sent(stage, request_)
+    assert stage.driver.due() is not None
+    assert stage.driver.send(T + ANSWER - 1, ())[0] == []
+    (refused,) = stage.driver.send(T + ANSWER, ())[0]
+    assert refused == Refused(T + ANSWER, type(request_).__name__, "m", "no answer in 200 ms")
+    assert stage.driver.send(T + ANSWER + 1, ())[0] == []
+
+
+@pytest.mark.parametrize("request_", REQUESTS, ids=lambda word: type(word).__name__)
+def test_a_request_is_answered_by_the_device_and_then_no_more(request_: Request) -> None:
+    stage = bench()
+    stage.steps(5)
+    said = ask(stage, request_, steps=400)
+    (answer,) = told(said, (Done, Refused, Parameter))
+    assert isinstance(answer, Parameter if isinstance(request_, ReadParameter) else Done)
+
+
+def test_silence_is_offline_once_and_speaking_ends_it() -> None:
+    stage = bench(sensors=["lidar"])
+    assert stage.driver.due() is None
+    assert stage.driver.send(T, ())[0] == []
+    assert stage.driver.due() == T + OFFLINE
+    assert stage.driver.send(T + OFFLINE - 1, ())[0] == []
+    assert stage.driver.send(T + OFFLINE, ())[0] == [
+        State("m", T + OFFLINE, Mode.OFFLINE, "silent for 250 ms")
+    ]
+    assert stage.driver.due() is None
+    assert stage.driver.send(T + 2 * OFFLINE, ())[0] == []
+    heard(stage, line.message(1, Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
+    assert stage.driver.send(T + 3 * OFFLINE - 1, ())[0] == []
+    (again,) = stage.driver.send(T + 3 * OFFLINE, ())[0]
+    assert again == State("m", T + 3 * OFFLINE, Mode.OFFLINE, "silent for 250 ms")
+
+
+# -- the whole line ------------------------------------------------------------------------------------
+
+
+def test_scan_finds_motors_and_sensors_and_ends() -> None:
+    stage = bench(sensors=["lidar"], motors=["left", "right"])
+    said = ask(stage, Scan("line"), steps=250)
+    assert [(f.address, f.serial, f.detail) for f in told(said, Found)] == [
+        (1, 10, "motor"),
+        (2, 20, "motor"),
+        (101, 1010, "sensor"),
+    ]
+    assert [(d.request, d.name, d.detail) for d in told(said, Done)] == [("Scan", "line", "3 found")]
+    assert {state.mode for state in told(said, State)} == {Mode.READY}
+
+
+def test_an_address_held_twice_is_told() -> None:
+    stage = bench()
+    events = heard(stage, *(line.message(9, Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6)))
+    assert [event.detail for event in events] == [
+        "motor",
+        "motor; address 9 is also held by 5",
+        "motor",
+    ]
+
+
+def test_set_id_moves_the_one_device_with_this_serial_number() -> None:
+    stage = bench(motors=["left", "right"])
+    stage.steps(5)
+    said = ask(stage, SetId("line", 20, 9), steps=300)
+    assert [(f.address, f.serial) for f in told(said, Found)] == [(9, 20)]
+    assert [(d.request, d.detail) for d in told(said, Done)] == [("SetId", "20 is now at 9")]
+    assert {f.motor for f in told(said[20:], Feedback)} == {"left"}
+    assert [(s.motor, s.mode) for s in told(said, State) if s.mode == Mode.OFFLINE] == [
+        ("right", Mode.OFFLINE)
+    ]
+
+
+@pytest.mark.parametrize(("serial", "address"), [(99, 9), (10, 0), (10, 256)])
+def test_set_id_that_nobody_follows_is_refused_in_time(serial: int, address: int) -> None:
+    stage = bench()
+    said = ask(stage, SetId("line", serial, address), steps=300)
+    (refused,) = told(said, Refused)
+    assert refused.request == "SetId"
+    assert told(said, Done) == []
+
+
+def test_set_id_reaches_a_sensor_too() -> None:
+    stage = bench(sensors=["gps"], motors=[])
+    said = ask(stage, SetId("line", 1010, 7))
+    assert [f.address for f in told(said, Found)] == [7]
+
+
+# -- the contract --------------------------------------------------------------------------------------
+
+
+def test_a_sensor_is_what_a_plain_device_is_unless_told() -> None:
+    spec = bench(sensors=["lidar"], motors=[]).specs[0]
+    assert spec.kind == "sensor"
+    assert not spec.commands
+    assert spec.requests == frozenset[type[Request]]((Scan, SetId))
+    assert plugin.options().kind == "sensor"
+    assert {name.partition(".")[0] for name in spec.ranges} == {"Imu", "LaserScan", "Fix"}
+
+
+@pytest.mark.parametrize(("watchdog", "enabled", "holds"), [(100.0, True, False), (0.0, False, True)])
+def test_the_watchdog_decides_whether_a_motor_holds_unattended(
+    watchdog: float, enabled: bool, holds: bool
+) -> None:
+    spec = bench(watchdog_ms=watchdog).specs[0]
+    assert (spec.watchdog.enabled, spec.holds_unattended) == (enabled, holds)
+    assert spec.watchdog.timeout == (round(watchdog * MILLISECOND) or None)
+
+
+def test_an_address_out_of_range_is_an_error_of_configuration() -> None:
+    device = bench().devices[0]
+    for address in (0, 256, -1):
+        with pytest.raises(ValueError, match="1 … 255"):
+            plugin.spec(replace(device, address=address))
+
+
+READ_ONLY: list[tuple[bytes | CanFrame, bool]] = [
+    (line.message(0, Scan("")), True),
+    (line.message(1, ReadParameter("", "supply")), True),
+    (line.message(0, Scan("")) + line.message(1, ReadParameter("", "supply")), True),
+    (line.message(0, Scan("")) + line.message(1, Idle("")), False),
+    (line.message(1, Idle("")), False),
+    (line.message(1, ClearFault("")), False),
+    (line.message(0, SetId("", 1, 2)), False),
+    (line.message(0, Scan("")) + line.message(1, Idle(""))[:-1], False),
+    (line.message(0, Scan(""))[:-1], False),
+    (b"x", False),
+    (CanFrame(1, remote=True), False),
+]
+
+
+@pytest.mark.parametrize(("wire", "harmless"), READ_ONLY)
+def test_read_only(wire: bytes | CanFrame, harmless: bool) -> None:
+    assert bench().specs[0].read_only(wire) is harmless

@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocols.plain import line
+from protocols.plain.codec import pack
+from protocols.plain.line import MAX_AGE, MAX_BODY, SYNC, Stream, frame, message, read
+from protocols.words import Done, Feedback, Imu, LaserScan, Scan, Torque, Velocity, WriteParameter
+from tests.protocols.plain.samples import VECTORS, word_of
+
+GOOD = [frame(bytes((1, n))) for n in range(5)]
+
+
+def fed(*pieces: bytes) -> tuple[list[bytes], int, int, bytes]:
+    """Bodies, bad, noise, and what is held, of a stream that comes in these pieces."""
+    stream = Stream()
+    bodies = [body for piece in pieces for body in stream.feed(piece)]
+    return bodies, stream.bad, stream.noise, stream._held
+
+
+def bytewise(data: bytes) -> list[bytes]:
+    return [data[at : at + 1] for at in range(len(data))]
+
+
+@pytest.mark.parametrize("row", VECTORS["messages"], ids=lambda row: str(row["word"]))
+def test_vector_both_ways(row: dict[str, Any]) -> None:
+    word, data = word_of(row), bytes.fromhex(row["bytes"])
+    assert message(row["address"], word, row["now"]) == data
+    bodies, bad, noise, held = fed(data)
+    assert (bad, noise, held) == (0, 0, b"")
+    assert bodies[0][0] == row["address"]
+    name = next(iter(row["fields"].values()))
+    expected = Scan("") if row["word"] == "Scan" else word
+    assert read(bodies[0], row["now"], name if row["word"] != "Scan" else "") == expected
+
+
+# What stands on the stream, what is heard of it, how many are bad, how many runs are noise.
+CASES: list[tuple[str, bytes, list[int], int, int]] = [
+    ("nothing", b"", [], 0, 0),
+    ("one", GOOD[0], [0], 0, 0),
+    ("two", GOOD[0] + GOOD[1], [0, 1], 0, 0),
+    ("noise before", b"noise" + GOOD[0], [0], 0, 1),
+    ("noise between", GOOD[0] + b"x" + GOOD[1], [0, 1], 0, 1),
+    ("two runs of noise", b"x" + GOOD[0] + b"y" + GOOD[1] + b"z", [0, 1], 0, 3),
+    ("false sync", SYNC + b"\1\2\3\4" + GOOD[0], [0], 0, 1),
+    ("half a sync", SYNC[:1] + GOOD[0], [0], 0, 1),
+    ("sync within sync", SYNC[:1] * 3 + GOOD[0], [0], 0, 1),
+    ("wrong CRC", GOOD[0][:-1] + b"\0" + GOOD[1], [1], 1, 0),
+    ("wrong CRC, noise, wrong CRC", GOOD[0][:-1] + b"\0abc" + GOOD[0][:-1] + b"\0" + GOOD[1], [1], 2, 0),
+    ("cut short", GOOD[0][:-3] + GOOD[1] + GOOD[2], [1, 2], 1, 0),
+    ("cut in the head", GOOD[0][:4] + GOOD[1], [1], 0, 1),
+    ("a length of zero", SYNC + b"\0\0\xff\xff" + GOOD[0], [0], 0, 1),
+    ("a length too long", SYNC + b"\1\x40\xfe\xbf" + GOOD[0], [0], 0, 1),
+    ("a message inside a bad one", frame(b"\7" + GOOD[3] + b"\7")[:-1] + b"\0" + GOOD[1], [3, 1], 1, 1),
+]
+
+
+@pytest.mark.parametrize(("data", "heard", "bad", "noise"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
+def test_stream(data: bytes, heard: list[int], bad: int, noise: int) -> None:
+    for pieces in ([data], bytewise(data), [data, b""], [b"", data]):
+        assert fed(*pieces)[:3] == ([bytes((1, n)) for n in heard], bad, noise)
+
+
+@settings(max_examples=300)
+@given(
+    st.lists(st.one_of(st.sampled_from(GOOD), st.binary(max_size=12), st.just(GOOD[0][:7])), max_size=12),
+    st.lists(st.integers(0, 200), max_size=20),
+)
+def test_cut_anywhere_gives_the_same(parts: list[bytes], cuts: list[int]) -> None:
+    data = b"".join(parts)
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    pieces = [data[a:b] for a, b in pairwise(edges)]
+    assert fed(data) == fed(*pieces) == fed(*bytewise(data))
+
+
+@settings(max_examples=300)
+@given(st.binary(max_size=60), st.integers(0, 4))
+def test_a_good_message_behind_noise_is_not_lost(noise: bytes, n: int) -> None:
+    # The false beginning that noise may end with is refuted as soon as its six bytes are there.
+    assert GOOD[n][6:-4] in fed(noise, GOOD[n], GOOD[n], bytes(MAX_BODY + 10))[0]
+
+
+@settings(max_examples=300)
+@given(st.integers(0, 8 * len(GOOD[1]) - 1))
+def test_one_bit_wrong_is_one_count_and_no_neighbour_is_lost(bit: int) -> None:
+    damaged = bytearray(GOOD[1])
+    damaged[bit // 8] ^= 1 << bit % 8
+    bodies, bad, noise, _ = fed(GOOD[0] + bytes(damaged) + GOOD[2] + GOOD[3])
+    assert bodies == [bytes((1, n)) for n in (0, 2, 3)]
+    assert bad + noise == 1
+
+
+def test_the_buffer_is_bounded() -> None:
+    stream = Stream()
+    endless = SYNC + MAX_BODY.to_bytes(2, "little") + (MAX_BODY ^ 0xFFFF).to_bytes(2, "little")
+    for _ in range(4000):
+        stream.feed(endless)
+        assert len(stream._held) <= MAX_BODY + 10
+    assert stream.bad > 0
+
+
+def test_the_longest_body_passes_and_a_longer_one_is_refused() -> None:
+    body = bytes(range(256)) * (MAX_BODY // 256)
+    assert fed(frame(body))[0] == [body]
+    for wrong in (body + b"\0", b""):
+        with pytest.raises(ValueError, match="a body of"):
+            frame(wrong)
+
+
+def test_a_scan_of_two_thousand_beams_fits_and_one_of_three_thousand_is_refused() -> None:
+    def scan(beams: int) -> LaserScan:
+        return LaserScan("l", 0, 0.0, 0.001, 0.1, 10.0, (5.0,) * beams)
+
+    assert read(fed(message(1, scan(2000)))[0][0], 0, "l") == scan(2000)
+    with pytest.raises(ValueError, match="a body of"):
+        message(1, scan(3000))
+
+
+@pytest.mark.parametrize("address", [-1, 256])
+def test_an_address_that_is_none_is_refused(address: int) -> None:
+    with pytest.raises(ValueError, match=f"address {address}"):
+        message(address, Torque("m", 0.0))
+
+
+@pytest.mark.parametrize("name", sorted(line.LIMITS))
+def test_limits_hold_at_both_ends(name: str) -> None:
+    low, high = line.LIMITS[name]
+    kind, _, field = name.partition(".")
+    row = next(row for row in VECTORS["packed"][::-1] if row["word"] == kind and field in row["fields"])
+    body_of = {value: _with(row, field, value) for value in (low, high, low - 1.0, high + 1.0)}
+    for value, word in body_of.items():
+        if low <= value <= high:
+            assert read(fed(message(1, word, word_time(word)))[0][0], word_time(word), "left") is not None
+        else:
+            with pytest.raises(ValueError, match=field):
+                message(1, word, word_time(word))
+
+
+def _with(row: dict[str, Any], field: str, value: float) -> Any:
+    old = row["fields"][field]
+    length = {"ranges": 2, "angular_velocity": 3, "linear_acceleration": 3, "orientation": 4}.get(field, 0)
+    assert not isinstance(old, list) or length
+    return word_of({**row, "fields": {**row["fields"], field: [value] * length if length else value}})
+
+
+def word_time(word: Any) -> int:
+    return int(getattr(word, "t", 0))
+
+
+def body(word: Any, now: int = 0) -> bytes:
+    return fed(message(1, word, now))[0][0]
+
+
+def test_a_number_outside_the_limits_is_bad_when_read() -> None:
+    good = body(Velocity("", 1e5))
+    assert read(good, 0, "m") == Velocity("m", 1e5)
+    bad = good.replace(bytes.fromhex("40f86a0000000000"), bytes.fromhex("40f86a0000000001"))
+    assert bad != good
+    assert read(bad, 0, "m") is None
+
+
+def test_age_becomes_time() -> None:
+    data = body(Feedback("m", 900, 1.0), now=1000)
+    assert read(data, 5000, "x") == Feedback("x", 4900, 1.0)
+    assert read(data, 50, "x") == Feedback("x", -50, 1.0)
+
+
+def test_a_measurement_from_the_future_is_told_without_age() -> None:
+    assert read(body(Feedback("m", 2000, 1.0), now=1000), 5000, "m") == Feedback("m", 5000, 1.0)
+
+
+@pytest.mark.parametrize("age", [-1, MAX_AGE + 1, 2**63])
+def test_an_age_that_cannot_be_is_bad(age: int) -> None:
+    assert read(b"\1" + pack(Done(age, "Zero", "")), 0, "m") is None
+    assert read(b"\1" + pack(Done(MAX_AGE, "Zero", "")), 0, "m") == Done(-MAX_AGE, "Zero", "m")
+
+
+def test_a_name_on_the_wire_is_not_believed() -> None:
+    imu = Imu("forged", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
+    assert read(b"\1" + pack(imu), 5, "imu") == Imu("imu", 5, imu.angular_velocity, imu.linear_acceleration)
+
+
+def test_a_text_that_cannot_be_sent_is_refused() -> None:
+    with pytest.raises(ValueError, match="WriteParameter"):
+        message(1, WriteParameter("m", "\udcff", 1.0))
