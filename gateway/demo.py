@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from brain.belief import Belief, BrainState, Floats, Pose
-from gateway.run import wire_bits
 from gateway.tick import Tick
 from protocols.words import MILLISECOND, SECOND, Nanos
 
@@ -58,7 +57,7 @@ class Log:
     load: list[dict[str, float]] = field(default_factory=list)
     """Share of each bus's capacity since the sample before."""
     age: list[float] = field(default_factory=list)
-    """ms: how old the feedback is that the commands of this moment rest on (the oldest motor's)."""
+    """ms: how old the oldest feedback was that a command since the sample before has rested on."""
     arrivals: list[Arrival] = field(default_factory=list)
     paths: list[tuple[tuple[float, float], ...]] = field(default_factory=list)
     """The last path wanted on the way to each goal."""
@@ -110,9 +109,12 @@ class Figures:
             share = 100 * error / max(self.length, 1e-9)
             off = f"at most {error:.3f} m off the true one ({share:.2f} % of its length)"
             rows.append(f"{name}: {off}, {length:.2f} m long")
-        rows.append(f"age of commands: median {self.age_median:.1f} ms, worst {self.age_worst:.1f} ms")
         rows.append(
-            "bus load: " + ", ".join(f"{name} {100 * share:.1f} %" for name, share in self.load.items())
+            f"feedback under a command at most {self.age_median:.1f} ms old (median), {self.age_worst:.1f} ms (worst)"
+        )
+        rows.append(
+            "bus load at most: "
+            + ", ".join(f"{name} {100 * share:.1f} %" for name, share in self.load.items())
         )
         return rows
 
@@ -126,13 +128,14 @@ class Watcher:
         self._session = session
         self._world = session.twins.world
         self.log = Log(self._world.truth())
-        self._bits: dict[str, int] = {}
+        self._busy: dict[str, Nanos] = {}
+        self._ages: list[Nanos] = []
         self._next: Nanos = 0
 
     def watch(self, tick: Tick) -> None:
         """After every tick."""
-        for packet in (*tick.inputs.packets, *tick.outputs.packets):
-            self._bits[packet.bus] = self._bits.get(packet.bus, 0) + wire_bits(packet)
+        joints = self._session.gateway.joints.values()
+        self._ages += [age for joint in joints if (age := joint.age(tick.now)) is not None]
         if tick.now >= self._next:
             self._sample(tick.now)
             self._next = tick.now + SAMPLE
@@ -163,17 +166,11 @@ class Watcher:
         log.believed.append(belief.estimate.pose)
         log.raw.append(belief.raw or belief.estimate.pose)
         log.covariance.append(belief.estimate.covariance)
-        ages = [age for joint in gateway.joints.values() if (age := joint.age(now)) is not None]
-        log.age.append(max(ages) / MILLISECOND if ages else 0.0)
-        robot = self._session.robot
-        log.load.append(
-            {
-                name: self._bits.get(name, 0)
-                / ((bus.baudrate if bus.kind == "serial" else bus.bitrate) * SAMPLE / SECOND)
-                for name, bus in robot.buses.items()
-            }
-        )
-        self._bits = {}
+        log.age.append(max(self._ages, default=0) / MILLISECOND)
+        self._ages = []
+        busy = dict(self._session.account.busy)
+        log.load.append({bus: (busy[bus] - self._busy.get(bus, 0)) / SAMPLE for bus in busy})
+        self._busy = busy
         if belief.path and (belief.state is BrainState.RUNNING):
             reached = belief.reached
             log.paths[reached:] = [belief.path]
@@ -181,7 +178,8 @@ class Watcher:
 
 def figures(log: Log, goals: int) -> Figures:
     """The verdict on what was watched."""
-    loads = {name: float(np.mean([s[name] for s in log.load])) for name in (log.load[0] if log.load else {})}
+    buses = log.load[-1] if log.load else {}
+    loads = {name: float(np.mean([sample.get(name, 0.0) for sample in log.load])) for name in buses}
     return Figures(
         goals,
         tuple(log.arrivals),

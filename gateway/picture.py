@@ -109,7 +109,7 @@ def _ellipses(axes: Axes, poses: Sequence[Pose], covariances: Sequence[Floats]) 
 
 
 def _load(axes: Axes, log: Log, seconds: Floats) -> None:
-    for name in log.load[0] if log.load else ():
+    for name in log.load[-1] if log.load else ():
         load = np.array([100 * sample.get(name, 0.0) for sample in log.load])
         mean = np.convolve(load, np.full(WINDOW, 1 / WINDOW), mode="same")
         axes.plot(seconds, mean, lw=0.8, label=name)

@@ -15,7 +15,7 @@ from gateway.mistakes import Key, Mistakes, unknown
 from gateway.robot import BusSettings, Motor, Robot, Sensor
 from gateway.typed import positive
 from protocols.plugin import FeedbackKind
-from protocols.words import MILLISECOND, Nanos
+from protocols.words import MILLISECOND, Nanos, Velocity
 
 Part: TypeAlias = Motor | Sensor
 
@@ -77,6 +77,10 @@ def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> No
         if word == "hold" and not spec.holds_unattended:
             why = "with nobody feeding it, the device lets go of its load (its watchdog)"
             mistakes.add((*at, key), f'found "hold", expected "idle": {why}')
+    if joint.safe == "brake" and Velocity not in spec.commands:
+        mistakes.add(
+            (*at, "safe"), 'found "brake", expected "idle": the device takes no velocity to brake by'
+        )
     if spec.feedback is not FeedbackKind.NONE:
         reports = ("the device reports", spec.feedback_period)
         _check_longer((*at, "feedback_timeout_ms"), joint.feedback_timeout, reports, mistakes)

@@ -19,8 +19,10 @@ from typing import TypeAlias
 
 from brain.belief import Belief
 from gateway.buses import Bus
+from gateway.buses.timing import wire_time
 from gateway.clock import Clock
 from gateway.gateway import Gateway
+from gateway.robot import Robot
 from gateway.tick import Inputs, Note, Tick
 from protocols.wire import BusState, Packet
 from protocols.words import MILLISECOND, Asked, Nanos, Stop
@@ -49,8 +51,8 @@ class Account:
     """When the first frame went out."""
     sent: int = 0
     received: int = 0
-    bits: dict[str, int] = field(default_factory=dict)
-    """Both ways, by bus."""
+    busy: dict[str, Nanos] = field(default_factory=dict)
+    """How long each bus carried what we heard and said, at most (bits stuffed as badly as can be)."""
 
 
 def no_questions() -> Sequence[Asked]:
@@ -88,7 +90,7 @@ def live(
         if keep is not None:
             keep(made, gateway.belief())
         _tell(outputs.notes, leaving)
-        _count(account, made, clock.now() - now)
+        _count(account, gateway.robot, made, clock.now() - now)
         return made
 
     broken = True
@@ -186,7 +188,7 @@ def _tell(notes: Sequence[Note], leaving: bool) -> None:
         log.log(logging.DEBUG if leaving else _LEVELS[note.level], "%s: %s", note.about, note.text)
 
 
-def _count(account: Account, tick: Tick, took: Nanos) -> None:
+def _count(account: Account, robot: Robot, tick: Tick, took: Nanos) -> None:
     account.ticks += 1
     account.longest_step = max(account.longest_step, took)
     account.sent += len(tick.outputs.packets)
@@ -194,17 +196,9 @@ def _count(account: Account, tick: Tick, took: Nanos) -> None:
     if account.first_frame is None and tick.outputs.packets:
         account.first_frame = tick.now
     for packet in (*tick.inputs.packets, *tick.outputs.packets):
-        account.bits[packet.bus] = account.bits.get(packet.bus, 0) + wire_bits(packet)
-
-
-def wire_bits(packet: Packet) -> int:
-    """Bits that a packet takes on its wire: an estimate without stuffing, and 8N1 on a serial line.
-
-    Classic CAN: 47 + 8n bits, or 67 + 8n with an extended identifier, interframe space included."""
-    wire = packet.wire
-    if isinstance(wire, bytes):
-        return 10 * len(wire)
-    return (67 if wire.extended else 47) + 8 * len(wire.data)
+        bus = robot.buses[packet.bus]
+        time = wire_time(packet.wire, bus.baudrate or bus.bitrate, bus.data_bitrate)
+        account.busy[packet.bus] = account.busy.get(packet.bus, 0) + time
 
 
 # -- what a process needs around a live loop ------------------------------------------------------
