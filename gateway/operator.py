@@ -24,11 +24,10 @@ from pathlib import Path
 from types import TracebackType
 
 from gateway.language import Mistake, Query, help_text, parse
+from gateway.lines import Lines
 from gateway.robot import Robot
 from protocols.words import Asked
 
-MOST_LINE = 1000
-"""Bytes of a line."""
 MOST_READ = 4096
 """Bytes taken from one client in one poll."""
 MOST_UNSENT = 65536
@@ -43,46 +42,9 @@ class OperatorError(Exception):
 
 
 @dataclass(slots=True)
-class _Lines:
-    """Bytes cut into lines; a line that is too long is left out and told."""
-
-    rest: bytearray = field(default_factory=bytearray)
-    skipping: bool = False
-
-    def feed(self, data: bytes) -> list[str | Mistake]:
-        self.rest += data
-        *whole, self.rest = self.rest.split(b"\n")
-        lines: list[str | Mistake] = []
-        for line in whole:
-            if not self.skipping:
-                lines.append(self._checked(line))
-            self.skipping = False
-        if len(self.rest) > MOST_LINE:
-            if not self.skipping:
-                lines.append(_TOO_LONG)
-            self.skipping = True
-            self.rest.clear()
-        return lines
-
-    def end(self) -> list[str | Mistake]:
-        """What stood behind the last line's end, when nothing more will come."""
-        line, self.rest = self.rest, bytearray()
-        return [self._checked(line)] if line and not self.skipping else []
-
-    @staticmethod
-    def _checked(line: bytearray) -> str | Mistake:
-        if len(line) > MOST_LINE:
-            return _TOO_LONG
-        return line.decode("utf-8", "replace").strip()
-
-
-_TOO_LONG = Mistake(f"the line is longer than {MOST_LINE} bytes; it is left out")
-
-
-@dataclass(slots=True)
 class _Client:
     wire: socket.socket
-    lines: _Lines = field(default_factory=_Lines)
+    lines: Lines = field(default_factory=Lines)
     unsent: bytearray = field(default_factory=bytearray)
     ended: bool = False
     """It has said all it has to say."""
@@ -97,7 +59,7 @@ class Operator:
         Raises OperatorError with a sentence if the socket cannot be made."""
         self._robot = robot
         self._terminal = _standard_input() if terminal == -1 else terminal
-        self._typed = _Lines()
+        self._typed = Lines()
         self._clients: list[_Client] = []
         self.leaving = False
         """Whether somebody has said quit."""

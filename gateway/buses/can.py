@@ -10,6 +10,7 @@ the interface vanishes is thrown away; whether it has come back is looked for on
 from __future__ import annotations
 
 import errno
+import select
 from collections.abc import Sequence
 
 import can
@@ -25,6 +26,8 @@ MOST_READ = 1024
 """Frames taken in by one read: more than a full bus of 1 Mbit/s carries in 0.1 s."""
 MOST_WAITING = 256
 """Frames that may wait to go out; beyond that the oldest is dropped."""
+SEND_PATIENCE = 0.005
+"""Seconds that an adapter on a serial line may take for one frame."""
 REOPEN = SECOND
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
 
@@ -44,6 +47,10 @@ class CanBus:
         self._settings = settings
         self._clock = clock
         self._wire: can.BusABC | None = wire
+        self.bad = 0
+        """What came in and could not be read as a frame."""
+        at_once = settings.interface.startswith(("socketcan:", "virtual:"))
+        self._patience = None if at_once else SEND_PATIENCE
         self._hears_itself = settings.interface.startswith("udp_multicast:")
         self._echoes: dict[CanFrame, int] = {}
         self._waiting: dict[tuple[int, bool, bool], CanFrame] = {}
@@ -60,6 +67,8 @@ class CanBus:
         for _ in range(MOST_READ):
             message = self._receive(now)
             if message is None:
+                if self._more():
+                    continue
                 break
             if message.is_error_frame:
                 self._hear_error(message)
@@ -94,7 +103,7 @@ class CanBus:
             self.dropped += 1
             return True
         try:
-            self._wire.send(_message(frame))
+            self._wire.send(_message(frame), timeout=self._patience)
         except can.CanTimeoutError:
             self._tell(BusState.FULL)
             return False
@@ -138,7 +147,16 @@ class CanBus:
             return self._wire.recv(timeout=0)
         except (can.CanError, OSError):
             self._lose(now)
-            return None
+        except (ValueError, IndexError, KeyError):
+            self.bad += 1  # an adapter's line that python-can could not read
+        return None
+
+    def _more(self) -> bool:
+        """Whether a None was an adapter's own line (slcan acknowledges each frame), and more is waiting."""
+        try:
+            return self._wire is not None and bool(select.select([self._wire.fileno()], [], [], 0)[0])
+        except (NotImplementedError, OSError, ValueError):  # a back end without a file, or one that has gone
+            return False
 
     def _is_echo(self, frame: CanFrame) -> bool:
         """Whether a frame is our own, come back over an interface that hears itself."""
@@ -229,7 +247,7 @@ def _message(frame: CanFrame) -> can.Message:
 def _is_full(error: Exception) -> bool:
     """Whether the transmit queue is full, as the kernel or python-can itself says it."""
     code = error.error_code if isinstance(error, can.CanError) else getattr(error, "errno", None)
-    return code in _FULL or "buffer full" in str(error)
+    return code in _FULL or "buffer full" in str(error) or "timeout" in str(error).lower()
 
 
 def _shut(wire: can.BusABC) -> None:

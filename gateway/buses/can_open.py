@@ -30,7 +30,7 @@ def open_interface(settings: BusSettings) -> can.BusABC:
     if settings.data_bitrate:
         rates["data_bitrate"] = settings.data_bitrate
     if interface == "slcan":
-        rates["sleep_after_open"] = 0.0  # the loop must not stand still while it is opened again
+        rates |= {"sleep_after_open": 0.0, "timeout": 0.0}  # the loop never stands still for an adapter
     try:
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
     except _REFUSALS as error:

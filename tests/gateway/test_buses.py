@@ -195,6 +195,21 @@ def test_an_interface_that_vanishes_is_told_and_what_waited_is_thrown_away(
     assert bus.dropped == 2
 
 
+def test_an_interface_that_hears_itself_is_not_believed() -> None:
+    wire = Wire()
+    settings = BusSettings("can0", "can", "udp_multicast:239.74.163.2", bitrate=500_000)
+    bus = CanBus(settings, SimulatedClock(), wire)
+    ours, theirs = CanFrame(1, b"ours"), CanFrame(2, b"theirs")
+    bus.write(0, [ours, ours])
+    wire.incoming = [as_message(frame) for frame in (ours, theirs, ours, ours)]
+    assert [packet.wire for packet in bus.read(1)[1]] == [theirs, ours]
+    bus.close()
+
+
+def as_message(frame: CanFrame) -> can.Message:
+    return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended)
+
+
 def error_frame(what: int, controller: int = 0) -> can.Message:
     data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
     return can.Message(arbitration_id=what, data=data, is_error_frame=True)
@@ -217,6 +232,39 @@ def test_closing_twice_and_using_it_afterwards_hurts_nobody(pair: tuple[CanBus, 
     one.write(0, FRAMES)
     assert one.read(10 * SECOND) == ([], [])
     assert other.read(0) == ([], [])
+
+
+def test_an_adapter_on_a_serial_line_acknowledges_and_stutters() -> None:
+    """Lawicel's language: t = 11-bit frame, r = remote frame, z and bare returns are acknowledgements."""
+    device, host = os.openpty()
+    tty.setraw(device)
+    tty.setraw(host)
+    bus = open_can(
+        BusSettings("can0", "can", f"slcan:{os.ttyname(host)}", bitrate=1_000_000), SimulatedClock()
+    )
+    try:
+        bus.write(0, [CanFrame(0x123, b"\x01\xff"), CanFrame(0x12, remote=True)])
+        sent = b""
+        while not sent.endswith(b"r0120\r"):
+            sent += os.read(device, 1000)
+        assert b"S8\r" in sent
+        assert sent.endswith(b"O\rt123201FF\rr0120\r")
+        os.write(device, b"z\r\rz\rt0452AABB\rtXYZ\rt0\rz\rT123456780\rt04")
+        frames = [CanFrame(0x45, b"\xaa\xbb"), CanFrame(0x12345678, extended=True)]
+        heard: list[object] = []
+        for _ in range(100_000):
+            heard += [packet.wire for packet in bus.read(1)[1]]
+            if len(heard) == 2:
+                break
+        assert heard == frames
+        os.write(device, b"61CC\r")
+        assert [packet.wire for packet in poll(lambda: bus.read(2)[1])] == [CanFrame(0x46, b"\xcc")]
+        assert bus.bad == 2
+        os.close(device)
+        assert poll(lambda: list(bus.read(3)[0])) == [BusState.GONE]
+    finally:
+        bus.close()
+        os.close(host)
 
 
 # -- what cannot be opened ------------------------------------------------------------------------

@@ -21,11 +21,95 @@ from gateway.mistakes import Mistakes, lines, shown
 from gateway.typed import build
 from protocols import plugin
 from protocols.plugin import Broken, Device, Plugin, Spec, UnknownProtocol
-from protocols.words import MILLISECOND, Nanos
+from protocols.words import MILLISECOND, Idle, Nanos, Torque
 
 ROBOTS = sorted(Path(shipped.__file__).parent.parent.glob("fixtures/robots/*.toml"))
-DIFFBOT = shipped.find("robots", "diffbot").read_text()
 BENCH = shipped.find("robots", "bench").read_text()
+
+ROVER = """\
+# A differential robot over ODrive 0.6 CAN frames, with a lidar and an IMU on a serial line.
+name = "rover"
+rate_hz = 200                 # steps per second
+world = "office"              # what stands behind the twins: a shipped world
+
+[buses.can0]
+kind = "can"                  # can | canfd | serial
+bitrate = 1_000_000
+interface = "twin"            # INTERFACE:CHANNEL, e.g. "socketcan:can0"; "twin" = the world as a bus
+
+[buses.sensors]
+kind = "serial"
+baudrate = 1_000_000
+interface = "twin"            # or "serial:/dev/ttyUSB0"
+
+[motors.left]
+protocol = "odrive_can"
+bus = "can0"
+address = 1
+gear = 8.0                    # turns of the motor per turn of the joint
+sign = 1                      # -1: the motor is mounted the other way round
+silent = "idle"               # what a silent brain means: idle | hold
+safe = "idle"                 # the last word on stop, fault and exit: idle | hold
+on_fault = "stop"             # stop: the whole robot stops | continue: the rest goes on
+command_timeout_ms = 100      # age of the brain's command after which the joint says its safe word
+feedback_timeout_ms = 100     # age of feedback after which the joint is blind
+
+[motors.left.limits]          # at the joint's output shaft: rad, rad/s, rad/s², N·m
+velocity = 20.0
+acceleration = 60.0
+torque = 2.0
+
+[motors.left.options]
+watchdog = "acknowledged"
+
+[motors.right]
+protocol = "odrive_can"
+bus = "can0"
+address = 2
+gear = 8.0
+sign = -1
+silent = "idle"
+safe = "idle"
+on_fault = "stop"
+command_timeout_ms = 100
+feedback_timeout_ms = 100
+
+[motors.right.limits]
+velocity = 20.0
+acceleration = 60.0
+torque = 2.0
+
+[motors.right.options]
+watchdog = "acknowledged"
+
+[sensors.lidar]
+protocol = "plain"
+bus = "sensors"
+address = 1
+mount = { x = 0.12, y = 0.0, z = 0.12, yaw = 0.0 }    # in the robot's frame: m, rad
+timeout_ms = 500
+
+[sensors.imu]
+protocol = "plain"
+bus = "sensors"
+address = 2
+mount = { x = 0.0, y = 0.0, z = 0.05, yaw = 0.0 }
+timeout_ms = 150
+
+[brain]
+body = "differential"
+
+[brain.differential]
+left = "left"
+right = "right"
+wheel_radius = 0.05           # m
+wheel_separation = 0.22       # m
+radius = 0.25                 # m, footprint circle about the robot's origin
+max_linear = 0.6              # m/s
+max_angular = 2.0             # rad/s
+max_linear_acceleration = 0.8
+max_angular_acceleration = 4.0
+"""
 
 
 def told(text: str, find: Any = plugin.load, *, with_world: bool = False) -> list[str]:
@@ -45,7 +129,7 @@ def line_of(text: str, part: str, nth: int = 1) -> int:
     return text.count("\n", 0, at) + 1
 
 
-def changed(old: str, new: str, text: str = DIFFBOT, times: int = 1) -> str:
+def changed(old: str, new: str, text: str = ROVER, times: int = 1) -> str:
     assert old in text
     return text.replace(old, new, times)
 
@@ -62,8 +146,8 @@ def test_every_shipped_robot_is_right_and_named_as_its_file(path: Path) -> None:
 
 
 def test_what_the_file_says_is_what_the_robot_is() -> None:
-    robot = loads(DIFFBOT)
-    assert (robot.name, robot.period, robot.world, robot.seed) == ("diffbot", 5 * MILLISECOND, "office", 0)
+    robot = loads(ROVER)
+    assert (robot.name, robot.period, robot.world, robot.seed) == ("rover", 5 * MILLISECOND, "office", 0)
     can0, sensors = robot.buses["can0"], robot.buses["sensors"]
     assert (can0.kind, can0.bitrate, can0.baudrate, can0.interface) == ("can", 1_000_000, 0, "twin")
     assert (sensors.kind, sensors.bitrate, sensors.baudrate) == ("serial", 0, 1_000_000)
@@ -104,7 +188,7 @@ def test_an_integer_may_stand_for_a_number() -> None:
 
 
 def test_interfaces_are_replaced_and_wrong_ones_told() -> None:
-    robot = loads(DIFFBOT)
+    robot = loads(ROVER)
     moved = with_interfaces(robot, {"can0": "socketcan:vcan0", "sensors": "serial:/dev/ttyS7"})
     assert moved.buses["can0"].interface == "socketcan:vcan0"
     assert moved.buses["sensors"].interface == "serial:/dev/ttyS7"
@@ -120,7 +204,7 @@ def test_interfaces_are_replaced_and_wrong_ones_told() -> None:
 # -- one mistake each --------------------------------------------------------------------------
 
 MISTAKES: dict[str, list[tuple[str, str, str]]] = {
-    # key: what stands in diffbot.toml, what stands there instead, what is told
+    # key: what stands in the rover's file, what stands there instead, what is told
     "rate_hz": [
         ("rate_hz = 200", "rate_hz = 0", "found 0, expected a number greater than 0"),
         ("rate_hz = 200", "rate_hz = nan", "found nan, expected a finite number"),
@@ -135,8 +219,8 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         ("rate_hz = 200", "seed = -1", "found -1, expected an integer from 0"),
     ],
     "name": [
-        ('name = "diffbot"', 'name = "diff/bot"', "expected letters, digits, _ and -"),
-        ('name = "diffbot"', "name = 5", "found 5, expected a string"),
+        ('name = "rover"', 'name = "diff/bot"', "expected letters, digits, _ and -"),
+        ('name = "rover"', "name = 5", "found 5, expected a string"),
     ],
     "buses.can0.kind": [
         (
@@ -322,7 +406,7 @@ def test_a_mistake_is_told_with_its_key_and_what_is_right(key: str, old: str, ne
 
 
 def test_all_of_them_at_once_in_the_order_of_the_file() -> None:
-    text, keys = DIFFBOT, []
+    text, keys = ROVER, []
     for old, new, key in [
         ("rate_hz = 200", "rate_hz = inf", "rate_hz"),
         ("office", "ofice", "world"),
@@ -396,10 +480,10 @@ def test_no_text_does_anything_but_raise_config_error(text: str) -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(
-    st.sampled_from(DIFFBOT.splitlines()), st.sampled_from(["", "x = 1", "= 3", "[motors.left]", "bus = {}"])
+    st.sampled_from(ROVER.splitlines()), st.sampled_from(["", "x = 1", "= 3", "[motors.left]", "bus = {}"])
 )
 def test_any_line_may_be_wrong(line: str, instead: str) -> None:
-    told(DIFFBOT.replace(line, instead, 1))
+    told(ROVER.replace(line, instead, 1))
 
 
 # -- protocols of others -----------------------------------------------------------------------
@@ -413,7 +497,7 @@ class NoOptions:
 def stranger(**changes: Any) -> Plugin:
     """A language of somebody else's: the built-in one's contract with some changes."""
     odrive = plugin.load("odrive_can")
-    left = loads(DIFFBOT).motors["left"].device
+    left = loads(ROVER).motors["left"].device
 
     def spec(device: Device) -> Spec:
         return dataclasses.replace(odrive.spec(dataclasses.replace(left, address=device.address)), **changes)
@@ -436,10 +520,18 @@ def test_hold_cannot_be_the_last_word_of_a_device_that_lets_go() -> None:
     assert all('found "hold", expected "idle": with nobody feeding it' in line for line in found)
 
 
+def test_a_brake_needs_a_device_that_takes_a_velocity() -> None:
+    text = changed('safe = "idle"', 'safe = "brake"')
+    assert told(text) == []
+    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset()}
+    (said,) = with_stranger(text, commands=frozenset({Idle, Torque}), **free)
+    assert 'motors.left.safe: found "brake", expected "idle"' in said
+
+
 def test_two_languages_do_not_share_ids_on_a_bus() -> None:
-    (said,) = with_stranger(DIFFBOT, sends=frozenset({0x49}), expects=frozenset({0x700}))
+    (said,) = with_stranger(ROVER, sends=frozenset({0x49}), expects=frozenset({0x700}))
     assert "motors.right.address: uses CAN ids of 'left' (stranger) on bus 'can0': 0x49" in said
-    assert with_stranger(DIFFBOT, sends=frozenset({0x701}), expects=frozenset({0x700})) == []
+    assert with_stranger(ROVER, sends=frozenset({0x701}), expects=frozenset({0x700})) == []
 
 
 def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -> None:
@@ -447,7 +539,7 @@ def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -
     assert told(fd) == []
     free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "bus": "canfd"}
     assert with_stranger(fd, **free) == []
-    (said,) = with_stranger(DIFFBOT, **free)
+    (said,) = with_stranger(ROVER, **free)
     assert "motors.left.bus: stranger needs a bus of kind canfd, and 'can0' is can" in said
 
 
@@ -457,7 +549,7 @@ def test_a_broken_protocol_is_named_with_its_distribution() -> None:
             raise UnknownProtocol(name, [name], Broken(name, "their-package", "ImportError: no module"))
         return plugin.load(name)
 
-    found = told(DIFFBOT, find)
+    found = told(ROVER, find)
     assert len(found) == 2
     assert "protocol 'odrive_can' of their-package is broken: ImportError: no module" in found[0]
 
@@ -466,7 +558,7 @@ def test_a_broken_protocol_is_named_with_its_distribution() -> None:
 
 
 def test_the_watchdog_is_told_at_every_start_until_it_is_acknowledged() -> None:
-    assert cautions(loads(DIFFBOT)) == []
+    assert cautions(loads(ROVER)) == []
     (said,) = cautions(loads(changed('watchdog = "acknowledged"', "")))
     assert said.startswith("left: ")
     assert "watchdog" in said

@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 from gateway import shipped
 from gateway.config import Robot, load
 from gateway.language import FORMS, Mistake, Query, help_text, parse
-from gateway.operator import MOST_CLIENTS, MOST_LINE, Operator, OperatorError, ask, socket_folder, socket_path
+from gateway.lines import MOST_LINE
+from gateway.operator import MOST_CLIENTS, Operator, OperatorError, ask, socket_folder, socket_path
 from protocols.words import (
     Asked,
     ClearFault,
