@@ -1,0 +1,181 @@
+"""The ear: what would be obeyed; and that ear and twin agree on it."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from numpy.random import PCG64, Generator
+
+from protocols.odrive_can.codec import BROADCAST, encode, radians
+from protocols.odrive_can.ear import OdriveEar
+from protocols.odrive_can.messages import (
+    Address,
+    ClearErrors,
+    EnterDfuMode,
+    Estop,
+    Message,
+    Reboot,
+    RxSdo,
+    SetAbsolutePosition,
+    SetAxisState,
+    SetControllerMode,
+    SetInputPos,
+    SetInputTorque,
+    SetInputVel,
+    SetLimits,
+    SetPosGain,
+    SetTrajAccelLimits,
+    SetTrajInertia,
+    SetTrajVelLimit,
+    SetVelGains,
+)
+from protocols.odrive_can.options import Settings
+from protocols.odrive_can.twin import OdriveTwin
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Command,
+    Hold,
+    Home,
+    Idle,
+    Position,
+    Request,
+    SetId,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+from protocols.words import Estop as EstopWord
+from protocols.words import Reboot as RebootWord
+from tests.protocols.odrive_can.helpers import device
+
+CLOSED, IDLE = SetAxisState(8), SetAxisState(1)
+
+
+def heard(ear: OdriveEar, *messages: Message, node: int = 1) -> list[Command | Request]:
+    return [word for message in messages for word in ear.hear(0, encode(node, message))]
+
+
+def test_setpoints_are_obeyed_only_in_closed_loop_and_in_their_mode() -> None:
+    ear = OdriveEar([device()])
+    assert heard(ear, SetControllerMode(2, 1), SetInputVel(2.0, 0.5)) == []
+    assert heard(ear, CLOSED) == [Velocity("left", radians(2.0), 0.5)]
+    assert heard(ear, SetInputVel(3.0, 0.25)) == [Velocity("left", radians(3.0), 0.25)]
+    assert heard(ear, SetControllerMode(1, 1)) == [Torque("left", 0.25)]
+    assert heard(ear, SetInputTorque(0.75)) == [Torque("left", 0.75)]
+    assert heard(ear, SetControllerMode(3, 1)) == [Hold("left")]
+    assert heard(ear, SetInputPos(1.5, 0.25, -0.5)) == [Position("left", radians(1.5), radians(0.25), -0.5)]
+    assert heard(ear, IDLE) == [Idle("left")]
+    assert heard(ear, SetInputPos(1.0, 0.0, 0.0)) == []
+    assert heard(ear, CLOSED) == [Hold("left")]
+
+
+def test_inactive_inputs_and_voltage_control_give_no_word() -> None:
+    ear = OdriveEar([device()])
+    assert heard(ear, SetControllerMode(2, 0), CLOSED, SetInputVel(2.0, 0.0)) == []
+    assert heard(ear, SetControllerMode(0, 1), SetInputTorque(1.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (Estop(), [EstopWord("left")]),
+        (ClearErrors(0), [ClearFault("left")]),
+        (Reboot(0), [RebootWord("left")]),
+        (EnterDfuMode(), [RebootWord("left")]),
+        (SetAxisState(11), [Home("left")]),
+        (SetAxisState(4), [Idle("left")]),
+        (SetAxisState(0), []),
+        (SetAbsolutePosition(0.0), [Zero("left")]),
+        (SetAbsolutePosition(2.0), [WriteParameter("left", "Position", radians(2.0))]),
+        (SetPosGain(20.0), [WriteParameter("left", "Pos_Gain", 20.0)]),
+        (SetTrajVelLimit(2.0), [WriteParameter("left", "Traj_Vel_Limit", 2.0)]),
+        (SetTrajInertia(2.0), [WriteParameter("left", "Traj_Inertia", 2.0)]),
+        (RxSdo(1, 291, 0, 7), [WriteParameter("left", "endpoint 291", 7.0)]),
+        (RxSdo(0, 291, 0, 7), []),
+        (
+            SetLimits(10.0, 20.0),
+            [
+                WriteParameter("left", "Velocity_Limit", 10.0),
+                WriteParameter("left", "Current_Limit", 20.0),
+            ],
+        ),
+        (
+            SetVelGains(0.5, 0.25),
+            [WriteParameter("left", "Vel_Gain", 0.5), WriteParameter("left", "Vel_Integrator_Gain", 0.25)],
+        ),
+        (
+            SetTrajAccelLimits(2.0, 3.0),
+            [
+                WriteParameter("left", "Traj_Accel_Limit", 2.0),
+                WriteParameter("left", "Traj_Decel_Limit", 3.0),
+            ],
+        ),
+    ],
+    ids=lambda value: type(value).__name__ if not isinstance(value, list) else "",
+)
+def test_what_clears_restarts_or_configures(message: Message, words: list[Request]) -> None:
+    assert heard(OdriveEar([device()]), message) == words
+
+
+def test_broadcasts_reach_all_and_other_nodes_none() -> None:
+    ear = OdriveEar([device("left", 1), device("right", 2)])
+    assert heard(ear, Reboot(0), node=BROADCAST) == [RebootWord("left"), RebootWord("right")]
+    assert heard(ear, ClearErrors(0), node=BROADCAST) == [ClearFault("left"), ClearFault("right")]
+    assert heard(ear, CLOSED, IDLE, Estop(), node=BROADCAST) == []
+    assert heard(ear, IDLE, node=3) == []
+    assert heard(ear, IDLE, node=2) == [Idle("right")]
+
+
+def test_a_node_id_given_out_is_followed() -> None:
+    ear = OdriveEar([device(settings=Settings(serial_number=77)), device("right", 2)])
+    assert heard(ear, Address(9, 77), node=BROADCAST) == [SetId("", 77, 9)]
+    assert heard(ear, IDLE, node=9) == [Idle("left")]
+    assert heard(ear, IDLE, node=1) == []
+
+
+@pytest.mark.parametrize(
+    "wire",
+    [
+        CanFrame(0x27, remote=True),
+        CanFrame(0x29, remote=True),
+        CanFrame(0x7E6, remote=True),
+        CanFrame(0x29),
+        CanFrame(0x27, bytes.fromhex("08000000"), extended=True),
+        CanFrame(0x2D, struct.pack("<ff", float("nan"), 0.0)),
+        CanFrame(0x21, bytes(8)),
+        b"serial",
+    ],
+)
+def test_what_no_device_obeys_gives_no_word(wire: Wire) -> None:
+    ear = OdriveEar([device()])
+    heard(ear, SetControllerMode(2, 1), CLOSED)
+    assert list(ear.hear(0, wire)) == []
+
+
+def test_ear_and_twin_agree_on_random_traffic() -> None:
+    """An ear beside a healthy twin remembers the same after every frame, whatever the frames are."""
+    seed = 7
+    dice = Generator(PCG64(seed))
+    makers: list[Message] = [CLOSED, CLOSED, IDLE, SetInputVel(1.0, 0.0), SetInputPos(0.1, 0.0, 0.0)]
+    makers += [
+        SetInputTorque(0.01),
+        SetControllerMode(1, 1),
+        SetControllerMode(2, 1),
+        SetControllerMode(3, 1),
+    ]
+    ear, twin = OdriveEar([device()]), OdriveTwin(device(), 0)
+    for turn in range(3000):
+        node = 1 if dice.random() < 0.9 else int(dice.integers(0, 64))
+        frame = encode(node, makers[int(dice.integers(0, len(makers)))])
+        length = int(dice.integers(0, 9)) if dice.random() < 0.2 else len(frame.data)
+        if dice.random() < 0.1:
+            frame = CanFrame(int(dice.integers(0, 0x20)) | 0x20 & ~0x16, dice.bytes(length))
+        if frame.id & 0x1F in (0x02, 0x16, 0x18, 0x1F) or frame.id >> 5 == BROADCAST:
+            continue
+        ear.hear(turn, frame)
+        twin.receive(turn * MILLISECOND, frame)
+        assert repr(ear.axes[0]) == repr(twin.axis), f"seed {seed}, turn {turn}: {frame}"
