@@ -125,7 +125,20 @@ def cautions(robot: Robot) -> list[str]:
     told = [f"{part.name}: {part.spec.watchdog.note}" for part in parts if part.spec.watchdog.note]
     for motor in robot.motors.values():
         told.extend(_beyond(motor))
-    return told
+    return told + _too_fast(robot)
+
+
+def _too_fast(robot: Robot) -> list[str]:
+    """Wheels that their joints will not let turn as fast as the body's own limits ask for."""
+    body = robot.brain.differential
+    if robot.brain.body != "differential" or body is None:
+        return []
+    return [
+        f"{name}: its limit of {robot.motors[name].joint.limits.velocity:g} rad/s is below the "
+        f"{body.wheel_speed:.3g} rad/s that max_linear and max_angular together need; the base will turn wide"
+        for name in (body.left, body.right)
+        if robot.motors[name].joint.limits.velocity < body.wheel_speed
+    ]
 
 
 def _beyond(motor: Motor) -> list[str]:

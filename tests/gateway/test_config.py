@@ -571,6 +571,11 @@ def test_limits_that_a_device_cannot_be_told_are_cautions() -> None:
     assert "left: its limit of torque is 1.25e+08 N·m at the device's shaft" in torque
 
 
+def test_a_body_that_is_faster_than_its_joints_is_a_caution() -> None:
+    (said,) = cautions(loads(changed("velocity = 20.0", "velocity = 16.0")))
+    assert said.startswith("left: its limit of 16 rad/s is below the 16.4 rad/s that max_linear")
+
+
 def numbers_of(robot: Robot) -> list[str]:
     limits = [motor.joint.limits for motor in robot.motors.values()]
     return [f"{one:g}" for limit in limits for one in (limit.velocity, limit.acceleration, limit.torque)]
