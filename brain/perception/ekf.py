@@ -31,7 +31,6 @@ from protocols.words import MILLISECOND, SECOND, Nanos, seconds
 
 X, Y, YAW, V, W, BIAS, SLIP = range(7)
 POSE = slice(X, YAW + 1)
-TWIST = slice(V, W + 1)
 SIZE = 7
 
 CHI_SQUARE: dict[float, tuple[float, float, float]] = {
@@ -55,7 +54,7 @@ class EkfSettings:
     """m and rad: the start is where the frame is, by definition"""
     linear_noise: float = 1.0
     """m/s per √s: how the treads' speed wanders"""
-    angular_noise: float = 2.0
+    angular_noise: float = 1.0
     """rad/s per √s: how the rate of turn wanders"""
     travel_noise: float = 0.005
     """m per √m: what the way along differs by, beside the slip"""
@@ -127,6 +126,11 @@ def gyro(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
     return Measurement(source, t, np.array([rate]), _GYRO, np.array([[sigma * sigma]]))
 
 
+def resting(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
+    """What the gyro reads [rad/s] while the base is known to rest: its bias, and nothing else."""
+    return Measurement(source, t, np.array([rate]), _RESTING, np.array([[sigma * sigma]]))
+
+
 def located(source: str, t: Nanos, pose: Pose, noise: Floats) -> Measurement:
     """A pose, from a reference outside the robot; R is 3 × 3."""
     return Measurement(source, t, np.array([pose.x, pose.y, pose.yaw]), _LOCATED, noise, heading=YAW)
@@ -134,6 +138,7 @@ def located(source: str, t: Nanos, pose: Pose, noise: Floats) -> Measurement:
 
 _WHEELS = np.eye(SIZE)[[V, W]]
 _GYRO = np.eye(SIZE)[[W]] + np.eye(SIZE)[[BIAS]]
+_RESTING = np.eye(SIZE)[[BIAS]]
 _LOCATED = np.eye(SIZE)[POSE]
 
 
@@ -201,17 +206,15 @@ def process_noise(state: Floats, dt: float, settings: EkfSettings) -> Floats:
     on_around = q_w * dt**3 / 3.0
     on_across = settings.sideways_noise**2 * abs(distance)
     Q = np.zeros((SIZE, SIZE))
-    Q[POSE, : W + 1] = [
-        [
-            on_along * along[i] * along[j]
-            + on_around * around[i] * around[j]
-            + on_across * across[i] * across[j]
-            for j in (X, Y, YAW)
-        ]
-        + [along[i] * q_v * keep * dt * dt / 2.0, around[i] * q_w * dt * dt / 2.0]
-        for i in (X, Y, YAW)
-    ]
-    Q[TWIST, POSE] = Q[POSE, TWIST].T
+    for i in (X, Y, YAW):
+        for j in (X, Y, YAW):
+            Q[i, j] = (
+                on_along * (along[i] * along[j])
+                + on_around * (around[i] * around[j])
+                + on_across * (across[i] * across[j])
+            )
+        Q[i, V] = Q[V, i] = along[i] * q_v * keep * dt * dt / 2.0
+        Q[i, W] = Q[W, i] = around[i] * q_w * dt * dt / 2.0
     Q[V, V], Q[W, W] = q_v * dt, q_w * dt
     Q[BIAS, BIAS] = settings.bias_noise**2 * dt
     Q[SLIP, SLIP] = settings.slip_noise**2 * dt if abs(distance) > 1e-4 * dt else 0.0
@@ -293,6 +296,7 @@ class Ekf:
             self._filter.F = jacobian(state, dt)
             self._filter.Q = process_noise(state, dt, self.settings)
             self._filter.predict()
+            self._filter.P = (self._filter.P + self._filter.P.T) / 2.0
             self._filter.x = move(state, dt)  # filterpy's own mean is F x: the arc is exact
             self.t = t
 

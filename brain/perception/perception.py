@@ -34,6 +34,7 @@ from brain.perception.ekf import (
     Y,
     gyro,
     located,
+    resting,
     wheels,
 )
 from brain.perception.grid import Grid, GridSettings
@@ -55,8 +56,6 @@ class WheelSettings:
     """s: slip goes on for about this long, so its errors do not average out from report to report"""
     still_for: Nanos = 300 * MILLISECOND
     """Wheels at rest for this long, and a gyro that agrees, are a base at rest."""
-    still_rate: float = 0.1
-    """rad/s: a gyro that tells more says that the base is turned on its resting wheels"""
     still_sigma: float = 1e-3
     """m/s and rad/s: how still a base at rest is"""
 
@@ -111,9 +110,9 @@ class Perception:
         self._odometry = Odometry(body, settings.odometry)
         self._last: dict[str, Nanos] = {}
         self._scans: deque[LaserScan] = deque()
-        self._drawn: dict[str, Nanos] = {}
         self._moved_at: Nanos | None = None
-        self._rates: dict[str, float] = {}
+        self._gyro: str | None = None
+        self._rate = 0.0
 
     @property
     def estimate(self) -> Estimate | None:
@@ -179,10 +178,12 @@ class Perception:
         return wheels(self.body.left, travel.t, distance / dt, turn / dt, noise)
 
     def _still(self, t: Nanos) -> bool:
-        assert self._moved_at is not None
-        settings = self.settings.wheels
-        quiet = all(abs(rate) < settings.still_rate for rate in self._rates.values())
-        return quiet and t - self._moved_at >= settings.still_for
+        """Whether the base rests: the wheels have for a while, and the gyro tells nothing but its bias
+        (if it does, somebody turns the base on its resting wheels)."""
+        if self._moved_at is None or t - self._moved_at < self.settings.wheels.still_for:
+            return False
+        doubt = self.settings.gyro_sigma**2 + float(self._ekf.covariance[BIAS, BIAS])
+        return self._gyro is None or abs(self._rate - self.gyro_bias) < 4.0 * math.sqrt(doubt)
 
     # -- gyro ----------------------------------------------------------------------------------
 
@@ -190,11 +191,16 @@ class Perception:
         upright = self._upright.get(imu.sensor)
         if upright is None:
             return []
+        self._gyro = self._gyro or imu.sensor
+        if imu.sensor != self._gyro:
+            self._note(imu.sensor, "not used beside another gyro")
+            return []
         self._last[imu.sensor] = max(imu.t, self._last.get(imu.sensor, imu.t))
         rate = sum(a * b for a, b in zip(upright, imu.angular_velocity, strict=True))
         if math.isfinite(rate):
-            self._rates[imu.sensor] = rate
-        return [gyro(imu.sensor, imu.t, rate, self.settings.gyro_sigma)]
+            self._rate = rate
+        kind = resting if self._still(imu.t) else gyro
+        return [kind(imu.sensor, imu.t, rate, self.settings.gyro_sigma)]
 
     def _take(self, measurement: Measurement) -> Verdict:
         verdict = self._ekf.hear(measurement)
