@@ -226,7 +226,8 @@ class Grid:
 
     def _fill(self, origin: Floats, yaw: float, sweep: Sweep, ends: Floats) -> None:
         """Tell unknown cells free that lie in the narrow gaps between neighbouring beams."""
-        low, high = self.cells(np.array([ends.min(axis=0), ends.max(axis=0)]))
+        corners = np.minimum(ends.min(axis=0), origin), np.maximum(ends.max(axis=0), origin)
+        low, high = self.cells(np.array(corners))
         left, bottom = np.maximum(low, 0)
         right, top = np.minimum(high + 1, (self.columns, self.rows))
         if left >= right or bottom >= top:
