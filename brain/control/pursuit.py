@@ -38,7 +38,7 @@ class PursuitSettings:
     """rad to the look-ahead point from which on the robot turns on the spot,"""
     turn_until: float = 0.1
     """rad, until it is as near as this"""
-    turn_gain: float = 2.0
+    turn_gain: float = 3.0
     """rad/s per rad of heading error, on the spot"""
     obstacle_distance: float = 0.3
     """m between the footprint and an obstacle below which the speed is lowered,"""

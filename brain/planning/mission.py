@@ -51,6 +51,7 @@ class Mission:
         self._drive_until: Nanos = 0
         self._planning: Planning | None = None
         self._look_at: Nanos = 0
+        self._explore_at: Nanos = 0
         self._without_since: Nanos | None = None
         self._edge_since: Nanos | None = None
         self._dead: tuple[Point, ...] = ()
@@ -106,7 +107,7 @@ class Mission:
             self._go_on(now, here)
         elif now >= self._look_at:
             self._look_at = now + self.settings.period
-            self._look(here, grid)
+            self._look(now, here, grid)
         self._lose_patience(now)
 
     def arrived(self, now: Nanos) -> None:
@@ -134,18 +135,19 @@ class Mission:
             self.path_version += 1
         self._edge_since = None
 
-    def _look(self, here: Point, grid: Map) -> None:
+    def _look(self, now: Nanos, here: Point, grid: Map) -> None:
         """Is the path still good? Is it time for another?"""
         goal = (self.goals[0].x, self.goals[0].y)
-        costmap = survey(grid, self.radius, self.settings, standing=here, goal=goal, given_up=self._dead)
+        costmap = survey(grid, self.radius, self.settings, standing=here, given_up=self._dead)
         self.costmap = costmap
         if self.path is not None:
             off = self._obstructed(here, grid)
             if off:
                 self._say("info", f"the path is dropped: {off}")
                 self._forget_path()
-            elif isinstance(self.path, Path):
+            elif isinstance(self.path, Path) or now < self._explore_at:
                 return
+        self._explore_at = now + self.settings.explore
         occupied = _plain(grid, 0.0) if costmap.level_at(*here) == BLOCKED else None
         self._planning = Planning(costmap, occupied, here, goal, self.settings)
 

@@ -35,8 +35,9 @@ class PlannerSettings:
     """m, the distance within which being near to obstacles costs more"""
     dislike: float = 3.0
     """How much more a metre next to an obstacle costs than one far from any."""
-    unknown_multiplier: float = 2.0
-    """What a metre through unknown ground is guessed to cost, where nothing known leads to the goal."""
+    unknown_multiplier: float = 1.2
+    """What a metre through unknown ground is guessed to cost, where nothing known leads to the goal.
+    The larger, the longer the search."""
     unknown_is_free: bool = False
     """Plan through unknown ground as if it were free. For open ground only."""
     escape: float = 0.5
@@ -45,6 +46,8 @@ class PlannerSettings:
     """m, how far a goal too close to an obstacle is moved to a place that fits"""
     period: Nanos = 250 * MILLISECOND
     """Between two looks at the map: is the path still free, does a better one show?"""
+    explore: Nanos = 500 * MILLISECOND
+    """While nothing known leads to the goal: between two plans."""
     patience: Nanos = 8 * SECOND
     """Without any path to a goal for so long, the goal is given up."""
     drive_timeout: Nanos = 500 * MILLISECOND
@@ -54,7 +57,7 @@ class PlannerSettings:
         for name in ("margin", "comfort", "dislike", "slack"):
             if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise ValueError(f"{name} must be 0 or more, not {getattr(self, name)}")
-        for name in ("expansions_per_step", "escape", "period", "patience", "drive_timeout"):
+        for name in ("expansions_per_step", "escape", "period", "explore", "patience", "drive_timeout"):
             if not (isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise ValueError(f"{name} must be more than 0, not {getattr(self, name)}")
         if not (isfinite(self.unknown_multiplier) and self.unknown_multiplier >= 1.0):
@@ -101,18 +104,14 @@ def survey(
     settings: PlannerSettings,
     *,
     standing: Point,
-    goal: Point,
     given_up: tuple[Point, ...] = (),
 ) -> Costmap:
     """The costmap of the grid as it is now, for a footprint circle of this radius [m].
 
     Unknown ground under the robot is free: it stands there. Unknown ground about the places `given_up`,
-    which stayed unknown when seen from near, counts as blocked. Where the goal lies outside of the
-    grid, what lies between is unknown ground."""
-    resolution = grid.resolution
-    blocked, unknown, corner = _reaching(
-        grid.blocked(radius + settings.margin), grid.unknown, origin(grid), resolution, goal
-    )
+    which stayed unknown when seen from near, counts as blocked."""
+    resolution, corner = grid.resolution, origin(grid)
+    blocked, unknown = grid.blocked(radius + settings.margin), grid.unknown
     unknown = unknown & ~_disc(unknown.shape, corner, resolution, standing, radius)
     for place in given_up:
         blocked = blocked | (unknown & _disc(unknown.shape, corner, resolution, place, radius))
@@ -153,7 +152,7 @@ class Planning:
         if here is None:
             return NoPath(f"the robot at {_said(self.start)} is outside of the map")
         if there is None:
-            return NoPath(f"the goal {_said(self.goal)} is outside of the map")
+            return NoPath(f"the goal {_said(self.goal)} is outside of the map{_reach(self.costmap)}")
         if self.costmap.level[here] == BLOCKED:
             out = nearest(self.costmap, self.start, self.settings.escape, FREE, seen_through=occupied)
             if out is None:
@@ -263,37 +262,17 @@ def nearest(
     return None
 
 
-def _reaching(
-    blocked: Mask, unknown: Mask, corner: Point, resolution: float, goal: Point
-) -> tuple[Mask, Mask, Point]:
-    """The masks with as many unknown rows and columns about them as it takes to hold the goal."""
-    rows, columns = blocked.shape
-    column = int(np.floor((goal[0] - corner[0]) / resolution))
-    row = int(np.floor((goal[1] - corner[1]) / resolution))
-    room = round(1.0 / resolution)
-    before = (max(0, room - row) if row < 0 else 0, max(0, room - column) if column < 0 else 0)
-    after = (
-        max(0, row + room - rows) if row >= rows else 0,
-        max(0, column + room - columns) if column >= columns else 0,
-    )
-    if before == (0, 0) and after == (0, 0):
-        return blocked, unknown, corner
-    if (rows + before[0] + after[0]) * (columns + before[1] + after[1]) > LARGEST:
-        return blocked, unknown, corner
-    pad = ((before[0], after[0]), (before[1], after[1]))
-    moved = (corner[0] - before[1] * resolution, corner[1] - before[0] * resolution)
-    return np.pad(blocked, pad), np.pad(unknown, pad, constant_values=True), moved
-
-
-LARGEST = 4_000_000
-"""Cells; a goal that would need a larger map is refused as outside of it."""
-
-
 def _disc(shape: tuple[int, ...], corner: Point, resolution: float, centre: Point, radius: float) -> Mask:
     x = corner[0] + (np.arange(shape[1]) + 0.5) * resolution - centre[0]
     y = corner[1] + (np.arange(shape[0]) + 0.5) * resolution - centre[1]
     inside: Mask = x[None, :] ** 2 + y[:, None] ** 2 <= radius**2
     return inside
+
+
+def _reach(costmap: Costmap) -> str:
+    far = costmap.centre(len(costmap.level) - costmap.stride - 2)
+    half = costmap.resolution / 2
+    return f", which reaches from {_said(costmap.origin)} to {_said((far[0] + half, far[1] + half))}"
 
 
 def _too_near(costmap: Costmap, goal: Point) -> str:

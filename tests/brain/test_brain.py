@@ -1,0 +1,452 @@
+"""The brain, whole, in a kinematic office: goals through a doorway, and one test per demand.
+
+Simulated time, seeded noise, no ground truth: the brain hears Feedback, Imu and LaserScan and says Velocity
+or Idle. The office alone knows where the robot truly is, and judges it.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import replace
+from math import hypot, isfinite
+
+import pytest
+
+from brain.belief import BrainState
+from brain.bodies.differential import wrap
+from brain.bodies.joints import Joints
+from brain.brain import Brain, BrainSettings
+from brain.health import HealthSettings
+from brain.perception.grid import GridSettings
+from brain.perception.perception import PerceptionSettings
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Drive,
+    Feedback,
+    Goal,
+    Idle,
+    Mode,
+    Position,
+    State,
+    Torque,
+    Velocity,
+)
+from tests.brain.helpers import BODY, ROOMS, SMALL, Noise, Office, Trip
+
+NEXT_ROOM = Goal(4.5, -1.0)
+ACROSS = Goal(-1.0, 3.0)
+
+
+def from_goal(trip: Trip, goal: Goal) -> float:
+    """By the true pose [m]."""
+    return hypot(trip.office.pose.x - goal.x, trip.office.pose.y - goal.y)
+
+
+def top_speed(trip: Trip, ticks: int) -> float:
+    speeds = []
+    for _ in range(ticks):
+        trip.tick()
+        speeds.append(abs(trip.office.speed))
+    return max(speeds)
+
+
+def all_idle(commands: Sequence[Command]) -> bool:
+    return all(isinstance(command, Idle) for command in commands)
+
+
+def driving(span: float = 2.5, settings: BrainSettings | None = None) -> Trip:
+    """On its way across the room, at speed."""
+    trip = Trip(Office(), settings)
+    trip.tick([ACROSS])
+    trip.run(span)
+    assert trip.brain.belief().state is BrainState.RUNNING
+    assert trip.office.speed > 0.1
+    return trip
+
+
+# -- end to end --------------------------------------------------------------------------------
+
+
+def test_goals_through_a_doorway_are_reached_and_no_wall_is_touched() -> None:
+    trip, home = Trip(Office()), Goal(-1.0, 3.0, 1.57)
+    belief = trip.go(NEXT_ROOM)
+    assert belief.reached == 1
+    assert from_goal(trip, NEXT_ROOM) < 0.20
+    belief = trip.go(home)
+    assert belief.reached == 2
+    assert from_goal(trip, home) < 0.20
+    assert abs(wrap(trip.office.pose.yaw - 1.57)) < 0.15
+    assert trip.office.touched == 0
+    trip.run(2.0)
+    assert trip.states == ["initialising", "running", "ready"]
+    assert trip.brain.belief().state is BrainState.READY
+    assert all_idle(trip.commands)
+
+
+def test_two_runs_say_the_same_and_a_copy_goes_on_as_the_original() -> None:
+    runs = [Trip(Office(seed=3)) for _ in range(2)]
+    for trip in runs:
+        trip.tick([NEXT_ROOM])
+        trip.run(6.0)
+    assert runs[0].said == runs[1].said
+    other = copy.deepcopy(runs[0])
+    for trip in (runs[0], other):
+        trip.run(3.0)
+    assert runs[0].said == other.said
+    assert runs[0].notes == other.notes
+    assert runs[0].brain.belief().path == other.brain.belief().path
+
+
+def test_every_motor_has_one_finite_command_at_every_step_within_the_limits() -> None:
+    trip = driving(7.0)
+    per_step = 0.0
+    before = {"left": 0.0, "right": 0.0}
+    for said in trip.said:
+        assert [command.motor for command in said] == ["left", "right"]
+        for command in said:
+            velocity = command.velocity if isinstance(command, Velocity) else 0.0
+            assert isfinite(velocity)
+            assert abs(velocity) <= BODY.wheel_speed + 1e-9
+            per_step = max(per_step, abs(velocity - before[command.motor]))
+            before[command.motor] = velocity
+    # One control period at both largest accelerations.
+    most = (BODY.max_linear_acceleration + BODY.max_angular_acceleration * 0.11) / BODY.wheel_radius
+    assert per_step <= most * 0.020 + 1e-9
+
+
+def test_control_is_due_by_time_not_by_count() -> None:
+    trip = driving(2.0)
+    start = len(trip.said)
+    trip.run(1.0)
+    changes = sum(a != b for a, b in zip(trip.said[start:], trip.said[start - 1 :], strict=False))
+    assert 40 <= changes <= 50
+    assert trip.brain.set("pursuit.period_ms", 50.0) == ""
+    start = len(trip.said)
+    trip.run(1.0)
+    changes = sum(a != b for a, b in zip(trip.said[start:], trip.said[start - 1 :], strict=False))
+    assert 15 <= changes <= 20
+
+
+# -- one test per demand -----------------------------------------------------------------------
+
+
+def test_demand_high_speed() -> None:
+    """Three times as fast: still no wall is touched, and the goal is reached."""
+    fast = replace(
+        BODY, max_linear=2.0, max_angular=4.0, max_linear_acceleration=2.0, max_angular_acceleration=8.0
+    )
+    long_hall = (
+        (-2.1, -2.1, 14.1, -2.0),
+        (-2.1, 2.0, 14.1, 2.1),
+        (-2.1, -2.1, -2.0, 2.1),
+        (14.0, -2.1, 14.1, 2.1),
+    )
+    wide = PerceptionSettings(grid=GridSettings(width=17.0, height=6.0, center_x=6.0))
+    office = Office((*long_hall, (6.0, -2.0, 6.5, 0.6)), body=fast)
+    trip = Trip(office, BrainSettings("differential", fast, perception=wide))
+    belief = trip.go(Goal(12.0, -1.0), span=30.0)
+    assert belief.reached == 1
+    assert from_goal(trip, Goal(12.0, -1.0)) < 0.20
+    assert trip.office.touched == 0
+    assert (
+        max(hypot(a.x - b.x, a.y - b.y) for a, b in zip(trip.track, trip.track[1:], strict=False))
+        > 1.5 * 0.01
+    )
+
+
+def test_demand_sharp_turn() -> None:
+    """A goal right behind, then one around the corner of a wall: turned on the spot, nothing touched."""
+    corner = (*ROOMS[:4], (-1.0, 0.5, 3.0, 0.6))
+    trip = Trip(Office(corner))
+    assert trip.go(Goal(-1.4, 0.0), span=20.0).reached == 1
+    behind = Goal(-0.5, 1.4)
+    assert trip.go(behind, span=30.0).reached == 2
+    assert from_goal(trip, behind) < 0.20
+    assert trip.office.touched == 0
+
+
+def test_demand_sensor_noise() -> None:
+    """Slip of 5 %, a gyro bias of 0.03 rad/s, ranges off by 3 cm."""
+    rough = Noise(gyro=0.02, gyro_bias=0.03, range=0.03, slip=0.05)
+    trip = Trip(Office(noise=rough, seed=2))
+    assert trip.go(NEXT_ROOM).reached == 1
+    assert from_goal(trip, NEXT_ROOM) < 0.20
+    assert trip.office.touched == 0
+
+
+@pytest.mark.parametrize(("silent", "word"), [("lidar", "scan"), ("left", "feedback"), ("imu", "reading")])
+def test_demand_safe_mode_on_perception_failure(silent: str, word: str) -> None:
+    """Slow, then stop, then say why; and on again when it comes back in time."""
+    trip = driving()
+    trip.office.silent = {silent}
+    trip.states.clear()
+    belief = trip.run(6.0, lambda b: "standing" in b.reason)
+    assert belief.state is BrainState.DEGRADED
+    assert f"{silent}: no {word} for more than" in belief.reason
+    trip.run(1.5)
+    assert top_speed(trip, 20) < 1e-3
+    assert any("slow" in text and level == "warning" for level, text in trip.notes)
+    trip.office.silent = set()
+    belief = trip.run(3.0, lambda b: b.state is BrainState.RUNNING)
+    assert belief.state is BrainState.RUNNING
+    assert trip.states == ["running", "degraded", "running"]
+    assert trip.run(60.0, lambda b: b.reached == 1).reached == 1
+    assert from_goal(trip, ACROSS) < 0.20
+    assert trip.office.touched == 0
+
+
+def test_slow_means_slow_before_it_means_standing() -> None:
+    patient = HealthSettings(scan_slow=200 * MILLISECOND, scan_stop=4000 * MILLISECOND)
+    trip = driving(settings=BrainSettings("differential", BODY, perception=SMALL, health=patient))
+    trip.office.silent = {"lidar"}
+    trip.run(1.0)
+    assert 0.02 < top_speed(trip, 200) <= 0.3 * BODY.max_linear + 0.01
+
+
+def test_what_does_not_come_back_stops_and_nothing_resumes_by_itself() -> None:
+    trip = driving()
+    trip.office.silent = {"lidar"}
+    belief = trip.run(8.0, lambda b: b.state is BrainState.STOPPED)
+    assert belief.state is BrainState.STOPPED
+    assert "lidar: no scan" in belief.reason
+    assert belief.goal is None
+    trip.run(1.5)
+    assert all_idle(trip.commands)
+    trip.tick([ACROSS])
+    assert "Goal refused: lidar: no scan" in trip.notes[-1][1]
+    trip.office.silent = set()
+    belief = trip.run(2.0)
+    assert belief.state is BrainState.READY
+    assert top_speed(trip, 100) < 1e-3
+    assert trip.go(ACROSS).reached == 1
+
+
+def test_demand_stop_when_no_path_arrives() -> None:
+    """A closed room: it looks for a way, stops, says why, and lets the motors go."""
+    closed = (*ROOMS, (2.0, 1.4, 2.1, 2.6))
+    trip = Trip(Office(closed))
+    trip.tick([NEXT_ROOM])
+    belief = trip.run(40.0, lambda b: b.state is BrainState.STOPPED)
+    assert belief.state is BrainState.STOPPED
+    assert belief.reason.startswith("no path to goal 1 (4.50, -1.00) within 8 s: everything between")
+    assert belief.path == ()
+    assert "degraded" in trip.states
+    trip.run(1.5)
+    assert all_idle(trip.commands)
+    assert trip.office.touched == 0
+    assert trip.go(Goal(-1.0, 1.0)).reached == 1
+
+
+def test_a_doorway_that_is_closed_on_the_way_stops_the_robot_in_front_of_it() -> None:
+    trip = Trip(Office())
+    trip.tick([NEXT_ROOM])
+    trip.run(40.0, lambda b: trip.office.pose.x > 1.2 and bool(b.path) and b.path[-1][0] > 2.5)
+    trip.office.boxes.append((2.0, 1.4, 2.1, 2.6))
+    belief = trip.run(30.0, lambda b: b.state is BrainState.STOPPED)
+    assert belief.state is BrainState.STOPPED
+    assert trip.office.touched == 0
+    assert trip.office.pose.x < 2.0
+
+
+def test_a_box_put_in_the_way_is_driven_around() -> None:
+    trip = driving(2.0)
+    trip.office.boxes.append((-0.75, 1.6, -0.45, 1.9))
+    assert trip.run(30.0, lambda b: b.reached == 1).reached == 1
+    assert trip.office.touched == 0
+    assert any("something stands on it" in text for _, text in trip.notes)
+
+
+def test_initialising_until_everything_is_heard_and_goals_wait_for_it() -> None:
+    office = Office()
+    office.silent = {"lidar"}
+    trip = Trip(office)
+    trip.tick([ACROSS])
+    belief = trip.run(4.0)
+    assert belief.state is BrainState.INITIALISING
+    assert belief.reason == "waiting for a reading of lidar"
+    assert all(all_idle(said) for said in trip.said)
+    assert ("warning", "still waiting for a reading of lidar") in trip.notes
+    trip.tick([Drive(0.2, 0.0)])
+    assert trip.notes[-1] == ("warning", "Drive refused: waiting for a reading of lidar")
+    office.silent = set()
+    belief = trip.run(1.0)
+    assert belief.state is BrainState.RUNNING
+    assert belief.goal == ACROSS
+
+
+def test_stop_lets_go_at_once_and_release_does_not_resume() -> None:
+    trip = driving()
+    trip.tick(stopped="an operator said stop")
+    assert all_idle(trip.commands)
+    belief = trip.brain.belief()
+    assert (belief.state, belief.reason) == (BrainState.STOPPED, "an operator said stop")
+    assert ("warning", "1 goal dropped: an operator said stop") in trip.notes
+    trip.tick([ACROSS, Drive(0.1, 0.0)], stopped="an operator said stop")
+    assert trip.notes[-1][1] == "Drive refused: an operator said stop"
+    belief = trip.run(1.0)
+    assert belief.state is BrainState.READY
+    assert all_idle(trip.commands)
+    assert top_speed(trip, 50) < 1e-3
+    assert trip.go(ACROSS).reached == 1
+
+
+def test_a_motor_in_fault_stops_the_base() -> None:
+    trip = driving()
+    events = trip.office.step(trip.commands)
+    fault = State("left", trip.office.now, Mode.FAULT, "MOTOR_OVER_TEMP")
+    trip.commands = trip.brain.step(trip.office.now, [*events, fault], [], "")
+    belief = trip.brain.belief()
+    assert belief.state is BrainState.STOPPED
+    assert belief.reason == "left is in fault: MOTOR_OVER_TEMP"
+    assert belief.goal is None
+
+
+def test_driving_by_hand_obeys_the_limits_and_stops_by_itself() -> None:
+    trip = Trip(Office())
+    trip.run(0.5)
+    for _ in range(200):
+        trip.tick([Drive(5.0, 0.0)])
+    assert trip.office.speed == pytest.approx(BODY.max_linear, abs=0.02)
+    belief = trip.run(1.8)
+    assert trip.office.speed < 1e-2
+    assert belief.state is BrainState.READY
+    trip.run(1.5)
+    assert all_idle(trip.commands)
+
+
+def test_a_command_to_a_wheel_is_refused() -> None:
+    trip = Trip(Office())
+    trip.run(0.5)
+    trip.tick([Velocity("left", 3.0)])
+    assert trip.notes[-1] == (
+        "warning",
+        "Velocity refused: left is a wheel or part of a base: ask for a goal, or drive",
+    )
+    assert all_idle(trip.commands)
+
+
+def test_belief_tells_goal_path_and_version() -> None:
+    trip = driving()
+    belief = trip.brain.belief()
+    assert belief.goal == ACROSS
+    assert len(belief.path) >= 2
+    assert belief.path_version >= 1
+    assert belief.estimate is not None
+    assert (
+        hypot(belief.estimate.pose.x - trip.office.pose.x, belief.estimate.pose.y - trip.office.pose.y) < 0.05
+    )
+    assert belief.map is not None
+    assert belief.raw is not None
+
+
+def test_a_pause_of_the_loop_is_no_leave_to_leap() -> None:
+    """Half a second without a step: the next command changes by no more than a tenth of a second's worth."""
+    trip = driving(2.0)
+    before = [c.velocity for c in trip.commands if isinstance(c, Velocity)]
+    for _ in range(100):
+        events = trip.office.step(trip.commands)
+    trip.commands = trip.brain.step(trip.office.now, events, [], "")
+    after = [c.velocity for c in trip.commands if isinstance(c, Velocity)]
+    most = 0.1 * (BODY.max_linear_acceleration + BODY.max_angular_acceleration * 0.11) / BODY.wheel_radius
+    assert max(abs(a - b) for a, b in zip(after, before, strict=True)) <= most + 1e-9
+
+
+# -- bare joints -------------------------------------------------------------------------------
+
+
+class BenchTop:
+    """Two motors that say that they are there."""
+
+    def __init__(self) -> None:
+        self.brain = Brain(BrainSettings("joints", joints=Joints(("a", "b"))), ["a", "b"], {})
+        self.now, self.silent = 0, set[str]()
+
+    def tick(
+        self, *tasks: Command | Goal, stopped: str = "", state: State | None = None
+    ) -> Sequence[Command]:
+        self.now += 10 * MILLISECOND
+        events = [Feedback(motor, self.now, 0.0, 0.0) for motor in ("a", "b") if motor not in self.silent]
+        return self.brain.step(self.now, [*events, *([state] if state else [])], tasks, stopped)
+
+    def state(self) -> tuple[str, str]:
+        belief = self.brain.belief()
+        return belief.state, belief.reason
+
+
+def test_joints_keep_their_targets() -> None:
+    bench = BenchTop()
+    assert bench.tick() == (Idle("a"), Idle("b"))
+    assert bench.state() == ("ready", "")
+    bench.tick(Velocity("a", 2.0))
+    for _ in range(500):
+        assert bench.tick() == (Velocity("a", 2.0), Idle("b"))
+    assert bench.state() == ("running", "")
+    assert bench.tick(Torque("a", 0.2), Position("b", 1.0)) == (Torque("a", 0.2), Position("b", 1.0))
+    belief = bench.brain.belief()
+    assert (belief.estimate, belief.map, belief.path, belief.goal) == (None, None, (), None)
+
+
+def test_joints_initialise_until_every_motor_is_heard() -> None:
+    bench = BenchTop()
+    bench.silent = {"b"}
+    bench.tick()
+    assert bench.state() == ("initialising", "waiting for feedback of b")
+    bench.silent = set()
+    bench.tick()
+    assert bench.state() == ("ready", "")
+
+
+def test_a_stop_ends_all_targets_and_they_do_not_come_back() -> None:
+    bench = BenchTop()
+    bench.tick(Velocity("a", 2.0), Position("b", 1.0))
+    assert bench.tick(stopped="stop") == (Idle("a"), Idle("b"))
+    assert bench.state() == ("stopped", "stop")
+    bench.tick(Velocity("a", 2.0), stopped="stop")
+    assert bench.brain.take_notes()[-1] == ("warning", "Velocity refused: stopped: stop")
+    assert bench.tick() == (Idle("a"), Idle("b"))
+    assert bench.state() == ("ready", "")
+
+
+def test_a_silent_motor_loses_its_target_and_the_other_goes_on() -> None:
+    bench = BenchTop()
+    bench.tick(Velocity("a", 2.0), Velocity("b", 3.0))
+    bench.silent = {"a"}
+    for _ in range(12):
+        said = bench.tick()
+    assert said == (Idle("a"), Velocity("b", 3.0))
+    assert bench.state() == ("degraded", "a: no feedback for more than 90 ms")
+    bench.tick(Velocity("a", 1.0))
+    assert bench.brain.take_notes()[-1] == ("warning", "Velocity refused: a: no feedback for more than 90 ms")
+    bench.silent = set()
+    assert bench.tick() == (Idle("a"), Velocity("b", 3.0))
+    bench.silent = {"a", "b"}
+    for _ in range(12):
+        bench.tick()
+    assert bench.state()[0] == "stopped"
+
+
+def test_a_joint_in_fault_loses_its_target() -> None:
+    bench = BenchTop()
+    bench.tick(Velocity("a", 2.0))
+    assert bench.tick(state=State("a", bench.now, Mode.FAULT, "STALL")) == (Idle("a"), Idle("b"))
+    assert bench.state() == ("degraded", "a is in fault: STALL")
+
+
+def test_bare_joints_have_nowhere_to_go() -> None:
+    bench = BenchTop()
+    bench.tick()
+    bench.tick(Goal(1.0, 1.0))
+    said = "Goal refused: these are bare joints: there is no base to drive"
+    assert bench.brain.take_notes()[-1] == ("warning", said)
+
+
+def test_settings_of_a_bench_change_too() -> None:
+    bench = BenchTop()
+    bench.tick(Velocity("a", 1.0))
+    assert bench.brain.set("health.feedback_stop_ms", 500.0) == ""
+    bench.silent = {"a"}
+    for _ in range(30):
+        said = bench.tick()
+    assert said[0] == Velocity("a", 1.0)
