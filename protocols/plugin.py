@@ -67,7 +67,8 @@ class Range:
     low: float
     high: float
     resolution: float
-    """The largest error that encoding and decoding may make: absolute, in the quantity's unit."""
+    """The largest error between the two ends: absolute, in the quantity's unit. For feedback the
+    device's own steps (of its encoder, as configured) are part of it."""
     relative: float = 0.0
     """And relative to the value (float32: 2**-24)."""
 

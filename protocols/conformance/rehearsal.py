@@ -256,7 +256,7 @@ def script(spec: Spec, names: Sequence[str]) -> Iterator[tuple[Command | Request
     quiet: tuple[Command | Request, ...] = ()
     yield from [quiet] * 150
     for kind in sorted(spec.commands, key=lambda kind: kind.__name__):
-        for step in range(120):
+        for step in range(60):
             # The device at the end of the line lags behind, so that the two are not always in step.
             speaking = names if step > 20 else names[:1]
             yield tuple(_mild(kind, name, spec, step) for name in speaking)
@@ -264,7 +264,7 @@ def script(spec: Spec, names: Sequence[str]) -> Iterator[tuple[Command | Request
         for name in names:
             word = request(asked, name)
             yield (word,) if word else ()
-            yield from [quiet] * 40
+            yield from [quiet] * 25
     if spec.commands:
         yield from [tuple(Idle(name) for name in names)] * 50
     yield from [quiet] * 300

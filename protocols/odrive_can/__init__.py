@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from protocols.odrive_can.codec import (
     ASKABLE,
@@ -84,6 +85,11 @@ WATCHDOG_NOTE = (
 )
 
 
+def _measured(settings: Settings) -> Range:
+    """A position is told to half a count of the encoder, and rounded to binary32."""
+    return replace(_scalar, resolution=math.pi / settings.encoder_cpr * 1.001)
+
+
 def read_only(wire: Wire) -> bool:
     """Whether a wire only asks: a remote frame for a message that devices tell."""
     return isinstance(wire, CanFrame) and wire.remote and not wire.extended and wire.id & 0x1F in ASKABLE
@@ -112,7 +118,7 @@ def spec(device: Device) -> Spec:
         offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({Idle, Hold, Position, Velocity, Torque}),
         requests=frozenset({ClearFault, Estop, Scan, SetId, Zero, ReadParameter, WriteParameter, Reboot}),
-        ranges=RANGES,
+        ranges=RANGES | {"Feedback.position": _measured(settings)},
         watchdog=Watchdog(timeout, settings.enable_watchdog, "" if quiet else WATCHDOG_NOTE),
         holds_unattended=not settings.enable_watchdog,
         stop_clears_faults=False,
