@@ -110,7 +110,7 @@ class Figures:
             off = f"at most {error:.3f} m off the true one ({share:.2f} % of its length)"
             rows.append(f"{name}: {off}, {length:.2f} m long")
         rows.append(
-            f"feedback under a command at most {self.age_median:.1f} ms old (median), {self.age_worst:.1f} ms (worst)"
+            f"age of what commands rest on: median {self.age_median:.1f}, worst {self.age_worst:.1f} ms"
         )
         rows.append(
             "bus load at most: "

@@ -124,7 +124,7 @@ class Gateway:
         return self.brain.belief()
 
     def still_armed(self) -> list[str]:
-        """The motors that we commanded, whose safe word is Idle, and that do not say that they are disarmed."""
+        """The motors that we commanded, that are to be disarmed, and that do not say that they are."""
         return [
             name
             for name, joint in self.joints.items()
