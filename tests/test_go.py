@@ -303,6 +303,7 @@ def test_failed_install_says_so_and_is_tried_again(clone: Clone) -> None:
         assert "not-a-package" in failed.stderr
         assert "Traceback" not in failed.stderr
         assert failed.stdout == ""
+        assert not clone.stamp.exists()  # the old one would call a half-changed environment ready
     lock.write_text(good)
     assert clone.go("run").returncode == 7
 
