@@ -313,7 +313,7 @@ class Ekf:
             verdict = Verdict.FORCED
             self._refused_since.pop(measurement.source, None)
             self._filter.x, self._filter.P = prior
-            doubt = min(distance / gate, WIDEST)
+            doubt = self._doubt(measurement)
             self._widened(measurement, doubt)
         else:
             verdict = Verdict.REFUSED
@@ -321,6 +321,13 @@ class Ekf:
             self._filter.x, self._filter.P = prior
         self._remember(measurement, verdict, doubt)
         return verdict
+
+    def _doubt(self, measurement: Measurement) -> float:
+        """By what the variances must grow for the state to be as far off as the measurement just
+        refused says that it is."""
+        H = measurement.matrix
+        believed = np.diag(H @ self.covariance @ H.T)
+        return min(max(1.0, float(np.max(self._filter.y**2 / believed))), WIDEST)
 
     def _repeat(self, entry: _Entry) -> None:
         """Apply a measurement again, as it was decided on before."""
@@ -365,7 +372,7 @@ class Ekf:
             self._history.popleft()
 
 
-WIDEST = 1e4
+WIDEST = 1e6
 """How much a variance is widened at most."""
 
 

@@ -148,7 +148,7 @@ class Perception:
                 measurements += self._hear_imu(event)
             elif isinstance(event, LaserScan):
                 self._hear_scan(event)
-        for measurement in sorted(measurements, key=lambda m: m.t):
+        for measurement in sorted(measurements, key=lambda m: (m.t, m.source)):
             self._take(measurement)
         self._take_scans(now)
 

@@ -1,0 +1,382 @@
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from brain.belief import Pose
+from brain.perception.mount import Mount
+from brain.perception.odometry import Travel
+from brain.perception.perception import Perception, PerceptionSettings, WheelSettings, wheel_noise
+from protocols.words import (
+    MILLISECOND,
+    SECOND,
+    Event,
+    Feedback,
+    Imu,
+    LaserScan,
+    Mode,
+    Nanos,
+    State,
+)
+from tests.brain.perception.office import BODY, MOUNTS, OFFICE, SETTINGS, TOUR, Drive, Rover, drive, scan_at
+
+MS = MILLISECOND
+IMU_ONLY = {"imu": MOUNTS["imu"]}
+
+
+def new(settings: PerceptionSettings = SETTINGS) -> Perception:
+    return Perception(BODY, MOUNTS, settings)
+
+
+def run(
+    rover: Rover, perception: Perception, steps: int, linear: float = 0.0, angular: float = 0.0
+) -> Perception:
+    for i in range(steps):
+        part = min(1.0, (i + 1) / 40)  # full speed after 0.2 s
+        perception.hear(rover.now + 5 * MS, rover.step(part * linear, part * angular))
+    return perception
+
+
+def pose(perception: Perception) -> Pose:
+    assert perception.estimate is not None
+    return perception.estimate.pose
+
+
+def covariance(perception: Perception) -> np.ndarray:
+    assert perception.estimate is not None
+    return perception.estimate.covariance
+
+
+def apart(perception: Perception, truth: Pose) -> float:
+    return math.dist((pose(perception).x, pose(perception).y), (truth.x, truth.y))
+
+
+def reports(t: Nanos, left: float = 0.0, right: float = 0.0, rate: float = 0.0) -> list[Event]:
+    said = Imu("imu", t, (0.0, 0.0, rate), (0.0, 0.0, 9.81))
+    return [Feedback("left", t, left), Feedback("right", t, right), said]
+
+
+def rested(perception: Perception, until: Nanos = 1 * SECOND) -> Perception:
+    for t in range(0, until, 10 * MS):
+        perception.hear(t, reports(t))
+    return perception
+
+
+# -- a drive through the office: slip, scrub, gyro bias, noise ---------------------------------
+
+
+@pytest.fixture(scope="module")
+def driven() -> Drive:
+    """35 m through two rooms and a doorway; the wheels lose 3 % of their way and 5 % of turns."""
+    return drive(Rover(1), TOUR)
+
+
+def test_the_path_believed_is_as_long_as_the_true_one(driven: Drive) -> None:
+    assert 30.0 < driven.rover.length < 40.0
+    assert driven.believed_length == pytest.approx(driven.rover.length, rel=0.005)
+
+
+def test_raw_odometry_is_not(driven: Drive) -> None:
+    assert abs(driven.raw_length / driven.rover.length - 1.0) > 0.02
+    assert driven.raw_apart > 1.0
+
+
+def test_the_pose_believed_is_the_true_one_all_the_way(driven: Drive) -> None:
+    assert driven.worst < 0.05
+    assert math.dist((driven.rover.truth.x, driven.rover.truth.y), TOUR[-1]) < 0.15
+
+
+def test_bias_and_slip_are_found(driven: Drive) -> None:
+    assert driven.perception.gyro_bias == pytest.approx(0.01, abs=0.002)
+    assert driven.perception.slip == pytest.approx(0.0275, abs=0.008)
+
+
+def test_hardly_anything_is_refused(driven: Drive) -> None:
+    assert all(count <= 20 for count in driven.perception.rejected.values()), driven.perception.ledger
+
+
+def test_the_map_shows_the_office(driven: Drive) -> None:
+    grid = driven.perception.map
+    for x, y in [(9.5, 0.0), (3.0, -1.7), (4.0, 0.5), (1.2, 2.8), (6.1, 0.7), (7.4, 3.5)]:
+        assert grid.clearance(x, y) < 0.08, (x, y)
+    for x, y in [(0.0, 0.0), (4.0, 1.8), (8.3, 0.5), (3.0, 4.0)]:
+        assert grid.free[grid.cell(x, y)], (x, y)
+    assert grid.unknown[grid.cell(6.4, 0.7)]  # inside a box
+
+
+def test_without_a_lidar_the_gyro_still_beats_the_wheels() -> None:
+    moved = drive(Rover(2), TOUR[:6], mounts=IMU_ONLY)
+    assert moved.apart < 0.6
+    assert moved.raw_apart > 3.0 * moved.apart
+    estimate = moved.perception.estimate
+    assert estimate is not None
+    spread = math.sqrt(estimate.covariance[0, 0] + estimate.covariance[1, 1])
+    assert moved.apart < 3.0 * spread  # and it knows how far off it may be
+
+
+def test_two_runs_are_one() -> None:
+    """The same events give the same belief to the last bit, and a copy made on the way does too."""
+    rovers, beliefs = (Rover(5), Rover(5)), [new(), new()]
+    for rover, belief in zip(rovers, beliefs, strict=True):
+        run(rover, belief, 300)
+        run(rover, belief, 300, 0.3, 0.4)
+    forked = copy.deepcopy(rovers[0])
+    beliefs.append(copy.deepcopy(beliefs[0]))
+    for rover, belief in zip((*rovers, forked), beliefs, strict=True):
+        run(rover, belief, 300, 0.3, -0.4)
+    first = beliefs[0]
+    for other in beliefs[1:]:
+        assert pose(other) == pose(first)
+        assert (covariance(other) == covariance(first)).all()
+        assert (other.map.log_odds == first.map.log_odds).all()
+        assert other.raw == first.raw
+        assert other.ledger == first.ledger
+
+
+# -- time --------------------------------------------------------------------------------------
+
+
+def test_a_scan_counts_at_its_own_time() -> None:
+    """Defect: the scan drawn at the pose of its arrival. Turning fast, it comes 100 ms (9°) late."""
+    belief = new(replace(SETTINGS, matching=False))
+    rover = Rover(3, slip_left=0.0, slip_right=0.0, scrub=0.0, slip_noise=0.0, scan_delay=20)
+    run(rover, belief, 300)
+    run(rover, belief, 300, 0.0, 1.5)
+    rows, columns = np.nonzero(belief.map.occupied)
+    points = np.array([belief.map.center(int(r), int(c)) for r, c in zip(rows, columns, strict=True)])
+    low, high = np.minimum(OFFICE[:, :2], OFFICE[:, 2:]), np.maximum(OFFICE[:, :2], OFFICE[:, 2:])
+    away = np.maximum(np.maximum(low[None] - points[:, None], points[:, None] - high[None]), 0.0)
+    nearest = np.hypot(away[:, :, 0], away[:, :, 1]).min(axis=1)
+    assert len(points) > 200
+    assert np.mean(nearest < 0.1) > 0.97
+
+
+def test_a_scan_waits_for_the_estimate() -> None:
+    belief = rested(new())
+    scan = scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 1050 * MS)
+    belief.hear(1000 * MS, [scan])
+    assert belief.map.version == 0
+    assert belief.last("lidar") == 1050 * MS
+    belief.hear(1060 * MS, reports(1060 * MS))
+    assert belief.map.version == 1
+
+
+def test_a_scan_does_not_wait_for_ever() -> None:
+    belief = new()
+    belief.hear(0, [scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 0)])
+    belief.hear(600 * MS, [])
+    assert belief.ledger["lidar"] == {"no estimate for its time": 1}
+    assert belief.map.version == 0
+
+
+def test_a_scan_from_long_ago_is_refused() -> None:
+    belief = rested(new(), 3 * SECOND)
+    belief.hear(3 * SECOND, [scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 1 * SECOND)])
+    assert belief.ledger["lidar"] == {"too late": 1}
+
+
+def test_the_order_within_one_step_does_not_matter() -> None:
+    one, other = new(), new()
+    for t in range(0, 1 * SECOND, 10 * MS):
+        events = reports(t, 1e-9 * t, 1.2e-9 * t, 0.1)
+        one.hear(t, events)
+        other.hear(t, events[::-1])
+    assert pose(one) == pose(other)
+
+
+# -- wheels ------------------------------------------------------------------------------------
+
+
+def test_no_estimate_before_both_wheels_have_moved_on() -> None:
+    belief = new()
+    known = [belief.estimate is not None]
+    belief.hear(0, [Feedback("left", 0, 1.0), Imu("imu", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))])
+    known.append(belief.estimate is not None)
+    for t in (10 * MS, 20 * MS):
+        belief.hear(t, reports(t, 1.0, 2.0))
+        known.append(belief.estimate is not None)
+    assert known == [False, False, False, True]
+    assert pose(belief) == Pose(0.0, 0.0, 0.0)
+
+
+def test_the_start_is_where_it_is_told() -> None:
+    settings = replace(SETTINGS, ekf=replace(SETTINGS.ekf, start_x=1.0, start_y=-2.0, start_yaw=0.5))
+    belief = rested(new(settings))
+    assert (pose(belief).x, pose(belief).y, pose(belief).yaw) == pytest.approx((1.0, -2.0, 0.5), abs=1e-3)
+    assert belief.raw == Pose(1.0, -2.0, 0.5)
+
+
+def test_a_wheel_that_was_reset_throws_nobody_across_the_room() -> None:
+    rover, belief = Rover(6), new()
+    run(rover, belief, 300)
+    run(rover, belief, 400, 0.4)
+    before = pose(belief), belief.raw
+    rover.angles[0] = 0.0
+    run(rover, belief, 40, 0.4)
+    assert belief.ledger["left"]["position jumped"] == 1
+    assert apart(belief, rover.truth) < 0.03
+    assert math.dist((belief.raw.x, belief.raw.y), (before[1].x, before[1].y)) < 0.1
+
+
+def test_a_wheel_that_falls_silent_and_comes_back() -> None:
+    rover, belief = Rover(7), new()
+    run(rover, belief, 300)
+    run(rover, belief, 200, 0.3)
+    for _ in range(60):
+        events = rover.step(0.3, 0.0)
+        belief.hear(rover.now, [e for e in events if not (isinstance(e, Feedback) and e.motor == "right")])
+    silent = belief.last("right")
+    assert silent is not None
+    assert rover.now - silent > 250 * MS
+    run(rover, belief, 200, 0.3)
+    assert apart(belief, rover.truth) < 0.04
+
+
+def test_travel_noise_is_the_encoders_and_the_slips() -> None:
+    settings = WheelSettings()
+    rest = wheel_noise(BODY, Travel(0, 10 * MS, 0.0, 0.0), 1e-3, settings)
+    assert rest[0, 0] == pytest.approx(0.05**2 * 1e-6 / 12.0 / 0.01**2)  # of two wheels' mean
+    assert rest[1, 1] == pytest.approx(4.0 * rest[0, 0] / 0.22**2)
+    assert rest[0, 1] == 0.0
+    fast = wheel_noise(BODY, Travel(0, 10 * MS, 0.1, 0.1), 1e-3, settings)
+    assert fast[1, 1] > 100.0 * rest[1, 1]
+    slow = wheel_noise(BODY, Travel(0, 20 * MS, 0.0, 0.0), 1e-3, settings)
+    assert slow == pytest.approx(rest / 4.0)
+    coarse = wheel_noise(BODY, Travel(0, 10 * MS, 0.0, 0.0), 2e-3, settings)
+    assert coarse == pytest.approx(rest * 4.0)
+    turning = wheel_noise(BODY, Travel(0, 10 * MS, 0.0, 0.2), 1e-3, settings)
+    assert np.linalg.eigvalsh(turning).min() > 0.0
+
+
+# -- gyro --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mount", "axis"),
+    [(Mount(), (0, 0, 1)), (Mount(roll=math.pi), (0, 0, -1)), (Mount(pitch=math.pi / 2), (-1, 0, 0))],
+)
+def test_the_gyros_mounting_counts(mount: Mount, axis: Sequence[float]) -> None:
+    """Defect: extrinsics ignored. The wheels rest, slipping: only the gyro sees the turn."""
+    belief = Perception(BODY, {"imu": mount}, SETTINGS)
+    for t in range(0, 2 * SECOND, 10 * MS):
+        rate = 0.0 if t < 1 * SECOND else 0.5
+        way = 1e-9 * max(0, t - 1 * SECOND)
+        turn = 0.5 * 0.22 / 0.05 / 2.0 * way
+        x, y, z = (a * rate for a in axis)
+        wheels = [Feedback("left", t, 5.0 * way - turn), Feedback("right", t, 5.0 * way + turn)]
+        belief.hear(t, [*wheels, Imu("imu", t, (x, y, z), (0.0, 0.0, 9.81))])
+    assert belief.estimate is not None
+    assert belief.estimate.angular == pytest.approx(0.5, abs=0.01)
+    assert belief.rejected["imu"] < 10
+
+
+def test_a_second_at_rest_tells_the_bias() -> None:
+    rover, belief = Rover(8, gyro_bias=0.03), new()
+    run(rover, belief, 200)
+    assert belief.gyro_bias == pytest.approx(0.03, abs=0.002)
+    assert abs(pose(belief).yaw) < 0.01
+
+
+def test_a_robot_turned_by_hand_is_not_at_rest() -> None:
+    """The wheels rest, the gyro tells of a turn: that is no bias."""
+    belief = rested(new())
+    for t in range(1000 * MS, 1500 * MS, 10 * MS):
+        belief.hear(t, reports(t, rate=0.5))
+    assert abs(belief.gyro_bias) < 0.05
+
+
+def test_a_second_gyro_is_told_that_it_is_not_used() -> None:
+    belief = Perception(BODY, {"imu": Mount(), "other": Mount()}, SETTINGS)
+    belief.hear(0, [Imu(name, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)) for name in ("imu", "other")])
+    assert belief.ledger == {"left": {}, "right": {}, "imu": {}, "other": {"not used beside another gyro": 1}}
+
+
+# -- what is refused ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_what_is_not_finite_never_enters(bad: float) -> None:
+    belief = rested(new())
+    scan = scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 1 * SECOND)
+    rubbish: list[Event] = [
+        Feedback("left", 1 * SECOND, bad),
+        Imu("imu", 1 * SECOND, (0.0, 0.0, bad), (0.0, 0.0, bad)),
+        replace(scan, angle_min=bad),
+        replace(scan, angle_increment=bad),
+        replace(scan, range_max=bad),
+        replace(scan, ranges=()),
+    ]
+    belief.hear(1 * SECOND, rubbish)
+    belief.hear(1010 * MS, [*reports(1010 * MS), replace(scan, t=1005 * MS, ranges=(bad,) * 360)])
+    assert belief.ledger["left"] == {"not finite": 1}
+    assert belief.ledger["imu"] == {"not finite": 1}
+    assert belief.ledger["lidar"] == {"not a scan": 4}
+    assert np.isfinite(belief.map.log_odds).all()
+    assert belief.estimate is not None
+    assert np.isfinite(belief.estimate.covariance).all()
+    assert math.isfinite(pose(belief).yaw)
+
+
+def test_a_scan_told_twice_counts_once() -> None:
+    belief = rested(new())
+    scan = scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 900 * MS)
+    belief.hear(1 * SECOND, [scan, scan])
+    assert belief.map.version == 1
+    assert belief.ledger["lidar"] == {"out of order": 1}
+
+
+def test_a_match_that_is_refused_is_not_drawn_and_not_refused_for_ever() -> None:
+    """Somebody pushes the robot sideways by 10 cm: told, not drawn, and after the lockout believed."""
+    rover, belief = Rover(9), new()
+    run(rover, belief, 600)
+    drawn, count = belief.map.version, belief.rejected["lidar"]
+    rover.truth = replace(rover.truth, y=rover.truth.y + 0.1)
+    run(rover, belief, 150)
+    assert belief.rejected["lidar"] > count
+    assert belief.map.version <= drawn + 2  # a scan from before was on its way
+    run(rover, belief, 600)
+    assert belief.ledger["lidar"]["believed again after refusals"] >= 1
+    assert apart(belief, rover.truth) < 0.03
+
+
+def test_foreign_words_are_no_concern() -> None:
+    belief = rested(new())
+    before = pose(belief)
+    belief.hear(
+        1 * SECOND,
+        [
+            Feedback("arm", 1 * SECOND, 0.3),
+            State("left", 1 * SECOND, Mode.ARMED),
+            Imu("unheard of", 1 * SECOND, (9.0, 9.0, 9.0), (0.0, 0.0, 0.0)),
+            LaserScan("unheard of", 1 * SECOND, 0.0, 0.1, 0.1, 10.0, (1.0,)),
+        ],
+    )
+    assert pose(belief) == before
+    assert belief.last("arm") == 1 * SECOND
+    assert belief.last("unheard of") is None
+
+
+def test_last_is_of_motion() -> None:
+    belief = new()
+    belief.hear(20 * MS, [Feedback("left", 10 * MS, 1.0), Feedback("left", 20 * MS, temperature=40.0)])
+    assert belief.last("left") == 10 * MS
+    assert belief.last("right") is None
+
+
+def test_names_stand_in_the_ledger_from_the_start() -> None:
+    assert new().rejected == {"left": 0, "right": 0, "imu": 0, "lidar": 0}
+
+
+@pytest.mark.parametrize("change", [{"gyro_sigma": 0.0}, {"scan_wait": -1}, {"gyro_sigma": math.nan}])
+def test_settings_are_checked(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(change))):
+        PerceptionSettings(**change)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("change", [{"jitter": -1.0}, {"still_sigma": 0.0}, {"slip_lasts": math.inf}])
+def test_wheel_settings_are_checked(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(change))):
+        WheelSettings(**change)  # type: ignore[arg-type]
