@@ -29,6 +29,7 @@ class Brain:
 
     def __init__(self, settings: BrainSettings, motors: Sequence[str], sensors: Mapping[str, Mount]) -> None:
         self.settings = settings
+        self._file = settings
         self._body = _body(settings, motors, sensors)
 
     def step(
@@ -51,7 +52,7 @@ class Brain:
 
     def set(self, key: str, value: float) -> str:
         """Change a number of the settings while running, e.g. "pursuit.lookahead_time"; "" or why not."""
-        settings, why = changed(self.settings, key, value)
+        settings, why = changed(self.settings, key, value, self._file)
         if not why:
             self.settings = settings
             self._body.adopt(settings)

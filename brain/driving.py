@@ -9,6 +9,7 @@ letting go; only a stop from above, or standing still with nothing to do, lets t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 
 from brain.belief import Belief, BrainState, Pose
 from brain.bodies.differential import Differential
@@ -126,6 +127,8 @@ class Driving:
         for task in tasks:
             if not isinstance(task, Goal | Drive):
                 why = f"{task.motor} is a wheel or part of a base: ask for a goal, or drive"
+            elif not all(map(isfinite, _numbers(task))):
+                why = f"{task} is not finite"
             elif waiting and isinstance(task, Drive):
                 why = waiting
             else:
@@ -255,6 +258,10 @@ class Driving:
 
     def _idle(self) -> Sequence[Command]:
         return tuple(Idle(motor) for motor in self._motors)
+
+
+def _numbers(task: Goal | Drive) -> tuple[float, ...]:
+    return (task.x, task.y, task.yaw or 0.0) if isinstance(task, Goal) else (task.linear, task.angular)
 
 
 PATIENT: Nanos = 3 * SECOND

@@ -17,7 +17,7 @@ from brain.bodies.joints import Joints
 from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
 from brain.perception.perception import PerceptionSettings
-from brain.planning.planner import PlannerSettings
+from brain.planning.survey import PlannerSettings
 from protocols.words import MILLISECOND
 
 
@@ -42,8 +42,15 @@ class Settings(Protocol):
 
 S = TypeVar("S", bound=Settings)
 
-AT_START = ("perception.", "differential.wheel_radius", "differential.wheel_separation")
-"""Keys that perception was built with: a change of these would make what it believes wrong."""
+AT_START = (
+    "perception.",
+    "differential.wheel_radius",
+    "differential.wheel_separation",
+    "differential.radius",
+)
+"""Keys that hold as the robot file has them: a change would make wrong what is believed."""
+LOWER = "differential.max_"
+"""Limits of the body: while it runs they may be lowered, and raised again up to what the robot file has."""
 
 
 def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
@@ -58,8 +65,12 @@ def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
             yield f"{prefix}{one.name}", value
 
 
-def changed(settings: BrainSettings, key: str, value: float) -> tuple[BrainSettings, str]:
-    """The settings with one number changed, and ""; or the same as before, and why not."""
+def changed(
+    settings: BrainSettings, key: str, value: float, file: BrainSettings
+) -> tuple[BrainSettings, str]:
+    """The settings with one number changed, and ""; or the same as before, and why not.
+
+    `file` are the settings as the robot file has them."""
     known = dict(keys(settings))
     if key not in known:
         near = get_close_matches(key, known, 3, 0.5)
@@ -69,6 +80,9 @@ def changed(settings: BrainSettings, key: str, value: float) -> tuple[BrainSetti
         return settings, f"{key} counts from the start on: change it in the robot file"
     if not isfinite(value):
         return settings, f"{key} must be a finite number, not {value}"
+    if key.startswith(LOWER) and value > dict(keys(file))[key]:
+        most = dict(keys(file))[key]
+        return settings, f"{key} must not be more than {most:g}, as the robot file has it, but is {value:g}"
     now = known[key]
     if isinstance(now, bool) and value not in (0.0, 1.0):
         return settings, f"{key} must be 0 or 1, not {value:g}"

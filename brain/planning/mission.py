@@ -17,7 +17,8 @@ from typing import Literal, TypeAlias
 from brain.planning.astar import Searching
 from brain.planning.costmap import BLOCKED, Costmap, Map, build, origin
 from brain.planning.line import Line, Point
-from brain.planning.planner import NoPath, Path, PlannerSettings, Planning, Toward, survey
+from brain.planning.planner import NoPath, Path, Planning, Toward
+from brain.planning.survey import PlannerSettings, survey
 from protocols.words import SECOND, Drive, Goal, Nanos, seconds
 
 Level: TypeAlias = Literal["info", "warning", "error"]
@@ -103,11 +104,11 @@ class Mission:
             )
         if not self.goals:
             return
-        if self._planning is not None:
-            self._go_on(now, here)
-        elif now >= self._look_at:
+        if now >= self._look_at:
             self._look_at = now + self.settings.period
             self._look(now, here, grid)
+        elif self._planning is not None:
+            self._go_on(now, here)
         self._lose_patience(now)
 
     def arrived(self, now: Nanos) -> None:
@@ -145,8 +146,11 @@ class Mission:
             if off:
                 self._say("info", f"the path is dropped: {off}")
                 self._forget_path()
+                self._planning = None
             elif isinstance(self.path, Path) or now < self._explore_at:
                 return
+        if self._planning is not None:
+            return
         self._explore_at = now + self.settings.explore
         occupied = _plain(grid, 0.0) if costmap.level_at(*here) == BLOCKED else None
         self._planning = Planning(costmap, occupied, here, goal, self.settings)
@@ -227,10 +231,8 @@ class Mission:
         goal = self.goals[0]
         why = self.why_none or "the search has not ended"
         waited = seconds(self.settings.patience)
-        text = f"no path to goal {self._number(1)} {place(goal)} within {waited:g} s: {why}"
-        dropped = self.drop()
-        self.given_up = text
-        self._say("error", f"{text}; {dropped}")
+        self.given_up = f"no path to goal {self._number(1)} {place(goal)} within {waited:g} s: {why}"
+        self._say("warning", self.drop())
 
     def _number(self, position: int) -> int:
         return self.reached + position

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot, isfinite
+from math import hypot, inf, isfinite, nan
 
 import pytest
 
@@ -325,6 +325,15 @@ def test_a_command_to_a_wheel_is_refused() -> None:
         "Velocity refused: left is a wheel or part of a base: ask for a goal, or drive",
     )
     assert all_idle(trip.commands)
+
+
+def test_what_is_not_finite_is_refused() -> None:
+    trip = Trip(Office())
+    trip.run(0.5)
+    for task in (Goal(nan, 0.0), Goal(0.0, 1.0, inf), Drive(nan, 0.0), Drive(0.1, -inf)):
+        trip.tick([task])
+        assert trip.notes[-1][1].endswith("is not finite")
+    assert trip.brain.belief().state is BrainState.READY
 
 
 def test_belief_tells_goal_path_and_version() -> None:

@@ -18,20 +18,29 @@ def test_every_key_takes_its_own_value_or_says_that_it_counts_from_the_start() -
     known = dict(keys(SETTINGS))
     assert len(known) > 40
     for key, value in known.items():
-        after, why = changed(SETTINGS, key, value)
+        after, why = changed(SETTINGS, key, value, SETTINGS)
         assert after == SETTINGS, key
         assert why == "" or "from the start" in why, key
 
 
 def test_a_change_changes_that_and_nothing_else() -> None:
-    after, why = changed(SETTINGS, "pursuit.lookahead_time", 0.6)
+    after, why = changed(SETTINGS, "pursuit.lookahead_time", 0.6, SETTINGS)
     assert why == ""
     assert after.pursuit.lookahead_time == 0.6
-    assert changed(after, "pursuit.lookahead_time", SETTINGS.pursuit.lookahead_time) == (SETTINGS, "")
+    assert changed(after, "pursuit.lookahead_time", SETTINGS.pursuit.lookahead_time, SETTINGS) == (
+        SETTINGS,
+        "",
+    )
+
+
+def test_a_limit_is_lowered_and_raised_again_up_to_the_robot_file() -> None:
+    slow, why = changed(SETTINGS, "differential.max_linear", 0.2, SETTINGS)
+    assert (slow.differential and slow.differential.max_linear, why) == (0.2, "")
+    assert changed(slow, "differential.max_linear", 0.6, SETTINGS) == (SETTINGS, "")
 
 
 def test_times_are_in_milliseconds_as_in_the_robot_file() -> None:
-    after, why = changed(SETTINGS, "planner.patience_ms", 1500.0)
+    after, why = changed(SETTINGS, "planner.patience_ms", 1500.0, SETTINGS)
     assert (after.planner.patience, why) == (1500 * MILLISECOND, "")
 
 
@@ -49,12 +58,13 @@ def test_times_are_in_milliseconds_as_in_the_robot_file() -> None:
         ("planner.unknown_is_free", 2.0, "must be 0 or 1, not 2"),
         ("planner.patience_ms", 0.0, "patience must be more than 0"),
         ("differential.max_linear", 0.0, "max_linear must be a number above 0"),
+        ("differential.max_linear", 0.7, "must not be more than 0.6, as the robot file has it, but is 0.7"),
         ("differential.wheel_radius", 0.06, "counts from the start on: change it in the robot file"),
         ("perception.gyro_sigma", 0.1, "counts from the start on"),
     ],
 )
 def test_what_cannot_be_is_a_sentence_and_changes_nothing(key: str, value: float, said: str) -> None:
-    after, why = changed(SETTINGS, key, value)
+    after, why = changed(SETTINGS, key, value, SETTINGS)
     assert said in why
     assert after is SETTINGS
 

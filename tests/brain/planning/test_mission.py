@@ -7,7 +7,8 @@ import pytest
 
 from brain.planning.line import Line, Point
 from brain.planning.mission import Mission
-from brain.planning.planner import Path, PlannerSettings, Toward
+from brain.planning.planner import Path, Toward
+from brain.planning.survey import PlannerSettings
 from protocols.words import MILLISECOND, SECOND, Drive, Goal, Nanos
 from tests.brain.planning.test_planner import RADIUS, Paper, two_rooms
 
@@ -110,7 +111,7 @@ def test_no_path_in_time_gives_the_goals_up_and_says_why() -> None:
     day.run(7.5)
     assert not day.busy()
     assert day.mission.given_up.startswith("no path to goal 1 (4.00, 0.00) within 8 s: everything between")
-    assert "2 goals dropped" in day.texts()
+    assert day.texts().endswith("2 goals dropped")
     assert day.texts().count("no path: ") == 1
     day.tick(Goal(1.0, 1.0))
     assert day.mission.given_up == ""
@@ -209,6 +210,24 @@ def test_an_edge_that_stays_unknown_is_given_up_and_exploring_ends() -> None:
             break
     assert day.mission.reached == 0
     assert "is closed" in day.mission.given_up
+
+
+def test_the_path_is_watched_while_another_is_being_planned() -> None:
+    unknown = np.zeros((40, 60), bool)
+    unknown[:, 31:] = True
+    grid = Paper(two_rooms(), unknown)
+    day = Day(grid, (0.0, -1.4))
+    day.tick(Goal(4.0, -1.0))
+    day.run(0.5)
+    assert isinstance(day.mission.path, Toward)
+    day.mission.settings = PlannerSettings(expansions_per_step=1)
+    day.run(0.6)
+    grid.occupied[10:30, 25] = True
+    grid.version += 1
+    version = day.mission.path_version
+    day.run(0.3)
+    assert day.mission.path_version == version + 1
+    assert "the path is dropped: something stands on it" in day.texts()
 
 
 @pytest.mark.parametrize("span", [5 * MILLISECOND, 20 * MILLISECOND, 70 * MILLISECOND])

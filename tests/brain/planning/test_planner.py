@@ -12,17 +12,8 @@ import pytest
 from brain.planning.astar import Searching
 from brain.planning.costmap import BLOCKED, FREE, UNKNOWN, Costmap, Mask, build, dilated
 from brain.planning.line import Line, Point
-from brain.planning.planner import (
-    Answer,
-    NoPath,
-    Path,
-    PlannerSettings,
-    Planning,
-    Toward,
-    nearest,
-    shortcut,
-    survey,
-)
+from brain.planning.planner import Answer, NoPath, Path, Planning, Toward, shortcut
+from brain.planning.survey import PlannerSettings, nearest, survey
 
 RADIUS = 0.25
 
