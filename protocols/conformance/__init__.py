@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
+from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
 from protocols.conformance.manners import (
     nothing_non_finite,
     only_declared_wires,
@@ -114,9 +114,8 @@ def table(results: Sequence[Result]) -> str:
     for result in results:
         lines.append(f"{result.clause:<{width}}  {result.outcome:<14}  {result.text}")
         if result.outcome == "failed":
-            shown = [str(w) if not isinstance(w, bytes) else w.hex(" ") or "(no bytes)" for w in result.wires]
-            lines += [f"{'':<{width}}  {'':<14}    {item}" for item in [*shown, *map(repr, result.words)]]
-            lines.append(f"{'':<{width}}  {'':<14}    again with seed {result.seed}")
+            evidence = [*map(shown, result.wires), *map(repr, result.words), f"again with seed {result.seed}"]
+            lines += [f"{'':<{width}}  {'':<14}    {item}" for item in evidence]
     return "\n".join(lines)
 
 

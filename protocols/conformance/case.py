@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from itertools import zip_longest
 from typing import Any, TypeAlias, TypeVar
 
 from protocols.conformance import rehearsal as play
@@ -98,11 +99,24 @@ def counts(tally: Tally) -> tuple[int, int, int]:
 
 
 def difference(one: Said, other: Said, this: str, that: str, wires: Sequence[Wire] = ()) -> Failure:
-    """Where two steps that should be alike are not: the first part that differs."""
+    """Where two steps that should be alike are not: the first part, and in it the first thing."""
     for f in fields(Said):
         left, right = getattr(one, f.name), getattr(other, f.name)
         if left == right:
             continue
-        text = f"{f.name.rstrip('_')} in ms {(one.now - START) // STEP}: {left!r} {this}, {right!r} {that}"
+        if isinstance(left, tuple):
+            left, right = _first(left, right)
+        text = f"{f.name} in ms {(one.now - START) // STEP} {this}: {shown(left)}; {that}: {shown(right)}"
         return Failure(text, tuple(wires) or (*one.down, *other.down)[:4])
     return Failure(f"{this} and {that} differ")
+
+
+def _first(left: tuple[object, ...], right: tuple[object, ...]) -> tuple[object, object]:
+    """The first two things that differ; "nothing" where one side is shorter."""
+    pairs = zip_longest(left, right, fillvalue="nothing")
+    return next((a, b) for a, b in pairs if a != b)
+
+
+def shown(thing: object) -> str:
+    """A wire as a person reads it (bytes in hex, a frame as candump has it), or a word."""
+    return (thing.hex(" ") or "(no bytes)") if isinstance(thing, bytes) else str(thing)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
+from protocols.conformance.dice import Dice
 from protocols.plugin import Device, Driver, Ear, Plugin, Range, Spec, Twin
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
@@ -110,6 +111,10 @@ class Rehearsal:
     """What the devices have said and the driver has not heard yet."""
     armed: dict[str, Mode] = field(default_factory=dict)
     """What the driver last told of each device's mode."""
+    tearing: Dice | None = None
+    """On a serial line: tears messages, so that an end of them comes a step later. None: all come whole."""
+    torn: dict[str, bytes] = field(default_factory=dict)
+    """The ends that are still to come, by direction."""
 
     def step(
         self,
@@ -121,9 +126,10 @@ class Rehearsal:
         """One step. Stray wires reach the driver or the devices besides; `truth` is shown besides."""
         self.now += STEP
         self.count += 1
-        arrived = (*stray_up, *self.on_the_way)
+        arrived = (*stray_up, *self._tear("up", self.on_the_way))
         events = [event for wire in arrived for event in self.driver.receive(self.now, wire)]
         own, down = self.driver.send(self.now, words)
+        down = self._tear("down", down)
         events += own
         for event in events:
             if isinstance(event, State):
@@ -160,6 +166,15 @@ class Rehearsal:
             if count > ARMING // 10 and not self.armed:
                 return True
         return False
+
+    def _tear(self, way: str, wires: Sequence[Wire]) -> Sequence[Wire]:
+        """What of these wires and of what was torn before arrives in this step."""
+        if self.tearing is None or not all(isinstance(wire, bytes) for wire in wires):
+            return wires
+        stream = self.torn.get(way, b"") + b"".join(wire for wire in wires if isinstance(wire, bytes))
+        at = len(stream) - self.tearing.below(min(len(stream), 9) + 1)
+        self.torn[way] = stream[at:]
+        return [stream[:at]] if at else []
 
     def _shown(self, at: int) -> list[Event]:
         """What the world shows to a device in this step."""

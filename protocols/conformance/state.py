@@ -39,6 +39,8 @@ def copies_go_on(case: Case) -> Verdict:
 def _alike(case: Case, other: Rehearsal, this: str, that: str) -> Verdict:
     """Play the same day on two stages, with a bus that comes and goes."""
     one = case.start()
+    if case.spec.bus == "serial":
+        one.tearing, other.tearing = case.dice(), case.dice()
     states = [BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP, BusState.OFF, BusState.BACK]
     for at, words in enumerate(play.script(case.spec, NAMES)):
         if at % 97 == 96:

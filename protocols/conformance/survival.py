@@ -85,8 +85,10 @@ def _heard(stage: Rehearsal, spec: Spec, commands: Sequence[Command]) -> Failure
             return None
         wires += [w for w in said.down if w not in wires]
         heard += [w for w in said.heard if w not in heard]
-    told = ", ".join(map(str, heard[-3:])) or "nothing"
-    return Failure(f"said {missing[0]}, heard {told}", tuple(wires[-4:]), (missing[0], *heard[-3:]))
+    said_to = missing[0].motor
+    last = [word for word in heard if getattr(word, "motor", said_to) == said_to][-2:]
+    told = " and ".join(map(str, last)) or "nothing"
+    return Failure(f"said {missing[0]}, heard {told}", tuple(wires[-4:]), (missing[0], *last))
 
 
 def _obeyed(stage: Rehearsal, spec: Spec, said: Command, heard: Command | Request) -> bool:
