@@ -126,7 +126,11 @@ def spec(device: Device) -> Spec:
 
 
 def driver(devices: Sequence[Device]) -> Driver:
-    """Our end, for all ODrives of one bus."""
+    """Our end, for all ODrives of one bus. ValueError if two have the same address."""
+    addresses = [device.address for device in devices]
+    for device in devices:
+        if addresses.count(device.address) > 1:
+            raise ValueError(f"address {device.address} of {device.name} is given twice on this bus")
     return OdriveDriver(devices, RANGES)
 
 

@@ -17,6 +17,7 @@ import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any, Literal, TypeAlias
 
 from protocols.odrive_can.messages import (
@@ -76,6 +77,47 @@ def radians(turns_: float) -> float:
     return turns_ * math.tau
 
 
+# -- one field, by its letter in the table ----------------------------------------------------------
+
+
+def _binary32(value: float) -> float:
+    """Saturating. ValueError for what is not finite, in both directions: it is neither said nor believed."""
+    if -FLOAT_MAX <= value <= FLOAT_MAX:
+        return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite: it never reaches the wire")
+    return math.copysign(FLOAT_MAX, value)
+
+
+def _milli(value: float) -> int:
+    """int16 × 0.001, saturating: a wrapped feed-forward would kick the other way."""
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite: it never reaches the wire")
+    return max(-32768, min(32767, round(max(-33.0, min(33.0, value)) / MILLI)))
+
+
+def _same(value: Any) -> Any:  # noqa: ANN401 -- whatever the field is
+    return value
+
+
+_TO_WIRE: dict[str, Callable[[Any], Any]] = {
+    "S": lambda serial: serial.to_bytes(6, "little"),
+    "f": _binary32,
+    "n": lambda value: math.nan if value is None else _binary32(value),
+    "m": _milli,
+    "c": lambda value: value or 0,
+}
+_FROM_WIRE: dict[str, Callable[[Any], Any]] = {
+    "S": lambda data: int.from_bytes(data, "little"),
+    "f": _binary32,
+    "n": lambda value: _binary32(value) if math.isfinite(value) else None,
+    "m": lambda count: count * MILLI,
+    "b": lambda value: value & 1,
+}
+
+
+# -- the table --------------------------------------------------------------------------------------
+
 Direction: TypeAlias = Literal["to_device", "from_device", "both"]
 
 
@@ -91,8 +133,12 @@ class Layout:
     n binary32 or NaN, m int16 × 0.001."""
     dlc: int
     """Bytes that we send, and the fewest that are taken from a device."""
-    names: tuple[str, ...]
-    packer: struct.Struct
+    pack: Callable[..., bytes]
+    unpack: Callable[[bytes], tuple[Any, ...]]
+    take: Callable[[Any], tuple[Any, ...]]
+    """The fields of a message."""
+    to_wire: tuple[Callable[[Any], Any], ...]
+    from_wire: tuple[Callable[[Any], Any], ...]
 
     def told(self) -> bool:
         """Whether the device sends it, and hence may be asked for it."""
@@ -105,7 +151,17 @@ def _layout(message: type[Any], cmd: int, direction: Direction, codes: str, dlc:
         {"S": "6s", "m": "h", "n": "f", "b": "B", "c": "B"}.get(code, code) for code in codes
     )
     packer = struct.Struct(wire + "x" * (8 - struct.calcsize(wire)))
-    return Layout(message, cmd, direction, codes, dlc, names, packer)
+    to_wire = tuple(_TO_WIRE.get(code, _same) for code in codes)
+    from_wire = tuple(_FROM_WIRE.get(code, _same) for code in codes)
+    return Layout(
+        message, cmd, direction, codes, dlc, packer.pack, packer.unpack, _taker(names), to_wire, from_wire
+    )
+
+
+def _taker(names: tuple[str, ...]) -> Callable[[Any], tuple[Any, ...]]:
+    if len(names) > 1:
+        return attrgetter(*names)
+    return lambda message: tuple(getattr(message, name) for name in names)
 
 
 LAYOUTS: tuple[Layout, ...] = (
@@ -162,12 +218,12 @@ def ask(node: int, message: type[Any]) -> CanFrame:
 def encode(node: int, message: Message) -> CanFrame:
     """The frame of a message of or to a node. ValueError for a number that is not finite."""
     layout = BY_TYPE[type(message)]
-    values = []
-    for code, name in zip(layout.codes, layout.names, strict=True):
-        value = getattr(message, name)
-        values.append(_TO_WIRE[code](value) if code in _TO_WIRE else value)
-    data = layout.packer.pack(*values)
-    return CanFrame(frame_id(node, layout.cmd), data[: _length(layout, message)])
+    if layout.codes == "ff":  # set-points and estimates, at every step: the same, without a loop
+        a, b = layout.take(message)
+        return CanFrame(node << CMD_BITS | layout.cmd, layout.pack(_binary32(a), _binary32(b)))
+    # Every field has a converter: _layout makes as many as there are codes.
+    data = layout.pack(*[f(value) for f, value in zip(layout.to_wire, layout.take(message))])  # noqa: B905
+    return CanFrame(node << CMD_BITS | layout.cmd, data[: _length(layout, message)])
 
 
 def _length(layout: Layout, message: Message) -> int:
@@ -204,46 +260,23 @@ def decode_to_device(frame: CanFrame) -> Message | Ask | None:
 
 
 def _decode(layout: Layout, data: bytes) -> Message | None:
-    values: list[Any] = []
-    for code, value in zip(layout.codes, layout.packer.unpack(data.ljust(8, b"\0")), strict=True):
-        if code == "f" and not math.isfinite(value):
-            return None
-        values.append(_FROM_WIRE[code](value) if code in _FROM_WIRE else value)
+    raw = layout.unpack(data if len(data) == 8 else data.ljust(8, b"\0"))
+    if layout.codes == "ff":
+        return _pair(layout.message, *raw)
+    try:
+        values = [f(value) for f, value in zip(layout.from_wire, raw)]  # noqa: B905 -- as many by _layout
+    except ValueError:  # a float that is not finite: the frame changes nothing
+        return None
     if layout.message is Address and len(data) < 8:
         values[2] = None
     message: Message = layout.message(*values)
     return message
 
 
-def _binary32(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite: it never reaches the wire")
-    return max(-FLOAT_MAX, min(FLOAT_MAX, _normal(value)))
-
-
-def _normal(value: float) -> float:
-    """−0.0 and denormals are 0.0, in both directions."""
-    return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
-
-
-def _milli(value: float) -> int:
-    """int16 × 0.001, saturating: a wrapped feed-forward would kick the other way."""
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite: it never reaches the wire")
-    return max(-32768, min(32767, round(max(-33.0, min(33.0, value)) / MILLI)))
-
-
-_TO_WIRE: dict[str, Callable[[Any], Any]] = {
-    "S": lambda serial: serial.to_bytes(6, "little"),
-    "f": _binary32,
-    "n": lambda value: math.nan if value is None else _binary32(value),
-    "m": _milli,
-    "c": lambda value: value or 0,
-}
-_FROM_WIRE: dict[str, Callable[[Any], Any]] = {
-    "S": lambda data: int.from_bytes(data, "little"),
-    "f": _normal,
-    "n": lambda value: _normal(value) if math.isfinite(value) else None,
-    "m": lambda count: count * MILLI,
-    "b": lambda value: value & 1,
-}
+def _pair(kind: type[Any], a: float, b: float) -> Message | None:
+    if not math.isfinite(a + b):  # two binary32 never overflow in binary64
+        return None
+    message: Message = kind(
+        0.0 if -FLOAT_TINY < a < FLOAT_TINY else a, 0.0 if -FLOAT_TINY < b < FLOAT_TINY else b
+    )
+    return message

@@ -122,15 +122,15 @@ class OdriveDriver:
     # -- who holds which node id -------------------------------------------------------------------
 
     def _hear_address(self, t: Nanos, message: Address) -> list[Event]:
-        for node, held in self._serials.items():
+        for node, serials in self._serials.items():
             if node != message.node:
-                held.pop(message.serial, None)
-        held = self._serials.setdefault(message.node, {})
-        held[message.serial] = t
+                serials.pop(message.serial, None)
+        known = self._serials.get(message.node, {})
+        held = {serial: at for serial, at in known.items() if t - at <= 2 * ROLL_CALL} | {message.serial: t}
+        self._serials[message.node] = held
         if message.node in self.nodes:
             self.nodes[message.node].heard_at = t
-        recent = [serial for serial, at in held.items() if t - at <= 2 * ROLL_CALL]
-        events: list[Event] = self._double(t, message.node, sorted(recent)) if len(recent) > 1 else []
+        events: list[Event] = self._double(t, message.node, sorted(held)) if len(held) > 1 else []
         for pending in list(self._pending):
             if isinstance(pending.request, Scan):
                 events += self._found(t, pending, message)

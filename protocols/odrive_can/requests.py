@@ -62,8 +62,8 @@ ANSWER = 600 * MILLISECOND
 RESEND = 120 * MILLISECOND
 REBOOT = 8000 * MILLISECOND
 REBOOT_RESEND = 2000 * MILLISECOND
-REBOOT_GAP = 250 * MILLISECOND
-"""A pause between heartbeats that no running device makes."""
+REBOOT_GAP = 400 * MILLISECOND
+"""A pause between heartbeats that no running device makes: a late one is asked for after 250 ms."""
 SCAN_STEP = 600 * MILLISECOND
 """Discovery is repeated so often (ODriveResources@06dc846 `examples/can_enumerate.py`)."""
 SCAN_STEPS = 3

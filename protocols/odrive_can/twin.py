@@ -135,7 +135,8 @@ class OdriveTwin:
         gains = self.servo.gains
         match message:
             case SetLimits(velocity, current):
-                gains.vel_limit, gains.current_soft_max = abs(velocity), abs(current)
+                gains.vel_limit = abs(velocity)
+                gains.current_soft_max = min(abs(current), self.settings.current_hard_max)
             case SetPosGain(gain):
                 gains.pos_gain = gain
             case SetVelGains(gain, integrator):

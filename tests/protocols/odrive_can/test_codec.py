@@ -318,7 +318,7 @@ def test_what_is_not_finite_is_neither_said_nor_understood(layout: codec.Layout,
         got = said(frame, layout.direction)
         if code == "n":
             assert got is not None
-            assert getattr(got, layout.names[index]) is None
+            assert getattr(got, layout.message.__slots__[index]) is None
         else:
             assert got is None
 

@@ -89,6 +89,11 @@ def test_an_address_that_is_no_node_id_is_refused(address: int) -> None:
         spec(device(address=address))
 
 
+def test_two_devices_with_one_address_are_refused() -> None:
+    with pytest.raises(ValueError, match="twice"):
+        plugin.driver([device("left", 1), device("right", 1)])
+
+
 def test_options_of_another_plugin_are_refused() -> None:
     with pytest.raises(TypeError):
         spec(Device("left", 1, object(), Settings()))

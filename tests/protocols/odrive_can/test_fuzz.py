@@ -1,0 +1,95 @@
+"""Random, truncated, oversized and foreign traffic: nothing raises, all is counted, all stays finite."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import fields
+
+from numpy.random import PCG64, Generator
+
+from protocols.odrive_can import RANGES
+from protocols.odrive_can.codec import decode_to_device, encode
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.odrive_can.messages import SetAxisState, SetControllerMode
+from protocols.odrive_can.twin import OdriveTwin
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Event,
+    Feedback,
+    Position,
+    Request,
+    Scan,
+    SetId,
+    Velocity,
+    WriteParameter,
+)
+from tests.protocols.odrive_can.helpers import device
+
+TURNS = 4000
+EXTREMES = (0.0, -0.0, 1e-40, 1.0, -1.0, 3.4e38, -3.4e38, math.nan, math.inf, -math.inf)
+
+
+def random_wire(dice: Generator) -> Wire:
+    """Mostly ids of node 1, broadcasts and neighbours; now and then what does not belong on a CAN bus."""
+    if dice.random() < 0.02:
+        return dice.bytes(int(dice.integers(0, 40)))
+    node = int(dice.choice([1, 1, 1, 1, 2, 63, int(dice.integers(0, 64))]))
+    length = 8 if dice.random() < 0.7 else int(dice.integers(0, 65))
+    data = dice.bytes(length)
+    if length == 8 and dice.random() < 0.5:
+        data = struct.pack("<ff", *(EXTREMES[int(dice.integers(0, len(EXTREMES)))] for _ in range(2)))
+    flags = [dice.random() < 0.05 for _ in range(3)]
+    return CanFrame(node << 5 | int(dice.integers(0, 32)), data, *flags)
+
+
+def finite(event: Event) -> bool:
+    values = [getattr(event, field.name) for field in fields(event)]
+    return all(math.isfinite(value) for value in values if isinstance(value, float))
+
+
+def test_the_driver_survives_any_traffic() -> None:
+    seed = 1
+    dice = Generator(PCG64(seed))
+    driver = OdriveDriver([device()], RANGES)
+    words: list[Command | Request] = [
+        Velocity("left", 1.0),
+        Position("left", 2.0, 0.1, 0.1),
+        Scan("can0"),
+        SetId("can0", 5, 9),
+        WriteParameter("left", "Pos_Gain", 3.0),
+    ]
+    for turn in range(TURNS):
+        wire = random_wire(dice)
+        events = driver.receive(turn * MILLISECOND, wire)
+        assert all(finite(event) for event in events), (seed, turn, wire)
+        tally = driver.tally
+        assert tally.heard + tally.bad + tally.foreign == turn + 1, (seed, turn, wire)
+        told, wires = driver.send(turn * MILLISECOND, [words[int(dice.integers(0, len(words)))]])
+        assert all(finite(event) for event in told)
+        for sent in wires:
+            assert isinstance(sent, CanFrame)
+            assert sent.remote or decode_to_device(sent) is not None, (seed, turn, str(sent))
+    assert min(driver.tally.heard, driver.tally.bad, driver.tally.foreign) > 50
+
+
+def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited() -> None:
+    seed = 2
+    dice = Generator(PCG64(seed))
+    twin = OdriveTwin(device(), seed)
+    limit = twin.settings.current_hard_max * twin.settings.torque_constant
+    for turn in range(TURNS):
+        now = turn * MILLISECOND
+        wire = random_wire(dice)
+        if isinstance(wire, CanFrame) and wire.id & 0x1F in (0x06, 0x16, 0x1F):
+            continue  # it would be gone: renamed, restarting, or in its boot loader
+        twin.receive(now, wire)
+        if turn % 50 == 0:
+            for message in (SetControllerMode(1 + turn // 50 % 3, 1 + turn // 150 % 6), SetAxisState(8)):
+                twin.receive(now, encode(1, message))
+        torques, wires = twin.step(now, [Feedback("left", now, position=turn * 0.01, velocity=10.0)])
+        assert math.isfinite(torques[0].torque), (seed, turn, wire)
+        assert abs(torques[0].torque) <= limit, (seed, turn, wire)
+        assert all(isinstance(told, CanFrame) and len(told.data) == 8 for told in wires)
