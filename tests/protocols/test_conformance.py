@@ -1,0 +1,247 @@
+"""The contract over everything installed, and the contract itself over plugins broken on purpose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import pytest
+
+from protocols.conformance import CLAUSES, Clause, Result, check, table, variants
+from protocols.conformance.case import Case, Failure, Inapplicable
+from protocols.conformance.dice import Dice
+from protocols.conformance.rehearsal import Rehearsal, Shaft, close, finite, rehearse, shortest
+from protocols.plugin import Plugin, Range, load_all
+from protocols.wire import CanFrame, Wire
+from protocols.words import Feedback, LaserScan, Velocity
+from tests.protocols.broken import BROKEN, HoldsAGenerator, motors, sensors
+
+INSTALLED, UNLOADABLE = load_all()
+NAMES = [clause.name for clause in CLAUSES]
+
+
+def clauses(names: Sequence[str]) -> list[Clause]:
+    return [clause for clause in CLAUSES if clause.name in names]
+
+
+@pytest.mark.parametrize("plugin", INSTALLED, ids=lambda plugin: str(plugin.name))
+def test_every_installed_plugin_keeps_the_contract(plugin: Plugin) -> None:
+    results = check(plugin)
+    print(table(results))
+    assert [result.clause for result in results] == NAMES
+    assert not [result for result in results if result.outcome == "failed"], table(results)
+
+
+def test_every_built_in_plugin_is_installed() -> None:
+    assert not UNLOADABLE
+    assert {plugin.name for plugin in INSTALLED} >= {"plain", "odrive_can"}
+
+
+@pytest.mark.parametrize(("plugin", "finders"), BROKEN, ids=[plugin.name for plugin, _ in BROKEN])
+def test_a_broken_plugin_is_found_and_shown(plugin: Plugin, finders: tuple[str, ...]) -> None:
+    for result in check(plugin, clauses=clauses(finders)):
+        assert result.outcome == "failed", result
+        assert result.text
+        assert check(plugin, clauses=clauses([result.clause]))[0].outcome == "failed"  # it comes again
+
+
+ONE_EACH = {finders[0]: plugin for plugin, finders in reversed(BROKEN) if len(finders) == 1}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_for_each_clause_there_is_a_defect_that_only_it_finds(name: str) -> None:
+    others = [clause for clause in CLAUSES if clause.name != name]
+    results = check(ONE_EACH[name], clauses=others)
+    assert [result.clause for result in results if result.outcome == "failed"] == []
+
+
+@pytest.mark.parametrize("seed", [2**63])
+@pytest.mark.parametrize("plugin", [motors, sensors], ids=["motors", "sensors"])
+def test_a_sound_plugin_passes_with_any_seed(plugin: Plugin, seed: int) -> None:
+    results = check(plugin, seed)
+    assert not [result for result in results if result.outcome == "failed"], table(results)
+
+
+# -- what the kit gives back ---------------------------------------------------------------------------
+
+
+def test_what_does_not_apply_says_which_part_of_the_spec_makes_it_so() -> None:
+    (commands,) = check(sensors, clauses=clauses(["commands"]))
+    assert (commands.outcome, commands.text) == ("not applicable", "the spec lists no commands")
+
+
+def test_the_table_shows_wires_and_words_of_a_failure_only() -> None:
+    word, frame = Velocity("alpha", 1.0), CanFrame(0x123, b"\1\2")
+    results = [
+        Result("one", "passed", "fine", 7, (frame,), (word,)),
+        Result("another", "failed", "wrong", 7, (frame, b"\xa5\0", b""), (word,)),
+    ]
+    assert table(results).splitlines() == [
+        "one      passed          fine",
+        "another  failed          wrong",
+        "                           123#0102",
+        "                           a5 00",
+        "                           (no bytes)",
+        "                           Velocity(motor='alpha', velocity=1.0, torque=0.0)",
+        "                           again with seed 7",
+    ]
+    assert table([]) == ""
+
+
+def test_a_plugin_that_raises_anywhere_is_a_failure_that_says_where() -> None:
+    def spec(_: object) -> Any:
+        raise RuntimeError("boom")
+
+    for result in check(replace(motors, spec=spec)):
+        assert result.outcome == "failed"
+        assert "RuntimeError: boom" in result.text
+        assert "spec, line" in result.text
+
+
+def test_a_failure_in_one_variant_is_a_failure_and_names_it() -> None:
+    def judge(case: Case) -> Failure | Inapplicable | None:
+        return Failure("bad") if case.options.kind == "motor" else Inapplicable("not for sensors")
+
+    from protocols.plain import plugin
+
+    (failed,) = check(plugin, clauses=[Clause("x", "all is well", judge)])
+    assert (failed.outcome, failed.text) == ("failed", "bad [Options(kind='motor')]")
+
+
+def test_a_clause_that_applies_to_one_variant_only_is_passed() -> None:
+    def judge(case: Case) -> Inapplicable | None:
+        return None if case.options.kind == "motor" else Inapplicable("not for sensors")
+
+    from protocols.plain import plugin
+
+    (passed,) = check(plugin, clauses=[Clause("x", "all is well", judge)])
+    assert (passed.outcome, passed.text) == ("passed", "all is well")
+
+
+@dataclass(frozen=True)
+class ManyOptions:
+    line: Literal["a", "b", "c"] = "b"
+    fast: bool = False
+    size: int = 3
+
+    def __post_init__(self) -> None:
+        if self.line == "c":
+            raise ValueError("c needs more")
+
+
+def test_variants_are_the_default_and_each_other_value_alone() -> None:
+    assert list(variants(replace(motors, options=ManyOptions))) == [
+        ManyOptions(),
+        ManyOptions(line="a"),
+        ManyOptions(fast=True),
+    ]
+
+
+def test_other_addresses_can_be_given() -> None:
+    assert all(
+        r.outcome != "failed" for r in check(motors, addresses=(17, 200, 255), clauses=clauses(["commands"]))
+    )
+    bad = check(motors, addresses=(1, 2, 256), clauses=clauses(["strangers"]))
+    assert "1 … 255" in bad[0].text
+
+
+# -- the kit's tools -----------------------------------------------------------------------------------
+
+
+def test_shortest_keeps_only_what_still_fails() -> None:
+    def fails(wire: Wire) -> bool:
+        data = wire.data if isinstance(wire, CanFrame) else wire
+        return b"\7" in data and len(data) >= 3
+
+    assert shortest(b"abc\7defgh\7ij", fails) in (b"\0\7\0", b"\0\0\7", b"\7\0\0")
+    frame = shortest(CanFrame(5, b"1234\0067\7"), fails)
+    assert isinstance(frame, CanFrame)
+    assert (frame.id, len(frame.data), sum(frame.data)) == (5, 3, 7)
+
+
+def test_dice_are_those_of_the_paper_and_repeat() -> None:
+    # The first numbers of seed 1234567, as in the reference implementation's well-known test.
+    dice = Dice(1234567)
+    assert [dice.bits() for _ in range(3)] == [
+        6457827717110365317,
+        3203168211198807973,
+        9817491932198370423,
+    ]
+    assert Dice(5).bytes(20) == Dice(5).bytes(20)
+    assert sorted(Dice(5).shuffled(range(50))) == list(range(50))
+    assert Dice(5).shuffled(range(50)) != list(range(50))
+    assert {Dice(n).below(3) for n in range(50)} == {0, 1, 2}
+    assert all(2.0 <= Dice(n).uniform(2.0, 3.0) < 3.0 for n in range(50))
+
+
+@pytest.mark.parametrize(
+    ("said", "heard", "bounds", "near"),
+    [
+        (1.0, 1.0, Range(-1.0, 1.0, 0.0), True),
+        (1.0, 1.01, Range(-1.0, 1.0, 0.01), True),
+        (1.0, 1.0101, Range(-1.0, 1.0, 0.01), False),
+        (1000.0, 1000.9, Range(-1.0, 1.0, 0.0, 0.001), True),
+        (1000.0, 1001.1, Range(-1.0, 1.0, 0.0, 0.001), False),
+        (0.0, float("nan"), Range(-1.0, 1.0, 1.0), False),
+        (0.0, None, Range(-1.0, 1.0, 1.0), False),
+    ],
+)
+def test_close(said: float, heard: float | None, bounds: Range, near: bool) -> None:
+    assert close(said, heard, bounds) is near
+
+
+def test_finite_looks_into_everything() -> None:
+    scan = LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 2.0))
+    assert finite(scan)
+    assert not finite(replace(scan, ranges=(1.0, float("inf"))))
+    assert not finite(replace(scan, angle_min=float("nan")))
+    assert finite(Feedback("m", 0))
+
+
+def test_a_shaft_obeys_newton_and_stands_still_when_locked() -> None:
+    shaft = Shaft(inertia=0.5, friction=0.0)
+    for _ in range(1000):
+        shaft.turn(2.0, 1_000_000)
+    assert shaft.velocity == pytest.approx(4.0)
+    assert shaft.position == pytest.approx(2.0, rel=2e-3)
+    shaft.locked = True
+    shaft.turn(2.0, 1_000_000)
+    assert shaft.velocity == pytest.approx(4.0)
+    rubbed = Shaft(inertia=1.0, friction=0.5)
+    for _ in range(20_000):
+        rubbed.turn(1.0, 1_000_000)
+    assert rubbed.velocity == pytest.approx(2.0, rel=1e-3)
+    rubbed.turn(float("nan"), 1_000_000)
+    assert rubbed.velocity == pytest.approx(2.0, rel=1e-3)
+
+
+def test_torn_messages_all_arrive_in_order() -> None:
+    whole, torn = _stage(), _stage()
+    torn.tearing = Dice(3)
+    one = [wire for _ in range(300) for wire in whole.step([Velocity("alpha", 1.0)]).down]
+    other = [wire for _ in range(300) for wire in torn.step([Velocity("alpha", 1.0)]).down]
+    assert len(set(map(len, map(str, other)))) > 3
+    stream = b"".join(wire for wire in other if isinstance(wire, bytes)) + torn.torn["down"]
+    assert stream == b"".join(wire for wire in one if isinstance(wire, bytes))
+
+
+def _stage() -> Rehearsal:
+    return rehearse(motors, motors.options(), (1, 2), ("alpha", "beta"))
+
+
+def test_arming_ends_when_a_device_does_not_arm() -> None:
+    deaf = replace(motors, ear=motors.ear, twin=lambda device, seed: sensors.twin(_as_sensor(device), seed))
+    (commands,) = check(deaf, clauses=clauses(["commands"]))
+    assert commands.outcome == "failed"
+    assert "does not arm" in commands.text
+
+
+def _as_sensor(device: Any) -> Any:
+    return replace(device, options=sensors.options())
+
+
+def test_state_that_cannot_be_copied_is_named() -> None:
+    plugin = next(plugin for plugin, _ in BROKEN if plugin.name == HoldsAGenerator.__name__)
+    (result,) = check(plugin, clauses=clauses(["copies"]))
+    assert "HoldsAGenerator cannot be copied" in result.text
