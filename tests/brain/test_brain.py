@@ -17,6 +17,7 @@ from brain.belief import BrainState
 from brain.bodies.differential import wrap
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
+from brain.driving import Driving
 from brain.health import HealthSettings
 from brain.perception.grid import GridSettings
 from brain.perception.perception import PerceptionSettings
@@ -348,6 +349,16 @@ def test_belief_tells_goal_path_and_version() -> None:
     )
     assert belief.map is not None
     assert belief.raw is not None
+
+
+def test_an_estimate_is_carried_on_to_now_by_its_own_speeds_but_not_far() -> None:
+    trip = driving()
+    body, estimate = trip.brain._body, trip.brain.belief().estimate
+    assert isinstance(body, Driving)
+    assert estimate is not None
+    for late, span in ((0, 0.0), (40, 0.04), (100, 0.1), (900, 0.1)):
+        there = body._pose(estimate.t + late * MILLISECOND)
+        assert there == BODY.arc(estimate.pose, estimate.linear * span, estimate.angular * span)
 
 
 def test_a_pause_of_the_loop_is_no_leave_to_leap() -> None:
