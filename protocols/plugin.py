@@ -240,7 +240,7 @@ def _load(point: EntryPoint) -> Plugin | Broken:
     distribution = point.dist.name if point.dist else "?"
     try:
         plugin = point.load()
-    except Exception as error:  # noqa: BLE001 -- a third party's module may raise anything at import
+    except (Exception, SystemExit) as error:  # noqa: BLE001 -- a third party's module may raise anything
         return Broken(point.name, distribution, f"{type(error).__name__}: {error}")
     if not isinstance(plugin, Plugin):
         return Broken(point.name, distribution, f"{point.value} is not a protocols.plugin.Plugin")

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields
+from typing import Any
+
+import pytest
+
+from protocols.wire import BusState, CanFrame, Packet, Wire
+
+# candump's own notation: id in three or eight digits, # or ##flags, data in upper case, R for a request
+# (linux-can/can-utils `lib.h`, sprint_canframe and parse_canframe).
+NOTATION: list[tuple[CanFrame, str]] = [
+    (CanFrame(0x123, bytes.fromhex("deadbeef")), "123#DEADBEEF"),
+    (CanFrame(0x123), "123#"),
+    (CanFrame(0x1), "001#"),
+    (CanFrame(0x7FF, bytes(8)), "7FF#0000000000000000"),
+    (CanFrame(0x123, extended=True), "00000123#"),
+    (CanFrame(0x12345678, b"\x11", extended=True), "12345678#11"),
+    (CanFrame(0x123, remote=True), "123#R"),
+    (CanFrame(0x1ABCDEF0, remote=True, extended=True), "1ABCDEF0#R"),
+    (CanFrame(0x123, b"\xab", fd=True), "123##0AB"),
+    (CanFrame(0x123, b"\xab", fd=True, brs=True), "123##1AB"),
+    (CanFrame(0x12345678, b"\xde\xad\xbe\xef", extended=True, fd=True, brs=True), "12345678##1DEADBEEF"),
+]
+
+
+@pytest.mark.parametrize(("frame", "text"), NOTATION, ids=[text for _, text in NOTATION])
+def test_a_frame_reads_as_candump_has_it(frame: CanFrame, text: str) -> None:
+    assert str(frame) == text
+    assert f"{frame}" == text
+
+
+def parsed(text: str) -> CanFrame:
+    """The frame that candump's notation stands for, read independently of how it is written."""
+    head, _, rest = text.partition("#")
+    fd = rest.startswith("#")
+    remote = rest == "R"
+    data = rest[2:] if fd else "" if remote else rest
+    brs = fd and bool(int(rest[1], 16) & 1)
+    return CanFrame(int(head, 16), bytes.fromhex(data), len(head) == 8, remote, fd, brs)
+
+
+@pytest.mark.parametrize(("frame", "text"), NOTATION, ids=[text for _, text in NOTATION])
+def test_the_notation_loses_nothing(frame: CanFrame, text: str) -> None:
+    assert parsed(text) == frame
+
+
+def test_frames_that_differ_in_anything_differ() -> None:
+    base = CanFrame(0x123, b"\1")
+    others: list[Wire] = [
+        CanFrame(0x124, b"\1"),
+        CanFrame(0x123, b"\2"),
+        CanFrame(0x123, b"\1", extended=True),
+        CanFrame(0x123, b"\1", fd=True),
+        CanFrame(0x123, b"\1", fd=True, brs=True),
+        CanFrame(0x123, remote=True),
+        b"\1",
+    ]
+    assert len({base, *others}) == len(others) + 1
+    assert base == CanFrame(0x123, b"\1")
+
+
+@pytest.mark.parametrize("value", [CanFrame(1, b"\2"), Packet(5, "can0", CanFrame(1))])
+def test_wires_and_packets_are_frozen(value: Any) -> None:
+    for f in fields(value):
+        with pytest.raises(FrozenInstanceError):
+            setattr(value, f.name, 0)
+
+
+def test_bus_states_are_their_own_text() -> None:
+    assert [f"{state}" for state in BusState] == ["up", "passive", "off", "full", "gone", "back"]
