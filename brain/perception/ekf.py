@@ -27,7 +27,7 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import arc, sinc, wrap
-from protocols.words import MILLISECOND, SECOND, Nanos, seconds
+from protocols.words import MILLISECOND, Nanos, seconds
 
 X, Y, YAW, V, W, BIAS, SLIP = range(7)
 POSE = slice(X, YAW + 1)
@@ -70,7 +70,7 @@ class EkfSettings:
     """share per √s: how the slip wanders while the base moves"""
     confidence: float = 0.999
     """Of the gates: 0.95, 0.99 or 0.999"""
-    lockout: Nanos = 1 * SECOND
+    lockout: Nanos = 400 * MILLISECOND
     """A sensor refused for this long without a break is believed again."""
     rewind: Nanos = 500 * MILLISECOND
     """How late a measurement may come."""
@@ -271,6 +271,10 @@ class Ekf:
         covariance = F @ entry.covariance @ F.T + process_noise(entry.state, dt, self.settings)
         return move(entry.state, dt), covariance
 
+    def refused_for(self, source: str, t: Nanos) -> float:
+        """How long [s] the gate has refused this sensor without a break, up to a time."""
+        return max(0.0, seconds(t - self._refused_since.get(source, t)))
+
     def _start(self, t: Nanos) -> None:
         self.t = t
         self._history.append(_Entry(t, None, Verdict.ACCEPTED, self.state, self.covariance))
@@ -356,9 +360,12 @@ class Ekf:
         return float(self._filter.mahalanobis) ** 2
 
     def _widened(self, measurement: Measurement, doubt: float) -> None:
-        """Take a measurement in that contradicts the state, after doubting what it is about."""
+        """Take a measurement in that contradicts the state, after doubting what it is about; and the
+        slip, if it is about the place, for wheels that spin on the spot are how places go wrong."""
         scale = np.ones(SIZE)
-        scale[np.any(measurement.matrix != 0.0, axis=0)] = math.sqrt(doubt)
+        about = np.any(measurement.matrix != 0.0, axis=0)
+        about[SLIP] |= about[X]
+        scale[about] = math.sqrt(doubt)
         self._filter.P = self._filter.P * np.outer(scale, scale)
         self._update(measurement)
 

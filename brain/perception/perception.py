@@ -3,9 +3,9 @@
 Rules of this file. Every event is heard once, in the order in which it came; each measurement counts
 at its own time. Wheels and gyro move the filter. A scan waits until the filter has reached the
 scan's time; it is matched against the map from the filter's pose then, the match corrects the filter,
-and the scan is drawn into the map at the corrected pose. A scan whose match the gate refuses is not
-drawn: a wrong pose would spoil the map. Nothing here knows the time of day, the goal, or the truth;
-what is refused is counted in `ledger`, by name and reason, and harms nothing.
+and the scan is drawn into the map at the corrected pose. A scan whose match the gate refuses, or that
+contradicts the map, is not drawn: a wrong pose would spoil the map. Nothing here knows the time of day,
+the goal, or the truth; what is refused is counted in `ledger`, by name and reason, and harms nothing.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from brain.perception.ekf import (
     wheels,
 )
 from brain.perception.grid import Grid, GridSettings
-from brain.perception.mount import Mount, sweep
+from brain.perception.mount import Mount, Sweep, sweep
 from brain.perception.odometry import Odometry, OdometrySettings, Travel
-from brain.perception.scan_match import MatchSettings, match
+from brain.perception.scan_match import MatchSettings, match, misfits
 from protocols.words import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos, seconds
 
 
@@ -83,12 +83,14 @@ class PerceptionSettings:
     """Whether scans are matched against the map; if not, they are only drawn into it."""
     scan_wait: Nanos = 500 * MILLISECOND
     """How long a scan waits for the wheels and the gyro."""
+    redraw: Nanos = 2000 * MILLISECOND
+    """Scans that have contradicted the map for so long are drawn: the place has changed."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.gyro_sigma) and self.gyro_sigma > 0.0):
             raise ValueError(f"gyro_sigma must be above 0, not {self.gyro_sigma!r}")
-        if self.scan_wait < 0:
-            raise ValueError(f"scan_wait must not be negative, but is {self.scan_wait!r}")
+        if self.scan_wait < 0 or self.redraw < 0:
+            raise ValueError(f"scan_wait and redraw must not be negative: {self.scan_wait}, {self.redraw}")
 
 
 class Perception:
@@ -111,6 +113,7 @@ class Perception:
         self._last: dict[str, Nanos] = {}
         self._scans: deque[LaserScan] = deque()
         self._moved_at: Nanos | None = None
+        self._misfit_since: dict[str, Nanos] = {}
         self._gyro: str | None = None
         self._rate = 0.0
 
@@ -243,13 +246,26 @@ class Perception:
             self._note(scan.sensor, Verdict.LATE)
             return
         seen = sweep(scan, self._mounts[scan.sensor], self.settings.grid.farthest)
-        pose, sigma = _pose(known[0]), math.sqrt(max(known[1][X, X], known[1][Y, Y]))
-        found = match(self.map, seen, pose, self.settings.match, sigma) if self.settings.matching else None
+        if self.settings.matching and not self._matched(scan, seen, *known):
+            return
+        self.map.add(_pose((self._ekf.at(scan.t) or known)[0]), seen)
+
+    def _matched(self, scan: LaserScan, seen: Sweep, state: Floats, covariance: Floats) -> bool:
+        """Match a scan against the map and correct the filter; whether the scan may be drawn."""
+        settings, name = self.settings.match, scan.sensor
+        # While matches are refused, the wheels may spin on the spot: look as far as they went.
+        spun = abs(float(state[V])) * self._ekf.refused_for(name, scan.t) / 2.0
+        sigma = max(math.sqrt(max(covariance[X, X], covariance[Y, Y])), spun)
+        found = match(self.map, seen, _pose(state), settings, sigma)
         if found is not None:
-            if self._take(located(scan.sensor, scan.t, found.pose, found.noise)) is Verdict.REFUSED:
-                return
-            known = self._ekf.at(scan.t) or known
-        self.map.add(_pose(known[0]), seen)
+            self._misfit_since.pop(name, None)
+            return self._take(located(name, scan.t, found.pose, found.noise)) is not Verdict.REFUSED
+        if not misfits(self.map, seen, _pose(state), settings):
+            self._misfit_since.pop(name, None)
+            return True
+        self._note(name, "does not fit the map")
+        since = self._misfit_since.setdefault(name, scan.t)
+        return scan.t - since >= self.settings.redraw
 
     def _note(self, name: str, reason: str) -> None:
         reasons = self.ledger[name]

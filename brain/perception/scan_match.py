@@ -44,6 +44,8 @@ class MatchSettings:
     """Points that must lie on lines"""
     overlap: float = 0.4
     """Share of the points looked at that must lie on lines"""
+    misfit: float = 0.3
+    """A scan of which more than this share ends where the map is free does not fit"""
     hold: float = 0.02
     """Share of the points that must hold the scan in a direction for it to be known in that direction"""
     floor: float = 0.015
@@ -105,6 +107,17 @@ def match(grid: Grid, sweep: Sweep, guess: Pose, settings: MatchSettings, sigma:
         return None
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
     return Match(pose, final.known + final.unknown * UNKNOWN + floor, final.points, final.spread)
+
+
+def misfits(grid: Grid, sweep: Sweep, pose: Pose, settings: MatchSettings) -> bool:
+    """Whether the scan, taken at the pose, contradicts the map: too many hits where it is free. (In a
+    new place hits lie on what is unknown: that is no contradiction.)"""
+    cells = grid.cells(place(sweep.ends[sweep.hit], pose))
+    inside = np.all((cells >= 0) & (cells < (grid.columns, grid.rows)), axis=1)
+    if not inside.any():
+        return False
+    values = grid.log_odds[cells[inside, 1], cells[inside, 0]]
+    return float(np.mean(values < 0.0)) > settings.misfit
 
 
 UNKNOWN = 1e4

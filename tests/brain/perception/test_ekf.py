@@ -162,7 +162,7 @@ def test_a_vector_is_gated_as_a_vector() -> None:
 
 def test_no_gate_locks_the_filter_out() -> None:
     """Something carried the robot 2 m away: refused at first, believed again after the lockout."""
-    belief = fed(Ekf(EkfSettings()))
+    belief = fed(Ekf(EkfSettings(lockout=SECOND)))
     verdicts: list[Verdict] = []
     for i in range(40):
         t = 1 * SECOND + 100 * i * MS
@@ -174,8 +174,28 @@ def test_no_gate_locks_the_filter_out() -> None:
     assert belief.state[X] == pytest.approx(2.0, abs=0.02)
 
 
-def test_being_believed_once_ends_the_lockouts_count() -> None:
+def test_wheels_that_spin_on_the_spot_are_found_out() -> None:
+    """They say 0.3 m/s, the outside says that nothing moves: the slip is doubted, and learnt to be all."""
     belief = fed(Ekf(EkfSettings()))
+    for t in range(1000 * MS, 4000 * MS, 10 * MS):
+        belief.hear(wheels("left", t, min(0.3, 1e-9 * (t - SECOND)), 0.0, WHEEL_NOISE))
+        if t % (100 * MS) == 0:
+            belief.hear(located("lidar", t, Pose(0.0, 0.0, 0.0), POSE_NOISE))
+    assert belief.state[X] == pytest.approx(0.0, abs=0.03)
+    assert belief.state[SLIP] == pytest.approx(1.0, abs=0.1)
+
+
+def test_how_long_a_sensor_has_been_refused() -> None:
+    belief = fed(Ekf(EkfSettings()))
+    assert belief.refused_for("lidar", SECOND) == 0.0
+    belief.hear(located("lidar", 1000 * MS, Pose(2.0, 0.0, 0.0), POSE_NOISE))
+    assert belief.refused_for("lidar", 1250 * MS) == pytest.approx(0.25)
+    belief.hear(located("lidar", 1050 * MS, Pose(0.0, 0.0, 0.0), POSE_NOISE))
+    assert belief.refused_for("lidar", 1250 * MS) == 0.0
+
+
+def test_being_believed_once_ends_the_lockouts_count() -> None:
+    belief = fed(Ekf(EkfSettings(lockout=SECOND)))
     verdicts = []
     for i in range(30):  # every fifth is good
         pose = Pose(0.0 if i % 5 == 4 else 2.0, 0.0, 0.0)
@@ -258,7 +278,7 @@ def test_history_is_bounded() -> None:
 
 def test_a_widened_measurement_is_repeated_alike() -> None:
     """A report that comes after a forced one, late: the same belief as if it had come in time."""
-    late, ordered = fed(Ekf(EkfSettings())), fed(Ekf(EkfSettings()))
+    late, ordered = fed(Ekf(EkfSettings(lockout=SECOND))), fed(Ekf(EkfSettings(lockout=SECOND)))
     jump = located("lidar", 2000 * MS, Pose(1.0, 0.0, 0.0), POSE_NOISE)
     extra = wheels("left", 1995 * MS, 0.0, 0.0, WHEEL_NOISE)
     for one in (late, ordered):

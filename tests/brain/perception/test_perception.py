@@ -334,12 +334,43 @@ def test_a_match_that_is_refused_is_not_drawn_and_not_refused_for_ever() -> None
     run(rover, belief, 600)
     drawn, count = belief.map.version, belief.rejected["lidar"]
     rover.truth = replace(rover.truth, y=rover.truth.y + 0.1)
-    run(rover, belief, 150)
+    run(rover, belief, 70)
     assert belief.rejected["lidar"] > count
     assert belief.map.version <= drawn + 2  # a scan from before was on its way
     run(rover, belief, 600)
     assert belief.ledger["lidar"]["believed again after refusals"] >= 1
     assert apart(belief, rover.truth) < 0.03
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.5])
+def test_wheels_that_spin_on_the_spot_take_the_pose_nowhere(speed: float) -> None:
+    """The robot pushes against something for 3 s, its wheels slipping, and then drives off backwards."""
+    rover, belief = Rover(11), new()
+    run(rover, belief, 300)
+    run(rover, belief, 400, speed)
+    grip = rover.slip_left, rover.slip_right
+    rover.slip_left = rover.slip_right = 1.0
+    run(rover, belief, 600, speed)
+    assert apart(belief, rover.truth) < 0.03
+    assert belief.slip == pytest.approx(1.0, abs=0.1)
+    rover.slip_left, rover.slip_right = grip
+    run(rover, belief, 600, -speed)
+    assert apart(belief, rover.truth) < 0.03
+    assert belief.slip == pytest.approx(0.0275, abs=0.02)
+
+
+def test_what_contradicts_the_map_is_not_drawn_until_it_lasts() -> None:
+    """The robot is lifted up and set down elsewhere, turned: the map is kept for 2 s, then drawn anew."""
+    rover, belief = Rover(12), new()
+    run(rover, belief, 600)
+    kept, version = belief.map.log_odds.copy(), belief.map.version
+    rover.truth = Pose(1.0, 1.2, 1.0)
+    run(rover, belief, 300)
+    assert belief.ledger["lidar"]["does not fit the map"] >= 12
+    assert belief.map.version <= version + 2  # a scan from before was on its way
+    assert np.mean((belief.map.log_odds > 0.0) == (kept > 0.0)) > 0.999
+    run(rover, belief, 400)
+    assert belief.map.version > version + 10
 
 
 def test_foreign_words_are_no_concern() -> None:

@@ -7,7 +7,7 @@ from brain.belief import Pose
 from brain.bodies.differential import wrap
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.mount import Sweep, sweep
-from brain.perception.scan_match import Match, MatchSettings, match
+from brain.perception.scan_match import Match, MatchSettings, match, misfits
 from tests.brain.perception.office import MOUNTS, OFFICE, box, scan_at
 
 LIDAR = MOUNTS["lidar"]
@@ -122,6 +122,17 @@ def test_no_hits_no_match() -> None:
     grid = drawn([Pose(0.0, 0.0, 0.0)], random)
     void = sweep(scan_at(OFFICE + 100.0, Pose(0.0, 0.0, 0.0), LIDAR, 0), LIDAR)
     assert match(grid, void, Pose(0.0, 0.0, 0.0), SETTINGS) is None
+
+
+def test_what_contradicts_the_map_does_not_fit() -> None:
+    """At the right pose, and in a place never seen, nothing is contradicted; half a metre off, much is."""
+    random = np.random.Generator(np.random.PCG64(12))
+    here = Pose(0.0, 0.0, 0.0)
+    grid = drawn([here], random)
+    assert not misfits(grid, seen(here, random), here, SETTINGS)
+    assert misfits(grid, seen(Pose(0.6, 0.4, 1.0), random), here, SETTINGS)
+    assert not misfits(grid, seen(Pose(7.5, 1.5, 0.0), random), Pose(7.5, 1.5, 0.0), SETTINGS)
+    assert not misfits(grid, seen(here, random), Pose(90.0, 0.0, 0.0), SETTINGS)
 
 
 def test_at_the_edge_of_the_map() -> None:
