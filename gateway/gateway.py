@@ -34,6 +34,7 @@ from protocols.words import (
     Home,
     Idle,
     Impedance,
+    Leave,
     Mode,
     Nanos,
     Parameter,
@@ -204,6 +205,10 @@ class Gateway:
                 case Stop(reason):
                     self.stopped = reason or "an operator said stop"
                     self._notes.append(Note("warning", "operator", f"stopped: {self.stopped}"))
+                    self._requests.append(word)
+                case Leave(reason):
+                    self.stopped = self.stopped or reason
+                    self._notes.append(Note("info", "operator", f"leaving: {reason}"))
                 case Release():
                     text = "released" if self.stopped else "nothing to release: no stop is in force"
                     self.stopped = ""
@@ -290,6 +295,8 @@ def ear_of(robot: Robot, bus: str) -> Ear:
 
 
 def _is_for(request: Request, bus: str, motors: frozenset[str]) -> bool:
+    if isinstance(request, Stop):
+        return bool(motors)
     if isinstance(request, Scan | SetId):
         return request.bus == bus
     return getattr(request, "motor", "") in motors

@@ -25,7 +25,7 @@ from gateway.gateway import Gateway
 from gateway.robot import Robot
 from gateway.tick import Inputs, Note, Tick
 from protocols.wire import BusState, Packet
-from protocols.words import MILLISECOND, Asked, Nanos, Stop
+from protocols.words import MILLISECOND, Asked, Leave, Nanos
 
 log = logging.getLogger("gateway")
 
@@ -116,7 +116,7 @@ def live(
 def _farewell(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Asked]], Tick]) -> None:
     """The safe word at once, and a moment of listening until the devices say that they are disarmed."""
     start = clock.now()
-    tick(start, (Stop("the run ends"),))
+    tick(start, (Leave("the run ends"),))
     patience = FAREWELL + max(joint.braking_time for joint in gateway.joints.values())
     while gateway.still_armed() and clock.now() - start < patience:
         clock.wait(clock.now() + gateway.robot.period)

@@ -92,7 +92,8 @@ COMMANDS: tuple[type[Command], ...] = (Idle, Hold, Position, Velocity, Torque, I
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Latch above every joint: each says its safe word until Release."""
+    """Latch above every joint: each says its safe word until Release. An operator's stop is for every
+    motor: a driver that hears this word says Idle, when told to, also to devices that it did not arm."""
 
     reason: str = ""
 
@@ -100,6 +101,13 @@ class Stop:
 @dataclass(frozen=True, slots=True)
 class Release:
     """Take back Stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leave:
+    """The run ends: every joint that we commanded says its safe word."""
+
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +189,7 @@ class Set:
 Request: TypeAlias = (
     Stop
     | Release
+    | Leave
     | ClearFault
     | Estop
     | Scan

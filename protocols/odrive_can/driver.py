@@ -40,6 +40,7 @@ from protocols.words import (
     Request,
     Scan,
     SetId,
+    Stop,
 )
 
 PROTOCOL = "odrive_can"
@@ -211,7 +212,10 @@ class OdriveDriver:
         events, self._events = self._events, []
         wires: list[Wire] = []
         for word in words:
-            if not isinstance(word, Command):
+            if isinstance(word, Stop):
+                for node in self.nodes.values():
+                    node.claimed = True
+            elif not isinstance(word, Command):
                 events += self._ask_for(now, word)
         wires += self._resend(now, events)
         for word in words:

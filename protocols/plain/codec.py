@@ -44,6 +44,7 @@ CODES: dict[int, type[Word]] = {
     29: words.WriteParameter,
     30: words.Reboot,
     31: words.Set,
+    32: words.Leave,
     50: words.Goal,
     51: words.Drive,
     70: words.Feedback,

@@ -36,6 +36,7 @@ from protocols.words import (
     Scan,
     SetId,
     State,
+    Stop,
     Word,
 )
 
@@ -109,6 +110,10 @@ class PlainDriver:
         events: list[Event] = []
         wires: list[Wire] = []
         for word in words:
+            if isinstance(word, Stop):
+                for seat in self._seats.values():
+                    seat.claimed = seat.motor
+                continue
             try:
                 address = self._address(word)
                 wire = line.message(address, word)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from gateway.gateway import Gateway
+from gateway.gateway import Gateway, ear_of
 from gateway.tick import Inputs, Outputs
 from protocols.words import (
     ClearFault,
@@ -17,6 +17,7 @@ from protocols.words import (
     Estop,
     Home,
     Idle,
+    Leave,
     Mode,
     Position,
     Reboot,
@@ -244,3 +245,30 @@ def test_an_unknown_bus_in_the_inputs_is_our_own_mistake(rig: Rig) -> None:
 
     with pytest.raises(KeyError):
         rig.gateway.step(0, Inputs(packets=(Packet(0, "can9", CanFrame(1)),)))
+
+
+def test_an_operators_stop_is_also_for_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
+    ours, theirs = Gateway(driven.robot), driven.gateway
+    assert theirs.joints["left"].mode is Mode.ARMED
+    ticks = driven.run(0.3)
+    for tick in ticks:  # a second host hears the same bus, and has commanded nothing
+        heard = ours.step(tick.now, Inputs(packets=tick.inputs.packets))
+        assert not _idles(driven, heard)
+    last = driven.clock.now()
+    assert ours.joints["left"].mode is Mode.ARMED
+    assert _idles(driven, ours.step(last, Inputs(asked=(Stop(),)))) == ["left", "right"]
+
+
+def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
+    ours = Gateway(driven.robot)
+    for tick in driven.run(0.3):
+        ours.step(tick.now, Inputs(packets=tick.inputs.packets))
+    assert ours.joints["left"].mode is Mode.ARMED
+    assert not _idles(driven, ours.step(driven.clock.now(), Inputs(asked=(Leave("the end"),))))
+
+
+def _idles(rig: Rig, outputs: Outputs) -> list[str]:
+    """Which motors would obey an Idle in these outputs."""
+    ear = ear_of(rig.robot, "can0")
+    words = [word for p in outputs.packets for word in ear.hear(p.t, p.wire)]
+    return [word.motor for word in words if isinstance(word, Idle)]

@@ -164,7 +164,6 @@ REFUSED: list[tuple[Command | Request, str]] = [
     (Velocity("lidar", 1.0), "no motor 'lidar'"),
     (ClearFault("lidar"), "no motor 'lidar'"),
     (Home("m"), "cannot do that"),
-    (Stop(), "cannot do that"),
     (Release(), "cannot do that"),
     (WriteParameter("m", "velocity_gain", float("inf")), "not finite"),
     (WriteParameter("m", "x" * 20_000, 1.0), "a body of"),
@@ -182,6 +181,13 @@ def test_refused_at_once_and_nothing_goes_out(word: Command | Request, reason: s
     assert reason in refused.reason
     assert wires == []
     assert sent(stage, Idle("m")) == []  # it has not been claimed either
+
+
+def test_an_operators_stop_lets_idle_through_to_a_motor_that_was_not_claimed() -> None:
+    stage = bench()
+    assert sent(stage, Idle("m")) == []
+    assert sent(stage, Stop()) == []
+    assert sent(stage, Idle("m")) == [line.message(1, Idle("m"))]
 
 
 REQUESTS: list[Request] = [
