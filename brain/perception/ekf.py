@@ -5,14 +5,8 @@ caller forms a dt. A measurement up to `rewind` late is put in its place and wha
 applied again; an older one is refused. Each is gated as a vector by its squared Mahalanobis distance
 against chi-square; a refused one changes nothing and is counted. No gate locks the filter out: when
 a sensor has been refused for longer than `lockout` without a break, its next measurement is taken
-with the covariance widened, and that is counted too. What is not finite never enters.
-
-State (frame "odom", SI): x, y, yaw; v: the speed of the wheels' treads [m/s]; w: the base's rate of
-turn [rad/s]; bias of the gyro [rad/s]; slip: the share of the treads' way that the base does not go.
-The base moves on an exact arc of length (1 - slip) v dt and turn w dt. Because v is what the wheels
-measure, wheels alone never move the slip (nor do they have anything to say on it): only a reference
-to the outside, such as a matched scan, does. An always-on scale that wheels and gyro settle between
-themselves makes odometry worse, not better.
+with the covariance widened, and that is counted too. What is not finite never enters. The state and
+how it moves: `brain.perception.motion`.
 """
 
 from __future__ import annotations
@@ -20,18 +14,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, fields
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from brain.belief import Floats, Pose
-from brain.bodies.differential import arc, sinc, wrap
+from brain.belief import Floats
+from brain.bodies.differential import wrap
+from brain.perception.measurement import Measurement, Verdict
+from brain.perception.motion import POSE, SIZE, SLIP, YAW, X, jacobian, move, process_noise
 from protocols.words import MILLISECOND, Nanos, seconds
-
-X, Y, YAW, V, W, BIAS, SLIP = range(7)
-POSE = slice(X, YAW + 1)
-SIZE = 7
 
 CHI_SQUARE: dict[float, tuple[float, float, float]] = {
     0.95: (3.841459, 5.991465, 7.814728),
@@ -88,60 +79,6 @@ class EkfSettings:
             raise ValueError(f"confidence must be one of {list(CHI_SQUARE)}, not {self.confidence!r}")
 
 
-class Verdict(StrEnum):
-    """What became of a measurement."""
-
-    ACCEPTED = "accepted"
-    REFUSED = "refused by the gate"
-    FORCED = "believed again after refusals"
-    """Taken although the gate refused it, with the covariance widened: see `lockout`."""
-    LATE = "too late"
-    NOT_FINITE = "not finite"
-
-
-@dataclass(frozen=True, slots=True)
-class Measurement:
-    """What one sensor says at one time: value = H · state + noise of covariance R."""
-
-    source: str
-    """Gates and lockouts are kept by this name."""
-    t: Nanos
-    value: Floats
-    """m of them: m ≤ 3"""
-    matrix: Floats
-    """H, m × 7"""
-    noise: Floats
-    """R, m × m"""
-    heading: int | None = None
-    """Which component is a heading, whose residual must be wrapped."""
-
-
-def wheels(source: str, t: Nanos, linear: float, angular: float, noise: Floats) -> Measurement:
-    """Treads' speed [m/s] and rate of turn [rad/s] as the wheels have them; R is 2 × 2."""
-    return Measurement(source, t, np.array([linear, angular]), _WHEELS, noise)
-
-
-def gyro(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
-    """Rate of turn about the robot's own z axis [rad/s], bias included."""
-    return Measurement(source, t, np.array([rate]), _GYRO, np.array([[sigma * sigma]]))
-
-
-def resting(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
-    """What the gyro reads [rad/s] while the base is known to rest: its bias, and nothing else."""
-    return Measurement(source, t, np.array([rate]), _RESTING, np.array([[sigma * sigma]]))
-
-
-def located(source: str, t: Nanos, pose: Pose, noise: Floats) -> Measurement:
-    """A pose, from a reference outside the robot; R is 3 × 3."""
-    return Measurement(source, t, np.array([pose.x, pose.y, pose.yaw]), _LOCATED, noise, heading=YAW)
-
-
-_WHEELS = np.eye(SIZE)[[V, W]]
-_GYRO = np.eye(SIZE)[[W]] + np.eye(SIZE)[[BIAS]]
-_RESTING = np.eye(SIZE)[[BIAS]]
-_LOCATED = np.eye(SIZE)[POSE]
-
-
 @dataclass(frozen=True, slots=True)
 class _Entry:
     """A measurement in its place, what was decided on it, and the state after it."""
@@ -154,71 +91,6 @@ class _Entry:
     covariance: Floats
     doubt: float = 1.0
     """By what the variances were widened before it was taken."""
-
-
-def move(state: Floats, dt: float) -> Floats:
-    """The state after dt seconds without news."""
-    x, y, yaw, v, w, bias, slip = state.tolist()
-    pose = arc(Pose(x, y, yaw), (1.0 - slip) * v * dt, w * dt)
-    return np.array([pose.x, pose.y, pose.yaw, v, w, bias, slip])
-
-
-Triple = tuple[float, float, float]
-
-
-def arc_jacobian(yaw: float, distance: float, turn: float) -> tuple[Triple, Triple, Triple]:
-    """How the end (x, y, yaw) of an arc changes with the heading at its start, its length, its turn."""
-    half = turn / 2.0
-    chord = sinc(half)
-    if abs(half) < 1e-4:
-        slope = -half / 3.0
-    else:
-        slope = (half * math.cos(half) - math.sin(half)) / (half * half)
-    c, s = math.cos(yaw + half), math.sin(yaw + half)
-    of_yaw = (-distance * chord * s, distance * chord * c, 1.0)
-    of_distance = (chord * c, chord * s, 0.0)
-    of_turn = (0.5 * distance * (slope * c - chord * s), 0.5 * distance * (slope * s + chord * c), 1.0)
-    return of_yaw, of_distance, of_turn
-
-
-def jacobian(state: Floats, dt: float) -> Floats:
-    """d move / d state, 7 × 7."""
-    _, _, yaw, v, w, _, slip = state.tolist()
-    keep = 1.0 - slip
-    of_yaw, along, around = arc_jacobian(yaw, keep * v * dt, w * dt)
-    F = np.eye(SIZE)
-    F[POSE, YAW:] = [
-        [of_yaw[i], along[i] * keep * dt, around[i] * dt, 0.0, along[i] * -v * dt] for i in (X, Y, YAW)
-    ]
-    return F
-
-
-def process_noise(state: Floats, dt: float, settings: EkfSettings) -> Floats:
-    """What dt seconds add to the covariance, 7 × 7: speeds that wander (white acceleration, carried
-    through to the pose), bias and slip that wander, and a floor that is not quite even."""
-    _, _, yaw, v, w, _, slip = state.tolist()
-    keep = 1.0 - slip
-    distance = keep * v * dt
-    _, along, around = arc_jacobian(yaw, distance, w * dt)
-    across = (-math.sin(yaw), math.cos(yaw), 0.0)
-    q_v, q_w = settings.linear_noise**2, settings.angular_noise**2
-    on_along = q_v * keep * keep * dt**3 / 3.0 + settings.travel_noise**2 * abs(distance)
-    on_around = q_w * dt**3 / 3.0
-    on_across = settings.sideways_noise**2 * abs(distance)
-    Q = np.zeros((SIZE, SIZE))
-    for i in (X, Y, YAW):
-        for j in (X, Y, YAW):
-            Q[i, j] = (
-                on_along * (along[i] * along[j])
-                + on_around * (around[i] * around[j])
-                + on_across * (across[i] * across[j])
-            )
-        Q[i, V] = Q[V, i] = along[i] * q_v * keep * dt * dt / 2.0
-        Q[i, W] = Q[W, i] = around[i] * q_w * dt * dt / 2.0
-    Q[V, V], Q[W, W] = q_v * dt, q_w * dt
-    Q[BIAS, BIAS] = settings.bias_noise**2 * dt
-    Q[SLIP, SLIP] = settings.slip_noise**2 * dt if abs(distance) > 1e-4 * dt else 0.0
-    return Q
 
 
 class Ekf:

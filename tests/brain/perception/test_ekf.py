@@ -11,28 +11,9 @@ from scipy import stats
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
-from brain.perception.ekf import (
-    BIAS,
-    CHI_SQUARE,
-    POSE,
-    SIZE,
-    SLIP,
-    YAW,
-    Ekf,
-    EkfSettings,
-    Measurement,
-    V,
-    Verdict,
-    W,
-    X,
-    gyro,
-    jacobian,
-    located,
-    move,
-    process_noise,
-    resting,
-    wheels,
-)
+from brain.perception.ekf import CHI_SQUARE, Ekf, EkfSettings
+from brain.perception.measurement import Measurement, Verdict, gyro, located, resting, wheels
+from brain.perception.motion import BIAS, POSE, SIZE, SLIP, YAW, V, W, X, jacobian, move, process_noise
 from protocols.words import MILLISECOND, SECOND, Nanos, seconds
 
 MS = MILLISECOND
