@@ -79,6 +79,8 @@ def test_the_believed_path_is_faithful_where_raw_odometry_is_not(drive: Drive) -
     assert drive.figure(r"path driven: ([\d.]+) m") > 20.0
     assert drive.figure(r"believed path: at most [\d.]+ m off the true one \(([\d.]+) %") <= 1.0
     assert drive.figure(r"raw odometry ?: at most [\d.]+ m off the true one \(([\d.]+) %") > 1.0
+    assert abs(drive.figure(r"believed path: .* m long \(([-+\d.]+) %\)")) <= 1.0
+    assert abs(drive.figure(r"raw odometry ?: .* m long \(([-+\d.]+) %\)")) > 1.0
 
 
 def test_the_picture_is_a_picture(drive: Drive) -> None:

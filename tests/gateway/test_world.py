@@ -95,17 +95,17 @@ def _by_gyro(driver: Driver, still: float) -> list[tuple[float, float, float]]:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_office_slip_spoils_raw_odometry_and_a_gyro_mends_it(seed: int) -> None:
+def test_office_wheels_spoil_raw_odometry_and_a_gyro_mends_the_heading_but_not_the_scale(seed: int) -> None:
     assert isinstance(OFFICE, SceneFile)
     driver = Driver(world(replace(OFFICE, walls={}, boxes={}), seed)).run(1000, 0.0, 0.0)
     for left, right in ((8.0, 8.0), (8.0, 9.0), (9.0, 8.0), (8.0, 8.0)):
         driver.run(5000, left, right)
     path = driver.path()
     assert path > 7.0
-    assert driver.off(driver.odometry()) > 0.01 * path
-    assert driver.off(_by_gyro(driver, 1.0)) < 0.01 * path
+    raw, by_gyro = driver.off(driver.odometry()), driver.off(_by_gyro(driver, 1.0))
+    assert raw > 2.0 * by_gyro > 0.02 * path
     rolled = 0.05 * sum(driver.encoders[-1]) / 2.0
-    assert rolled == pytest.approx(path, rel=0.01)
+    assert path / rolled == pytest.approx(1.025, abs=0.01)  # the tyres are larger than the robot file says
 
 
 def test_slip_differs_by_seed_and_is_absent_at_rest() -> None:
