@@ -59,12 +59,8 @@ def _odd(case: Case) -> list[Wire]:
         return [CanFrame(1, b"\1\2"), CanFrame(0x12345678, b"", extended=True)]
     dice, known = case.dice(), case.sends | case.expects
     free = [i for i in (dice.bits(11) for _ in range(200)) if i not in known][:8]
-    ours = sorted(i for i in case.expects if i <= 0x7FF)[:8]
-    return [
-        b"\1\2\3",
-        *(CanFrame(i, dice.bytes(8)) for i in free),
-        *(CanFrame(i, dice.bytes(8), extended=True) for i in ours),
-    ]
+    turned = dice.shuffled(noise.other_format(case))[:8]
+    return [b"\1\2\3", *(CanFrame(i, dice.bytes(8)) for i in free), *turned]
 
 
 def unclaimed_is_read_only(case: Case) -> Verdict:

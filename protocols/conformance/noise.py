@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from protocols.conformance import rehearsal as play
 from protocols.conformance.case import Case
 from protocols.conformance.dice import Dice
@@ -42,6 +44,14 @@ def conversation(case: Case) -> list[Wire]:
         said = stage.step(words)
         seen.update(dict.fromkeys((*said.down, *said.up)))
     return list(seen)[:: max(len(seen) // 400, 1)]
+
+
+def other_format(case: Case) -> list[Wire]:
+    """The frames that the devices say, with the same numbers for ids in the other format of id."""
+    frames = [wire for wire in conversation(case) if isinstance(wire, CanFrame)]
+    known = {(frame.id, frame.extended) for frame in frames}
+    turned = [replace(frame, extended=not frame.extended) for frame in frames]
+    return [f for f in turned if (f.id, f.extended) not in known and (f.extended or f.id <= 0x7FF)]
 
 
 def _wire(spec: Spec, said: list[Wire], ids: list[int], dice: Dice) -> Wire:

@@ -12,6 +12,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
+from protocols.odrive_can import RANGES
+from protocols.odrive_can import plugin as odrive
+from protocols.odrive_can.driver import OdriveDriver
 from protocols.plain import line, plugin
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainEar, PlainMotor
@@ -395,6 +398,68 @@ def _bytes(wires: Sequence[Wire]) -> Iterator[bytes]:
         yield wire
 
 
+# -- on CAN --------------------------------------------------------------------------------------------
+
+
+class IgnoresFormat(OdriveDriver):
+    """Takes a 29-bit id for the 11-bit id of the same number."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        return super().receive(t, replace(wire, extended=False) if isinstance(wire, CanFrame) else wire)
+
+
+class PadsShortFrames(OdriveDriver):
+    """Reads on where a frame has ended."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        if isinstance(wire, CanFrame) and wire.data:
+            wire = replace(wire, data=wire.data.ljust(8, b"\0"))
+        return super().receive(t, wire)
+
+
+class DoesNotCountStrangers(OdriveDriver):
+    """Drops what is not its own without a word."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        foreign = self.tally.foreign
+        events = super().receive(t, wire)
+        self.tally.foreign = foreign
+        return events
+
+
+class LearnsFromBadFrames(OdriveDriver):
+    """A frame of a wrong length tells nothing, but its device counts as heard."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        bad = self.tally.bad
+        events = super().receive(t, wire)
+        if self.tally.bad > bad:
+            for node in self.nodes.values():
+                node.forget()
+        return events
+
+
+class SaysWhatItDoesNotList(OdriveDriver):
+    """A frame of an id that the spec does not have."""
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
+        events, wires = super().send(now, words)
+        return events, [*wires, CanFrame(0x7FF, b"hello")] if wires else wires
+
+
+class FindsByArming(OdriveDriver):
+    """Looks for devices by setting their state, as a test in the field does."""
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
+        events, wires = super().send(now, words)
+        arm = CanFrame(min(self.nodes) << 5 | 0x07, b"\1\0\0\0")
+        return events, wires if words or now % 64_000_000 else [*wires, arm]
+
+
+def _can(kind: type[OdriveDriver]) -> Plugin:
+    return replace(odrive, name=kind.__name__, driver=lambda devices: kind(devices, RANGES))
+
+
 def _driver(kind: type[PlainDriver], base: Plugin = motors) -> Plugin:
     return replace(base, name=kind.__name__, driver=kind)
 
@@ -436,5 +501,11 @@ BROKEN: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(HoldsAGenerator), ("copies",)),
     (_driver(HidesState), ("copies",)),
     (_twin(TwinSharesState), ("copies",)),
+    (_can(IgnoresFormat), ("counts", "strangers")),
+    (_can(PadsShortFrames), ("counts",)),
+    (_can(DoesNotCountStrangers), ("counts", "strangers")),
+    (_can(LearnsFromBadFrames), ("counts",)),
+    (_can(SaysWhatItDoesNotList), ("unclaimed", "declared")),
+    (_can(FindsByArming), ("unclaimed",)),
 )
 """Each with all the clauses that find it."""
