@@ -6,7 +6,7 @@ moves again by itself afterwards. Every motor has one command at every step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from brain.belief import Belief, BrainState
 from brain.condition import Condition
@@ -20,10 +20,10 @@ from protocols.words import Command, Drive, Event, Goal, Idle, Nanos
 class Bench:
     """Passes an operator's targets to the joints that can be trusted."""
 
-    def __init__(self, settings: BrainSettings, motors: Sequence[str]) -> None:
+    def __init__(self, settings: BrainSettings, motors: Sequence[str], timeouts: Mapping[str, Nanos]) -> None:
         self._motors = tuple(motors)
         self._targets = Targets(motors)
-        self._health = Health(motors, (), settings.health)
+        self._health = Health(motors, (), timeouts, settings.health)
         self._condition = Condition()
 
     def adopt(self, settings: BrainSettings) -> None:
@@ -80,7 +80,7 @@ class Bench:
 
     def _settle(self, stopped: str, missing: str, lost: str) -> None:
         if stopped:
-            self._condition.become(BrainState.STOPPED, stopped)
+            self._condition.obey(stopped)
         elif missing and self._condition.state is BrainState.INITIALISING:
             self._condition.become(BrainState.INITIALISING, f"waiting for {missing}")
         elif lost:

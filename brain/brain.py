@@ -4,7 +4,8 @@ Rules. What a body needs of a brain stands in that body's file (`driving`, `benc
 Time is an argument, work is bounded, state is plain data: a deep copy goes on as the original, and the
 same inputs give the same commands.
 
-    brain = Brain(settings, ["left", "right"], {"lidar": Mount(x=0.12)})
+    timeouts = {"left": 100 * MILLISECOND, "right": 100 * MILLISECOND, "lidar": 500 * MILLISECOND}
+    brain = Brain(settings, ["left", "right"], {"lidar": Mount(x=0.12)}, timeouts)
     commands = brain.step(now, events, [Goal(4.0, 2.0)], "")
 """
 
@@ -25,12 +26,23 @@ __all__ = ["Brain", "BrainSettings", "HealthSettings"]
 
 
 class Brain:
-    """One brain for one body. Raises ValueError if the settings lack the body's own table."""
+    """One brain for one body. `timeouts` are by motor and by sensor: from which age on its newest
+    measurement is too old; the brain acts at shares of it (`health`).
 
-    def __init__(self, settings: BrainSettings, motors: Sequence[str], sensors: Mapping[str, Mount]) -> None:
+    Raises ValueError if the settings lack the body's own table, or if not each motor and sensor has one
+    timeout above 0 and nobody else has any."""
+
+    def __init__(
+        self,
+        settings: BrainSettings,
+        motors: Sequence[str],
+        sensors: Mapping[str, Mount],
+        timeouts: Mapping[str, Nanos],
+    ) -> None:
+        _check((*motors, *sensors), timeouts)
         self.settings = settings
         self._file = settings
-        self._body = _body(settings, motors, sensors)
+        self._body = _body(settings, motors, sensors, timeouts)
 
     def step(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
@@ -59,9 +71,27 @@ class Brain:
         return why
 
 
-def _body(settings: BrainSettings, motors: Sequence[str], sensors: Mapping[str, Mount]) -> Driving | Bench:
+def _check(sources: Sequence[str], timeouts: Mapping[str, Nanos]) -> None:
+    """Every source has one timeout, and every timeout one source."""
+    wrong = [f"{name!r} is the name of two" for name in dict.fromkeys(sources) if sources.count(name) > 1]
+    wrong += [f"{name!r} has no timeout" for name in dict.fromkeys(sources) if name not in timeouts]
+    wrong += [f"there is no {name!r} to have a timeout" for name in timeouts if name not in sources]
+    wrong += [f"the timeout of {name!r} must be more than 0" for name, t in timeouts.items() if t <= 0]
+    if wrong:
+        raise ValueError("; ".join(wrong))
+
+
+def _body(
+    settings: BrainSettings,
+    motors: Sequence[str],
+    sensors: Mapping[str, Mount],
+    timeouts: Mapping[str, Nanos],
+) -> Driving | Bench:
     if settings.body == "differential":
         if settings.differential is None:
             raise ValueError('the body "differential" needs its table, brain.differential')
-        return Driving(settings, settings.differential, motors, sensors)
-    return Bench(settings, motors)
+        wheels = (settings.differential.left, settings.differential.right)
+        if strange := [name for name in wheels if name not in motors]:
+            raise ValueError(f"brain.differential names wheels that are no motors: {', '.join(strange)}")
+        return Driving(settings, settings.differential, motors, sensors, timeouts)
+    return Bench(settings, motors, timeouts)

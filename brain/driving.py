@@ -45,13 +45,18 @@ class Driving:
     """The three systems of one base. State is plain data."""
 
     def __init__(
-        self, settings: BrainSettings, body: Differential, motors: Sequence[str], sensors: Mapping[str, Mount]
+        self,
+        settings: BrainSettings,
+        body: Differential,
+        motors: Sequence[str],
+        sensors: Mapping[str, Mount],
+        timeouts: Mapping[str, Nanos],
     ) -> None:
         self._settings, self._body, self._motors = settings, body, tuple(motors)
         self.perception = Perception(body, dict(sensors), settings.perception)
         self.mission = Mission(body.radius, settings.planner)
         self.pursuit = Pursuit()
-        self._health = Health((body.left, body.right), tuple(sensors), settings.health)
+        self._health = Health((body.left, body.right), tuple(sensors), timeouts, settings.health)
         self._condition = Condition()
         self._twist = REST
         self._followed = 0
@@ -149,6 +154,8 @@ class Driving:
         without = bool(mission.goals) and mission.path is None and bool(mission.why_none)
         if waiting:
             self._condition.reason = waiting if not stopped else f"{waiting}; stopped: {stopped}"
+        elif stopped:
+            self._condition.obey(stopped)
         elif lost:
             self._condition.become(BrainState.STOPPED, lost)
         elif mission.given_up:

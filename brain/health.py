@@ -1,6 +1,7 @@
 """Whether the brain may trust what it hears: the ladder from full speed to standing still, and back.
 
-Rules. Every source (a motor's feedback, a sensor) is judged by the age of its newest measurement and by the
+Rules. Every source (a motor's feedback, a sensor) is judged by the age of its newest measurement, as a share
+of that source's own timeout (the robot file's, which is the one place where a timeout stands), and by the
 share of its measurements that perception has rejected. Worse is believed at once, better only after it
 has lasted for `recover`. What stays bad for `give_up` is gone: the tasks are dropped, and when it comes back
 the brain is ready, but does not go on by itself. A motor in fault is gone at once.
@@ -29,14 +30,12 @@ from protocols.words import (
 
 @dataclass(frozen=True, slots=True)
 class HealthSettings:
-    """How old a measurement may be before the brain goes slow, and before it stands still."""
+    """When the brain goes slow, when it stands still, and when it goes on."""
 
-    feedback_slow: Nanos = 50 * MILLISECOND
-    feedback_stop: Nanos = 90 * MILLISECOND
-    imu_slow: Nanos = 100 * MILLISECOND
-    imu_stop: Nanos = SECOND
-    scan_slow: Nanos = 350 * MILLISECOND
-    scan_stop: Nanos = 800 * MILLISECOND
+    slow_age: float = 0.5
+    """Share of a source's timeout: with a newest measurement older than this it goes slow,"""
+    stand_age: float = 0.9
+    """and older than this it stands: a little before the joint itself goes blind, at 1.0."""
     give_up: Nanos = 5 * SECOND
     """Standing still for so long, the tasks are dropped."""
     recover: Nanos = 300 * MILLISECOND
@@ -55,12 +54,12 @@ class HealthSettings:
             value = getattr(self, field.name)
             if not (isfinite(value) and value > 0):
                 raise ValueError(f"{field.name} must be more than 0, not {value}")
-        for name in ("slow", "rejected_slow", "rejected_stop"):
+        for name in ("slow_age", "stand_age", "slow", "rejected_slow", "rejected_stop"):
             if getattr(self, name) > 1.0:
                 raise ValueError(f"{name} is a share: at most 1, not {getattr(self, name)}")
-        for name in ("feedback", "imu", "scan", "rejected"):
-            if getattr(self, f"{name}_stop") < getattr(self, f"{name}_slow"):
-                raise ValueError(f"{name}_stop must not be less than {name}_slow")
+        for less, more in (("slow_age", "stand_age"), ("rejected_slow", "rejected_stop")):
+            if getattr(self, more) < getattr(self, less):
+                raise ValueError(f"{more} must not be less than {less}")
 
 
 class Level(IntEnum):
@@ -81,18 +80,25 @@ class Verdict:
 
 
 WELL = Verdict(Level.WELL)
-_KINDS = {Feedback: "feedback", Imu: "imu", LaserScan: "scan", Fix: "fix"}
-_WORDS = {"feedback": "feedback", "imu": "reading", "scan": "scan", "fix": "fix"}
+_WORDS = {Feedback: "feedback", Imu: "reading", LaserScan: "scan", Fix: "fix"}
 
 
 class Health:
-    """Judges the sources that the body needs. State is plain data."""
+    """Judges the sources that the body needs, each by its timeout. State is plain data."""
 
-    def __init__(self, motors: Sequence[str], sensors: Sequence[str], settings: HealthSettings) -> None:
+    def __init__(
+        self,
+        motors: Sequence[str],
+        sensors: Sequence[str],
+        timeouts: Mapping[str, Nanos],
+        settings: HealthSettings,
+    ) -> None:
         self.settings = settings
+        self._timeouts = {name: timeouts[name] for name in (*motors, *sensors)}
         self._motors, self._sensors = tuple(motors), tuple(sensors)
         self._last: dict[str, Nanos] = {}
-        self._kind: dict[str, str] = {}
+        self._word: dict[str, str] = {}
+        """What a source says, in a word."""
         self._heard: dict[str, int] = {}
         self._faults: dict[str, str] = {}
         self._bad: Verdict = WELL
@@ -109,9 +115,9 @@ class Health:
                 self._hear_state(event)
             elif isinstance(event, Feedback):
                 if event.position is not None or event.velocity is not None:
-                    self._note(event.motor, "feedback", event.t)
+                    self._note(event.motor, event)
             elif isinstance(event, Imu | LaserScan | Fix):
-                self._note(event.sensor, _KINDS[type(event)], event.t)
+                self._note(event.sensor, event)
 
     def missing(self) -> str:
         """What has never been heard, in words; "" if all was."""
@@ -144,16 +150,14 @@ class Health:
             return Verdict(Level.GONE, f"{name} is in fault{self._faults[name]}")
         if name not in self._last:
             return Verdict(Level.STAND, f"{name} was never heard")
-        kind, age = self._kind[name], now - self._last[name]
-        if kind == "fix" or name not in (*self._motors, *self._sensors):
+        if name not in self._timeouts:
             return WELL
-        stop: Nanos = getattr(self.settings, f"{kind}_stop")
-        slow: Nanos = getattr(self.settings, f"{kind}_slow")
-        if age > slow:
-            said = (
-                f"{name}: no {_WORDS[kind]} for more than {(stop if age > stop else slow) // MILLISECOND} ms"
-            )
-            return Verdict(Level.STAND if age > stop else Level.SLOW, said)
+        age, timeout = now - self._last[name], self._timeouts[name]
+        for level, share in ((Level.STAND, self.settings.stand_age), (Level.SLOW, self.settings.slow_age)):
+            limit = round(share * timeout)
+            if age > limit:
+                said = f"{name}: no {self._word[name]} for more than {limit / MILLISECOND:g} ms"
+                return Verdict(level, said)
         share = self._shares.get(name, 0.0)
         if share >= self.settings.rejected_slow:
             said = f"{name}: {100 * share:.0f} % of its measurements do not fit what is believed"
@@ -168,9 +172,9 @@ class Health:
         else:
             self._faults.pop(event.motor, None)
 
-    def _note(self, name: str, kind: str, t: Nanos) -> None:
-        self._last[name] = max(t, self._last.get(name, t))
-        self._kind[name] = kind
+    def _note(self, name: str, event: Feedback | Imu | LaserScan | Fix) -> None:
+        self._last[name] = max(event.t, self._last.get(name, event.t))
+        self._word[name] = _WORDS[type(event)]
         self._heard[name] = self._heard.get(name, 0) + 1
 
     def _count(self, now: Nanos, rejected: Mapping[str, int]) -> None:

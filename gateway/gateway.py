@@ -73,7 +73,11 @@ class Gateway:
         self.robot = robot
         self.joints = {m.device.name: Joint(m.device.name, m.joint, m.spec) for m in robot.motors.values()}
         self.brain = Brain(
-            robot.brain, list(robot.motors), {s.device.name: s.mount for s in robot.sensors.values()}
+            robot.brain,
+            list(robot.motors),
+            {name: sensor.mount for name, sensor in robot.sensors.items()},
+            {name: motor.joint.feedback_timeout for name, motor in robot.motors.items()}
+            | {name: sensor.timeout for name, sensor in robot.sensors.items()},
         )
         self.stopped = ""
         """Why an operator has stopped the robot; "" if nobody has."""

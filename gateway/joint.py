@@ -73,6 +73,7 @@ class JointSettings:
     """A fault or blindness of this joint stops the whole robot, or only this joint."""
     command_timeout: Nanos = 100 * MILLISECOND
     feedback_timeout: Nanos = 100 * MILLISECOND
+    """Age of feedback after which the joint is blind; the brain goes slow and stands at shares of it."""
 
 
 class Joint:

@@ -56,7 +56,7 @@ class Sensor:
     spec: Spec
     mount: Mount
     timeout: Nanos
-    """Silence after which its measurements are too old."""
+    """Silence after which its measurements are too old; the brain goes slow and stands at shares of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,6 +60,12 @@ def dijkstra(costmap: Costmap, start: int, goal: int) -> float:
 
 BODY = Differential("left", "right", 0.05, 0.22, 0.25, 0.6, 2.0, 0.8, 4.0)
 MOUNTS = {"lidar": Mount(x=0.12, z=0.12), "imu": Mount(z=0.05)}
+TIMEOUTS: dict[str, Nanos] = {
+    "left": 100 * MILLISECOND,
+    "right": 100 * MILLISECOND,
+    "lidar": 500 * MILLISECOND,
+    "imu": 150 * MILLISECOND,
+}
 TICK: Nanos = 10 * MILLISECOND
 
 Box = tuple[float, float, float, float]
@@ -198,12 +204,15 @@ SMALL = PerceptionSettings(grid=GridSettings(width=9.0, height=7.0, center_x=2.0
 class Trip:
     """A brain in an office, and what it has done so far."""
 
-    def __init__(self, office: Office, settings: BrainSettings | None = None) -> None:
+    def __init__(
+        self, office: Office, settings: BrainSettings | None = None, timeouts: dict[str, Nanos] = TIMEOUTS
+    ) -> None:
         self.office = office
         self.brain = Brain(
             settings or BrainSettings("differential", office.body, perception=SMALL),
             [office.body.left, office.body.right],
             MOUNTS,
+            timeouts,
         )
         self.commands: Sequence[Command] = ()
         self.notes: list[tuple[str, str]] = []

@@ -18,7 +18,6 @@ from brain.bodies.differential import wrap
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
 from brain.driving import Driving
-from brain.health import HealthSettings
 from brain.perception.grid import GridSettings
 from brain.perception.perception import PerceptionSettings
 from protocols.words import (
@@ -29,12 +28,13 @@ from protocols.words import (
     Goal,
     Idle,
     Mode,
+    Nanos,
     Position,
     State,
     Torque,
     Velocity,
 )
-from tests.brain.helpers import BODY, ROOMS, SMALL, Noise, Office, Trip
+from tests.brain.helpers import BODY, ROOMS, TIMEOUTS, Noise, Office, Trip
 
 NEXT_ROOM = Goal(4.5, -1.0)
 ACROSS = Goal(-1.0, 3.0)
@@ -57,9 +57,9 @@ def all_idle(commands: Sequence[Command]) -> bool:
     return all(isinstance(command, Idle) for command in commands)
 
 
-def driving(span: float = 2.5, settings: BrainSettings | None = None) -> Trip:
+def driving(span: float = 2.5, timeouts: dict[str, Nanos] = TIMEOUTS) -> Trip:
     """On its way across the room, at speed."""
-    trip = Trip(Office(), settings)
+    trip = Trip(Office(), timeouts=timeouts)
     trip.tick([ACROSS])
     trip.run(span)
     assert trip.brain.belief().state is BrainState.RUNNING
@@ -183,9 +183,10 @@ def test_demand_safe_mode_on_perception_failure(silent: str, word: str) -> None:
     trip = driving()
     trip.office.silent = {silent}
     trip.states.clear()
+    stand = f"{0.9 * TIMEOUTS[silent] / MILLISECOND:g} ms"
     belief = trip.run(6.0, lambda b: "standing" in b.reason)
     assert belief.state is BrainState.DEGRADED
-    assert f"{silent}: no {word} for more than" in belief.reason
+    assert belief.reason == f"{silent}: no {word} for more than {stand}: standing"
     trip.run(1.5)
     assert top_speed(trip, 20) < 1e-3
     assert any("slow" in text and level == "warning" for level, text in trip.notes)
@@ -199,11 +200,15 @@ def test_demand_safe_mode_on_perception_failure(silent: str, word: str) -> None:
 
 
 def test_slow_means_slow_before_it_means_standing() -> None:
-    patient = HealthSettings(scan_slow=200 * MILLISECOND, scan_stop=4000 * MILLISECOND)
-    trip = driving(settings=BrainSettings("differential", BODY, perception=SMALL, health=patient))
+    """A patient timeout: slow from 1.5 s on, standing from 2.7 s on."""
+    trip = driving(timeouts={**TIMEOUTS, "lidar": 3000 * MILLISECOND})
     trip.office.silent = {"lidar"}
-    trip.run(1.0)
-    assert 0.02 < top_speed(trip, 200) <= 0.3 * BODY.max_linear + 0.01
+    trip.run(1.2)
+    assert top_speed(trip, 10) > 0.9 * BODY.max_linear
+    trip.run(0.9)
+    assert 0.02 < top_speed(trip, 30) <= 0.3 * BODY.max_linear + 0.01
+    trip.run(0.8)
+    assert top_speed(trip, 20) < 1e-3
 
 
 def test_what_does_not_come_back_stops_and_nothing_resumes_by_itself() -> None:
@@ -212,6 +217,7 @@ def test_what_does_not_come_back_stops_and_nothing_resumes_by_itself() -> None:
     belief = trip.run(8.0, lambda b: b.state is BrainState.STOPPED)
     assert belief.state is BrainState.STOPPED
     assert "lidar: no scan" in belief.reason
+    assert ("error", f"stopped: {belief.reason}") in trip.notes
     assert belief.goal is None
     trip.run(1.5)
     assert all_idle(trip.commands)
@@ -284,6 +290,8 @@ def test_stop_lets_go_at_once_and_release_does_not_resume() -> None:
     belief = trip.brain.belief()
     assert (belief.state, belief.reason) == (BrainState.STOPPED, "an operator said stop")
     assert ("warning", "1 goal dropped: an operator said stop") in trip.notes
+    assert ("warning", "stopped: an operator said stop") in trip.notes
+    assert not [text for level, text in trip.notes if level == "error"]
     trip.tick([ACROSS, Drive(0.1, 0.0)], stopped="an operator said stop")
     assert trip.notes[-1][1] == "Drive refused: an operator said stop"
     belief = trip.run(1.0)
@@ -380,7 +388,8 @@ class BenchTop:
     """Two motors that say that they are there."""
 
     def __init__(self) -> None:
-        self.brain = Brain(BrainSettings("joints", joints=Joints(("a", "b"))), ["a", "b"], {})
+        timeouts = {"a": 100 * MILLISECOND, "b": 200 * MILLISECOND}
+        self.brain = Brain(BrainSettings("joints", joints=Joints(("a", "b"))), ["a", "b"], {}, timeouts)
         self.now, self.silent = 0, set[str]()
 
     def tick(
@@ -444,7 +453,12 @@ def test_a_silent_motor_loses_its_target_and_the_other_goes_on() -> None:
     bench.silent = {"a", "b"}
     for _ in range(12):
         bench.tick()
-    assert bench.state()[0] == "stopped"
+    assert bench.state() == ("degraded", "a: no feedback for more than 90 ms")
+    for _ in range(7):
+        bench.tick()
+    both = "a: no feedback for more than 90 ms; b: no feedback for more than 180 ms"
+    assert bench.state() == ("stopped", both)
+    assert bench.brain.take_notes()[-1] == ("error", f"stopped: {both}")
 
 
 def test_a_joint_in_fault_loses_its_target() -> None:
@@ -465,8 +479,8 @@ def test_bare_joints_have_nowhere_to_go() -> None:
 def test_settings_of_a_bench_change_too() -> None:
     bench = BenchTop()
     bench.tick(Velocity("a", 1.0))
-    assert bench.brain.set("health.feedback_stop_ms", 500.0) == ""
+    assert bench.brain.set("health.stand_age", 0.6) == ""
     bench.silent = {"a"}
-    for _ in range(30):
-        said = bench.tick()
-    assert said[0] == Velocity("a", 1.0)
+    for _ in range(6):
+        assert bench.tick()[0] == Velocity("a", 1.0)
+    assert bench.tick()[0] == Idle("a")

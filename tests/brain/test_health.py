@@ -7,9 +7,11 @@ from dataclasses import replace
 import pytest
 
 from brain.health import Health, HealthSettings, Level
-from protocols.words import MILLISECOND, SECOND, Event, Feedback, Imu, LaserScan, Mode, Nanos, State
+from protocols.words import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
 SETTINGS = HealthSettings()
+MS = MILLISECOND
+TIMEOUTS = {"left": 100 * MS, "right": 80 * MS, "lidar": 700 * MS, "imu": 155 * MS, "gps": 2000 * MS}
 
 
 def feedback(t: Nanos, motor: str = "left") -> Feedback:
@@ -24,14 +26,29 @@ def scan(t: Nanos) -> LaserScan:
     return LaserScan("lidar", t, 0.0, 1.0, 0.1, 10.0, (1.0, 1.0))
 
 
-def heard() -> Health:
-    health = Health(["left", "right"], ["lidar", "imu"], SETTINGS)
-    health.hear([feedback(0), feedback(0, "right"), imu(0), scan(0)])
+def fix(t: Nanos) -> Fix:
+    return Fix("gps", t, 48.0, 11.0)
+
+
+def all_at(t: Nanos) -> dict[str, Event]:
+    """Something of everyone, by name."""
+    return {
+        "left": feedback(t),
+        "right": feedback(t, "right"),
+        "imu": imu(t),
+        "lidar": scan(t),
+        "gps": fix(t),
+    }
+
+
+def heard(settings: HealthSettings = SETTINGS) -> Health:
+    health = Health(["left", "right"], ["lidar", "imu", "gps"], TIMEOUTS, settings)
+    health.hear(list(all_at(0).values()))
     return health
 
 
 def test_what_is_missing_at_the_start_is_named() -> None:
-    health = Health(["left", "right"], ["lidar"], SETTINGS)
+    health = Health(["left", "right"], ["lidar"], TIMEOUTS, SETTINGS)
     assert health.missing() == "feedback of left, feedback of right, a reading of lidar"
     health.hear([feedback(0), Feedback("right", 0, voltage=24.0), scan(0)])
     assert health.missing() == "feedback of right"
@@ -40,34 +57,45 @@ def test_what_is_missing_at_the_start_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "slow", "stop"),
+    ("name", "word", "slow", "stand"),
     [
-        ("left", SETTINGS.feedback_slow, SETTINGS.feedback_stop),
-        ("imu", SETTINGS.imu_slow, SETTINGS.imu_stop),
-        ("lidar", SETTINGS.scan_slow, SETTINGS.scan_stop),
+        ("left", "feedback", "50", "90"),
+        ("right", "feedback", "40", "72"),
+        ("imu", "reading", "77.5", "139.5"),
+        ("lidar", "scan", "350", "630"),
+        ("gps", "fix", "1000", "1800"),
     ],
 )
-def test_each_source_goes_slow_and_then_stands_by_its_age(name: str, slow: Nanos, stop: Nanos) -> None:
-    for age, level in (
-        (slow, Level.WELL),
-        (slow + 1, Level.SLOW),
-        (stop, Level.SLOW),
-        (stop + 1, Level.STAND),
+def test_each_source_goes_slow_and_then_stands_by_shares_of_its_own_timeout(
+    name: str, word: str, slow: str, stand: str
+) -> None:
+    """And says the figure that it has passed, in ms."""
+    for age, level, told in (
+        (float(slow) * MS, Level.WELL, ""),
+        (float(slow) * MS + 1, Level.SLOW, slow),
+        (float(stand) * MS, Level.SLOW, slow),
+        (float(stand) * MS + 1, Level.STAND, stand),
     ):
         health = heard()
-        others: list[Event] = [feedback(age), feedback(age, "right"), imu(age), scan(age)]
-        health.hear([e for e in others if getattr(e, "motor", getattr(e, "sensor", "")) != name])
-        verdict = health.judge(age, {})
+        now = round(age)
+        health.hear([event for who, event in all_at(now).items() if who != name])
+        verdict = health.judge(now, {})
         assert verdict.level is level, age
-        assert verdict.reason.startswith(name) or level is Level.WELL
+        assert verdict.reason == (told and f"{name}: no {word} for more than {told} ms")
+
+
+def test_the_shares_are_settings() -> None:
+    health = heard(HealthSettings(slow_age=0.1, stand_age=1.0))
+    for age, level in ((70, Level.WELL), (71, Level.SLOW), (700, Level.SLOW), (701, Level.STAND)):
+        assert health.source(age * MS, "lidar").level is level, age
 
 
 def test_better_is_believed_after_a_while_only() -> None:
     health = heard()
-    late = SETTINGS.scan_slow + MILLISECOND
+    late = 351 * MS
 
     def judge(now: Nanos) -> Level:
-        health.hear([feedback(now), feedback(now, "right"), imu(now)])
+        health.hear([event for who, event in all_at(now).items() if who != "lidar"])
         return health.judge(now, {}).level
 
     assert judge(late) is Level.SLOW
@@ -86,7 +114,7 @@ def test_what_stays_bad_is_gone_and_what_comes_back_is_well_again() -> None:
     back = now + SETTINGS.give_up
     for _ in range(2):
         back += SETTINGS.recover - MILLISECOND
-        health.hear([feedback(back), feedback(back, "right"), imu(back), scan(back)])
+        health.hear(list(all_at(back).values()))
         levels = health.judge(back, {}).level, health.source(back, "lidar").level
         assert levels[1] is Level.WELL
     assert levels[0] is Level.WELL
@@ -101,7 +129,7 @@ def test_measurements_that_do_not_fit_count(refused: int, level: Level) -> None:
     health.judge(0, {"imu": 7})
     for i in range(1, 101):
         now = i * 10 * MILLISECOND
-        health.hear([feedback(now), feedback(now, "right"), imu(now), scan(now)])
+        health.hear(list(all_at(now).values()))
     verdict = health.judge(SECOND, {"imu": 7 + refused})
     assert verdict.level is level
     assert (
@@ -126,7 +154,17 @@ def test_an_old_measurement_that_comes_late_makes_nothing_younger() -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"slow": 0.0}, {"slow": 1.5}, {"scan_stop": MILLISECOND}, {"give_up": 0}, {"window": -1}]
+    "change",
+    [
+        {"slow": 0.0},
+        {"slow": 1.5},
+        {"slow_age": 0.0},
+        {"slow_age": 0.95},
+        {"stand_age": 0.4},
+        {"stand_age": 1.01},
+        {"give_up": 0},
+        {"window": -1},
+    ],
 )
 def test_no_timeout_can_be_switched_off(change: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"must|share"):

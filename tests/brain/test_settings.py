@@ -6,10 +6,12 @@ from math import inf, nan
 
 import pytest
 
+from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
+from brain.perception.mount import Mount
 from brain.settings import changed, keys
-from protocols.words import MILLISECOND, Goal
-from tests.brain.helpers import BODY, MOUNTS, Office, Trip
+from protocols.words import MILLISECOND, Goal, Nanos
+from tests.brain.helpers import BODY, MOUNTS, TIMEOUTS, Office, Trip
 
 SETTINGS = BrainSettings("differential", BODY)
 
@@ -54,6 +56,8 @@ def test_times_are_in_milliseconds_as_in_the_robot_file() -> None:
         ("pursuit.lookahead_min", 3.0, "lookahead_max must not be less than lookahead_min, 3.0"),
         ("pursuit.lookahead_time", nan, "must be a finite number, not nan"),
         ("health.slow", inf, "must be a finite number"),
+        ("health.slow_age", 0.95, "stand_age must not be less than slow_age"),
+        ("health.stand_age", 1.1, "stand_age is a share: at most 1, not 1.1"),
         ("planner.expansions_per_step", 10.5, "must be an integer, not 10.5"),
         ("planner.unknown_is_free", 2.0, "must be 0 or 1, not 2"),
         ("planner.patience_ms", 0.0, "patience must be more than 0"),
@@ -81,4 +85,35 @@ def test_a_change_is_obeyed_while_it_drives() -> None:
 
 def test_a_body_without_its_table_is_refused() -> None:
     with pytest.raises(ValueError, match=r"needs its table, brain\.differential"):
-        Brain(BrainSettings("differential"), ["left", "right"], MOUNTS)
+        Brain(BrainSettings("differential"), ["left", "right"], MOUNTS, TIMEOUTS)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"ldiar": MILLISECOND}, "there is no 'ldiar' to have a timeout"),
+        ({"lidar": None, "left": None}, "'left' has no timeout; 'lidar' has no timeout"),
+        ({"lidar": None, "ldiar": 1}, "'lidar' has no timeout; there is no 'ldiar' to have a timeout"),
+        ({"imu": 0}, "the timeout of 'imu' must be more than 0"),
+        ({"left": -1}, "the timeout of 'left' must be more than 0"),
+    ],
+)
+def test_each_source_has_one_timeout_and_no_timeout_is_nobodys(
+    change: dict[str, Nanos | None], said: str
+) -> None:
+    timeouts = {name: t for name, t in {**TIMEOUTS, **change}.items() if t is not None}
+    for settings in (SETTINGS, BrainSettings("joints", joints=Joints(("left", "right")))):
+        with pytest.raises(ValueError, match=said) as error:
+            Brain(settings, ["left", "right"], MOUNTS, timeouts)
+        assert str(error.value) == said
+
+
+def test_a_wheel_that_is_no_motor_is_refused() -> None:
+    timeouts = {name: t for name, t in TIMEOUTS.items() if name != "right"}
+    with pytest.raises(ValueError, match="wheels that are no motors: right"):
+        Brain(SETTINGS, ["left"], MOUNTS, timeouts)
+
+
+def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
+    with pytest.raises(ValueError, match="'left' is the name of two"):
+        Brain(SETTINGS, ["left", "right"], {**MOUNTS, "left": Mount()}, TIMEOUTS)
