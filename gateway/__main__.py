@@ -25,6 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     command = {
         "demo": commands.demo,
         "run": commands.run,
+        "twin": commands.twin,
         "replay": commands.replay,
         "check": commands.check,
         "protocols": commands.protocols,
@@ -59,14 +60,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = _command(commands, "run", "run a robot on its buses")
     _robot(run)
-    run.add_argument(
-        "--bus",
-        type=_interface,
-        action="append",
-        default=[],
-        metavar="NAME=INTERFACE:CHANNEL",
-        help="put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin",
-    )
+    _bus(run, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin")
     run.add_argument(
         "--goal", type=_goal, action="append", default=[], metavar="X,Y[,YAW]", help="m, m, degrees"
     )
@@ -78,6 +72,12 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--fast", action="store_true", help="in simulated time; only if every bus is a twin")
     run.add_argument("--seed", type=int, help="of the world's noise, where buses are twins")
     run.add_argument("--realtime", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO with this priority")
+
+    twin = _command(commands, "twin", "be the devices of a robot, for another program to drive")
+    _robot(twin)
+    _bus(twin, "let them speak there, as in can0=socketcan:vcan0 (default: ptys of their own)")
+    twin.add_argument("--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C)")
+    twin.add_argument("--seed", type=int, help="of the world's noise (default: the robot file's)")
 
     replay = _command(commands, "replay", "run a recording through the same code, and compare every byte")
     replay.add_argument("file", type=Path, metavar="FILE")
@@ -111,6 +111,12 @@ def _command(
 def _robot(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "robot", metavar="ROBOT", help="a robot file, or the name of one that ships with the gateway"
+    )
+
+
+def _bus(command: argparse.ArgumentParser, text: str) -> None:
+    command.add_argument(
+        "--bus", type=_interface, action="append", default=[], metavar="NAME=INTERFACE:CHANNEL", help=text
     )
 
 

@@ -250,6 +250,14 @@ def status_text(made: Session) -> str:
     return "\n".join(lines)
 
 
+def twin(options: Namespace) -> int:
+    """Be the devices of a robot until told to leave."""
+    from gateway.twin_process import twin as serve
+
+    with _sentences():
+        return serve(options)
+
+
 def replay(options: Namespace) -> int:
     """Run a recording's inputs through the code of today, and compare every byte."""
     from gateway import config, machine, shipped

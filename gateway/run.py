@@ -25,7 +25,7 @@ from gateway.gateway import Gateway
 from gateway.robot import Robot
 from gateway.tick import Inputs, Note, Tick
 from protocols.wire import BusState, Packet
-from protocols.words import MILLISECOND, Asked, Leave, Nanos
+from protocols.words import MILLISECOND, SECOND, Asked, Leave, Nanos
 
 log = logging.getLogger("gateway")
 
@@ -33,6 +33,8 @@ FAREWELL = 200 * MILLISECOND
 """How long leaving waits for the devices to say that they are disarmed, when they have braked."""
 LEAST_STEP = MILLISECOND
 """A driver that is due between two periods gets a step of its own, but not more often than this."""
+STALE = SECOND // 2
+"""A serving loop that was away for longer does not make up for it."""
 
 
 Keep: TypeAlias = Callable[[Tick, Belief], None]
@@ -143,30 +145,87 @@ def moments(
         clock.wait(min(deadline, between) if between + LEAST_STEP <= deadline else deadline)
 
 
+@dataclass(slots=True)
+class Service:
+    """What a serving loop counts."""
+
+    heard: int = 0
+    said: int = 0
+    late: Nanos = 0
+    """The longest that the world had to catch up in one go."""
+    lost: Nanos = 0
+    """How long the world stood still because this process did."""
+    unheard: int = 0
+    """Packets that came meanwhile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """One moment of a serving loop."""
+
+    now: Nanos
+    states: tuple[tuple[str, BusState], ...]
+    """What the outer buses told of themselves."""
+    heard: tuple[Packet, ...]
+    said: tuple[Packet, ...]
+    stood: Nanos = 0
+    """How long the world stood still just before; what came meanwhile was not heard."""
+
+
 def serve(
-    world_buses: Mapping[str, Bus], buses: Mapping[str, Bus], clock: Clock, period: Nanos
-) -> Generator[Nanos]:
-    """Be the devices: carry what the real buses bring to the world of twins, and back."""
-    account = Account()
-    for now in moments(clock, period, lambda: None, account):
-        for name, bus in buses.items():
-            _states, packets = bus.read(now)
-            world_buses[name].write(now, [p.wire for p in packets])
-        for name, twins in world_buses.items():
-            _states, packets = twins.read(now)
-            buses[name].write(now, [p.wire for p in packets])
-        yield now
+    world_buses: Mapping[str, Bus],
+    buses: Mapping[str, Bus],
+    clock: Clock,
+    period: Nanos = MILLISECOND,
+    *,
+    until: Nanos | None = None,
+    account: Service | None = None,
+) -> Generator[Served]:
+    """Be the devices: carry what the outer buses bring to the world of twins, and back.
+
+    The world keeps pace with the clock: what a late moment has missed it makes up for, and what came in is
+    heard at its own time. Only if this process stood still for longer than `STALE`, the world has stood still
+    with it, and what has come in meanwhile is not heard: devices that were off obey no old commands."""
+    account = account if account is not None else Service()
+    behind: Nanos = 0
+    last = clock.now()
+    for now in moments(clock, period, lambda: None, Account()):
+        if until is not None and now >= until:
+            return
+        states, packets = _take(buses, now)
+        stood = now - last if now - last > STALE else 0
+        if stood:
+            behind += stood
+            account.lost += stood
+            account.unheard += len(packets)
+            packets = []
+        account.late = max(account.late, now - last - stood)
+        for packet in packets:
+            world_buses[packet.bus].write(max(packet.t, last) - behind, (packet.wire,))
+        _, said = _take(world_buses, now - behind)
+        _write(buses, now, said)
+        account.heard += len(packets)
+        account.said += len(said)
+        last = now
+        yield Served(now, tuple(states), tuple(packets), tuple(said), stood)
 
 
-def _gather(buses: Mapping[str, Bus], now: Nanos, asked: Sequence[Asked]) -> Inputs:
+def _take(buses: Mapping[str, Bus], now: Nanos) -> tuple[list[tuple[str, BusState]], list[Packet]]:
+    """What has changed and what has come in, of all buses, in order of time.
+
+    What came at the same moment stays in the order of the robot file's buses."""
     states: list[tuple[str, BusState]] = []
     packets: list[Packet] = []
     for name, bus in buses.items():
         changes, arrived = bus.read(now)
         states += [(name, state) for state in changes]
         packets += arrived
-    # In order of time; what came at the same moment stays in the order of the robot file's buses.
     packets.sort(key=lambda packet: packet.t)
+    return states, packets
+
+
+def _gather(buses: Mapping[str, Bus], now: Nanos, asked: Sequence[Asked]) -> Inputs:
+    states, packets = _take(buses, now)
     return Inputs(tuple(states), tuple(packets), tuple(asked))
 
 
