@@ -95,6 +95,7 @@ class Figures:
     def lines(self) -> list[str]:
         """For a person."""
         near = sum(a.near for a in self.arrivals)
+        truly = max(self.length, 1e-9)
         rows = [
             f"goal {i}: {a.x:.2f}, {a.y:.2f} m after {a.t / SECOND:.1f} s, true pose {a.distance:.3f} m away"
             for i, a in enumerate(self.arrivals, 1)
@@ -106,9 +107,9 @@ class Figures:
             ("believed path", self.believed_error, self.believed_length),
             ("raw odometry ", self.raw_error, self.raw_length),
         ):
-            share = 100 * error / max(self.length, 1e-9)
+            share, longer = 100 * error / truly, 100 * (length / truly - 1.0)
             off = f"at most {error:.3f} m off the true one ({share:.2f} % of its length)"
-            rows.append(f"{name}: {off}, {length:.2f} m long")
+            rows.append(f"{name}: {off}, {length:.2f} m long ({longer:+.2f} %)")
         rows.append(
             f"age of what commands rest on: median {self.age_median:.1f}, worst {self.age_worst:.1f} ms"
         )

@@ -44,8 +44,12 @@ class Drive(NamedTuple):
 
 
 def gateway(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own, with an empty home and nothing left over in the environment."""
+    """The command in a process of its own, with an empty home and nothing left over in the environment.
+
+    But for the choice of the processor's arithmetic: a replay in this process must round as that one."""
+    arithmetic = {name: value for name, value in os.environ.items() if name.startswith("OPENBLAS_")}
     clean = {"PATH": os.environ["PATH"], "HOME": environment.pop("home", "/nonexistent"), **environment}
+    clean |= arithmetic
     return subprocess.run(
         [sys.executable, "-m", "gateway", *arguments],
         capture_output=True,

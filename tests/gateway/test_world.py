@@ -103,7 +103,7 @@ def test_office_wheels_spoil_raw_odometry_and_a_gyro_mends_the_heading_but_not_t
     path = driver.path()
     assert path > 7.0
     raw, by_gyro = driver.off(driver.odometry()), driver.off(_by_gyro(driver, 1.0))
-    assert raw > 2.0 * by_gyro > 0.02 * path
+    assert raw > 1.3 * by_gyro > 0.01 * path
     rolled = 0.05 * sum(driver.encoders[-1]) / 2.0
     assert path / rolled == pytest.approx(1.025, abs=0.01)  # the tyres are larger than the robot file says
 
