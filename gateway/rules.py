@@ -73,10 +73,9 @@ def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:
 
 def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> None:
     joint, spec = motor.joint, motor.spec
-    for key, word in (("safe", joint.safe), ("silent", joint.silent)):
-        if word == "hold" and not spec.holds_unattended:
-            why = "with nobody feeding it, the device lets go of its load (its watchdog)"
-            mistakes.add((*at, key), f'found "hold", expected "idle": {why}')
+    if joint.safe == "hold" and not spec.holds_unattended:  # a silent brain's Hold is fed by the joint
+        why = "with nobody feeding it, the device lets go of its load (its watchdog)"
+        mistakes.add((*at, "safe"), f'found "hold", expected "idle": {why}')
     if joint.safe == "brake" and Velocity not in spec.commands:
         mistakes.add(
             (*at, "safe"), 'found "brake", expected "idle": the device takes no velocity to brake by'
@@ -125,7 +124,7 @@ def cautions(robot: Robot) -> list[str]:
     told = [f"{part.name}: {part.spec.watchdog.note}" for part in parts if part.spec.watchdog.note]
     for motor in robot.motors.values():
         told.extend(_beyond(motor))
-    return told + _too_fast(robot)
+    return told + _too_fast(robot) + _always_late(robot) + _unused(robot)
 
 
 def _too_fast(robot: Robot) -> list[str]:
@@ -138,6 +137,33 @@ def _too_fast(robot: Robot) -> list[str]:
         f"{body.wheel_speed:.3g} rad/s that max_linear and max_angular together need; the base will turn wide"
         for name in (body.left, body.right)
         if robot.motors[name].joint.limits.velocity < body.wheel_speed
+    ]
+
+
+def _always_late(robot: Robot) -> list[str]:
+    """Motors that report so seldom that the brain finds every report too old before the next."""
+    body, health = robot.brain.differential, robot.brain.health
+    names, what, share = list(robot.motors), "its target is dropped", health.stand_age
+    if robot.brain.body == "differential" and body is not None:
+        names, what, share = [body.left, body.right], "the base goes slow", health.slow_age
+    told: list[str] = []
+    for motor in (robot.motors[name] for name in names):
+        limit, period = round(share * motor.joint.feedback_timeout), motor.spec.feedback_period
+        if motor.spec.feedback is not FeedbackKind.NONE and limit <= period:
+            told.append(
+                f"{motor.name}: {what} when its feedback is older than {limit / MILLISECOND:g} ms, {share:g} "
+                f"of its feedback_timeout_ms; the device reports every {period / MILLISECOND:g} ms only"
+            )
+    return told
+
+
+def _unused(robot: Robot) -> list[str]:
+    """Sensors whose measurements, and so their timeouts, nobody uses."""
+    if robot.brain.body != "joints":
+        return []
+    return [
+        f"{name}: bare joints use no sensor; it is recorded, and its silence goes unnoticed"
+        for name in robot.sensors
     ]
 
 

@@ -513,11 +513,15 @@ def with_stranger(text: str, **changes: Any) -> list[str]:
 
 
 def test_hold_cannot_be_the_last_word_of_a_device_that_lets_go() -> None:
-    text = changed('safe = "idle"', 'safe = "hold"', changed('silent = "idle"', 'silent = "hold"'))
+    text = changed('safe = "idle"', 'safe = "hold"')
     assert told(text) == []
-    found = with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset())
-    assert [line.split(": ")[1] for line in found] == ["motors.left.silent", "motors.left.safe"]
-    assert all('found "hold", expected "idle": with nobody feeding it' in line for line in found)
+    (said,) = with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset())
+    assert 'motors.left.safe: found "hold", expected "idle": with nobody feeding it' in said
+
+
+def test_a_silent_brain_may_mean_hold_on_any_device_for_the_joint_goes_on_feeding_it() -> None:
+    text = changed('silent = "idle"', 'silent = "hold"')
+    assert with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset()) == []
 
 
 def test_a_brake_needs_a_device_that_takes_a_velocity() -> None:
@@ -574,6 +578,31 @@ def test_limits_that_a_device_cannot_be_told_are_cautions() -> None:
 def test_a_body_that_is_faster_than_its_joints_is_a_caution() -> None:
     (said,) = cautions(loads(changed("velocity = 20.0", "velocity = 16.0")))
     assert said.startswith("left: its limit of 16 rad/s is below the 16.4 rad/s that max_linear")
+
+
+def test_feedback_that_is_always_too_old_for_the_brain_is_a_caution() -> None:
+    def at(timeout_ms: int, more: str = "") -> list[str]:
+        return cautions(
+            loads(ROVER.replace("feedback_timeout_ms = 100 ", f"feedback_timeout_ms = {timeout_ms} ") + more)
+        )
+
+    assert at(21) == []
+    said = "left: the base goes slow when its feedback is older than 10 ms, 0.5 of its feedback_timeout_ms; "
+    assert at(20) == [said + "the device reports every 10 ms only"]
+    assert at(20, "\n[brain.health]\nslow_age = 0.6\n") == []
+    bench = BENCH.replace("feedback_timeout_ms = 100", "feedback_timeout_ms = 11")
+    assert [line[:28] for line in cautions(loads(bench))] == [
+        "left: its target is dropped ",
+        "right: its target is dropped",
+    ]
+
+
+def test_a_sensor_that_nobody_uses_is_a_caution() -> None:
+    imu = '[buses.line]\nkind = "serial"\nbaudrate = 115_200\ninterface = "twin"\n'
+    imu += '[sensors.imu]\nprotocol = "plain"\nbus = "line"\naddress = 1\n'
+    assert cautions(loads(BENCH)) == []
+    (said,) = cautions(loads(f"{BENCH}\n{imu}"))
+    assert said == "imu: bare joints use no sensor; it is recorded, and its silence goes unnoticed"
 
 
 def numbers_of(robot: Robot) -> list[str]:
