@@ -1,5 +1,7 @@
 """Our values as ROS 2 messages: one pure function per message, from what we know to what others can open.
 
+Here are the rare ones, made as objects for a general serialiser; those of every step are in `gateway.cdr`.
+
 Rules. Units and frames are those of REP-103 and REP-105: SI, x forward, y left, z up; "odom" is the world as
 the robot knows it, "base_link" the robot, and every sensor has a frame of its own name. A header's stamp is
 the time of the measurement or belief, not of the writing. What a message cannot say is left out, never made
@@ -18,11 +20,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from brain.belief import Estimate, MapView, Pose
+from brain.belief import MapView, Pose
 from brain.perception.mount import Mount
+from gateway.cdr import BASE, WORLD, clock, float32
 from gateway.tick import Note
-from protocols.wire import CanFrame
-from protocols.words import SECOND, Fix, Goal, Imu, LaserScan, Nanos
+from protocols.words import Fix, Goal, Nanos
 
 
 class Message(Protocol):
@@ -37,8 +39,6 @@ class Message(Protocol):
 Types = Mapping[str, Callable[..., Message]]
 Floats = npt.NDArray[np.float64]
 
-WORLD, BASE = "odom", "base_link"
-FLOAT32_MAX = 3.4028234663852886e38
 _LOG_LEVELS = {"info": 20, "warning": 30, "error": 40}
 
 CAN_FRAME = "can_msgs/msg/Frame"
@@ -67,8 +67,8 @@ uint8[<=64] data
 
 def stamp(types: Types, t: Nanos) -> Message:
     """builtin_interfaces/Time; seconds are int32 there."""
-    seconds, rest = divmod(t, SECOND)
-    return types["builtin_interfaces/msg/Time"](sec=max(-(2**31), min(2**31 - 1, seconds)), nanosec=rest)
+    seconds, rest = clock(t)
+    return types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
 
 
 def header(types: Types, t: Nanos, frame: str) -> Message:
@@ -76,66 +76,7 @@ def header(types: Types, t: Nanos, frame: str) -> Message:
     return types["std_msgs/msg/Header"](stamp=stamp(types, t), frame_id=frame)
 
 
-def can_frame(types: Types, t: Nanos, bus: str, frame: CanFrame) -> Message:
-    """can_msgs/Frame, or ros2_socketcan_msgs/FdFrame of an FD frame; the header's frame is the bus."""
-    if frame.fd:
-        return types[FD_FRAME](
-            header=header(types, t, bus),
-            id=frame.id,
-            is_extended=frame.extended,
-            is_error=False,
-            len=min(64, len(frame.data)),
-            data=np.frombuffer(frame.data[:64], np.uint8),
-        )
-    return types[CAN_FRAME](
-        header=header(types, t, bus),
-        id=frame.id,
-        is_rtr=frame.remote,
-        is_extended=frame.extended,
-        is_error=False,
-        dlc=min(8, len(frame.data)),
-        data=np.frombuffer(frame.data[:8].ljust(8, b"\0"), np.uint8),
-    )
-
-
 # -- where the robot is ------------------------------------------------------------------------
-
-
-def odometry(types: Types, estimate: Estimate) -> Message:
-    """nav_msgs/Odometry of the filter's estimate; z, roll and pitch are zero and certain, the twist has no
-    covariance."""
-    covariance = np.zeros((6, 6))
-    covariance[np.ix_((0, 1, 5), (0, 1, 5))] = estimate.covariance
-    return _odometry(
-        types, estimate.t, estimate.pose, estimate.linear, estimate.angular, covariance.reshape(36)
-    )
-
-
-def dead_reckoning(types: Types, t: Nanos, pose: Pose) -> Message:
-    """nav_msgs/Odometry of the wheels alone; neither twist nor covariance."""
-    return _odometry(types, t, pose, 0.0, 0.0, np.zeros(36))
-
-
-def _odometry(
-    types: Types, t: Nanos, pose: Pose, linear: float, angular: float, covariance: Floats
-) -> Message:
-    twist = types["geometry_msgs/msg/Twist"](
-        linear=_vector(types, linear, 0.0, 0.0), angular=_vector(types, 0.0, 0.0, angular)
-    )
-    return types["nav_msgs/msg/Odometry"](
-        header=header(types, t, WORLD),
-        child_frame_id=BASE,
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=_pose(types, pose), covariance=covariance),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
-    )
-
-
-def base_transform(types: Types, estimate: Estimate) -> Message:
-    """tf2_msgs/TFMessage: where base_link stands in odom."""
-    pose = estimate.pose
-    return _transforms(
-        types, [_transform(types, estimate.t, WORLD, BASE, (pose.x, pose.y, 0.0), yaw_quaternion(pose.yaw))]
-    )
 
 
 def mount_transforms(types: Types, t: Nanos, mounts: Mapping[str, Mount]) -> Message:
@@ -212,42 +153,6 @@ def occupancy(types: Types, t: Nanos, view: MapView) -> Message:
 # -- what the sensors and motors said ----------------------------------------------------------
 
 
-def laser_scan(types: Types, scan: LaserScan) -> Message:
-    """sensor_msgs/LaserScan: nothing hit is +inf (REP-117); no reading stays as it is, below range_min."""
-    ranges = np.array(scan.ranges, np.float64)
-    ranges[ranges >= scan.range_max] = np.inf
-    with np.errstate(over="ignore"):
-        ranges32 = ranges.astype(np.float32)
-    return types["sensor_msgs/msg/LaserScan"](
-        header=header(types, scan.t, scan.sensor),
-        angle_min=float32(scan.angle_min),
-        angle_max=float32(scan.angle_min + max(0, len(scan.ranges) - 1) * scan.angle_increment),
-        angle_increment=float32(scan.angle_increment),
-        time_increment=0.0,
-        scan_time=0.0,
-        range_min=float32(scan.range_min),
-        range_max=float32(scan.range_max),
-        ranges=ranges32,
-        intensities=np.zeros(0, np.float32),
-    )
-
-
-def imu(types: Types, event: Imu) -> Message:
-    """sensor_msgs/Imu; a covariance that starts with -1 marks an orientation that was not measured."""
-    orientation_covariance = np.zeros(9)
-    if event.orientation is None:
-        orientation_covariance[0] = -1.0
-    return types["sensor_msgs/msg/Imu"](
-        header=header(types, event.t, event.sensor),
-        orientation=_quaternion(types, event.orientation or (0.0, 0.0, 0.0, 1.0)),
-        orientation_covariance=orientation_covariance,
-        angular_velocity=_vector(types, *event.angular_velocity),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=_vector(types, *event.linear_acceleration),
-        linear_acceleration_covariance=np.zeros(9),
-    )
-
-
 def fix(types: Types, event: Fix) -> Message:
     """sensor_msgs/NavSatFix; an altitude that was not measured is NaN, as that message has it."""
     covariance = np.zeros(9)
@@ -262,28 +167,6 @@ def fix(types: Types, event: Fix) -> Message:
         position_covariance=covariance,
         position_covariance_type=0 if event.variance is None else 1,
     )
-
-
-def joint_state(
-    types: Types, t: Nanos, joints: Mapping[str, tuple[float | None, float | None, float | None]]
-) -> Message:
-    """sensor_msgs/JointState of (position, velocity, effort) by joint, at the output shafts.
-
-    A quantity that no joint measures is an empty array; one that some do not measure is NaN there."""
-    columns = [_column(values) for values in zip(*joints.values(), strict=True)]
-    return types["sensor_msgs/msg/JointState"](
-        header=header(types, t, ""),
-        name=list(joints),
-        position=columns[0],
-        velocity=columns[1],
-        effort=columns[2],
-    )
-
-
-def _column(values: Sequence[float | None]) -> Floats:
-    if all(v is None for v in values):
-        return np.zeros(0)
-    return np.array([math.nan if v is None else v for v in values], np.float64)
 
 
 # -- how it is ---------------------------------------------------------------------------------
@@ -322,11 +205,6 @@ def log(types: Types, t: Nanos, note: Note) -> Message:
 
 
 # -- small ones --------------------------------------------------------------------------------
-
-
-def float32(value: float) -> float:
-    """Cut to what float32 can hold, so that packing it cannot overflow."""
-    return max(-FLOAT32_MAX, min(FLOAT32_MAX, value))
 
 
 def text(said: str) -> str:

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from brain.belief import Belief, BrainState
 from brain.perception.mount import Mount
-from gateway import messages
+from gateway import cdr, messages
 from gateway.messages import Message
 from gateway.tick import Note, Tick
 from protocols.wire import CanFrame, Packet
@@ -57,6 +57,9 @@ MAP_PERIOD = SECOND
 DIAGNOSTICS_PERIOD = 500 * MILLISECOND
 
 UINT64 = 2**64 - 1
+SCAN, IMU = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Imu"
+ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
 _BRAIN_LEVELS = {
@@ -120,6 +123,9 @@ class Views:
         self._mounts = dict(mounts or {})
         self._store = typestore()
         self._types: messages.Types = self._store.types
+        self._layouts = cdr.Layouts()
+        self._topics: dict[tuple[str, str, bool], str] = {}
+        """Of frames, by bus, direction and whether they are FD."""
         self._sent: dict[str, Nanos] = {}
         """By topic, when it was last sent."""
         self._shown: dict[str, object] = {}
@@ -143,6 +149,11 @@ class Views:
         ]
         views += self._health(tick, belief)
         return views
+
+    def show_again(self) -> None:
+        """Forget what was shown, as after a gap in a recording: all that is now is shown anew."""
+        self._sent.clear()
+        self._shown.clear()
 
     def definition(self, type_: str) -> str:
         """The definition of a message type, with those of all types in it (ros2msg)."""
@@ -172,24 +183,34 @@ class Views:
         return View(
             topic,
             type_,
-            max(0, min(UINT64, t)),
+            _stamp(t),
             bytes(self._store.serialize_cdr(message, type_, little_endian=True)),
         )
 
     # -- what came in and went out ----------------------------------------------------------------
 
     def _frame(self, packet: Packet, direction: str, frame: CanFrame) -> View:
-        topic = f"/{topic_name(packet.bus)}/{direction}_can_bus{'_fd' if frame.fd else ''}"
-        return self._view(topic, packet.t, messages.can_frame(self._types, packet.t, packet.bus, frame))
+        key = packet.bus, direction, frame.fd
+        topic = self._topics.get(key)
+        if topic is None:
+            name = f"/{topic_name(packet.bus)}/{direction}_can_bus{'_fd' if frame.fd else ''}"
+            topic = self._topics[key] = name
+        if frame.fd:
+            data = cdr.fd_frame(self._layouts, packet.t, packet.bus, frame)
+            return View(topic, messages.FD_FRAME, _stamp(packet.t), data)
+        data = cdr.can_frame(self._layouts, packet.t, packet.bus, frame)
+        return View(topic, messages.CAN_FRAME, _stamp(packet.t), data)
 
     def _events(self, events: Sequence[Event]) -> list[View]:
         views: list[View] = []
         for event in events:
             match event:
                 case LaserScan():
-                    views.append(self._view("/scan", event.t, messages.laser_scan(self._types, event)))
+                    data = cdr.laser_scan(self._layouts, event)
+                    views.append(View("/scan", SCAN, _stamp(event.t), data))
                 case Imu():
-                    views.append(self._view("/imu/data", event.t, messages.imu(self._types, event)))
+                    data = cdr.imu(self._layouts, event)
+                    views.append(View("/imu/data", IMU, _stamp(event.t), data))
                 case Fix():
                     views.append(self._view("/fix", event.t, messages.fix(self._types, event)))
                 case _:
@@ -233,11 +254,12 @@ class Views:
             and self._due("/odom", now, BELIEF_PERIOD)
         ):
             self._shown["/odom"] = estimate.t
-            views.append(self._view("/odom", estimate.t, messages.odometry(self._types, estimate)))
-            views.append(self._view("/tf", estimate.t, messages.base_transform(self._types, estimate)))
+            t, layouts = _stamp(estimate.t), self._layouts
+            views.append(View("/odom", ODOMETRY, t, cdr.odometry(layouts, estimate)))
+            views.append(View("/tf", TRANSFORMS, t, cdr.base_transform(layouts, estimate)))
             if belief.raw is not None:
-                raw = messages.dead_reckoning(self._types, estimate.t, belief.raw)
-                views.append(self._view("/wheel_odom", estimate.t, raw))
+                raw = cdr.dead_reckoning(layouts, estimate.t, belief.raw)
+                views.append(View("/wheel_odom", ODOMETRY, t, raw))
         grid = belief.map
         if (
             grid is not None
@@ -264,7 +286,7 @@ class Views:
             return []
         self._moved = False
         measured = {name: (m.position, m.velocity, m.torque) for name, m in self._motors.items()}
-        return [self._view("/joint_states", now, messages.joint_state(self._types, now, measured))]
+        return [View("/joint_states", JOINT_STATE, _stamp(now), cdr.joint_state(now, measured))]
 
     # -- how it is --------------------------------------------------------------------------------
 
@@ -308,6 +330,10 @@ class Views:
 
 _MEASURED = ("position", "velocity", "torque", "current", "voltage", "temperature")
 _TOLD = {"current": "A", "voltage": "V", "temperature": "degC"}
+
+
+def _stamp(t: Nanos) -> Nanos:
+    return max(0, min(UINT64, t))
 
 
 def topic_name(name: str) -> str:

@@ -19,6 +19,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "concurrent": (),
     "filterpy": ("brain.perception.ekf",),
     "matplotlib": ("gateway.picture",),
+    "lz4": RECORDINGS,
     "mcap": RECORDINGS,
     "mujoco": ("gateway.world",),
     "multiprocessing": (),

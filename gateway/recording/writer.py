@@ -1,58 +1,42 @@
-"""Writes a recording. What cannot be written is counted in `lost` and told in `trouble`.
+"""The recorder: takes ticks from the loop and never hinders it. What is missing is counted and told.
 
-Rules. No error of a disk reaches the loop, and nothing is written after the first one: what lies before it
-stays readable. What was handed over is on disk at most 100 ms later (so much may be lost on a kill), with a
-warning or an error at once.
+Rules. Two threads beside the loop: one writes, one asks the disk to make it last. What was handed over has
+left this process at most 100 ms later, so that a kill loses no more; with a warning or an error at once. It
+survives a loss of power after about a second. A disk that is slow has 5 s of ticks to wait; then ticks are
+left out until half of these are written, so that a gap is one gap. Trouble is told once, when it begins and
+when it ends, by whichever thread meets it: to the log at once, and in `trouble`.
 """
 
 from __future__ import annotations
 
+import errno
+import logging
 import os
 import queue
-import struct
 import threading
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from brain.belief import Belief
 from brain.perception.mount import Mount
-from gateway import journal, machine
-from gateway.recording.layout import FACTS, FORMAT, METADATA, ROBOT_FILE, RecordingError, digest
+from gateway import machine
+from gateway.recording.sheet import Sheet
 from gateway.tick import Tick
 from gateway.views import Views
-from protocols.words import MILLISECOND, Nanos
 
-if TYPE_CHECKING:
-    from mcap.writer import Writer
+log = logging.getLogger("gateway")
 
-FLUSH_PERIOD: Nanos = 80 * MILLISECOND
-"""Between two flushes, by the ticks' own time. More would break the promise of 100 ms, less costs memory:
-the index of a chunk stays in the writer, about 1 kB each."""
 IDLE = 0.02
 """s without a tick after which is flushed too, so that the promise holds at any period."""
-CHUNK = 64 * 1024
 DEPTH = 1024
 """Ticks that may wait for the writer: 5 s at 200 Hz."""
+SYNC_PERIOD = 1.0
+"""s between two requests to the disk to keep what was written"""
 CLOSE_WITHIN = 10.0
 """s that closing waits for a slow disk"""
-
-# Their subscribers come late: rosbag2 must offer them what was sent before (QoS as rosbag2 writes it).
-_LATCHED = frozenset({"/tf_static", "/map", "/plan", "/goal_pose"})
-_LATCHED_QOS = """\
-- history: keep_last
-  depth: 1
-  reliability: reliable
-  durability: transient_local
-  deadline: {sec: 0, nsec: 0}
-  lifespan: {sec: 0, nsec: 0}
-  liveliness: automatic
-  liveliness_lease_duration: {sec: 0, nsec: 0}
-  avoid_ros_namespace_conventions: false
-"""
 
 
 class Recorder:
@@ -72,29 +56,40 @@ class Recorder:
         self.trouble = ""
         """What went wrong last, in a sentence; "" as long as nothing has. Changes at most a few times."""
         self._refused = 0
-        self._file = _File(path, robot_text, {**machine.facts(), **facts}, Views(mounts))
+        self._gap = 0
+        """Ticks refused since the queue was full; 0 if it is not."""
+        self._depth = depth
+        self._sheet = Sheet(path, robot_text, {**machine.facts(), **facts}, Views(mounts))
         self._queue: queue.Queue[tuple[Tick, Belief] | None] = queue.Queue(depth)
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
+        self._syncer = _Syncer(self._sheet.descriptor, path, self._tell)
 
     @property
     def lost(self) -> int:
         """Ticks that are not in the file although they were handed over."""
-        return self._refused + self._file.lost
+        return self._refused + self._sheet.lost
 
     def record(self, tick: Tick, belief: Belief, *, patient: bool = False) -> None:
         """Hand over a tick and the belief after it. Never waits, unless `patient` (in simulated time)."""
+        if self._gap and self._queue.qsize() > self._depth // 2 and not patient:
+            self._refuse()
+            return
         try:
             # The counts are the one part of a belief that its owner goes on writing to.
             self._put((tick, replace(belief, rejected=dict(belief.rejected))), patient)
         except queue.Full:
-            if not self._refused:
+            if not self._gap:
                 why = "the disk is too slow" if self._thread.is_alive() else "it is closed"
-                self.trouble = (
+                self._tell(
                     f"ticks from {tick.number} on are missing in {self.path}: {why}; the robot drives on"
                 )
-            self._refused += 1
+            self._refuse()
+            return
+        if self._gap:
+            self._tell(f"{self.path} goes on with tick {tick.number}: {self._gap} ticks are missing")
+            self._gap = 0
 
     def close(self) -> None:
         """Write what is waiting, and the file's index. May be called again."""
@@ -107,8 +102,12 @@ class Recorder:
             pass
         else:
             self._thread.join(CLOSE_WITHIN)
-        if self._thread.is_alive() and not self.trouble:
-            self.trouble = f"{self.path} has no end: the disk did not take it within {CLOSE_WITHIN:g} s"
+        self._syncer.close()
+        if self._thread.is_alive():
+            self._tell(
+                f"{self.path} has no index: the disk did not take the rest within {CLOSE_WITHIN:g} s; "
+                f"mend it with: gateway recover {self.path}"
+            )
 
     def __enter__(self) -> Self:
         return self
@@ -117,6 +116,10 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _refuse(self) -> None:
+        self._refused += 1
+        self._gap += 1
 
     def _put(self, item: tuple[Tick, Belief] | None, patient: bool) -> None:
         """Raises queue.Full if nobody takes it: at once, or if patient, when nobody ever will."""
@@ -133,127 +136,52 @@ class Recorder:
     def _run(self) -> None:
         while True:
             try:
-                item = self._queue.get(timeout=IDLE if self._file.pending else None)
+                item = self._queue.get(timeout=IDLE if self._sheet.pending else None)
             except queue.Empty:
-                self._tell(self._file.flush())
+                self._tell(self._sheet.flush())
                 continue
             if item is None:
                 break
-            self._tell(self._file.add(*item))
-        self._tell(self._file.finish())
+            self._tell(self._sheet.add(*item))
+        self._tell(self._sheet.finish())
 
     def _tell(self, trouble: str) -> None:
         if trouble:
             self.trouble = trouble
+            log.error("recording: %s", trouble)
 
 
-class _File:
-    """The file, seen by the writer's thread only. Each method returns what went wrong, or ""."""
+class _Syncer:
+    """Asks the disk once a second to make last what was written, in a thread of its own: a disk may take its
+    time over that, and what is handed over must leave the process meanwhile."""
 
-    def __init__(self, path: Path, robot_text: str, facts: Mapping[str, str], views: Views) -> None:
-        from mcap.writer import CompressionType, Writer
+    def __init__(self, descriptor: int, path: Path, tell: Callable[[str], None]) -> None:
+        self._descriptor = os.dup(descriptor)  # so that it is still ours when the file is closed
+        self._path, self._tell = path, tell
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
+        self._thread.start()
 
-        self.path = path
-        self.lost = 0
-        self._views = views
-        self._seals = journal.UNSEALED
-        self._channels: dict[tuple[str, str], int] = {}
-        self.pending = 0
-        """Ticks not yet flushed,"""
-        self._since: Nanos = 0
-        """the first of them from then."""
-        self._broken = False
+    def close(self) -> None:
+        """Ask no more. Does not wait for a disk."""
+        self._closing.set()
+
+    def _run(self) -> None:
         try:
-            self._stream = path.open("wb")
+            _sync_folder(self._path.parent)
+            while not self._closing.wait(SYNC_PERIOD):
+                os.fdatasync(self._descriptor)
         except OSError as error:
-            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
-        self._writer: Writer = Writer(self._stream, chunk_size=CHUNK, compression=CompressionType.LZ4)
-        try:
-            self._begin(robot_text, facts)
-        except OSError as error:
-            self._abandon()
-            raise RecordingError(f"{path}: cannot be written: {error.strerror}") from error
+            if error.errno not in (errno.EINVAL, errno.EROFS):  # a pipe or device, which cannot do that
+                self._tell(f"{self._path}: the disk says that it lost something: {error.strerror}")
+        finally:
+            os.close(self._descriptor)
 
-    def _begin(self, robot_text: str, facts: Mapping[str, str]) -> None:
-        robot = robot_text.encode(errors="surrogateescape")
-        self._writer.start(profile="ros2", library=f"motor-gateway {facts.get('package motor-gateway', '')}")
-        self._writer.add_metadata(METADATA, {"format": FORMAT, "robot digest": digest(robot)})
-        self._writer.add_metadata(FACTS, dict(sorted(facts.items())))
-        self._writer.add_attachment(0, 0, ROBOT_FILE, "application/toml", robot)
-        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments only
 
-    def add(self, tick: Tick, belief: Belief) -> str:
-        """One tick and its views."""
-        if self._broken:
-            self.lost += 1
-            return ""
-        try:
-            data, seals = journal.encode(tick, self._seals)
-        except (ValueError, struct.error) as error:
-            self.lost += 1
-            return f"tick {tick.number} is not in the recording: {error}"
-        self._since = self._since if self.pending else tick.now
-        self.pending += 1
-        self._seals = seals
-        try:
-            self._message(tick, journal.TOPIC, journal.TYPE, tick.now, data)
-            for view in self._views.messages(tick, belief):
-                self._message(tick, *view)
-        except OSError as error:
-            return self._break(error)
-        urgent = any(note.level != "info" for note in tick.outputs.notes)
-        return self.flush() if urgent or tick.now - self._since >= FLUSH_PERIOD else ""
-
-    def flush(self) -> str:
-        """Everything so far, out of this process."""
-        if self._broken or not self.pending:
-            return ""
-        try:
-            self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates arguments only
-        except OSError as error:
-            return self._break(error)
-        self.pending = 0
-        return ""
-
-    def finish(self) -> str:
-        """The index, and the end."""
-        trouble = self.flush()
-        if self._broken:
-            return trouble
-        try:
-            with self._stream:
-                self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates arguments only
-                self._stream.flush()
-                os.fsync(self._stream.fileno())
-        except OSError as error:
-            return self._break(error)
-        return ""
-
-    def _break(self, error: OSError) -> str:
-        """Nothing is written after the first error: what lies before it stays readable."""
-        self._broken = True
-        self.lost += self.pending
-        self._abandon()
-        return f"the recording ends here: {self.path}: {error.strerror}; the robot drives on"
-
-    def _abandon(self) -> None:
-        with suppress(OSError):  # the same error again: what is still buffered cannot be written
-            self._stream.close()
-
-    def _message(self, tick: Tick, topic: str, type_: str, t: Nanos, data: bytes) -> None:
-        channel = self._channels.get((topic, type_))
-        if channel is None:
-            channel = self._channels[topic, type_] = self._channel(topic, type_)
-        self._writer.add_message(
-            channel,
-            log_time=max(0, tick.now),
-            data=data,
-            publish_time=max(0, t),
-            sequence=tick.number & 0xFFFFFFFF,
-        )
-
-    def _channel(self, topic: str, type_: str) -> int:
-        definition = journal.DEFINITION if type_ == journal.TYPE else self._views.definition(type_)
-        schema = self._writer.register_schema(type_, "ros2msg", definition.encode())
-        qos = {"offered_qos_profiles": _LATCHED_QOS} if topic in _LATCHED else {}
-        return self._writer.register_channel(topic, "cdr", schema, qos)
+def _sync_folder(folder: Path) -> None:
+    """Make the file's name last."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
