@@ -20,6 +20,7 @@ import numpy as np
 
 from brain.belief import Floats
 from brain.bodies.differential import wrap
+from brain.perception.consistency import Nis
 from brain.perception.measurement import Measurement, Verdict
 from brain.perception.motion import POSE, SIZE, SLIP, YAW, X, jacobian, move, process_noise
 from protocols.words import MILLISECOND, Nanos, seconds
@@ -100,6 +101,8 @@ class Ekf:
         self.settings = settings
         self.t: Nanos | None = None
         """Time of the newest measurement; None before the first."""
+        self.nis: dict[str, Nis] = {}
+        """How well the covariances fit what came, by source."""
         self._filter = _filter(settings)
         self._history: deque[_Entry] = deque()
         self._refused_since: dict[str, Nanos] = {}
@@ -178,9 +181,12 @@ class Ekf:
 
     def _judge(self, measurement: Measurement) -> Verdict:
         prior = self.state, self.covariance
-        gate = CHI_SQUARE[self.settings.confidence][len(measurement.value) - 1]
+        freedom = len(measurement.value)
+        gate = CHI_SQUARE[self.settings.confidence][freedom - 1]
         doubt = 1.0
         distance = self._update(measurement)
+        nis = self.nis.setdefault(measurement.source, Nis())
+        nis.add(distance, CHI_SQUARE[0.95][freedom - 1], freedom)
         since = self._refused_since.get(measurement.source)
         if distance <= gate:
             verdict = Verdict.ACCEPTED

@@ -19,6 +19,7 @@ import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, arc
+from brain.perception.consistency import Nis
 from brain.perception.ekf import Ekf, EkfSettings
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.measurement import Measurement, Verdict, gyro, located, resting, wheels
@@ -121,6 +122,11 @@ class Perception:
     def slip(self) -> float:
         """The share of the wheels' way that the base is believed not to go."""
         return float(self._ekf.state[SLIP])
+
+    @property
+    def nis(self) -> Mapping[str, Nis]:
+        """How well the covariances fit what came: by sensor, and of both wheels by the left one's name."""
+        return self._ekf.nis
 
     def last(self, name: str) -> Nanos | None:
         """Time of the newest measurement of a motor (of its motion) or a sensor; None before the first."""
