@@ -98,7 +98,7 @@ def devices(robot: Robot, clock: Clock, seed: int | None = None) -> Iterator[Dev
 
     inner = replace(robot, buses={n: replace(bus, interface=TWIN) for n, bus in robot.buses.items()})
     with ExitStack() as stack:
-        buses, told = _open(robot, clock, stack)
+        buses, told = _open(robot, clock, stack, 1)
         twins = open_world(inner, robot.seed if seed is None else seed)
         stack.enter_context(run.quiet_collector())
         made = Devices(told, twins, buses, clock)
@@ -106,7 +106,7 @@ def devices(robot: Robot, clock: Clock, seed: int | None = None) -> Iterator[Dev
         yield made
 
 
-def _open(robot: Robot, clock: Clock, stack: ExitStack) -> tuple[dict[str, Bus], Robot]:
+def _open(robot: Robot, clock: Clock, stack: ExitStack, ports: int) -> tuple[dict[str, Bus], Robot]:
     """The outer buses, and the robot with what another program opens to meet them."""
     buses: dict[str, Bus] = {}
     told = dict(robot.buses)
@@ -120,6 +120,11 @@ def _open(robot: Robot, clock: Clock, stack: ExitStack) -> tuple[dict[str, Bus],
             from gateway.buses.serial import open_serial
 
             buses[name] = open_serial(settings, clock)
+        elif settings.interface == TWIN:
+            from gateway.buses.slcan_pty import SlcanPty
+
+            adapters = buses[name] = SlcanPty(settings, clock, ports)
+            told[name] = replace(settings, interface=f"slcan:{adapters.paths[0]}")
         else:
             from gateway.buses.can import open_can
 

@@ -10,6 +10,7 @@ from typing import Any
 import can
 
 from gateway.buses import BusError
+from gateway.buses.slcan_client import SlcanInterface
 from gateway.mistakes import unknown
 from gateway.robot import TWIN, BusSettings
 
@@ -29,9 +30,9 @@ def open_interface(settings: BusSettings) -> can.BusABC:
     rates: dict[str, Any] = {"bitrate": settings.bitrate, "fd": settings.kind == "canfd"}
     if settings.data_bitrate:
         rates["data_bitrate"] = settings.data_bitrate
-    if interface == "slcan":
-        rates |= {"sleep_after_open": 0.0, "timeout": 0.0}  # the loop never stands still for an adapter
     try:
+        if interface == "slcan":
+            return SlcanInterface(channel, settings.bitrate, settings.data_bitrate)
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
     except _REFUSALS as error:
         raise BusError(_refusal(settings, interface, error)) from error

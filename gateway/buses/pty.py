@@ -82,10 +82,15 @@ class Pty:
         self._end = -1
 
     def _receive(self) -> bytes:
-        try:
-            return os.read(self._end, MOST_READ)
-        except OSError:  # hung up just now
-            return b""
+        """All that is there: also what somebody has said just before he hung up."""
+        data = b""
+        while len(data) < MOST_READ:
+            try:
+                piece = os.read(self._end, MOST_READ)
+            except OSError:  # nothing more (EAGAIN), or hung up (EIO)
+                break
+            data += piece
+        return data
 
     def _flush(self) -> None:
         while self._waiting:

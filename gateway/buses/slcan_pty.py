@@ -1,0 +1,101 @@
+"""A CAN bus offered as adapters on ptys: "slcan:/dev/pts/N" for any program that knows Lawicel's protocol.
+
+Rules. Every port is one adapter, for one program at a time; what one port says, the others and the devices
+hear. A program that hangs up leaves its adapter as a loss of power would: closed, and all that waited thrown
+away, so that the next one begins afresh. Whoever does not read loses the oldest frames, and only he. Nothing
+is throttled here: the time that frames take on the bus is the twins' matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gateway.buses.pty import Pty, open_pty
+from gateway.buses.slcan import Adapter
+from gateway.clock import Clock
+from gateway.robot import BusSettings
+from protocols.wire import BusState, CanFrame, Packet, Wire
+from protocols.words import Nanos
+
+
+class _Port:
+    """One adapter behind its pty."""
+
+    def __init__(self, settings: BusSettings) -> None:
+        self.pty: Pty = open_pty(settings)
+        self._settings = settings
+        self.adapter = self._powered_up()
+
+    def _powered_up(self) -> Adapter:
+        return Adapter(self._settings.bitrate, self._settings.data_bitrate)
+
+    def read(self) -> list[CanFrame]:
+        connected = self.pty.connected
+        frames, answers = self.adapter.feed(self.pty.read())
+        if connected and not self.pty.connected:
+            self.adapter = self._powered_up()
+        elif answers:
+            self.pty.write(answers)
+        return frames
+
+    def tell(self, t: Nanos, frame: CanFrame) -> None:
+        lost = self.pty.dropped
+        if line := self.adapter.tell(t, frame):
+            self.pty.write(line)
+        self.adapter.overrun = self.adapter.overrun or self.pty.dropped > lost
+
+
+class SlcanPty:
+    """The devices' end of a CAN bus without a CAN interface."""
+
+    def __init__(self, settings: BusSettings, clock: Clock, ports: int = 1) -> None:  # noqa: ARG002 -- as open_can
+        """Raises BusError if no pty can be made."""
+        self.name = settings.name
+        self._ports = [_Port(settings) for _ in range(ports)]
+        self._state = BusState.GONE
+
+    @property
+    def paths(self) -> list[str]:
+        """What to open, one program each."""
+        return [port.pty.path for port in self._ports]
+
+    @property
+    def dropped(self) -> int:
+        """Lines that programs did not read in time."""
+        return sum(port.pty.dropped for port in self._ports)
+
+    def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
+        """The frames that programs have sent, stamped now.
+
+        BACK: somebody has opened a channel; GONE: nobody has one any more; PASSIVE: one was opened with
+        another bit rate than the bus has."""
+        packets: list[Packet] = []
+        for port in self._ports:
+            for frame in port.read():
+                packets.append(Packet(now, self.name, frame))
+                for other in self._ports:
+                    if other is not port:
+                        other.tell(now, frame)
+        return self._changes(), packets
+
+    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+        """Frames for every open channel."""
+        for wire in wires:
+            assert isinstance(wire, CanFrame), f"{self.name} is a CAN bus"
+            for port in self._ports:
+                port.tell(now, wire)
+
+    def close(self) -> None:
+        """Hang up; the paths are gone with it."""
+        for port in self._ports:
+            port.pty.close()
+
+    def _changes(self) -> list[BusState]:
+        channels = [port.adapter for port in self._ports if port.adapter.open]
+        state = BusState.BACK if channels else BusState.GONE
+        if any(adapter.wrong_rate for adapter in channels):
+            state = BusState.PASSIVE
+        if state is self._state:
+            return []
+        self._state = state
+        return [state]
