@@ -18,7 +18,7 @@ DESCRIPTION = "One brain, any body, over real wires."
 def main(arguments: list[str] | None = None) -> int:
     """The `gateway` command."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     _log(options.verbose - options.quiet)
     from gateway import commands
 
@@ -41,7 +41,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """What the command line understands."""
     parser = argparse.ArgumentParser(prog="gateway", description=DESCRIPTION)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 

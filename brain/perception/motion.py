@@ -11,15 +11,12 @@ as a matched scan, does. A scale that wheels and gyro settle between themselves 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import arc, sinc
-
-if TYPE_CHECKING:
-    from brain.perception.ekf import EkfSettings
+from brain.perception.filter_settings import EkfSettings
 
 X, Y, YAW, V, W, BIAS, SLIP = range(7)
 POSE = slice(X, YAW + 1)

@@ -20,7 +20,8 @@ import numpy as np
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, arc
 from brain.perception.consistency import Nis
-from brain.perception.ekf import Ekf, EkfSettings
+from brain.perception.ekf import Ekf
+from brain.perception.filter_settings import EkfSettings
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.measurement import Measurement, Verdict, gyro, located, resting, wheels
 from brain.perception.motion import BIAS, POSE, SLIP, YAW, V, W, X, Y

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from brain.perception.consistency import Nis
-from brain.perception.ekf import Ekf, EkfSettings
+from brain.perception.ekf import Ekf
+from brain.perception.filter_settings import EkfSettings
 from brain.perception.measurement import Verdict, gyro, wheels
 from protocols.words import MILLISECOND
 

@@ -11,7 +11,8 @@ from scipy import stats
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
-from brain.perception.ekf import CHI_SQUARE, Ekf, EkfSettings
+from brain.perception.ekf import Ekf
+from brain.perception.filter_settings import CHI_SQUARE, EkfSettings
 from brain.perception.measurement import Measurement, Verdict, gyro, located, resting, wheels
 from brain.perception.motion import BIAS, POSE, SIZE, SLIP, YAW, V, W, X, jacobian, move, process_noise
 from protocols.words import MILLISECOND, SECOND, Nanos, seconds
