@@ -27,6 +27,7 @@ def main(arguments: list[str] | None = None) -> int:
         "run": commands.run,
         "twin": commands.twin,
         "replay": commands.replay,
+        "recover": commands.recover,
         "check": commands.check,
         "protocols": commands.protocols,
         "ask": commands.ask,
@@ -83,6 +84,12 @@ def parser() -> argparse.ArgumentParser:
     replay = _command(commands, "replay", "run a recording through the same code, and compare every byte")
     replay.add_argument("file", type=Path, metavar="FILE")
     replay.add_argument("--robot", metavar="ROBOT", help="another robot file than the one in the recording")
+
+    recover = _command(commands, "recover", "make a recording whole again that was cut off or damaged")
+    recover.add_argument("file", type=Path, metavar="FILE")
+    recover.add_argument(
+        "-o", "--out", type=Path, metavar="OUT", help="the new file (default: FILE with .recovered in it)"
+    )
 
     check = _command(
         commands, "check", "read a robot file, and say what was understood, or every mistake in it"

@@ -289,6 +289,14 @@ def replay(options: Namespace) -> int:
     return 0 if verdict.ok else 1
 
 
+def recover(options: Namespace) -> int:
+    """Give back what can be read of a recording that was cut off or damaged."""
+    from gateway.recover import recover as make_whole
+
+    with _sentences():
+        return make_whole(options)
+
+
 def check(options: Namespace) -> int:
     """Read a robot file; every mistake in it, or what was understood."""
     from gateway.config import describe

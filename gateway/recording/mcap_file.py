@@ -64,7 +64,9 @@ class McapFile:
 
         self.broken = False
         self.size = 0
-        """Bytes in the file, all of them whole records."""
+        """Bytes in the file, all of them whole records,"""
+        self._crc = 0
+        """and their checksum."""
         self._head: list[tuple[int, int, McapRecord]] = []
         self._schemas: dict[str, int] = {}
         self._records: list[tuple[int, bytes]] = []
@@ -88,6 +90,11 @@ class McapFile:
         except OSError:
             self.abandon()
             raise
+
+    @property
+    def waiting(self) -> int:
+        """Bytes in the chunk at hand."""
+        return len(self._chunk)
 
     @property
     def descriptor(self) -> int:
@@ -215,6 +222,7 @@ class McapFile:
             self._cut_back()
             raise
         self.size += len(data)
+        self._crc = zlib.crc32(data, self._crc)
 
     def _cut_back(self) -> None:
         try:
@@ -242,7 +250,7 @@ class McapFile:
     def _write_end(self) -> None:
         from mcap.records import DataEnd, SummaryOffset
 
-        self._append(_bytes(DataEnd(0)))
+        self._append(_bytes(DataEnd(self._crc)))
         start, crc = self.size, 0
         offsets: list[SummaryOffset] = []
         for opcode, blocks in self._summary():

@@ -6,17 +6,22 @@ import os
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from gateway import journal
 from gateway.journal import JournalError
+from gateway.recording import opcode
 from gateway.recording.layout import FACTS, FORMAT, MAGIC, METADATA, ROBOT_FILE, RecordingError, digest
+from gateway.recording.scan import MESSAGE_HEAD, Damage, Record, records
 from gateway.tick import Tick
 from gateway.views import View
 
 if TYPE_CHECKING:
-    from mcap.records import McapRecord
+    from mcap.records import Attachment, Channel, Header, Metadata, Schema
+
+    Rare = TypeVar("Rare", Attachment, Channel, Header, Metadata, Schema)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +63,13 @@ class Recording:
 
 def read(path: Path) -> Recording:
     """Open a recording. Raises RecordingError if it is none, of another format, or unreadable."""
+    whole = has_end(path)
+    robot_text, facts = head(path, whole)
+    return Recording(path, robot_text, facts, whole, _promised(path) if whole else None)
+
+
+def has_end(path: Path) -> bool:
+    """Whether the file was closed. Raises RecordingError if it is no MCAP file."""
     try:
         with path.open("rb") as file:
             start = file.read(len(MAGIC) + 8)
@@ -67,8 +79,7 @@ def read(path: Path) -> Recording:
         raise RecordingError(f"{path}: {error.strerror}") from error
     if not start.startswith(MAGIC):
         raise RecordingError(f"{path}: {_what_it_is(start)}, not a recording of this gateway")
-    robot_text, facts = _head(path, whole)
-    return Recording(path, robot_text, facts, whole, _promised(path) if whole else None)
+    return whole
 
 
 def _what_it_is(start: bytes) -> str:
@@ -79,21 +90,36 @@ def _what_it_is(start: bytes) -> str:
     return "a ROS 2 bag of kind sqlite3" if start.startswith(b"SQLite format") else "no MCAP file"
 
 
-def _head(path: Path, whole: bool) -> tuple[str, dict[str, str]]:
-    """The robot file and the facts, which stand before the first tick."""
-    from mcap.records import Attachment, Header, Message, Metadata
+def parse(path: Path, kind: type[Rare], record: Record) -> Rare:
+    """A rare record's fields. Raises RecordingError if they cannot be made out."""
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import McapError
+
+    try:
+        made: Rare = kind.read(ReadDataStream(BytesIO(record.content)))
+    except (McapError, struct.error, ValueError) as error:
+        raise RecordingError(f"{path}: damaged: a {kind.__name__} cannot be read: {error}") from error
+    return made
+
+
+def head(path: Path, whole: bool) -> tuple[str, dict[str, str]]:
+    """The robot file and the facts, which stand before the first tick. Raises RecordingError if they do not,
+    or if the file has an end and is damaged before it."""
+    from mcap.records import Attachment, Header, Metadata
 
     metadata: dict[str, dict[str, str]] = {}
     library = ""
     robot: bytes | None = None
     for record in _records(path, whole):
-        if isinstance(record, Header):
-            library = record.library
-        elif isinstance(record, Metadata):
-            metadata[record.name] = record.metadata
-        elif isinstance(record, Attachment) and record.name == ROBOT_FILE:
-            robot = record.data
-        elif isinstance(record, Message):
+        if record.opcode == opcode.HEADER:
+            library = parse(path, Header, record).library
+        elif record.opcode == opcode.METADATA:
+            told = parse(path, Metadata, record)
+            metadata[told.name] = told.metadata
+        elif record.opcode == opcode.ATTACHMENT:
+            attached = parse(path, Attachment, record)
+            robot = attached.data if attached.name == ROBOT_FILE else robot
+        elif record.opcode == opcode.MESSAGE:
             break
     if METADATA not in metadata:
         if not whole and not library:
@@ -130,23 +156,20 @@ def _promised(path: Path) -> int | None:
     return sum(counts.get(c.id, 0) for c in summary.channels.values() if c.topic == journal.TOPIC)
 
 
-def _records(path: Path, whole: bool) -> Iterator[McapRecord]:
-    """The file's records in the order of the file, chunks opened; a cut ends it, damage raises."""
-    from mcap.exceptions import McapError
-    from mcap.stream_reader import StreamReader
-
+def _records(path: Path, whole: bool) -> Iterator[Record]:
+    """The records in the order of the file. A closed file must be undamaged; another ends at the first
+    damage."""
     with path.open("rb") as file:
-        reader = StreamReader(file, validate_crcs=True, record_size_limit=path.stat().st_size)
-        try:
-            yield from reader.records
-        except (McapError, struct.error, ValueError, RuntimeError, MemoryError) as error:
-            # RuntimeError is lz4's word for a broken frame; a cut may fall anywhere.
-            if whole:
-                raise RecordingError(f"{path}: damaged near byte {file.tell()}: {error}") from error
+        for piece in records(file):
+            if isinstance(piece, Damage):
+                if not whole:
+                    return
+                raise RecordingError(f"{path}: damaged near byte {piece.at}: {piece.why}")
+            yield piece
 
 
 def _steps(path: Path, whole: bool) -> Iterator[Step]:
-    from mcap.records import Channel, Message, Schema
+    from mcap.records import Channel, Schema
 
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
@@ -154,18 +177,22 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
     entry: journal.Entry | None = None
     views: list[View] = []
     for record in _records(path, whole):
-        if isinstance(record, Schema):
-            schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
-        elif isinstance(record, Message):
-            topic, type_ = channels[record.channel_id]
+        if record.opcode == opcode.SCHEMA:
+            schema = parse(path, Schema, record)
+            schemas[schema.id] = schema.name
+        elif record.opcode == opcode.CHANNEL:
+            channel = parse(path, Channel, record)
+            channels[channel.id] = (channel.topic, schemas.get(channel.schema_id, ""))
+        elif record.opcode == opcode.MESSAGE:
+            number, _sequence, _log, published = MESSAGE_HEAD.unpack_from(record.content)
+            topic, type_ = channels.get(number, ("", ""))
+            data = record.content[MESSAGE_HEAD.size :]
             if topic != journal.TOPIC:
-                views.append(View(topic, type_, record.publish_time, record.data))
+                views.append(View(topic, type_, published, data))
                 continue
             if entry is not None:
                 yield Step(entry.tick, tuple(views), entry.damage(), whole=True)
-            entry, views = _entry(path, record.data, seals, entry), []
+            entry, views = _entry(path, data, seals, entry), []
             seals = entry.seals
     if entry is not None:
         yield Step(entry.tick, tuple(views), entry.damage(), whole)
