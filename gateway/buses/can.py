@@ -32,21 +32,27 @@ REOPEN = SECOND
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
 
 
-def open_can(settings: BusSettings, clock: Clock) -> CanBus:
-    """Open the bus. Raises BusError with what is missing and how to get it."""
-    return CanBus(settings, clock, open_interface(settings))
+def open_can(settings: BusSettings, clock: Clock, *, listen_only: bool = False) -> CanBus:
+    """Open the bus. Raises BusError with what is missing and how to get it.
+
+    `listen_only`: nothing is ever sent, not even an acknowledgement where the interface can be told so."""
+    wire = open_interface(settings, listen_only=listen_only)
+    return CanBus(settings, clock, wire, listen_only=listen_only)
 
 
 class CanBus:
     """A CAN interface that is open."""
 
-    def __init__(self, settings: BusSettings, clock: Clock, wire: can.BusABC) -> None:
+    def __init__(
+        self, settings: BusSettings, clock: Clock, wire: can.BusABC, *, listen_only: bool = False
+    ) -> None:
         self.name = settings.name
         self.dropped = 0
         """Frames that never went out, because a newer one took their place or the interface was gone."""
         self._settings = settings
         self._clock = clock
         self._wire: can.BusABC | None = wire
+        self._listen_only = listen_only
         self.bad = 0
         """What came in and could not be read as a frame."""
         at_once = settings.interface.startswith(("socketcan:", "virtual:"))
@@ -82,6 +88,7 @@ class CanBus:
 
     def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
         """Put frames on the bus, in order; whatever finds no room waits."""
+        assert not self._listen_only, f"{self.name} is listened to"
         self._flush(now)
         for wire in wires:
             assert isinstance(wire, CanFrame), f"{self.name} is a CAN bus"
@@ -216,7 +223,7 @@ class CanBus:
             return
         self._reopen_at = now + REOPEN
         try:
-            self._wire = open_interface(self._settings)
+            self._wire = open_interface(self._settings, listen_only=self._listen_only)
         except BusError:
             return
         self._tell(BusState.BACK)

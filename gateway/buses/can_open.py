@@ -22,17 +22,32 @@ _REFUSALS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, ImportE
 """What python-can's back ends raise when they cannot be opened (NotImplementedError is a RuntimeError)."""
 
 
-def open_interface(settings: BusSettings) -> can.BusABC:
-    """python-can's bus for these settings. Raises BusError with what is missing and how to get it."""
+SILENT: dict[str, dict[str, Any]] = {
+    "slcan": {"listen_only": True},
+    "vector": {"listen_only": True},
+    "nixnet": {"listen_only": True},
+    "kvaser": {"driver_mode": False},
+    "pcan": {"state": can.BusState.PASSIVE},
+}
+"""How an interface is opened so that it does not even acknowledge (python-can 4.6.1, can/interfaces/*); the
+others, SocketCAN among them, have no such argument."""
+
+
+def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.BusABC:
+    """python-can's bus for these settings. Raises BusError with what is missing and how to get it.
+
+    `listen_only`: the adapter is told to send nothing, not even acknowledgements, where it can be told."""
     interface, _, channel = settings.interface.partition(":")
     if interface == "socketcan" and (why := missing(settings, channel, kernel_has_can())):
         raise BusError(why)
     rates: dict[str, Any] = {"bitrate": settings.bitrate, "fd": settings.kind == "canfd"}
     if settings.data_bitrate:
         rates["data_bitrate"] = settings.data_bitrate
+    if listen_only:
+        rates |= SILENT.get(interface, {})
     try:
         if interface == "slcan":
-            return SlcanInterface(channel, settings.bitrate, settings.data_bitrate)
+            return SlcanInterface(channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only)
         return can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
     except _REFUSALS as error:
         raise BusError(_refusal(settings, interface, error)) from error

@@ -23,12 +23,14 @@ SAID = "tTrRdDbBVN"
 class SlcanInterface(slcanBus):
     """An open adapter. Raises as python-can does: CanTimeoutError if it takes no more for now."""
 
-    def __init__(self, channel: str, bitrate: int, data_bitrate: int = 0) -> None:
-        """Open the port for us alone, set the bit rates, open the channel.
+    def __init__(
+        self, channel: str, bitrate: int, data_bitrate: int = 0, *, listen_only: bool = False
+    ) -> None:
+        """Open the port for us alone, set the bit rates, open the channel (with L if `listen_only`).
 
         Raises CanError, OSError, or ValueError for a rate that the protocol has no command for."""
         self._out = bytearray()
-        super().__init__(channel, bitrate=bitrate, sleep_after_open=0.0, timeout=0.0)
+        super().__init__(channel, bitrate=bitrate, sleep_after_open=0.0, timeout=0.0, listen_only=listen_only)
         self.serialPortOrig.exclusive = True
         if data_bitrate:
             self.set_bitrate(bitrate, data_bitrate)
