@@ -78,6 +78,13 @@ def parser() -> argparse.ArgumentParser:
     twin = _command(commands, "twin", "be the devices of a robot, for another program to drive")
     _robot(twin)
     _bus(twin, "let them speak there, as in can0=socketcan:vcan0 (default: ptys of their own)")
+    twin.add_argument(
+        "--ports",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="ptys for each CAN bus that is not on an interface, for so many programs at once (default: 1)",
+    )
     twin.add_argument("--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C)")
     twin.add_argument("--seed", type=int, help="of the world's noise (default: the robot file's)")
 
@@ -156,6 +163,12 @@ def _interface(text: str) -> tuple[str, str]:
             f"{text!r} is not NAME=INTERFACE:CHANNEL (as in can0=socketcan:vcan0)"
         )
     return name, interface
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 16):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 16")
+    return int(text)
 
 
 def _positive(text: str) -> float:

@@ -84,7 +84,7 @@ class Gateway:
         self._drivers: list[tuple[str, frozenset[str], Driver]] = []
         """Bus, the names of its motors, driver: in the order of the robot file."""
         for bus in robot.buses:
-            for plugin, devices in _by_plugin(robot, bus):
+            for plugin, devices in by_plugin(robot, bus):
                 motors = frozenset(d.name for d in devices if d.name in self.joints)
                 self._drivers.append((bus, motors, plugin.driver(devices)))
         self._of_bus = {bus: [d for b, _, d in self._drivers if b == bus] for bus in robot.buses}
@@ -295,7 +295,7 @@ class _Ears:
 
 def ear_of(robot: Robot, bus: str) -> Ear:
     """What the devices on a bus would obey."""
-    return _Ears([plugin.ear(devices) for plugin, devices in _by_plugin(robot, bus)])
+    return _Ears([plugin.ear(devices) for plugin, devices in by_plugin(robot, bus)])
 
 
 def _is_for(request: Request, bus: str, motors: frozenset[str]) -> bool:
@@ -319,7 +319,7 @@ _LEVELS: dict[Mode, Literal["info", "warning"]] = {
 }
 
 
-def _by_plugin(robot: Robot, bus: str) -> list[tuple[Plugin, list[Device]]]:
+def by_plugin(robot: Robot, bus: str) -> list[tuple[Plugin, list[Device]]]:
     """The devices on a bus, gathered by language, in the order of the robot file."""
     gathered: dict[str, tuple[Plugin, list[Device]]] = {}
     parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]

@@ -7,7 +7,7 @@ buses whose interface is "twin". What cannot be opened is a sentence (`BusError`
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from gateway.recording import Recorder
 
 log = logging.getLogger("gateway")
+
+MOST_READS = 100
+"""Of one bus, before a run begins."""
 
 
 @dataclass(slots=True)
@@ -96,9 +99,21 @@ def session(
         for caution in cautions(robot):
             log.warning("%s", caution)
         stack.enter_context(run.quiet_collector())
+        _forget(robot, buses, clock)
         made = Session(robot, gateway, clock, buses, twins, recorder)
         stack.enter_context(run.signals(lambda name: setattr(made, "leaving", name)))
         yield made
+
+
+def _forget(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None:
+    """What has come in while all this was opened is of an unknown age: it is left out."""
+    for name, bus in buses.items():
+        for _ in range(MOST_READS if robot.buses[name].interface != TWIN else 0):
+            states, packets = bus.read(clock.now())
+            for state in states:
+                log.warning("%s: %s", name, state)
+            if not packets:
+                break
 
 
 def _open_buses(

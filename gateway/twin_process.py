@@ -1,9 +1,9 @@
 """`gateway twin`: the whole robot but its brain (world, motors, sensors), as a process behind its buses.
 
 Rules. It speaks only on interfaces that the command line names, never on those that the robot file names:
-twins do not answer on a wire where there may be real devices. The world runs in wall time and keeps pace
-with it, or says that it does not. What comes and goes on the outer buses, and what the motors say of
-themselves, is told. A signal ends it, with exit status 0.
+twins do not answer on a wire where there may be real devices. A bus that is not named gets ptys of its own.
+The world runs in wall time and keeps pace with it, or says that it does not. What comes and goes on the
+buses, and what the motors say of themselves, is told. A signal ends it, with exit status 0.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING
 
 from gateway import config, run, shipped
 from gateway.clock import Clock, WallClock
-from gateway.robot import TWIN, Robot
+from gateway.robot import TWIN, BusSettings, Robot
+from gateway.voices import Voices
 from protocols.wire import BusState
-from protocols.words import SECOND
+from protocols.words import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from gateway.buses import Bus
@@ -34,10 +35,13 @@ class Devices:
     """The devices' end of a robot, open on its buses."""
 
     robot: Robot
-    """Its buses have the interfaces on which the devices speak."""
+    """As another program meets it: its buses have the interfaces which that program is to open."""
     twins: TwinWorld
     buses: dict[str, Bus]
+    paths: dict[str, list[str]]
+    """The ptys of each bus that has no interface of its own."""
     clock: Clock
+    voices: Voices
     account: run.Service = field(default_factory=run.Service)
     leaving: str = ""
 
@@ -53,90 +57,119 @@ class Devices:
                     return
 
     def _tell(self, moment: run.Served) -> None:
+        for level, sentence in self.voices.hear(moment.said):
+            log.log(level, "%s", sentence)
         for name, state in moment.states:
-            log.warning("%s: %s", name, _SENTENCES[state])
+            log.warning("%s: %s", name, self._sentence(name, state))
         if moment.stood:
+            stood = moment.stood / SECOND
             log.warning(
-                "the devices stood still for %.1f s, as this process did; they heard nothing meanwhile",
-                moment.stood / SECOND,
+                "this process stood still for %.1f s, and so did its devices; they heard nothing", stood
             )
 
+    def _sentence(self, bus: str, state: BusState) -> str:
+        sentence = (_OF_PTYS if bus in self.paths else _OF_WIRES).get(state, f"is {state}")
+        if state is BusState.PASSIVE and bus in self.paths:
+            sentence += f": {self.robot.buses[bus].bitrate} bit/s"
+        if state in (BusState.GONE, BusState.OFF) and (left := self.voices.left_armed(bus)):
+            sentence += f"; {left}"
+        return sentence
 
-_SENTENCES = {
-    BusState.UP: "is up",
-    BusState.PASSIVE: "is error-passive",
+
+_OF_WIRES = {
+    BusState.PASSIVE: "is error-passive: check the wiring, the termination and the bit rate",
     BusState.OFF: "is bus-off: the devices are not heard",
     BusState.FULL: "is full: some of what the devices say is lost",
     BusState.GONE: "is gone: the devices neither hear nor are heard",
     BusState.BACK: "is back",
+}
+_OF_PTYS = {
+    BusState.BACK: "somebody is there",
+    BusState.GONE: "nobody is there any more",
+    BusState.PASSIVE: "somebody has set another bit rate, and nothing passes; this bus has",
 }
 
 
 def twin(options: Namespace) -> int:
     """Be the devices of a robot until told to leave."""
     robot = outer(config.load(shipped.find("robots", options.robot)), dict(options.bus))
-    with devices(robot, WallClock(), options.seed) as made:
-        print("\n".join(invitation(made.robot, options.robot)), flush=True)
+    with devices(robot, WallClock(), options.seed, options.ports) as made:
+        print("\n".join(invitation(made, options.robot)), flush=True)
         made.serve(options.seconds)
     account = made.account
-    print(f"{account.heard} packets heard, {account.said} said")
+    print(f"{account.heard} packets heard, {account.said} said", end="")
+    print(f"; at most {account.late / MILLISECOND:.0f} ms behind the clock", end="")
+    print(f"; stood still for {account.lost / SECOND:.1f} s in all" if account.lost else "")
     return 0
 
 
 def outer(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
-    """The robot with those interfaces; what the robot file itself says is left out.
+    """The robot with those interfaces, and none ("twin") where none is named, whatever its file says.
 
     Raises ConfigError for buses that there are not, and for what is not INTERFACE:CHANNEL."""
-    buses = {name: replace(bus, interface=TWIN) for name, bus in robot.buses.items()}
-    return config.with_interfaces(replace(robot, buses=buses), interfaces)
+    return config.with_interfaces(_without_interfaces(robot), interfaces)
+
+
+def _without_interfaces(robot: Robot) -> Robot:
+    return replace(robot, buses={name: replace(b, interface=TWIN) for name, b in robot.buses.items()})
 
 
 @contextmanager
-def devices(robot: Robot, clock: Clock, seed: int | None = None) -> Iterator[Devices]:
-    """Open the buses, then make the world behind them. Raises BusError and WorldError with a sentence."""
+def devices(robot: Robot, clock: Clock, seed: int | None = None, ports: int = 1) -> Iterator[Devices]:
+    """Make the world, then open the buses in front of it; `ports`: how many programs may be on a CAN bus.
+
+    Raises WorldError and BusError with a sentence."""
     from gateway.buses.twin import open_world
 
-    inner = replace(robot, buses={n: replace(bus, interface=TWIN) for n, bus in robot.buses.items()})
     with ExitStack() as stack:
-        buses, told = _open(robot, clock, stack, 1)
-        twins = open_world(inner, robot.seed if seed is None else seed)
+        twins = open_world(_without_interfaces(robot), robot.seed if seed is None else seed)
+        buses: dict[str, Bus] = {}
+        paths: dict[str, list[str]] = {}
+        met = dict(robot.buses)
+        for name, settings in robot.buses.items():
+            buses[name], paths_of_bus = _open(settings, clock, ports)
+            stack.callback(buses[name].close)
+            if paths_of_bus:
+                paths[name] = paths_of_bus
+                kind = "serial" if settings.kind == "serial" else "slcan"
+                met[name] = replace(settings, interface=f"{kind}:{paths_of_bus[0]}")
         stack.enter_context(run.quiet_collector())
-        made = Devices(told, twins, buses, clock)
+        made = Devices(replace(robot, buses=met), twins, buses, paths, clock, Voices(robot))
         stack.enter_context(run.signals(lambda name: setattr(made, "leaving", name)))
         yield made
 
 
-def _open(robot: Robot, clock: Clock, stack: ExitStack, ports: int) -> tuple[dict[str, Bus], Robot]:
-    """The outer buses, and the robot with what another program opens to meet them."""
-    buses: dict[str, Bus] = {}
-    told = dict(robot.buses)
-    for name, settings in robot.buses.items():
-        if settings.kind == "serial" and settings.interface == TWIN:
-            from gateway.buses.pty import SerialPty
+def _open(settings: BusSettings, clock: Clock, ports: int) -> tuple[Bus, list[str]]:
+    """A bus on its interface; or on ptys, and their paths."""
+    serial, offered = settings.kind == "serial", settings.interface == TWIN
+    if serial and offered:
+        from gateway.buses.pty import SerialPty
 
-            line = buses[name] = SerialPty(settings, clock)
-            told[name] = replace(settings, interface=f"serial:{line.pty.path}")
-        elif settings.kind == "serial":
-            from gateway.buses.serial import open_serial
+        line = SerialPty(settings, clock)
+        return line, [line.pty.path]
+    if serial:
+        from gateway.buses.serial import open_serial
 
-            buses[name] = open_serial(settings, clock)
-        elif settings.interface == TWIN:
-            from gateway.buses.slcan_pty import SlcanPty
+        return open_serial(settings, clock), []
+    if offered:
+        from gateway.buses.slcan_pty import SlcanPty
 
-            adapters = buses[name] = SlcanPty(settings, clock, ports)
-            told[name] = replace(settings, interface=f"slcan:{adapters.paths[0]}")
-        else:
-            from gateway.buses.can import open_can
+        adapters = SlcanPty(settings, clock, ports)
+        return adapters, adapters.paths
+    from gateway.buses.can import open_can
 
-            buses[name] = open_can(settings, clock)
-        stack.callback(buses[name].close)
-    return buses, replace(robot, buses=told)
+    return open_can(settings, clock), []
 
 
-def invitation(robot: Robot, name: str) -> Sequence[str]:
-    """What to type to meet these devices."""
-    lines = [f"the devices of {robot.name} are there; meet them with:"]
-    words = ["gateway", "run", name]
-    for bus in robot.buses.values():
+def invitation(made: Devices, robot: str) -> Sequence[str]:
+    """What to type to meet these devices; `robot` is what the robot file was called."""
+    words = ["gateway", "run", robot]
+    for bus in made.robot.buses.values():
         words += ["--bus", f"{bus.name}={bus.interface}"]
-    return [*lines, "  " + shlex.join(words)]
+    lines = [f"the devices of {made.robot.name} are there; to run the robot:", "  " + shlex.join(words)]
+    for name, paths in made.paths.items():
+        fd = " --fd" if made.robot.buses[name].kind == "canfd" else ""
+        for path in paths[1:]:
+            viewer = f"python -m can.viewer -i slcan -c {path}{fd}"
+            lines.append(f"another program may be on {name} too, by slcan:{path}, for instance:\n  {viewer}")
+    return lines

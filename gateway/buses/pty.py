@@ -24,8 +24,8 @@ from protocols.words import Nanos
 
 MOST_READ = 65536
 """Bytes taken in by one read."""
-MOST_WAITING = 65536
-"""Bytes that may wait to go out, beside the 16 kB that the kernel holds."""
+MOST_WAITING = 4096
+"""Bytes that may wait to go out, beside the 16 kB that the kernel holds: more would only be older."""
 
 
 class Pty:
