@@ -14,6 +14,7 @@ dataclasses, so this file knows no setting of theirs by name. Files are TOML (to
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
     [defaults.motors] …                 what every motor (bus, sensor) has that does not say otherwise
     [brain]                             brain.brain.BrainSettings
+    [bag]                               gateway.topics.BagTopics: what the topics of a foreign bag are
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from gateway.mistakes import ConfigError, Mistakes, shown, unknown
 from gateway.parts import Find, Table, check_interface, read_bus, read_motor, read_sensor
 from gateway.robot import BusSettings, Motor, Robot, Sensor
 from gateway.rules import cautions
+from gateway.topics import BagTopics, check_bag
 from gateway.typed import build, positive
 from protocols import plugin
 from protocols.plugin import Device, Plugin
@@ -52,7 +54,7 @@ __all__ = [
 ]
 
 GROUPS = ("buses", "motors", "sensors")
-SECTIONS = (*GROUPS, "defaults", "brain")
+SECTIONS = (*GROUPS, "defaults", "brain", "bag")
 RESERVED = ("all", "brain", "operator", "scan")
 """Names that stand for something else in what an operator says or a note is about."""
 
@@ -106,14 +108,17 @@ def loads(
     if "brain" not in table:
         mistakes.add(("brain",), "missing; expected a table [brain] that says which body")
     brain = build(BrainSettings, table.get("brain", {}), ("brain",), mistakes)
+    bag = build(BagTopics, table["bag"], ("bag",), mistakes) if "bag" in table else None
 
     period = round(SECOND / top.rate_hz) if top and top.rate_hz > 0 else 0
     rules.check_devices(buses, motors, sensors, period, mistakes)
     rules.check_brain(table.get("brain"), tuple(groups["motors"]), tuple(groups["sensors"]), mistakes)
+    if bag is not None and brain is not None:
+        check_bag(bag, brain.body, tuple(groups["sensors"]), mistakes)
     mistakes.check()
     if top is None or brain is None:
         raise AssertionError("a part is missing, and no mistake was told")
-    return Robot(top.name, text, period, top.world, top.seed, buses, motors, sensors, brain)
+    return Robot(top.name, text, period, top.world, top.seed, buses, motors, sensors, brain, bag)
 
 
 def devices(robot: Robot, bus: str) -> list[tuple[Plugin, Device]]:

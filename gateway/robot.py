@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from gateway.joint import JointSettings
+from gateway.topics import BagTopics
 from protocols.plugin import Device, Plugin, Spec
 from protocols.words import Nanos
 
@@ -75,3 +76,5 @@ class Robot:
     motors: dict[str, Motor]
     sensors: dict[str, Sensor]
     brain: BrainSettings
+    bag: BagTopics | None = None
+    """What the topics of somebody else's bag are; None if the file says nothing of that."""
