@@ -88,6 +88,8 @@ class Joint:
         """The newest of each quantity, at the output shaft; t is the newest motion's."""
         self.mode = Mode.OFFLINE
         self.detail = ""
+        self._armed = False
+        """Whether it was armed when it was last heard to say."""
         self.faults: dict[tuple[int, str], Fault] = {}
         """Latched, in the order in which they came."""
         self.claimed = False
@@ -114,10 +116,10 @@ class Joint:
         if isinstance(event, Feedback):
             return self._hear_feedback(event)
         if isinstance(event, State):
-            if event.mode is Mode.OFFLINE:
-                self._latch_if_lost(event.t)
-            elif self._left_by_itself(event):
+            if self._left_by_itself(event):
                 self.latch(self._desertion(event))
+            if event.mode is not Mode.OFFLINE:  # what it does while it is silent, nobody knows
+                self._armed = event.mode is Mode.ARMED
             self.mode, self.detail = event.mode, event.detail
             return event
         self.latch(event)
@@ -125,9 +127,7 @@ class Joint:
 
     def _left_by_itself(self, event: State) -> bool:
         return (
-            self.mode is Mode.ARMED
-            and event.mode in (Mode.READY, Mode.INITIALISING)
-            and not isinstance(self._out, Idle)
+            self._armed and event.mode in (Mode.READY, Mode.INITIALISING) and not isinstance(self._out, Idle)
         )
 
     def _hear_feedback(self, event: Feedback) -> Feedback | None:
@@ -242,7 +242,7 @@ class Joint:
 
     def _latch_if_lost(self, now: Nanos) -> None:
         """A device that we armed, and that was armed when last heard: nobody knows what it does."""
-        if self.claimed and self.mode is Mode.ARMED:
+        if self.claimed and self._armed:
             self.latch(self._blindness(now))
 
     def _blindness(self, now: Nanos) -> Fault:

@@ -1,4 +1,6 @@
-"""The three loops: live (our end, on real buses or on twins), serve (the devices' end), and replay.
+"""The loops on a clock: live (our end, on real buses or on twins) and serve (the devices' end).
+
+The third loop that drives the same step is replay; it needs neither clock nor bus (`gateway.judge`).
 
 Rules. These loops own what the step must not: buses, clock, recorder, operator, signals. They are generators
 that yield what happened, so that a caller can watch, stop, or run two of them face to face; wrap them in

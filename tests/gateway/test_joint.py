@@ -293,6 +293,26 @@ def test_a_commanded_joint_that_falls_silent_latches_and_does_not_start_by_itsel
     assert made.take_untold() == []
 
 
+def test_how_long_a_joint_may_be_silent_is_the_robot_files_not_the_drivers() -> None:
+    made = armed(joint())
+    made.settings = replace(made.settings, feedback_timeout=500 * MS)
+    made.allow(STEP, Velocity("m", 1.0), stopped=False)
+    made.hear(State("m", 250 * MS, Mode.OFFLINE))  # the driver's own patience has ended
+    made.allow(400 * MS, Velocity("m", 1.0), stopped=False)
+    assert not made.faults
+    made.allow(510 * MS, Velocity("m", 1.0), stopped=False)
+    assert [f.code for f in made.faults.values()] == [BLIND]
+
+
+def test_a_device_that_comes_back_disarmed_from_a_short_silence_has_left() -> None:
+    made = armed(joint())
+    made.settings = replace(made.settings, feedback_timeout=500 * MS)
+    made.allow(STEP, Velocity("m", 1.0), stopped=False)
+    made.hear(State("m", 250 * MS, Mode.OFFLINE))
+    made.hear(State("m", 300 * MS, Mode.READY))
+    assert [f.code for f in made.faults.values()] == [LEFT]
+
+
 def test_an_idle_joint_that_falls_silent_is_blind_but_not_in_fault() -> None:
     made = armed(joint())
     made.allow(200 * MS, None, stopped=False)
