@@ -88,9 +88,20 @@ def parser() -> argparse.ArgumentParser:
     twin.add_argument("--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C)")
     twin.add_argument("--seed", type=int, help="of the world's noise (default: the robot file's)")
 
-    replay = _command(commands, "replay", "run a recording through the same code, and compare every byte")
-    replay.add_argument("file", type=Path, metavar="FILE")
-    replay.add_argument("--robot", metavar="ROBOT", help="another robot file than the one in the recording")
+    replay = _command(
+        commands,
+        "replay",
+        "run a recording through the same code, and compare every byte; or judge the brain by a ROS bag",
+    )
+    replay.add_argument("file", type=Path, metavar="FILE", help="a recording, or a bag of somebody else's")
+    replay.add_argument(
+        "--robot",
+        metavar="ROBOT",
+        help="another robot file than the one in the recording; a bag needs one that has a table [bag]",
+    )
+    replay.add_argument(
+        "--at-most", type=_metres, metavar="M", help="of a bag: the largest path error (RMS) to pass with"
+    )
 
     recover = _command(commands, "recover", "make a recording whole again that was cut off or damaged")
     recover.add_argument("file", type=Path, metavar="FILE")
@@ -180,6 +191,18 @@ def _positive(text: str) -> float:
         value = 0.0
     if not (isfinite(value) and value > 0.0):
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+    return value
+
+
+def _metres(text: str) -> float:
+    from math import isfinite
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not (isfinite(value) and value >= 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of metres")
     return value
 
 

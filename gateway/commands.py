@@ -34,6 +34,7 @@ class Sentence(Exception):
 @contextmanager
 def _sentences() -> Iterator[None]:
     """Complaints about files, buses and recordings become a sentence; anything else is our mistake."""
+    from gateway.bags import BagError
     from gateway.buses import BusError
     from gateway.mistakes import ConfigError
     from gateway.operator import OperatorError
@@ -42,7 +43,7 @@ def _sentences() -> Iterator[None]:
 
     try:
         yield
-    except (BusError, ConfigError, NotFound, OperatorError, RecordingError) as error:
+    except (BagError, BusError, ConfigError, NotFound, OperatorError, RecordingError) as error:
         text = str(error)
         raise Sentence(f"\n{text}" if "\n" in text else text) from error
 
@@ -259,14 +260,21 @@ def twin(options: Namespace) -> int:
 
 
 def replay(options: Namespace) -> int:
-    """Run a recording's inputs through the code of today, and compare every byte."""
-    from gateway import config, machine, shipped
+    """Run a recording's inputs through the code of today, and compare every byte; or judge a foreign bag."""
+    from gateway import config, foreign, machine, shipped
+    from gateway.bags import is_foreign
     from gateway.clock import stopwatch
     from gateway.gateway import Gateway, ear_of
     from gateway.judge import compare
     from gateway.recording import read
 
     with _sentences():
+        if is_foreign(options.file):
+            if options.robot is None:
+                raise Sentence(f"{options.file} is a bag of somebody else's: say of which --robot")
+            return foreign.replay(options.file, _read_robot(options.robot), options.at_most)
+        if options.at_most is not None:
+            raise Sentence(f"{options.file} is no foreign bag: --at-most judges those alone")
         recording = read(options.file)
         if options.robot is None:
             robot = config.loads(recording.robot_text, f"{options.file}: robot.toml")
