@@ -70,11 +70,6 @@ class Pty:
             del self._waiting[int(self._begun)]
             self.dropped += 1
 
-    @property
-    def full(self) -> bool:
-        """Whether something waits because the other end does not read."""
-        return bool(self._waiting)
-
     def close(self) -> None:
         """Hang up. The path is gone with it."""
         if self._end >= 0:

@@ -30,10 +30,31 @@ class SlcanInterface(slcanBus):
 
         Raises CanError, OSError, or ValueError for a rate that the protocol has no command for."""
         self._out = bytearray()
+        self._ours = False
+        self._is_shutdown = True  # what has not been opened need not be shut down
         super().__init__(channel, bitrate=bitrate, sleep_after_open=0.0, timeout=0.0, listen_only=listen_only)
+        try:
+            self._claim()
+            if data_bitrate:
+                self.set_bitrate(bitrate, data_bitrate)
+        except (can.CanError, OSError, ValueError):
+            self._is_shutdown = True
+            self.serialPortOrig.close()
+            raise
+
+    def _claim(self) -> None:
+        """From now on the port is ours. Nothing is said before: it would disturb whoever has it."""
         self.serialPortOrig.exclusive = True
-        if data_bitrate:
-            self.set_bitrate(bitrate, data_bitrate)
+        self._ours = True
+        self._push()
+
+    def shutdown(self) -> None:
+        """Close the channel and the port, also if the adapter is gone: then it raises CanOperationError."""
+        can.BusABC.shutdown(self)
+        try:
+            self.close()
+        finally:
+            self.serialPortOrig.close()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 -- it never waits
         """Hand a frame over, whole or not at all."""
@@ -47,7 +68,7 @@ class SlcanInterface(slcanBus):
         self._push()
 
     def _push(self) -> None:
-        if not self._out:
+        if not (self._out and self._ours):
             return
         try:
             del self._out[: os.write(self.serialPortOrig.fileno(), self._out)]
