@@ -6,7 +6,9 @@ What is given back are whole ticks with all that was shown of them, as they were
 
 from __future__ import annotations
 
+import os
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -14,7 +16,7 @@ from pathlib import Path
 
 from gateway import journal
 from gateway.recording import opcode
-from gateway.recording.layout import RecordingError
+from gateway.recording.layout import MAGIC, RecordingError
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.reader import has_end, head, parse, read
 from gateway.recording.scan import MESSAGE_HEAD, Damage, Record, records
@@ -23,6 +25,8 @@ from protocols.words import Nanos, seconds
 SALVAGED = "recovered"
 """The metadata that a recovered file has beside the others: from which file, and what it lost."""
 CHUNK_SIZE = 512 * 1024
+_CRC = struct.Struct("<I")
+_FOOTER = struct.Struct("<BQQQ")
 _TICK = struct.Struct("<4xQq")
 
 
@@ -70,12 +74,31 @@ def is_whole(path: Path) -> bool:
     found = Salvage()
     for _ in _followed(path, found):
         pass
-    if not found.ended or found.damages:
+    if not found.ended or found.damages or not _index_is_sound(path):
         return False
     try:
         return read(path).promised == found.ticks
     except RecordingError:  # its index
         return False
+
+
+def _index_is_sound(path: Path) -> bool:
+    """Whether index and footer match the checksum in the footer."""
+    with path.open("rb") as file:
+        end = file.seek(-len(MAGIC) - _CRC.size, os.SEEK_END)
+        (crc,) = _CRC.unpack(file.read(_CRC.size))
+        file.seek(end - _FOOTER.size)
+        code, _length, start, _offsets = _FOOTER.unpack(file.read(_FOOTER.size))
+        if code != opcode.FOOTER or start > end:
+            return False
+        file.seek(start)
+        made, left = 0, end - start
+        while left:
+            block = file.read(min(left, CHUNK_SIZE))
+            if not block:
+                return False
+            made, left = zlib.crc32(block, made), left - len(block)
+    return bool(made == crc)
 
 
 def salvage(path: Path, target: Path) -> Salvage:

@@ -54,6 +54,7 @@ class Sheet:
         self._since: Nanos = 0
         """the first of them from then."""
         self._views = views
+        views.prepare()
         self._written = self._seals = journal.UNSEALED
         """The seals of the last tick in the file, and of the last tick of all."""
         self._again: Nanos | None = None

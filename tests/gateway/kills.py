@@ -1,0 +1,116 @@
+"""What must hold of a recording whose process was killed. Shared by the sample and the campaign."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from numpy.random import PCG64, Generator
+from rosbags.highlevel import AnyReader
+
+from gateway import config, journal
+from gateway.gateway import Gateway, ear_of
+from gateway.judge import compare
+from gateway.recording import read
+from gateway.recording.salvage import salvage
+from protocols.words import MILLISECOND, Nanos
+from tests.gateway.witness import Runs
+
+PROMISE: Nanos = 100 * MILLISECOND
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Of one kill."""
+
+    after: float
+    """s from the first tick to the kill"""
+    ticks: int
+    """that were recovered"""
+    lost: Nanos
+    """Time between the last tick handed over and the last one recovered."""
+
+
+def one_kill(runs: Runs, folder: Path, seed: int, number: int) -> Outcome:
+    """Kill a run of the bench at a moment drawn from the seed, and hold its recording to the promises."""
+    generator = Generator(PCG64([seed, number]))
+    after = float(generator.uniform(0.0, 0.8))
+    speed = float(generator.uniform(-8.0, 8.0))
+    file, whole = folder / f"{number}.mcap", folder / f"{number}.whole.mcap"
+    first, handed_over = runs.kill("bench", file, after, f"velocity left {speed:.3f}")
+    before = file.read_bytes()
+    flushed = raw_ticks(file)
+    if not flushed:
+        lost = handed_over - first
+        assert lost <= PROMISE, f"nothing was flushed in {lost / MILLISECOND:.1f} ms"
+        return Outcome(after, 0, lost)
+    found = salvage(file, whole)
+    assert file.read_bytes() == before, "the input was changed"
+    assert read_by_rosbags(whole) == flushed, "not every flushed tick came back byte for byte"
+    assert (found.ticks, found.gaps) == (len(flushed), [])
+    last = [tick.now for tick in read(whole).ticks][-1]
+    lost = handed_over - last
+    assert lost <= PROMISE, f"{lost / MILLISECOND:.1f} ms are lost"
+    replays(whole)
+    file.unlink()
+    whole.unlink()
+    return Outcome(after, len(flushed), lost)
+
+
+def raw_ticks(path: Path) -> list[bytes]:
+    """Every tick that stands in a file, as bytes, by a reader that is not ours."""
+    ticks: list[bytes] = []
+    topics: dict[int, str] = {}
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file, record_size_limit=path.stat().st_size).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message) and topics[record.channel_id] == journal.TOPIC:
+                    ticks.append(record.data)
+        except (McapError, ValueError, RuntimeError):  # where it was cut
+            pass
+    return ticks
+
+
+def read_by_rosbags(path: Path) -> list[bytes]:
+    """Every tick in a file, as bytes, while every message of every topic is opened."""
+    ticks: list[bytes] = []
+    with AnyReader([path]) as reader:
+        assert {c.topic for c in reader.connections} >= {journal.TOPIC, "/diagnostics"}
+        for connection, _, raw in reader.messages():
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            assert message is not None
+            if connection.topic == journal.TOPIC:
+                ticks.append(bytes(raw))
+    return ticks
+
+
+def replays(path: Path) -> None:
+    """To the same bytes, as `gateway replay` judges it."""
+    recording = read(path)
+    robot = config.loads(recording.robot_text, "robot.toml")
+    gateway = Gateway(robot)
+    verdict = compare(
+        recording, gateway.step, gateway.belief, lambda bus: ear_of(robot, bus), buses=robot.buses
+    )
+    assert not verdict.differences, verdict.text()
+    assert not verdict.unread
+    assert not verdict.left_over
+    # A kill in the very first ticks may leave nothing that was sent.
+    assert verdict.ok or not verdict.packets, verdict.text()
+
+
+def summary(outcomes: list[Outcome]) -> str:
+    """For a person."""
+    lost = sorted(outcome.lost / MILLISECOND for outcome in outcomes)
+    ticks = sum(outcome.ticks for outcome in outcomes)
+    span = sum(outcome.after for outcome in outcomes)
+    return (
+        f"{len(outcomes)} kills over {span:.0f} s: {ticks} ticks recovered; lost before the kill: "
+        f"median {lost[len(lost) // 2]:.1f} ms, at most {lost[-1]:.1f} ms"
+    )

@@ -1,0 +1,152 @@
+"""A real `gateway run`, many times over, each with a witness of what it handed to its recorder.
+
+Run as a program: it imports everything once, and then, for each line on its input, forks a process that
+becomes `gateway run ROBOT --record FILE` with a line typed on its terminal. The moments of the first and the
+last tick that were handed over stand on a board: a file mapped into memory, written before the hand-over, so
+that nobody can have handed over more than it says. The board is all that differs from the command.
+
+Run from the tests: `Runs` starts that program and talks to it.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from protocols.words import Nanos
+
+NOTHING = -1
+"""What the board says before the first tick."""
+PATIENCE = 60.0
+"""s that a process may take to its first tick, on a machine that has other things to do"""
+
+
+class Board:
+    """The times of the first and the newest tick that were handed over, seen by both processes."""
+
+    def __init__(self, path: Path) -> None:
+        with path.open("r+b") as file:
+            self._map = mmap.mmap(file.fileno(), 16)
+        self.cells = memoryview(self._map).cast("q")
+
+    @classmethod
+    def new(cls, path: Path) -> Board:
+        """A board with nothing on it."""
+        path.write_bytes(2 * NOTHING.to_bytes(8, sys.byteorder, signed=True))
+        return cls(path)
+
+    def close(self) -> None:
+        """Give the memory back."""
+        self.cells.release()
+        self._map.close()
+
+
+# -- the program -------------------------------------------------------------------------------
+
+
+def _serve() -> None:
+    """One process at a time, for each line `ROBOT FILE BOARD TYPED` (separated by tabs)."""
+    import filterpy.kalman  # noqa: F401  # all that a run imports, once
+    import rosbags.typesys.stores.ros2_jazzy  # noqa: F401
+
+    from gateway import commands, recording, session  # noqa: F401
+
+    print("ready", flush=True)
+    for line in sys.stdin:
+        robot, file, board, typed = line.rstrip("\n").split("\t")
+        read_end, write_end = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            os.dup2(read_end, 0)
+            _become_run(robot, file, Path(board), write_end, typed)
+        os.close(read_end)
+        print(pid, flush=True)
+        _, status = os.waitpid(pid, 0)
+        os.close(write_end)
+        print(os.waitstatus_to_exitcode(status), flush=True)
+
+
+def _become_run(robot: str, file: str, board: Path, terminal: int, typed: str) -> None:
+    """`gateway run`, never to return; at tick 20 somebody types a line on its terminal."""
+    from gateway.__main__ import main
+    from gateway.recording import Recorder
+
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    cells = Board(board).cells
+    record = Recorder.record
+
+    def witnessed(self: Recorder, tick: Any, belief: Any, *, patient: bool = False) -> None:
+        if tick.number == 0:
+            cells[0] = tick.now
+        cells[1] = tick.now
+        if tick.number == 20:
+            os.write(terminal, f"{typed}\n".encode())
+        record(self, tick, belief, patient=patient)
+
+    Recorder.record = witnessed  # type: ignore[method-assign]  # the witness
+    os._exit(main(["run", robot, "--record", file]))
+
+
+# -- from the tests ----------------------------------------------------------------------------
+
+
+class Runs:
+    """The program, and what is asked of it."""
+
+    def __init__(self) -> None:
+        self._server = subprocess.Popen(
+            [sys.executable, "-m", "tests.gateway.witness"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )
+        assert self._heard() == "ready"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.kill()
+        self._server.communicate()
+
+    def kill(self, robot: str, file: Path, after: float, typed: str) -> tuple[Nanos, Nanos]:
+        """Run a robot, kill it so many seconds after its first tick; the times of the first and the last tick
+        that it handed over.
+
+        In wall time, because a kill in simulated time proves nothing."""
+        path = file.with_suffix(".board")
+        with closing(Board.new(path)) as board:
+            assert self._server.stdin
+            self._server.stdin.write(f"{robot}\t{file}\t{path}\t{typed}\n")
+            self._server.stdin.flush()
+            pid = int(self._heard())
+            for _ in range(round(PATIENCE / 0.001)):
+                if board.cells[1] != NOTHING:
+                    break
+                time.sleep(0.001)
+            time.sleep(after)
+            os.kill(pid, signal.SIGKILL)
+            assert self._heard() == str(-signal.SIGKILL), "it did not live until it was killed"
+            first, last = board.cells
+        path.unlink()
+        assert last != NOTHING
+        return first, last
+
+    def _heard(self) -> str:
+        assert self._server.stdout
+        return self._server.stdout.readline().rstrip("\n")
+
+
+if __name__ == "__main__":
+    _serve()
