@@ -1,4 +1,4 @@
-"""A CAN bus by python-can's name for it: "socketcan:can0", "slcan:/dev/ttyACM0", "virtual:test".
+"""A CAN bus by python-can's name for it: "slcan:/dev/ttyACM0", "virtual:test". SocketCAN has its own file.
 
 Rules. Opening says in a sentence what is missing; afterwards nothing is raised, everything is told as a
 BusState, once for each change. Reading drains what is there, a bounded number of frames at a time, and never
@@ -15,8 +15,12 @@ from collections.abc import Sequence
 
 import can
 
-from gateway.buses import BusError
+from gateway.buses import Bus, BusError
+from gateway.buses.can_errors import CanError, state_of
 from gateway.buses.can_open import open_interface
+from gateway.buses.socketcan import open_socketcan
+from gateway.buses.stamps import Stamps
+from gateway.buses.states import Outbox, States
 from gateway.clock import Clock, WallClock
 from gateway.robot import BusSettings
 from protocols.wire import BusState, CanFrame, Packet, Wire
@@ -24,18 +28,18 @@ from protocols.words import SECOND, Nanos
 
 MOST_READ = 1024
 """Frames taken in by one read: more than a full bus of 1 Mbit/s carries in 0.1 s."""
-MOST_WAITING = 256
-"""Frames that may wait to go out; beyond that the oldest is dropped."""
 SEND_PATIENCE = 0.005
 """Seconds that an adapter on a serial line may take for one frame."""
 REOPEN = SECOND
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
 
 
-def open_can(settings: BusSettings, clock: Clock, *, listen_only: bool = False) -> CanBus:
+def open_can(settings: BusSettings, clock: Clock, *, listen_only: bool = False) -> Bus:
     """Open the bus. Raises BusError with what is missing and how to get it.
 
     `listen_only`: nothing is ever sent, not even an acknowledgement where the interface can be told so."""
+    if settings.interface.startswith("socketcan:"):
+        return open_socketcan(settings, clock, listen_only=listen_only)
     wire = open_interface(settings, listen_only=listen_only)
     return CanBus(settings, clock, wire, listen_only=listen_only)
 
@@ -47,44 +51,48 @@ class CanBus:
         self, settings: BusSettings, clock: Clock, wire: can.BusABC, *, listen_only: bool = False
     ) -> None:
         self.name = settings.name
-        self.dropped = 0
-        """Frames that never went out, because a newer one took their place or the interface was gone."""
         self._settings = settings
         self._clock = clock
         self._wire: can.BusABC | None = wire
         self._listen_only = listen_only
         self.bad = 0
         """What came in and could not be read as a frame."""
-        at_once = settings.interface.startswith(("socketcan:", "virtual:"))
-        self._patience = None if at_once else SEND_PATIENCE
+        self._patience = None if settings.interface.startswith("virtual:") else SEND_PATIENCE
         self._hears_itself = settings.interface.startswith("udp_multicast:")
         self._echoes: dict[CanFrame, int] = {}
-        self._waiting: dict[tuple[int, bool, bool], CanFrame] = {}
-        self._state = BusState.UP
-        self._told: list[BusState] = []
+        self._outbox = Outbox()
+        self._states = States()
+        self._stamps = Stamps()
+        self._lost = 0
         self._reopen_at: Nanos = 0
-        self._last: Nanos = 0
+
+    @property
+    def dropped(self) -> int:
+        """Frames that never went out, because a newer one took their place or the interface was gone."""
+        return self._outbox.dropped + self._lost
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """What has changed and what has come in up to `now`; stamps never run backwards."""
         packets: list[Packet] = []
         if self._wire is None:
             self._come_back(now)
+        clock = self._clock
+        self._stamps.begin(now, clock.system_offset() if isinstance(clock, WallClock) else None)
         for _ in range(MOST_READ):
             message = self._receive(now)
             if message is None:
                 if self._more():
                     continue
+                self._stamps.end()
                 break
             if message.is_error_frame:
                 self._hear_error(message)
                 continue
             frame = _frame(message)
             if not self._is_echo(frame):
-                packets.append(Packet(self._stamp(message.timestamp, now), self.name, frame))
+                packets.append(Packet(self._stamps.move(round(message.timestamp * SECOND)), self.name, frame))
         self._flush(now)
-        told, self._told = self._told, []
-        return told, packets
+        return self._states.take(now), packets
 
     def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
         """Put frames on the bus, in order; whatever finds no room waits."""
@@ -92,8 +100,8 @@ class CanBus:
         self._flush(now)
         for wire in wires:
             assert isinstance(wire, CanFrame), f"{self.name} is a CAN bus"
-            if self._waiting or not self._send(wire, now):
-                self._wait(wire)
+            if self._outbox or not self._send(wire, now):
+                self._outbox.put(wire)
 
     def close(self) -> None:
         """Give the interface back."""
@@ -107,43 +115,30 @@ class CanBus:
     def _send(self, frame: CanFrame, now: Nanos) -> bool:
         """Whether the frame is off our hands: sent, or lost with the interface."""
         if self._wire is None:
-            self.dropped += 1
+            self._lost += 1
             return True
         try:
             self._wire.send(_message(frame), timeout=self._patience)
         except can.CanTimeoutError:
-            self._tell(BusState.FULL)
+            self._states.full(now)
             return False
         except (can.CanError, OSError) as error:
             if _is_full(error):
-                self._tell(BusState.FULL)
+                self._states.full(now)
                 return False
             self._lose(now)
-            self.dropped += 1
+            self._lost += 1
             return True
         if self._hears_itself:
             self._echoes[frame] = self._echoes.get(frame, 0) + 1
         return True
 
-    def _wait(self, frame: CanFrame) -> None:
-        if self._wire is None:
-            self.dropped += 1
-            return
-        key = (frame.id, frame.extended, frame.remote)
-        self.dropped += self._waiting.pop(key, None) is not None
-        self._waiting[key] = frame
-        if len(self._waiting) > MOST_WAITING:
-            self._waiting.pop(next(iter(self._waiting)))
-            self.dropped += 1
-
     def _flush(self, now: Nanos) -> None:
-        while self._waiting:
-            key = next(iter(self._waiting))
-            if not self._send(self._waiting[key], now):
+        while self._outbox:
+            frame = self._outbox.take()
+            if not self._send(frame, now):
+                self._outbox.put_back(frame)
                 return
-            self._waiting.pop(key, None)  # nothing waits any more if the interface has just gone
-        if self._state is BusState.FULL:
-            self._tell(BusState.UP)
 
     # -- in -----------------------------------------------------------------------------------
 
@@ -174,40 +169,18 @@ class CanBus:
             del self._echoes[frame]
         return sent > 0
 
-    def _stamp(self, timestamp: float, now: Nanos) -> Nanos:
-        """The back end's stamp on our clock if it is one of the system's clock, else now."""
-        t = now
-        if isinstance(self._clock, WallClock):
-            told = self._clock.from_system(timestamp)
-            t = told if now - SECOND < told < now else now
-        self._last = max(self._last, t)
-        return self._last
-
     def _hear_error(self, message: can.Message) -> None:
-        """The classes of SocketCAN's error frames that change the state of the bus (linux/can/error.h)."""
-        what, data = message.arbitration_id, bytes(message.data).ljust(8, b"\0")
-        if what & 0x100:  # CAN_ERR_RESTARTED
-            self._tell(BusState.BACK)
-        elif what & 0x040:  # CAN_ERR_BUSOFF
+        """Some back ends bring error frames as SocketCAN has them."""
+        state = state_of(CanError(message.arbitration_id, bytes(message.data).ljust(8, b"\0")))
+        if state is BusState.OFF:
             self._forget()
-            self._tell(BusState.OFF)
-        elif what & 0x004 and data[1] & 0x30:  # CAN_ERR_CRTL: receive or transmit error-passive
-            self._tell(BusState.PASSIVE)
-        elif what & 0x004 and data[1] & 0x40:  # CAN_ERR_CRTL_ACTIVE
-            self._tell(BusState.UP)
+        if state is not None:
+            self._states.set(state)
 
     # -- gone and back ------------------------------------------------------------------------
 
-    def _tell(self, state: BusState) -> None:
-        """Note a change of state. BACK is up again."""
-        after = BusState.UP if state is BusState.BACK else state
-        if after is not self._state:
-            self._told.append(state)
-            self._state = after
-
     def _forget(self) -> None:
-        self.dropped += len(self._waiting)
-        self._waiting.clear()
+        self._outbox.clear()
         self._echoes.clear()
 
     def _lose(self, now: Nanos) -> None:
@@ -216,7 +189,7 @@ class CanBus:
             _shut(wire)
         self._forget()
         self._reopen_at = now + REOPEN
-        self._tell(BusState.GONE)
+        self._states.set(BusState.GONE)
 
     def _come_back(self, now: Nanos) -> None:
         if now < self._reopen_at:
@@ -226,7 +199,7 @@ class CanBus:
             self._wire = open_interface(self._settings, listen_only=self._listen_only)
         except BusError:
             return
-        self._tell(BusState.BACK)
+        self._states.set(BusState.BACK)
 
 
 def _frame(message: can.Message) -> CanFrame:

@@ -10,6 +10,7 @@ from typing import Any
 import can
 
 from gateway.buses import BusError
+from gateway.buses.link import Link
 from gateway.buses.slcan_client import SlcanInterface
 from gateway.mistakes import unknown
 from gateway.robot import TWIN, BusSettings
@@ -17,6 +18,10 @@ from gateway.robot import TWIN, BusSettings
 NET = Path("/sys/class/net")
 ARPHRD_CAN = "280"
 """The type of a network interface that is a CAN bus (Linux, if_arp.h)."""
+CANFD_MTU = 72
+"""Size of the frames that an interface takes: 72 with CAN FD, 16 without (linux/can.h)."""
+BITRATE_TOLERANCE = 0.01
+"""A controller's clock cannot be divided to every rate; nodes agree to about this."""
 
 _REFUSALS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, ImportError)
 """What python-can's back ends raise when they cannot be opened (NotImplementedError is a RuntimeError)."""
@@ -54,7 +59,7 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
 
 
 def _refusal(settings: BusSettings, interface: str, error: Exception) -> str:
-    said = f"bus {settings.name!r} cannot be opened as {settings.interface!r}"
+    said = _head(settings)
     if interface in can.VALID_INTERFACES:
         return f"{said}: {error}"
     kinds = unknown("interface", interface, [TWIN, *sorted(can.VALID_INTERFACES)])
@@ -78,7 +83,7 @@ def can_interfaces(net: Path = NET) -> list[str]:
 
 def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET) -> str:
     """Why a SocketCAN channel cannot be opened, what there is, and what to type; "" if nothing is missing."""
-    head = f"bus {settings.name!r} cannot be opened as {settings.interface!r}"
+    head = _head(settings)
     there = can_interfaces(net) if has_can else []
     if channel in there:
         if int((net / channel / "flags").read_text(), 16) & 1:  # IFF_UP
@@ -89,6 +94,38 @@ def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET)
     else:
         why = "this machine's kernel has no CAN (errno 97: address family not supported by protocol)"
     return f"{head}: {why}. {_what_there_is(there)}\n{_to_type(settings, channel)}"
+
+
+def check_fit(settings: BusSettings, link: Link) -> None:
+    """Raises BusError where a SocketCAN interface is set up otherwise than the robot file has the bus."""
+    cure = _set_up(settings, link.name)
+    for which, wanted, found in (
+        ("bitrate", settings.bitrate, link.bitrate),
+        ("data_bitrate", settings.data_bitrate, link.data_bitrate),
+    ):
+        if wanted and found and abs(wanted - found) > found * BITRATE_TOLERANCE:
+            said = f"{link.name} has a {which} of {found} bit/s, the robot file says {wanted}"
+            choice = f"Change {which} under [buses.{settings.name}], or the interface:"
+            raise BusError("\n  ".join([f"{_head(settings)}: {said}.\n{choice}", *cure]))
+    if settings.kind == "canfd" and link.mtu < CANFD_MTU:
+        if link.kind != "can":  # a virtual one has no controller that could be set up
+            cure = [f"sudo ip link set {link.name} down", f"sudo ip link set {link.name} mtu {CANFD_MTU} up"]
+        said = f"{link.name} carries classic CAN alone (mtu {link.mtu}), the robot file says CAN FD"
+        raise BusError("\n  ".join([f"{_head(settings)}: {said}.\nTo change that:", *cure]))
+
+
+def _head(settings: BusSettings) -> str:
+    return f"bus {settings.name!r} cannot be opened as {settings.interface!r}"
+
+
+def _set_up(settings: BusSettings, channel: str) -> list[str]:
+    """The lines that set a controller up as the robot file has the bus."""
+    fd = f" dbitrate {settings.data_bitrate} fd on" if settings.kind == "canfd" else ""
+    return [
+        f"sudo ip link set {channel} down",
+        f"sudo ip link set {channel} type can bitrate {settings.bitrate}{fd} restart-ms 100",
+        f"sudo ip link set {channel} up",
+    ]
 
 
 def _what_there_is(there: list[str]) -> str:
@@ -109,10 +146,5 @@ def _to_type(settings: BusSettings, channel: str) -> str:
             f"sudo ip link set {channel}{size} up",
         ]
     else:
-        fd = f" dbitrate {settings.data_bitrate} fd on" if settings.kind == "canfd" else ""
-        lines = [
-            "With the adapter plugged in, to bring it up:",
-            f"sudo ip link set {channel} type can bitrate {settings.bitrate}{fd}",
-            f"sudo ip link set {channel} up",
-        ]
+        lines = ["With the adapter plugged in, to bring it up:", *_set_up(settings, channel)[1:]]
     return "\n  ".join(lines)

@@ -14,10 +14,11 @@ import can
 import pytest
 
 from gateway.buses import Bus, BusError
-from gateway.buses.can import MOST_READ, MOST_WAITING, CanBus, open_can
+from gateway.buses.can import MOST_READ, CanBus, open_can
 from gateway.buses.can_open import can_interfaces, missing
 from gateway.buses.serial import MOST_WAITING as MOST_BYTES
 from gateway.buses.serial import SerialBus, open_serial
+from gateway.buses.states import CALM, MOST_WAITING
 from gateway.clock import SimulatedClock, WallClock
 from gateway.robot import BusSettings
 from protocols.wire import BusState, CanFrame, Packet
@@ -40,7 +41,7 @@ def poll(look: Callable[[], T], tries: int = 100_000) -> T:
 
 
 @pytest.fixture
-def pair() -> Iterator[tuple[CanBus, CanBus]]:
+def pair() -> Iterator[tuple[Bus, Bus]]:
     one, other = open_can(CAN, SimulatedClock()), open_can(CAN, SimulatedClock())
     yield one, other
     one.close()
@@ -57,7 +58,7 @@ FRAMES = [
 ]
 
 
-def test_frames_arrive_whole_in_order_and_stamped(pair: tuple[CanBus, CanBus]) -> None:
+def test_frames_arrive_whole_in_order_and_stamped(pair: tuple[Bus, Bus]) -> None:
     one, other = pair
     one.write(5, FRAMES)
     states, packets = other.read(7)
@@ -66,13 +67,13 @@ def test_frames_arrive_whole_in_order_and_stamped(pair: tuple[CanBus, CanBus]) -
     assert other.read(8) == ([], [])
 
 
-def test_own_frames_are_not_heard(pair: tuple[CanBus, CanBus]) -> None:
+def test_own_frames_are_not_heard(pair: tuple[Bus, Bus]) -> None:
     one, _ = pair
     one.write(0, FRAMES)
     assert one.read(1) == ([], [])
 
 
-def test_one_read_is_bounded_and_loses_nothing(pair: tuple[CanBus, CanBus]) -> None:
+def test_one_read_is_bounded_and_loses_nothing(pair: tuple[Bus, Bus]) -> None:
     one, other = pair
     frames = [CanFrame(n % 2048, bytes([n % 256])) for n in range(MOST_READ + 10)]
     one.write(0, frames)
@@ -152,7 +153,8 @@ def test_a_full_queue_is_told_once_and_the_newest_command_wins(
     bus.write(4, [CanFrame(3, b"after")])
     assert wire.sent == [CanFrame(2, b"kept"), CanFrame(1, b"newest"), CanFrame(3, b"after")]
     assert bus.dropped == 2
-    assert bus.read(5) == ([BusState.UP], [])
+    assert bus.read(CALM) == ([], [])
+    assert bus.read(3 + CALM) == ([BusState.UP], [])
 
 
 def test_without_a_jam_frames_of_one_id_all_go_out(broken: tuple[CanBus, Wire]) -> None:
@@ -225,7 +227,7 @@ def test_error_frames_are_states_and_never_data(broken: tuple[CanBus, Wire]) -> 
     assert bus.read(2) == ([BusState.OFF, BusState.BACK], [])
 
 
-def test_closing_twice_and_using_it_afterwards_hurts_nobody(pair: tuple[CanBus, CanBus]) -> None:
+def test_closing_twice_and_using_it_afterwards_hurts_nobody(pair: tuple[Bus, Bus]) -> None:
     one, other = pair
     one.close()
     one.close()
@@ -242,6 +244,7 @@ def test_an_adapter_on_a_serial_line_acknowledges_and_stutters() -> None:
     bus = open_can(
         BusSettings("can0", "can", f"slcan:{os.ttyname(host)}", bitrate=1_000_000), SimulatedClock()
     )
+    assert isinstance(bus, CanBus)
     try:
         bus.write(0, [CanFrame(0x123, b"\x01\xff"), CanFrame(0x12, remote=True)])
         sent = b""
@@ -294,9 +297,9 @@ def test_a_missing_vcan_is_named_with_what_there_is_and_what_to_type(tmp_path: P
 def test_a_missing_can_gets_its_bit_rate(tmp_path: Path) -> None:
     said = missing(socketcan("can0"), "can0", True, a_net(tmp_path))
     assert "interfaces of this machine: none" in said
-    assert "sudo ip link set can0 type can bitrate 1000000\n  sudo ip link set can0 up" in said
+    assert "sudo ip link set can0 type can bitrate 1000000 restart-ms 100\n  sudo ip link set can0 up" in said
     said = missing(socketcan("can0", "canfd"), "can0", True, tmp_path)
-    assert "type can bitrate 1000000 dbitrate 5000000 fd on" in said
+    assert "type can bitrate 1000000 dbitrate 5000000 fd on restart-ms 100" in said
 
 
 def test_an_interface_that_is_down_is_told_apart(tmp_path: Path) -> None:
