@@ -15,6 +15,7 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from brain.belief import BrainState
 from protocols.words import MILLISECOND, SECOND, Asked, Goal, Nanos
 
 if TYPE_CHECKING:
@@ -214,7 +215,9 @@ def _run_loop(
 
 def _all_done(made: Session, goals: int) -> bool:
     """In simulated time a run without an end ends when there is nothing left to do."""
-    return bool(made.gateway.why_stopped()) or made.gateway.belief().reached >= goals
+    belief = made.gateway.belief()
+    stopped = bool(made.gateway.why_stopped()) or belief.state is BrainState.STOPPED
+    return stopped or belief.reached >= goals
 
 
 def status_text(made: Session) -> str:
@@ -303,6 +306,18 @@ def recover(options: Namespace) -> int:
 
     with _sentences():
         return make_whole(options)
+
+
+def watch(options: Namespace) -> int:
+    """Listen to buses or to a recording, and say what is heard."""
+    from gateway.sources import WatchError
+    from gateway.watch import watch as listen
+
+    with _sentences():
+        try:
+            return listen(options)
+        except WatchError as error:
+            raise Sentence(str(error)) from error
 
 
 def check(options: Namespace) -> int:
