@@ -28,6 +28,7 @@ def main(arguments: list[str] | None = None) -> int:
         "twin": commands.twin,
         "replay": commands.replay,
         "recover": commands.recover,
+        "watch": commands.watch,
         "check": commands.check,
         "protocols": commands.protocols,
         "ask": commands.ask,
@@ -109,6 +110,21 @@ def parser() -> argparse.ArgumentParser:
         "-o", "--out", type=Path, metavar="OUT", help="the new file (default: FILE with .recovered in it)"
     )
 
+    watch = _command(commands, "watch", "listen to buses or to a recording, and never say anything")
+    watch.add_argument(
+        "what",
+        nargs="?",
+        metavar="ROBOT|FILE.mcap|INTERFACE:CHANNEL",
+        help="a robot file or its name, a recording, or socketcan:can0, slcan:PORT, serial:PORT … "
+        "(default: every CAN interface of this machine)",
+    )
+    _bus(watch, "where a bus of the robot file is: can0=socketcan:vcan0")
+    watch.add_argument("--lines", action="store_true", help="a line for every packet, instead of the page")
+    watch.add_argument("--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C)")
+    watch.add_argument("--bitrate", type=_rate, default=1_000_000, metavar="N", help="of INTERFACE:CHANNEL")
+    watch.add_argument("--data-bitrate", type=_rate, default=0, metavar="N", help="of it, if it is CAN FD")
+    watch.add_argument("--baudrate", type=_rate, default=115_200, metavar="N", help="of serial:PORT")
+
     check = _command(
         commands, "check", "read a robot file, and say what was understood, or every mistake in it"
     )
@@ -179,6 +195,12 @@ def _interface(text: str) -> tuple[str, str]:
 def _count(text: str) -> int:
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 16):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 16")
+    return int(text)
+
+
+def _rate(text: str) -> int:
+    if not (text.isascii() and text.replace("_", "").isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a rate in bit/s")
     return int(text)
 
 
