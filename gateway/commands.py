@@ -172,14 +172,14 @@ def run(options: Namespace) -> int:
             Operator(robot) as operator,
         ):
             goals = [Goal(*goal) for goal in options.goal]
-            until = None if options.seconds is None else round(options.seconds * SECOND)
-            status = _run_loop(made, operator, goals, until, options)
+            lasting = None if options.seconds is None else round(options.seconds * SECOND)
+            status = _run_loop(made, operator, goals, lasting, options)
     _print_recording(made)
     return status
 
 
 def _run_loop(
-    made: Session, operator: Operator, goals: list[Goal], until: Nanos | None, options: Namespace
+    made: Session, operator: Operator, goals: list[Goal], lasting: Nanos | None, options: Namespace
 ) -> int:
     """The loop of `run`: what a person asks goes in, what the robot says comes out."""
     print(
@@ -198,12 +198,12 @@ def _run_loop(
         return asked
 
     faults = ""
-    with closing(made.ticks(until, ask, dry=options.dry_run)) as ticks:
+    with closing(made.ticks(lasting, ask, dry=options.dry_run)) as ticks:
         for tick in ticks:
             for note in tick.outputs.notes:
                 operator.tell(f"{note.about}: {note.text}")
             faults = made.gateway.in_fault()
-            if options.fast and until is None and _all_done(made, len(goals)):
+            if options.fast and lasting is None and _all_done(made, len(goals)):
                 break
     account = made.account
     print(f"{account.ticks} ticks, {account.received} packets in, {account.sent} out", end="")

@@ -57,12 +57,13 @@ class Session:
 
     def ticks(
         self,
-        until: Nanos | None = None,
+        lasting: Nanos | None = None,
         ask: Callable[[], Sequence[Asked]] = run.no_questions,
         *,
         dry: bool = False,
     ) -> Generator[Tick]:
-        """The live loop, until `until` or until something asks it to leave; closing says the safe word."""
+        """The live loop, for so long or until something asks it to leave; closing says the safe word."""
+        until = None if lasting is None else self.clock.now() + lasting
         ticks = run.live(
             self.gateway,
             self.buses,
