@@ -1,4 +1,5 @@
-"""ODrive over CAN: the CANSimple protocol of firmware 0.6.x (Pro, S1, Micro). See README.md beside this.
+"""ODrive over CAN: the CANSimple protocol of firmware 0.6.x (Pro, S1, Micro) and 0.5.x (v3.x boards). See
+README.md beside this.
 
 Rules. This file is the contract (`Spec`) and the entry point; nothing is decided here that the device or the
 robot file should decide. Ranges are what the wire can carry in sense, not what a joint may do.
@@ -8,22 +9,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from protocols.odrive_can.codec import (
-    ASKABLE,
     BROADCAST,
-    FEED_FORWARD_MAX,
-    LAYOUTS,
+    MAX_EXTENDED_NODE,
     MAX_NODE,
+    TABLES,
     cmd_of,
     frame_id,
 )
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.ear import OdriveEar
-from protocols.odrive_can.messages import Address, EnterDfuMode, RxSdo
-from protocols.odrive_can.options import Options, Settings
+from protocols.odrive_can.layout import FEED_FORWARD_MAX
+from protocols.odrive_can.messages import Address, EnterDfuMode, GetVersion, Heartbeat, RxSdo
+from protocols.odrive_can.messages05 import AskAdcVoltage, SetAxisNodeId, StartAnticogging
+from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin05 import Twin05
+from protocols.odrive_can.twin06 import Twin06
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
@@ -76,8 +80,12 @@ RANGES: dict[str, Range] = {
     "Feedback.voltage": _scalar,
     "Feedback.temperature": _scalar,
 }
-NOT_SENT = frozenset({cmd_of(RxSdo), cmd_of(EnterDfuMode)})
+NOT_SENT = (RxSdo, EnterDfuMode, SetAxisNodeId, StartAnticogging, AskAdcVoltage)
 """Host's messages that this driver never sends."""
+LINES = {"auto": ("0.5", "0.6"), "0.5": ("0.5",), "0.6": ("0.6",)}
+"""The firmware lines that a device may turn out to be of, by the option: the driver asks first."""
+CMD_MASK = 0x1F
+DISCOVERY = frame_id(BROADCAST, cmd_of(Address))
 WATCHDOG_NOTE = (
     "the device's watchdog is off, and cannot be switched on over CAN: if this host or its cable fails, the"
     " motor keeps its last set-point. Set axis0.config.enable_watchdog with the vendor's tool over USB and"
@@ -90,9 +98,33 @@ def _measured(settings: Settings) -> Range:
     return replace(_scalar, resolution=math.pi / settings.encoder_cpr * 1.001)
 
 
-def read_only(wire: Wire) -> bool:
+def asks(options: Options) -> frozenset[int]:
+    """The commands that may be asked for by a remote frame: what a device of any line in question answers or
+    takes no notice of, and none obeys. (0.5.x obeys remote frames, e.g. one of Set_Axis_Node_ID, which has
+    the number of 0.6.x's Address.)"""
+    tables = [TABLES[line] for line in LINES[options.firmware]]
+    answered = frozenset().union(
+        *(table.askable for table in tables), {cmd_of(GetVersion), cmd_of(Heartbeat)}
+    )
+    rows = [row for table in tables if table.remote_obeyed for row in table.to_device.values()]
+    return answered - {row.cmd for row in rows if row.message is not AskAdcVoltage}
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOnly:
     """Whether a wire only asks: a remote frame for a message that devices tell."""
-    return isinstance(wire, CanFrame) and wire.remote and not wire.extended and wire.id & 0x1F in ASKABLE
+
+    cmds: frozenset[int]
+    extended: bool
+    discovery: frozenset[int]
+
+    def __call__(self, wire: Wire) -> bool:
+        """A value rather than a function, so that equal specs are equal."""
+        if not isinstance(wire, CanFrame) or not wire.remote:
+            return False
+        if wire.id in self.discovery and not wire.extended:
+            return True
+        return wire.extended == self.extended and wire.id & 0x1F in self.cmds
 
 
 def spec(device: Device) -> Spec:
@@ -100,51 +132,62 @@ def spec(device: Device) -> Spec:
     options, settings = device.options, device.settings
     if not isinstance(options, Options) or not isinstance(settings, Settings):
         raise TypeError("an odrive_can device takes odrive_can's Options and Settings")
-    if not 0 <= device.address <= MAX_NODE:
-        raise ValueError(f"address {device.address} of {device.name}: a node id is 0 to {MAX_NODE}")
-    discovery = frame_id(BROADCAST, cmd_of(Address))
-    cmds = [layout.cmd for layout in LAYOUTS if layout.cmd not in NOT_SENT]
-    told = [layout.cmd for layout in LAYOUTS if layout.told()]
+    most = MAX_EXTENDED_NODE if options.is_extended else MAX_NODE
+    if not 0 <= device.address <= most:
+        raise ValueError(f"address {device.address} of {device.name}: a node id is 0 to {most}")
+    rows = [row for line in LINES[options.firmware] for row in TABLES[line].layouts]
+    told = {row.cmd for row in rows if row.direction != "to_device"}
+    said = {row.cmd for row in rows if row.direction != "from_device" and row.message not in NOT_SENT}
+    discovery = frozenset({DISCOVERY} if options.firmware != "0.5" else ())
+    requests = {ClearFault, Estop, Scan, Zero, ReadParameter, WriteParameter, Reboot}
+    requests |= {SetId} if options.firmware != "0.5" else set()
     quiet = options.watchdog == "acknowledged" or settings.enable_watchdog
     timeout = round(settings.watchdog_timeout * SECOND) or None
     return Spec(
         bus="can",
         kind="motor",
-        sends=frozenset({frame_id(device.address, cmd) for cmd in cmds} | {discovery}),
-        expects=frozenset({frame_id(device.address, cmd) for cmd in told} | {discovery}),
-        read_only=read_only,
+        sends=frozenset({frame_id(device.address, cmd) for cmd in said | asks(options)} | discovery),
+        expects=frozenset({frame_id(device.address, cmd) for cmd in told} | discovery),
+        read_only=ReadOnly(asks(options), options.is_extended, discovery),
         feedback=FeedbackKind.CYCLIC,
         feedback_period=options.feedback_ms * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({Idle, Hold, Position, Velocity, Torque}),
-        requests=frozenset({ClearFault, Estop, Scan, SetId, Zero, ReadParameter, WriteParameter, Reboot}),
+        requests=frozenset(requests),
         ranges=RANGES | {"Feedback.position": _measured(settings)},
         watchdog=Watchdog(timeout, settings.enable_watchdog, "" if quiet else WATCHDOG_NOTE),
         holds_unattended=not settings.enable_watchdog,
         stop_clears_faults=False,
+        overhears=((cmd_of(Address), CMD_MASK), (cmd_of(Heartbeat), CMD_MASK)),
     )
 
 
 def driver(devices: Sequence[Device]) -> Driver:
     """Our end, for all ODrives of one bus. ValueError if two have the same address."""
-    addresses = [device.address for device in devices]
-    for device in devices:
-        if addresses.count(device.address) > 1:
+    addresses = [(device.address, device.options.is_extended) for device in devices]
+    for device, address in zip(devices, addresses, strict=True):
+        if addresses.count(address) > 1:
             raise ValueError(f"address {device.address} of {device.name} is given twice on this bus")
     return OdriveDriver(devices, RANGES)
 
 
+def twin(device: Device, seed: int) -> OdriveTwin:
+    """One device, of the firmware line that it is configured to have."""
+    return Twin05(device, seed) if line_of(device) == "0.5" else Twin06(device, seed)
+
+
 plugin = Plugin(
     name="odrive_can",
-    title="ODrive Pro, S1, Micro over CAN (CANSimple, firmware 0.6.x)",
+    title="ODrive Pro, S1, Micro (firmware 0.6.x) and v3.x (0.5.x) over CAN (CANSimple)",
     trust=(
-        "bytes of every message both ways: odrive-can 2.1.0 with its DBC 0.6.10 and cantools 45.1.0;"
-        " discovery: odriverobotics/ODriveResources@06dc846; twin driven by odrive-can 2.1.0's client"
+        "bytes of every message both ways: odrive-can 2.1.0 with its DBCs 0.6.10 and 0.5.6, cantools 45.1.0;"
+        " discovery: odriverobotics/ODriveResources@06dc846; twins of both lines driven by odrive-can 2.1.0's"
+        " client"
     ),
     options=Options,
     settings=Settings,
     spec=spec,
     driver=driver,
     ear=OdriveEar,
-    twin=OdriveTwin,
+    twin=twin,
 )

@@ -1,4 +1,4 @@
-"""The driver: our end of CANSimple 0.6, for all ODrives of one bus.
+"""The driver: our end of CANSimple, for all ODrives of one bus, of firmware 0.5.x and 0.6.x side by side.
 
 Rules. No clock, no bus: time and frames are arguments, what is to be sent is returned. `receive` never raises
 and never learns from host's frames (ours or another's). `Node` holds what is known of one device, `Pending`
@@ -13,16 +13,20 @@ from math import isfinite
 from protocols.odrive_can import requests
 from protocols.odrive_can.codec import (
     BROADCAST,
-    BY_CMD,
-    CMD_BITS,
+    EXTENDED,
+    MAX_EXTENDED_NODE,
+    TABLES,
+    AnyMessage,
     ask,
+    asking,
     cmd_of,
     decode_from_device,
     encode,
-    frame_id,
+    node_of,
 )
+from protocols.odrive_can.dialect import beat_of
 from protocols.odrive_can.faults import DUPLICATE_NODE
-from protocols.odrive_can.messages import Address, Heartbeat, Message
+from protocols.odrive_can.messages import Address, Beacon
 from protocols.odrive_can.node import Node
 from protocols.odrive_can.requests import Pending
 from protocols.plugin import Device, Range, Tally
@@ -36,6 +40,7 @@ from protocols.words import (
     Found,
     Impedance,
     Nanos,
+    Reboot,
     Refused,
     Request,
     Scan,
@@ -55,7 +60,8 @@ class OdriveDriver:
 
     def __init__(self, devices: Sequence[Device], ranges: dict[str, Range]) -> None:
         self.tally = Tally()
-        self.nodes = {device.address: Node(device.name, device.address, device.options) for device in devices}
+        nodes = [Node(device.name, device.address, device.options) for device in devices]
+        self.nodes = {node.address: node for node in nodes}
         self._by_name = {node.name: node for node in self.nodes.values()}
         self._ranges = ranges
         self._pending: list[Pending] = []
@@ -67,41 +73,40 @@ class OdriveDriver:
         self._refused: dict[str, str] = {}
         self._written: dict[str, dict[str, float]] = {}
         self._roll_call: Nanos = 0
+        # An axis of 0.5.x would take a remote frame of Address for Set_Axis_Node_ID, were its node id 63.
+        self._discovery = any(node.options.firmware != "0.5" for node in nodes)
 
     # -- hearing ------------------------------------------------------------------------------
 
     def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
         """What a wire says; [] to what is not ours."""
-        if not isinstance(wire, CanFrame) or not self._ours(wire):
+        if not isinstance(wire, CanFrame) or wire.fd or wire.remote or not wire.data:
             self.tally.foreign += 1
-            self._overhear(t, wire)
             return []
-        message = decode_from_device(wire)
+        address = node_of(wire)
+        node = self.nodes.get(address)
+        line = node.identity.line if node is not None else ""
+        row = TABLES[line].from_device.get(wire.id & 0x1F)
+        if row is None or not (node is not None or row.message is Address):
+            self.tally.foreign += 1
+            self._overhear(t, address, wire)
+            return []
+        if row.message is Address and wire.data[0] != address:
+            # A node id that a host gives out differs from an unaddressed device's answer in its first byte.
+            self.tally.foreign += 1
+            return []
+        message = decode_from_device(wire, line)
         if message is None:
             self.tally.bad += 1
             return []
         self.tally.heard += 1
         if isinstance(message, Address):
             return self._hear_address(t, message)
-        return self._hear_node(t, self.nodes[wire.id >> CMD_BITS], message)
+        return self._hear_node(t, node, message) if node is not None else []
 
-    def _ours(self, frame: CanFrame) -> bool:
-        """Whether it is the data frame of a device: of ours, or anybody's answer to a roll call.
-
-        What a host sends under the same ids is not: a node id given out on the broadcast node differs
-        from an unaddressed device's answer in its first byte."""
-        node, layout = frame.id >> CMD_BITS, BY_CMD.get(frame.id & 0x1F)
-        if layout is None or not layout.told() or not frame.data:
-            return False
-        if frame.extended or frame.fd or frame.remote:
-            return False
-        if layout.message is Address:
-            return frame.data[0] == node
-        return node in self.nodes
-
-    def _hear_node(self, t: Nanos, node: Node, message: Message) -> list[Event]:
+    def _hear_node(self, t: Nanos, node: Node, message: AnyMessage) -> list[Event]:
         events = node.hear(t, message)
-        if isinstance(message, Heartbeat):
+        if beat_of(message) is not None:
             events += self._contradiction(t, node)
         for pending in [p for p in self._pending if p.node is node]:
             ended = requests.hear(pending, t, message)
@@ -110,15 +115,13 @@ class OdriveDriver:
                 events += ended
         return events
 
-    def _overhear(self, t: Nanos, wire: Wire) -> None:
+    def _overhear(self, t: Nanos, address: int, frame: CanFrame) -> None:
         """During a scan a heartbeat of an unknown node counts as found: 0.5.x answers no discovery."""
-        if not isinstance(wire, CanFrame) or wire.extended or wire.remote or wire.fd:
-            return
-        if wire.id & 0x1F != cmd_of(Heartbeat) or len(wire.data) < BY_CMD[cmd_of(Heartbeat)].dlc:
+        if frame.id & 0x1F != cmd_of(Beacon) or decode_from_device(frame, "") is None:
             return
         for pending in self._pending:
             if isinstance(pending.request, Scan):
-                pending.found.setdefault((wire.id >> CMD_BITS, None), f"heartbeat heard {t}")
+                pending.found.setdefault((address, None), f"heartbeat heard {t}")
 
     # -- who holds which node id -------------------------------------------------------------------
 
@@ -131,6 +134,7 @@ class OdriveDriver:
         self._serials[message.node] = held
         if message.node in self.nodes:
             self.nodes[message.node].heard_at = t
+            self.nodes[message.node].identity.hear_roll_call()
         events: list[Event] = self._double(t, message.node, sorted(held)) if len(held) > 1 else []
         for pending in list(self._pending):
             if isinstance(pending.request, Scan):
@@ -151,8 +155,7 @@ class OdriveDriver:
         ours = self.nodes.get(message.node)
         detail = "has no node id yet" if message.node == BROADCAST else ""
         if ours is not None:
-            v = ours.version
-            detail = f"{ours.name}, firmware {v.fw_major}.{v.fw_minor}.{v.fw_revision}" if v else ours.name
+            detail = f"{ours.name}, {ours.identity.title()}"
         pending.found[key] = detail
         return [Found(t, PROTOCOL, message.node, message.serial, detail)]
 
@@ -171,7 +174,8 @@ class OdriveDriver:
         if ours is None:
             return []
         cure = "take one off the bus, or give it another node id (SetId with its serial number)"
-        return [Fault(ours.name, t, DUPLICATE_NODE, f"node id {node} is held twice", cause, cure)]
+        title = f"node id {node & MAX_EXTENDED_NODE} is held twice"
+        return [Fault(ours.name, t, DUPLICATE_NODE, title, cause, cure)]
 
     def _contradiction(self, t: Nanos, node: Node) -> list[Event]:
         """Heartbeats that say A B A B while we asked for no change come from two devices."""
@@ -224,10 +228,10 @@ class OdriveDriver:
         for node in self.nodes.values():
             told, asks = node.tend(now)
             events += told
-            wires += [CanFrame(frame_id(node.address, cmd), remote=True) for cmd in asks]
+            wires += [asking(node.address, cmd) for cmd in asks]
         if now >= self._roll_call:
             self._roll_call = now + ROLL_CALL
-            wires.append(ask(BROADCAST, Address))
+            wires += [ask(BROADCAST, Address)] if self._discovery else []
         return events, wires
 
     def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Wire]:
@@ -262,7 +266,10 @@ class OdriveDriver:
         if len(self._pending) >= WAITING:
             begun = requests.refuse(now, request, "too many requests are under way")
         elif isinstance(request, Scan):
-            begun = requests.scan(now, request)
+            begun = requests.scan(now, request, self._discovery)
+        elif isinstance(request, SetId) and not self._discovery:
+            said = "firmware 0.5.x tells no serial numbers over CAN: set the node id with the vendor's tool"
+            begun = requests.refuse(now, request, said)
         elif isinstance(request, SetId):
             begun = requests.set_id(now, request, list(self.nodes.values()), self._serials)
         else:
@@ -270,13 +277,23 @@ class OdriveDriver:
             if node is None:
                 begun = requests.refuse(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
             else:
-                begun = requests.begin(now, request, node, self._written.setdefault(node.name, {}))
+                begun = self._begin(now, request, node)
                 if isinstance(request, ClearFault):
                     self._told_double.pop(node.address, None)
         if isinstance(begun, Refused):
             return [begun]
         self._pending.append(begun)
         return []
+
+    def _begin(self, now: Nanos, request: Request, node: Node) -> Pending | Refused:
+        others = [other for other in self.nodes.values() if other is not node and other.dialect.boards]
+        running = [other.name for other in others if other.claimed or other.armed]
+        if isinstance(request, Reboot) and node.dialect.boards and running:
+            said = (
+                f"it restarts its whole board, and {running[0]}, which is armed, may be on it: say idle first"
+            )
+            return requests.refuse(now, request, said)
+        return requests.begin(now, request, node, self._written.setdefault(node.name, {}))
 
     def _resend(self, now: Nanos, events: list[Event]) -> list[Wire]:
         wires: list[Wire] = []
@@ -289,9 +306,10 @@ class OdriveDriver:
                     else [requests.give_up(pending, now)]
                 )
             elif now >= pending.next:
+                frames = requests.frames_of(pending)
                 pending.next = now + pending.again
-                pending.sent += 1
-                wires += pending.frames
+                pending.sent += len(frames)
+                wires += frames
         return wires
 
     def _end_scan(self, now: Nanos, pending: Pending) -> list[Event]:
@@ -300,10 +318,18 @@ class OdriveDriver:
         mute = sorted(node for node, serial in pending.found if serial is None and node not in nodes)
         known = [node for node in self.nodes if node not in nodes and self.nodes[node].heard_at is not None]
         events: list[Event] = [
-            Found(now, PROTOCOL, node, None, "heard, but it did not answer discovery: firmware 0.5.x?")
+            Found(now, PROTOCOL, node & MAX_EXTENDED_NODE, None, self._mute(node))
             for node in sorted({*mute, *(n for n in known if not self.nodes[n].offline)})
         ]
         return [*events, pending.done(now, f"{len(answered) + len(events)} devices")]
+
+    def _mute(self, address: int) -> str:
+        """What is known of a node that did not answer discovery."""
+        ours = self.nodes.get(address)
+        if ours is not None and ours.identity.line:
+            return f"{ours.name}, {ours.identity.title()}"
+        ids = ", extended identifiers" if address >= EXTENDED else ""
+        return f"heard, but it did not answer discovery: firmware 0.5.x?{ids}"
 
     def due(self) -> Nanos | None:
         """When `send` next has something to do by itself."""

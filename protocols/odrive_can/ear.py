@@ -3,8 +3,9 @@
 Rules. `Axis` is what one device remembers of what it was told; the twin's firmware runs on the very same
 object, so ear and twin cannot disagree on what is obeyed. A frame that changes nothing gives no word: a
 set-point to a disarmed axis is remembered and says nothing until the axis arms. Broadcasts (node 0x3F)
-reach every device for Reboot, Clear_Errors and Address, as in odriverobotics/ODriveResources@06dc846
-`examples/can_enumerate.py`.
+reach every device of 0.6.x for Reboot, Clear_Errors and Address, as in odriverobotics/ODriveResources@06dc846
+`examples/can_enumerate.py`; in 0.5.x both axes of a board hear Reboot and Clear_Errors of either
+(odriverobotics/ODrive@f9b5419 `communication/can/can_simple.cpp`).
 """
 
 from __future__ import annotations
@@ -12,7 +13,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocols.odrive_can.codec import BROADCAST, CMD_BITS, decode_to_device, radians
+from protocols.odrive_can.codec import (
+    BROADCAST,
+    EXTENDED,
+    MAX_EXTENDED_NODE,
+    AnyMessage,
+    decode_to_device,
+    node_of,
+    radians,
+)
 from protocols.odrive_can.messages import (
     Address,
     Ask,
@@ -22,7 +31,6 @@ from protocols.odrive_can.messages import (
     EnterDfuMode,
     Estop,
     InputMode,
-    Message,
     Reboot,
     RxSdo,
     SetAbsolutePosition,
@@ -38,7 +46,14 @@ from protocols.odrive_can.messages import (
     SetTrajVelLimit,
     SetVelGains,
 )
-from protocols.odrive_can.options import Settings, serial_of
+from protocols.odrive_can.messages05 import (
+    ClearErrors05,
+    Reboot05,
+    SetAxisNodeId,
+    SetLinearCount,
+    StartAnticogging,
+)
+from protocols.odrive_can.options import Settings, line_of, node_of_device, serial_of
 from protocols.plugin import Device
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
@@ -60,7 +75,9 @@ from protocols.words import Estop as EstopWord
 from protocols.words import Reboot as RebootWord
 
 BROADCASTS = (Reboot, ClearErrors, Address)
-"""What a device takes from the broadcast node."""
+"""What a device of 0.6.x takes from the broadcast node."""
+BOARD = (Reboot05, ClearErrors05)
+"""What an axis of 0.5.x takes from the other axis on its board."""
 
 
 @dataclass(slots=True)
@@ -68,7 +85,11 @@ class Axis:
     """What one device remembers of what it was told. Turns, turns/s, N·m."""
 
     motor: str
+    line: str
+    """Firmware line."""
     node: int
+    other: int | None
+    """The other axis on its board."""
     serial: int
     control_mode: int
     input_mode: int
@@ -96,16 +117,19 @@ class Axis:
 def axis_of(device: Device) -> Axis:
     """A device as it stands after power-on."""
     settings: Settings = device.settings
+    other = None if settings.other_axis < 0 else node_of_device(device, settings.other_axis)
     return Axis(
         device.name,
-        device.address,
+        line_of(device),
+        node_of_device(device, device.address),
+        other,
         serial_of(settings, device.address),
         settings.control_mode,
         settings.input_mode,
     )
 
 
-def obey(axis: Axis, message: Message) -> Sequence[Command | Request]:
+def obey(axis: Axis, message: AnyMessage) -> Sequence[Command | Request]:
     """Let an axis hear a message to its own node; what that makes it do, in words."""
     match message:
         case SetInputPos(position, velocity, torque):
@@ -124,11 +148,14 @@ def obey(axis: Axis, message: Message) -> Sequence[Command | Request]:
         case Estop():
             axis.armed = False
             return (EstopWord(axis.motor),)
-        case Reboot() | EnterDfuMode():
+        case Reboot() | Reboot05() | EnterDfuMode():
             axis.armed = False
             return (RebootWord(axis.motor),)
-        case ClearErrors():
+        case ClearErrors() | ClearErrors05():
             return (ClearFault(axis.motor),)
+        case SetAxisNodeId(node):
+            axis.node = renamed(axis.node, node)
+            return (SetId("", axis.serial, node),)
     return _configure(axis.motor, message)
 
 
@@ -145,7 +172,7 @@ def _set_state(axis: Axis, state: int) -> Sequence[Command | Request]:
     if state != AxisState.CLOSED_LOOP_CONTROL:
         axis.armed = False
         return (Home(axis.motor),) if state == AxisState.HOMING else (Idle(axis.motor),)
-    if not axis.armed:
+    if not axis.armed or axis.line == "0.5":  # 0.5.x leaves closed loop and enters it again
         # On arming in position control the firmware takes the present position as its input
         # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
         axis.position = None
@@ -153,12 +180,16 @@ def _set_state(axis: Axis, state: int) -> Sequence[Command | Request]:
     return axis.word()
 
 
-def _configure(motor: str, message: Message) -> Sequence[Request]:
+def _configure(motor: str, message: AnyMessage) -> Sequence[Request]:
     match message:
         case SetAbsolutePosition(position):
             return (
                 (Zero(motor),) if position == 0 else (WriteParameter(motor, "Position", radians(position)),)
             )
+        case SetLinearCount(count):
+            return (Zero(motor),) if count == 0 else (WriteParameter(motor, "Linear_Count", float(count)),)
+        case StartAnticogging():  # a procedure of the device's own that turns the shaft
+            return (Home(motor),)
         case SetLimits(velocity, current):
             return (
                 WriteParameter(motor, "Velocity_Limit", velocity),
@@ -190,23 +221,42 @@ class OdriveEar:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.axes = [axis_of(device) for device in devices]
+        self._lines = sorted({axis.line for axis in self.axes})
 
     def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
         """The words that the devices would obey; [] if none would do anything."""
         if not isinstance(wire, CanFrame):
             return []
-        message = decode_to_device(wire)
-        if message is None or isinstance(message, Ask):
-            return []
-        node = wire.id >> CMD_BITS
-        if isinstance(message, Address):
-            return [request for axis in self.axes for request in assign(axis, node, message)]
-        return [word for axis in self.axes if addressed(axis, node, message) for word in obey(axis, message)]
+        node = node_of(wire)
+        words: list[Command | Request] = []
+        for line in self._lines:
+            message = decode_to_device(wire, line)
+            if message is not None and not isinstance(message, Ask):
+                words += [w for axis in self.axes if axis.line == line for w in hear(axis, node, message)]
+        return words
 
 
-def addressed(axis: Axis, node: int, message: Message) -> bool:
+def hear(axis: Axis, node: int, message: AnyMessage) -> Sequence[Command | Request]:
+    """Let an axis hear a message to any node; what that makes it do."""
+    if isinstance(message, SetAxisNodeId) and node == axis.other:
+        axis.other = renamed(node, message.node)
+    if isinstance(message, Address):
+        return assign(axis, node, message)
+    return obey(axis, message) if addressed(axis, node, message) else ()
+
+
+def addressed(axis: Axis, node: int, message: AnyMessage) -> bool:
     """Whether a message to this node is for this axis."""
-    return node == axis.node or (node == BROADCAST and isinstance(message, BROADCASTS))
+    return (
+        node == axis.node
+        or (node == BROADCAST and isinstance(message, BROADCASTS))
+        or (node == axis.other and isinstance(message, BOARD))
+    )
+
+
+def renamed(node: int, to: int) -> int:
+    """A node with another node id, and its kind of identifiers."""
+    return to & MAX_EXTENDED_NODE | node & EXTENDED
 
 
 def assign(axis: Axis, node: int, message: Address) -> Sequence[SetId]:

@@ -2,12 +2,13 @@
 
 Rules. One row per bit of `ODrive.Error` and per value of `ODrive.ProcedureResult`; names as in
 odriverobotics/ODriveArduino@f52eef5 `src/ODriveEnums.h`. A bit without a row is told by its number. Codes
-above 32 bits are not the device's: a procedure result, or what the driver itself has noticed.
+above 32 bits are not the device's: a procedure result, or what the driver itself has noticed (of either
+firmware line; `faults05` has the bits of 0.5.x).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
@@ -219,20 +220,20 @@ RESULTS: dict[int, Text] = {
 
 def bits(errors: int) -> Iterator[int]:
     """The set bits of an error word, lowest first."""
-    for shift in range(32):
+    for shift in range(errors.bit_length()):
         if errors >> shift & 1:
             yield 1 << shift
 
 
-def text_of(bit: int) -> Text:
+def text_of(bit: int, texts: Mapping[int, Text] = ERRORS) -> Text:
     """The words for one error bit."""
-    known = ERRORS.get(bit)
+    known = texts.get(bit)
     return known or Text(f"error bit 0x{bit:X}", "not known to this driver", "look it up for this firmware")
 
 
-def names(errors: int) -> str:
+def names(errors: int, texts: Mapping[int, Text] = ERRORS) -> str:
     """The vendor's names of all set bits, for a sentence."""
-    return ", ".join(text_of(bit).name for bit in bits(errors))
+    return ", ".join(text_of(bit, texts).name for bit in bits(errors))
 
 
 def result_name(result: int) -> str:

@@ -1,7 +1,8 @@
-"""The messages of CANSimple, firmware 0.6.x, as frozen values in the device's own units, and its enums.
+"""The messages of CANSimple as values in the device's own units, and its enums.
 
 Rules. Names and order of fields as in the vendor's DBC; units turns, turns/s, N·m, A, V, °C, W. Nothing here
-knows a byte: that is `codec`'s table.
+knows a byte: that is `codec`'s table. Here stands what both firmware lines share, and what is of 0.6.x alone;
+`messages05` has what is of 0.5.x alone.
 
 Source: odriverobotics/ODriveArduino@f52eef5 `src/can_simple_messages.hpp` and `src/ODriveEnums.h`; the DBC
 `odrive-cansimple-0.6.10.dbc` of package odrive-can 2.1.0.
@@ -11,7 +12,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar, dataclass_transform
+
+T = TypeVar("T")
+
+
+@dataclass_transform(frozen_default=True)
+def value(kind: type[T]) -> type[T]:
+    """A message: a value that is never changed. The type checker sees to that; a dataclass that is frozen at
+    run time takes three times as long to make, and messages are made for every frame."""
+    return dataclass(slots=True, unsafe_hash=True)(kind)
 
 
 class AxisState(IntEnum):
@@ -69,7 +79,15 @@ class RebootAction(IntEnum):
 # -- messages -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
+@value
+class Beacon:
+    """0x01, device → host: as much of a heartbeat as both firmware lines mean the same by."""
+
+    error: int
+    state: int
+
+
+@value
 class GetVersion:
     """0x00, device → host."""
 
@@ -83,7 +101,7 @@ class GetVersion:
     fw_unreleased: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Heartbeat:
     """0x01, device → host, cyclic."""
 
@@ -94,12 +112,12 @@ class Heartbeat:
     trajectory_done: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Estop:
     """0x02, host → device: disarm with error ESTOP_REQUESTED."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GetError:
     """0x03, device → host: what is wrong now, and why the axis last disarmed."""
 
@@ -107,7 +125,7 @@ class GetError:
     disarm_reason: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class RxSdo:
     """0x04, host → device: read (opcode 0) or write (1) any parameter by its endpoint number."""
 
@@ -118,7 +136,7 @@ class RxSdo:
     """Raw 32 bits; their type is the endpoint's."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class TxSdo:
     """0x05, device → host: the answer to RxSdo."""
 
@@ -128,7 +146,7 @@ class TxSdo:
     value: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Address:
     """0x06, both ways: a device tells, or (on the broadcast node) is given, its node id."""
 
@@ -138,14 +156,14 @@ class Address:
     """Connection id of firmware ≥ 0.6.11; None leaves the byte out (DLC 7)."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetAxisState:
     """0x07, host → device."""
 
     state: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GetEncoderEstimates:
     """0x09, device → host, cyclic: turns, turns/s."""
 
@@ -153,7 +171,7 @@ class GetEncoderEstimates:
     velocity: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetControllerMode:
     """0x0B, host → device."""
 
@@ -161,7 +179,7 @@ class SetControllerMode:
     input_mode: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetInputPos:
     """0x0C, host → device: turns; feed-forward of turns/s and N·m, each int16 × 0.001."""
 
@@ -170,7 +188,7 @@ class SetInputPos:
     torque: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetInputVel:
     """0x0D, host → device: turns/s, N·m."""
 
@@ -178,14 +196,14 @@ class SetInputVel:
     torque: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetInputTorque:
     """0x0E, host → device: N·m."""
 
     torque: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetLimits:
     """0x0F, host → device: turns/s, A."""
 
@@ -193,14 +211,14 @@ class SetLimits:
     current: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetTrajVelLimit:
     """0x11, host → device: turns/s."""
 
     velocity: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetTrajAccelLimits:
     """0x12, host → device: turns/s²."""
 
@@ -208,14 +226,14 @@ class SetTrajAccelLimits:
     deceleration: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetTrajInertia:
     """0x13, host → device: N·m/(turn/s²)."""
 
     inertia: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GetIq:
     """0x14, device → host: A."""
 
@@ -223,7 +241,7 @@ class GetIq:
     measured: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GetTemperature:
     """0x15, device → host: °C. NaN is the device's own word for "no thermistor fitted": None here."""
 
@@ -231,14 +249,14 @@ class GetTemperature:
     motor: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Reboot:
     """0x16, host → device."""
 
     action: int
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GetBusVoltageCurrent:
     """0x17, device → host: V, A (positive: consumed)."""
 
@@ -246,28 +264,28 @@ class GetBusVoltageCurrent:
     current: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class ClearErrors:
     """0x18, host → device; identify 1 lets the LED blink."""
 
     identify: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetAbsolutePosition:
     """0x19, host → device: turns that the present position is to be called."""
 
     position: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetPosGain:
     """0x1A, host → device: (turn/s)/turn."""
 
     gain: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class SetVelGains:
     """0x1B, host → device: N·m/(turn/s), N·m/turn."""
 
@@ -275,7 +293,7 @@ class SetVelGains:
     integrator: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GetTorques:
     """0x1C, device → host: N·m."""
 
@@ -283,7 +301,7 @@ class GetTorques:
     estimate: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class GetPowers:
     """0x1D, device → host: W."""
 
@@ -291,12 +309,12 @@ class GetPowers:
     mechanical: float
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class EnterDfuMode:
     """0x1F, host → device: leave for the boot loader."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Ask:
     """A remote frame (or, to the device, an empty data frame): tell me your message `cmd`."""
 
@@ -304,7 +322,8 @@ class Ask:
 
 
 Message: TypeAlias = (
-    GetVersion
+    Beacon
+    | GetVersion
     | Heartbeat
     | Estop
     | GetError

@@ -1,27 +1,33 @@
 """What the driver knows and wants of one device: its state heard, its arming, its polling.
 
-Rules. Nothing but remote frames goes to a device that was never commanded. The arming sequence is mode →
-set-point that does not move the shaft → Set_Axis_State 8 → wait for a heartbeat in state 8; errors are never
-cleared unasked. What was armed is remembered as `claimed` through silence and bus trouble, so that Idle
-still goes out; whether it *is* armed is forgotten then, and only a fresh sequence arms again. Set-points go
-out only while heartbeats say closed loop.
+Rules. Nothing but remote frames goes to a device that was never commanded, or whose firmware line is not
+known (`identify`). The arming sequence is mode → set-point that does not move the shaft → Set_Axis_State 8 →
+wait for a heartbeat in state 8; errors are never cleared unasked. What was armed is remembered as `claimed`
+through silence and bus trouble, so that Idle still goes out; whether it *is* armed is forgotten then, and
+only a fresh sequence arms again. Set-points go out only while heartbeats say closed loop. What differs by
+firmware line is `dialect`'s.
 """
 
 from __future__ import annotations
 
-from protocols.odrive_can.codec import cmd_of, radians, turns
+from collections.abc import Mapping
+
+from protocols.odrive_can.codec import EXTENDED, AnyMessage, cmd_of, radians
+from protocols.odrive_can.dialect import DIALECTS, PART_SHIFT, Beat, Dialect, beat_of
 from protocols.odrive_can.faults import (
     NOT_ARMED,
     PROCEDURE,
     RESULTS,
     WRONG_FIRMWARE,
-    Error,
     Result,
+    Text,
     bits,
     result_name,
     state_name,
     text_of,
 )
+from protocols.odrive_can.identify import Identity
+from protocols.odrive_can.inputs import Input, setpoint, standstill
 from protocols.odrive_can.messages import (
     AxisState,
     ControlMode,
@@ -34,16 +40,19 @@ from protocols.odrive_can.messages import (
     GetVersion,
     Heartbeat,
     InputMode,
-    Message,
     SetAxisState,
     SetControllerMode,
-    SetInputPos,
-    SetInputTorque,
-    SetInputVel,
+)
+from protocols.odrive_can.messages05 import (
+    GetControllerError,
+    GetEncoderError,
+    GetMotorError,
+    GetSensorlessError,
 )
 from protocols.odrive_can.options import Options
 from protocols.words import (
     MILLISECOND,
+    SECOND,
     Command,
     Event,
     Fault,
@@ -52,17 +61,17 @@ from protocols.words import (
     Idle,
     Mode,
     Nanos,
-    Position,
     State,
-    Torque,
-    Velocity,
 )
 
-POLLED = (cmd_of(GetIq), cmd_of(GetBusVoltageCurrent), cmd_of(GetTemperature), cmd_of(GetTorques))
-VERSION, HEARTBEAT, ERROR, ESTIMATES = map(cmd_of, (GetVersion, Heartbeat, GetError, GetEncoderEstimates))
-ASKED = (VERSION, HEARTBEAT, ERROR, ESTIMATES, *POLLED)
+VERSION, HEARTBEAT, ESTIMATES, OTHER = map(
+    cmd_of, (GetVersion, Heartbeat, GetEncoderEstimates, GetBusVoltageCurrent)
+)
+"""OTHER: the question that both firmware lines answer alike, and not by themselves as they come."""
 ASK_AGAIN = 100 * MILLISECOND
 """An unanswered question is repeated so often."""
+VERSION_AGAIN = 5 * SECOND
+"""A device that was told apart without Get_Version, or not at all, is asked for it so often."""
 HEARTBEAT_MISSED = 250 * MILLISECOND
 """Without a heartbeat for so long, one is asked for."""
 RELEASE_AGAIN = 50 * MILLISECOND
@@ -70,9 +79,8 @@ RELEASE_AGAIN = 50 * MILLISECOND
 CONFIRMED = 2
 ARM_ATTEMPTS = 5
 """After so many tries without closed loop it is a fault."""
-VERSION_ATTEMPTS = 10
 REASON_ATTEMPTS = 5
-"""A disarm reason that is not told in so many tries is not waited for."""
+"""An error word that is not told in so many tries is not waited for."""
 WAITING = (Result.SUCCESS, Result.BUSY, Result.CANCELLED, Result.DISARMED)
 """Results that may be left over from before the request: no verdict on it."""
 NEVER: Nanos = 1 << 62
@@ -83,15 +91,16 @@ class Node:
 
     def __init__(self, name: str, address: int, options: Options) -> None:
         self.name = name
-        self.address = address
+        self.address = address | EXTENDED if options.is_extended else address
+        """As `codec` has a node: with a mark on an extended one."""
         self.options = options
+        self.identity = Identity(options.firmware)
         self.started: Nanos | None = None
         self.heard_at: Nanos | None = None
         self.offline = False
-        self.version: GetVersion | None = None
         self.state: int | None = None
-        self.errors = 0
-        self.result: int = Result.SUCCESS
+        self.beat = Beat(0, 0)
+        """The last one."""
         self.position: float | None = None
         """turns"""
         self.claimed = False
@@ -111,25 +120,32 @@ class Node:
         self.release_next: Nanos = 0
         self.release_seen = 0
         self.told: tuple[Mode, str] | None = None
-        self.told_errors = 0
-        self.told_firmware = False
-        self.want_reason = False
-        self.reason_asks = 0
+        self.told_faults: set[int] = set()
+        """Codes of error bits that are told, and still there."""
+        self.wanted: dict[int, int] = {}
+        """Error words that are waited for, by command, and how often they were asked for."""
         self.beats: list[tuple[Nanos, int, int]] = []
         """The last heartbeats: time, state, errors."""
         self.heard: dict[int, Nanos] = {}
         self.asked: dict[int, Nanos] = {}
-        self.version_asks = 0
         self.unanswered = False
+        self._line_heard = ""
+        """The firmware line in which `state` was heard."""
         self.cyclic_at: Nanos = 0
         """When an encoder estimate last came unasked."""
 
+    @property
+    def dialect(self) -> Dialect:
+        """How to speak with it."""
+        return DIALECTS[self.identity.line]
+
     def forget(self) -> None:
         """The device may have restarted or been changed: only a fresh sequence arms it again."""
-        self.version, self.state, self.position, self.hold, self.told = None, None, None, None, None
-        self.armed, self.mode = False, None
+        self.identity.forget()
+        self.state, self.position, self.hold, self.told = None, None, None, None
+        self.armed, self.mode, self._line_heard = False, None, ""
         self.attempts, self.arm_next, self.beats_since_arming, self.release_seen = 0, 0, 0, 0
-        self.version_asks, self.want_reason = 0, False
+        self.wanted.clear()
         self.beats.clear()
 
     def resend(self) -> None:
@@ -138,13 +154,11 @@ class Node:
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def hear(self, t: Nanos, message: Message) -> list[Event]:
+    def hear(self, t: Nanos, message: AnyMessage) -> list[Event]:
         """A message of the device; what it means in words."""
         self.heard_at, self.offline = t, False
         self.heard[cmd_of(type(message))] = t
         match message:
-            case Heartbeat():
-                return self._hear_heartbeat(t, message)
             case GetEncoderEstimates(position, velocity):
                 if self.unanswered:
                     self.unanswered = False
@@ -157,31 +171,48 @@ class Node:
             case GetTorques(_, estimate):
                 return [Feedback(self.name, t, torque=estimate)]
             case GetBusVoltageCurrent(voltage, _):
-                return [Feedback(self.name, t, voltage=voltage)]
+                told = self._identified(t, self.identity.hear_other())
+                return [Feedback(self.name, t, voltage=voltage), *told]
             case GetTemperature(fet, motor):
                 known = [value for value in (fet, motor) if value is not None]
                 return [Feedback(self.name, t, temperature=max(known))] if known else []
             case GetError(active, reason):
                 return self._hear_errors(t, active, reason)
+            case GetMotorError() | GetEncoderError() | GetControllerError() | GetSensorlessError():
+                return self._hear_part(t, cmd_of(type(message)), message.errors)
             case GetVersion():
-                return self._hear_version(t, message)
-        return []
+                return self._identified(t, self.identity.hear_version(message))
+        beat = beat_of(message)
+        return self._hear_beat(t, beat) if beat is not None else []
 
-    def _hear_heartbeat(self, t: Nanos, beat: Heartbeat) -> list[Event]:
-        if beat.error & Error.INITIALIZING and not self.errors & Error.INITIALIZING:
+    def _identified(self, t: Nanos, wrong: Text | None) -> list[Event]:
+        """The firmware line may be known now: what was heard before is to be heard again in its language."""
+        if self.dialect.line != self._line_heard:
+            self._line_heard, self.state = self.dialect.line, None
+            self.wanted.clear()
+        if wrong is None:
+            return []
+        fault = Fault(self.name, t, WRONG_FIRMWARE, wrong.name, wrong.cause, wrong.cure)
+        return [fault, *self._tell_state(t, fell=False)]
+
+    def _hear_beat(self, t: Nanos, beat: Beat) -> list[Event]:
+        dialect, before = self.dialect, self.beat
+        if beat.error & dialect.initializing and not before.error & dialect.initializing:
             self.forget()
-        self.state, self.errors, self.result = beat.state, beat.error, beat.result
+        self.state, self.beat = beat.state, beat
         self.beats = [*self.beats[-3:], (t, beat.state, beat.error)]
         closed = beat.state == AxisState.CLOSED_LOOP_CONTROL
         fell = self.armed and not closed
         if fell:
             self.armed, self.mode, self.hold = False, None, None
-            self.want_reason, self.reason_asks = True, 0
+            self.wanted |= dict.fromkeys(dialect.reasons, 0)
         elif closed and self.claimed and not self.releasing:
             self.armed, self.attempts, self.beats_since_arming = True, 0, 0
+        self.wanted |= {cmd: 0 for cmd in beat.parts if cmd not in before.parts}
         self._confirm_release(closed=closed)
-        events = self._new_errors(t, beat.error & ~Error.INITIALIZING)
-        self.told_errors &= beat.error
+        errors = beat.error & ~dialect.initializing if dialect.axis else 0  # else nobody knows what they mean
+        events = self._new_faults(t, errors, dialect.axis)
+        self._forget_faults(dialect, beat)
         events += self._judge_arming(t, closed=closed)
         return events + self._tell_state(t, fell=fell)
 
@@ -191,19 +222,36 @@ class Node:
             self.claimed = self.releasing = False
             self.release_seen = 0
 
-    def _new_errors(self, t: Nanos, errors: int, prefix: str = "") -> list[Event]:
-        fresh = errors & ~self.told_errors
-        self.told_errors |= fresh
-        texts = [(bit, text_of(bit)) for bit in bits(fresh)]
-        return [Fault(self.name, t, bit, x.name, prefix + x.cause, x.cure) for bit, x in texts]
+    def _new_faults(
+        self, t: Nanos, errors: int, texts: Mapping[int, Text], base: int = 0, prefix: str = ""
+    ) -> list[Event]:
+        fresh = [bit for bit in bits(errors) if base + bit not in self.told_faults]
+        self.told_faults |= {base + bit for bit in fresh}
+        said = [(bit, text_of(bit, texts)) for bit in fresh]
+        return [Fault(self.name, t, base + bit, x.name, prefix + x.cause, x.cure) for bit, x in said]
+
+    def _forget_faults(self, dialect: Dialect, beat: Beat) -> None:
+        """What is gone is told anew when it comes again."""
+        standing = {dialect.parts[cmd][0] >> PART_SHIFT for cmd in beat.parts}
+        self.told_faults = {
+            code
+            for code in self.told_faults
+            if (code >> PART_SHIFT in standing if code >> PART_SHIFT else code & beat.error)
+        }
 
     def _hear_errors(self, t: Nanos, active: int, reason: int) -> list[Event]:
         """Get_Error: the disarm reason counts only where we saw it disarm; an old one is history."""
-        events = self._new_errors(t, active & ~Error.INITIALIZING)
-        if self.want_reason:
-            self.want_reason = False
-            events += self._new_errors(t, reason & ~Error.INITIALIZING, "it disarmed the axis: ")
+        dialect = self.dialect
+        events = self._new_faults(t, active & ~dialect.initializing, dialect.axis)
+        if self.wanted.pop(cmd_of(GetError), None) is not None:
+            reason &= ~dialect.initializing
+            events += self._new_faults(t, reason, dialect.axis, prefix="it disarmed the axis: ")
         return events
+
+    def _hear_part(self, t: Nanos, cmd: int, errors: int) -> list[Event]:
+        self.wanted.pop(cmd, None)
+        base, texts = self.dialect.parts[cmd]
+        return self._new_faults(t, errors, texts, base)
 
     def _judge_arming(self, t: Nanos, closed: bool) -> list[Event]:
         if closed or not self.attempts or self.refused or self.releasing:
@@ -211,23 +259,25 @@ class Node:
         self.beats_since_arming += 1
         if self.beats_since_arming < CONFIRMED:  # the first may be from before our request
             return []
-        known = RESULTS.get(self.result)
-        if self.result not in WAITING and known is not None:
+        known = RESULTS.get(self.beat.result)
+        if self.beat.result not in WAITING and known is not None:
             self.refused = True
-            return [Fault(self.name, t, PROCEDURE + self.result, known.name, known.cause, known.cure)]
+            return [Fault(self.name, t, PROCEDURE + self.beat.result, known.name, known.cause, known.cure)]
         if self.attempts < ARM_ATTEMPTS or self.beats_since_arming < ARM_ATTEMPTS:
             return []
         self.refused = True
-        said = f"it stayed in {state_name(self.state or 0, AxisState)} with {result_name(self.result)}"
+        said = f"it stayed in {state_name(self.beat.state, AxisState)} with {result_name(self.beat.result)}"
         cure = "look at it with the vendor's tool, then clear"
         return [Fault(self.name, t, NOT_ARMED, f"did not arm in {self.attempts} tries", said, cure)]
 
     def _tell_state(self, t: Nanos, fell: bool) -> list[Event]:
-        detail = state_name(self.state or 0, AxisState)
-        if self.result not in (Result.SUCCESS, Result.BUSY):
-            detail += f", {result_name(self.result)}"
-        if fell and not self.errors:
+        detail = state_name(self.beat.state, AxisState)
+        if self.beat.result not in (Result.SUCCESS, Result.BUSY):
+            detail += f", {result_name(self.beat.result)}"
+        if fell and not self.faulty():
             detail += ", left closed loop by itself"
+        if not self.identity.line and not self.identity.wrong:
+            detail += ", asking for its firmware"
         told = (self._mode_now(), detail)
         if told == self.told:
             return []
@@ -235,32 +285,23 @@ class Node:
         return [State(self.name, t, *told)]
 
     def _mode_now(self) -> Mode:
-        if self.errors & Error.INITIALIZING:
+        if self.identity.wrong:
+            return Mode.FAULT
+        if not self.identity.line or self.beat.error & self.dialect.initializing:
             return Mode.INITIALISING
-        if self.errors or self.told_firmware:
+        if self.faulty():
             return Mode.FAULT
         if self.state == AxisState.CLOSED_LOOP_CONTROL:
             return Mode.ARMED
         return Mode.READY if self.state == AxisState.IDLE else Mode.INITIALISING
 
-    def _hear_version(self, t: Nanos, version: GetVersion) -> list[Event]:
-        self.version = version
-        line = f"{version.fw_major}.{version.fw_minor}"
-        if line == self.options.firmware:
-            self.told_firmware = False
-            return []
-        return self._wrong_firmware(t, f"firmware {line}.{version.fw_revision}", "it says so by Get_Version")
-
-    def _wrong_firmware(self, t: Nanos, name: str, cause: str) -> list[Event]:
-        if self.told_firmware:
-            return []
-        self.told_firmware = True
-        cure = f"this driver speaks {self.options.firmware}.x: update the device's firmware"
-        return [Fault(self.name, t, WRONG_FIRMWARE, name, cause, cure), *self._tell_state(t, fell=False)]
+    def faulty(self) -> bool:
+        """Whether its last heartbeat says that something is wrong."""
+        return bool(self.beat.error or self.beat.parts)
 
     # -- saying -------------------------------------------------------------------------------
 
-    def say(self, now: Nanos, command: Command) -> list[Message]:
+    def say(self, now: Nanos, command: Command) -> list[AnyMessage]:
         """What a command takes now; nothing while the device cannot take it."""
         if isinstance(command, Idle):
             return self._release(now)
@@ -280,17 +321,17 @@ class Node:
         """Why the device cannot be commanded now; "" if it can."""
         if self.offline or self.state is None:
             return "it is not heard"
-        if self.told_firmware or self.version is None:
-            return "its firmware is not known to be 0.6"
+        if self.identity.wrong or not self.identity.line:
+            return "its firmware is not known"
         if self.position is None:
             return "its position is not known yet"
-        if self.errors:
+        if self.faulty():
             return "it is in fault"
-        if self.want_reason:  # arming again might wipe it
+        if self.wanted:  # arming again might wipe it
             return "why it disarmed is not known yet"
         return "it would not arm" if self.refused else ""
 
-    def _steer(self, mode: ControlMode, target: Message) -> list[Message]:
+    def _steer(self, mode: ControlMode, target: Input) -> list[AnyMessage]:
         self.claimed = True
         if self.mode == mode:
             return [target]
@@ -299,8 +340,8 @@ class Node:
         self.mode = mode
         return [target, SetControllerMode(mode, InputMode.PASSTHROUGH), target]
 
-    def _arm(self, now: Nanos, mode: ControlMode) -> list[Message]:
-        said: list[Message] = []
+    def _arm(self, now: Nanos, mode: ControlMode) -> list[AnyMessage]:
+        said: list[AnyMessage] = []
         if self.mode != mode:
             said.append(SetControllerMode(mode, InputMode.PASSTHROUGH))
             self.mode, self.claimed = mode, True
@@ -312,7 +353,7 @@ class Node:
             self.attempts += 1
         return said
 
-    def _release(self, now: Nanos) -> list[Message]:
+    def _release(self, now: Nanos) -> list[AnyMessage]:
         if not self.claimed:
             return []
         if not self.releasing:
@@ -326,9 +367,14 @@ class Node:
 
     def cleared(self) -> None:
         """An operator clears the device's faults: it may arm again, and is asked again what it is."""
-        self.refused, self.attempts, self.beats_since_arming, self.want_reason = False, 0, 0, False
-        if self.told_firmware:
-            self.told_firmware, self.version, self.version_asks = False, None, 0
+        self.refused, self.attempts, self.beats_since_arming = False, 0, 0
+        self.wanted.clear()
+        self.identity.cleared()
+
+    def tell_again(self) -> None:
+        """Faults that stay are told again, with all their words."""
+        self.told_faults.clear()
+        self.beat = Beat(self.beat.error, self.beat.state, self.beat.result)
 
     # -- by itself ----------------------------------------------------------------------------
 
@@ -341,24 +387,28 @@ class Node:
             self.offline = True
             self.forget()
             events.append(State(self.name, now, Mode.OFFLINE, "nothing heard"))
-        asks = [cmd for cmd in ASKED if self._ask_at(cmd) <= now]
+        asks = [cmd for cmd in self._questions() if self._ask_at(cmd) <= now]
         for cmd in asks:
             self.asked[cmd] = now
             self.unanswered = self.unanswered or cmd == ESTIMATES
-            self.version_asks += cmd == VERSION and self.state is not None
-            self.reason_asks += cmd == ERROR
-        self.want_reason = self.want_reason and self.reason_asks < REASON_ATTEMPTS
-        if self.version_asks > VERSION_ATTEMPTS and self.version is None:
-            events += self._wrong_firmware(
-                now, "firmware unknown", "it sends heartbeats but does not answer Get_Version: 0.5.x?"
-            )
+            if cmd in self.wanted:
+                self.wanted[cmd] += 1
+        self.wanted = {cmd: count for cmd, count in self.wanted.items() if count < REASON_ATTEMPTS}
+        if VERSION in asks:
+            events += self._identified(now, self.identity.ask(beating=self.state is not None))
+            asks += [OTHER] if not self.identity.line and self.state is not None else []
         return events, asks
+
+    def _questions(self) -> tuple[int, ...]:
+        dialect = self.dialect
+        heartbeat = (HEARTBEAT,) if dialect.heartbeat_asked else ()
+        return (VERSION, *heartbeat, *self.wanted, ESTIMATES, *dialect.polled)
 
     def due(self) -> Nanos:
         """When `tend` next has something to do."""
         if self.started is None:
             return 0
-        times = [self._ask_at(cmd) for cmd in ASKED]
+        times = [self._ask_at(cmd) for cmd in self._questions()]
         if not self.offline:
             times.append(self._offline_at())
         return min(times)
@@ -371,9 +421,9 @@ class Node:
         asked = self.asked.get(cmd)
         again = (asked + ASK_AGAIN) if asked is not None else (self.started or 0)
         if cmd == VERSION:
-            return again if self.version is None else NEVER
-        if cmd == ERROR:
-            return again if self.want_reason else NEVER
+            return self._ask_version_at(asked, again)
+        if cmd in self.wanted:
+            return again
         if cmd == HEARTBEAT:
             return max(again, self.heard.get(cmd, self.started or 0) + HEARTBEAT_MISSED)
         if cmd == ESTIMATES:
@@ -381,30 +431,19 @@ class Node:
         period = self.options.poll_ms * MILLISECOND
         if not period or self.offline or self.state is None:
             return NEVER
-        first = (self.started or 0) + period * (1 + POLLED.index(cmd)) // len(POLLED)
+        polled = self.dialect.polled
+        first = (self.started or 0) + period * (1 + polled.index(cmd)) // len(polled)
         return max(self.heard.get(cmd, first - period), self.asked.get(cmd, first - period)) + period
+
+    def _ask_version_at(self, asked: Nanos | None, again: Nanos) -> Nanos:
+        identity = self.identity
+        if identity.version is not None and not identity.wrong:
+            return NEVER
+        settled = identity.line or identity.wrong
+        return asked + VERSION_AGAIN if settled and asked is not None else again
 
     def _ask_estimates_at(self, again: Nanos) -> Nanos:
         if self.offline or self.state is None:
             return again
         period = self.options.feedback_ms * MILLISECOND
         return max(self.asked.get(ESTIMATES, 0), self.cyclic_at + period) + period
-
-
-def setpoint(command: Command, hold: float) -> tuple[ControlMode, Message]:
-    """The control mode and input [turns] of a command; `hold` [turns] is where Hold holds."""
-    match command:
-        case Position(_, position, velocity, torque):
-            return ControlMode.POSITION, SetInputPos(turns(position), turns(velocity), torque)
-        case Velocity(_, velocity, torque):
-            return ControlMode.VELOCITY, SetInputVel(turns(velocity), torque)
-        case Torque(_, torque):
-            return ControlMode.TORQUE, SetInputTorque(torque)
-    return ControlMode.POSITION, SetInputPos(hold, 0.0, 0.0)
-
-
-def standstill(mode: ControlMode, position: float) -> Message:
-    """The input that does not move a shaft at this position [turns]."""
-    if mode == ControlMode.POSITION:
-        return SetInputPos(position, 0.0, 0.0)
-    return SetInputVel(0.0, 0.0) if mode == ControlMode.VELOCITY else SetInputTorque(0.0)

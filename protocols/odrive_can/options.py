@@ -7,19 +7,24 @@ settings are the vendor's own (turns, N·m, A, V, °C, ms), so that they can be 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, fields
 from typing import Literal
 
-from protocols.odrive_can.codec import BROADCAST
+from protocols.odrive_can.codec import BROADCAST, EXTENDED, MAX_EXTENDED_NODE
 from protocols.odrive_can.messages import ControlMode, InputMode
+from protocols.plugin import Device
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
     """What the driver should do."""
 
-    firmware: Literal["0.6"] = "0.6"
-    """Firmware line of the device."""
+    firmware: Literal["auto", "0.5", "0.6"] = "auto"
+    """Firmware line of the device. "auto": found out by asking, and then spoken; a line that is named is
+    found out too, and another one is a fault."""
+    is_extended: bool = False
+    """The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only)."""
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
     """"acknowledged": the person who wrote the robot file knows that the device's watchdog is off."""
     feedback_ms: int = 10
@@ -41,6 +46,8 @@ class Options:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ValueError(f"{name} is {value}: it must lie between {low} and {high}")
+        if self.is_extended and self.firmware != "0.5":
+            raise ValueError('is_extended needs firmware = "0.5": no other line has extended identifiers')
         if self.offline_ms < 2 * self.feedback_ms:
             raise ValueError(
                 f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
@@ -53,9 +60,10 @@ class Settings:
 
     serial_number: int = 0
     """48 bits; 0: made up from the address."""
-    fw_major: int = 0
-    fw_minor: int = 6
-    fw_revision: int = 10
+    firmware: str = ""
+    """Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest that is known of the line under options."""
+    other_axis: int = -1
+    """Node id of the other axis on the same board (0.5.x): what clears or restarts the board reaches both."""
     hw_line: int = 5
     """Product line 5: ODrive S1 (only told, never used)."""
     calibrated: bool = True
@@ -139,6 +147,9 @@ class Settings:
     initializing_ms: int = 300
     """How long the axis then reports INITIALIZING."""
 
+    # Periods of cyclic messages; 0: never. Firmware 0.5.x calls them heartbeat_rate_ms, encoder_rate_ms,
+    # iq_rate_ms and bus_vi_rate_ms, and has those with its own names below instead of version, error,
+    # temperature and torques.
     version_msg_rate_ms: int = 0
     heartbeat_msg_rate_ms: int = 100
     encoder_msg_rate_ms: int = 10
@@ -147,11 +158,21 @@ class Settings:
     temperature_msg_rate_ms: int = 0
     bus_voltage_msg_rate_ms: int = 0
     torques_msg_rate_ms: int = 0
+    motor_error_rate_ms: int = 0
+    encoder_error_rate_ms: int = 0
+    controller_error_rate_ms: int = 0
+    sensorless_error_rate_ms: int = 0
+    encoder_count_rate_ms: int = 0
+    sensorless_rate_ms: int = 0
 
     def __post_init__(self) -> None:
         wrong = [f"{name} must be finite" for name, value in self._numbers() if not math.isfinite(value)]
         wrong += [f"{name} must be above 0" for name in _POSITIVE if not getattr(self, name) > 0]
         wrong += [f"{name} must not be negative" for name in _NOT_NEGATIVE if getattr(self, name) < 0]
+        if self.firmware and not re.fullmatch(r"0\.[56]\.\d{1,2}", self.firmware):
+            wrong.append(f"firmware {self.firmware!r} must be like 0.5.6 or 0.6.10")
+        if not -1 <= self.other_axis <= MAX_EXTENDED_NODE:
+            wrong.append(f"other_axis must lie between -1 and {MAX_EXTENDED_NODE}")
         if not 0 <= self.serial_number < 1 << 48:
             wrong.append("serial_number must fit into 48 bits")
         if self.enable_watchdog and not self.watchdog_timeout > 0:
@@ -199,9 +220,36 @@ _NOT_NEGATIVE = (
     "temperature_msg_rate_ms",
     "bus_voltage_msg_rate_ms",
     "torques_msg_rate_ms",
+    "motor_error_rate_ms",
+    "encoder_error_rate_ms",
+    "controller_error_rate_ms",
+    "sensorless_error_rate_ms",
+    "encoder_count_rate_ms",
+    "sensorless_rate_ms",
 )
 
 
 def serial_of(settings: Settings, address: int) -> int:
     """The serial number of a device: its own, or one made up from its address."""
     return settings.serial_number or 0x385F_3473_3300 + (address & BROADCAST)
+
+
+NEWEST = {"auto": "0.6.10", "0.6": "0.6.10", "0.5": "0.5.6"}
+
+
+def firmware_of(device: Device) -> str:
+    """The firmware that a device has: as configured, or the newest of the line that the driver expects."""
+    settings: Settings = device.settings
+    options: Options = device.options
+    return settings.firmware or NEWEST[options.firmware]
+
+
+def line_of(device: Device) -> str:
+    """Its firmware line: "0.5" or "0.6"."""
+    return firmware_of(device)[:3]
+
+
+def node_of_device(device: Device, address: int) -> int:
+    """A node id of a device's board as `codec` has it."""
+    options: Options = device.options
+    return address | EXTENDED if options.is_extended else address

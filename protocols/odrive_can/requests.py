@@ -11,26 +11,14 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from protocols.odrive_can.codec import BROADCAST, MAX_NODE, ask, encode
-from protocols.odrive_can.faults import Error, names
+from protocols.odrive_can.codec import BROADCAST, MAX_NODE, TABLES, AnyMessage, ask, cmd_of, encode
+from protocols.odrive_can.dialect import beat_of
+from protocols.odrive_can.faults import names
 from protocols.odrive_can.messages import (
     Address,
     AxisState,
-    ClearErrors,
     Estop,
-    GetBusVoltageCurrent,
     GetEncoderEstimates,
-    GetError,
-    GetIq,
-    GetPowers,
-    GetTemperature,
-    GetTorques,
-    GetVersion,
-    Heartbeat,
-    Message,
-    Reboot,
-    RebootAction,
-    SetAbsolutePosition,
     SetLimits,
     SetPosGain,
     SetTrajAccelLimits,
@@ -70,36 +58,6 @@ SCAN_STEPS = 3
 ASSIGN = 1500 * MILLISECOND
 ZERO_WITHIN = 0.05
 """turns"""
-
-READABLE: dict[str, tuple[type[Any], str]] = {
-    "Protocol_Version": (GetVersion, "protocol"),
-    "Hw_Version_Major": (GetVersion, "hw_line"),
-    "Hw_Version_Minor": (GetVersion, "hw_version"),
-    "Hw_Version_Variant": (GetVersion, "hw_variant"),
-    "Fw_Version_Major": (GetVersion, "fw_major"),
-    "Fw_Version_Minor": (GetVersion, "fw_minor"),
-    "Fw_Version_Revision": (GetVersion, "fw_revision"),
-    "Fw_Version_Unreleased": (GetVersion, "fw_unreleased"),
-    "Axis_Error": (Heartbeat, "error"),
-    "Axis_State": (Heartbeat, "state"),
-    "Procedure_Result": (Heartbeat, "result"),
-    "Trajectory_Done_Flag": (Heartbeat, "trajectory_done"),
-    "Active_Errors": (GetError, "active"),
-    "Disarm_Reason": (GetError, "disarm_reason"),
-    "Pos_Estimate": (GetEncoderEstimates, "position"),
-    "Vel_Estimate": (GetEncoderEstimates, "velocity"),
-    "Iq_Setpoint": (GetIq, "setpoint"),
-    "Iq_Measured": (GetIq, "measured"),
-    "FET_Temperature": (GetTemperature, "fet"),
-    "Motor_Temperature": (GetTemperature, "motor"),
-    "Bus_Voltage": (GetBusVoltageCurrent, "voltage"),
-    "Bus_Current": (GetBusVoltageCurrent, "current"),
-    "Torque_Target": (GetTorques, "target"),
-    "Torque_Estimate": (GetTorques, "estimate"),
-    "Electrical_Power": (GetPowers, "electrical"),
-    "Mechanical_Power": (GetPowers, "mechanical"),
-}
-"""What the device's own messages tell, by the vendor's signal names, in the vendor's units."""
 
 WRITABLE: tuple[tuple[type[Any], tuple[str, ...]], ...] = (
     (SetLimits, ("Velocity_Limit", "Current_Limit")),
@@ -152,52 +110,71 @@ def refuse(t: Nanos, request: Request, reason: str) -> Refused:
 
 def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -> Pending | Refused:
     """A request to one device."""
-    send: tuple[Message, ...] = ()
+    dialect = node.dialect
     running = node.claimed or node.state == AxisState.CLOSED_LOOP_CONTROL
     match request:
-        case ClearFault():
+        case ClearFault():  # its frame follows as soon as the firmware line is known
             node.cleared()
-            send = (ClearErrors(),)
+            return Pending(request, node.name, node, (), now + ANSWER, RESEND, now, now)
         case EstopWord():
-            send = (Estop(),)
+            return _pending(now, request, node, Estop(), ANSWER, RESEND)
+        case ReadParameter(_, parameter):
+            return _read(now, request, node, parameter)
+        case _ if not dialect.line:
+            return refuse(now, request, "its firmware is not known")
         case Zero() if running:
             return refuse(now, request, "it is armed, and would jump: say idle first")
         case Zero():
-            send = (SetAbsolutePosition(0.0),)
+            return _pending(now, request, node, dialect.zero, ANSWER, RESEND)
         case RebootWord() | WriteParameter(_, "save_configuration") if running:
             return refuse(now, request, "it is armed, and would drop its load: say idle first")
         case RebootWord():
-            return _pending(now, request, node, (Reboot(RebootAction.REBOOT),), REBOOT, REBOOT_RESEND)
+            return _pending(now, request, node, dialect.reboot, REBOOT, REBOOT_RESEND)
         case WriteParameter(_, "save_configuration", value):
             if value != 1:
                 return refuse(now, request, f"{SAVE} takes 1")
-            return _pending(now, request, node, (Reboot(RebootAction.SAVE),), REBOOT, REBOOT_RESEND)
+            return _pending(now, request, node, dialect.save, REBOOT, REBOOT_RESEND)
         case WriteParameter(_, parameter, value):
             message = _write(now, request, parameter, value, written)
             if isinstance(message, Refused):
                 return message
-            send = (message,)
-        case ReadParameter(_, parameter):
-            if parameter not in READABLE:
-                known = ", ".join(READABLE)
-                return refuse(now, request, f"CANSimple does not tell {parameter!r}; it tells {known}")
-            frames = (ask(node.address, READABLE[parameter][0]),)
-            return Pending(request, node.name, node, frames, now + ANSWER, RESEND, now, now)
-        case _:
-            return refuse(now, request, f"odrive_can has no {type(request).__name__}")
-    return _pending(now, request, node, send, ANSWER, RESEND)
+            return _pending(now, request, node, message, ANSWER, RESEND)
+    return refuse(now, request, f"odrive_can has no {type(request).__name__}")
 
 
 def _pending(
-    now: Nanos, request: Request, node: Node, messages: tuple[Message, ...], limit: Nanos, again: Nanos
-) -> Pending:
-    frames = tuple(encode(node.address, message) for message in messages)
+    now: Nanos, request: Request, node: Node, message: AnyMessage | None, limit: Nanos, again: Nanos
+) -> Pending | Refused:
+    if message is None:
+        return refuse(now, request, f"{node.identity.title()} cannot do this over CAN: use the vendor's tool")
+    frames = (encode(node.address, message),)
     return Pending(request, node.name, node, frames, now + limit, again, now, now)
+
+
+def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | Refused:
+    """Ask for the message that tells it, or wait for it where it comes by the device's clock only."""
+    readable = node.dialect.readable
+    if parameter not in readable:
+        known = ", ".join(readable)
+        return refuse(now, request, f"CANSimple does not tell {parameter!r}; it tells {known}")
+    kind = readable[parameter][0]
+    askable = cmd_of(kind) in TABLES[node.dialect.line].askable
+    frames = (ask(node.address, kind),) if askable else ()
+    return Pending(request, node.name, node, frames, now + ANSWER, RESEND, now, now)
+
+
+def frames_of(pending: Pending) -> tuple[CanFrame, ...]:
+    """What is to be sent for a request now."""
+    node = pending.node
+    if isinstance(pending.request, ClearFault) and not pending.frames and node is not None:
+        clear = node.dialect.clear
+        pending.frames = () if clear is None else (encode(node.address, clear),)
+    return pending.frames
 
 
 def _write(
     now: Nanos, request: WriteParameter, parameter: str, value: float, written: dict[str, float]
-) -> Message | Refused:
+) -> AnyMessage | Refused:
     """The message that sets a parameter; its partner in the same message must be known."""
     row = next((row for row in WRITABLE if parameter in row[1]), None)
     if row is None:
@@ -215,13 +192,14 @@ def _write(
             f"{message.__name__} sets {' and '.join(names_)} together, and the device does not tell them"
             f" over CAN: write {missing[0]} too; {parameter} is kept for it",
         )
-    said: Message = message(*(written[name] for name in names_))
+    said: AnyMessage = message(*(written[name] for name in names_))
     return said
 
 
-def scan(now: Nanos, request: Scan) -> Pending:
-    """Discovery: remote frames on the broadcast node, and heartbeats heard meanwhile."""
-    frames = (ask(BROADCAST, Address),)
+def scan(now: Nanos, request: Scan, discovery: bool) -> Pending:
+    """Discovery: remote frames on the broadcast node (unless every device is known to be 0.5.x, which has
+    none), and heartbeats heard meanwhile."""
+    frames = (ask(BROADCAST, Address),) if discovery else ()
     return Pending(request, request.bus, None, frames, now + SCAN_STEP * SCAN_STEPS, SCAN_STEP, now, now)
 
 
@@ -244,46 +222,46 @@ def set_id(
     return Pending(request, request.bus, None, frames, now + ASSIGN, RESEND * 2, now, now)
 
 
-def hear(pending: Pending, t: Nanos, message: Message) -> list[Event]:
+def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
     """Let a request of one device hear what it said; the events that end it, or none."""
+    node, beat = pending.node, beat_of(message)
+    if node is None:
+        return []
     match pending.request:
         case ClearFault():
-            if isinstance(message, Heartbeat) and not message.error:
-                return [pending.done(t)]
-        case EstopWord():
-            if isinstance(message, Heartbeat) and message.error & Error.ESTOP_REQUESTED:
-                return [pending.done(t, "it stays in fault until cleared")]
-        case Zero():
-            if isinstance(message, GetEncoderEstimates) and abs(message.position) < ZERO_WITHIN:
-                return [pending.done(t)]
-        case RebootWord() | WriteParameter(_, "save_configuration"):
-            return _hear_reboot(pending, t, message)
-        case WriteParameter():
-            if isinstance(message, Heartbeat):
-                return [pending.done(t, "sent; the device does not confirm it")]
+            cleared = beat is not None and bool(node.dialect.line) and not node.faulty()
+            return [pending.done(t, _board(node))] if cleared and pending.sent else []
+        case EstopWord() if beat is not None and beat.error & (node.dialect.estop or ~0):
+            return [pending.done(t, "it stays in fault until cleared")]
+        case Zero() if isinstance(message, GetEncoderEstimates) and abs(message.position) < ZERO_WITHIN:
+            return [pending.done(t)]
+        case RebootWord() | WriteParameter(_, "save_configuration") if beat is not None:
+            return _hear_reboot(pending, t, up=not beat.error & node.dialect.initializing)
+        case WriteParameter() if beat is not None and pending.frames:
+            return [pending.done(t, "sent; the device does not confirm it")]
         case ReadParameter():
             return _hear_parameter(pending, t, message)
     return []
 
 
-def _hear_reboot(pending: Pending, t: Nanos, message: Message) -> list[Event]:
-    if not isinstance(message, Heartbeat):
-        return []
+def _board(node: Node) -> str:
+    return "and of every axis of its board" if node.dialect.boards else ""
+
+
+def _hear_reboot(pending: Pending, t: Nanos, up: bool) -> list[Event]:
     gap = t - (pending.beat_at or pending.began)
     pending.beat_at = t
-    if message.error & Error.INITIALIZING or gap >= REBOOT_GAP:
+    if not up or gap >= REBOOT_GAP:
         pending.stage = 1
-    if not pending.stage or message.error & Error.INITIALIZING:
-        return []
-    return [pending.done(t, "it has restarted")]
+    return [pending.done(t, "it has restarted")] if pending.stage and up else []
 
 
-def _hear_parameter(pending: Pending, t: Nanos, message: Message) -> list[Event]:
+def _hear_parameter(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
     request = pending.request
-    if not isinstance(request, ReadParameter):
+    if not isinstance(request, ReadParameter) or pending.node is None:
         return []
-    kind, attribute = READABLE[request.parameter]
-    if not isinstance(message, kind):
+    kind, attribute = pending.node.dialect.readable.get(request.parameter, (None, ""))
+    if kind is None or not isinstance(message, kind):
         return []
     value = getattr(message, attribute)
     if value is None:
@@ -301,8 +279,10 @@ def give_up(pending: Pending, now: Nanos) -> Refused:
     if node is None or node.heard_at is None or node.heard_at < pending.began:
         return pending.refuse(now, "no answer of the device")
     if isinstance(pending.request, ClearFault):
-        node.told_errors = 0  # what stays is told again
-        return pending.refuse(now, f"still in fault: {names(node.errors)}")
+        if not node.dialect.line:
+            return pending.refuse(now, "its firmware is not known")
+        node.tell_again()
+        return pending.refuse(now, f"still in fault: {names(node.beat.error, node.dialect.axis)}")
     if isinstance(pending.request, Zero):
         return pending.refuse(now, "its position did not become zero: is it turning?")
     if isinstance(pending.request, RebootWord | WriteParameter):

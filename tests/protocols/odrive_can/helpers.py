@@ -7,11 +7,14 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from protocols.odrive_can import RANGES
-from protocols.odrive_can.codec import CMD_BITS, decode_to_device
+from protocols.odrive_can import twin as made
+from protocols.odrive_can.codec import AnyMessage, decode_to_device, node_of
 from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.messages import Ask, Message
+from protocols.odrive_can.messages import Ask
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin05 import Twin05
+from protocols.odrive_can.twin06 import Twin06
 from protocols.plugin import Device
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, Command, Event, Feedback, Nanos, Request, State
@@ -66,13 +69,22 @@ class Bench:
 
     def __post_init__(self) -> None:
         self.driver = OdriveDriver(self.devices, RANGES)
-        self.twins = [OdriveTwin(item, seed) for seed, item in enumerate(self.devices)]
+        self.twins = [made(item, seed) for seed, item in enumerate(self.devices)]
         self.shafts = [Shaft() for _ in self.devices]
 
     @property
-    def twin(self) -> OdriveTwin:
-        """The first one."""
-        return self.twins[0]
+    def twin(self) -> Twin06:
+        """The first one, of firmware 0.6.x."""
+        (first, *_) = self.twins
+        assert isinstance(first, Twin06)
+        return first
+
+    @property
+    def twin05(self) -> Twin05:
+        """The first one, of firmware 0.5.x."""
+        (first, *_) = self.twins
+        assert isinstance(first, Twin05)
+        return first
 
     @property
     def shaft(self) -> Shaft:
@@ -120,10 +132,10 @@ class Bench:
                 for twin in self.twins:
                     twin.receive(self.now, wire)
 
-    def said(self, node: int = 1, since: Nanos = 0) -> list[Message]:
-        """What the driver told a node (questions left out)."""
-        frames = [f for t, f in self.sent if t >= since and f.id >> CMD_BITS == node and not f.remote]
-        messages = [decode_to_device(frame) for frame in frames]
+    def said(self, node: int = 1, since: Nanos = 0, line: str = "0.6") -> list[AnyMessage]:
+        """What the driver told a node (questions left out), as its firmware line has it."""
+        frames = [f for t, f in self.sent if t >= since and node_of(f) == node and not f.remote]
+        messages = [decode_to_device(frame, line) for frame in frames]
         return [m for m in messages if m is not None and not isinstance(m, Ask)]
 
 

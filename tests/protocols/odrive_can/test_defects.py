@@ -13,13 +13,12 @@ import math
 import pytest
 from numpy.random import PCG64, Generator
 
-from protocols.odrive_can.codec import LAYOUTS, encode, radians, turns
+from protocols.odrive_can.codec import TABLES, encode, radians, turns
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.messages import (
     ClearErrors,
     GetEncoderEstimates,
     Heartbeat,
-    Message,
     SetAxisState,
     SetControllerMode,
     SetInputPos,
@@ -78,7 +77,7 @@ def test_4_every_frame_that_goes_out_is_a_message_of_the_table_in_full() -> None
     for word in words:
         bench.run(400, word)
     bench.run(300, Idle("left"))
-    lengths = {layout.cmd: layout.dlc for layout in LAYOUTS}
+    lengths = {layout.cmd: layout.dlc for layout in TABLES["0.6"].layouts}
     assert {len(f.data) - lengths[f.id & 0x1F] for _, f in bench.sent if not f.remote} == {0}
     assert len(bench.said()) == len([f for _, f in bench.sent if not f.remote])
 
@@ -90,7 +89,7 @@ def test_5_a_fault_survives_a_mode_switch_and_the_first_setpoint_is_where_the_sh
     bench.run(400, Position("left", 0.0))
     first = next(m for m in bench.said() if isinstance(m, SetInputPos))
     assert first.position == pytest.approx(-8.125, abs=1e-3)
-    bench.twin._trip(Error.DRV_FAULT)
+    bench.twin.trip(Error.DRV_FAULT)
     for word in (Velocity("left", 1.0), Torque("left", 0.0), Position("left", 0.0)):
         bench.run(300, word)
     assert bench.twin.errors == Error.DRV_FAULT
@@ -126,7 +125,7 @@ def test_9_nothing_is_cleared_without_a_request() -> None:
     bench = ready()
     words: list[Command] = [Idle("left"), Velocity("left", 1.0), Hold("left"), Torque("left", 0.0)]
     for word in words:
-        bench.twin._trip(Error.ESTOP_REQUESTED)
+        bench.twin.trip(Error.ESTOP_REQUESTED)
         bench.run(400, word)
         bench.driver.bus(bench.now, BusState.BACK)
     assert [m for m in bench.said() if isinstance(m, ClearErrors)] == []
@@ -178,7 +177,7 @@ def test_13_fractions_of_a_unit_survive_the_way_there_and_back() -> None:
 def test_14_looking_for_devices_enables_none() -> None:
     bench = Bench([device()])
     bench.ask(Scan("can0"), 3000)
-    said: list[Message] = bench.said()
+    said = bench.said()
     assert said == []
     assert all(isinstance(f, CanFrame) and f.remote for _, f in bench.sent)
     assert not bench.twin.axis.armed

@@ -18,6 +18,7 @@ from protocols.odrive_can.messages import (
     ControlMode,
     Estop,
     GetEncoderEstimates,
+    GetVersion,
     Heartbeat,
     Reboot,
     SetAxisState,
@@ -27,7 +28,7 @@ from protocols.odrive_can.messages import (
     SetInputVel,
 )
 from protocols.odrive_can.options import Options, Settings
-from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
@@ -300,7 +301,7 @@ def test_the_disarm_reason_is_asked_for_and_told() -> None:
     bench = ready()
     bench.run(300, Velocity("left", 10.0))
     # A fault that clears by itself: only Get_Error still knows it.
-    bench.twin._trip(Error.DC_BUS_UNDER_VOLTAGE)
+    bench.twin.trip(Error.DC_BUS_UNDER_VOLTAGE)
     bench.twin.errors = Error(0)
     events = bench.run(120, Velocity("left", 10.0))
     assert "left closed loop by itself" in of(State, events)[0].detail
@@ -428,11 +429,14 @@ def test_after_a_full_queue_the_mode_is_said_again() -> None:
 # -- other firmware, cyclic messages off, doubles ------------------------------------------------------
 
 
-def test_another_firmware_line_is_told_and_never_armed() -> None:
-    bench = Bench([device(settings=Settings(fw_minor=5, fw_revision=6))])
-    events = bench.run(1000, Velocity("left", 1.0))
+def test_a_firmware_line_that_nobody_knows_is_told_and_never_armed() -> None:
+    bench = Bench([device()])
+    bench.from_device = lambda frame: frame.id & 0x1F != 0
+    bench.run(1)
+    told = list(bench.driver.receive(bench.now, encode(1, GetVersion(2, 5, 1, 0, 0, 7, 1, 0))))
+    events = told + bench.run(1000, Velocity("left", 1.0))
     (fault,) = of(Fault, events)
-    assert (fault.code, fault.name) == (WRONG_FIRMWARE, "firmware 0.5.6")
+    assert (fault.code, fault.name) == (WRONG_FIRMWARE, "firmware 0.7.1")
     assert of(State, events)[-1].mode is Mode.FAULT
     assert bench.said() == []
 
@@ -498,7 +502,7 @@ def test_polling_can_be_switched_off_and_cyclic_messages_are_not_polled() -> Non
 def test_two_devices_with_one_node_id_are_noticed_by_their_serial_numbers() -> None:
     bench = ready()
     bench.devices = [*bench.devices, device()]
-    bench.twins.append(OdriveTwin(device(settings=Settings(serial_number=0xABCDEF)), 7))
+    bench.twins.append(Twin06(device(settings=Settings(serial_number=0xABCDEF)), 7))
     bench.shafts.append(copy.deepcopy(bench.shaft))
     events = bench.run(6000)
     (fault,) = of(Fault, events)

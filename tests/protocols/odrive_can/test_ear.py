@@ -31,7 +31,7 @@ from protocols.odrive_can.messages import (
     SetVelGains,
 )
 from protocols.odrive_can.options import Settings
-from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
@@ -167,7 +167,7 @@ def test_ear_and_twin_agree_on_random_traffic() -> None:
         SetControllerMode(2, 1),
         SetControllerMode(3, 1),
     ]
-    ear, twin = OdriveEar([device()]), OdriveTwin(device(), 0)
+    ear, twin = OdriveEar([device()]), Twin06(device(), 0)
     for turn in range(3000):
         node = 1 if dice.random() < 0.9 else int(dice.integers(0, 64))
         frame = encode(node, makers[int(dice.integers(0, len(makers)))])

@@ -12,7 +12,7 @@ from protocols.odrive_can import RANGES
 from protocols.odrive_can.codec import decode_to_device, encode
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.messages import SetAxisState, SetControllerMode
-from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
@@ -78,7 +78,7 @@ def test_the_driver_survives_any_traffic() -> None:
 def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited() -> None:
     seed = 2
     dice = Generator(PCG64(seed))
-    twin = OdriveTwin(device(), seed)
+    twin = Twin06(device(), seed)
     limit = twin.settings.current_hard_max * twin.settings.torque_constant
     for turn in range(TURNS):
         now = turn * MILLISECOND

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from protocols.odrive_can import WATCHDOG_NOTE, plugin, read_only, spec
+from protocols.odrive_can import WATCHDOG_NOTE, plugin, spec
 from protocols.odrive_can.codec import BROADCAST, encode
 from protocols.odrive_can.messages import SetAxisState, SetInputPos
 from protocols.odrive_can.options import Options, Settings
@@ -55,6 +55,7 @@ def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected()
 
 
 def test_read_only_is_a_remote_frame_for_what_devices_tell() -> None:
+    read_only = spec(device(options=Options(firmware="0.6"))).read_only
     assert read_only(CanFrame(0x29, remote=True))
     assert read_only(CanFrame(0x7E6, remote=True))
     assert not read_only(CanFrame(0x27, remote=True))

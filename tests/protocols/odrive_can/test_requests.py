@@ -7,6 +7,7 @@ import math
 import pytest
 
 from protocols.odrive_can.codec import BROADCAST, encode, radians
+from protocols.odrive_can.dialect import READABLE06
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.messages import (
     Address,
@@ -22,7 +23,7 @@ from protocols.odrive_can.messages import (
     SetVelGains,
 )
 from protocols.odrive_can.options import Settings
-from protocols.odrive_can.requests import READABLE, SAVE, WRITABLE
+from protocols.odrive_can.requests import SAVE, WRITABLE
 from protocols.wire import CanFrame
 from protocols.words import (
     SECOND,
@@ -176,7 +177,7 @@ def test_a_device_that_does_not_come_back_from_a_reboot() -> None:
 # -- parameters ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("parameter", list(READABLE))
+@pytest.mark.parametrize("parameter", list(READABLE06))
 def test_every_readable_parameter_is_read(parameter: str) -> None:
     bench = ready()
     events = bench.ask(ReadParameter("left", parameter), 100)

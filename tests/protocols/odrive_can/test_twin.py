@@ -10,9 +10,8 @@ from itertools import pairwise
 import pytest
 
 from protocols.odrive_can.codec import (
-    ASKABLE,
     BROADCAST,
-    BY_CMD,
+    TABLES,
     cmd_of,
     decode_from_device,
     encode,
@@ -50,7 +49,7 @@ from protocols.odrive_can.messages import (
     SetVelGains,
 )
 from protocols.odrive_can.options import Settings
-from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import CanFrame, Wire
 from protocols.words import MILLISECOND, Event, Feedback, Nanos
 from tests.protocols.odrive_can.helpers import Shaft, device
@@ -62,7 +61,7 @@ class Stand:
     """One twin, one shaft, and what it said."""
 
     def __init__(self, settings: Settings | None = None, seed: int = 0) -> None:
-        self.twin = OdriveTwin(device(settings=settings), seed)
+        self.twin = Twin06(device(settings=settings), seed)
         self.shaft = Shaft()
         self.now: Nanos = 0
         self.frames: list[tuple[Nanos, CanFrame]] = []
@@ -201,7 +200,7 @@ def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
 
 
 @pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
-@pytest.mark.parametrize("cmd", sorted(ASKABLE - {0x05}))
+@pytest.mark.parametrize("cmd", sorted(TABLES["0.6"].askable - {0x05}))
 def test_every_message_is_told_when_asked(cmd: int, remote: bool) -> None:
     stand = Stand(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
     stand.run(5)
@@ -210,7 +209,7 @@ def test_every_message_is_told_when_asked(cmd: int, remote: bool) -> None:
     ((_, frame),) = stand.frames
     assert frame.id == 0x20 | cmd
     assert len(frame.data) == 8
-    assert isinstance(decode_from_device(frame), BY_CMD[cmd].message)
+    assert isinstance(decode_from_device(frame), TABLES["0.6"].from_device[cmd].message)
 
 
 def test_what_is_not_for_it_changes_nothing() -> None:

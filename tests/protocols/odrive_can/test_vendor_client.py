@@ -19,7 +19,7 @@ from odrive_can.odrive import CommandId, DriveError, HeartbeatError, ODriveCAN
 from protocols.odrive_can.codec import turns
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.options import Settings
-from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import CanFrame
 from protocols.words import Feedback
 from tests.protocols.odrive_can.helpers import Shaft, device
@@ -72,7 +72,7 @@ class Bench:
         self.bus = can.Bus(interface="virtual", channel=channel)
         # Without cyclic estimates: the client takes the next frame of the same id for the answer, keeps
         # a second one for the next request, and would then read a message that it did not ask for.
-        self.twin = OdriveTwin(device(address=NODE, settings=Settings(encoder_msg_rate_ms=0)), 0)
+        self.twin = Twin06(device(address=NODE, settings=Settings(encoder_msg_rate_ms=0)), 0)
         self.shaft = Shaft()
         self.behind = time.monotonic_ns()
 
@@ -161,7 +161,7 @@ async def drive(bench: Bench, client: ODriveCAN, ran: set[str]) -> None:
     await until(lambda: abs(twin.servo.torque() - 0.1) < 1e-3, "torque is given")
     assert (await call("get_iq"))["Iq_Measured"] == pytest.approx(0.1 * 270 / 8.27, rel=0.01)
 
-    twin._trip(Error.ESTOP_REQUESTED)
+    twin.trip(Error.ESTOP_REQUESTED)
     await call("wait_for_heartbeat")
     with pytest.raises(DriveError, match="ESTOP_REQUESTED"):
         client.check_errors()
