@@ -29,8 +29,10 @@ def main(arguments: list[str] | None = None) -> int:
         "replay": commands.replay,
         "recover": commands.recover,
         "watch": commands.watch,
+        "jog": commands.jog,
         "check": commands.check,
         "protocols": commands.protocols,
+        "bench": commands.bench,
         "ask": commands.ask,
     }[options.command]
     try:
@@ -121,9 +123,19 @@ def parser() -> argparse.ArgumentParser:
     _bus(watch, "where a bus of the robot file is: can0=socketcan:vcan0")
     watch.add_argument("--lines", action="store_true", help="a line for every packet, instead of the page")
     watch.add_argument("--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C)")
-    watch.add_argument("--bitrate", type=_rate, default=1_000_000, metavar="N", help="of INTERFACE:CHANNEL")
+    watch.add_argument(
+        "--bitrate", type=_rate, default=0, metavar="N", help="of INTERFACE:CHANNEL (default: 1000000)"
+    )
     watch.add_argument("--data-bitrate", type=_rate, default=0, metavar="N", help="of it, if it is CAN FD")
     watch.add_argument("--baudrate", type=_rate, default=115_200, metavar="N", help="of serial:PORT")
+
+    jog = _command(commands, "jog", "turn one motor slowly, as long as a key is held")
+    jog.add_argument("motor", metavar="MOTOR", help="its name in the robot file")
+    jog.add_argument("robot", nargs="?", default="bench", metavar="ROBOT", help="(default: bench, on twins)")
+    _bus(jog, "where the motor's bus is: can0=socketcan:can0")
+    jog.add_argument(
+        "--speed", type=_speed, metavar="RAD_PER_S", help="(default: 5 %% of the joint's limit of velocity)"
+    )
 
     check = _command(
         commands, "check", "read a robot file, and say what was understood, or every mistake in it"
@@ -132,6 +144,10 @@ def parser() -> argparse.ArgumentParser:
 
     protocols = _command(commands, "protocols", "the installed device languages")
     protocols.add_argument("check", nargs="*", metavar="check NAME", help="run the contract over one of them")
+
+    bench = _command(commands, "bench", "measure what this program costs here, beside what else there is")
+    bench.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
+    bench.add_argument("--quick", action="store_true", help="a few seconds, for rough figures")
 
     ask = _command(commands, "ask", "say something to a robot that is running, as on its terminal")
     _robot(ask)
@@ -204,7 +220,7 @@ def _rate(text: str) -> int:
     return int(text)
 
 
-def _positive(text: str) -> float:
+def _positive(text: str, unit: str = "seconds") -> float:
     from math import isfinite
 
     try:
@@ -212,8 +228,12 @@ def _positive(text: str) -> float:
     except ValueError:
         value = 0.0
     if not (isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of {unit}")
     return value
+
+
+def _speed(text: str) -> float:
+    return _positive(text, "rad/s")
 
 
 def _metres(text: str) -> float:

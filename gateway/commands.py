@@ -320,6 +320,18 @@ def watch(options: Namespace) -> int:
             raise Sentence(str(error)) from error
 
 
+def jog(options: Namespace) -> int:
+    """Turn one motor from the keyboard."""
+    from gateway.jog import JogError
+    from gateway.jog import jog as turn
+
+    with _sentences():
+        try:
+            return turn(options)
+        except JogError as error:
+            raise Sentence(str(error)) from error
+
+
 def check(options: Namespace) -> int:
     """Read a robot file; every mistake in it, or what was understood."""
     from gateway.config import describe
@@ -350,6 +362,17 @@ def protocols(options: Namespace) -> int:
     for bad in broken:
         print(f"{bad.name}: left out: {bad.distribution} is broken: {bad.reason}", file=sys.stderr)
     return 1 if broken else 0
+
+
+def bench(options: Namespace) -> int:
+    """Measure steps, codecs, brain, replay, recording, start-up and memory."""
+    from gateway.bench import bench as measure
+    from gateway.bench.measure import NotMeasured
+
+    try:
+        return measure(options)
+    except (NotMeasured, OSError) as error:
+        raise Sentence(str(error)) from error
 
 
 def ask(options: Namespace) -> int:

@@ -267,7 +267,9 @@ def _count(account: Account, robot: Robot, tick: Tick, took: Nanos) -> None:
 
 @contextmanager
 def signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """While inside, SIGINT and SIGTERM call `stop` with their name; a second one is a plain interrupt."""
+    """While inside, SIGINT, SIGTERM, SIGHUP call `stop` with their name; a second one is a plain interrupt.
+
+    A terminal that is closed (SIGHUP) must not leave motors turning; under nohup it is ignored, as asked."""
     seen: list[int] = []
 
     def handler(number: int, _frame: object) -> None:
@@ -277,7 +279,9 @@ def signals(stop: Callable[[str], None]) -> Iterator[None]:
         stop(signal.Signals(number).name)
 
     with ExitStack() as stack:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+                continue
             before = signal.signal(number, handler)
             stack.callback(signal.signal, number, before)
         yield

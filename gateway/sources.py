@@ -12,7 +12,7 @@ from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from gateway import config, shipped
 from gateway.buses import Bus, BusError
@@ -23,6 +23,15 @@ from gateway.robot import TWIN, BusSettings
 from protocols.plugin import load_all
 from protocols.wire import BusState, Packet
 from protocols.words import Nanos
+
+if TYPE_CHECKING:
+    from gateway.buses.link import Link
+
+
+BITRATE = 1_000_000
+"""bit/s of a CAN bus of which neither the command line nor the kernel says it."""
+FD_MTU = 72
+"""Of a SocketCAN interface that takes CAN FD frames."""
 
 
 class WatchError(Exception):
@@ -159,5 +168,23 @@ def _settings(interface: str, options: Namespace) -> BusSettings:
     name = channel.removeprefix("/dev/")
     if driver == "serial":
         return BusSettings(name, "serial", interface, baudrate=options.baudrate)
-    kind: Literal["can", "canfd"] = "canfd" if options.data_bitrate else "can"
-    return BusSettings(name, kind, interface, options.bitrate, options.data_bitrate)
+    link = _link(channel) if driver == "socketcan" else None
+    data_bitrate = options.data_bitrate or (link.data_bitrate if link else 0)
+    fd = data_bitrate or (link is not None and link.mtu >= FD_MTU)
+    kind: Literal["can", "canfd"] = "canfd" if fd else "can"
+    bitrate = options.bitrate or (link.bitrate if link else 0) or BITRATE
+    return BusSettings(name, kind, interface, bitrate, data_bitrate)
+
+
+def _link(name: str) -> Link | None:
+    """What the kernel knows of an interface."""
+    from gateway.buses.link import Device
+
+    try:
+        device = Device(name)
+    except OSError:
+        return None
+    try:
+        return device.link()
+    finally:
+        device.close()

@@ -83,7 +83,7 @@ def _devices(listener: Listener, now: Nanos) -> list[str]:
 def _device(seen: Seen, now: Nanos, measured: Sequence[tuple[str, str, int]]) -> tuple[str, ...]:
     party = seen.party
     place = f"{party.bus} at {party.address}"
-    cells = [party.name, party.protocol, place, _state(seen, now), _age(seen.heard_at, now)]
+    cells = [party.name, party.protocol, place, _state(seen, now), age(seen.heard_at, now)]
     for name, unit, digits in measured:
         value = _value(seen, name)
         cells.append("-" if value is None else f"{value:.{digits}f} {unit}")
@@ -115,10 +115,10 @@ def _more(listener: Listener, seen: Seen, now: Nanos) -> list[str]:
     if said:
         lines.append(f"says: {', '.join(said)}")
     if seen.command is not None and seen.commands is not None:
-        rate, age = seen.commands.per_second(now), _age(seen.commanded_at, now)
-        lines.append(f"is told: {_without_name(say(seen.command))}, {rate:.1f}/s, {age}")
+        rate, since = seen.commands.per_second(now), age(seen.commanded_at, now)
+        lines.append(f"is told: {_without_name(say(seen.command))}, {rate:.1f}/s, {since}")
     lines += [f"FAULT: {fault(one)}" for one in seen.faults.values()]
-    lines += [f"had a fault {_age(one.t, now)}: {one.name}" for one in seen.past.values()]
+    lines += [f"had a fault {age(one.t, now)}: {one.name}" for one in seen.past.values()]
     return lines
 
 
@@ -130,7 +130,7 @@ def _unknown(listener: Listener, now: Nanos) -> list[str]:
     for (bus, _, _, _), seen in ids[:MOST_UNKNOWN]:
         head, _, data = str(seen.last).partition("#")
         rate, guess = f"{seen.rate.per_second(now):.1f}/s", ", ".join(seen.could_be)
-        rows.append((head, bus, rate, str(seen.rate.total), f"#{data}", _age(seen.at, now), guess))
+        rows.append((head, bus, rate, str(seen.rate.total), f"#{data}", age(seen.at, now), guess))
     lines = columns(rows)
     return (
         lines if len(ids) <= MOST_UNKNOWN else [*lines, f"… and {len(ids) - MOST_UNKNOWN} more unknown ids"]
@@ -157,11 +157,12 @@ def fault(event: Fault) -> str:
     return f"{event.name}{cause}{f'; {event.cure}' if event.cure else ''}"
 
 
-def _age(t: Nanos | None, now: Nanos) -> str:
+def age(t: Nanos | None, now: Nanos) -> str:
+    """How long ago that was; "-" if it never was."""
     if t is None:
         return "-"
-    age = max(0, now - t)
-    return f"{age / MILLISECOND:.0f} ms ago" if age < 10 * SECOND else f"{age / SECOND:.0f} s ago"
+    span = max(0, now - t)
+    return f"{span / MILLISECOND:.0f} ms ago" if span < 10 * SECOND else f"{span / SECOND:.0f} s ago"
 
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:
