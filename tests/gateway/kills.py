@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from gateway.gateway import Gateway, ear_of
 from gateway.judge import compare
 from gateway.recording import read
 from gateway.recording.salvage import salvage
+from gateway.robot import Robot
 from protocols.words import MILLISECOND, Nanos
 from tests.gateway.witness import Runs
 
@@ -38,7 +40,7 @@ class Outcome:
 def one_kill(runs: Runs, folder: Path, seed: int, number: int) -> Outcome:
     """Kill a run of the bench at a moment drawn from the seed, and hold its recording to the promises."""
     generator = Generator(PCG64([seed, number]))
-    after = float(generator.uniform(0.0, 0.8))
+    after = float(generator.uniform(0.0, 0.6))
     speed = float(generator.uniform(-8.0, 8.0))
     file, whole = folder / f"{number}.mcap", folder / f"{number}.whole.mcap"
     first, handed_over = runs.kill("bench", file, after, f"velocity left {speed:.3f}")
@@ -50,7 +52,9 @@ def one_kill(runs: Runs, folder: Path, seed: int, number: int) -> Outcome:
         return Outcome(after, 0, lost)
     found = salvage(file, whole)
     assert file.read_bytes() == before, "the input was changed"
-    assert read_by_rosbags(whole) == flushed, "not every flushed tick came back byte for byte"
+    assert read_by_rosbags(whole, opened=number % 5 == 0) == flushed, (
+        "not every flushed tick came back byte for byte"
+    )
     assert (found.ticks, found.gaps) == (len(flushed), [])
     last = [tick.now for tick in read(whole).ticks][-1]
     lost = handed_over - last
@@ -77,13 +81,13 @@ def raw_ticks(path: Path) -> list[bytes]:
     return ticks
 
 
-def read_by_rosbags(path: Path) -> list[bytes]:
-    """Every tick in a file, as bytes, while every message of every topic is opened."""
+def read_by_rosbags(path: Path, *, opened: bool = True) -> list[bytes]:
+    """Every tick in a file, as bytes; with `opened`, every message of every topic is looked into."""
     ticks: list[bytes] = []
     with AnyReader([path]) as reader:
         assert {c.topic for c in reader.connections} >= {journal.TOPIC, "/diagnostics"}
         for connection, _, raw in reader.messages():
-            message: Any = reader.deserialize(raw, connection.msgtype)
+            message: Any = reader.deserialize(raw, connection.msgtype) if opened else raw
             assert message is not None
             if connection.topic == journal.TOPIC:
                 ticks.append(bytes(raw))
@@ -93,7 +97,7 @@ def read_by_rosbags(path: Path) -> list[bytes]:
 def replays(path: Path) -> None:
     """To the same bytes, as `gateway replay` judges it."""
     recording = read(path)
-    robot = config.loads(recording.robot_text, "robot.toml")
+    robot = _robot(recording.robot_text)
     gateway = Gateway(robot)
     verdict = compare(
         recording, gateway.step, gateway.belief, lambda bus: ear_of(robot, bus), buses=robot.buses
@@ -103,6 +107,11 @@ def replays(path: Path) -> None:
     assert not verdict.left_over
     # A kill in the very first ticks may leave nothing that was sent.
     assert verdict.ok or not verdict.packets, verdict.text()
+
+
+@cache
+def _robot(text: str) -> Robot:
+    return config.loads(text, "robot.toml")
 
 
 def summary(outcomes: list[Outcome]) -> str:

@@ -54,11 +54,12 @@ class Board:
 
 def _serve() -> None:
     """One process at a time, for each line `ROBOT FILE BOARD TYPED` (separated by tabs)."""
-    import filterpy.kalman  # noqa: F401  # all that a run imports, once
-    import rosbags.typesys.stores.ros2_jazzy  # noqa: F401
+    from gateway import config, machine, session, shipped  # noqa: F401  # all that a run imports, once
+    from gateway.views import Views
 
-    from gateway import commands, recording, session  # noqa: F401
-
+    config.load(shipped.find("robots", "bench"))
+    Views().prepare()
+    machine.facts()
     print("ready", flush=True)
     for line in sys.stdin:
         robot, file, board, typed = line.rstrip("\n").split("\t")
