@@ -72,7 +72,7 @@ COMMON: tuple[Layout, ...] = (
 
 VERSION = layout(m.GetVersion, 0x00, "from_device", "BBBBBBBB")
 ADDRESS = layout(m.Address, 0x06, "both", "BSc", 7)
-BEACON = layout(m.Beacon, 0x01, "from_device", "IB", 7)
+BEACON = layout(m.Beacon, 0x01, "from_device", "IBBBB", 7)
 
 LINE06: tuple[Layout, ...] = (
     VERSION,

@@ -73,7 +73,7 @@ def beat_of(message: AnyMessage) -> Beat | None:
             if error & AxisError.SENSORLESS_ESTIMATOR_FAILED:
                 parts.append(cmd_of(m05.GetSensorlessError))
             return Beat(error, state, parts=tuple(parts))
-        case m.Beacon(error, state):
+        case m.Beacon(error, state, _, _, _):
             return Beat(error, state)
     return None
 

@@ -85,7 +85,7 @@ class OdriveDriver:
             return []
         address = node_of(wire)
         node = self.nodes.get(address)
-        line = node.identity.line if node is not None else ""
+        line = node.identity.reading if node is not None else ""
         row = TABLES[line].from_device.get(wire.id & 0x1F)
         if row is None or not (node is not None or row.message is Address):
             self.tally.foreign += 1
@@ -99,6 +99,8 @@ class OdriveDriver:
         if message is None:
             self.tally.bad += 1
             return []
+        if isinstance(message, Beacon) and node is not None:
+            message = decode_from_device(wire, node.identity.hear_beacon(message)) or message
         self.tally.heard += 1
         if isinstance(message, Address):
             return self._hear_address(t, message)

@@ -4,15 +4,17 @@ Rules. Answering Get_Version is 0.6.x. A device is 0.5.x if it sends heartbeats 
 (one that both lines answer alike) time and again, but Get_Version and the roll call never: silence alone
 proves nothing, it may be our frames that do not arrive. What the robot file says is an expectation; the
 device decides, and where the two differ it is a fault. Until the line is known, and after a fault, nothing
-moves.
+moves. Who only listens (a dry run, a monitor) never knows; for reading, and for nothing else, the shape of a
+heartbeat is enough where only one line can have sent it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from protocols.odrive_can.faults import Text
-from protocols.odrive_can.messages import GetVersion
+from protocols.odrive_can.faults import ERRORS, Text
+from protocols.odrive_can.faults05 import AXIS, AxisError
+from protocols.odrive_can.messages import AxisState, Beacon, GetVersion
 
 ATTEMPTS = 10
 """A device that sends heartbeats and answers nothing is a fault after so many questions."""
@@ -30,6 +32,8 @@ class Identity:
     """ "0.5", "0.6" or "auto"."""
     line: str = ""
     """Not known yet if empty."""
+    seems: str = ""
+    """What its heartbeats look like: good for reading them."""
     version: GetVersion | None = None
     wrong: bool = False
     """It is not what was expected, or cannot be told: a fault until cleared."""
@@ -40,9 +44,24 @@ class Identity:
 
     def forget(self) -> None:
         """It may have restarted, or be another device: ask again. A fault stays."""
-        self.line, self.version = "", None
+        self.line, self.seems, self.version = "", "", None
         self._asked = self._answered = 0
         self._waiting = self._answers_roll_call = False
+
+    @property
+    def reading(self) -> str:
+        """The firmware line in which to read it."""
+        return self.line or self.seems
+
+    @property
+    def expects(self) -> bool:
+        """Whether it reads as the robot file says."""
+        return self.expected in ("auto", self.reading)
+
+    def hear_beacon(self, beacon: Beacon) -> str:
+        """A heartbeat of a line not known; the line in which to read it."""
+        self.seems = shape_of(beacon)
+        return self.reading
 
     def ask(self, beating: bool) -> Text | None:
         """Get_Version and the other question go out; what is wrong, if anything.
@@ -119,3 +138,22 @@ class Identity:
             return None
         self.wrong = True
         return Text(name, cause, cure)
+
+
+ONLY05 = sum(AXIS.keys() - ERRORS.keys())
+ONLY06 = sum(ERRORS.keys() - AXIS.keys())
+
+
+def shape_of(beacon: Beacon) -> str:
+    """The firmware line that alone can have sent a heartbeat, or "".
+
+    0.5.x has three bytes of flags, of which only the first bit (and of the last byte the eighth) is used, and
+    a part's flag never stands without its bit in the axis' errors, nor in closed loop. 0.6.x has a result, a
+    flag and an empty byte. (Layouts: `codec`; ODrive@f9b5419 `can_simple.cpp` send_heartbeat.)"""
+    error, result, flag = beacon.error, beacon.fifth, beacon.sixth
+    if beacon.seventh or error & ONLY05:
+        return "0.5" if not error & ONLY06 and result <= 1 and flag <= 1 else ""
+    closed = beacon.state == AxisState.CLOSED_LOOP_CONTROL
+    if error & ONLY06 or result > 1 or (closed and result == 1):
+        return "0.6"
+    return "0.6" if flag and not error & AxisError.ENCODER_FAILED else ""

@@ -81,10 +81,14 @@ class RebootAction(IntEnum):
 
 @value
 class Beacon:
-    """0x01, device → host: as much of a heartbeat as both firmware lines mean the same by."""
+    """0x01, device → host: a heartbeat of a device whose firmware line is not known. Both lines mean the same
+    by the first two fields; the rest are bytes."""
 
     error: int
     state: int
+    fifth: int
+    sixth: int
+    seventh: int
 
 
 @value

@@ -137,7 +137,7 @@ class Node:
     @property
     def dialect(self) -> Dialect:
         """How to speak with it."""
-        return DIALECTS[self.identity.line]
+        return DIALECTS[self.identity.reading]
 
     def forget(self) -> None:
         """The device may have restarted or been changed: only a fresh sequence arms it again."""
@@ -287,7 +287,7 @@ class Node:
     def _mode_now(self) -> Mode:
         if self.identity.wrong:
             return Mode.FAULT
-        if not self.identity.line or self.beat.error & self.dialect.initializing:
+        if not self.identity.reading or self.beat.error & self.dialect.initializing:
             return Mode.INITIALISING
         if self.faulty():
             return Mode.FAULT
@@ -400,9 +400,10 @@ class Node:
         return events, asks
 
     def _questions(self) -> tuple[int, ...]:
-        dialect = self.dialect
-        heartbeat = (HEARTBEAT,) if dialect.heartbeat_asked else ()
-        return (VERSION, *heartbeat, *self.wanted, ESTIMATES, *dialect.polled)
+        if not self.identity.expects:  # what both lines answer alike, and no more
+            return (VERSION, HEARTBEAT, ESTIMATES)
+        heartbeat = (HEARTBEAT,) if self.dialect.heartbeat_asked else ()
+        return (VERSION, *heartbeat, *self.wanted, ESTIMATES, *self.dialect.polled)
 
     def due(self) -> Nanos:
         """When `tend` next has something to do."""

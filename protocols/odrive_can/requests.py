@@ -118,10 +118,10 @@ def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -
             return Pending(request, node.name, node, (), now + ANSWER, RESEND, now, now)
         case EstopWord():
             return _pending(now, request, node, Estop(), ANSWER, RESEND)
+        case _ if node.identity.wrong or not node.identity.line:
+            return refuse(now, request, "its firmware is not known, or not what the robot file says")
         case ReadParameter(_, parameter):
             return _read(now, request, node, parameter)
-        case _ if not dialect.line:
-            return refuse(now, request, "its firmware is not known")
         case Zero() if running:
             return refuse(now, request, "it is armed, and would jump: say idle first")
         case Zero():
@@ -167,7 +167,7 @@ def frames_of(pending: Pending) -> tuple[CanFrame, ...]:
     """What is to be sent for a request now."""
     node = pending.node
     if isinstance(pending.request, ClearFault) and not pending.frames and node is not None:
-        clear = node.dialect.clear
+        clear = node.dialect.clear if node.identity.line else None
         pending.frames = () if clear is None else (encode(node.address, clear),)
     return pending.frames
 
@@ -229,7 +229,7 @@ def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
         return []
     match pending.request:
         case ClearFault():
-            cleared = beat is not None and bool(node.dialect.line) and not node.faulty()
+            cleared = beat is not None and bool(node.identity.line) and not node.faulty()
             return [pending.done(t, _board(node))] if cleared and pending.sent else []
         case EstopWord() if beat is not None and beat.error & (node.dialect.estop or ~0):
             return [pending.done(t, "it stays in fault until cleared")]
@@ -279,7 +279,7 @@ def give_up(pending: Pending, now: Nanos) -> Refused:
     if node is None or node.heard_at is None or node.heard_at < pending.began:
         return pending.refuse(now, "no answer of the device")
     if isinstance(pending.request, ClearFault):
-        if not node.dialect.line:
+        if not node.identity.line:
             return pending.refuse(now, "its firmware is not known")
         node.tell_again()
         return pending.refuse(now, f"still in fault: {names(node.beat.error, node.dialect.axis)}")

@@ -250,8 +250,8 @@ def test_an_unknown_bus_in_the_inputs_is_our_own_mistake(rig: Rig) -> None:
 def test_an_operators_stop_is_also_for_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
     ours, theirs = Gateway(driven.robot), driven.gateway
     assert theirs.joints["left"].mode is Mode.ARMED
-    driven.run(0.3)
-    for tick in driven.ticks:  # a second host hears the same bus, and has commanded nothing
+    ticks = driven.run(0.3)
+    for tick in ticks:  # a second host hears the same bus, and has commanded nothing
         heard = ours.step(tick.now, Inputs(packets=tick.inputs.packets))
         assert not _idles(driven, heard)
     last = driven.clock.now()
@@ -261,8 +261,7 @@ def test_an_operators_stop_is_also_for_a_motor_that_somebody_else_has_armed(driv
 
 def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
     ours = Gateway(driven.robot)
-    driven.run(0.3)
-    for tick in driven.ticks:
+    for tick in driven.run(0.3):
         ours.step(tick.now, Inputs(packets=tick.inputs.packets))
     assert ours.joints["left"].mode is Mode.ARMED
     assert not _idles(driven, ours.step(driven.clock.now(), Inputs(asked=(Leave("the end"),))))
