@@ -6,7 +6,7 @@ positive finite numbers. What a protocol, a joint or the brain can be told is ty
 dataclasses, so this file knows no setting of theirs by name. Files are TOML (toml.io, version 1.0.0).
 
     name, rate_hz, world, seed          the robot; `world` is what stands behind the twins
-    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate
+    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate; hear
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.joint)
     [motors.NAME.limits]                velocity, acceleration, torque, position
     [motors.NAME.options]               what our driver should do: the protocol's own
@@ -30,7 +30,7 @@ from brain.settings import BrainSettings
 from gateway import rules, shipped
 from gateway.describe import describe
 from gateway.mistakes import ConfigError, Mistakes, shown, unknown
-from gateway.parts import Find, Table, check_interface, read_bus, read_motor, read_sensor
+from gateway.parts import Find, Table, check_interface, only_own, read_bus, read_motor, read_sensor
 from gateway.robot import BusSettings, Motor, Robot, Sensor
 from gateway.rules import cautions
 from gateway.topics import BagTopics, check_bag
@@ -113,6 +113,11 @@ def loads(
     period = round(SECOND / top.rate_hz) if top and top.rate_hz > 0 else 0
     rules.check_devices(buses, motors, sensors, period, mistakes)
     rules.check_brain(table.get("brain"), tuple(groups["motors"]), tuple(groups["sensors"]), mistakes)
+    for n, bus in buses.items():
+        specs = [m.spec for m in motors.values() if m.bus == n] + [
+            s.spec for s in sensors.values() if s.bus == n
+        ]
+        buses[n] = replace(bus, heard=only_own(groups["buses"][n], specs))
     if bag is not None and brain is not None:
         check_bag(bag, brain.body, tuple(groups["sensors"]), mistakes)
     mistakes.check()

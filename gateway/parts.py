@@ -6,7 +6,7 @@ wiring, what its protocol says of its options and settings, what a joint or a mo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
@@ -31,6 +31,7 @@ class _Bus:
     bitrate: int = 0
     data_bitrate: int = 0
     baudrate: int = 0
+    hear: Literal["all", "own"] = "all"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,8 @@ class _Mounting:
     timeout: Nanos = 500 * MILLISECOND
 
 
+ALL_BITS = 0x1FFF_FFFF
+"""Of a CAN id."""
 _RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": ("baudrate",)}
 
 
@@ -74,7 +77,18 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         check_interface(interface, kind, at, mistakes)
     if made is None:
         return None
+    if made.hear == "own" and kind == "serial":
+        mistakes.add((*at, "hear"), "a serial bus has no ids to choose by; expected no key 'hear'")
     return BusSettings(name, made.kind, made.interface, made.bitrate, made.data_bitrate, made.baudrate)
+
+
+def only_own(table: Table, specs: Iterable[Spec]) -> tuple[tuple[int, int], ...]:
+    """The ids to let in on a bus whose table says `hear = "own"`: what its devices send, and what their
+    drivers understand of others. () if the table says otherwise, or nothing is expected: everything."""
+    if table.get("hear") != "own":
+        return ()
+    found = {(number, ALL_BITS) for spec in specs for number in spec.expects}
+    return tuple(sorted(found | {choice for spec in specs for choice in spec.overhears}))
 
 
 def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> None:

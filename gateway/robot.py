@@ -32,6 +32,8 @@ class BusSettings:
     """bit/s in the data phase of CAN FD; 0 elsewhere."""
     baudrate: int = 0
     """bit/s of a serial line; 0 on a CAN bus."""
+    heard: tuple[tuple[int, int], ...] = ()
+    """Which CAN ids are let in, as (id, mask): those whose masked bits are these. (): everything."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,6 +112,9 @@ class Spec:
     """Whether the device keeps its load after Hold as the last word, with nobody feeding it."""
     stop_clears_faults: bool
     """Whether disarming clears the device's own faults (then a joint must remember them)."""
+    overhears: tuple[tuple[int, int], ...] = ()
+    """What the driver understands of any device, named in the robot file or not (answers to a scan,
+    devices with an address that is held twice): CAN ids as (id, mask), whose masked bits are these."""
 
 
 class Driver(Protocol):

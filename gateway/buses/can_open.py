@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import can
+from can.typechecking import CanFilter
 
 from gateway.buses import BusError
 from gateway.buses.link import Link
@@ -52,10 +54,21 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
         rates |= SILENT.get(interface, {})
     try:
         if interface == "slcan":
-            return SlcanInterface(channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only)
-        return can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
+            wire: can.BusABC = SlcanInterface(
+                channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only
+            )
+        else:
+            wire = can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
     except _REFUSALS as error:
         raise BusError(_refusal(settings, interface, error)) from error
+    if settings.heard and not listen_only:
+        wire.set_filters(filters(settings.heard))
+    return wire
+
+
+def filters(heard: Sequence[tuple[int, int]]) -> list[CanFilter]:
+    """The ids to let in, of either format, as python-can has them; SocketCAN applies them in the kernel."""
+    return [{"can_id": number, "can_mask": mask} for number, mask in heard]
 
 
 def _refusal(settings: BusSettings, interface: str, error: Exception) -> str:

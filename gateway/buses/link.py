@@ -24,11 +24,10 @@ _U32 = struct.Struct("=I")
 _COUNTS = struct.Struct("=HH")
 _ZERO = bytes(8)
 _IFREQ = struct.Struct("16si20x")
-_ERROR, _NEW_LINK, _GET_LINK, _REQUEST = 2, 16, 18, 1
-_NAME, _MTU, _QUEUE, _LINK_INFO, _EXT_MASK = 3, 4, 13, 18, 29
+_NEW_LINK, _GET_LINK, _REQUEST = 16, 18, 1
+_NAME, _MTU, _QUEUE, _LINK_INFO = 3, 4, 13, 18
 _INFO_KIND, _INFO_DATA = 1, 2
 _BIT_TIMING, _STATE, _MODES, _RESTART_MS, _COUNTERS, _DATA_BIT_TIMING = 1, 4, 5, 6, 8, 9
-_SKIP_STATISTICS = 8
 _NESTED = 0x3FFF
 """Without the two flags that an attribute's type may bear."""
 _GET_FLAGS, _GET_INDEX = 0x8913, 0x8933
@@ -106,9 +105,8 @@ class Device:
 
 
 def request(name: str, sequence: int = 1) -> bytes:
-    """RTM_GETLINK for the interface of this name, without its statistics."""
-    body = _INFO.pack(socket.AF_UNSPEC, 0, 0, 0, 0)
-    body += _attribute(_EXT_MASK, _U32.pack(_SKIP_STATISTICS)) + _attribute(_NAME, name.encode() + b"\0")
+    """RTM_GETLINK for the interface of this name."""
+    body = _INFO.pack(socket.AF_UNSPEC, 0, 0, 0, 0) + _attribute(_NAME, name.encode() + b"\0")
     return _MESSAGE.pack(_MESSAGE.size + len(body), _GET_LINK, _REQUEST, sequence, 0) + body
 
 

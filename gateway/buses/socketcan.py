@@ -1,4 +1,4 @@
-"""A CAN interface of the Linux kernel: python-can opens its socket, and this file reads and writes it.
+"""A CAN interface of the Linux kernel: "socketcan:can0".
 
 Rules. As in can.py: nothing is raised once it is open, everything is told as a BusState, reading never waits,
 and no stale command goes out after a newer one was given. Beyond that:
@@ -11,18 +11,12 @@ and no stale command goes out after a newer one was given. Beyond that:
   so that nothing is lost when it comes up; only an interface that was removed needs a new one.
 - The state of the controller comes from its error frames and, where they may have been lost, from the kernel
   (link.py): once a second, ten times a second while the interface is gone.
-
-python-can's own `recv` and `send` are not used (4.6.1, can/interfaces/socketcan/socketcan.py): `recv` allows
-for no other ancillary message than the stamp, so that lost frames cannot be counted, and rounds the stamp to
-a float; `send` says as text that a queue is full; each asks `select` for every frame.
 """
 
 from __future__ import annotations
 
 import errno
 import logging
-import socket
-import struct
 from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
@@ -32,8 +26,8 @@ from can.interfaces.socketcan import SocketcanBus as PythonCan
 from gateway.buses import BusError
 from gateway.buses.can_errors import CanError, kinds, sentence, state_of
 from gateway.buses.can_open import check_fit, open_interface
-from gateway.buses.can_struct import FD, pack, unpack
 from gateway.buses.link import Device, Link, Standing
+from gateway.buses.raw_socket import Opened, RawSocket
 from gateway.buses.stamps import Stamps
 from gateway.buses.states import Outbox, States
 from gateway.clock import Clock, WallClock
@@ -49,29 +43,11 @@ PATIENCE = 20 * MILLISECOND
 """So long may the kernel hold what we gave it before it gets no more."""
 SELDOM, OFTEN = SECOND, SECOND // 10
 """How often the interface is looked at: while it is there, and while it is gone."""
-ROOM = 4 << 20
-"""Bytes of the receive buffer where it may be had (CAP_NET_ADMIN): a default of 208 KiB holds 278 frames."""
-
-_SO_TIMESTAMPNS, _SO_RCVBUFFORCE, _SO_RXQ_OVFL, _SO_MEMINFO = 35, 33, 40, 55
-_QUEUED = 2
-"""SK_MEMINFO_WMEM_ALLOC: which of SO_MEMINFO's nine numbers is what the transmit queue holds of us."""
-_MEMINFO = struct.Struct("=9I")
-_TIMESPEC = struct.Struct("@ll")
-_COUNT = struct.Struct("=I")
-_ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size)
+SHORT_QUEUE = 100
+"""Frames; where the kernel's own queue is shorter and runs full, a longer one is proposed."""
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
 _DOWN = (errno.ENETDOWN,)
 _REMOVED = (errno.ENODEV, errno.ENXIO, errno.EBADF)
-
-
-class Opened(Protocol):
-    """What is used of python-can's SocketcanBus."""
-
-    socket: socket.socket
-
-    def shutdown(self) -> None:
-        """Close the socket."""
-        ...
 
 
 class Interface(Protocol):
@@ -91,26 +67,30 @@ class Interface(Protocol):
 
 
 def open_socketcan(settings: BusSettings, clock: Clock, *, listen_only: bool = False) -> SocketcanBus:
-    """Open "socketcan:NAME". Raises BusError: what is missing, or not set up as the robot file has it."""
+    """Open "socketcan:NAME". Raises BusError: what is missing, or not set up as the robot file has it.
+
+    With `listen_only` it is taken as it is set up, and every id is heard."""
     name = settings.interface.partition(":")[2]
-    wire = _open(settings, listen_only)
     device = Device(name)
-    link = device.link()
-    bus = SocketcanBus(settings, clock, wire, device, listen_only=listen_only)
     try:
-        if link is not None:
-            check_fit(settings, link)
+        wire = _open(settings, device.link(), listen_only)
     except BusError:
-        bus.close()
+        device.close()
         raise
-    if link is not None and link.listen_only and not listen_only:
-        log.warning("%s: %s is in listen-only mode: nothing that is sent goes out", settings.name, name)
-    return bus
+    return SocketcanBus(settings, clock, wire, device, listen_only=listen_only)
 
 
-def _open(settings: BusSettings, listen_only: bool) -> Opened:
+def _open(settings: BusSettings, link: Link | None, listen_only: bool) -> Opened:
     wire = open_interface(settings, listen_only=listen_only)
     assert isinstance(wire, PythonCan)
+    if link is not None and not listen_only:
+        try:
+            check_fit(settings, link)
+        except BusError:
+            wire.shutdown()
+            raise
+        if link.listen_only:
+            log.warning("%s: %s only listens (listen-only on): nothing goes out", settings.name, link.name)
     return wire
 
 
@@ -127,49 +107,53 @@ class SocketcanBus:
         listen_only: bool = False,
     ) -> None:
         self.name = settings.name
-        self.bad = 0
-        """What came in and was no frame."""
-        self.missed = 0
-        """Frames that came faster than they were read: the kernel threw them away."""
         self.errors: Counter[str] = Counter()
         """What the controller has said of itself, in words, and how often."""
         self._settings = settings
         self._clock = clock
         self._device = device
-        self._link: Link | None = None
         self._listen_only = listen_only
         self._states = States()
         self._stamps = Stamps()
         self._outbox = Outbox()
-        self._wire: Opened | None = None
         self._lost = 0
         """Frames that were refused, or given while the line was dead."""
-        self._number = 0
+        self._before = (0, 0)
+        """What earlier sockets have counted: bad, missed."""
         self._look_at: Nanos = 0
         self._taken = False
         """Whether the kernel may still hold something of ours."""
         self._empty_at: Nanos = 0
         """When it last held nothing."""
         self._stuck = False
-        self._told: set[str] = set()
-        self._overflow = 0
-        """The kernel's own count of what it threw away, of this socket."""
-        self._missed_before = 0
-        self._use(wire)
-        self._link = link = device.link()
-        if link is not None and link.state is not None:
-            self._set(link.state)
+        self._said: set[str] = set()
+        self._missed_told = 0
+        self._socket: RawSocket | None = RawSocket(wire)
+        self._number = self._standing_number()
+        self._link = device.link()
+        if self._link is not None and self._link.state is not None:
+            self._set(self._link.state)
 
     @property
     def dropped(self) -> int:
         """Frames that never went out: a newer one took their place, or the interface was gone or refused."""
         return self._outbox.dropped + self._lost
 
+    @property
+    def bad(self) -> int:
+        """What came in and was no frame."""
+        return self._before[0] + (self._socket.bad if self._socket is not None else 0)
+
+    @property
+    def missed(self) -> int:
+        """Frames that came faster than they were read: the kernel threw them away."""
+        return self._before[1] + (self._socket.missed if self._socket is not None else 0)
+
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """What has changed and what has come in up to `now`; stamps never run backwards."""
         if now >= self._look_at:
             self._look(now)
-        packets = self._drain(now) if self._wire is not None else []
+        packets = self._drain(self._socket, now) if self._socket is not None else []
         self._flush(now)
         return self._states.take(now), packets
 
@@ -195,26 +179,30 @@ class SocketcanBus:
 
     def _send(self, frame: CanFrame, now: Nanos) -> bool:
         """Whether the frame is off our hands: with the kernel, refused, or lost with the interface."""
-        if self._wire is None:
+        if self._socket is None:
             self._lost += 1
             return True
         try:
-            self._socket.send(pack(frame), socket.MSG_DONTWAIT)
+            self._socket.send(frame)
         except ValueError as error:
-            self._refused("ValueError", str(error))
+            self._refuse("ValueError", str(error))
         except OSError as error:
             if error.errno in _FULL:
-                self._jam(now)
+                self._tell_queue()
+                self._states.full(now)
                 return False
-            self._fail(error, frame)
+            if not self._died(error):
+                self._refuse(str(error.errno), f"{frame}: {error.strerror}")
+            else:
+                self._lost += 1
         else:
             self._taken = True
         return True
 
     def _flush(self, now: Nanos) -> None:
         """Look at what the kernel holds of us, and hand over what waits if it is not stuck."""
-        if self._taken and self._wire is not None:
-            self._taken = self._queued() > 0
+        if self._taken:
+            self._taken = self._socket is not None and self._socket.queued() > 0
         if not self._taken:
             self._empty_at = now
         self._stuck = now - self._empty_at > PATIENCE
@@ -230,73 +218,42 @@ class SocketcanBus:
                 self._outbox.put_back(frame)
                 return
 
-    def _queued(self) -> int:
-        """Bytes that the kernel has of us and the controller has not."""
-        try:
-            return int(_MEMINFO.unpack(self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 36))[_QUEUED])
-        except (OSError, struct.error):  # a kernel older than 4.12 does not tell
-            return 0
+    def _tell_queue(self) -> None:
+        link = self._link
+        if link is not None and link.queue < SHORT_QUEUE:
+            holds = f"the kernel's transmit queue of {link.name} holds {link.queue} frames"
+            longer = f"sudo ip link set {link.name} txqueuelen {SHORT_QUEUE}"
+            self._say_once("queue", f"{holds}; for a longer one: {longer}")
 
-    def _jam(self, now: Nanos) -> None:
-        self._states.full(now)
-        if self._link is not None and self._link.queue < 100:
-            self._say_once(
-                "queue",
-                f"the kernel's transmit queue of {self._link.name} holds {self._link.queue} frames; a longer"
-                f" one: sudo ip link set {self._link.name} txqueuelen 100",
-            )
-
-    def _refused(self, kind: str, why: str) -> None:
+    def _refuse(self, kind: str, why: str) -> None:
         self._lost += 1
         self._say_once(kind, f"a frame was refused: {why}")
 
     # -- in -----------------------------------------------------------------------------------
 
-    def _drain(self, now: Nanos) -> list[Packet]:
+    def _drain(self, socket: RawSocket, now: Nanos) -> list[Packet]:
         packets: list[Packet] = []
-        name, stamps, receive = self.name, self._stamps, self._socket.recvmsg
-        clock = self._clock
+        name, stamps, receive, clock = self.name, self._stamps, socket.receive, self._clock
         stamps.begin(now, clock.system_offset() if isinstance(clock, WallClock) else None)
         for _ in range(MOST_READ):
             try:
-                raw, extra, _, _ = receive(FD.size, _ANCILLARY, socket.MSG_DONTWAIT)
+                stamp, wire = receive()
             except BlockingIOError:
                 stamps.end()
                 break
             except OSError as error:
-                self._fail(error)
-                if error.errno in _DOWN:  # told once; what came before is still there
+                self._died(error)
+                if error.errno in _DOWN:  # said once, and what came before it is still there
                     continue
                 break
-            wire = unpack(raw)
             if isinstance(wire, CanFrame):
-                packets.append(Packet(stamps.move(self._stamp(extra)), name, wire))
-            elif wire is not None:
-                self._hear_error(wire)
+                packets.append(Packet(stamps.move(stamp), name, wire))
             else:
-                self.bad += 1
-        if self.missed != self._missed_before:
-            self._tell_missed()
+                self._hear_error(wire)
+        if self.missed != self._missed_told:
+            count, self._missed_told = self.missed - self._missed_told, self.missed
+            log.warning("%s: %d frames came faster than they were read, and are lost", name, count)
         return packets
-
-    def _stamp(self, ancillary: list[tuple[int, int, bytes]]) -> Nanos:
-        """The kernel's stamp, in nanoseconds since 1970; on the way, how many frames were lost so far."""
-        stamp = 0
-        for _, kind, data in ancillary:
-            if kind == _SO_TIMESTAMPNS:
-                seconds, nanos = _TIMESPEC.unpack_from(data)
-                stamp = seconds * SECOND + nanos
-            elif kind == _SO_RXQ_OVFL:
-                self._count_missed(_COUNT.unpack_from(data)[0])
-        return stamp
-
-    def _count_missed(self, so_far: int) -> None:
-        self.missed += (so_far - self._overflow) % (1 << 32)
-        self._overflow = so_far
-
-    def _tell_missed(self) -> None:
-        count, self._missed_before = self.missed - self._missed_before, self.missed
-        log.warning("%s: %d frames came faster than they were read, and are lost", self.name, count)
 
     def _hear_error(self, error: CanError) -> None:
         new = [kind for kind in kinds(error) if kind not in self.errors]
@@ -319,32 +276,28 @@ class SocketcanBus:
                 self._tell_restart()
 
     def _tell_restart(self) -> None:
-        if self._link is None or self._link.restart_ms is None:
+        link = self._link
+        if link is None or link.restart_ms is None:
             return
-        name = self._link.name
-        if self._link.restart_ms:
-            text = f"{name} starts again by itself {self._link.restart_ms} ms after bus-off"
+        name, ip = link.name, f"sudo ip link set {link.name}"
+        if link.restart_ms:
+            text = f"{name} starts again by itself {link.restart_ms} ms after bus-off"
         else:
             text = (
-                f"{name} stays off until somebody types: sudo ip link set {name} type can restart; to have it"
-                f" start again by itself: sudo ip link set {name} down; sudo ip link set {name} type can"
-                f" restart-ms 100; sudo ip link set {name} up"
+                f"{name} stays off until somebody types: {ip} type can restart; to have it start again by"
+                f" itself: {ip} down; {ip} type can restart-ms 100; {ip} up"
             )
         log.warning("%s: %s", self.name, text)
 
-    def _fail(self, error: OSError, frame: CanFrame | None = None) -> None:
-        """A call on the socket failed: the interface is down or removed, or it does not take this frame."""
-        if error.errno in _DOWN:
-            self._set(BusState.GONE)
-            self._look_at = 0  # it may be up again already
-        elif error.errno in _REMOVED:
+    def _died(self, error: OSError) -> bool:
+        """Whether a call on the socket failed because the interface is down or was removed."""
+        if error.errno in _REMOVED:
             self._drop_socket()
-            self._set(BusState.GONE)
-            self._look_at = 0
-        elif frame is not None:
-            self._refused(str(error.errno), f"{frame}: {error.strerror}")
-            return
-        self._lost += frame is not None
+        elif error.errno not in _DOWN:
+            return False
+        self._set(BusState.GONE)
+        self._look_at = 0  # it may be back already
+        return True
 
     def _look(self, now: Nanos) -> None:
         """What the kernel says, in case that an error frame was lost or never came."""
@@ -364,10 +317,11 @@ class SocketcanBus:
         """The interface is up: with the old socket if it is the same one, else with a new one."""
         link = self._device.link()
         try:
-            if self._wire is None or standing.number != self._number:
+            if self._socket is None or standing.number != self._number:
                 self._drop_socket()
-                self._use(_open(self._settings, self._listen_only))
-            if link is not None:
+                self._socket = RawSocket(_open(self._settings, link, self._listen_only))
+                self._number = self._standing_number()
+            elif link is not None and not self._listen_only:
                 check_fit(self._settings, link)
         except BusError as error:
             self._say_once(str(error), str(error))
@@ -375,25 +329,18 @@ class SocketcanBus:
         self._link = link
         self._set((link.state if link is not None else None) or BusState.UP)
 
-    def _use(self, wire: Opened) -> None:
-        """Take the socket that python-can has opened and bound."""
-        self._wire = wire
-        self._socket: socket.socket = wire.socket
-        self._overflow = 0
+    def _standing_number(self) -> int:
         standing = self._device.standing()
-        self._number = standing.number if standing is not None else 0
-        for level, what in ((_SO_RCVBUFFORCE, ROOM), (_SO_RXQ_OVFL, 1)):
-            try:
-                self._socket.setsockopt(socket.SOL_SOCKET, level, what)
-            except PermissionError:
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)  # as much as is allowed
+        return standing.number if standing is not None else 0
 
     def _drop_socket(self) -> None:
-        wire, self._wire = self._wire, None
-        if wire is not None:
-            wire.shutdown()
+        gone = self._socket
+        if gone is not None:
+            self._before = (self.bad, self.missed)
+            self._socket = None
+            gone.close()
 
     def _say_once(self, kind: str, text: str) -> None:
-        if kind not in self._told:
-            self._told.add(kind)
+        if kind not in self._said:
+            self._said.add(kind)
             log.warning("%s: %s", self.name, text)
