@@ -182,15 +182,17 @@ def serve(
     *,
     until: Nanos | None = None,
     account: Service | None = None,
+    age: Nanos | None = None,
 ) -> Generator[Served]:
     """Be the devices: carry what the outer buses bring to the world of twins, and back.
 
     The world keeps pace with the clock: what a late moment has missed it makes up for, and what came in is
     heard at its own time. Only if this process stood still for longer than `STALE`, the world has stood still
-    with it, and what has come in meanwhile is not heard: devices that were off obey no old commands."""
+    with it, and what has come in meanwhile is not heard: devices that were off obey no old commands.
+    `age` is the world's own time now, if it has lived already."""
     account = account if account is not None else Service()
-    behind: Nanos = 0
     last = clock.now()
+    behind = 0 if age is None else last - age
     for now in moments(clock, period, lambda: None, Account()):
         if until is not None and now >= until:
             return

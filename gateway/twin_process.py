@@ -21,7 +21,7 @@ from gateway.clock import Clock, WallClock
 from gateway.robot import TWIN, BusSettings, Robot
 from gateway.voices import Voices
 from protocols.wire import BusState
-from protocols.words import MILLISECOND, SECOND
+from protocols.words import MILLISECOND, SECOND, Nanos
 
 if TYPE_CHECKING:
     from gateway.buses import Bus
@@ -42,13 +42,17 @@ class Devices:
     """The ptys of each bus that has no interface of its own."""
     clock: Clock
     voices: Voices
+    age: Nanos
+    """Of the world, when serving begins."""
     account: run.Service = field(default_factory=run.Service)
     leaving: str = ""
 
     def serve(self, seconds: float | None = None) -> None:
         """Until a signal, or so long."""
         until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
-        served = run.serve(self.twins.buses, self.buses, self.clock, until=until, account=self.account)
+        served = run.serve(
+            self.twins.buses, self.buses, self.clock, until=until, account=self.account, age=self.age
+        )
         with closing(served):
             for moment in served:
                 self._tell(moment)
@@ -123,6 +127,8 @@ def devices(robot: Robot, clock: Clock, seed: int | None = None, ports: int = 1)
 
     with ExitStack() as stack:
         twins = open_world(_without_interfaces(robot), robot.seed if seed is None else seed)
+        voices = Voices(robot)
+        age = voices.meet(twins.buses)
         buses: dict[str, Bus] = {}
         paths: dict[str, list[str]] = {}
         met = dict(robot.buses)
@@ -134,7 +140,7 @@ def devices(robot: Robot, clock: Clock, seed: int | None = None, ports: int = 1)
                 kind = "serial" if settings.kind == "serial" else "slcan"
                 met[name] = replace(settings, interface=f"{kind}:{paths_of_bus[0]}")
         stack.enter_context(run.quiet_collector())
-        made = Devices(replace(robot, buses=met), twins, buses, paths, clock, Voices(robot))
+        made = Devices(replace(robot, buses=met), twins, buses, paths, clock, voices, age)
         stack.enter_context(run.signals(lambda name: setattr(made, "leaving", name)))
         yield made
 

@@ -1,18 +1,27 @@
 """What devices say of themselves, for a person who watches them: modes and faults, in words.
 
-Rules. Drivers of the devices' own languages listen and never speak. Told is what changes.
+Rules. Drivers of the devices' own languages listen. They speak only before anybody else is there (`meet`),
+and say only what every unclaimed device may be asked: some tell what they are only to those who ask. Told is
+what changes.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from gateway.gateway import by_plugin
 from gateway.robot import Robot
 from protocols.plugin import Driver
 from protocols.wire import Packet
-from protocols.words import MILLISECOND, Event, Fault, Mode, State
+from protocols.words import MILLISECOND, Event, Fault, Mode, Nanos, State
+
+if TYPE_CHECKING:
+    from gateway.buses import Bus
+
+FIRST: Nanos = 500 * MILLISECOND
+"""How long getting to know each other takes."""
 
 
 class Voices:
@@ -24,6 +33,17 @@ class Voices:
             bus: [plugin.driver(devices) for plugin, devices in by_plugin(robot, bus)] for bus in robot.buses
         }
         self._modes: dict[str, Mode] = {}
+
+    def meet(self, buses: Mapping[str, Bus]) -> Nanos:
+        """Get to know the devices on buses of twins, while their world lives its first moments, from 0 on.
+
+        Returns how old the world is then."""
+        for now in range(0, FIRST, MILLISECOND):
+            for name, bus in buses.items():
+                self.hear(bus.read(now)[1])
+                for driver in self._drivers[name]:
+                    bus.write(now, driver.send(now, ())[1])
+        return FIRST
 
     def hear(self, packets: Sequence[Packet]) -> list[tuple[int, str]]:
         """What there is to tell of what the devices have put on their buses: logging's level, sentence."""
