@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import degrees
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,8 @@ class Verdict:
     """From the first event to the last."""
     driven: float
     """m: how far the base is believed to have gone"""
+    end: Pose | None
+    """Where it is believed to be at last, from where the robot file lets it start"""
     fixes: int
     """Fixes of the truth in the bag,"""
     early: int
@@ -83,6 +86,8 @@ class Verdict:
     def text(self) -> str:
         """For a person."""
         lines = [f"{self.bag.path.name}: {seconds(self.lasted):.1f} s, {self.driven:.1f} m driven"]
+        if self.end is not None:
+            lines[0] += f", to {self.end.x:.2f} m, {self.end.y:.2f} m, {degrees(self.end.yaw):.0f} degrees"
         if self.believed is not None:
             lines += self._errors(self.believed)
         lines += ["consistency (NIS per degree of freedom: 1 if the covariances are honest)"]
@@ -152,6 +157,7 @@ def judge(bag: Bag, robot: Robot, at_most: float | None = None) -> Verdict:
         bag=bag,
         lasted=bag.events[-1].t - bag.events[0].t if bag.events else 0,
         driven=heard.driven,
+        end=perception.estimate.pose if perception.estimate is not None else None,
         fixes=len(bag.truth),
         early=len(bag.truth) - len(truth),
         extent=spread(truth) if along.fixes else 0.0,

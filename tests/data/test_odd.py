@@ -1,0 +1,92 @@
+"""Bags that are odd in other ways: damaged, without odometry, without anything that moves, simulated."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from gateway.__main__ import main
+from gateway.bags import BagError, is_foreign, read
+from gateway.foreign import judge
+from gateway.topics import BagTopics
+from tests.gateway.bag_helpers import ROBOT, rover
+
+DAMAGED = "odd/laser_scan_matcher_demo.bag"
+TILTED = "odd/tilt_laser.bag"
+SIMULATED = "turtlebot3/turtlebot3.bag"
+TELEMETRY = "f110/vesc.bag"
+
+ROVER = rover()
+BODY = ROVER.brain.differential
+assert BODY is not None
+
+
+@pytest.mark.parametrize("option", [[], ["-O"]], ids=["python", "python -O"])
+def test_a_damaged_bag_is_a_sentence(recording: Callable[[str], Path], option: list[str]) -> None:
+    command = [
+        sys.executable,
+        *option,
+        "-m",
+        "gateway",
+        "replay",
+        str(recording(DAMAGED)),
+        "--robot",
+        "husky",
+    ]
+    environ = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert ("the checks of the library" if option else "`assert size == count * 12`") in done.stderr
+
+
+def test_a_bag_without_odometry_is_told_what_there_is(recording: Callable[[str], Path]) -> None:
+    """Types that are in no store (they stand in the bag) hinder nothing."""
+    assert BODY is not None
+    path = recording(TILTED)
+    assert is_foreign(path)
+    with pytest.raises(BagError) as told:
+        read(path, BagTopics("/odom", {"imu": "/imu_dat"}, "/position_gps"), BODY)
+    assert str(told.value).splitlines() == [
+        f"{path}: odometry: no topic '/odom'",
+        f"{path}: sensors.imu: no topic '/imu_dat'; did you mean '/imu_data'?",
+        "there is",
+        "  /gravity_vector: 356 of geometry_msgs/msg/Vector3Stamped",
+        "  /imu_data: 356 of sensor_msgs/msg/Imu",
+        "  /info_gps: 356 of xsens_mtig/msg/GPSInfoStatus2",
+        "  /magnetic_vector: 356 of geometry_msgs/msg/Vector3Stamped",
+        "  /position_gps: 356 of sensor_msgs/msg/NavSatFix",
+        "  /scan: 178 of sensor_msgs/msg/LaserScan",
+        "  /temperature: 712 of xsens_mtig/msg/Thermistor",
+        "  /tf: 711 of tf/msg/tfMessage",
+        "  /velocity: 712 of geometry_msgs/msg/TwistStamped",
+    ]
+
+
+def test_telemetry_alone_moves_nothing(
+    recording: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", str(recording(TELEMETRY)), "--robot", "husky"]) == 2
+    assert "/sensors/core: 2244 of vesc_msgs/msg/VescStateStamped" in capsys.readouterr().err
+
+
+def test_a_simulated_drive(recording: Callable[[str], Path]) -> None:
+    """A TurtleBot3 in Gazebo (wheels of 0.033 m, 0.287 m apart): it goes where its odometry says."""
+    text = ROBOT.replace('truth = "/fix"\n', "").replace('"/imu/data"', '"/imu"')
+    text = text.replace("wheel_radius = 0.1", "wheel_radius = 0.033").replace("= 0.5\n", "= 0.287\n")
+    robot = rover(text)
+    body = robot.brain.differential
+    assert body is not None
+    bag = read(recording(SIMULATED), robot.bag, body)
+    assert {t.name: t.used for t in bag.topics if t.part} == {"/imu": 2253, "/odom": 2741}
+    judged = judge(bag, robot)
+    assert judged.driven == pytest.approx(24.81, abs=0.15)
+    assert judged.end is not None
+    start, end = bag.odometry[0][1], bag.odometry[-1][1]
+    assert math.hypot(judged.end.x - (end.x - start.x), judged.end.y - (end.y - start.y)) < 0.25
