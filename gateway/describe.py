@@ -29,6 +29,8 @@ def describe(robot: Robot) -> str:
     if robot.sensors:
         blocks.append(_table("sensor", *_SENSOR_HEADS, rows=[_sensor(s) for s in robot.sensors.values()]))
     blocks.append(_brain(robot))
+    if robot.bag is not None:
+        blocks.append(_table("bag", "topic", rows=[[part, topic] for topic, part in robot.bag.parts()]))
     told = cautions(robot)
     blocks.append("\n".join(["be careful:", *(f"  {text}" for text in told)]) if told else "no cautions")
     return "\n\n".join(blocks)
@@ -99,7 +101,10 @@ def _limits(motor: Motor) -> list[str]:
 def _sensor(sensor: Sensor) -> list[str]:
     mount = sensor.mount
     place = f"{mount.x:g}, {mount.y:g}, {mount.z:g} m"
-    return [*_wiring(sensor), place, f"{mount.yaw:g} rad", f"{sensor.timeout / MILLISECOND:g} ms"]
+    turned = f"{mount.yaw:g} rad"
+    if mount.pitch or mount.roll:
+        turned += f", pitch {mount.pitch:g}, roll {mount.roll:g}"
+    return [*_wiring(sensor), place, turned, f"{sensor.timeout / MILLISECOND:g} ms"]
 
 
 def _wiring(part: Motor | Sensor) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gateway import shipped
-from gateway.config import ConfigError, load, loads
+from gateway.config import ConfigError, describe, load, loads
 from gateway.topics import BagTopics
 from tests.gateway.bag_helpers import ROBOT
 
@@ -81,6 +81,13 @@ def test_every_mistake_is_told_where_it_stands(table: str, mistakes: list[str]) 
 def test_a_table_that_is_none() -> None:
     (said,) = told("bag = 3\n" + ROBOT.replace(TABLE, ""))
     assert said == "r.toml:1: bag: found 3, expected a table"
+
+
+def test_a_robot_in_words_tells_its_topics_and_how_its_imu_stands() -> None:
+    said = describe(load(shipped.find("robots", "husky")))
+    assert "0, -0.3, 0.52 m  -1.5708 rad, pitch 0, roll 1.5708  500 ms" in said
+    assert "odometry     /husky_velocity_controller/odom\nsensors.imu  /imu/data\ntruth        /fix" in said
+    assert "/odom" not in describe(load(shipped.find("robots", "diffbot")))
 
 
 def test_bare_joints_have_no_use_for_a_bag() -> None:
