@@ -1,0 +1,76 @@
+"""Marks every test in this folder `real_can`, and gives them CAN interfaces of their own.
+
+Left out by default; `python -m tests.real_can` runs them where there is a CAN.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from gateway.buses.can_open import kernel_has_can
+
+HERE = Path(__file__).parent
+NO_CAN = "this kernel has no CAN: `python -m tests.real_can pytest ...` runs these tests where there is one"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The hook is given the whole collection: mark what lies in this folder."""
+    for item in items:
+        if HERE in item.path.parents:
+            item.add_marker(pytest.mark.real_can)
+
+
+def ip(*words: str) -> str:
+    """Run `ip`, and give what it prints; its complaint is the test's failure."""
+    done = subprocess.run(["ip", *words], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        pytest.fail(f"ip {' '.join(words)}: {done.stderr.strip()}")
+    return done.stdout
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kernel() -> None:
+    if not kernel_has_can():
+        pytest.fail(NO_CAN)
+
+
+@pytest.fixture
+def vcan() -> Iterator[Callable[[], str]]:
+    """A maker of new virtual CAN interfaces (CAN FD, mtu 72), up; all are deleted when the test ends."""
+    made: list[str] = []
+
+    def make() -> str:
+        name = f"vcan{len(made)}"
+        ip("link", "add", "dev", name, "type", "vcan")
+        made.append(name)
+        ip("link", "set", name, "mtu", "72", "up")
+        return name
+
+    yield make
+    for name in made:
+        subprocess.run(["ip", "link", "delete", name], check=False)
+
+
+@pytest.fixture
+def vcan0(vcan: Callable[[], str]) -> str:
+    """One new virtual CAN interface by that name."""
+    return vcan()
+
+
+@pytest.fixture
+def controllers() -> Iterator[Callable[[int], tuple[str, str]]]:
+    """Brings up two controllers on one wire at a bit rate; they are down before and after."""
+    names = ("can0", "can1")
+
+    def bring_up(bitrate: int) -> tuple[str, str]:
+        for name in names:
+            ip("link", "set", name, "up", "type", "can", "bitrate", str(bitrate))
+        return names
+
+    yield bring_up
+    for name in names:
+        ip("link", "set", name, "down")
