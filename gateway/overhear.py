@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Literal
 
 from gateway.buses.timing import wire_time
@@ -19,7 +18,7 @@ from gateway.joint import Joint
 from gateway.parties import Party, Tongue
 from gateway.rate import Rate
 from gateway.robot import BusSettings
-from gateway.seen import Heard, Id, Seen, SeenBus, SeenId, Told
+from gateway.seen import Heard, Id, Seen, SeenBus, SeenId, Told, about, at_joint
 from protocols.wire import BusState, CanFrame, Packet
 from protocols.words import (
     SECOND,
@@ -37,11 +36,11 @@ from protocols.words import (
 
 WINDOW: Nanos = 2 * SECOND
 ENOUGH = 3
+SETTLED = 50
+"""When sense has been made of a device so often, no other language or option is tried on its ids."""
 MOST_IDS = 4096
 """Ids of CAN frames of which something is kept; what has another one is counted by its bus alone."""
 MOST_NOTES = 8
-LAST_BASE = 0x7FF
-"""The highest id of 11 bits."""
 
 
 class Listener:
@@ -66,6 +65,7 @@ class Listener:
         self.found: dict[tuple[str, str, int], Seen] = {}
         """By bus, language and address."""
         self._tongues = list(enumerate(tongues))
+        self._of_bus = {bus: [one for one in self._tongues if one[1].bus == bus] for bus in buses}
         self._seen: dict[tuple[int, str], Seen] = {}
         self._best: dict[tuple[str, str, int], int] = {}
         """The tongue that has made most sense of a device."""
@@ -78,9 +78,8 @@ class Listener:
     def state(self, t: Nanos, bus: str, state: BusState) -> None:
         """A bus has told a change."""
         self.buses[bus].state = BusState.UP if state is BusState.BACK else state
-        for _, tongue in self._tongues:
-            if tongue.bus == bus:
-                tongue.driver.bus(t, state)
+        for _, tongue in self._of_bus[bus]:
+            tongue.driver.bus(t, state)
 
     def hear(self, packet: Packet, *, sent: bool | None = None) -> Heard:
         """What a packet means; `sent`: whether the host did, None if that is not known."""
@@ -89,9 +88,8 @@ class Listener:
         told: list[Told] = []
         guessed: list[Event] = []
         ours = False
-        for number, tongue in self._tongues:
-            if tongue.bus != packet.bus:
-                continue
+        owners = self._owners_of(packet)
+        for number, tongue in self._listening(packet.bus, owners):
             if not sent:
                 before = tongue.driver.tally.heard
                 events = tongue.driver.receive(packet.t, packet.wire)
@@ -99,7 +97,7 @@ class Listener:
                 self._events(number, tongue, packet, events, said, guessed)
             if sent is not False or isinstance(packet.wire, CanFrame):
                 self._words(number, tongue, packet.t, tongue.ear.hear(packet.t, packet.wire), told)
-        owners = self._owners_of(packet)
+        owners = self._owners_of(packet)  # it may have been found just now
         if ours and len(owners) == 1:
             owners[0].heard_at = packet.t
         direction = self._direction(packet, owners, sent=sent, said=bool(said), told=bool(told), ours=ours)
@@ -116,8 +114,8 @@ class Listener:
         ids = sum(seen.rate.total for key, seen in self.ids.items() if key[0] == bus and not self._owned(key))
         tallies = [
             tongue.driver.tally
-            for number, tongue in self._tongues
-            if tongue.bus == bus and (self.known or self._speaks(number, tongue))
+            for number, tongue in self._of_bus[bus]
+            if self.known or self._speaks(number, tongue)
         ]
         if self.buses[bus].settings.kind == "serial":
             return min((tally.bad + tally.foreign for tally in tallies), default=0)
@@ -174,6 +172,8 @@ class Listener:
                 self.notes.append(event)
                 continue
             seen = self._look(number, party)
+            if isinstance(packet.wire, CanFrame):
+                seen.extended = packet.wire.extended
             moved = self._learn(seen, packet.t, event)
             if moved is not None and self._is_best(number, seen):
                 found = self.found.get(_place(party)) is seen
@@ -226,6 +226,13 @@ class Listener:
 
     # -- who is who -----------------------------------------------------------------------------
 
+    def _listening(self, bus: str, owners: Sequence[Seen]) -> list[tuple[int, Tongue]]:
+        """Who listens to a packet: all, or the one that has proved right for the device whose id it has."""
+        if self.known or len(owners) != 1 or owners[0].weight < SETTLED:
+            return self._of_bus[bus]
+        number = self._best[_place(owners[0].party)]
+        return self._tongues[number : number + 1]
+
     def _look(self, number: int, party: Party) -> Seen:
         seen = self._seen.get((number, party.name))
         if seen is None:
@@ -241,7 +248,7 @@ class Listener:
         best = self._best.get(place)
         if best is not None and best != number:
             other = self._seen.get((best, seen.party.name))
-            if other is not None and other.weight >= seen.weight:
+            if other is not None and other.merit >= seen.merit:
                 return False
         self._best[place] = number
         enough = seen.weight >= ENOUGH and (seen.joint is None or State.__name__ in seen.says)
@@ -260,7 +267,7 @@ class Listener:
 
     def _owned(self, key: Id) -> bool:
         bus, extended, _, number = key
-        return (bus, number) in self._owners and not (extended and number <= LAST_BASE)
+        return any(seen.extended in (None, extended) for seen in self._owners.get((bus, number), ()))
 
     def _owners_of(self, packet: Packet) -> list[Seen]:
         if not isinstance(packet.wire, CanFrame) or not self._owned(_id(packet.bus, packet.wire)):
@@ -295,24 +302,6 @@ class Listener:
             self._best.get(place) == number and place[:2] == (tongue.bus, tongue.protocol)
             for place in self.found
         )
-
-
-def about(word: Event | Told) -> str:
-    """The device that a word is about; "" if it is about none."""
-    return str(getattr(word, "motor", "") or getattr(word, "sensor", "") or getattr(word, "name", ""))
-
-
-def at_joint(word: Told, ratio: float) -> Told:
-    """A word of the device's shaft at the joint's output shaft: one turn there is `ratio` turns here."""
-    factors = {
-        "position": 1.0 / ratio,
-        "velocity": 1.0 / ratio,
-        "torque": ratio,
-        "stiffness": ratio * ratio,
-        "damping": ratio * ratio,
-    }
-    changes = {name: getattr(word, name) * by for name, by in factors.items() if hasattr(word, name)}
-    return replace(word, **changes) if changes and isinstance(word, Command) else word
 
 
 def _id(bus: str, frame: CanFrame) -> Id:

@@ -9,7 +9,7 @@ here by name.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -20,6 +20,7 @@ from protocols.words import Nanos
 
 MOST_ADDRESSES = 256
 """Of one language on one bus that are tried where no robot file says who is there."""
+MOST_CHOICES = 16
 FITS: dict[str, tuple[str, ...]] = {"can": ("can",), "canfd": ("can", "canfd"), "serial": ("serial",)}
 """Which languages can be spoken on a kind of bus: classic frames also stand on a CAN FD bus."""
 UNGEARED = JointSettings(Limits(velocity=1.0, acceleration=1.0, torque=1.0))
@@ -90,20 +91,38 @@ def anybody(bus: BusSettings, plugins: Sequence[Plugin]) -> list[Tongue]:
     ]
 
 
-def choices(options: type) -> Iterator[object]:
+def choices(options: type) -> list[object]:
     """An instance with the defaults, and one for every other value that a field of a few values allows.
 
-    What an options' dataclass itself does not take is left out."""
-    changes: list[Mapping[str, Any]] = [{}]
+    A value that is not taken with the defaults is tried together with each of the others. What an options'
+    dataclass itself does not take is left out."""
     hints = get_type_hints(options)
-    for field in fields(options):
-        if get_origin(hints[field.name]) is Literal:
-            changes += [{field.name: v} for v in get_args(hints[field.name]) if v != field.default]
+    changes = [
+        {field.name: value}
+        for field in fields(options)
+        for value in _few(hints[field.name])
+        if value != field.default
+    ]
+    made = [options()]
     for change in changes:
-        try:
-            yield options(**change)
-        except (TypeError, ValueError):
-            continue
+        alone = _made(options, change)
+        made += [alone] if alone else [o for other in changes if (o := _made(options, other | change))]
+    return [one for i, one in enumerate(made) if one not in made[:i]][:MOST_CHOICES]
+
+
+def _few(hint: object) -> tuple[Any, ...]:
+    """The values of a type that has only a few."""
+    if hint is bool:
+        return (False, True)
+    return get_args(hint) if get_origin(hint) is Literal else ()
+
+
+def _made(options: type, change: Mapping[str, Any]) -> object | None:
+    try:
+        made: object = options(**change)
+    except ValueError:
+        return None
+    return made
 
 
 def _everybody(bus: BusSettings, plugin: Plugin, options: object) -> Tongue | None:

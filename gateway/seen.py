@@ -5,7 +5,7 @@ Rules. Positions, velocities and torques are at the joint's output shaft, as eve
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 from gateway.joint import Joint
@@ -39,11 +39,18 @@ class Seen:
     """What it was last told and would obey."""
     commanded_at: Nanos | None = None
     commands: Rate | None = None
+    extended: bool | None = None
+    """Whether its ids are extended ones; None: not known, or not on CAN."""
 
     @property
     def weight(self) -> int:
-        """How often a language has made sense of it."""
-        return sum(rate.total for rate in self.says.values())
+        """How often a language has made sense of it; that it complains is none."""
+        return sum(rate.total for kind, rate in self.says.items() if kind != Fault.__name__)
+
+    @property
+    def merit(self) -> float:
+        """How much sense these options make: less if they make the device complain."""
+        return self.weight / (1 + len(self.faults))
 
     def silent(self, now: Nanos) -> bool:
         """Whether what it last said is too old."""
@@ -90,3 +97,21 @@ class Heard:
     """What it would mean if it came from a device that has not been found."""
     names: tuple[str, ...] = ()
     """The devices whose id it has."""
+
+
+def about(word: Event | Told) -> str:
+    """The device that a word is about; "" if it is about none."""
+    return str(getattr(word, "motor", "") or getattr(word, "sensor", "") or getattr(word, "name", ""))
+
+
+def at_joint(word: Told, ratio: float) -> Told:
+    """A word of the device's shaft at the joint's output shaft: one turn there is `ratio` turns here."""
+    factors = {
+        "position": 1.0 / ratio,
+        "velocity": 1.0 / ratio,
+        "torque": ratio,
+        "stiffness": ratio * ratio,
+        "damping": ratio * ratio,
+    }
+    changes = {name: getattr(word, name) * by for name, by in factors.items() if hasattr(word, name)}
+    return replace(word, **changes) if changes and isinstance(word, Command) else word
