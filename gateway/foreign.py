@@ -97,6 +97,8 @@ class Verdict:
         lines += ["messages used", *(f"  {_use(t)}" for t in self.bag.topics if t.part)]
         rest = [f"  {t.name}: {t.count} of {t.type}" for t in self.bag.topics if not t.part]
         lines += ["topics left over", *(rest or ["  none"])]
+        if self.ok and self.at_most is not None:
+            lines.append(f"passed: at most {self.at_most:g} m was asked for")
         return "\n".join([*lines, *(f"NOT PASSED: {said}" for said in self.objections())])
 
     def _errors(self, believed: PathError) -> list[str]:

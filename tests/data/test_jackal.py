@@ -3,7 +3,7 @@
 cra-ros-pkg/robot_localization's own filter ends at (1.0206, 3.4292) with what its test fuses, the IMU's
 absolute orientation among it (test/test_ekf_localization_node_bag2.test). That is another estimate and no
 truth; ours has wheels and a gyro alone. Four wheels on two sides slip so much that the bag's own odometry
-ends 20 m away from it.
+ends 22 m away from it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> 
     judged = judge(bag, replace(robot, brain=replace(robot.brain, perception=turned)))
     assert judged.driven == pytest.approx(84.2, abs=1.0)
     assert judged.end is not None
-    assert math.hypot(judged.end.x - 1.0206, judged.end.y - 3.4292) < 0.01 * 84.2
+    assert math.hypot(judged.end.x - 1.0206, judged.end.y - 3.4292) < 0.5
     start, end = bag.odometry[0][1], bag.odometry[-1][1]
     x, y = end.x - start.x, end.y - start.y
     there = (math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y)

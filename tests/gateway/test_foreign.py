@@ -95,7 +95,9 @@ def test_more_is_asked_for_than_it_gives(slalom: Bag) -> None:
     judged = judge(slalom, rover(ON_EDGE), at_most=0.01)
     assert not judged.ok
     assert "m off, and at most 0.01 m is asked for" in judged.text()
-    assert judge(slalom, rover(ON_EDGE), at_most=1.0).ok
+    enough = judge(slalom, rover(ON_EDGE), at_most=1.0)
+    assert enough.ok
+    assert enough.text().endswith("passed: at most 1 m was asked for")
 
 
 # -- what cannot be judged ------------------------------------------------------------------------
