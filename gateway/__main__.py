@@ -88,6 +88,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="ptys for each CAN bus that is not on an interface, for so many programs at once (default: 1)",
     )
+    twin.add_argument(
+        "--link",
+        type=Path,
+        metavar="DIR",
+        help="names for the ptys that stay the same: DIR/can0, DIR/can0.2 …",
+    )
     twin.add_argument("--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C)")
     twin.add_argument("--seed", type=int, help="of the world's noise (default: the robot file's)")
 

@@ -187,9 +187,9 @@ def serve(
     """Be the devices: carry what the outer buses bring to the world of twins, and back.
 
     The world keeps pace with the clock: what a late moment has missed it makes up for, and what came in is
-    heard at its own time. Only if this process stood still for longer than `STALE`, the world has stood still
-    with it, and what has come in meanwhile is not heard: devices that were off obey no old commands.
-    `age` is the world's own time now, if it has lived already."""
+    heard at its own time, as far as that is known. Only if this process stood still for longer than `STALE`,
+    the world has stood still with it, and what has come in meanwhile is not heard: devices that were off obey
+    no old commands. `age` is the world's own time now, if it has lived already."""
     account = account if account is not None else Service()
     last = clock.now()
     behind = 0 if age is None else last - age
@@ -204,14 +204,33 @@ def serve(
             account.unheard += len(packets)
             packets = []
         account.late = max(account.late, now - last - stood)
-        for packet in packets:
-            world_buses[packet.bus].write(max(packet.t, last) - behind, (packet.wire,))
+        for t, packet in _arrivals(packets, last, now):
+            world_buses[packet.bus].write(t - behind, (packet.wire,))
         _, said = _take(world_buses, now - behind)
         _write(buses, now, said)
         account.heard += len(packets)
         account.said += len(said)
         last = now
         yield Served(now, tuple(states), tuple(packets), tuple(said), stood)
+
+
+def _arrivals(packets: Sequence[Packet], last: Nanos, now: Nanos) -> list[tuple[Nanos, Packet]]:
+    """When packets have come, in order: after the moment before this one, at their own time if they have one.
+
+    Those of a bus without stamps (they say now) have come evenly since then."""
+    unknown: dict[str, int] = {}
+    for packet in packets:
+        unknown[packet.bus] = unknown.get(packet.bus, 0) + (packet.t >= now)
+    timed: list[tuple[Nanos, Packet]] = []
+    met = dict.fromkeys(unknown, 0)
+    for packet in packets:
+        t = max(packet.t, last)
+        if packet.t >= now:
+            met[packet.bus] += 1
+            t = last + (now - last) * met[packet.bus] // (unknown[packet.bus] + 1)
+        timed.append((t, packet))
+    timed.sort(key=lambda one: one[0])
+    return timed
 
 
 def _take(buses: Mapping[str, Bus], now: Nanos) -> tuple[list[tuple[str, BusState]], list[Packet]]:

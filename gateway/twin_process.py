@@ -14,9 +14,11 @@ from argparse import Namespace
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway import config, run, shipped
+from gateway.buses import BusError
 from gateway.clock import Clock, WallClock
 from gateway.robot import TWIN, BusSettings, Robot
 from gateway.voices import Voices
@@ -97,7 +99,7 @@ _OF_PTYS = {
 def twin(options: Namespace) -> int:
     """Be the devices of a robot until told to leave."""
     robot = outer(config.load(shipped.find("robots", options.robot)), dict(options.bus))
-    with devices(robot, WallClock(), options.seed, options.ports) as made:
+    with devices(robot, WallClock(), options.seed, options.ports, options.link) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
         made.serve(options.seconds)
     account = made.account
@@ -119,10 +121,13 @@ def _without_interfaces(robot: Robot) -> Robot:
 
 
 @contextmanager
-def devices(robot: Robot, clock: Clock, seed: int | None = None, ports: int = 1) -> Iterator[Devices]:
-    """Make the world, then open the buses in front of it; `ports`: how many programs may be on a CAN bus.
+def devices(
+    robot: Robot, clock: Clock, seed: int | None = None, ports: int = 1, link: Path | None = None
+) -> Iterator[Devices]:
+    """Make the world, then open the buses in front of it.
 
-    Raises WorldError and BusError with a sentence."""
+    `ports`: how many programs may be on a CAN bus; `link`: a folder in which ptys get names that stay the
+    same. Raises WorldError and BusError with a sentence."""
     from gateway.buses.twin import open_world
 
     with ExitStack() as stack:
@@ -136,6 +141,8 @@ def devices(robot: Robot, clock: Clock, seed: int | None = None, ports: int = 1)
             buses[name], paths_of_bus = _open(settings, clock, ports)
             stack.callback(buses[name].close)
             if paths_of_bus:
+                if link is not None:
+                    paths_of_bus = _linked(link, name, paths_of_bus, stack)
                 paths[name] = paths_of_bus
                 kind = "serial" if settings.kind == "serial" else "slcan"
                 met[name] = replace(settings, interface=f"{kind}:{paths_of_bus[0]}")
@@ -165,6 +172,23 @@ def _open(settings: BusSettings, clock: Clock, ports: int) -> tuple[Bus, list[st
     from gateway.buses.can import open_can
 
     return open_can(settings, clock), []
+
+
+def _linked(folder: Path, bus: str, paths: Sequence[str], stack: ExitStack) -> list[str]:
+    """Names for ptys in a folder: the bus's own, then NAME.2 …; gone when the stack is left."""
+    links = []
+    for number, path in enumerate(paths, start=1):
+        link = folder / (bus if number == 1 else f"{bus}.{number}")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if link.is_symlink():  # of a process that was killed
+                link.unlink()
+            link.symlink_to(path)
+        except OSError as error:
+            raise BusError(f"bus {bus!r}: --link {link}: {error.strerror}") from error
+        stack.callback(link.unlink, missing_ok=True)
+        links.append(str(link))
+    return links
 
 
 def invitation(made: Devices, robot: str) -> Sequence[str]:

@@ -8,8 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -22,7 +20,6 @@ class Process:
 
     def __init__(self, folder: Path, *words: str) -> None:
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
-        self.began = time.monotonic()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "gateway", *words],
             stdin=subprocess.PIPE,
@@ -52,6 +49,11 @@ class Process:
                 raise AssertionError(f"not said: {missing}; said:\n{self.text}")
         return self.text
 
+    def processor_time(self) -> float:
+        """s that it has used of the processor so far."""
+        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")  # utime, stime: proc(5)
+
     def say(self, line: str) -> None:
         """Type a line on its terminal."""
         assert self._process.stdin is not None
@@ -79,10 +81,3 @@ class Process:
         data = os.read(output, 65536)
         self.text += data.decode()
         return bool(data)
-
-
-@contextmanager
-def gateway(folder: Path, *words: str) -> Iterator[Process]:
-    """A process that ends with the block at the latest."""
-    with Process(folder, *words) as process:
-        yield process

@@ -11,6 +11,7 @@ import re
 import shlex
 import signal
 from collections.abc import Sequence
+from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
 
@@ -20,9 +21,12 @@ from odrive_can.odrive import ODriveCAN
 
 from gateway import config, run
 from gateway.__main__ import main
+from gateway.buses import BusError
 from gateway.buses.can import open_can
+from gateway.buses.pty import SerialPty
+from gateway.buses.slcan_pty import SlcanPty
 from gateway.buses.twin import open_world
-from gateway.clock import SimulatedClock
+from gateway.clock import SimulatedClock, WallClock
 from gateway.recording import read
 from gateway.robot import BusSettings, Robot
 from gateway.twin_process import devices, invitation, outer
@@ -90,6 +94,7 @@ def test_what_comes_is_heard_at_its_own_time_also_by_a_late_moment() -> None:
     served.ask_version(start + 40 * MS)
     late = served.run(1)[0]
     assert late.stood == 0
+    assert late.now == start + 100 * MS
     answers = [packet for packet in late.said if packet.wire.id == 0x20]  # type: ignore[union-attr]
     assert len(answers) == 1
     assert 40 * MS <= answers[0].t - start <= 43 * MS
@@ -97,6 +102,18 @@ def test_what_comes_is_heard_at_its_own_time_also_by_a_late_moment() -> None:
     assert max(beats) - min(beats) > 80 * MS  # the world has made up for all of it
     assert served.account.lost == 0
     assert served.account.late == pytest.approx(100 * MS, abs=2 * MS)
+
+
+def test_what_has_no_stamp_of_its_own_has_come_evenly_since_the_moment_before() -> None:
+    served = Served()
+    served.run(400)
+    start = served.clock.now() - MS
+    served.clock.wait(start + 80 * MS)
+    now = served.clock.now()
+    for _ in range(3):
+        served.ask_version(now)
+    answers = [p.t for p in served.run(1)[0].said if p.wire.id == 0x20]  # type: ignore[union-attr]
+    assert [t - start for t in answers] == pytest.approx([21.5 * MS, 41.5 * MS, 61.5 * MS], abs=1.5 * MS)
 
 
 def test_who_stood_still_makes_up_for_nothing_and_obeys_nothing_old() -> None:
@@ -235,6 +252,25 @@ def test_the_invitation_is_a_line_to_type() -> None:
     assert [line.split()[-1] for line in lines[2:]] == can0[1:]
 
 
+def test_ptys_may_have_names_that_stay_the_same(tmp_path: Path) -> None:
+    robot = outer(config.loads(BENCH), {})
+    folder = tmp_path / "ports"
+    folder.mkdir()
+    (folder / "can0").symlink_to("/dev/pts/of-one-that-was-killed")
+    for _ in range(2):
+        with devices(robot, SimulatedClock(), ports=2, link=folder) as made:
+            assert made.paths["can0"] == [str(folder / "can0"), str(folder / "can0.2")]
+            assert invitation(made, "rig")[1].endswith(f"--bus can0=slcan:{folder / 'can0'}")
+            settings = BusSettings("can0", "can", f"slcan:{folder / 'can0'}", 1_000_000)
+            with closing(open_can(settings, SimulatedClock())):
+                assert made.buses["can0"].read(0)[0] == [BusState.BACK]
+        assert list(folder.iterdir()) == []
+    (folder / "can0").write_text("somebody's file")
+    with pytest.raises(BusError, match="File exists"), devices(robot, SimulatedClock(), link=folder):
+        pass
+    assert (folder / "can0").read_text() == "somebody's file"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -311,6 +347,23 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
     assert {packet.bus for tick in ticks for packet in tick.inputs.packets} == {"can0", "sensors"}
     assert main(["replay", str(recording)]) == 0
     assert "the same, byte for byte" in capsys.readouterr().out
+
+
+@pytest.mark.timeout(240)
+def test_the_first_frame_goes_out_within_three_seconds_also_if_it_is_recorded(folder: Path) -> None:
+    """Of the processor's time: what else the machine does is not ours to judge."""
+    clock = WallClock()
+    adapters = SlcanPty(BusSettings("can0", "can", "twin", 1_000_000), clock)
+    line = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000), clock)
+    buses = ["--bus", f"can0=slcan:{adapters.paths[0]}", "--bus", f"sensors=serial:{line.pty.path}"]
+    words = ["run", "diffbot", *buses, "--record", str(folder / "first.mcap")]
+    with closing(adapters), closing(line), Process(folder / "run", *words) as robot:
+        while not adapters.read(clock.now())[1]:
+            clock.wait(clock.now() + 2 * MS)
+            assert clock.now() < 60 * SECOND, robot.text
+        took = robot.processor_time()
+        assert 0.1 < took < 3.0
+        assert "Traceback" not in robot.end(signal.SIGTERM)[1]
 
 
 async def drive(channel: str, twin: Process) -> list[float]:
