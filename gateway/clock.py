@@ -78,3 +78,8 @@ def date() -> str:
 def stopwatch() -> Nanos:
     """A monotonic reading for measuring how long something took."""
     return time.perf_counter_ns()
+
+
+def processor_time() -> tuple[Nanos, Nanos]:
+    """How long this process, and of it the calling thread, has been at work on a processor."""
+    return time.process_time_ns(), time.thread_time_ns()

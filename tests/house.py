@@ -17,7 +17,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "asyncio": (),
     "can": ("gateway.buses",),
     "concurrent": (),
-    "filterpy": ("brain.perception.ekf",),
+    "filterpy": ("brain.perception.ekf", "gateway.bench.rivals"),
     "matplotlib": ("gateway.picture",),
     "lz4": RECORDINGS,
     "mcap": RECORDINGS,

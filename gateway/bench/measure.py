@@ -1,8 +1,8 @@
 """How the bench measures: contestants take turns, and what is told is the median and the 99th percentile.
 
 Rules. Whoever is compared is measured in the same process, in turn, round after round, so that what else the
-machine does meets all of them alike. A call that is too short for the clock is repeated within a sample, and the
-sample is its mean. The garbage collector is kept as the live loop keeps it. Nothing here judges a time.
+machine does meets all of them alike. A call that is too short for the clock is repeated within a sample, and
+the sample is its mean. The garbage collector is kept as the live loop keeps it. Nothing here judges a time.
 """
 
 from __future__ import annotations
@@ -21,8 +21,15 @@ from gateway.run import quiet_collector
 from protocols.words import Nanos
 
 Call: TypeAlias = Callable[[], object]
-LEAST_SAMPLE: Nanos = 50_000
-"""A sample lasts at least so long: the clock's own cost (some 50 ns) is then no part of it."""
+LEAST_SAMPLE: Nanos = 10_000
+"""A sample lasts at least so long, so that reading the clock (some 50 ns) is no part of it; and not much
+longer, so that few samples are cut in two by whatever else the machine does."""
+
+SLOW: Nanos = 20_000_000
+
+
+class NotMeasured(RuntimeError):
+    """What was to be measured did not do its work, so that its time would tell nothing: what it did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +65,15 @@ def figures(samples: Sequence[float], unit: Literal["ns", "B"] = "ns") -> Figure
 
 def in_turn(contestants: Mapping[str, Call], rounds: int) -> dict[str, Figures]:
     """Nanoseconds per call of each contestant, measured in turn for so many rounds."""
+    took: dict[str, list[float]] = {}
     with quiet_collector():
-        calls = {name: _calls_per_sample(call) for name, call in contestants.items()}
-        took: dict[str, list[float]] = {name: [] for name in contestants}
-        for _ in range(rounds):
+        calls = {
+            name: _calls_per_sample(call, took.setdefault(name, [])) for name, call in contestants.items()
+        }
+        for number in range(rounds):
             for name, call in contestants.items():
-                took[name].append(sample(call, calls[name]))
+                if number >= len(took[name]):
+                    took[name].append(sample(call, calls[name]))
     return {name: figures(samples) for name, samples in took.items()}
 
 
@@ -76,16 +86,18 @@ def sample(call: Call, calls: int = 1) -> float:
     return (stopwatch() - began) / calls
 
 
-def _calls_per_sample(call: Call) -> int:
-    """So many that a sample lasts long enough; also warms up what is measured."""
+def _calls_per_sample(call: Call, slow: list[float]) -> int:
+    """So many that a sample lasts long enough; it warms up what is measured. What is slow needs no warmth:
+    its first call is its first sample."""
     calls = 1
     while (took := sample(call, calls)) * calls < LEAST_SAMPLE:
         calls = max(2 * calls, ceil(LEAST_SAMPLE / max(took, 1.0)))
+    slow += [took] if took >= SLOW else []
     return calls
 
 
 def preemptions() -> int:
-    """How often something else was given this process's processor so far: what a 99th percentile then tells."""
+    """How often this process's processor was given to something else so far: 99th percentiles show that."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
 
 

@@ -1,8 +1,9 @@
 """The bench's table: a row is something of ours, and beside it what it is measured against.
 
 Rules. A ratio is always "theirs by ours": above 1, ours is the quicker or smaller one, whatever is compared;
-beside a span of time (a tick, real time) it says how often ours fits into it. What could not be measured stands
-in its row, by name and with the reason. Targets are the project's own; whether they are met is told, never raised.
+beside a span of time (a tick, real time) it says how often ours fits into it. What could not be measured
+stands in its row, by name and with the reason. Targets are the project's own; whether they are met is told,
+never raised.
 """
 
 from __future__ import annotations
@@ -92,16 +93,22 @@ def text(rows: Sequence[Row]) -> str:
         for row in rows:
             if row.group == group:
                 lines += _lines(row)
-    widths = [max(len(_HEAD[i]), *(len(line[i]) for line in lines if len(line) > 1)) for i in range(len(_HEAD))]
+    widths = [
+        max(len(_HEAD[i]), *(len(line[i]) for line in lines if len(line) > 1)) for i in range(len(_HEAD))
+    ]
     return "\n".join([_joined(_HEAD, widths), *(_joined(line, widths) for line in lines)])
 
 
 def _lines(row: Row) -> list[tuple[str, ...]]:
     if row.ours is None:
         return [("-", row.what, "not run", "", row.not_run, "", "", _target(row))]
-    made = []
+    made: list[tuple[str, ...]] = []
     for number, other in enumerate(row.beside or (None,)):
-        ours = (row.what, shown(row.ours.median, row.ours), shown(row.ours.p99, row.ours)) if not number else ("",) * 3
+        ours = (
+            (row.what, shown(row.ours.median, row.ours), shown(row.ours.p99, row.ours))
+            if not number
+            else ("",) * 3
+        )
         target = _target(row) if not number else ""
         if other is None:
             made.append(("", *ours, "", "", "", target))
