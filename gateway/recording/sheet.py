@@ -21,7 +21,7 @@ from gateway.views import Views
 from protocols.words import MILLISECOND, SECOND, Nanos
 
 FLUSH_PERIOD: Nanos = 50 * MILLISECOND
-"""Between two flushes, by the ticks' own time: half of the 100 ms promised, the rest is a busy machine's."""
+"""Between two flushes, by the ticks' own time, if nobody asks for them sooner."""
 RETRY_PERIOD: Nanos = SECOND
 """After a write that failed."""
 

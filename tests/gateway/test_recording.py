@@ -60,7 +60,7 @@ def contents(made: Recording) -> str:
 def drained(recorder: Recorder) -> None:
     """Wait until the thread has taken all, and has gone idle once."""
     for _ in range(500):
-        if recorder._queue.empty() and not recorder._sheet.pending:
+        if not recorder._waiting and not recorder._sheet.pending:
             return
         threading.Event().wait(0.01)
     raise AssertionError("the recorder did not flush within 5 s")
