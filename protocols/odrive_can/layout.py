@@ -109,13 +109,15 @@ Take: TypeAlias = Callable[[Any], tuple[Any, ...]]
 
 
 def _shape(message: type[Any], codes: str, packer: struct.Struct) -> Shape:
-    """Set-points and estimates, said at every step, have code of their own; the rest shares one."""
+    """Set-points, estimates and heartbeats never cease and have code of their own; the rest shares one."""
     names = tuple(field.name for field in fields(message))
     match codes:
         case "ff":
             return _pair(message, attrgetter(*names), packer)
         case "fmm":
             return _fed_forward(message, attrgetter(*names), packer)
+        case "IBBb":
+            return _beat(message, attrgetter(*names), packer)
         case "IBbbb7":
             return _flags(message, attrgetter(*names), packer)
     take = _taker(names)
@@ -156,6 +158,21 @@ def _fed_forward(message: type[Any], take: Take, packer: struct.Struct) -> Shape
         if not math.isfinite(a):
             return None
         return message(0.0 if -FLOAT_TINY < a < FLOAT_TINY else a, b * MILLI, c * MILLI)
+
+    return encode, decode
+
+
+def _beat(message: type[Any], take: Take, packer: struct.Struct) -> Shape:
+    """Three numbers and a flag."""
+    pack, unpack = packer.pack, packer.unpack
+
+    def encode(value: Any) -> bytes:  # noqa: ANN401 -- a message
+        a, b, c, d = take(value)
+        return pack(a, b, c, d)
+
+    def decode(data: bytes) -> Any:  # noqa: ANN401 -- a message
+        a, b, c, d = unpack(data)
+        return message(a, b, c, d & 1)
 
     return encode, decode
 
