@@ -379,9 +379,9 @@ def test_what_clears_or_restarts_a_board_reaches_both_axes_and_nothing_else_does
     assert stand.errors()
     stand.say(ClearErrors05(), node=30)
     assert not stand.errors()
-    stand.say(CLOSED)
+    stand.say(CLOSED, SetInputVel(3.0, 0.0))
     stand.say(Reboot05(), node=30)
-    assert not stand.twin.axis.armed
+    assert stand.twin.axis.velocity == 0.0
     assert stand.now < stand.twin.silent_until
 
 

@@ -10,7 +10,7 @@ import asyncio
 import inspect
 import time
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import can
 import pytest
@@ -19,6 +19,7 @@ from odrive_can.odrive import CommandId, DriveError, HeartbeatError, ODriveCAN
 from protocols.odrive_can.codec import turns
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.options import Settings
+from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import CanFrame
 from protocols.words import Feedback
@@ -65,14 +66,18 @@ OTHER_LINE: dict[str, tuple[Any, ...]] = {
 LOCAL = {"check_alive", "check_errors", "ignore_message", "allow_message", "axis_id", "axis_state"}
 
 
-class Bench:
+TwinKind = TypeVar("TwinKind", bound=OdriveTwin)
+# Without cyclic estimates: the client takes the next frame of the same id for the answer, keeps a second one
+# for the next request, and would then read a message that it did not ask for.
+SETTINGS = Settings(encoder_msg_rate_ms=0)
+
+
+class Bench(Generic[TwinKind]):
     """The twin behind a virtual python-can bus, stepped by the wall clock."""
 
-    def __init__(self, channel: str) -> None:
+    def __init__(self, channel: str, twin: TwinKind) -> None:
         self.bus = can.Bus(interface="virtual", channel=channel)
-        # Without cyclic estimates: the client takes the next frame of the same id for the answer, keeps
-        # a second one for the next request, and would then read a message that it did not ask for.
-        self.twin = Twin06(device(address=NODE, settings=Settings(encoder_msg_rate_ms=0)), 0)
+        self.twin = twin
         self.shaft = Shaft()
         self.behind = time.monotonic_ns()
 
@@ -108,7 +113,7 @@ async def until(true: Callable[[], bool], what: str) -> None:
     raise AssertionError(what)
 
 
-async def drive(bench: Bench, client: ODriveCAN, ran: set[str]) -> None:
+async def drive(bench: Bench[Twin06], client: ODriveCAN, ran: set[str]) -> None:
     """A session with every call of the client that asks or moves a motor."""
     twin, shaft, gains = bench.twin, bench.shaft, bench.twin.servo.gains
 
@@ -210,7 +215,7 @@ def test_the_client_drives_the_twin() -> None:
     ran: set[str] = set()
 
     async def session() -> None:
-        bench = Bench("odrive-can-client")
+        bench = Bench("odrive-can-client", Twin06(device(address=NODE, settings=SETTINGS), 0))
         client = ODriveCAN(axis_id=NODE, can_bus=can.Bus(interface="virtual", channel="odrive-can-client"))
         pump = asyncio.create_task(bench.pump())
         try:
