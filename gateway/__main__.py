@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--dry-run", action="store_true", help="do everything but write to the buses")
     run.add_argument("--fast", action="store_true", help="in simulated time; only if every bus is a twin")
     run.add_argument("--seed", type=int, help="of the world's noise, where buses are twins")
-    run.add_argument("--realtime", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO with this priority")
+    _realtime(run)
 
     twin = _command(commands, "twin", "be the devices of a robot, for another program to drive")
     _robot(twin)
@@ -96,6 +96,7 @@ def parser() -> argparse.ArgumentParser:
     )
     twin.add_argument("--seconds", type=_positive, metavar="S", help="end after so long (default: Ctrl-C)")
     twin.add_argument("--seed", type=int, help="of the world's noise (default: the robot file's)")
+    _realtime(twin)
 
     replay = _command(
         commands,
@@ -181,6 +182,12 @@ def _robot(command: argparse.ArgumentParser) -> None:
 def _bus(command: argparse.ArgumentParser, text: str) -> None:
     command.add_argument(
         "--bus", type=_interface, action="append", default=[], metavar="NAME=INTERFACE:CHANNEL", help=text
+    )
+
+
+def _realtime(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--realtime", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO with this priority"
     )
 
 

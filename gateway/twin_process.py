@@ -99,6 +99,8 @@ _OF_PTYS = {
 def twin(options: Namespace) -> int:
     """Be the devices of a robot until told to leave."""
     robot = outer(config.load(shipped.find("robots", options.robot)), dict(options.bus))
+    if options.realtime is not None and (refused := run.real_time(options.realtime)):
+        log.warning("%s", refused)
     with devices(robot, WallClock(), options.seed, options.ports, options.link) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
         made.serve(options.seconds)
@@ -194,12 +196,19 @@ def _linked(folder: Path, bus: str, paths: Sequence[str], stack: ExitStack) -> l
 def invitation(made: Devices, robot: str) -> Sequence[str]:
     """What to type to meet these devices; `robot` is what the robot file was called."""
     words = ["gateway", "run", robot]
-    for bus in made.robot.buses.values():
-        words += ["--bus", f"{bus.name}={bus.interface}"]
-    lines = [f"the devices of {made.robot.name} are there; to run the robot:", "  " + shlex.join(words)]
+    notes = []
+    for name, bus in made.robot.buses.items():
+        kind, _, channel = bus.interface.partition(":")
+        if kind in ("slcan", "serial") and name not in made.paths:  # a port is for one program alone
+            other = "another adapter on the bus of" if kind == "slcan" else "the other end of"
+            notes.append(f"PORT of {name}: {other} {channel}")
+            channel = "PORT"
+        words += ["--bus", f"{name}={kind}:{channel}"]
     for name, paths in made.paths.items():
-        fd = " --fd" if made.robot.buses[name].kind == "canfd" else ""
-        for path in paths[1:]:
-            viewer = f"python -m can.viewer -i slcan -c {path}{fd}"
-            lines.append(f"another program may be on {name} too, by slcan:{path}, for instance:\n  {viewer}")
-    return lines
+        if paths[1:]:
+            fd = " --fd" if made.robot.buses[name].kind == "canfd" else ""
+            also = ", ".join(f"slcan:{path}" for path in paths[1:])
+            notes.append(f"other programs may be on {name} too, by {also}; for instance:")
+            notes.append(f"  python -m can.viewer -i slcan -c {paths[1]}{fd}")
+    head = f"the devices of {made.robot.name} are there; to run the robot:"
+    return [head, "  " + shlex.join(words), *notes]

@@ -249,7 +249,23 @@ def test_the_invitation_is_a_line_to_type() -> None:
         *("--bus", f"can0=slcan:{can0[0]}", "--bus", f"sensors=serial:{sensors[0]}"),
     ]
     assert len(set(can0)) == 3
-    assert [line.split()[-1] for line in lines[2:]] == can0[1:]
+    assert lines[2:] == [
+        f"other programs may be on can0 too, by slcan:{can0[1]}, slcan:{can0[2]}; for instance:",
+        f"  python -m can.viewer -i slcan -c {can0[1]}",
+    ]
+
+
+def test_the_invitation_does_not_name_a_port_that_is_taken() -> None:
+    robot = config.loads(BENCH)
+    with devices(outer(robot, {}), SimulatedClock(), ports=2) as first:
+        path = first.paths["can0"][1]
+        with devices(outer(robot, {"can0": f"slcan:{path}"}), SimulatedClock()) as second:
+            assert invitation(second, "rig")[1:] == [
+                "  gateway run rig --bus can0=slcan:PORT",
+                f"PORT of can0: another adapter on the bus of {path}",
+            ]
+    with devices(outer(robot, {"can0": "virtual:rig"}), SimulatedClock()) as third:
+        assert invitation(third, "rig")[1:] == ["  gateway run rig --bus can0=virtual:rig"]
 
 
 def test_ptys_may_have_names_that_stay_the_same(tmp_path: Path) -> None:
