@@ -511,3 +511,12 @@ def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it() -> None:
         twin.wait()
     assert "left: armed" in told, told
     assert "left: ready" in told.partition("left: armed")[2], told
+
+
+def test_under_nohup_the_end_of_the_terminal_is_no_reason_to_leave() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with signals(lambda _: None):
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
