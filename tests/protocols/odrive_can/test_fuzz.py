@@ -1,18 +1,21 @@
-"""Random, truncated, oversized and foreign traffic: nothing raises, all is counted, all stays finite."""
+"""Random, truncated, oversized, foreign traffic, in each line: nothing raises, all is counted and finite."""
 
 from __future__ import annotations
 
 import math
 import struct
 from dataclasses import fields
+from typing import Literal
 
+import pytest
 from numpy.random import PCG64, Generator
 
 from protocols.odrive_can import RANGES
+from protocols.odrive_can import twin as made
 from protocols.odrive_can.codec import decode_to_device, encode
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.messages import SetAxisState, SetControllerMode
-from protocols.odrive_can.twin06 import Twin06
+from protocols.odrive_can.options import Options
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
@@ -50,10 +53,11 @@ def finite(event: Event) -> bool:
     return all(math.isfinite(value) for value in values if isinstance(value, float))
 
 
-def test_the_driver_survives_any_traffic() -> None:
+@pytest.mark.parametrize("firmware", ["auto", "0.5", "0.6"])
+def test_the_driver_survives_any_traffic(firmware: Literal["auto", "0.5", "0.6"]) -> None:
     seed = 1
     dice = Generator(PCG64(seed))
-    driver = OdriveDriver([device()], RANGES)
+    driver = OdriveDriver([device(options=Options(firmware=firmware))], RANGES)
     words: list[Command | Request] = [
         Velocity("left", 1.0),
         Position("left", 2.0, 0.1, 0.1),
@@ -71,14 +75,18 @@ def test_the_driver_survives_any_traffic() -> None:
         assert all(finite(event) for event in told)
         for sent in wires:
             assert isinstance(sent, CanFrame)
-            assert sent.remote or decode_to_device(sent) is not None, (seed, turn, str(sent))
+            line = driver.nodes[1].identity.line or "0.6"
+            assert sent.remote or decode_to_device(sent, line) is not None, (seed, turn, str(sent))
     assert min(driver.tally.heard, driver.tally.bad, driver.tally.foreign) > 50
 
 
-def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited() -> None:
+@pytest.mark.parametrize("line", ["0.5", "0.6"])
+def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited(
+    line: Literal["0.5", "0.6"],
+) -> None:
     seed = 2
     dice = Generator(PCG64(seed))
-    twin = Twin06(device(), seed)
+    twin = made(device(options=Options(firmware=line)), seed)
     limit = twin.settings.current_hard_max * twin.settings.torque_constant
     for turn in range(TURNS):
         now = turn * MILLISECOND

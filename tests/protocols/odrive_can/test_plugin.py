@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+import re
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import pytest
 
+from protocols.conformance import CLAUSES, check, table, variants
 from protocols.odrive_can import WATCHDOG_NOTE, plugin, spec
-from protocols.odrive_can.codec import BROADCAST, encode
+from protocols.odrive_can.codec import BROADCAST, TABLES, encode
+from protocols.odrive_can.dialect import DIALECTS
 from protocols.odrive_can.messages import SetAxisState, SetInputPos
-from protocols.odrive_can.options import Options, Settings
+from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.plugin import Device, load
 from protocols.wire import CanFrame
 from protocols.words import (
@@ -152,3 +156,91 @@ def test_words_survive_the_wire_within_the_declared_resolution(quantity: str) ->
         assert isinstance(heard, Position)
         error = abs(getattr(heard, quantity) - value)
         assert error <= allowed.resolution + allowed.relative * abs(value), value
+
+
+# -- the contract, where the plugin's own defaults do not lead ------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Extended(Options):
+    """An extended axis of 0.5.x, with everything else as by default."""
+
+    firmware: Literal["0.5"] = "0.5"
+    is_extended: bool = True
+    watchdog: Literal["acknowledged"] = "acknowledged"
+
+
+@dataclass(frozen=True, slots=True)
+class Auto(Options):
+    """Nothing is known beforehand."""
+
+    firmware: Literal["auto"] = "auto"
+    watchdog: Literal["acknowledged"] = "acknowledged"
+
+
+@dataclass(frozen=True, slots=True)
+class Settings05(Settings):
+    """A device of 0.5.x, whatever is expected."""
+
+    firmware: str = "0.5.6"
+
+
+@pytest.mark.parametrize("options", [Extended, Auto], ids=lambda kind: kind.__name__)
+def test_the_contract_is_kept_by_devices_of_0_5_too(options: type[Options]) -> None:
+    """Those clauses that ids, arming and questions bear on; the whole contract runs over the defaults."""
+    wanted = {"commands", "counts", "unclaimed", "declared", "repeatable"}
+    clauses = [clause for clause in CLAUSES if clause.name in wanted]
+    assert len(clauses) == len(wanted)
+    results = check(replace(plugin, options=options, settings=Settings05), clauses=clauses)
+    assert {result.outcome for result in results} == {"passed"}, table(results)
+
+
+def test_the_contract_tries_every_firmware_option() -> None:
+    assert {options.firmware for options in variants(plugin)} == {"auto", "0.5", "0.6"}
+
+
+@pytest.mark.parametrize("firmware", ["auto", "0.5", "0.6"])
+def test_specs_of_each_option(firmware: Literal["auto", "0.5", "0.6"]) -> None:
+    contract = spec(device(options=Options(firmware=firmware)))
+    asks = {frame & 0x1F for frame in range(0x20, 0x40) if contract.read_only(CanFrame(frame, remote=True))}
+    lines = {"auto": ("0.5", "0.6"), "0.5": ("0.5",), "0.6": ("0.6",)}[firmware]
+    for line in lines:
+        assert {0x20 | cmd for cmd in TABLES[line].askable - {0x06}} <= contract.sends
+        assert {0x20 | cmd for cmd in TABLES[line].askable - {0x06}} <= contract.expects
+        dialect = DIALECTS[line]
+        assert {*dialect.polled, *dialect.reasons, *dialect.parts} <= asks
+        said = {row.cmd for row in TABLES[line].to_device.values() if row.cmd not in (0x04, 0x1F, 0x10, 0x1C)}
+        assert {0x20 | cmd for cmd in said - {0x06}} <= contract.sends
+    obeyed = {0x02, 0x07, 0x0C, 0x0D, 0x0E, 0x16, 0x18}
+    assert not asks & obeyed
+    assert (0x06 in asks) == (firmware == "0.6")
+    assert (0x7E6 in contract.sends) == (SetId in contract.requests) == (firmware != "0.5")
+    assert contract == spec(device(options=Options(firmware=firmware)))
+
+
+def test_settings_name_a_firmware_that_there_is_and_options_an_extended_axis_of_0_5_only() -> None:
+    for firmware in ("0.7.1", "0.6", "6.0.10", "0.5.6b"):
+        with pytest.raises(ValueError, match=re.escape(f"firmware '{firmware}' must be like")):
+            Settings(firmware=firmware)
+    with pytest.raises(ValueError, match="other_axis"):
+        Settings(other_axis=-2)
+    with pytest.raises(ValueError, match="is_extended needs"):
+        Options(is_extended=True)
+    assert line_of(device(settings=Settings(firmware="0.5.4"))) == "0.5"
+    assert line_of(device(options=Options(firmware="0.5"))) == "0.5"
+    assert line_of(device()) == "0.6"
+
+
+@pytest.mark.parametrize(("address", "fits"), [(63, True), (0xFFFFFF, True), (0x1000000, False), (-1, False)])
+def test_an_extended_address_has_24_bits(address: int, fits: bool) -> None:
+    extended = device(address=address, options=Options(firmware="0.5", is_extended=True))
+    if fits:
+        assert all(0 <= frame < 1 << 29 for frame in spec(extended).sends)
+    else:
+        with pytest.raises(ValueError, match="node id is 0 to 16777215"):
+            spec(extended)
+
+
+def test_one_address_may_be_a_standard_and_an_extended_one() -> None:
+    both = [device("left", 1), device("right", 1, options=Options(firmware="0.5", is_extended=True))]
+    assert plugin.driver(both)
