@@ -152,17 +152,12 @@ class Joint:
         self.feedback = Feedback(
             self.name,
             event.t if motion else old.t,
-            *(
-                new if new is not None else before
-                for new, before in (
-                    (moved.position, old.position),
-                    (moved.velocity, old.velocity),
-                    (moved.torque, old.torque),
-                    (moved.current, old.current),
-                    (moved.voltage, old.voltage),
-                    (moved.temperature, old.temperature),
-                )
-            ),
+            old.position if moved.position is None else moved.position,
+            old.velocity if moved.velocity is None else moved.velocity,
+            old.torque if moved.torque is None else moved.torque,
+            old.current if moved.current is None else moved.current,
+            old.voltage if moved.voltage is None else moved.voltage,
+            old.temperature if moved.temperature is None else moved.temperature,
         )
         return moved
 
