@@ -409,8 +409,9 @@ async def drive(channel: str, twin: Process) -> list[float]:
 
 
 @pytest.mark.timeout(240)
-def test_the_vendor_s_client_then_a_person_s_lines_then_the_twin_falls_away(folder: Path) -> None:
-    with Process(folder / "run", "twin", str(folder / "bench.toml"), "-v") as twin:
+def test_the_vendor_s_client_then_a_person_s_lines_then_the_twin_goes_and_comes_back(folder: Path) -> None:
+    devices_of = ["twin", str(folder / "bench.toml"), "-v", "--link", str(folder / "ports")]
+    with Process(folder / "run", *devices_of) as twin:
         words = invited(twin, "-v")
         channel = words[-2].partition("slcan:")[2]
         told = asyncio.run(drive(channel, twin))
@@ -432,6 +433,9 @@ def test_the_vendor_s_client_then_a_person_s_lines_then_the_twin_falls_away(fold
             assert status == 0
             assert "Traceback" not in text
             robot.until("can0: has vanished", "left: offline", "left: fault: silent")
+            robot.text = ""
+            with Process(folder / "run", *devices_of):
+                robot.until("can0: is back", "left: ready", "right: ready")
             status, text = robot.end(signal.SIGTERM)
             assert status == 0, text  # on a bench one motor's fault does not stop the rest
             assert "Traceback" not in text
