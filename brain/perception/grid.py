@@ -215,13 +215,16 @@ class Grid:
         lengths = np.max(np.abs(steps), axis=1)
         if not lengths.any():
             return np.zeros(0, dtype=np.int64)
-        line = np.repeat(np.arange(len(stops)), lengths)
-        step = np.arange(len(line)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-        twice = 2 * lengths[line]
-        columns = start[0] + (2 * step * steps[line, 0] + lengths[line]) // twice
-        rows = start[1] + (2 * step * steps[line, 1] + lengths[line]) // twice
+        largest = max(lengths.max(), *np.abs(start))
+        kind = np.int32 if largest < 2**15 else np.int64  # half the width divides in a third of the time
+        step = np.arange(lengths.sum(), dtype=kind)
+        step -= np.repeat((np.cumsum(lengths) - lengths).astype(kind), lengths)
+        half = np.repeat(lengths.astype(kind), lengths)
+        across, up = (np.repeat(side.astype(kind), lengths) for side in steps.T)
+        columns = kind(start[0]) + (2 * step * across + half) // (2 * half)
+        rows = kind(start[1]) + (2 * step * up + half) // (2 * half)
         inside = (columns >= 0) & (columns < self.columns) & (rows >= 0) & (rows < self.rows)
-        flat: Indices = (rows * self.columns + columns)[inside]
+        flat: Indices = (rows * kind(self.columns) + columns)[inside].astype(np.int64)
         return flat
 
     def _fill(self, origin: Floats, yaw: float, sweep: Sweep, ends: Floats) -> None:
