@@ -46,7 +46,7 @@ def page(listener: Listener, now: Nanos, title: str) -> list[str]:
 
 def _buses(listener: Listener, now: Nanos) -> list[str]:
     rows = [_bus(listener, bus, now) for bus in listener.buses.values()]
-    return columns([("bus", "interface", "state", "load", "packets", "heard", "not understood"), *rows])
+    return columns([("bus", "interface", "state", "load", "packets", "in all", "not understood"), *rows])
 
 
 def _bus(listener: Listener, bus: SeenBus, now: Nanos) -> tuple[str, ...]:
@@ -162,7 +162,7 @@ def age(t: Nanos | None, now: Nanos) -> str:
     if t is None:
         return "-"
     span = max(0, now - t)
-    return f"{span / MILLISECOND:.0f} ms ago" if span < 10 * SECOND else f"{span / SECOND:.0f} s ago"
+    return f"{span / MILLISECOND:.0f} ms ago" if span < SECOND else f"{span / SECOND:.1f} s ago"
 
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -43,6 +43,7 @@ def watch(options: Namespace) -> int:
         if options.lines or not sys.stdout.isatty():
             for some in lines(watching, until):
                 print("\n".join(some), flush=True)
+            print(end="" if options.lines else "\n")
         else:
             with Screen(sys.stdout) as screen:
                 pages(watching, until, screen.draw)
