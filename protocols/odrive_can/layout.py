@@ -210,6 +210,7 @@ def _any(message: type[Any], take: Take, codes: str, packer: struct.Struct) -> S
 
 
 def _taker(names: tuple[str, ...]) -> Take:
-    if len(names) > 1:
-        return attrgetter(*names)
-    return lambda message: tuple(getattr(message, name) for name in names)
+    if not names:
+        return lambda _: ()
+    take = attrgetter(*names)
+    return take if len(names) > 1 else lambda message: (take(message),)

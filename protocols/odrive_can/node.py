@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from protocols.odrive_can.asking import NEVER, OTHER, VERSION, Asking
 from protocols.odrive_can.codec import EXTENDED, AnyMessage, cmd_of, radians
 from protocols.odrive_can.dialect import DIALECTS, PART_SHIFT, Beat, Dialect, beat_of
 from protocols.odrive_can.faults import (
@@ -38,7 +39,6 @@ from protocols.odrive_can.messages import (
     GetTemperature,
     GetTorques,
     GetVersion,
-    Heartbeat,
     InputMode,
     SetAxisState,
     SetControllerMode,
@@ -52,7 +52,6 @@ from protocols.odrive_can.messages05 import (
 from protocols.odrive_can.options import Options
 from protocols.words import (
     MILLISECOND,
-    SECOND,
     Command,
     Event,
     Fault,
@@ -64,16 +63,6 @@ from protocols.words import (
     State,
 )
 
-VERSION, HEARTBEAT, ESTIMATES, OTHER = map(
-    cmd_of, (GetVersion, Heartbeat, GetEncoderEstimates, GetBusVoltageCurrent)
-)
-"""OTHER: the question that both firmware lines answer alike, and not by themselves as they come."""
-ASK_AGAIN = 100 * MILLISECOND
-"""An unanswered question is repeated so often."""
-VERSION_AGAIN = 5 * SECOND
-"""A device that was told apart without Get_Version, or not at all, is asked for it so often."""
-HEARTBEAT_MISSED = 250 * MILLISECOND
-"""Without a heartbeat for so long, one is asked for."""
 RELEASE_AGAIN = 50 * MILLISECOND
 """Set_Axis_State IDLE is repeated so often until two heartbeats have confirmed it."""
 CONFIRMED = 2
@@ -83,7 +72,6 @@ REASON_ATTEMPTS = 5
 """An error word that is not told in so many tries is not waited for."""
 WAITING = (Result.SUCCESS, Result.BUSY, Result.CANCELLED, Result.DISARMED)
 """Results that may be left over from before the request: no verdict on it."""
-NEVER: Nanos = 1 << 62
 
 
 class Node:
@@ -126,13 +114,9 @@ class Node:
         """Error words that are waited for, by command, and how often they were asked for."""
         self.beats: list[tuple[Nanos, int, int]] = []
         """The last heartbeats: time, state, errors."""
-        self.heard: dict[int, Nanos] = {}
-        self.asked: dict[int, Nanos] = {}
-        self.unanswered = False
+        self.asking = Asking(options)
         self._line_heard = ""
         """The firmware line in which `state` was heard."""
-        self.cyclic_at: Nanos = 0
-        """When an encoder estimate last came unasked."""
 
     @property
     def dialect(self) -> Dialect:
@@ -157,13 +141,9 @@ class Node:
     def hear(self, t: Nanos, message: AnyMessage) -> list[Event]:
         """A message of the device; what it means in words."""
         self.heard_at, self.offline = t, False
-        self.heard[cmd_of(type(message))] = t
+        self.asking.hear(t, cmd_of(type(message)))
         match message:
             case GetEncoderEstimates(position, velocity):
-                if self.unanswered:
-                    self.unanswered = False
-                else:
-                    self.cyclic_at = t
                 self.position = position
                 return [Feedback(self.name, t, position=radians(position), velocity=radians(velocity))]
             case GetIq(_, measured):
@@ -381,16 +361,15 @@ class Node:
     def tend(self, now: Nanos) -> tuple[list[Event], list[int]]:
         """What falls due: silence told, and the commands to be asked for."""
         if self.started is None:
-            self.started = now
+            self.started = self.asking.started = now
         events: list[Event] = []
         if not self.offline and now >= self._offline_at():
             self.offline = True
             self.forget()
             events.append(State(self.name, now, Mode.OFFLINE, "nothing heard"))
-        asks = [cmd for cmd in self._questions() if self._ask_at(cmd) <= now]
+        asks = [cmd for at, cmd in self._plan() if at <= now]
         for cmd in asks:
-            self.asked[cmd] = now
-            self.unanswered = self.unanswered or cmd == ESTIMATES
+            self.asking.ask(now, cmd)
             if cmd in self.wanted:
                 self.wanted[cmd] += 1
         self.wanted = {cmd: count for cmd, count in self.wanted.items() if count < REASON_ATTEMPTS}
@@ -399,52 +378,17 @@ class Node:
             asks += [OTHER] if not self.identity.line and self.state is not None else []
         return events, asks
 
-    def _questions(self) -> tuple[int, ...]:
-        if not self.identity.expects:  # what both lines answer alike, and no more
-            return (VERSION, HEARTBEAT, ESTIMATES)
-        heartbeat = (HEARTBEAT,) if self.dialect.heartbeat_asked else ()
-        return (VERSION, *heartbeat, *self.wanted, ESTIMATES, *self.dialect.polled)
-
     def due(self) -> Nanos:
         """When `tend` next has something to do."""
         if self.started is None:
             return 0
-        times = [self._ask_at(cmd) for cmd in self._questions()]
-        if not self.offline:
-            times.append(self._offline_at())
-        return min(times)
+        times = [at for at, _ in self._plan()]
+        return min(times) if self.offline else min(*times, self._offline_at())
+
+    def _plan(self) -> list[tuple[Nanos, int]]:
+        alive = not self.offline and self.state is not None
+        return self.asking.plan(self.identity, self.wanted, alive)
 
     def _offline_at(self) -> Nanos:
         since = self.heard_at if self.heard_at is not None else self.started or 0
         return since + self.options.offline_ms * MILLISECOND
-
-    def _ask_at(self, cmd: int) -> Nanos:
-        asked = self.asked.get(cmd)
-        again = (asked + ASK_AGAIN) if asked is not None else (self.started or 0)
-        if cmd == VERSION:
-            return self._ask_version_at(asked, again)
-        if cmd in self.wanted:
-            return again
-        if cmd == HEARTBEAT:
-            return max(again, self.heard.get(cmd, self.started or 0) + HEARTBEAT_MISSED)
-        if cmd == ESTIMATES:
-            return self._ask_estimates_at(again)
-        period = self.options.poll_ms * MILLISECOND
-        if not period or self.offline or self.state is None:
-            return NEVER
-        polled = self.dialect.polled
-        first = (self.started or 0) + period * (1 + polled.index(cmd)) // len(polled)
-        return max(self.heard.get(cmd, first - period), self.asked.get(cmd, first - period)) + period
-
-    def _ask_version_at(self, asked: Nanos | None, again: Nanos) -> Nanos:
-        identity = self.identity
-        if identity.version is not None and not identity.wrong:
-            return NEVER
-        settled = identity.line or identity.wrong
-        return asked + VERSION_AGAIN if settled and asked is not None else again
-
-    def _ask_estimates_at(self, again: Nanos) -> Nanos:
-        if self.offline or self.state is None:
-            return again
-        period = self.options.feedback_ms * MILLISECOND
-        return max(self.asked.get(ESTIMATES, 0), self.cyclic_at + period) + period
