@@ -240,7 +240,7 @@ class McapFile:
         self._first, self._last = min(self._first, self._from), max(self._last, self._to)
         self._index += entry
         if len(self._index) > _INDEX_BLOCK:
-            self._packed_index.append(lz4.frame.compress(self._index))
+            self._packed_index.append(zlib.compress(self._index, 1))
             self._index = bytearray()
 
     def _forget(self) -> None:
@@ -291,7 +291,7 @@ class McapFile:
             metadata_count=len(told),
             schema_count=len(self._schemas),
         )
-        unpacked = (lz4.frame.decompress(block) for block in self._packed_index)
+        unpacked = (zlib.decompress(block) for block in self._packed_index)
         return [
             (SCHEMA, [data for opcode, data in self._records if opcode == SCHEMA]),
             (CHANNEL, [data for opcode, data in self._records if opcode == CHANNEL]),

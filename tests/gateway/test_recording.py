@@ -17,12 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from gateway import journal, machine
 from gateway.recording import Recorder, Recording, RecordingError, read
 from gateway.recording.layout import FORMAT, METADATA
+from gateway.recording.mcap_file import McapFile
 from gateway.recording.sheet import Sheet
 from gateway.tick import Inputs, Note, Outputs, Tick
 from gateway.views import Views
@@ -371,3 +373,30 @@ def test_a_damaged_file_gives_a_sentence_or_the_truth(tmp_path: Path) -> None:
         if not any(step.damage for step in steps):
             assert [step.tick for step in steps] == ticks[: len(steps)], f"bit {bit} of byte {at}"
     assert told > 50
+
+
+def test_the_index_of_a_long_recording_costs_little_and_is_right(tmp_path: Path) -> None:
+    """10,000 chunks are four minutes of a real run; the index is packed several times on the way."""
+    path = tmp_path / "a.mcap"
+    file = McapFile(path, "a test")
+    channels = [file.open_channel(f"/{n}", "std_msgs/msg/Header", "string a") for n in range(6)]
+    count = 10_000
+    for number in range(count):
+        for channel in channels:
+            file.message(channel, number, number * 25_000_000, number, b"\0\1\0\0abcd")
+        file.flush()
+    assert len(file._packed_index) > 3
+    assert sum(map(len, file._packed_index)) + len(file._index) < 60 * count
+    file.finish()
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == count * len(channels)
+        assert len(summary.chunk_indexes) == count
+        at = 4_999 * 25_000_000
+        middle = list(reader.iter_messages(starting_at=at, ending_before=at + 1))
+    assert [(channel.topic, message.sequence) for _, channel, message in middle] == [
+        (f"/{n}", 4_999) for n in range(6)
+    ]

@@ -16,7 +16,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -99,6 +100,43 @@ def _become_run(robot: str, file: str, board: Path, terminal: int, typed: str) -
 # -- from the tests ----------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, slots=True)
+class Killed:
+    """A process that was killed."""
+
+    first: Nanos
+    """When it handed over its first tick,"""
+    last: Nanos
+    """and its last."""
+    queued: Nanos
+    """How long, in its last 150 ms, the recorder's threads were ready to run and the machine did not let
+    them: a busy machine's doing, as the kernel accounts it."""
+
+
+def _watch(pid: int, span: float) -> Nanos:
+    """Let a process run so long; for how much of the last 150 ms its threads but the first had to queue."""
+    end = time.monotonic() + span
+    samples: list[tuple[float, int]] = []
+    while True:
+        now = time.monotonic()
+        samples.append((now, _queued(pid)))
+        if now >= end:
+            break
+        time.sleep(min(0.01, end - now))
+    before = [queued for t, queued in samples if t <= now - 0.15]
+    return samples[-1][1] - (before[-1] if before else 0)
+
+
+def _queued(pid: int) -> Nanos:
+    """How long the threads of a process but the first were ready to run and did not (sched-stats.rst)."""
+    total = 0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        if int(task.name) != pid:
+            with suppress(OSError):  # it has just ended
+                total += int((task / "schedstat").read_text().split()[1])
+    return total
+
+
 class Runs:
     """The program, and what is asked of it."""
 
@@ -121,9 +159,8 @@ class Runs:
         self._server.kill()
         self._server.communicate()
 
-    def kill(self, robot: str, file: Path, after: float, typed: str) -> tuple[Nanos, Nanos]:
-        """Run a robot, kill it so many seconds after its first tick; the times of the first and the last tick
-        that it handed over.
+    def kill(self, robot: str, file: Path, after: float, typed: str) -> Killed:
+        """Run a robot, and kill it so many seconds after its first tick.
 
         In wall time, because a kill in simulated time proves nothing."""
         path = file.with_suffix(".board")
@@ -136,13 +173,13 @@ class Runs:
                 if board.cells[1] != NOTHING:
                     break
                 time.sleep(0.001)
-            time.sleep(after)
+            queued = _watch(pid, after)
             os.kill(pid, signal.SIGKILL)
             assert self._heard() == str(-signal.SIGKILL), "it did not live until it was killed"
             first, last = board.cells
         path.unlink()
         assert last != NOTHING
-        return first, last
+        return Killed(first, last, queued)
 
     def _heard(self) -> str:
         assert self._server.stdout

@@ -22,10 +22,12 @@ def test_two_hundred_kills_lose_at_most_100_ms(tmp_path: Path) -> None:
 
         def case(seed: int, number: int) -> list[float]:
             outcome = kills.one_kill(runs, tmp_path, seed, number)
-            return [outcome.after, outcome.ticks, outcome.lost]
+            return [outcome.after, outcome.ticks, outcome.lost, outcome.queued]
 
         done = Campaign("kills", 200).run(case)
-    print(kills.summary([Outcome(after, int(ticks), int(lost)) for after, ticks, lost in done.values()]))
+    outcomes = [Outcome(after, *map(int, rest)) for after, *rest in done.values()]
+    print(kills.summary(outcomes))
+    assert sum(outcome.lost > kills.PROMISE for outcome in outcomes) <= 10, "a machine cannot be that busy"
 
 
 def test_a_cut_at_every_byte_gives_back_all_whole_ticks_before_it(tmp_path: Path) -> None:
