@@ -6,7 +6,7 @@ below and those of the options, whether it is answered or not.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from protocols.odrive_can.codec import cmd_of
@@ -35,10 +35,12 @@ class Asking:
 
     options: Options
     started: Nanos = 0
-    heard: dict[int, Nanos] = field(default_factory=dict)
-    """When each command was last heard."""
     asked: dict[int, Nanos] = field(default_factory=dict)
-    """When each was last asked for."""
+    """When each command was last asked for."""
+    polls: dict[int, Nanos] = field(default_factory=dict)
+    """When each polled one is to be asked for next."""
+    heartbeat_at: Nanos | None = None
+    """When one was last heard."""
     unanswered: bool = False
     """An encoder estimate was asked for and has not come."""
     cyclic_at: Nanos = 0
@@ -46,29 +48,46 @@ class Asking:
 
     def hear(self, t: Nanos, cmd: int) -> None:
         """A message came."""
-        self.heard[cmd] = t
-        if cmd != ESTIMATES:
-            return
-        if not self.unanswered:
-            self.cyclic_at = t
-        self.unanswered = False
+        if cmd == ESTIMATES:
+            if not self.unanswered:
+                self.cyclic_at = t
+            self.unanswered = False
+        elif cmd == HEARTBEAT:
+            self.heartbeat_at = t
+        elif cmd in self.polls:
+            self.polls[cmd] = t + self.options.poll_ms * MILLISECOND
 
     def ask(self, now: Nanos, cmd: int) -> None:
         """A question goes out."""
         self.asked[cmd] = now
         self.unanswered = self.unanswered or cmd == ESTIMATES
+        if cmd in self.polls:
+            self.polls[cmd] = now + self.options.poll_ms * MILLISECOND
 
-    def plan(self, identity: Identity, wanted: Iterable[int], alive: bool) -> list[tuple[Nanos, int]]:
+    def plan(self, identity: Identity, wanted: Collection[int], alive: bool) -> list[tuple[Nanos, int]]:
         """When each question is next to be asked. `wanted`: error words; `alive`: heartbeats come."""
         dialect = DIALECTS[identity.reading]
         plan = [(self._version_at(identity), VERSION), (self._estimates_at(alive), ESTIMATES)]
         if dialect.heartbeat_asked or not identity.expects:
-            missed = self.heard.get(HEARTBEAT, self.started) + HEARTBEAT_MISSED
-            plan.append((max(self._again(HEARTBEAT), missed), HEARTBEAT))
+            plan.append((self._heartbeat_at(), HEARTBEAT))
         if identity.expects:  # else it is asked what both lines answer alike, and no more
             plan += [(self._again(cmd), cmd) for cmd in wanted]
-            plan += [(self._poll_at(cmd, dialect.polled, alive), cmd) for cmd in dialect.polled]
+            plan += [(at, cmd) for cmd, at in self._polls(dialect.polled, alive).items()]
         return plan
+
+    def due(self, identity: Identity, wanted: Collection[int], alive: bool) -> Nanos:
+        """When the first question of the plan is to be asked: called at every step, so without the plan."""
+        dialect, expects = DIALECTS[identity.reading], identity.expects
+        due = min(self._version_at(identity), self._estimates_at(alive))
+        if dialect.heartbeat_asked or not expects:
+            due = min(due, self._heartbeat_at())
+        if expects:
+            due = min(due, *self._polls(dialect.polled, alive).values(), *map(self._again, wanted), NEVER)
+        return due
+
+    def _heartbeat_at(self) -> Nanos:
+        heard = self.started if self.heartbeat_at is None else self.heartbeat_at
+        return max(self._again(HEARTBEAT), heard + HEARTBEAT_MISSED)
 
     def _again(self, cmd: int) -> Nanos:
         asked = self.asked.get(cmd)
@@ -86,9 +105,13 @@ class Asking:
         period = self.options.feedback_ms * MILLISECOND
         return max(self.asked.get(ESTIMATES, 0), self.cyclic_at + period) + period
 
-    def _poll_at(self, cmd: int, polled: tuple[int, ...], alive: bool) -> Nanos:
+    def _polls(self, polled: tuple[int, ...], alive: bool) -> dict[int, Nanos]:
+        """What is polled, spread over the period at first; nothing while no heartbeat comes."""
         period = self.options.poll_ms * MILLISECOND
         if not period or not alive:
-            return NEVER
-        first = self.started + period * (1 + polled.index(cmd)) // len(polled)
-        return max(self.heard.get(cmd, first - period), self.asked.get(cmd, first - period)) + period
+            return {}
+        if tuple(self.polls) != polled:
+            now = max(self.started, self.heartbeat_at or 0)
+            count = len(polled)
+            self.polls = {cmd: now + period * (1 + i) // count for i, cmd in enumerate(polled)}
+        return self.polls

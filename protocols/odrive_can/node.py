@@ -367,12 +367,16 @@ class Node:
             self.offline = True
             self.forget()
             events.append(State(self.name, now, Mode.OFFLINE, "nothing heard"))
-        asks = [cmd for at, cmd in self._plan() if at <= now]
+        asks: list[int] = []
+        if now >= self._ask_at():
+            alive = self._alive()
+            asks = [cmd for at, cmd in self.asking.plan(self.identity, self.wanted, alive) if at <= now]
         for cmd in asks:
             self.asking.ask(now, cmd)
             if cmd in self.wanted:
                 self.wanted[cmd] += 1
-        self.wanted = {cmd: count for cmd, count in self.wanted.items() if count < REASON_ATTEMPTS}
+        if self.wanted:
+            self.wanted = {cmd: count for cmd, count in self.wanted.items() if count < REASON_ATTEMPTS}
         if VERSION in asks:
             events += self._identified(now, self.identity.ask(beating=self.state is not None))
             asks += [OTHER] if not self.identity.line and self.state is not None else []
@@ -382,12 +386,13 @@ class Node:
         """When `tend` next has something to do."""
         if self.started is None:
             return 0
-        times = [at for at, _ in self._plan()]
-        return min(times) if self.offline else min(*times, self._offline_at())
+        return self._ask_at() if self.offline else min(self._ask_at(), self._offline_at())
 
-    def _plan(self) -> list[tuple[Nanos, int]]:
-        alive = not self.offline and self.state is not None
-        return self.asking.plan(self.identity, self.wanted, alive)
+    def _ask_at(self) -> Nanos:
+        return self.asking.due(self.identity, self.wanted, self._alive())
+
+    def _alive(self) -> bool:
+        return not self.offline and self.state is not None
 
     def _offline_at(self) -> Nanos:
         since = self.heard_at if self.heard_at is not None else self.started or 0

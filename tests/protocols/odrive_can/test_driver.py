@@ -361,7 +361,9 @@ def test_state_falling_to_idle_without_error_is_told_and_rearmed_by_a_sequence()
     states = of(State, events)
     assert states[0].mode is Mode.READY
     assert "left closed loop by itself" in states[0].detail
-    said = bench.said(since=states[0].t)
+    said = bench.said(
+        since=states[0].t + 1
+    )  # what was sent in that very millisecond was sent before it was heard
     assert said[:3] == [SetControllerMode(ControlMode.VELOCITY, 1), SetInputVel(0.0, 0.0), CLOSED]
     assert IDLE not in bench.said(since=start)
 
