@@ -1,11 +1,12 @@
 """The recorder: takes ticks from the loop and never hinders it. What is missing is counted and told.
 
-Rules. Two threads beside the loop: one writes, one asks the disk to make it last. The writer looks 40 times a
-second for what was handed over, and puts it into the file: to be woken for every tick would cost more than
-the writing. So a kill loses 25 ms, and up to 100 ms if the machine is busy; a warning or an error is written
-at once. It survives a loss of power after about a second. A disk that is slow has 5 s of ticks to wait; then
-ticks are left out until half of these are written, so that a gap is one gap. Trouble is told once, when it
-begins and when it ends, by whichever thread meets it: to the log at once, and in `trouble`.
+Rules. Two threads beside the loop: one writes, one asks the disk to make it last. The writer is woken for
+20 ms of ticks, which it puts into the file in one go, while the loop sleeps: to be woken for each would cost
+more than the writing, and to wake by itself would hold up the loop. So a kill loses 25 ms, up to 100 ms if
+the machine is busy; a note is written at once. All survives a loss of power after about a second. A disk
+that is slow has 5 s of ticks to wait; then ticks are left out until half of these are written, so that a gap
+is one gap. Trouble is told once, when it begins and when it ends, by whichever thread meets it: to the log
+at once, and in `trouble`.
 """
 
 from __future__ import annotations
@@ -27,11 +28,14 @@ from gateway import machine
 from gateway.recording.sheet import Sheet
 from gateway.tick import Tick
 from gateway.views import Views
+from protocols.words import MILLISECOND, Nanos
 
 log = logging.getLogger("gateway")
 
+BATCH: Nanos = 20 * MILLISECOND
+"""The writer is woken when ticks wait over so much of their own time;"""
 LOOK_PERIOD = 0.025
-"""s between two looks of the writer"""
+"""s after which it looks by itself, if no tick comes."""
 DEPTH = 1024
 """Ticks that may wait for the writer: 5 s at 200 Hz."""
 SYNC_PERIOD = 1.0
@@ -61,8 +65,10 @@ class Recorder:
         """Ticks refused since the queue was full; 0 if it is not."""
         self._depth = depth
         self._sheet = Sheet(path, robot_text, {**machine.facts(), **facts}, Views(mounts))
-        self._waiting: deque[tuple[Tick, Belief]] = deque()
+        self._waiting: deque[tuple[Tick, Belief, dict[str, int]]] = deque()
         """What was handed over. Both ends of a deque may be used by two threads at once."""
+        self._woken: Nanos = 0
+        """At which tick the writer was last woken."""
         self._look = threading.Event()
         """That the writer is to look now."""
         self._room = threading.Event()
@@ -86,8 +92,9 @@ class Recorder:
             self._refuse(tick)
             return
         # The counts are the one part of a belief that its owner goes on writing to.
-        self._waiting.append((tick, replace(belief, rejected=dict(belief.rejected))))
-        if tick.outputs.notes or len(self._waiting) == room:
+        self._waiting.append((tick, belief, dict(belief.rejected)))
+        if tick.outputs.notes or tick.now - self._woken >= BATCH:
+            self._woken = tick.now
             self._look.set()
         if self._gap:
             self._tell(f"{self.path} goes on with tick {tick.number}: {self._gap} ticks are missing")
@@ -135,7 +142,8 @@ class Recorder:
             self._look.clear()
             closing = self._closing  # read before the last look: nothing is handed over after it
             while self._waiting:
-                self._tell(self._sheet.add(*self._waiting.popleft()))
+                tick, belief, rejected = self._waiting.popleft()
+                self._tell(self._sheet.add(tick, replace(belief, rejected=rejected)))
                 self._room.set()
             self._tell(self._sheet.flush())
         self._tell(self._sheet.finish())
