@@ -77,12 +77,19 @@ class Asking:
 
     def due(self, identity: Identity, wanted: Collection[int], alive: bool) -> Nanos:
         """When the first question of the plan is to be asked: called at every step, so without the plan."""
-        dialect, expects = DIALECTS[identity.reading], identity.expects
+        due = self.pressing(identity, wanted, alive)
+        if identity.expects:
+            due = min(due, *self._polls(DIALECTS[identity.reading].polled, alive).values(), NEVER)
+        return due
+
+    def pressing(self, identity: Identity, wanted: Collection[int], alive: bool) -> Nanos:
+        """When the first question is due that is worth a step of its own, in which every set-point goes out
+        once more. Polls are not: with twelve motors, they would nearly double what is on the bus."""
         due = min(self._version_at(identity), self._estimates_at(alive))
-        if dialect.heartbeat_asked or not expects:
+        if DIALECTS[identity.reading].heartbeat_asked or not identity.expects:
             due = min(due, self._heartbeat_at())
-        if expects:
-            due = min(due, *self._polls(dialect.polled, alive).values(), *map(self._again, wanted), NEVER)
+        if identity.expects:
+            due = min(due, *map(self._again, wanted), NEVER)
         return due
 
     def _heartbeat_at(self) -> Nanos:

@@ -383,10 +383,11 @@ class Node:
         return events, asks
 
     def due(self) -> Nanos:
-        """When `tend` next has something to do."""
+        """When `tend` next has something to do that cannot wait for a step."""
         if self.started is None:
             return 0
-        return self._ask_at() if self.offline else min(self._ask_at(), self._offline_at())
+        pressing = self.asking.pressing(self.identity, self.wanted, self._alive())
+        return pressing if self.offline else min(pressing, self._offline_at())
 
     def _ask_at(self) -> Nanos:
         return self.asking.due(self.identity, self.wanted, self._alive())

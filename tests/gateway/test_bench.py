@@ -409,6 +409,16 @@ def test_the_steps_that_count_are_those_of_every_motor() -> None:
     assert steps.counting(ticks, twelve) == set()
 
 
+def test_polling_costs_no_steps_of_its_own() -> None:
+    """Else every poll would send every set-point once more: with twelve motors, nearly twice the bus load."""
+    twelve = config.load(shipped.find("robots", "twelve"))
+    _, ticks = steps.drive(twelve, lambda motor: Velocity(motor, 5.0), 2)
+    settled = [tick for tick in ticks if SECOND <= tick.now < 2 * SECOND]
+    assert len(settled) == 200
+    asked = sum(isinstance(p.wire, CanFrame) and p.wire.remote for t in settled for p in t.outputs.packets)
+    assert 12 * 4 * 4 <= asked <= 12 * 4 * 6
+
+
 def test_figures_by_step_are_over_each_step_s_own_median() -> None:
     runs = [[10, 1, 900], [30, 2, 10], [20, 3, 10]]
     assert steps.figures_by_step(runs, {0, 2}) == Figures(15.0, 20.0, 2)
