@@ -11,9 +11,10 @@ of the device, in the other sense if `sign` is -1).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import copysign, isfinite, sqrt
+from math import isfinite
 from typing import Literal, TypeAlias
 
+from gateway.limits import Limits, Profile
 from protocols.plugin import Spec
 from protocols.words import (
     MILLISECOND,
@@ -40,20 +41,6 @@ AT_REST = 0.02
 """Part of the velocity limit below which a braking joint is at rest."""
 LEFT = -2
 """Our own fault code: the device disarmed itself while it was commanded."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """At the joint's output shaft; all magnitudes."""
-
-    velocity: float
-    """rad/s"""
-    acceleration: float
-    """rad/s²"""
-    torque: float
-    """N·m"""
-    position: tuple[float, float] | None = None
-    """rad, lowest and highest; None for a wheel"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +93,7 @@ class Joint:
         self._heard_at: Nanos | None = None
         self._braking: Nanos | None = None
         """Since when the safe word brakes."""
-        self._position: float | None = None
-        self._velocity: float | None = None
+        self._profile = Profile()
 
     # -- from the device ----------------------------------------------------------------------
 
@@ -177,7 +163,7 @@ class Joint:
         """An operator has cleared the faults; the joint starts anew, from where it is measured."""
         self.faults.clear()
         self._said = None
-        self._forget_motion()
+        self._profile.forget()
 
     def age(self, now: Nanos) -> Nanos | None:
         """The age of the newest motion; None if the device has never told any."""
@@ -287,93 +273,11 @@ class Joint:
             return Hold(self.name) if self.settings.silent == "hold" else Idle(self.name)
         return self._said
 
-    # -- limits, at the output shaft ------------------------------------------------------------
-
     def _limited(self, now: Nanos, wanted: Command) -> Command:
-        dt = min(now - self._out_at, self.settings.command_timeout) / SECOND
         if self.mode is not Mode.ARMED:
-            self._forget_motion()  # the profile starts from where the shaft is when the device is armed
-        if isinstance(wanted, Velocity):
-            return self._limit_velocity(wanted, dt)
-        if isinstance(wanted, Position):
-            return self._limit_position(wanted, dt)
-        self._forget_motion()
-        if isinstance(wanted, Torque):
-            return Torque(self.name, self._limit_torque(wanted.torque))
-        if isinstance(wanted, Impedance):
-            return replace(
-                wanted,
-                position=self._inside(wanted.position),
-                velocity=_clamp(wanted.velocity, self.settings.limits.velocity),
-                torque=self._limit_torque(wanted.torque),
-            )
-        return wanted
-
-    def _limit_velocity(self, wanted: Velocity, dt: float) -> Velocity:
-        limits = self.settings.limits
-        before = self._velocity
-        if before is None:
-            before = _clamp(self.feedback.velocity or 0.0, limits.velocity)
-        goal = self._brake_for_end(_clamp(wanted.velocity, limits.velocity))
-        velocity = _toward(before, goal, limits.acceleration * dt)
-        # a set-point that is beyond the end of travel is worth more than a limit of acceleration
-        velocity = self._brake_for_end(velocity)
-        self._position, self._velocity = None, velocity
-        return Velocity(self.name, velocity, self._limit_torque(wanted.torque))
-
-    def _limit_position(self, wanted: Position, dt: float) -> Position:
-        """A trapezoidal profile from where the joint is: no jump, within velocity and acceleration."""
-        limits = self.settings.limits
-        if self._position is None or self._velocity is None:
-            self._position = self._measured()
-            self._velocity = _clamp(self.feedback.velocity or 0.0, limits.velocity)
-        rest = self._inside(wanted.position) - self._position
-        # the highest speed from which the rest of the way, less this step's, is enough to stop
-        reach = 0.5 * limits.acceleration * dt
-        speed = min(
-            limits.velocity, max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
-        )
-        velocity = _toward(self._velocity, copysign(speed, rest), limits.acceleration * dt)
-        move = velocity * dt
-        if abs(move) >= abs(rest) and move * rest >= 0.0 and abs(velocity) <= 2.0 * limits.acceleration * dt:
-            move, velocity = rest, 0.0
-        self._position, self._velocity = self._position + move, velocity
-        ahead = velocity if velocity else _clamp(wanted.velocity, limits.velocity) if rest == 0.0 else 0.0
-        return Position(self.name, self._inside(self._position), ahead, self._limit_torque(wanted.torque))
-
-    def _limit_torque(self, torque: float) -> float:
-        limits = self.settings.limits
-        torque = _clamp(torque, limits.torque)
-        velocity, position = self.feedback.velocity, self.feedback.position
-        if velocity is not None and abs(velocity) > limits.velocity and velocity * torque > 0.0:
-            return 0.0
-        if limits.position is not None and position is not None:
-            low, high = limits.position
-            if (position >= high and torque > 0.0) or (position <= low and torque < 0.0):
-                return 0.0
-        return torque
-
-    def _brake_for_end(self, velocity: float) -> float:
-        limits = self.settings.limits
-        if limits.position is None:
-            return velocity
-        low, high = limits.position
-        here = self._measured()
-        up = sqrt(2.0 * limits.acceleration * max(0.0, high - here))
-        down = sqrt(2.0 * limits.acceleration * max(0.0, here - low))
-        return max(-down, min(up, velocity))
-
-    def _inside(self, position: float) -> float:
-        if self.settings.limits.position is None:
-            return position
-        low, high = self.settings.limits.position
-        return max(low, min(high, position))
-
-    def _measured(self) -> float:
-        return self.feedback.position if self.feedback.position is not None else 0.0
-
-    def _forget_motion(self) -> None:
-        self._position = self._velocity = None
+            self._profile.forget()  # it starts from where the shaft is when the device is armed
+        dt = min(now - self._out_at, self.settings.command_timeout) / SECOND
+        return self._profile.limited(wanted, dt, self.feedback, self.settings.limits)
 
     def _at_device(self, out: Command) -> Command:
         ratio = self._ratio
@@ -420,11 +324,3 @@ def _finite(word: Feedback | Command) -> bool:
         if isinstance(value, float) and not isfinite(value):
             return False
     return True
-
-
-def _clamp(value: float, limit: float) -> float:
-    return max(-limit, min(limit, value))
-
-
-def _toward(value: float, goal: float, step: float) -> float:
-    return value + _clamp(goal - value, step)

@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from gateway.joint import JointSettings, Limits
+from gateway.joint import JointSettings
+from gateway.limits import Limits
 from gateway.robot import BusSettings, Motor, Robot, Sensor
 from protocols.plugin import Device, Driver, Ear, Plugin, Spec
 from protocols.words import Nanos

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.joint import BLIND, LEFT, Joint, JointSettings, Limits
+from gateway.joint import BLIND, LEFT, Joint, JointSettings
+from gateway.limits import Limits
 from protocols.plugin import FeedbackKind, Range, Spec, Watchdog
 from protocols.words import (
     MILLISECOND,
@@ -182,6 +183,16 @@ def test_torque_is_clamped_and_not_given_beyond_the_speed_limit_or_the_end_of_tr
     assert made.allow(2 * STEP, Torque("m", -1.0), stopped=False) == Torque("m", -1.0)
     made.hear(Feedback("m", 2 * STEP, 1.1, 0.0))
     assert made.allow(3 * STEP, Torque("m", 1.0), stopped=False) == Torque("m", 0.0)
+
+
+@pytest.mark.parametrize("command", [Position("m", 1.0), Velocity("m", 1.0), Torque("m", 0.1)], ids=repr)
+def test_nothing_moves_where_the_position_must_be_known_and_is_not(command: Command) -> None:
+    made = joint(position=(-1.0, 2.0))
+    made.hear(Feedback("m", 0, velocity=0.0))
+    made.hear(State("m", 0, Mode.ARMED))
+    assert made.allow(STEP, command, stopped=False) == Idle("m")
+    made.hear(Feedback("m", STEP, position=0.5))
+    assert made.allow(2 * STEP, command, stopped=False) != Idle("m")
 
 
 BAD = [math.nan, math.inf, -math.inf]
