@@ -11,6 +11,9 @@ import logging
 import os
 import sys
 from pathlib import Path
+from typing import TypeAlias
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 DESCRIPTION = "One brain, any body, over real wires."
 
@@ -47,9 +50,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """What the command line understands."""
-    parser = argparse.ArgumentParser(prog="gateway", description=DESCRIPTION)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    made = argparse.ArgumentParser(prog="gateway", description=DESCRIPTION)
+    commands = made.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for add in (_demo, _run, _twin, _replay, _recover, _watch, _jog, _check, _protocols, _bench, _ask):
+        add(commands)
+    return made
 
+
+def _demo(commands: Commands) -> None:
     demo = _command(
         commands, "demo", "drive a robot through an office, with everything simulated but the bytes"
     )
@@ -63,6 +71,8 @@ def parser() -> argparse.ArgumentParser:
         "--goal", type=_goal, action="append", metavar="X,Y[,YAW]", help="instead of the world's tour"
     )
 
+
+def _run(commands: Commands) -> None:
     run = _command(commands, "run", "run a robot on its buses")
     _robot(run)
     _bus(run, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin")
@@ -78,6 +88,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--seed", type=int, help="of the world's noise, where buses are twins")
     _realtime(run)
 
+
+def _twin(commands: Commands) -> None:
     twin = _command(commands, "twin", "be the devices of a robot, for another program to drive")
     _robot(twin)
     _bus(twin, "let them speak there, as in can0=socketcan:vcan0 (default: ptys of their own)")
@@ -98,6 +110,8 @@ def parser() -> argparse.ArgumentParser:
     twin.add_argument("--seed", type=int, help="of the world's noise (default: the robot file's)")
     _realtime(twin)
 
+
+def _replay(commands: Commands) -> None:
     replay = _command(
         commands,
         "replay",
@@ -113,12 +127,16 @@ def parser() -> argparse.ArgumentParser:
         "--at-most", type=_metres, metavar="M", help="of a bag: the largest path error (RMS) to pass with"
     )
 
+
+def _recover(commands: Commands) -> None:
     recover = _command(commands, "recover", "make a recording whole again that was cut off or damaged")
     recover.add_argument("file", type=Path, metavar="FILE")
     recover.add_argument(
         "-o", "--out", type=Path, metavar="OUT", help="the new file (default: FILE with .recovered in it)"
     )
 
+
+def _watch(commands: Commands) -> None:
     watch = _command(commands, "watch", "listen to buses or to a recording, and never say anything")
     watch.add_argument(
         "what",
@@ -136,6 +154,8 @@ def parser() -> argparse.ArgumentParser:
     watch.add_argument("--data-bitrate", type=_rate, default=0, metavar="N", help="of it, if it is CAN FD")
     watch.add_argument("--baudrate", type=_rate, default=115_200, metavar="N", help="of serial:PORT")
 
+
+def _jog(commands: Commands) -> None:
     jog = _command(commands, "jog", "turn one motor slowly, as long as a key is held")
     jog.add_argument("motor", metavar="MOTOR", help="its name in the robot file")
     jog.add_argument("robot", nargs="?", default="bench", metavar="ROBOT", help="(default: bench, on twins)")
@@ -144,29 +164,34 @@ def parser() -> argparse.ArgumentParser:
         "--speed", type=_speed, metavar="RAD_PER_S", help="(default: 5 %% of the joint's limit of velocity)"
     )
 
+
+def _check(commands: Commands) -> None:
     check = _command(
         commands, "check", "read a robot file, and say what was understood, or every mistake in it"
     )
     _robot(check)
 
+
+def _protocols(commands: Commands) -> None:
     protocols = _command(commands, "protocols", "the installed device languages")
     protocols.add_argument("check", nargs="*", metavar="check NAME", help="run the contract over one of them")
 
+
+def _bench(commands: Commands) -> None:
     bench = _command(commands, "bench", "measure what this program costs here, beside what else there is")
     bench.add_argument("--json", type=Path, metavar="FILE", help="write the figures there, too")
     bench.add_argument("--quick", action="store_true", help="a few seconds, for rough figures")
 
+
+def _ask(commands: Commands) -> None:
     ask = _command(commands, "ask", "say something to a robot that is running, as on its terminal")
     _robot(ask)
     ask.add_argument(
         "line", nargs="+", metavar="LINE", help="goal 2 1 | drive 0.2 0 | stop | release | status | help …"
     )
-    return parser
 
 
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, text: str
-) -> argparse.ArgumentParser:
+def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
     command = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     command.add_argument("-v", "--verbose", action="count", default=0, help="more; twice: everything")
     command.add_argument("-q", "--quiet", action="count", default=0, help="less")
