@@ -251,6 +251,9 @@ def status_text(made: Session) -> str:
     for name, driver in gateway.tallies():
         lines.append(f"{name}: {driver.heard} messages heard, {driver.bad} bad, {driver.foreign} foreign")
     lines.append(f"ticks: {made.account.ticks}, {made.account.missed} missed")
+    if (recorder := made.recorder) is not None:
+        lost = f", {recorder.lost} ticks lost: {recorder.trouble}" if recorder.trouble else ""
+        lines.append(f"recording: {recorder.path}{lost}")
     return "\n".join(lines)
 
 

@@ -134,8 +134,7 @@ def goal_pose(types: Types, t: Nanos, goal: Goal) -> Message:
 def occupancy(types: Types, t: Nanos, view: MapView) -> Message:
     """nav_msgs/OccupancyGrid: percent, row by row from the lower left; -1 (unknown) where log-odds are 0."""
     rows, columns = view.log_odds.shape
-    odds = view.log_odds.astype(np.float64)
-    percent = np.rint(50.0 + 50.0 * np.tanh(0.5 * odds)).astype(np.int8)
+    percent = np.rint(50.0 + 50.0 * np.tanh(np.float32(0.5) * view.log_odds)).astype(np.int8)
     percent[view.log_odds == 0.0] = -1
     return types["nav_msgs/msg/OccupancyGrid"](
         header=header(types, t, WORLD),

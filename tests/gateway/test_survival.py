@@ -23,10 +23,12 @@ import pytest
 from gateway import config
 from gateway.buses.twin import open_world
 from gateway.clock import SimulatedClock
+from gateway.commands import status_text
 from gateway.gateway import Gateway
 from gateway.recording import Recorder, RecordingError, read, writer
 from gateway.recording.salvage import is_whole
 from gateway.run import live
+from gateway.session import session
 from protocols.words import SECOND, Velocity
 from tests.gateway import kills, little, rig
 from tests.gateway.test_recording import child, drained
@@ -351,3 +353,21 @@ def test_a_disk_that_loses_what_it_took_is_told(
         recorder._syncer._thread.join(10)
         assert not recorder._syncer._thread.is_alive()
     assert ("the disk says that it lost something" in recorder.trouble) == told
+
+
+def test_status_tells_where_it_is_recorded_and_what_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with session(config.loads(rig.BENCH), SimulatedClock(), record=path) as made:
+        for _ in made.ticks(SECOND):
+            pass
+        assert f"recording: {path}" in status_text(made).splitlines()
+        assert made.recorder is not None
+        drained(made.recorder)
+        on_a_disk(made.recorder).broken = errno.ENOSPC
+        for _ in made.ticks(2 * SECOND):
+            pass
+        drained(made.recorder)
+        lost = made.recorder.lost
+        assert lost > 100
+        line = status_text(made).splitlines()[-1]
+    assert line.startswith(f"recording: {path}, {lost} ticks lost: nothing can be recorded in")
