@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -38,9 +39,9 @@ def _kernel() -> None:
         pytest.fail(NO_CAN)
 
 
-@pytest.fixture
-def vcan() -> Iterator[Callable[[], str]]:
-    """A maker of new virtual CAN interfaces (CAN FD, mtu 72), up; all are deleted when the test ends."""
+@contextmanager
+def virtual() -> Iterator[Callable[[], str]]:
+    """A maker of new interfaces vcan0, vcan1 … (CAN FD, mtu 72), up; all are deleted at the end."""
     made: list[str] = []
 
     def make() -> str:
@@ -50,9 +51,56 @@ def vcan() -> Iterator[Callable[[], str]]:
         ip("link", "set", name, "mtu", "72", "up")
         return name
 
-    yield make
-    for name in made:
-        subprocess.run(["ip", "link", "delete", name], check=False)
+    try:
+        yield make
+    finally:
+        for name in made:
+            subprocess.run(["ip", "link", "delete", name], check=False)
+
+
+@contextmanager
+def two_controllers() -> Iterator[Callable[[int], tuple[str, str]]]:
+    """Brings up two controllers on one wire at a bit rate; they are down before and after."""
+    names = ("can0", "can1")
+
+    def bring_up(bitrate: int) -> tuple[str, str]:
+        for name in names:
+            ip("link", "set", name, "up", "type", "can", "bitrate", str(bitrate))
+        return names
+
+    try:
+        yield bring_up
+    finally:
+        for name in names:
+            ip("link", "set", name, "down")
+
+
+@contextmanager
+def wire(bitrate: int) -> Iterator[tuple[str, str]]:
+    """Two ends of one wire: of two controllers at that bit rate; with 0, of a virtual interface."""
+    if bitrate:
+        with two_controllers() as bring_up:
+            yield bring_up(bitrate)
+    else:
+        with virtual() as make:
+            name = make()
+            yield name, name
+
+
+WIRES = [
+    pytest.param(0, id="vcan0"),
+    *(
+        pytest.param(rate, id=f"{rate // 1000}k", marks=pytest.mark.controllers)
+        for rate in (500_000, 1_000_000)
+    ),
+]
+
+
+@pytest.fixture
+def vcan() -> Iterator[Callable[[], str]]:
+    """A maker of new virtual CAN interfaces, for one test."""
+    with virtual() as make:
+        yield make
 
 
 @pytest.fixture
@@ -63,14 +111,6 @@ def vcan0(vcan: Callable[[], str]) -> str:
 
 @pytest.fixture
 def controllers() -> Iterator[Callable[[int], tuple[str, str]]]:
-    """Brings up two controllers on one wire at a bit rate; they are down before and after."""
-    names = ("can0", "can1")
-
-    def bring_up(bitrate: int) -> tuple[str, str]:
-        for name in names:
-            ip("link", "set", name, "up", "type", "can", "bitrate", str(bitrate))
-        return names
-
-    yield bring_up
-    for name in names:
-        ip("link", "set", name, "down")
+    """Two controllers on one wire, `can0` and `can1`, once they are brought up at a bit rate."""
+    with two_controllers() as bring_up:
+        yield bring_up

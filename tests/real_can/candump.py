@@ -1,0 +1,53 @@
+"""What `candump` of can-utils sees, as frames."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from protocols.wire import CanFrame
+
+LINE = re.compile(r"\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#(R?)([0-9A-F]*)")
+"""A line of `candump -L`: (seconds) interface ID#DATA, or ID#R and perhaps the length asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A frame on an interface, at a moment of the system's clock."""
+
+    seconds: float
+    frame: CanFrame
+
+
+def parse(text: str) -> list[Seen]:
+    """Every classic frame of a `candump -L`. Raises ValueError at a line that is none."""
+    seen = []
+    for line in text.splitlines():
+        found = LINE.fullmatch(line)
+        if found is None:
+            raise ValueError(f"not a line of candump -L: {line!r}")
+        seconds, _interface, number, remote, data = found.groups()
+        content = b"" if remote else bytes.fromhex(data)
+        seen.append(Seen(float(seconds), CanFrame(int(number, 16), content, len(number) == 8, bool(remote))))
+    return seen
+
+
+@contextmanager
+def candump(interface: str, log: Path) -> Iterator[None]:
+    """While inside, all that is on the interface is written to a file."""
+    with (
+        log.open("w") as output,
+        subprocess.Popen(["candump", "-L", "-D", interface], stdout=output, stderr=subprocess.PIPE) as dump,
+    ):
+        yield
+        dump.terminate()
+
+
+def in_order(some: Sequence[CanFrame], frames: Sequence[CanFrame]) -> bool:
+    """Whether the first ones are among the others, in that order."""
+    rest = iter(frames)
+    return all(any(frame == one for frame in rest) for one in some)

@@ -1,0 +1,97 @@
+"""Commands of the gateway as processes of their own, started quickly where importing is slow.
+
+Rules. Each is a process with its own memory, signals and output; it is forked from a server that has the
+slow modules loaded (`multiprocessing`'s forkserver), and then does what `gateway WORDS…` does.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from multiprocessing import get_context
+from pathlib import Path
+from types import TracebackType
+
+from gateway.operator import OperatorError, ask
+
+PATIENCE = 60.0
+"""s of the clock that the processes live by."""
+LOADED = [
+    "filterpy.kalman",
+    "mujoco",
+    "protocols.odrive_can",
+    "protocols.plain",
+    *(f"gateway.{name}" for name in ("__main__", "commands", "session", "operator", "recording", "judge")),
+    *(f"gateway.{name}" for name in ("twin_process", "world.rover")),
+    *(f"gateway.buses.{name}" for name in ("can", "serial", "pty", "twin")),
+]
+
+_CONTEXT = get_context("forkserver")
+_CONTEXT.set_forkserver_preload(LOADED)
+
+
+def _become(words: tuple[str, ...], folder: Path, output: Path) -> None:
+    """Be the command, saying everything to a file."""
+    from gateway.__main__ import main
+
+    said = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(said, stream.fileno())
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a TextIOWrapper in a new process
+    os.environ["XDG_RUNTIME_DIR"] = str(folder)
+    sys.exit(main(list(words)))
+
+
+class Program:
+    """`gateway WORDS…`, running; ended with the block at the latest."""
+
+    def __init__(self, folder: Path, *words: str) -> None:
+        self.words = words
+        self._folder = folder
+        self._output = folder / f"{'-'.join(words[:2]).replace('/', '-')}-{time.monotonic_ns()}.txt"
+        self._process = _CONTEXT.Process(target=_become, args=(words, folder, self._output))
+
+    def __enter__(self) -> Program:
+        self._process.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._process.kill()
+        self._process.join()
+
+    @property
+    def text(self) -> str:
+        """What it has said so far."""
+        return self._output.read_text() if self._output.exists() else ""
+
+    def until(self, *texts: str, after: int = 0, patience: float = PATIENCE) -> int:
+        """Wait until it has said all of these, beyond so many characters; how many characters it has said."""
+        end = time.monotonic() + patience
+        while not all(text in self.text[after:] for text in texts):
+            if time.monotonic() > end or not self._process.is_alive():
+                missing = [text for text in texts if text not in self.text[after:]]
+                raise AssertionError(
+                    f"gateway {' '.join(self.words)}: not said: {missing}; said:\n{self.text}"
+                )
+            time.sleep(0.02)
+        return len(self.text)
+
+    def ask(self, robot: str, line: str) -> str:
+        """What it answers to a line, as `gateway ask` would say it."""
+        path = self._folder / "motor-gateway" / f"{robot}.sock"
+        try:
+            return ask(path, line, patience=PATIENCE)
+        except OperatorError as error:
+            raise AssertionError(f"{error}; said:\n{self.text}") from error
+
+    def end(self, number: signal.Signals | None = signal.SIGINT) -> int:
+        """Its exit status, after a signal unless it ends by itself."""
+        if number is not None and self._process.pid is not None:
+            os.kill(self._process.pid, number)
+        self._process.join(PATIENCE)
+        assert self._process.exitcode is not None, f"it does not end; said:\n{self.text}"
+        return self._process.exitcode
