@@ -44,8 +44,18 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"gateway {options.command}: {sentence}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output has gone: not our mistake, nothing to say to it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    finally:
+        _flush()
+
+
+def _flush() -> None:
+    """What is left to say, said; or dropped where nobody reads it any more (a pipe or terminal closed)."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def parser() -> argparse.ArgumentParser:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import json
 import os
 import re
 import subprocess
@@ -15,10 +14,10 @@ from typing import NamedTuple
 
 import pytest
 
-from gateway import config, journal
+from gateway import config
 from gateway.gateway import Gateway, ear_of
 from gateway.judge import Verdict, compare
-from gateway.recording import Recorder, Recording, Step, read
+from gateway.recording import Recording, Step, read
 from gateway.tick import Tick
 from protocols.wire import CanFrame, Packet
 from protocols.words import Feedback, Imu, LaserScan, State

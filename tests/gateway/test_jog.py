@@ -487,28 +487,23 @@ def test_the_command_on_a_terminal(end: str) -> None:
 
 def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it() -> None:
     """The devices are another process here, which lives on and says what became of them."""
-    twin = subprocess.Popen(
-        [sys.executable, "-m", "gateway", "twin", "bench", "-v"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    assert twin.stdout is not None
-    try:
-        port = next(text for line in twin.stdout if (text := line.partition("--bus ")[2].strip()))
-        terminal = Terminal("left", "bench", "--bus", port)
+    command = [sys.executable, "-m", "gateway", "twin", "bench", "-v"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as twin:
+        assert twin.stdout is not None
         try:
-            terminal.until("→ 1.00 rad/s | armed", keys=b"+")
-            os.close(terminal.other)
-            os.close(terminal.master)
-            assert terminal.process.wait(timeout=20) == 0
+            port = next(text for line in twin.stdout if (text := line.partition("--bus ")[2].strip()))
+            terminal = Terminal("left", "bench", "--bus", port)
+            try:
+                terminal.until("→ 1.00 rad/s | armed", keys=b"+")
+                os.close(terminal.other)
+                os.close(terminal.master)
+                assert terminal.process.wait(timeout=20) == 0
+            finally:
+                terminal.close()
+            twin.send_signal(signal.SIGTERM)
+            told, _ = twin.communicate(timeout=20)
         finally:
-            terminal.close()
-        twin.send_signal(signal.SIGTERM)
-        told, _ = twin.communicate(timeout=20)
-    finally:
-        twin.kill()
-        twin.wait()
+            twin.kill()
     assert "left: armed" in told, told
     assert "left: ready" in told.partition("left: armed")[2], told
 
