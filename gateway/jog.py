@@ -98,7 +98,7 @@ class Hand:
     def ask(self, now: Nanos, typed: bytes | None, blocked: bool) -> list[Asked]:
         """What is asked now; `typed`: what has come from the keys, None if there are none any more.
 
-        `blocked`: the joint will not move, since it is in fault or stopped."""
+        `blocked`: the joint will not move, since it is in fault, stopped, or not heard."""
         if typed is None:
             self.leaving, typed = True, b""
         keys, self._rest = parse(self._rest + typed)
@@ -133,8 +133,9 @@ def drive(made: Session, motor: str, typed: Callable[[], bytes | None], show: Ca
     hand = Hand(motor, joint.settings.limits.velocity)
 
     def ask() -> Sequence[Asked]:
-        blocked = bool(joint.faults or made.gateway.why_stopped())
-        return hand.ask(made.clock.now(), typed(), blocked)
+        now = made.clock.now()
+        blocked = bool(joint.faults or made.gateway.why_stopped()) or joint.blind(now)
+        return hand.ask(now, typed(), blocked)
 
     shown: Nanos | None = None
     with closing(made.ticks(ask=ask)) as ticks:
