@@ -43,11 +43,7 @@ def candump(interface: str, log: Path) -> Iterator[None]:
         log.open("w") as output,
         subprocess.Popen(["candump", "-L", "-D", interface], stdout=output, stderr=subprocess.PIPE) as dump,
     ):
-        yield
-        dump.terminate()
-
-
-def in_order(some: Sequence[CanFrame], frames: Sequence[CanFrame]) -> bool:
-    """Whether the first ones are among the others, in that order."""
-    rest = iter(frames)
-    return all(any(frame == one for frame in rest) for one in some)
+        try:
+            yield
+        finally:
+            dump.terminate()

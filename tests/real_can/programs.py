@@ -16,7 +16,7 @@ from types import TracebackType
 
 from gateway.operator import OperatorError, ask
 
-PATIENCE = 60.0
+PATIENCE = 12.0
 """s of the clock that the processes live by."""
 LOADED = [
     "filterpy.kalman",

@@ -1,0 +1,101 @@
+"""A drive on a real CAN with trouble on the wire: the interface goes down and comes up; others flood it."""
+
+from __future__ import annotations
+
+import re
+import struct
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from protocols.wire import CanFrame
+from tests.real_can.candump import candump, parse
+from tests.real_can.conftest import ip, wire
+from tests.real_can.rover import rover
+
+AXIS_STATE, VELOCITY, IDLE = 0x07, 0x0D, 1
+"""Messages of an ODrive (Set_Axis_State, Set_Input_Vel), and the state that lets go."""
+NODES = (1, 2)
+
+
+def to(node: int, message: int) -> int:
+    return node << 5 | message
+
+
+@pytest.mark.parametrize("bitrate", [0, pytest.param(1_000_000, marks=pytest.mark.controllers)])
+def test_interface_goes_down_and_comes_back_while_driving(bitrate: int, tmp_path: Path) -> None:
+    log = tmp_path / "candump.log"
+    with (
+        wire(bitrate) as ends,
+        candump(ends[1], log),
+        rover(tmp_path, bitrate, ends, "--goal", "1.4,0") as (run, twin),
+    ):
+        run.until("left: armed", "right: armed")
+        time.sleep(0.8)
+        mark = len(run.text)
+        ip("link", "set", ends[0], "down")
+        mark = run.until("can0: has vanished", "left: fault: ", "right: fault: ", after=mark)
+        ip("link", "set", ends[0], "up")
+        up = time.time()
+        mark = run.until("can0: is back", "left: ready", "right: ready", after=mark)
+        time.sleep(0.3)
+        assert "fault: " in run.ask("rover", "status")
+        cleared = time.time()
+        run.ask("rover", "clear")
+        mark = run.until("left: ClearFault: done", "right: ClearFault: done", "brain: ready", after=mark)
+        run.ask("rover", "goal 0.9 0")
+        run.until("reached", after=mark)
+        assert run.end() == 0, run.text
+        twin.end()
+        print(run.text, twin.text)
+    between = [one.frame for one in parse(log.read_text()) if up <= one.seconds <= cleared]
+    assert_safe(between)
+
+
+def assert_safe(frames: list[CanFrame]) -> None:
+    """Both motors were told to let go, and none to turn."""
+    for node in NODES:
+        states = {f.data[:4] for f in frames if f.id == to(node, AXIS_STATE) and not f.remote}
+        assert states == {struct.pack("<I", IDLE)}
+        speeds = [struct.unpack("<ff", f.data)[0] for f in frames if f.id == to(node, VELOCITY)]
+        assert all(speed == 0.0 for speed in speeds), speeds
+
+
+@contextmanager
+def flood(interface: str) -> Iterator[None]:
+    """While inside, other nodes talk: another ODrive's messages, extended ids, requests, CAN FD, bursts."""
+    others = [
+        "-g4 -I105 -L8 -Dr",
+        "-g8 -e -I1ABCDEF0",
+        "-g8 -R -I2A7",
+        "-g20 -f -I305 -L64",
+        "-g300 -c100 -I4F1",
+    ]
+    with ExitStack() as stack:
+        for other in others:
+            talker = stack.enter_context(subprocess.Popen(["cangen", interface, "-i", *other.split()]))
+            stack.callback(talker.terminate)
+        yield
+
+
+def test_flood_of_foreign_frames_disturbs_nothing(tmp_path: Path) -> None:
+    with wire(0) as ends, rover(tmp_path, 0, ends, "--goal", "0.6,0") as (run, twin):
+        run.until("rover runs")
+        with flood(ends[0]):
+            run.until("goal 1 reached", patience=30.0)
+            said = run.ask("rover", "status")
+        status = run.end()
+        twin.end()
+        print(run.text, twin.text, said)
+    assert status == 0, run.text
+    counted = re.search(r"can0: (\d+) messages heard, (\d+) bad, (\d+) foreign", said)
+    assert counted is not None, said
+    heard, bad, foreign = map(int, counted.groups())
+    assert heard > 100
+    assert bad == 0
+    assert foreign > 300
+    assert "fault" not in run.text
