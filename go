@@ -2,7 +2,8 @@
 """Set-up and every command of motor-gateway.
 
     ./go demo [...]    drive the demo robot through its office
-    ./go test [...]    every check: lint, format, types, layers, tests; what follows is handed to pytest
+    ./go test          every check: lint, format, types, layers, tests, and those on a real CAN
+    ./go test ...      the same without the real CAN; what follows is handed to pytest
     ./go prove [...]   the long campaigns; what follows is handed to pytest
     ./go lock [...]    make requirements.lock anew (needs uv and a network); what follows is handed to uv
     ./go WORD [...]    run, replay, check, protocols ...: handed to the `gateway` command
@@ -16,6 +17,7 @@ Python says what is missing instead of a traceback. ASCII only, for terminals wi
 import fcntl
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -30,6 +32,7 @@ PROJECT = ROOT / "pyproject.toml"
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 STAMP = VENV / "set-up-from"
+ABSENT = VENV / "not-run"
 
 OLDEST = (3, 11)
 NEWEST = (3, 13)
@@ -58,6 +61,11 @@ TOOLS = (
     ("import-linter", ["-c", "from importlinter.cli import lint_imports_command as run; run()"]),
 )
 PYTEST = ["-m", "pytest", "-n", "2", "--dist", "loadfile"]
+
+REAL_CAN = ["-m", "tests.real_can"]
+"""The tests of a real CAN; what of them could not run, and why, they write to the file that is named next."""
+REQUIRE = "MOTOR_GATEWAY_REQUIRE"
+"""Names of what must not be left out, in words: "real-can" (and "data", see tests/data)."""
 
 
 class Missing(Exception):
@@ -264,16 +272,25 @@ def python_here(arguments: Sequence[str]) -> int:
 
 
 def test(arguments: Sequence[str]) -> int:
-    """Every check, also after one has failed. Returns 0 only if all passed."""
+    """Every check, also after one has failed. Returns 0 only if all passed, and what is required ran."""
+    checks = [*TOOLS, ("pytest", [*PYTEST, *arguments])]
+    required = "real-can" in re.split(r"[,\s]+", os.environ.get(REQUIRE, ""))
+    if not arguments or required:
+        checks.append(("real CAN", [*REAL_CAN, str(ABSENT)]))
+    if ABSENT.exists():
+        ABSENT.unlink()
     summary = []
     failed = False
-    for name, command in (*TOOLS, ("pytest", [*PYTEST, *arguments])):
+    for name, command in checks:
         print("== " + name, flush=True)
         began = time.monotonic()
         status = python_here(command)
         failed = failed or status != 0
         said = "ok" if status == 0 else "FAILED (exit status %d)" % status
         summary.append("   %-14s %6.1f s  %s" % (name, time.monotonic() - began, said))
+    for line in ABSENT.read_text().splitlines() if ABSENT.exists() else ():
+        failed = failed or required
+        summary.append("!! NOT RUN: real CAN: " + line + (" (it is required)" if required else ""))
     print("\n".join(["== ./go test", *summary]), flush=True)
     return 1 if failed else 0
 

@@ -317,6 +317,44 @@ def test_every_check_runs_also_after_one_has_failed(clone: Clone) -> None:
         assert line.endswith("FAILED (exit status 1)")  # none of them is installed in this small project
 
 
+TIER = """
+import sys
+print("the tier ran")
+if {absent!r}:
+    open(sys.argv[1], "w").write({absent!r})
+"""
+
+
+def test_what_could_not_run_is_told_at_the_end_and_may_be_required(clone: Clone) -> None:
+    tier = clone.root / "tests/real_can/__main__.py"
+    tier.parent.mkdir(parents=True)
+    tier.write_text(TIER.format(absent="none of its tests: no kernel\n"))
+    done = clone.go("test")
+    assert "the tier ran" in done.stdout
+    assert done.stdout.endswith("!! NOT RUN: real CAN: none of its tests: no kernel\n")
+    required = clone.go("test", MOTOR_GATEWAY_REQUIRE="data, real-can")
+    assert required.stdout.endswith("!! NOT RUN: real CAN: none of its tests: no kernel (it is required)\n")
+    tier.write_text(TIER.format(absent=""))
+    done = clone.go("test")
+    assert "real CAN" in done.stdout
+    assert "NOT RUN" not in done.stdout
+    assert "the tier ran" not in clone.go("test", "-k", "x").stdout
+    assert "the tier ran" in clone.go("test", "-k", "x", MOTOR_GATEWAY_REQUIRE="real-can").stdout
+
+
+@pytest.mark.parametrize(
+    ("required", "status"), [("", 0), ("data", 0), ("real-can", 1), ("data real-can", 1)]
+)
+def test_what_is_required_and_did_not_run_is_a_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, required: str, status: int
+) -> None:
+    absent = tmp_path / "not-run"
+    monkeypatch.setattr(go, "ABSENT", absent)
+    monkeypatch.setattr(go, "python_here", lambda command: absent.write_text("no kernel\n") and 0)
+    monkeypatch.setenv("MOTOR_GATEWAY_REQUIRE", required)
+    assert go.test([]) == status
+
+
 def test_old_python_alone_is_told_in_one_line(tmp_path: Path) -> None:
     clone = Clone(tmp_path / "old")
     newer = (

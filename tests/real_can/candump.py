@@ -47,3 +47,9 @@ def candump(interface: str, log: Path) -> Iterator[None]:
             yield
         finally:
             dump.terminate()
+
+
+def in_order(some: Sequence[CanFrame], frames: Sequence[CanFrame]) -> bool:
+    """Whether the first ones are among the others, in that order."""
+    rest = iter(frames)
+    return all(any(frame == one for frame in rest) for one in some)

@@ -86,7 +86,7 @@ def run(parts: Parts, job: Sequence[str], limit: float = TIME_LIMIT) -> int:
         status = share / "status"
         told = status.read_text().strip() if status.exists() else ""
     print(f"machine: {time.monotonic() - began:.0f} s in all", flush=True)
-    if told.isdigit():
+    if told.isdigit() and not reason:
         return int(told)
     print(f"machine: FAILED: {reason or 'it ended without a result'}", flush=True)
     return 1
