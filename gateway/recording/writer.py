@@ -142,8 +142,9 @@ class Recorder:
             self._look.clear()
             closing = self._closing  # read before the last look: nothing is handed over after it
             while self._waiting:
-                tick, belief, rejected = self._waiting.popleft()
+                tick, belief, rejected = self._waiting[0]
                 self._tell(self._sheet.add(tick, replace(belief, rejected=rejected)))
+                self._waiting.popleft()  # only now: until it is in the sheet, it waits
                 self._room.set()
             self._tell(self._sheet.flush())
         self._tell(self._sheet.finish())
