@@ -14,8 +14,8 @@ A third party's distribution is found by one line in its pyproject.toml:
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, Protocol
@@ -86,6 +86,18 @@ class Watchdog:
 
 
 @dataclass(frozen=True, slots=True)
+class Complaint:
+    """What a device says is wrong with it, as a person should read it."""
+
+    name: str
+    """In the vendor's words."""
+    cause: str
+    """The likely cause."""
+    cure: str
+    """What to do."""
+
+
+@dataclass(frozen=True, slots=True)
 class Spec:
     """The contract of one device: the one source for joint, guard, doctor and conformance kit."""
 
@@ -112,6 +124,8 @@ class Spec:
     """Whether the device keeps its load after Hold as the last word, with nobody feeding it."""
     stop_clears_faults: bool
     """Whether disarming clears the device's own faults (then a joint must remember them)."""
+    faults: Mapping[int, Complaint] = field(default_factory=dict)
+    """By code (`Fault.code`): everything that the device may complain of, as its driver tells it."""
     overhears: tuple[tuple[int, int], ...] = ()
     """What the driver understands of any device, named in the robot file or not (answers to a scan,
     devices with an address that is held twice): CAN ids as (id, mask), whose masked bits are these."""
@@ -168,6 +182,16 @@ class Twin(Protocol):
         """When the device next has something to say by itself."""
         ...
 
+    def provoke(self, code: int) -> None:
+        """The firmware trips this fault of `Spec.faults` now, as if it had found it by itself.
+
+        For rehearsals: no wire leads here. ValueError if the device has no such fault."""
+        ...
+
+
+def _unnamed(_: Wire) -> Sequence[str]:
+    return ()
+
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
@@ -188,6 +212,12 @@ class Plugin:
     ear: Callable[[Sequence[Device]], Ear]
     twin: Callable[[Device, int], Twin]
     """From the device and a seed."""
+    messages: Callable[[Wire], Sequence[str]] = _unnamed
+    """The names, in the vendor's words, of the messages to a device that a wire holds; () if none.
+    Messages of one name differ in their values only: an independent vector of it speaks for all."""
+    vectors: tuple[str, str] | None = None
+    """Bytes from an independent source: a package and the path of a JSON file in it (protocols.vectors).
+    None: there are none, and then the contract accepts no message that moves a motor."""
 
 
 @dataclass(frozen=True, slots=True)
