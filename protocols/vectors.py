@@ -35,7 +35,7 @@ class Vector:
 
 
 def vectors_of(plugin: Plugin) -> tuple[Vector, ...]:
-    """The vectors that a plugin brings. OSError, ValueError or KeyError if its file is missing or ill-formed."""
+    """What a plugin brings. OSError, ValueError or KeyError if its file is missing or ill-formed."""
     if plugin.vectors is None:
         return ()
     package, path = plugin.vectors
