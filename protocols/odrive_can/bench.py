@@ -2,6 +2,8 @@
 
 Rules. Data and calls only: nothing here is used by the robot. Everybody starts from plain values, or from a
 frame. Bare `struct` knows its message beforehand, checks nothing and makes no frame: it is the floor.
+cantools does what its documentation shows first, `encode_message` and `decode_message` with the checks it
+makes by default.
 
 Source of names and identifiers: the DBC of package odrive-can 2.1.0.
 """
@@ -10,15 +12,24 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
+from importlib.resources import files
+from typing import Any
 
 from protocols.odrive_can.codec import decode_from_device, encode
 from protocols.odrive_can.messages import SetInputPos, SetInputVel
 from protocols.wire import CanFrame
 
+RIVAL = ("cantools", "cantools", "cantools on the vendor's DBC")
 DBC = ("odrive_can", "dbc/odrive-cansimple-0.6.10.dbc")
 """Package and file in it."""
 NODE = 3
+
+
+def prepared(cantools: Any) -> Any:  # noqa: ANN401 -- cantools has no types
+    """The vendor's messages, as cantools has them."""
+    package, file = DBC
+    return cantools.database.load_string((files(package) / file).read_text("utf-8"), "dbc")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +45,20 @@ class Sample:
     """Of its frame: what encoding must give, what is decoded."""
     values: dict[str, float] = field(default_factory=dict)
     """By the DBC's names, to be encoded; {}: it is decoded"""
+
+    def theirs(self, known: Any) -> Callable[[], object]:  # noqa: ANN401 -- cantools has no types
+        """What cantools does for it."""
+        number, data, values = self.id, self.data, self.values
+        if not values:
+            return lambda: known.decode_message(number, data)
+        return lambda: known.encode_message(number, dict(values))
+
+    def alike(self, ours: Any, theirs: Any, struct: Any) -> bool:  # noqa: ANN401 -- a frame, or fields
+        """Encoding gives the same bytes, decoding the same fields in order."""
+        if self.values:
+            return bool(theirs == struct == ours.data == self.data and ours.id == self.id)
+        fields = list(astuple(ours))
+        return fields == [getattr(value, "value", value) for value in theirs.values()] == list(struct)
 
 
 _PAIR, _POSITION, _BEAT = struct.Struct("<ff"), struct.Struct("<fhh"), struct.Struct("<IBBBx")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ MEMORIES = [
     "gateway run diffbot --fast --seconds 10",
 ]
 STEPS = ["2 motors, velocity", "12 motors, velocity", "12 motors, position"]
+LANGUAGES = codec.languages()
 TARGETS = {
     "gateway --help",
     "gateway run bench: first frame out",
@@ -43,7 +44,7 @@ TARGETS = {
     "12 motors, velocity",
     "12 motors, position",
     "processor time of both",
-    *(sample.what for sample in samples.SAMPLES),
+    *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
 }
 
 
@@ -80,7 +81,7 @@ def test_every_row_is_there_once_and_in_order(run: Run) -> None:
         *STARTS,
         *MEMORIES,
         *STEPS,
-        *(sample.what for sample in samples.SAMPLES),
+        *(sample.what for _, language in LANGUAGES for sample in language.SAMPLES),
         "speeds from the encoders of both wheels",
         "480 × 480 cells of 0.05 m, beams of up to 12 m",
         "200 × 200 cells",
@@ -258,26 +259,29 @@ def test_a_document_is_json() -> None:
 # -- rivals do the same work ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sample", samples.SAMPLES, ids=lambda sample: sample.what)
-def test_all_sides_of_a_sample_come_to_the_same(sample: samples.Sample) -> None:
-    known = codec.database(samples_module())
+@pytest.mark.parametrize(
+    ("language", "sample"),
+    [(language, sample) for _, language in LANGUAGES for sample in language.SAMPLES],
+    ids=[f"{name}-{sample.what}" for name, language in LANGUAGES for sample in language.SAMPLES],
+)
+def test_all_sides_of_a_sample_come_to_the_same(language: codec.Language, sample: codec.Sample) -> None:
+    known = codec.opened(language)
     assert not known.why_not
-    theirs, bare = codec.theirs(sample, known.module)(), sample.struct()
-    ours: Any = sample.ours()
-    if sample.values:
-        assert isinstance(ours, CanFrame)
-        assert theirs == bare == ours.data == sample.data
-        assert ours.id == sample.id
-    else:
-        fields = list(astuple(ours))
-        assert isinstance(theirs, dict)
-        assert isinstance(bare, tuple)
-        assert fields == [getattr(value, "value", value) for value in theirs.values()] == list(bare)
+    call = codec.theirs(sample, known.module)
+    assert sample.alike(sample.ours(), call(), sample.struct())
+    assert sample.alike(sample.ours(), call(), sample.struct()), "a second time, as when measured"
 
 
-def samples_module() -> Any:
-    (found,) = [module for name, module in codec.languages() if module is samples]
-    return found
+def test_a_sample_tells_bytes_and_fields_apart() -> None:
+    velocity, _, estimates, _ = samples.SAMPLES
+    frame, good = velocity.ours(), velocity.data
+    assert isinstance(frame, CanFrame)
+    assert velocity.alike(frame, good, good)
+    for wrong in ((replace(frame, id=1), good, good), (frame, b"", good), (frame, good, b"")):
+        assert not velocity.alike(*wrong)
+    assert estimates.alike(estimates.ours(), {"a": 1.25, "b": -0.5}, (1.25, -0.5))
+    assert not estimates.alike(estimates.ours(), {"a": 1.25, "b": 0.5}, (1.25, -0.5))
+    assert not estimates.alike(estimates.ours(), {"a": 1.25, "b": -0.5}, (1.25, 0.5))
 
 
 def test_a_sample_on_which_they_differ_is_not_measured() -> None:
@@ -290,9 +294,11 @@ def test_a_sample_on_which_they_differ_is_not_measured() -> None:
 
 
 def test_without_its_package_a_dbc_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    (language,) = [found for name, found in LANGUAGES if name == "odrive_can"]
+    monkeypatch.setattr(codec, "languages", lambda: [("odrive_can", language)])
     monkeypatch.setattr(samples, "DBC", ("no_such_package", "x.dbc"))
-    found = codec.database(samples_module())
-    assert (found.module, found.why_not) == (None, "no_such_package, which has the DBC, is not installed")
+    found = codec.opened(language)
+    assert (found.module, found.why_not) == (None, "no_such_package is not installed")
     monkeypatch.setattr(codec, "rival", lambda *_: Rival("cantools", None, "cantools is not installed"))
     assert {
         (row.beside[0].what, row.beside[0].not_run, row.beside[1].what)
