@@ -4,6 +4,8 @@ Rules. Perception hears every event at every step, planning does a bounded amoun
 is due by `now`. What may be driven is a share of the body's limits: all of it while all is well, some while
 something is late, none while something is missing. None means braking within the acceleration limits, not
 letting go; only a stop from above, or standing still with nothing to do, lets the motors go (Idle).
+Motors that are no wheels are joints that the base carries (a mast, a lift): an operator's targets are theirs
+(`brain.joint_targets`), whatever the base does.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from brain.condition import Condition
 from brain.control.profile import REST, Twist, approach
 from brain.control.pursuit import Bounds, Pursuit
 from brain.health import Health, Level, Verdict
+from brain.joint_targets import JointTargets
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception
 from brain.planning.mission import Mission, Remark
@@ -58,6 +61,8 @@ class Driving:
         self.pursuit = Pursuit()
         self._health = Health((body.left, body.right), tuple(sensors), timeouts, settings.health)
         self._condition = Condition()
+        carried = [motor for motor in motors if motor not in (body.left, body.right)]
+        self._carried = JointTargets(carried, timeouts, settings.health, self._condition)
         self._twist = REST
         self._followed = 0
         """Version of the path that pursuit has taken up."""
@@ -72,13 +77,35 @@ class Driving:
         """Go on with other settings."""
         self._settings = settings
         self._body = settings.differential or self._body
-        self._health.settings = settings.health
+        self._health.settings = self._carried.health.settings = settings.health
         self.mission.settings, self.mission.radius = settings.planner, self._body.radius
 
     def step(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
     ) -> Sequence[Command]:
         """One command per motor."""
+        carried = self._carry(now, events, tasks, stopped)
+        wheels = self._roll(now, events, [t for t in tasks if not self._is_for_carried(t)], stopped)
+        return [carried.get(word.motor, word) for word in wheels]
+
+    def _is_for_carried(self, task: Goal | Drive | Command) -> bool:
+        return not isinstance(task, Goal | Drive) and task.motor in self._carried.motors
+
+    def _carry(
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+    ) -> dict[str, Command]:
+        """One command for each joint that the base carries."""
+        self._carried.hear(events)
+        for task in tasks:
+            if not isinstance(task, Goal | Drive) and task.motor in self._carried.motors:
+                self._carried.ask(now, task, stopped)
+        self._carried.end(now, stopped)
+        return {word.motor: word for word in self._carried.commands()}
+
+    def _roll(
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+    ) -> Sequence[Command]:
+        """The wheels' commands; Idle for the others."""
         self.perception.hear(now, events)
         self._health.hear(events)
         verdict = self._health.judge(now, self.perception.rejected)
@@ -131,7 +158,7 @@ class Driving:
     def _ask(self, now: Nanos, tasks: Sequence[Goal | Drive | Command], lost: str, waiting: str) -> None:
         for task in tasks:
             if not isinstance(task, Goal | Drive):
-                why = f"{task.motor} is a wheel or part of a base: ask for a goal, or drive"
+                why = f"{task.motor} is a wheel of a base: ask for a goal, or drive"
             elif not all(map(isfinite, _numbers(task))):
                 why = f"{task} is not finite"
             elif waiting and isinstance(task, Drive):

@@ -143,11 +143,12 @@ def _too_fast(robot: Robot) -> list[str]:
 def _always_late(robot: Robot) -> list[str]:
     """Motors that report so seldom that the brain finds every report too old before the next."""
     body, health = robot.brain.differential, robot.brain.health
-    names, what, share = list(robot.motors), "its target is dropped", health.stand_age
-    if robot.brain.body == "differential" and body is not None:
-        names, what, share = [body.left, body.right], "the base goes slow", health.slow_age
+    wheels = (body.left, body.right) if robot.brain.body == "differential" and body is not None else ()
     told: list[str] = []
-    for motor in (robot.motors[name] for name in names):
+    for motor in robot.motors.values():
+        what, share = "its target is dropped", health.stand_age
+        if motor.name in wheels:
+            what, share = "the base goes slow", health.slow_age
         limit, period = round(share * motor.joint.feedback_timeout), motor.spec.feedback_period
         if motor.spec.feedback is not FeedbackKind.NONE and limit <= period:
             told.append(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from brain.belief import Pose
-from gateway.world.files import STEP, BenchFile, ShaftFile
+from gateway.world.files import STEP, BenchFile, SceneFile, ShaftFile
 from protocols.words import seconds
 
 DT = seconds(STEP)
@@ -53,8 +53,11 @@ class Shaft:
 class Bench:
     """A plant of independent shafts, one for each motor."""
 
-    def __init__(self, file: BenchFile, motors: Iterable[str]) -> None:
+    def __init__(self, file: BenchFile | SceneFile, motors: Iterable[str]) -> None:
         self._shafts = {name: Shaft(file.shafts.get(name, file.shaft)) for name in motors}
+
+    def __contains__(self, motor: str) -> bool:
+        return motor in self._shafts
 
     def step(self, torques: Mapping[str, float]) -> None:
         """One step of the world; a motor that is not named gives no torque."""

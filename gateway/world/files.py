@@ -218,6 +218,10 @@ class SceneFile:
     lidars: dict[str, Lidar] = field(default_factory=dict)
     """By the sensor's name in the robot file, which says where it is mounted; so are `imus`."""
     imus: dict[str, InertialUnit] = field(default_factory=dict)
+    shaft: ShaftFile = field(default_factory=ShaftFile)
+    """For every motor of the robot that turns no wheel and that `shafts` does not name: a joint that the
+    base carries. It turns by itself and does not push the base."""
+    shafts: dict[str, ShaftFile] = field(default_factory=dict)
     walls: dict[str, Wall] = field(default_factory=dict)
     boxes: dict[str, Box] = field(default_factory=dict)
     tour: tuple[tuple[float, float], ...] = ()

@@ -74,12 +74,16 @@ class World:
         self._readings: list[Reading] = []
         self._steps = 0
         self._rover: Rover | None = None
+        self._carried = Bench(file, ())
+        """The joints that a base carries."""
         self._plant: Plant
         if isinstance(file, BenchFile):
             self._plant = Bench(file, robot.motors)
             return
         mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
         self._plant = self._rover = Rover(file, {n: m for n, m in mounts.items() if n in file.imus}, seed)
+        wheels = (file.body.left.motor, file.body.right.motor)
+        self._carried = Bench(file, [name for name in robot.motors if name not in wheels])
         self._sensors = [_sensor(name, file, mount, seed) for name, mount in mounts.items()]
 
     def step(self, torques: Mapping[str, float]) -> None:
@@ -90,6 +94,7 @@ class World:
             if not math.isfinite(torque):
                 raise ValueError(f"the torque of {motor!r} is {torque}; expected a finite number")
         self._plant.step(torques)
+        self._carried.step(torques)
         if self._rover is not None:
             self._measure(self._rover)
         self.now += STEP
@@ -103,7 +108,7 @@ class World:
 
     def shaft(self, motor: str) -> tuple[float, float]:
         """rad, rad/s at the output shaft: what the encoder's disc does, turned through the gear."""
-        return self._plant.shaft(motor)
+        return (self._carried if motor in self._carried else self._plant).shaft(motor)
 
     def readings(self) -> Sequence[Reading]:
         """New since the last call, in order of time, with the world's noise."""
@@ -142,19 +147,21 @@ def _sensor(name: str, file: SceneFile, mount: Mount, seed: int) -> ImuSensor | 
 
 
 def _check(file: WorldFile, robot: Robot) -> None:
-    """Every motor and sensor of the robot is in the world, and every shaft of the world has a motor."""
-    shafts: Sequence[str] = tuple(robot.motors)
+    """Every sensor of the robot is in the world, and every wheel and named shaft of the world has a motor."""
     sensors: Sequence[str] = ()
-    named: Sequence[str] = ()
-    if isinstance(file, BenchFile):
-        named = tuple(file.shafts)
-    else:
-        named = shafts = (file.body.left.motor, file.body.right.motor)
+    named: Sequence[str] = tuple(file.shafts)
+    wheels: Sequence[str] = ()
+    driven = robot.brain.differential
+    if not isinstance(file, BenchFile):
+        wheels = (file.body.left.motor, file.body.right.motor)
+        named = (*wheels, *named)
         sensors = (*file.lidars, *file.imus)
     wrong = [
         unknown("motor", name, robot.motors) + " in the robot" for name in named if name not in robot.motors
     ]
-    wrong += [unknown("shaft", name, shafts) + " to turn" for name in robot.motors if name not in shafts]
+    if wheels and driven is not None:
+        asked = (driven.left, driven.right)
+        wrong += [unknown("wheel", name, wheels) + " to turn" for name in asked if name not in wheels]
     wrong += [unknown("sensor", name, sensors) + " in it" for name in robot.sensors if name not in sensors]
     if wrong:
         raise complaint(f"world {file.name!r} with robot {robot.name!r}", wrong)

@@ -34,7 +34,7 @@ from protocols.words import (
     Torque,
     Velocity,
 )
-from tests.brain.helpers import BODY, ROOMS, TIMEOUTS, Noise, Office, Trip
+from tests.brain.helpers import BODY, MOUNTS, ROOMS, TICK, TIMEOUTS, Noise, Office, Trip
 
 NEXT_ROOM = Goal(4.5, -1.0)
 ACROSS = Goal(-1.0, 3.0)
@@ -331,9 +331,46 @@ def test_a_command_to_a_wheel_is_refused() -> None:
     trip.tick([Velocity("left", 3.0)])
     assert trip.notes[-1] == (
         "warning",
-        "Velocity refused: left is a wheel or part of a base: ask for a goal, or drive",
+        "Velocity refused: left is a wheel of a base: ask for a goal, or drive",
     )
     assert all_idle(trip.commands)
+
+
+def carrier() -> Brain:
+    """A base with a mast."""
+    settings = BrainSettings(body="differential", differential=BODY)
+    return Brain(settings, ("left", "mast", "right"), MOUNTS, {**TIMEOUTS, "mast": 100 * MILLISECOND})
+
+
+def test_a_joint_that_the_base_carries_has_targets_of_its_own() -> None:
+    office, brain = Office(), carrier()
+    told = Feedback("mast", office.now, 0.0, 0.0)
+    there = Position("mast", 0.5)
+    steps: list[tuple[list[Command | Drive], Command]] = [([], Idle("mast")), ([there], there), ([], there)]
+    steps.append(([Drive(0.2, 0.0)], there))
+    for asked, wanted in steps:
+        told = replace(told, t=office.now + TICK)
+        commands = brain.step(office.now + TICK, [*office.step([]), told], asked, "")
+        assert [command.motor for command in commands] == ["left", "mast", "right"]
+        assert commands[1] == wanted
+    assert list(brain.step(office.now, office.step([]), [], "by hand")) == [
+        Idle("left"),
+        Idle("mast"),
+        Idle("right"),
+    ]
+
+
+def test_a_joint_that_the_base_carries_loses_its_target_by_silence_and_the_base_goes_on() -> None:
+    office, brain = Office(), carrier()
+    heard = [*office.step([]), Feedback("mast", office.now, 0.0, 0.0)]
+    commands = brain.step(office.now, heard, [Velocity("mast", 1.0)], "")
+    assert commands[1] == Velocity("mast", 1.0)
+    for _ in range(20):
+        commands = brain.step(office.now, office.step([]), [], "")
+    assert commands[1] == Idle("mast")
+    dropped = "the target of mast is dropped: mast: no feedback for more than 90 ms"
+    assert ("error", dropped) in brain.take_notes()
+    assert brain.belief().state is BrainState.READY
 
 
 def test_what_is_not_finite_is_refused() -> None:

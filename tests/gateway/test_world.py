@@ -12,11 +12,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gateway.config import loads
 from gateway.world.world import SceneFile, World, WorldError, load_world
 from protocols.words import MILLISECOND, LaserScan
-from tests.gateway.world_helpers import ROOM, WALLS, Driver, robot, scene, turned, world
+from tests.gateway.world_helpers import BASE, ROOM, WALLS, Driver, robot, scene, turned, world
 
 OFFICE = load_world("office")
+OUTDOORS = """
+kind = "scene"
+name = "outdoors"
+[body]
+left = { motor = "left" }
+right = { motor = "right" }
+"""
 
 
 # -- motion ------------------------------------------------------------------------------------------
@@ -308,13 +316,25 @@ def test_mujoco_comes_late_and_no_graphics_at_all() -> None:
     assert (done.stdout.strip(), done.stderr) == ("[]", "")
 
 
+def test_a_motor_that_turns_no_wheel_turns_a_shaft_that_the_base_carries() -> None:
+    text = BASE.format(world="").replace("[brain]\n", "[motors.mast]\naddress = 3\n\n[brain]\n")
+    free = "[shafts.mast]\ninertia = 0.01\ndamping = 0.0\nfriction = 0.0\n"
+    carrying = World(scene(OUTDOORS + free), loads(text), 1)
+    bare = World(scene(OUTDOORS), loads(BASE.format(world="")), 1)
+    for _ in range(500):
+        carrying.step({"left": 0.2, "right": 0.2, "mast": 0.1})
+        bare.step({"left": 0.2, "right": 0.2})
+    assert carrying.shaft("mast") == pytest.approx((1.25, 5.0), rel=3e-3)
+    assert carrying.truth() == bare.truth()
+
+
 def test_a_robot_that_does_not_fit_is_told_all_at_once() -> None:
     text = ROOM.replace('motor = "left"', 'motor = "port"').replace("[imus.imu]", "[imus.imo]")
     with pytest.raises(WorldError) as caught:
         world(scene(text))
     told = str(caught.value)
     assert len(caught.value.mistakes) == 3
-    for part in ("no motor 'port'", "no shaft 'left'", "no sensor 'imu'", "did you mean 'imo'?"):
+    for part in ("no motor 'port'", "no wheel 'left'", "no sensor 'imu'", "did you mean 'imo'?"):
         assert part in told
 
 
