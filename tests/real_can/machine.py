@@ -254,7 +254,7 @@ def _qemu(parts: Parts, initramfs: Path, share: Path) -> list[str]:
         "-icount", "shift=0,sleep=off", "-m", f"{MEMORY},slots=1,maxmem=16G",
         "-nodefaults", "-display", "none", "-serial", "stdio", "-no-reboot",
         "-kernel", str(parts.tree / f"boot/vmlinuz-{parts.version}"), "-initrd", str(initramfs),
-        "-append", "console=ttyS0 quiet panic=-1",
+        "-append", "console=ttyS0 quiet panic=-1 mitigations=off highres=off",
         "-virtfs", f"local,path=/,mount_tag=host,readonly=on,{shared}",
         "-virtfs", f"local,path={share},mount_tag=share,{shared}",
         "-object", memory, "-device", "nvdimm,memdev=image",

@@ -18,18 +18,8 @@ from gateway.operator import OperatorError, ask
 
 PATIENCE = 12.0
 """s of the clock that the processes live by."""
-LOADED = [
-    "filterpy.kalman",
-    "mujoco",
-    "protocols.odrive_can",
-    "protocols.plain",
-    *(f"gateway.{name}" for name in ("__main__", "commands", "session", "operator", "recording", "judge")),
-    *(f"gateway.{name}" for name in ("twin_process", "world.rover")),
-    *(f"gateway.buses.{name}" for name in ("can", "serial", "pty", "twin")),
-]
-
 _CONTEXT = get_context("forkserver")
-_CONTEXT.set_forkserver_preload(LOADED)
+_CONTEXT.set_forkserver_preload(["tests.real_can.loaded", "tests.real_can.programs"])
 
 
 def _become(words: tuple[str, ...], folder: Path, output: Path) -> None:

@@ -30,7 +30,7 @@ class Drive:
 def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Drive:
     folder = tmp_path_factory.mktemp("drive")
     recording, log = folder / "drive.mcap", folder / "candump.log"
-    asked = ("--goal", "0.5,0", "--record", str(recording))
+    asked = ("--goal", "0.4,0", "--record", str(recording))
     with (
         wire(request.param) as ends,
         candump(ends[0], log),

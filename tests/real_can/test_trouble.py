@@ -28,6 +28,7 @@ def to(node: int, message: int) -> int:
 
 @pytest.mark.parametrize("bitrate", [0, pytest.param(1_000_000, marks=pytest.mark.controllers)])
 def test_interface_goes_down_and_comes_back_while_driving(bitrate: int, tmp_path: Path) -> None:
+    """The motors have no watchdog, and go on turning meanwhile."""
     log = tmp_path / "candump.log"
     with (
         wire(bitrate) as ends,
@@ -35,7 +36,7 @@ def test_interface_goes_down_and_comes_back_while_driving(bitrate: int, tmp_path
         rover(tmp_path, bitrate, ends, "--goal", "1.4,0") as (run, twin),
     ):
         run.until("left: armed", "right: armed")
-        time.sleep(0.8)
+        time.sleep(0.4)
         mark = len(run.text)
         ip("link", "set", ends[0], "down")
         mark = run.until("can0: has vanished", "left: fault: ", "right: fault: ", after=mark)
@@ -47,7 +48,7 @@ def test_interface_goes_down_and_comes_back_while_driving(bitrate: int, tmp_path
         cleared = time.time()
         run.ask("rover", "clear")
         mark = run.until("left: ClearFault: done", "right: ClearFault: done", "brain: ready", after=mark)
-        run.ask("rover", "goal 0.9 0")
+        run.ask("rover", "goal 0.7 0")
         run.until("reached", after=mark)
         assert run.end() == 0, run.text
         twin.end()
@@ -83,7 +84,7 @@ def flood(interface: str) -> Iterator[None]:
 
 
 def test_flood_of_foreign_frames_disturbs_nothing(tmp_path: Path) -> None:
-    with wire(0) as ends, rover(tmp_path, 0, ends, "--goal", "0.6,0") as (run, twin):
+    with wire(0) as ends, rover(tmp_path, 0, ends, "--goal", "0.4,0") as (run, twin):
         run.until("rover runs")
         with flood(ends[0]):
             run.until("goal 1 reached", patience=30.0)
