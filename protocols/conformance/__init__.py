@@ -25,6 +25,7 @@ from protocols.conformance.manners import (
     unclaimed_is_read_only,
 )
 from protocols.conformance.rehearsal import ADDRESSES
+from protocols.conformance.safety import begins_where_it_is, idle_disarms
 from protocols.conformance.state import copies_go_on, same_in_same_out
 from protocols.conformance.survival import commands_survive, measurements_survive
 from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
@@ -57,6 +58,8 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("finite", "what is not finite or out of range passes neither down nor up", nothing_non_finite),
     Clause("repeatable", "the same inputs give the same outputs, in the same order", same_in_same_out),
     Clause("copies", "a copy made between any two calls goes on the same", copies_go_on),
+    Clause("jump", "the first command after arming equals the measured position", begins_where_it_is),
+    Clause("disarm", "Idle and the words of a stop disarm from every state", idle_disarms),
 )
 
 Outcome = Literal["passed", "failed", "not applicable"]

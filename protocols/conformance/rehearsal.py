@@ -67,13 +67,15 @@ class Shaft:
     friction: float = 1e-3
     """N·m·s/rad"""
     locked: bool = False
+    load: float = 0.0
+    """N·m that the world puts on the shaft"""
 
     def turn(self, torque: float, span: Nanos) -> None:
         """Semi-implicit Euler, friction taken implicitly: stable at any torque."""
         if self.locked or not math.isfinite(torque):
             return
         dt = seconds(span)
-        pushed = self.velocity + torque / self.inertia * dt
+        pushed = self.velocity + (torque + self.load) / self.inertia * dt
         self.velocity = pushed / (1.0 + self.friction / self.inertia * dt)
         self.position += self.velocity * dt
 
@@ -204,10 +206,16 @@ def sights(sensor: str, t: Nanos, count: int) -> tuple[Imu, LaserScan, Fix]:
     )
 
 
-def rehearse(plugin: Plugin, options: object, addresses: Sequence[int], names: Sequence[str]) -> Rehearsal:
-    """A rehearsal of devices as they come out of the box, with the plugin's default settings."""
+def rehearse(
+    plugin: Plugin,
+    options: object,
+    addresses: Sequence[int],
+    names: Sequence[str],
+    settings: object = None,
+) -> Rehearsal:
+    """A rehearsal of devices as they come out of the box (None), or with other settings on them."""
     devices = tuple(
-        Device(name, address, options, plugin.settings())
+        Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
     )
     return Rehearsal(
