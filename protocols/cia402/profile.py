@@ -1,0 +1,182 @@
+"""The words of CiA 402: power states, statusword, controlword, modes of operation.
+
+Rules. Numbers and the pure functions that read them; no state. A statusword that is none of the eight
+states gives None. What a controlword demands is a `Demand`; whether a state obeys it is `machine`'s.
+
+Source: package canopen 2.4.1 `profiles/p402.py` (`State402`, `OperationMode`, `Homing`); CiA 402-2
+"finite state automaton".
+"""
+
+from __future__ import annotations
+
+from enum import Enum, IntEnum, IntFlag
+
+
+class PowerState(Enum):
+    """The states of the power drive system, in CiA 402's own words."""
+
+    NOT_READY = "NOT READY TO SWITCH ON"
+    SWITCH_ON_DISABLED = "SWITCH ON DISABLED"
+    READY = "READY TO SWITCH ON"
+    SWITCHED_ON = "SWITCHED ON"
+    OPERATION_ENABLED = "OPERATION ENABLED"
+    QUICK_STOP = "QUICK STOP ACTIVE"
+    FAULT_REACTION = "FAULT REACTION ACTIVE"
+    FAULT = "FAULT"
+
+
+STATE_BITS: dict[PowerState, tuple[int, int]] = {
+    PowerState.NOT_READY: (0x4F, 0x00),
+    PowerState.SWITCH_ON_DISABLED: (0x4F, 0x40),
+    PowerState.READY: (0x6F, 0x21),
+    PowerState.SWITCHED_ON: (0x6F, 0x23),
+    PowerState.OPERATION_ENABLED: (0x6F, 0x27),
+    PowerState.QUICK_STOP: (0x6F, 0x07),
+    PowerState.FAULT_REACTION: (0x4F, 0x0F),
+    PowerState.FAULT: (0x4F, 0x08),
+}
+"""(mask, value) of the statusword in each state."""
+
+_BY_STATUS = tuple(
+    next((state for state, (mask, value) in STATE_BITS.items() if word & mask == value), None)
+    for word in range(0x80)
+)
+
+
+def state_of(statusword: int) -> PowerState | None:
+    """The state that a statusword tells; None if it is none of them."""
+    return _BY_STATUS[statusword & 0x7F]
+
+
+class Status(IntFlag):
+    """Bits of the statusword beside those of the state. Bits 10, 12 and 13 depend on the mode."""
+
+    VOLTAGE_ENABLED = 1 << 4
+    WARNING = 1 << 7
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    INTERNAL_LIMIT = 1 << 11
+    SETPOINT_ACKNOWLEDGED = 1 << 12
+    """PP."""
+    ZERO_SPEED = 1 << 12
+    """PV."""
+    HOMING_ATTAINED = 1 << 12
+    """HM."""
+    FOLLOWS_COMMAND = 1 << 12
+    """CSP, CSV, CST."""
+    FOLLOWING_ERROR = 1 << 13
+    """PP, CSP."""
+    HOMING_ERROR = 1 << 13
+    """HM."""
+
+
+class Control(IntFlag):
+    """Bits of the controlword beyond its demands."""
+
+    NEW_SETPOINT = 1 << 4
+    """PP."""
+    START_HOMING = 1 << 4
+    """HM."""
+    CHANGE_IMMEDIATELY = 1 << 5
+    """PP: do not finish the set-point before."""
+    RELATIVE = 1 << 6
+    """PP."""
+    FAULT_RESET = 1 << 7
+    """Obeyed on its rising edge."""
+    HALT = 1 << 8
+
+
+class Demand(IntEnum):
+    """What a controlword demands, and the word that demands it (and nothing else)."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    FAULT_RESET = 0x80
+
+
+def demand_of(controlword: int, before: int) -> Demand | None:
+    """What a controlword demands after the word before; None while bit 7 stays set."""
+    if controlword & Control.FAULT_RESET:
+        return None if before & Control.FAULT_RESET else Demand.FAULT_RESET
+    if not controlword & 0x02:
+        return Demand.DISABLE_VOLTAGE
+    if not controlword & 0x04:
+        return Demand.QUICK_STOP
+    if not controlword & 0x01:
+        return Demand.SHUTDOWN
+    return Demand.ENABLE_OPERATION if controlword & 0x08 else Demand.SWITCH_ON
+
+
+class Mode(IntEnum):
+    """Modes of operation, objects 6060 and 6061."""
+
+    NONE = 0
+    PP = 1
+    """Profile position."""
+    VL = 2
+    """Velocity (frequency converters)."""
+    PV = 3
+    """Profile velocity."""
+    PT = 4
+    """Profile torque."""
+    HM = 6
+    """Homing."""
+    IP = 7
+    """Interpolated position."""
+    CSP = 8
+    """Cyclic synchronous position."""
+    CSV = 9
+    """Cyclic synchronous velocity."""
+    CST = 10
+    """Cyclic synchronous torque."""
+
+
+MODE_NAMES: dict[Mode, str] = {
+    Mode.NONE: "no mode",
+    Mode.PP: "profile position",
+    Mode.VL: "velocity",
+    Mode.PV: "profile velocity",
+    Mode.PT: "profile torque",
+    Mode.HM: "homing",
+    Mode.IP: "interpolated position",
+    Mode.CSP: "cyclic synchronous position",
+    Mode.CSV: "cyclic synchronous velocity",
+    Mode.CST: "cyclic synchronous torque",
+}
+CYCLIC = (Mode.CSP, Mode.CSV, Mode.CST)
+
+
+def mode_bit(mode: Mode) -> int:
+    """The bit of object 6502 that says that a mode is supported; 0 for no mode."""
+    return 0 if mode is Mode.NONE else 1 << (mode - 1)
+
+
+def supports(supported: int, mode: Mode) -> bool:
+    """Whether the value of object 6502 names a mode."""
+    bit = mode_bit(mode)
+    return supported & bit == bit
+
+
+class Homing(Enum):
+    """How a homing procedure stands, by bits 13, 12 and 10 of the statusword in mode HM."""
+
+    IN_PROGRESS = 0x0000
+    INTERRUPTED = 0x0400
+    """Or not started."""
+    ATTAINED = 0x1000
+    """The target is not reached yet."""
+    DONE = 0x1400
+    ERROR_MOVING = 0x2000
+    ERROR_STOPPED = 0x2400
+
+
+HOMING_MASK = 0x3400
+
+
+def homing_of(statusword: int) -> Homing | None:
+    """How homing stands; None for a contradiction."""
+    value = statusword & HOMING_MASK
+    return Homing(value) if value in {h.value for h in Homing} else None

@@ -1,0 +1,388 @@
+"""SDO: one object of a device's dictionary read or written, expedited or in segments, or refused.
+
+Rules. Every SDO frame has 8 bytes. A message is a frozen value; `encode` gives its 8 bytes, `decode_request`
+(client → server) and `decode_answer` (server → client) take any bytes and give None for what is ill-formed.
+Block transfer is not spoken: a request for it decodes to `Unsupported`, so that a server can refuse it.
+`Transfer` is the client's side of one transfer, plain data: it says what to send and takes what comes.
+
+Source: package canopen 2.4.1 (`sdo/constants.py`, `sdo/client.py`, `sdo/server.py`, `sdo/exceptions.py` for
+the numbers of the abort codes); CiA 301 "SDO protocols".
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TypeAlias
+
+SIZE = 8
+SEGMENT = 7
+"""Bytes of data in a segment."""
+EXPEDITED = 4
+"""Bytes of data that go without segments."""
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """Write an object of 1 to 4 bytes."""
+
+    index: int
+    sub: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class DownloadStart:
+    """Write an object in segments; size in bytes, None if it is not told."""
+
+    index: int
+    sub: int
+    size: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class DownloadSegment:
+    """The next piece, of up to 7 bytes."""
+
+    toggle: bool
+    data: bytes
+    last: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """Read an object."""
+
+    index: int
+    sub: int
+
+
+@dataclass(frozen=True, slots=True)
+class UploadSegment:
+    """Ask for the next piece."""
+
+    toggle: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Unsupported:
+    """A request that is not spoken here (block transfer), or is none."""
+
+    command: int
+    index: int
+    sub: int
+
+
+@dataclass(frozen=True, slots=True)
+class Abort:
+    """A transfer is broken off, by either side."""
+
+    index: int
+    sub: int
+    code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Downloaded:
+    """The object is written, or its segments may come."""
+
+    index: int
+    sub: int
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentDownloaded:
+    """A piece was taken."""
+
+    toggle: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Uploaded:
+    """The object's value, of 1 to 4 bytes."""
+
+    index: int
+    sub: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class UploadStart:
+    """The object is longer than 4 bytes: ask for its pieces."""
+
+    index: int
+    sub: int
+    size: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class UploadedSegment:
+    """A piece of up to 7 bytes."""
+
+    toggle: bool
+    data: bytes
+    last: bool
+
+
+Request: TypeAlias = Download | DownloadStart | DownloadSegment | Upload | UploadSegment | Unsupported | Abort
+Answer: TypeAlias = Downloaded | SegmentDownloaded | Uploaded | UploadStart | UploadedSegment | Abort
+
+ABORT = 0x80
+_HEAD = struct.Struct("<BHB4s")
+_LONG = struct.Struct("<BHBI")
+
+
+def encode(message: Request | Answer) -> bytes:
+    """The 8 bytes of a message. ValueError if its data do not fit into it."""
+    match message:
+        case Download(index, sub, data):
+            return _HEAD.pack(0x23 | _unused(data) << 2, index, sub, data)
+        case Uploaded(index, sub, data):
+            return _HEAD.pack(0x43 | _unused(data) << 2, index, sub, data)
+        case Upload(index, sub):
+            return _LONG.pack(0x40, index, sub, 0)
+        case Downloaded(index, sub):
+            return _LONG.pack(0x60, index, sub, 0)
+        case DownloadStart(index, sub, size):
+            return _LONG.pack(0x20 | (size is not None), index, sub, size or 0)
+        case UploadStart(index, sub, size):
+            return _LONG.pack(0x40 | (size is not None), index, sub, size or 0)
+        case DownloadSegment(toggle, data, last) | UploadedSegment(toggle, data, last):
+            return _segment(toggle, data, last)
+        case UploadSegment(toggle):
+            return bytes((0x60 | toggle << 4, 0, 0, 0, 0, 0, 0, 0))
+        case SegmentDownloaded(toggle):
+            return bytes((0x20 | toggle << 4, 0, 0, 0, 0, 0, 0, 0))
+        case Abort(index, sub, code):
+            return _LONG.pack(ABORT, index, sub, code)
+        case Unsupported(command, index, sub):
+            return _LONG.pack(command, index, sub, 0)
+
+
+def _unused(data: bytes) -> int:
+    if not 1 <= len(data) <= EXPEDITED:
+        raise ValueError(f"{len(data)} bytes do not go without segments")
+    return EXPEDITED - len(data)
+
+
+def _segment(toggle: bool, data: bytes, last: bool) -> bytes:
+    if len(data) > SEGMENT:
+        raise ValueError(f"{len(data)} bytes do not fit into a segment")
+    return bytes((toggle << 4 | (SEGMENT - len(data)) << 1 | last,)) + data.ljust(SEGMENT, b"\0")
+
+
+def decode_request(data: bytes) -> Request | None:
+    """What a client says; None if it is ill-formed."""
+    if len(data) != SIZE:
+        return None
+    command = data[0]
+    match command >> 5:
+        case 0:
+            return DownloadSegment(*_piece(data))
+        case 1:
+            return _download(data)
+        case 2:
+            return Upload(*_head(data))
+        case 3:
+            return UploadSegment(bool(command & 0x10))
+        case 4:
+            return _abort(data)
+    return Unsupported(command, *_head(data))
+
+
+def decode_answer(data: bytes) -> Answer | None:
+    """What a server says; None if it is ill-formed."""
+    if len(data) != SIZE:
+        return None
+    command = data[0]
+    match command >> 5:
+        case 0:
+            return UploadedSegment(*_piece(data))
+        case 1:
+            return SegmentDownloaded(bool(command & 0x10))
+        case 2:
+            return _uploaded(data)
+        case 3:
+            return Downloaded(*_head(data))
+        case 4:
+            return _abort(data)
+    return None
+
+
+def _head(data: bytes) -> tuple[int, int]:
+    return data[1] | data[2] << 8, data[3]
+
+
+def _abort(data: bytes) -> Abort:
+    return Abort(*_head(data), int.from_bytes(data[4:], "little"))
+
+
+def _piece(data: bytes) -> tuple[bool, bytes, bool]:
+    return bool(data[0] & 0x10), data[1 : SIZE - (data[0] >> 1 & 7)], bool(data[0] & 1)
+
+
+def _length(data: bytes) -> int:
+    """Bytes of an expedited value: without the size bit it is all four."""
+    return EXPEDITED - (data[0] >> 2 & 3) if data[0] & 1 else EXPEDITED
+
+
+def _size(data: bytes) -> int | None:
+    return int.from_bytes(data[4:], "little") if data[0] & 1 else None
+
+
+def _download(data: bytes) -> Download | DownloadStart:
+    if data[0] & 2:
+        return Download(*_head(data), data[4 : 4 + _length(data)])
+    return DownloadStart(*_head(data), _size(data))
+
+
+def _uploaded(data: bytes) -> Uploaded | UploadStart:
+    if data[0] & 2:
+        return Uploaded(*_head(data), data[4 : 4 + _length(data)])
+    return UploadStart(*_head(data), _size(data))
+
+
+# -- the client's side of one transfer ----------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class Transfer:
+    """Reading one object (`data` None), or writing it. Plain data; one at a time per device."""
+
+    index: int
+    sub: int
+    data: bytes | None = None
+    done: bool = False
+    """It has ended, one way or the other."""
+    value: bytes = b""
+    """What was read so far; whole when `done` and no `abort`."""
+    abort: int | None = None
+    """The abort code with which it ended, if it did."""
+    toggle: bool = False
+    sent: int = 0
+    """Bytes written so far."""
+    expecting: type[Answer] | None = None
+    """The kind of answer that comes next in the middle of a segmented transfer."""
+    size: int | None = None
+    """Bytes to be read, as the device told."""
+
+    def first(self) -> Request:
+        """The message that begins it, also when it is begun anew."""
+        self.done, self.value, self.abort = False, b"", None
+        self.toggle, self.sent, self.expecting, self.size = False, 0, None, None
+        if self.data is None:
+            return Upload(self.index, self.sub)
+        if 1 <= len(self.data) <= EXPEDITED:
+            return Download(self.index, self.sub, self.data)
+        return DownloadStart(self.index, self.sub, len(self.data))
+
+    def hear(self, answer: Answer) -> Request | None:
+        """Take an answer; the next request, or None if it ended, or if the answer was not for it."""
+        match answer:
+            case Abort(index, sub, code):
+                if (index, sub) == (self.index, self.sub):
+                    self.done, self.abort = True, code
+            case Uploaded(index, sub, data) if self._begins(index, sub, reading=True):
+                self.done, self.value = True, data
+            case UploadStart(index, sub, size) if self._begins(index, sub, reading=True):
+                self.expecting, self.size = UploadedSegment, size
+                return UploadSegment(self.toggle)
+            case UploadedSegment(toggle, data, last) if self.expecting is UploadedSegment:
+                return self._take(toggle, data, last)
+            case Downloaded(index, sub) if self._begins(index, sub, reading=False):
+                return self._written()
+            case SegmentDownloaded(toggle) if self.expecting is SegmentDownloaded and toggle == self.toggle:
+                self.toggle = not self.toggle
+                return self._next()
+        return None
+
+    def _begins(self, index: int, sub: int, reading: bool) -> bool:
+        right = (index, sub) == (self.index, self.sub) and reading == (self.data is None)
+        return right and self.expecting is None and not self.done
+
+    def _take(self, toggle: bool, data: bytes, last: bool) -> Request | None:
+        if toggle != self.toggle:  # a piece that came twice
+            return None
+        self.value += data
+        self.toggle = not self.toggle
+        if not last:
+            return UploadSegment(self.toggle)
+        self.done, self.expecting = True, None
+        if self.size is not None and self.size != len(self.value):
+            self.abort = LENGTH_MISMATCH
+        return None
+
+    def _written(self) -> Request | None:
+        if self.data is not None and 1 <= len(self.data) <= EXPEDITED:
+            self.done = True
+            return None
+        self.expecting = SegmentDownloaded
+        return self._next()
+
+    def _next(self) -> Request | None:
+        data = self.data or b""
+        if self.sent and self.sent >= len(data):
+            self.done, self.expecting = True, None
+            return None
+        piece = data[self.sent : self.sent + SEGMENT]
+        self.sent += max(len(piece), 1)
+        return DownloadSegment(self.toggle, piece, self.sent >= len(data))
+
+
+# -- why a transfer was broken off --------------------------------------------------------------------
+
+TOGGLE = 0x05030000
+TIMEOUT = 0x05040000
+UNKNOWN_COMMAND = 0x05040001
+WRITE_ONLY = 0x06010001
+READ_ONLY = 0x06010002
+NO_OBJECT = 0x06020000
+NOT_MAPPABLE = 0x06040041
+PDO_TOO_LONG = 0x06040042
+INCOMPATIBLE = 0x06040043
+LENGTH_MISMATCH = 0x06070010
+NO_SUBINDEX = 0x06090011
+BAD_VALUE = 0x06090030
+UNAVAILABLE = 0x060A0023
+GENERAL = 0x08000000
+DEVICE_STATE = 0x08000022
+NO_DATA = 0x08000024
+
+ABORTS: dict[int, str] = {
+    TOGGLE: "the toggle bit did not alternate",
+    TIMEOUT: "the transfer took too long",
+    UNKNOWN_COMMAND: "the device does not know this SDO command",
+    0x05040002: "wrong block size",
+    0x05040003: "wrong sequence number",
+    0x05040004: "wrong checksum",
+    0x05040005: "the device is out of memory",
+    0x06010000: "the object cannot be accessed in this way",
+    WRITE_ONLY: "the object can only be written",
+    READ_ONLY: "the object can only be read",
+    NO_OBJECT: "the device has no such object",
+    NOT_MAPPABLE: "the object cannot be mapped into a PDO",
+    PDO_TOO_LONG: "the mapped objects are longer than a PDO",
+    INCOMPATIBLE: "the parameter does not go together with others",
+    0x06040047: "the device contradicts itself",
+    0x06060000: "the device's hardware failed",
+    LENGTH_MISMATCH: "the length does not match the object's type",
+    0x06070012: "the value is too long for the object's type",
+    0x06070013: "the value is too short for the object's type",
+    NO_SUBINDEX: "the object has no such subindex",
+    BAD_VALUE: "the value is outside the object's range",
+    0x06090031: "the value is too high",
+    0x06090032: "the value is too low",
+    0x06090036: "the maximum is below the minimum",
+    UNAVAILABLE: "the object has no value now",
+    GENERAL: "general error",
+    0x08000020: "the value cannot be taken over",
+    0x08000021: "the device is under local control",
+    DEVICE_STATE: "the device's present state does not allow it",
+    0x08000023: "the device has no object dictionary",
+    NO_DATA: "there are no data",
+}
+
+
+def abort_text(code: int) -> str:
+    """What an abort code says, with its number."""
+    return f"{ABORTS.get(code, 'an unknown reason')} (SDO abort {code:#010x})"
