@@ -193,10 +193,11 @@ class Gateway:
                 self._notes.append(Note("warning", name or "operator", f"{request}: refused: {reason}"))
             case Parameter(motor, _, parameter, value):
                 self._notes.append(Note("info", motor, f"{parameter} = {value:g}"))
-            case Found(_, protocol, address, serial, detail):
+            case Found(_, protocol, address, serial, detail, twice):
                 number = "" if serial is None else f", serial number {serial:X}"
                 text = f"{protocol} at address {address}{number}{_in_brackets(detail)}"
-                self._notes.append(Note("info", "scan", text))
+                text += "; more than one device holds this address" if twice else ""
+                self._notes.append(Note("warning" if twice else "info", "scan", text))
             case _:
                 pass
 

@@ -189,10 +189,6 @@ class Twin(Protocol):
         ...
 
 
-def _unnamed(_: Wire) -> Sequence[str]:
-    return ()
-
-
 @dataclass(frozen=True, slots=True)
 class Plugin:
     """One device language."""
@@ -212,7 +208,7 @@ class Plugin:
     ear: Callable[[Sequence[Device]], Ear]
     twin: Callable[[Device, int], Twin]
     """From the device and a seed."""
-    messages: Callable[[Wire], Sequence[str]] = _unnamed
+    messages: Callable[[Wire], Sequence[str]]
     """The names, in the vendor's words, of the messages to a device that a wire holds; () if none.
     Messages of one name differ in their values only: an independent vector of it speaks for all."""
     vectors: tuple[str, str] | None = None

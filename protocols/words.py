@@ -296,7 +296,9 @@ class Found:
     address: int
     serial: int | None = None
     detail: str = ""
-    """Hardware and firmware as the device tells them; or that an address is held twice."""
+    """Hardware and firmware as the device tells them."""
+    twice: bool = False
+    """More than one device holds this address: they answer over each other, and obey together."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,3 +116,6 @@ class _CopiedTwin(_Copied[Twin]):
 
     def due(self) -> Nanos | None:
         return self.inner.due()
+
+    def provoke(self, code: int) -> None:
+        self.inner.provoke(code)

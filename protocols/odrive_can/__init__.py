@@ -21,9 +21,12 @@ from protocols.odrive_can.codec import (
 )
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.ear import OdriveEar
+from protocols.odrive_can.faults import COMPLAINTS06
+from protocols.odrive_can.faults05 import COMPLAINTS05
 from protocols.odrive_can.layout import FEED_FORWARD_MAX
 from protocols.odrive_can.messages import Address, EnterDfuMode, GetVersion, Heartbeat, RxSdo
 from protocols.odrive_can.messages05 import AskAdcVoltage, SetAxisNodeId, StartAnticogging
+from protocols.odrive_can.naming import messages_in
 from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
@@ -158,6 +161,7 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(timeout, settings.enable_watchdog, "" if quiet else WATCHDOG_NOTE),
         holds_unattended=not settings.enable_watchdog,
         stop_clears_faults=False,
+        faults=COMPLAINTS05 if line_of(device) == "0.5" else COMPLAINTS06,
         overhears=((cmd_of(Address), CMD_MASK), (cmd_of(Heartbeat), CMD_MASK)),
     )
 
@@ -190,4 +194,6 @@ plugin = Plugin(
     driver=driver,
     ear=OdriveEar,
     twin=twin,
+    messages=messages_in,
+    vectors=("fixtures", "vectors/odrive_can.json"),
 )

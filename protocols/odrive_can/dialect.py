@@ -13,11 +13,22 @@ from typing import Any
 from protocols.odrive_can import messages as m
 from protocols.odrive_can import messages05 as m05
 from protocols.odrive_can.codec import AnyMessage, cmd_of
-from protocols.odrive_can.faults import ERRORS, Error, Result, Text
-from protocols.odrive_can.faults05 import AXIS, CONTROLLER, ENCODER, MOTOR, SENSORLESS, AxisError
+from protocols.odrive_can.faults import ERRORS, Error, Result
+from protocols.odrive_can.faults05 import (
+    AXIS,
+    AXIS_BASE,
+    CONTROLLER,
+    CONTROLLER_BASE,
+    ENCODER,
+    ENCODER_BASE,
+    MOTOR,
+    MOTOR_BASE,
+    SENSORLESS,
+    SENSORLESS_BASE,
+    AxisError,
+)
+from protocols.plugin import Complaint
 
-PART_SHIFT = 48
-"""A fault's code is an error bit, plus the number of its word so far to the left (0: the heartbeat's)."""
 Readable = Mapping[str, tuple[type[Any], str]]
 """The vendor's name of a signal → the message that tells it, and its field there."""
 
@@ -45,9 +56,11 @@ class Dialect:
     """Whether a heartbeat that does not come by itself can be asked for."""
     reasons: tuple[int, ...]
     """Commands that tell why an axis disarmed by itself."""
-    axis: Mapping[int, Text]
+    axis: Mapping[int, Complaint]
     """The bits of the heartbeat's error word; none: what they mean is not known."""
-    parts: Mapping[int, tuple[int, Mapping[int, Text]]]
+    base: int
+    """Added to one of them to make its fault's code."""
+    parts: Mapping[int, tuple[int, Mapping[int, Complaint]]]
     """Error words of their own, by command: what is added to a bit to make its fault's code, and the bits."""
     initializing: int
     """Bits of the error word that say "not up yet"."""
@@ -137,6 +150,7 @@ UNTOLD = Dialect(
     heartbeat_asked=True,
     reasons=(),
     axis={},
+    base=0,
     parts={},
     initializing=0,
     estop=0,
@@ -153,6 +167,7 @@ LINE06 = Dialect(
     heartbeat_asked=True,
     reasons=_cmds(m.GetError),
     axis=ERRORS,
+    base=0,
     parts={},
     initializing=Error.INITIALIZING,
     estop=Error.ESTOP_REQUESTED,
@@ -169,11 +184,12 @@ LINE05 = Dialect(
     heartbeat_asked=False,
     reasons=(),
     axis=AXIS,
+    base=AXIS_BASE,
     parts={
-        cmd_of(m05.GetMotorError): (1 << PART_SHIFT, MOTOR),
-        cmd_of(m05.GetEncoderError): (2 << PART_SHIFT, ENCODER),
-        cmd_of(m05.GetControllerError): (3 << PART_SHIFT, CONTROLLER),
-        cmd_of(m05.GetSensorlessError): (4 << PART_SHIFT, SENSORLESS),
+        cmd_of(m05.GetMotorError): (MOTOR_BASE, MOTOR),
+        cmd_of(m05.GetEncoderError): (ENCODER_BASE, ENCODER),
+        cmd_of(m05.GetControllerError): (CONTROLLER_BASE, CONTROLLER),
+        cmd_of(m05.GetSensorlessError): (SENSORLESS_BASE, SENSORLESS),
     },
     initializing=0,
     estop=AxisError.ESTOP_REQUESTED,

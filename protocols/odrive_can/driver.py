@@ -167,7 +167,8 @@ class OdriveDriver:
         self._told_double[node] = True
         said = " and ".join(f"{serial:012X}" for serial in serials)
         events: list[Event] = [
-            Found(t, PROTOCOL, node, serial, f"node id {node} is held twice: by {said}") for serial in serials
+            Found(t, PROTOCOL, node, serial, f"node id {node} is held twice: by {said}", twice=True)
+            for serial in serials
         ]
         return events + self._double_fault(t, node, f"two devices answer to it: serial numbers {said}")
 
@@ -193,7 +194,11 @@ class OdriveDriver:
             return []
         self._told_double[node.address] = True
         self._roll_call = t
-        return self._double_fault(t, node.address, "its heartbeats contradict each other in turn")
+        return self._contradicted(t, node, "its heartbeats contradict each other in turn")
+
+    def _contradicted(self, t: Nanos, node: Node, cause: str) -> list[Event]:
+        found = Found(t, PROTOCOL, node.address & MAX_EXTENDED_NODE, None, cause, twice=True)
+        return [found, *self._double_fault(t, node.address, cause)]
 
     # -- the bus ------------------------------------------------------------------------------
 

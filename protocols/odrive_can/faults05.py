@@ -3,14 +3,19 @@
 Rules. Five words of error bits: the axis' own in the heartbeat, and those of motor, encoder, controller and
 sensorless estimator, each asked for by a message of its own. Names as in the choices of the DBC
 `odrive-cansimple-0.5.6.dbc` of package odrive-can 2.1.0; a bit that is not the axis' is named after
-its part too, since UNSTABLE_GAIN alone is three bits. A fault's code is the bit plus the word's number << 48.
+its part too, since UNSTABLE_GAIN alone is three bits. A fault's code is the bit plus its word's base, the
+word's number << 48: no code means two things, whichever line a device is of.
 """
 
 from __future__ import annotations
 
 from enum import IntFlag
 
-from protocols.odrive_can.faults import Text
+from protocols.plugin import Complaint
+
+BASE_SHIFT = 48
+MOTOR_BASE, ENCODER_BASE, CONTROLLER_BASE, SENSORLESS_BASE, AXIS_BASE = (n << BASE_SHIFT for n in range(1, 6))
+"""Added to a bit to make its fault's code. (A bit of 0.6.x is its own code.)"""
 
 
 class AxisError(IntFlag):
@@ -104,200 +109,214 @@ _FIRMWARE = "clear; if it comes back, reboot the board and update its firmware"
 _FOLLOWS = "it follows from another fault: look for that one"
 _INPUTS = "a value that the current control needs is missing"
 
-AXIS: dict[int, Text] = {
-    AxisError.INVALID_STATE: Text(
+AXIS: dict[int, Complaint] = {
+    AxisError.INVALID_STATE: Complaint(
         "INVALID_STATE",
         "a state was asked for that is not possible now, most often since motor or encoder is not calibrated",
         _CALIBRATE,
     ),
-    AxisError.MOTOR_FAILED: Text(
+    AxisError.MOTOR_FAILED: Complaint(
         "MOTOR_FAILED", "the motor has an error of its own", "read the motor's error"
     ),
-    AxisError.SENSORLESS_ESTIMATOR_FAILED: Text(
+    AxisError.SENSORLESS_ESTIMATOR_FAILED: Complaint(
         "SENSORLESS_ESTIMATOR_FAILED", "the estimator has an error of its own", "read the sensorless error"
     ),
-    AxisError.ENCODER_FAILED: Text(
+    AxisError.ENCODER_FAILED: Complaint(
         "ENCODER_FAILED", "the encoder has an error of its own", "read the encoder's error"
     ),
-    AxisError.CONTROLLER_FAILED: Text(
+    AxisError.CONTROLLER_FAILED: Complaint(
         "CONTROLLER_FAILED", "the controller has an error of its own", "read the controller's error"
     ),
-    AxisError.WATCHDOG_TIMER_EXPIRED: Text(
+    AxisError.WATCHDOG_TIMER_EXPIRED: Complaint(
         "WATCHDOG_TIMER_EXPIRED",
         "no frame came for the axis within watchdog_timeout; it runs while the axis is idle too",
         "find out why the host fell silent, then clear; frames must come faster than the timeout",
     ),
-    AxisError.MIN_ENDSTOP_PRESSED: Text(
+    AxisError.MIN_ENDSTOP_PRESSED: Complaint(
         "MIN_ENDSTOP_PRESSED", "the lower end stop was reached", "move the axis back by hand, then clear"
     ),
-    AxisError.MAX_ENDSTOP_PRESSED: Text(
+    AxisError.MAX_ENDSTOP_PRESSED: Complaint(
         "MAX_ENDSTOP_PRESSED", "the upper end stop was reached", "move the axis back by hand, then clear"
     ),
-    AxisError.ESTOP_REQUESTED: Text(
+    AxisError.ESTOP_REQUESTED: Complaint(
         "ESTOP_REQUESTED", "an emergency stop was sent over the bus", "make sure it is safe, then clear"
     ),
-    AxisError.HOMING_WITHOUT_ENDSTOP: Text(
+    AxisError.HOMING_WITHOUT_ENDSTOP: Complaint(
         "HOMING_WITHOUT_ENDSTOP", "homing was asked for without an end stop", "configure one"
     ),
-    AxisError.OVER_TEMP: Text("OVER_TEMP", "motor or power stage is too hot", "let it cool; reduce the load"),
-    AxisError.UNKNOWN_POSITION: Text("UNKNOWN_POSITION", "there is no valid position", _WIRES),
+    AxisError.OVER_TEMP: Complaint(
+        "OVER_TEMP", "motor or power stage is too hot", "let it cool; reduce the load"
+    ),
+    AxisError.UNKNOWN_POSITION: Complaint("UNKNOWN_POSITION", "there is no valid position", _WIRES),
 }
 
-MOTOR: dict[int, Text] = {
-    MotorError.PHASE_RESISTANCE_OUT_OF_RANGE: Text(
+MOTOR: dict[int, Complaint] = {
+    MotorError.PHASE_RESISTANCE_OUT_OF_RANGE: Complaint(
         "motor PHASE_RESISTANCE_OUT_OF_RANGE", "phase resistance is not plausible", _PHASES
     ),
-    MotorError.PHASE_INDUCTANCE_OUT_OF_RANGE: Text(
+    MotorError.PHASE_INDUCTANCE_OUT_OF_RANGE: Complaint(
         "motor PHASE_INDUCTANCE_OUT_OF_RANGE", "phase inductance is not plausible", _PHASES
     ),
-    MotorError.DRV_FAULT: Text(
+    MotorError.DRV_FAULT: Complaint(
         "motor DRV_FAULT",
         "the gate driver reported a fault: short circuit, over-current or over-temperature",
         "unplug the motor, look for shorts between phases, reboot",
     ),
-    MotorError.CONTROL_DEADLINE_MISSED: Text(
+    MotorError.CONTROL_DEADLINE_MISSED: Complaint(
         "motor CONTROL_DEADLINE_MISSED", "the firmware missed a deadline of its control loop", _FIRMWARE
     ),
-    MotorError.MODULATION_MAGNITUDE: Text(
+    MotorError.MODULATION_MAGNITUDE: Complaint(
         "motor MODULATION_MAGNITUDE",
         "the supply is too low for the current asked for, or the current control is badly tuned",
         "check supply and current_control_bandwidth",
     ),
-    MotorError.CURRENT_SENSE_SATURATION: Text(
+    MotorError.CURRENT_SENSE_SATURATION: Complaint(
         "motor CURRENT_SENSE_SATURATION",
         "more current than the sensing can measure",
         "lower the current limit, or raise requested_current_range; check gains and phase wires",
     ),
-    MotorError.CURRENT_LIMIT_VIOLATION: Text(
+    MotorError.CURRENT_LIMIT_VIOLATION: Complaint(
         "motor CURRENT_LIMIT_VIOLATION",
         "motor current above current_lim plus its margin",
         "check gains and phase wires; raise current_lim_margin",
     ),
-    MotorError.MODULATION_IS_NAN: Text(
+    MotorError.MODULATION_IS_NAN: Complaint(
         "motor MODULATION_IS_NAN", "a setting or gain is not a number", _FIRMWARE
     ),
-    MotorError.MOTOR_THERMISTOR_OVER_TEMP: Text(
+    MotorError.MOTOR_THERMISTOR_OVER_TEMP: Complaint(
         "motor MOTOR_THERMISTOR_OVER_TEMP",
         "the motor is too hot",
         "let it cool; reduce load or current limit",
     ),
-    MotorError.FET_THERMISTOR_OVER_TEMP: Text(
+    MotorError.FET_THERMISTOR_OVER_TEMP: Complaint(
         "motor FET_THERMISTOR_OVER_TEMP", "the power stage is too hot", "let it cool; improve its cooling"
     ),
-    MotorError.TIMER_UPDATE_MISSED: Text(
+    MotorError.TIMER_UPDATE_MISSED: Complaint(
         "motor TIMER_UPDATE_MISSED", "the firmware missed a deadline of its timers", _FIRMWARE
     ),
-    MotorError.CURRENT_MEASUREMENT_UNAVAILABLE: Text(
+    MotorError.CURRENT_MEASUREMENT_UNAVAILABLE: Complaint(
         "motor CURRENT_MEASUREMENT_UNAVAILABLE", "the current could not be measured", _FIRMWARE
     ),
-    MotorError.CONTROLLER_FAILED: Text("motor CONTROLLER_FAILED", "the controller gave no torque", _FOLLOWS),
-    MotorError.I_BUS_OUT_OF_RANGE: Text(
+    MotorError.CONTROLLER_FAILED: Complaint(
+        "motor CONTROLLER_FAILED", "the controller gave no torque", _FOLLOWS
+    ),
+    MotorError.I_BUS_OUT_OF_RANGE: Complaint(
         "motor I_BUS_OUT_OF_RANGE",
         "current from or into the supply is beyond the axis' I_bus_hard limits",
         "accelerate and brake more gently, or widen the limits",
     ),
-    MotorError.BRAKE_RESISTOR_DISARMED: Text(
+    MotorError.BRAKE_RESISTOR_DISARMED: Complaint(
         "motor BRAKE_RESISTOR_DISARMED",
         "the brake resistor is switched off after a fault",
         "clear; check resistor and its settings",
     ),
-    MotorError.SYSTEM_LEVEL: Text(
+    MotorError.SYSTEM_LEVEL: Complaint(
         "motor SYSTEM_LEVEL",
         "a fault of the whole board: supply too low or too high, its current out of limits, brake resistor",
         "check battery, fuse, cables and brake resistor; the vendor's tool shows odrv0.error over USB",
     ),
-    MotorError.BAD_TIMING: Text("motor BAD_TIMING", "the firmware's timing is disturbed", _FIRMWARE),
-    MotorError.UNKNOWN_PHASE_ESTIMATE: Text(
+    MotorError.BAD_TIMING: Complaint("motor BAD_TIMING", "the firmware's timing is disturbed", _FIRMWARE),
+    MotorError.UNKNOWN_PHASE_ESTIMATE: Complaint(
         "motor UNKNOWN_PHASE_ESTIMATE", "the encoder gives no phase: not calibrated, or lost", _CALIBRATE
     ),
-    MotorError.UNKNOWN_PHASE_VEL: Text(
+    MotorError.UNKNOWN_PHASE_VEL: Complaint(
         "motor UNKNOWN_PHASE_VEL", "the encoder gives no velocity: not calibrated, or lost", _CALIBRATE
     ),
-    MotorError.UNKNOWN_TORQUE: Text("motor UNKNOWN_TORQUE", "the controller gave no torque", _FOLLOWS),
-    MotorError.UNKNOWN_CURRENT_COMMAND: Text("motor UNKNOWN_CURRENT_COMMAND", _INPUTS, _FOLLOWS),
-    MotorError.UNKNOWN_CURRENT_MEASUREMENT: Text("motor UNKNOWN_CURRENT_MEASUREMENT", _INPUTS, _FOLLOWS),
-    MotorError.UNKNOWN_VBUS_VOLTAGE: Text("motor UNKNOWN_VBUS_VOLTAGE", _INPUTS, _FOLLOWS),
-    MotorError.UNKNOWN_VOLTAGE_COMMAND: Text("motor UNKNOWN_VOLTAGE_COMMAND", _INPUTS, _FOLLOWS),
-    MotorError.UNKNOWN_GAINS: Text(
+    MotorError.UNKNOWN_TORQUE: Complaint("motor UNKNOWN_TORQUE", "the controller gave no torque", _FOLLOWS),
+    MotorError.UNKNOWN_CURRENT_COMMAND: Complaint("motor UNKNOWN_CURRENT_COMMAND", _INPUTS, _FOLLOWS),
+    MotorError.UNKNOWN_CURRENT_MEASUREMENT: Complaint("motor UNKNOWN_CURRENT_MEASUREMENT", _INPUTS, _FOLLOWS),
+    MotorError.UNKNOWN_VBUS_VOLTAGE: Complaint("motor UNKNOWN_VBUS_VOLTAGE", _INPUTS, _FOLLOWS),
+    MotorError.UNKNOWN_VOLTAGE_COMMAND: Complaint("motor UNKNOWN_VOLTAGE_COMMAND", _INPUTS, _FOLLOWS),
+    MotorError.UNKNOWN_GAINS: Complaint(
         "motor UNKNOWN_GAINS", "the gains of the current control are not known", _CALIBRATE
     ),
-    MotorError.CONTROLLER_INITIALIZING: Text(
+    MotorError.CONTROLLER_INITIALIZING: Complaint(
         "motor CONTROLLER_INITIALIZING", "the current control was not ready yet", "clear, and try again"
     ),
-    MotorError.UNBALANCED_PHASES: Text("motor UNBALANCED_PHASES", "the three phases differ", _PHASES),
+    MotorError.UNBALANCED_PHASES: Complaint("motor UNBALANCED_PHASES", "the three phases differ", _PHASES),
 }
 
-ENCODER: dict[int, Text] = {
-    EncoderError.UNSTABLE_GAIN: Text(
+ENCODER: dict[int, Complaint] = {
+    EncoderError.UNSTABLE_GAIN: Complaint(
         "encoder UNSTABLE_GAIN", "encoder.config.bandwidth is too high", "lower it"
     ),
-    EncoderError.CPR_POLEPAIRS_MISMATCH: Text(
+    EncoderError.CPR_POLEPAIRS_MISMATCH: Complaint(
         "encoder CPR_POLEPAIRS_MISMATCH",
         "pole pairs or encoder resolution are set wrongly",
         "correct them, calibrate again",
     ),
-    EncoderError.NO_RESPONSE: Text("encoder NO_RESPONSE", "the encoder does not answer", _WIRES),
-    EncoderError.UNSUPPORTED_ENCODER_MODE: Text(
+    EncoderError.NO_RESPONSE: Complaint("encoder NO_RESPONSE", "the encoder does not answer", _WIRES),
+    EncoderError.UNSUPPORTED_ENCODER_MODE: Complaint(
         "encoder UNSUPPORTED_ENCODER_MODE", "encoder.config.mode does not allow this", "correct it"
     ),
-    EncoderError.ILLEGAL_HALL_STATE: Text(
+    EncoderError.ILLEGAL_HALL_STATE: Complaint(
         "encoder ILLEGAL_HALL_STATE",
         "the Hall sensors contradict each other",
         "check their wires, add filters",
     ),
-    EncoderError.INDEX_NOT_FOUND_YET: Text(
+    EncoderError.INDEX_NOT_FOUND_YET: Complaint(
         "encoder INDEX_NOT_FOUND_YET", "the index pulse was not seen yet", "run the index search first"
     ),
-    EncoderError.ABS_SPI_TIMEOUT: Text(
+    EncoderError.ABS_SPI_TIMEOUT: Complaint(
         "encoder ABS_SPI_TIMEOUT", "the absolute encoder does not answer", _WIRES
     ),
-    EncoderError.ABS_SPI_COM_FAIL: Text(
+    EncoderError.ABS_SPI_COM_FAIL: Complaint(
         "encoder ABS_SPI_COM_FAIL", "the absolute encoder's answers are corrupted", _WIRES
     ),
-    EncoderError.ABS_SPI_NOT_READY: Text(
+    EncoderError.ABS_SPI_NOT_READY: Complaint(
         "encoder ABS_SPI_NOT_READY", "the absolute encoder is not ready", _WIRES
     ),
-    EncoderError.HALL_NOT_CALIBRATED_YET: Text(
+    EncoderError.HALL_NOT_CALIBRATED_YET: Complaint(
         "encoder HALL_NOT_CALIBRATED_YET", "the Hall sensors are not calibrated", _CALIBRATE
     ),
 }
 
-CONTROLLER: dict[int, Text] = {
-    ControllerError.OVERSPEED: Text(
+CONTROLLER: dict[int, Complaint] = {
+    ControllerError.OVERSPEED: Complaint(
         "controller OVERSPEED",
         "the shaft turned faster than vel_limit × vel_limit_tolerance",
         "check for a load that drives the motor; raise vel_limit; lower vel_gain if it overshot",
     ),
-    ControllerError.INVALID_INPUT_MODE: Text(
+    ControllerError.INVALID_INPUT_MODE: Complaint(
         "controller INVALID_INPUT_MODE", "input_mode is none that there is", "set a valid one"
     ),
-    ControllerError.UNSTABLE_GAIN: Text(
+    ControllerError.UNSTABLE_GAIN: Complaint(
         "controller UNSTABLE_GAIN", "input_filter_bandwidth is too high", "lower it"
     ),
-    ControllerError.INVALID_MIRROR_AXIS: Text(
+    ControllerError.INVALID_MIRROR_AXIS: Complaint(
         "controller INVALID_MIRROR_AXIS", "axis_to_mirror is no axis of the board", "correct it"
     ),
-    ControllerError.INVALID_LOAD_ENCODER: Text(
+    ControllerError.INVALID_LOAD_ENCODER: Complaint(
         "controller INVALID_LOAD_ENCODER", "load_encoder_axis is no axis of the board", "correct it"
     ),
-    ControllerError.INVALID_ESTIMATE: Text(
+    ControllerError.INVALID_ESTIMATE: Complaint(
         "controller INVALID_ESTIMATE", "the encoder gives no valid position or velocity", _CALIBRATE
     ),
-    ControllerError.INVALID_CIRCULAR_RANGE: Text(
+    ControllerError.INVALID_CIRCULAR_RANGE: Complaint(
         "controller INVALID_CIRCULAR_RANGE", "circular_setpoint_range is not above 0", "correct it"
     ),
-    ControllerError.SPINOUT_DETECTED: Text(
+    ControllerError.SPINOUT_DETECTED: Complaint(
         "controller SPINOUT_DETECTED",
         "electrical and mechanical power contradict each other: the encoder slipped or is badly calibrated",
         "fasten the encoder, calibrate its offset again",
     ),
 }
 
-SENSORLESS: dict[int, Text] = {
-    SensorlessError.UNSTABLE_GAIN: Text(
+SENSORLESS: dict[int, Complaint] = {
+    SensorlessError.UNSTABLE_GAIN: Complaint(
         "sensorless UNSTABLE_GAIN", "the estimator's observer gain is too high", "lower it"
     ),
-    SensorlessError.UNKNOWN_CURRENT_MEASUREMENT: Text(
+    SensorlessError.UNKNOWN_CURRENT_MEASUREMENT: Complaint(
         "sensorless UNKNOWN_CURRENT_MEASUREMENT", _INPUTS, _FOLLOWS
     ),
 }
+
+WORDS: tuple[tuple[int, dict[int, Complaint]], ...] = (
+    (AXIS_BASE, AXIS),
+    (MOTOR_BASE, MOTOR),
+    (ENCODER_BASE, ENCODER),
+    (CONTROLLER_BASE, CONTROLLER),
+    (SENSORLESS_BASE, SENSORLESS),
+)
+COMPLAINTS05 = {base + bit: said for base, texts in WORDS for bit, said in texts.items()}
+"""All by their codes."""

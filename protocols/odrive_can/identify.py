@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from protocols.odrive_can.faults import ERRORS, Text
+from protocols.odrive_can.faults import ERRORS
 from protocols.odrive_can.faults05 import AXIS, AxisError
 from protocols.odrive_can.messages import AxisState, Beacon, GetVersion
+from protocols.plugin import Complaint
 
 ATTEMPTS = 10
 """A device that sends heartbeats and answers nothing is a fault after so many questions."""
@@ -63,7 +64,7 @@ class Identity:
         self.seems = shape_of(beacon)
         return self.reading
 
-    def ask(self, beating: bool) -> Text | None:
+    def ask(self, beating: bool) -> Complaint | None:
         """Get_Version and the other question go out; what is wrong, if anything.
 
         `beating`: heartbeats were heard."""
@@ -77,7 +78,7 @@ class Identity:
             "look at cable and bit rate with a bus monitor, and for a second host",
         )
 
-    def hear_other(self) -> Text | None:
+    def hear_other(self) -> Complaint | None:
         """The other question was answered; what is wrong with it, if anything."""
         if not self._waiting or self.line:
             return None
@@ -98,7 +99,7 @@ class Identity:
         """It answered on the broadcast node, as no 0.5.x does."""
         self._answers_roll_call = True
 
-    def hear_version(self, version: GetVersion) -> Text | None:
+    def hear_version(self, version: GetVersion) -> Complaint | None:
         """It answered Get_Version; what is wrong with it, if anything."""
         before, said = self.line, f"{version.fw_major}.{version.fw_minor}"
         self.version = version
@@ -132,12 +133,12 @@ class Identity:
             return f"firmware {v.fw_major}.{v.fw_minor}.{v.fw_revision}"
         return f"firmware {self.line}.x" if self.line else "firmware not known yet"
 
-    def _fault(self, name: str, cause: str, cure: str) -> Text | None:
+    def _fault(self, name: str, cause: str, cure: str) -> Complaint | None:
         """Told once until it is cleared."""
         if self.wrong:
             return None
         self.wrong = True
-        return Text(name, cause, cure)
+        return Complaint(name, cause, cure)
 
 
 ONLY05 = sum(AXIS.keys() - ERRORS.keys())

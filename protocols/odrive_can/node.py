@@ -14,19 +14,19 @@ from collections.abc import Mapping
 
 from protocols.odrive_can.asking import NEVER, OTHER, VERSION, Asking
 from protocols.odrive_can.codec import EXTENDED, AnyMessage, cmd_of, radians
-from protocols.odrive_can.dialect import DIALECTS, PART_SHIFT, Beat, Dialect, beat_of
+from protocols.odrive_can.dialect import DIALECTS, Beat, Dialect, beat_of
 from protocols.odrive_can.faults import (
     NOT_ARMED,
     PROCEDURE,
     RESULTS,
     WRONG_FIRMWARE,
     Result,
-    Text,
     bits,
     result_name,
     state_name,
     text_of,
 )
+from protocols.odrive_can.faults05 import BASE_SHIFT
 from protocols.odrive_can.identify import Identity
 from protocols.odrive_can.inputs import Input, setpoint, standstill
 from protocols.odrive_can.messages import (
@@ -50,6 +50,7 @@ from protocols.odrive_can.messages05 import (
     GetSensorlessError,
 )
 from protocols.odrive_can.options import Options
+from protocols.plugin import Complaint
 from protocols.words import (
     MILLISECOND,
     Command,
@@ -165,7 +166,7 @@ class Node:
         beat = beat_of(message)
         return self._hear_beat(t, beat) if beat is not None else []
 
-    def _identified(self, t: Nanos, wrong: Text | None) -> list[Event]:
+    def _identified(self, t: Nanos, wrong: Complaint | None) -> list[Event]:
         """The firmware line may be known now: what was heard before is to be heard again in its language."""
         if self.dialect.line != self._line_heard:
             self._line_heard, self.state = self.dialect.line, None
@@ -191,7 +192,7 @@ class Node:
         self.wanted |= {cmd: 0 for cmd in beat.parts if cmd not in before.parts}
         self._confirm_release(closed=closed)
         errors = beat.error & ~dialect.initializing if dialect.axis else 0  # else nobody knows what they mean
-        events = self._new_faults(t, errors, dialect.axis)
+        events = self._new_faults(t, errors, dialect.axis, dialect.base)
         self._forget_faults(dialect, beat)
         events += self._judge_arming(t, closed=closed)
         return events + self._tell_state(t, fell=fell)
@@ -203,7 +204,7 @@ class Node:
             self.release_seen = 0
 
     def _new_faults(
-        self, t: Nanos, errors: int, texts: Mapping[int, Text], base: int = 0, prefix: str = ""
+        self, t: Nanos, errors: int, texts: Mapping[int, Complaint], base: int = 0, prefix: str = ""
     ) -> list[Event]:
         fresh = [bit for bit in bits(errors) if base + bit not in self.told_faults]
         self.told_faults |= {base + bit for bit in fresh}
@@ -212,20 +213,19 @@ class Node:
 
     def _forget_faults(self, dialect: Dialect, beat: Beat) -> None:
         """What is gone is told anew when it comes again."""
-        standing = {dialect.parts[cmd][0] >> PART_SHIFT for cmd in beat.parts}
+        words = {dialect.parts[cmd][0] for cmd in beat.parts}
+        axis = {dialect.base + bit for bit in bits(beat.error)}
         self.told_faults = {
-            code
-            for code in self.told_faults
-            if (code >> PART_SHIFT in standing if code >> PART_SHIFT else code & beat.error)
+            code for code in self.told_faults if code in axis or code >> BASE_SHIFT << BASE_SHIFT in words
         }
 
     def _hear_errors(self, t: Nanos, active: int, reason: int) -> list[Event]:
         """Get_Error: the disarm reason counts only where we saw it disarm; an old one is history."""
         dialect = self.dialect
-        events = self._new_faults(t, active & ~dialect.initializing, dialect.axis)
+        events = self._new_faults(t, active & ~dialect.initializing, dialect.axis, dialect.base)
         if self.wanted.pop(cmd_of(GetError), None) is not None:
             reason &= ~dialect.initializing
-            events += self._new_faults(t, reason, dialect.axis, prefix="it disarmed the axis: ")
+            events += self._new_faults(t, reason, dialect.axis, dialect.base, "it disarmed the axis: ")
         return events
 
     def _hear_part(self, t: Nanos, cmd: int, errors: int) -> list[Event]:

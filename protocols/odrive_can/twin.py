@@ -72,6 +72,10 @@ class OdriveTwin:
         """Something went wrong (in the terms of 0.6.x); an armed axis disarms."""
         raise NotImplementedError
 
+    def provoke(self, code: int) -> None:
+        """Trip a fault. ValueError if this firmware line does not have it."""
+        raise NotImplementedError
+
     def boot(self, now: Nanos) -> None:
         """A step is taken: what the firmware does on its way up."""
 

@@ -13,6 +13,12 @@ from protocols.odrive_can.codec import AnyMessage, cmd_of
 from protocols.odrive_can.ear import addressed, hear, obey
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import (
+    AXIS_BASE,
+    BASE_SHIFT,
+    COMPLAINTS05,
+    CONTROLLER_BASE,
+    ENCODER_BASE,
+    MOTOR_BASE,
     AxisError,
     ControllerError,
     EncoderError,
@@ -160,10 +166,34 @@ class Twin05(OdriveTwin):
             self.errors |= AXIS_TRIPS.get(error, AxisError(0))
             self.motor_errors |= MOTOR_TRIPS.get(error, MotorError(0))
             self.controller_errors |= CONTROLLER_TRIPS.get(error, ControllerError(0))
-        if self.motor_errors:
-            self.errors |= AxisError.MOTOR_FAILED
-        if self.controller_errors:
-            self.errors |= AxisError.CONTROLLER_FAILED
+        self._fail()
+
+    def provoke(self, code: int) -> None:
+        """See the base."""
+        if code not in COMPLAINTS05:
+            raise ValueError(f"firmware 0.5.x has no fault {code:#x}")
+        base, bit = code >> BASE_SHIFT << BASE_SHIFT, code % (1 << BASE_SHIFT)
+        if base == AXIS_BASE:
+            self.errors |= AxisError(bit)
+        elif base == MOTOR_BASE:
+            self.motor_errors |= MotorError(bit)
+        elif base == ENCODER_BASE:
+            self.encoder_errors |= EncoderError(bit)
+        elif base == CONTROLLER_BASE:
+            self.controller_errors |= ControllerError(bit)
+        else:
+            self.sensorless_errors |= SensorlessError(bit)
+        self._fail()
+
+    def _fail(self) -> None:
+        """A part's error is the axis' too, and an axis with errors disarms."""
+        for part, bit in (
+            (self.motor_errors, AxisError.MOTOR_FAILED),
+            (self.encoder_errors, AxisError.ENCODER_FAILED),
+            (self.controller_errors, AxisError.CONTROLLER_FAILED),
+            (self.sensorless_errors, AxisError.SENSORLESS_ESTIMATOR_FAILED),
+        ):
+            self.errors |= bit if part else AxisError(0)
         if self.errors:
             self.axis.armed = False
 

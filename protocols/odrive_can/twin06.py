@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from protocols.odrive_can.codec import BROADCAST, AnyMessage, cmd_of
 from protocols.odrive_can.ear import addressed, assign, obey
-from protocols.odrive_can.faults import Error, Result
+from protocols.odrive_can.faults import COMPLAINTS06, Error, Result
 from protocols.odrive_can.messages import (
     Address,
     AxisState,
@@ -138,6 +138,12 @@ class Twin06(OdriveTwin):
             self.axis.armed = False
             self.disarm_reason = self.errors
             self.result = Result.DISARMED
+
+    def provoke(self, code: int) -> None:
+        """See the base."""
+        if code not in COMPLAINTS06:
+            raise ValueError(f"firmware 0.6.x has no fault {code:#x}")
+        self.trip(Error(code))
 
     def _reboot(self, t: Nanos, action: int) -> None:
         if action == RebootAction.SAVE:

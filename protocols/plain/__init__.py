@@ -10,7 +10,7 @@ from typing import get_args
 
 from protocols.plain import line
 from protocols.plain.driver import OFFLINE, Options, PlainDriver
-from protocols.plain.twin import PlainEar, Settings, twin
+from protocols.plain.twin import COMPLAINTS, PlainEar, Settings, twin
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.wire import Wire
 from protocols.words import COMMANDS, MILLISECOND, Command, ReadParameter, Request, Scan
@@ -18,6 +18,13 @@ from protocols.words import COMMANDS, MILLISECOND, Command, ReadParameter, Reque
 MEASUREMENTS = ("Imu", "LaserScan", "Fix")
 SENSOR_PERIOD = 100 * MILLISECOND
 """Of the slowest sensor that is usual; what a robot waits for is in its own file."""
+
+
+def messages(wire: Wire) -> tuple[str, ...]:
+    """The kinds of the words that whole messages to a device hold."""
+    bodies = line.Stream().feed(wire) if isinstance(wire, bytes) else []
+    said = [line.read(body, 0, "") for body in bodies]
+    return tuple(type(word).__name__ for word in said if isinstance(word, Command | Request))
 
 
 def read_only(wire: Wire) -> bool:
@@ -56,14 +63,17 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(patience if motor and patience else None, enabled=motor and patience > 0),
         holds_unattended=motor and not patience,
         stop_clears_faults=False,
+        faults=COMPLAINTS if motor else {},
     )
 
 
 def _ranges(motor: bool) -> dict[str, Range]:
-    """Everything is float64 on the wire: nothing is rounded."""
+    """Everything is float64 on the wire: nothing is rounded but what is next to nothing."""
     measured = {name: name.partition(".")[0] in MEASUREMENTS for name in line.LIMITS}
     return {
-        name: Range(low, high, 0.0) for name, (low, high) in line.LIMITS.items() if measured[name] != motor
+        name: Range(low, high, line.TINY)
+        for name, (low, high) in line.LIMITS.items()
+        if measured[name] != motor
     }
 
 
@@ -77,4 +87,6 @@ plugin = Plugin(
     driver=PlainDriver,
     ear=PlainEar,
     twin=twin,
+    messages=messages,
+    vectors=("fixtures", "vectors/plain.json"),
 )

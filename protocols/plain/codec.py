@@ -59,6 +59,8 @@ CODES: dict[int, type[Word]] = {
     79: words.Fix,
 }
 """What a packed word's first element means. A code is never given to another word."""
+LATER: dict[type[Word], list[Any]] = {words.Found: [False]}
+"""Values of fields that were added at the end of a word: a recording from before lacks them."""
 _INT_LOW, _INT_HIGH = -(2**63), 2**64 - 1
 
 
@@ -86,6 +88,12 @@ def _float_in(value: object) -> float:
 def _int(value: object) -> int:
     if type(value) is not int or not _INT_LOW <= value <= _INT_HIGH:
         raise ValueError(f"{value!r} is not an integer of 64 bits")
+    return value
+
+
+def _bool(value: object) -> bool:
+    if type(value) is not bool:
+        raise ValueError(f"{value!r} is not a truth value")
     return value
 
 
@@ -156,6 +164,7 @@ def _converters(hint: object) -> tuple[_Convert, _Convert]:
     plain: dict[object, tuple[_Convert, _Convert]] = {
         float: (_float_out, _float_in),
         int: (_int, _int),
+        bool: (_bool, _bool),
         str: (_str, _str),
         Mode: (_mode_out, _mode_in),
     }
@@ -255,7 +264,11 @@ def unpack_fields(data: bytes) -> tuple[Kind, list[Any]] | None:
         if type(row) is not list or not row or type(row[0]) is not int:
             return None
         kind = KINDS.get(row[0])
-        if kind is None or len(row) != len(kind.decode) + 1:
+        if kind is None:
+            return None
+        later = LATER.get(kind.word, [])
+        row += later if len(row) + len(later) == len(kind.decode) + 1 else []
+        if len(row) != len(kind.decode) + 1:
             return None
         return kind, [decode(value) for decode, value in zip(kind.decode, row[1:], strict=True)]
     except (ValueError, TypeError, OverflowError, struct.error, msgpack.UnpackException):

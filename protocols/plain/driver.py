@@ -218,7 +218,8 @@ class PlainDriver:
         """A device answered to Scan or SetId. Two serial numbers at one address are told."""
         before = self._serials.get(word.address, word.serial)
         if before != word.serial:
-            word = replace(word, detail=f"{word.detail}; address {word.address} is also held by {before}")
+            said = f"{word.detail}; address {word.address} is also held by {before}"
+            word = replace(word, detail=said, twice=True)
         if word.serial is not None:
             self._serials[word.address] = word.serial
         events: list[Event] = [word]

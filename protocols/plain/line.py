@@ -5,6 +5,8 @@ and `read` take any bytes and never raise. All numbers are little-endian:
 
     A5 57 | length u16 | length XOR FFFF u16 | body: address u8, packed word | CRC-32 u32 of the body
 
+−0.0, and what is smaller than any normal binary32, stands as 0.0 and is read as 0.0.
+
 In the body the word's own name (motor, sensor, bus, name) stands empty, since the address tells it, and
 `t` holds the age of the measurement in ns when it was sent. CRC-32 is that of zlib and Ethernet
 (reflected 0x04C11DB7). The complement lets a false or damaged length be seen at once, so that a reader
@@ -37,6 +39,9 @@ MAX_BODY = 0x4000
 """Bytes in the body of one message: a scan of some 2,000 beams."""
 MAX_AGE: Nanos = 10 * words.SECOND
 """Nothing that is sent is older; a message that says so is bad."""
+
+TINY = 2.0**-126
+"""Smallest normal binary32: no device means anything by less."""
 
 _HEAD = struct.Struct("<2sHH")
 _TAIL = struct.Struct("<I")
@@ -103,6 +108,16 @@ def _outside(kind: Kind, values: Sequence[Any]) -> str:
     return ""
 
 
+def _normalise(values: list[Any]) -> None:
+    """−0.0 and what is smaller than `TINY` become 0.0."""
+    for at, value in enumerate(values):
+        if type(value) is float:
+            if -TINY < value < TINY:
+                values[at] = 0.0
+        elif type(value) is tuple and not (value and min(value) >= TINY):  # a scan seldom needs the slow look
+            values[at] = tuple([0.0 if -TINY < number < TINY else number for number in value])
+
+
 # -- messages on a stream ------------------------------------------------------------------------------
 
 
@@ -115,6 +130,7 @@ def message(address: int, word: Word, now: Nanos = 0) -> bytes:
     values = list(kind.get(word))
     if wrong := _outside(kind, values):
         raise ValueError(f"{kind.word.__name__}: {wrong}")
+    _normalise(values)
     if kind.name is not None:
         values[kind.name] = ""
     if kind.time is not None:
@@ -139,6 +155,7 @@ def read(body: bytes, t: Nanos, name: str) -> Word | None:
     kind, values = found
     if _outside(kind, values):
         return None
+    _normalise(values)
     if kind.name is not None:
         values[kind.name] = name
     if kind.time is not None:

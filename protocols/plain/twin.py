@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from protocols.plain import line
-from protocols.plugin import Device, Twin
+from protocols.plugin import Complaint, Device, Twin
 from protocols.wire import Wire
 from protocols.words import (
     MILLISECOND,
@@ -92,6 +92,14 @@ class Settings:
                 raise ValueError(f"{name} must be more than zero, not {getattr(self, name)}")
 
 
+COMPLAINTS = {
+    1: Complaint(
+        "watchdog expired", "no command came within watchdog_ms", "find why the host fell silent, then clear"
+    ),
+    2: Complaint("emergency stop", "asked for by the host", "clear when it is safe"),
+}
+"""What a motor may complain of, by code."""
+
 WRITABLE = tuple(f.name for f in fields(Settings) if f.name != "serial")
 
 
@@ -152,6 +160,10 @@ class PlainSensor:
         """A sensor speaks when the world shows it something."""
         return None
 
+    def provoke(self, code: int) -> None:
+        """A sensor has no faults."""
+        raise ValueError(f"a plain sensor has no fault {code}")
+
 
 class PlainMotor:
     """The firmware of a plain motor. The shaft it turns is the world's."""
@@ -165,6 +177,8 @@ class PlainMotor:
         self._ready_at: Nanos = 0
         """When a restart is over."""
         self._fault: Fault | None = None
+        self._provoked: int | None = None
+        """A fault that is to trip, whatever the reason."""
         self._command: Command = Idle(device.name)
         self._fed: Nanos = 0
         """When the last command came."""
@@ -218,7 +232,15 @@ class PlainMotor:
             moments.append(self._fed + round(self._settings.watchdog_ms * MILLISECOND) + 1)
         if self._mode == Mode.INITIALISING:
             moments.append(self._ready_at)
+        if self._provoked:
+            moments.append(self._now or 0)
         return min(moments)
+
+    def provoke(self, code: int) -> None:
+        """Trip a fault at the next moment that the firmware lives through."""
+        if code not in COMPLAINTS:
+            raise ValueError(f"a plain motor has no fault {code}")
+        self._provoked = code
 
     # -- modes -----------------------------------------------------------------------------------------
 
@@ -228,8 +250,10 @@ class PlainMotor:
             self._enter(self._ready_at, Mode.READY)
         patience = round(self._settings.watchdog_ms * MILLISECOND)
         if self._mode == Mode.ARMED and patience and now - self._fed > patience:
-            cause = f"no command in {self._settings.watchdog_ms:g} ms"
-            self._trip(now, 1, "watchdog expired", cause, "find why the host fell silent, then clear")
+            self._trip(now, 1)
+        if self._provoked:
+            self._trip(now, self._provoked)
+            self._provoked = None
 
     def _obey(self, t: Nanos, command: Command) -> None:
         """A command arms and feeds the watchdog; a motor in fault or restarting does not obey."""
@@ -246,8 +270,9 @@ class PlainMotor:
         if mode != self._mode:
             self._mode, self._state_at, self._integral = mode, t, 0.0
 
-    def _trip(self, t: Nanos, code: int, name: str, cause: str, cure: str) -> None:
-        self._fault = Fault(self._device.name, t, code, name, cause, cure)
+    def _trip(self, t: Nanos, code: int) -> None:
+        said = COMPLAINTS[code]
+        self._fault = Fault(self._device.name, t, code, said.name, said.cause, said.cure)
         self._command = Idle(self._device.name)
         self._enter(t, Mode.FAULT)
 
@@ -273,7 +298,7 @@ class PlainMotor:
             self._fault = None
             self._enter(t, Mode.READY if self._mode == Mode.FAULT else self._mode)
         elif isinstance(word, Estop):
-            self._trip(t, 2, "emergency stop", "asked for by the host", "clear when it is safe")
+            self._trip(t, 2)
         elif isinstance(word, Reboot):
             self._fault, self._command, self._ready_at = None, Idle(name), t + BOOT
             self._offset = 0.0

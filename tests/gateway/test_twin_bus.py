@@ -244,6 +244,9 @@ class Spy:
     def due(self) -> Nanos | None:
         return self.inner.due()
 
+    def provoke(self, code: int) -> None:
+        self.inner.provoke(code)
+
 
 def test_nothing_but_shafts_and_readings_reaches_a_packet() -> None:
     shown: list[tuple[str, Event]] = []

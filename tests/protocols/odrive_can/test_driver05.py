@@ -10,9 +10,14 @@ import pytest
 
 from protocols.odrive_can import plugin
 from protocols.odrive_can.codec import AnyMessage, encode, radians
-from protocols.odrive_can.dialect import LINE05, PART_SHIFT, READABLE05
+from protocols.odrive_can.dialect import LINE05, READABLE05
 from protocols.odrive_can.faults import DUPLICATE_NODE, Error
 from protocols.odrive_can.faults05 import (
+    AXIS_BASE,
+    CONTROLLER_BASE,
+    ENCODER_BASE,
+    MOTOR_BASE,
+    SENSORLESS_BASE,
     AxisError,
     ControllerError,
     EncoderError,
@@ -146,25 +151,25 @@ def test_an_uncalibrated_axis_says_why_it_does_not_arm_and_is_not_asked_again() 
 # -- faults -------------------------------------------------------------------------------------------
 
 WORDS: list[tuple[type[IntFlag], int, type | None, int]] = [
-    (AxisError, 0, None, 0),
-    (MotorError, 1, GetMotorError, AxisError.MOTOR_FAILED),
-    (EncoderError, 2, GetEncoderError, AxisError.ENCODER_FAILED),
-    (ControllerError, 3, GetControllerError, AxisError.CONTROLLER_FAILED),
-    (SensorlessError, 4, GetSensorlessError, AxisError.SENSORLESS_ESTIMATOR_FAILED),
+    (AxisError, AXIS_BASE, None, 0),
+    (MotorError, MOTOR_BASE, GetMotorError, AxisError.MOTOR_FAILED),
+    (EncoderError, ENCODER_BASE, GetEncoderError, AxisError.ENCODER_FAILED),
+    (ControllerError, CONTROLLER_BASE, GetControllerError, AxisError.CONTROLLER_FAILED),
+    (SensorlessError, SENSORLESS_BASE, GetSensorlessError, AxisError.SENSORLESS_ESTIMATOR_FAILED),
 ]
 
 
 @pytest.mark.parametrize(
-    ("bit", "number", "message", "axis_bit"),
-    [(bit, number, kind, of_axis) for flags, number, kind, of_axis in WORDS for bit in flags],
+    ("bit", "base", "message", "axis_bit"),
+    [(bit, base, kind, of_axis) for flags, base, kind, of_axis in WORDS for bit in flags],
     ids=lambda value: f"{type(value).__name__}.{value.name}" if isinstance(value, IntFlag) else "",
 )
 def test_every_bit_of_every_word_is_told_once_with_cause_and_cure(
-    bit: IntFlag, number: int, message: type | None, axis_bit: int
+    bit: IntFlag, base: int, message: type | None, axis_bit: int
 ) -> None:
     bench = ready()
     bench.from_device = lambda frame: False
-    motor, encoder, controller = (int(number == n) for n in (1, 2, 3))
+    motor, encoder, controller = (int(base == of) for of in (MOTOR_BASE, ENCODER_BASE, CONTROLLER_BASE))
     beat = encode(1, Heartbeat05(axis_bit if message else int(bit), 1, motor, encoder, controller, 0))
     events: list[Event] = []
     for turn in range(3):
@@ -174,7 +179,7 @@ def test_every_bit_of_every_word_is_told_once_with_cause_and_cure(
     faults = of(Fault, events)
     told = {fault.code: fault for fault in faults}
     assert len(told) == len(faults) == (2 if message else 1)
-    fault = told[int(bit) + (number << PART_SHIFT)]
+    fault = told[base + int(bit)]
     assert str(bit.name) in fault.name
     assert fault.cause
     assert fault.cure

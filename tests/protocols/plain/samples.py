@@ -14,7 +14,7 @@ from protocols import words
 from protocols.plain.codec import CODES
 from protocols.words import Mode, Word
 
-VECTORS: dict[str, Any] = json.loads((files("fixtures") / "vectors" / "plain.json").read_text("utf-8"))
+VECTORS: dict[str, Any] = json.loads((files("fixtures") / "vectors" / "words.json").read_text("utf-8"))
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 INTS = st.integers(-(2**63), 2**64 - 1)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
@@ -36,6 +36,7 @@ def _strategy(hint: object) -> st.SearchStrategy[Any]:
     plain: dict[object, st.SearchStrategy[Any]] = {
         float: FLOATS,
         int: INTS,
+        bool: st.booleans(),
         str: TEXTS,
         Mode: st.sampled_from(Mode),
     }

@@ -46,8 +46,7 @@ def test_every_word_has_a_code_and_a_vector() -> None:
 def test_what_other_writers_write_is_read(row: dict[str, Any]) -> None:
     read = unpack(bytes.fromhex(row["bytes"]))
     assert read == word_of(row)
-    assert isinstance(read, Torque)
-    assert type(read.torque) is float
+    assert not isinstance(read, Torque) or type(read.torque) is float
 
 
 @pytest.mark.parametrize("row", VECTORS["unreadable"], ids=ids)
