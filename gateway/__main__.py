@@ -111,6 +111,12 @@ def _twin(commands: Commands) -> None:
         help="ptys for each CAN bus that is not on an interface, for so many programs at once (default: 1)",
     )
     twin.add_argument(
+        "--adapter",
+        action="append",
+        choices=("slcan", "fdcanusb"),
+        help="what those ptys speak (default: slcan); given twice, N ptys of each",
+    )
+    twin.add_argument(
         "--link",
         type=Path,
         metavar="DIR",
@@ -183,8 +189,29 @@ def _check(commands: Commands) -> None:
 
 
 def _protocols(commands: Commands) -> None:
-    protocols = _command(commands, "protocols", "the installed device languages")
-    protocols.add_argument("check", nargs="*", metavar="check NAME", help="run the contract over one of them")
+    protocols = _command(
+        commands, "protocols", "the installed device languages; check one, or begin a new one"
+    )
+    what = protocols.add_subparsers(dest="what", metavar="check | new")
+    check = _command(
+        what, "check", "run the contract over device languages, and print what each clause finds"
+    )
+    check.add_argument(
+        "names", nargs="*", metavar="NAME", help="which (default: every one that is installed)"
+    )
+    check.add_argument(
+        "--seed", type=_seed, default=0, metavar="N", help="of the contract's samples (default: 0)"
+    )
+    new = _command(what, "new", "write a folder with a whole plugin for an invented device, to be filled in")
+    new.add_argument("name", metavar="NAME", help="of the language, as robot files will say it: my_motor")
+    new.add_argument("--bus", required=True, choices=("can", "canfd", "serial"), help="what it is spoken on")
+    new.add_argument(
+        "--into",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="where the folder NAME is made (default: here)",
+    )
 
 
 def _bench(commands: Commands) -> None:
@@ -259,6 +286,12 @@ def _interface(text: str) -> tuple[str, str]:
 def _count(text: str) -> int:
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 16):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number from 1 to 16")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) < 2**63):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 2**63 - 1")
     return int(text)
 
 

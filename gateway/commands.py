@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from gateway.operator import Operator
     from gateway.robot import Robot
     from gateway.session import Session
+    from protocols.plugin import Broken
 
 PATIENCE: Nanos = 240 * SECOND
 """How long the demo waits for one goal, in the robot's time."""
@@ -345,26 +346,53 @@ def check(options: Namespace) -> int:
 
 
 def protocols(options: Namespace) -> int:
-    """The installed device languages; or the contract over one of them."""
-    from protocols.conformance import check as conform
-    from protocols.conformance import table
-    from protocols.plugin import UnknownProtocol, load, load_all
+    """The installed device languages; the contract over them; or a new one."""
+    if options.what == "check":
+        return _check_protocols(options)
+    if options.what == "new":
+        return _new_protocol(options)
+    from protocols.plugin import load_all
 
-    if options.check:
-        if options.check[0] != "check" or len(options.check) != 2:
-            raise Sentence("say `gateway protocols`, or `gateway protocols check NAME`")
-        try:
-            results = conform(load(options.check[1]))
-        except UnknownProtocol as error:
-            raise Sentence(str(error)) from error
-        print(table(results))
-        return 1 if any(result.outcome == "failed" for result in results) else 0
     plugins, broken = load_all()
     for plugin in plugins:
         print(f"{plugin.name}: {plugin.title}\n    trust: {plugin.trust}")
+    _tell_broken(broken)
+    return 1 if broken else 0
+
+
+def _check_protocols(options: Namespace) -> int:
+    """The contract over the plugins of these names, or over all; those that are broken are left out."""
+    from gateway.verdicts import verdict
+    from protocols.plugin import UnknownProtocol, load, load_all
+
+    broken: tuple[Broken, ...] = ()
+    try:
+        plugins = tuple(load(name) for name in dict.fromkeys(options.names))
+    except UnknownProtocol as error:
+        raise Sentence(str(error)) from error
+    if not plugins:
+        plugins, broken = load_all()
+    passed = [verdict(plugin, options.seed, failures_only=options.quiet > 0) for plugin in plugins]
+    if len(plugins) + len(broken) > 1:
+        print(f"{sum(passed)} of {len(plugins) + len(broken)} keep the contract")
+    _tell_broken(broken)
+    return 0 if all(passed) and not broken else 1
+
+
+def _new_protocol(options: Namespace) -> int:
+    from gateway import scaffold
+
+    try:
+        made = scaffold.new(options.name, options.bus, options.into)
+    except scaffold.ScaffoldError as error:
+        raise Sentence(str(error)) from error
+    print(scaffold.next_steps(made))
+    return 0
+
+
+def _tell_broken(broken: Sequence[Broken]) -> None:
     for bad in broken:
         print(f"{bad.name}: left out: {bad.distribution} is broken: {bad.reason}", file=sys.stderr)
-    return 1 if broken else 0
 
 
 def bench(options: Namespace) -> int:

@@ -63,7 +63,7 @@ def wrong(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["replay", "pyproject.toml"], "not a recording of this gateway"),
         (["demo", "--robot", "bench", "--out", "{tmp}"], "has no tour"),
         (["demo", "--out", "/proc/no"], "--out /proc/no"),
-        (["protocols", "chek", "plain"], "gateway protocols check NAME"),
+        (["protocols", "chek", "plain"], "invalid choice: 'chek'"),
         (["protocols", "check", "plane"], "did you mean 'plain'?"),
         (["ask", "nobody", "status"], "no robot runs"),
     ],

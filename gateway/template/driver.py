@@ -1,0 +1,176 @@
+"""Our end of the wire: commands down; feedback, states and faults up.
+
+Rules. Nothing is said to a device before its first command other than Idle (or an operator's Stop). Nothing
+is said that was not asked for, so that the device's watchdog is fed by commands alone. A fault is told
+once, until the device has left it or the bus has come back. A request ends: done, or refused after `ANSWER`.
+
+FILL IN what the real device needs to be armed, polled and asked. The clauses "unclaimed", "disarm", "faults"
+and "blind" tell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from protocols.plugin import Device, Tally
+from protocols.wire import BusState, Wire
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Command,
+    Done,
+    Event,
+    Fault,
+    Feedback,
+    Idle,
+    Mode,
+    Nanos,
+    Refused,
+    Request,
+    State,
+    Stop,
+    Velocity,
+)
+
+from . import codec
+from .codec import DeviceMode, Order
+from .faults import FAULTS
+
+ANSWER: Nanos = 200 * MILLISECOND
+"""How long the device may take to answer a request."""
+OFFLINE: Nanos = 100 * MILLISECOND
+"""Silence after which a device is called offline."""
+MODES = {
+    DeviceMode.READY: Mode.READY,
+    DeviceMode.RUNNING: Mode.ARMED,
+    DeviceMode.FAULT: Mode.FAULT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What our driver should do. FILL IN: typed fields with defaults, or none."""
+
+
+@dataclass(slots=True)
+class _Seat:
+    """What the driver knows of one device."""
+
+    name: str
+    address: int
+    claimed: bool = False
+    heard: Nanos | None = None
+    """When it last spoke, or when we began to listen."""
+    mode: Mode | None = None
+    """As it was last told."""
+    fault: int = 0
+    """The code that was told and still stands."""
+    clearing: Nanos | None = None
+    """When our patience with ClearFault ends."""
+
+
+class MotorDriver:
+    """The driver of all devices of this language on one bus."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self._seats = {device.address: _Seat(device.name, device.address) for device in devices}
+        self._names = {seat.name: seat for seat in self._seats.values()}
+        self.tally = Tally()
+        self._reader = codec.Reader(codec.STATUS, tuple(self._seats), self.tally)
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        """What the wire says of our devices."""
+        events: list[Event] = []
+        for address, payload in self._reader.read(wire):
+            status = codec.read_status(payload)
+            if status is None:
+                self.tally.bad += 1
+                continue
+            self.tally.heard += 1
+            events += self._hear(t, self._seats[address], status)
+        return events
+
+    def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- silence is counted from what was heard
+        """A bus that was away has lost what stood on it, and its devices may have restarted."""
+        if state in (BusState.GONE, BusState.OFF, BusState.BACK):
+            self._reader.drop()
+            for seat in self._seats.values():
+                seat.fault = 0
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+        """Each word that a device takes becomes one message; the others are refused."""
+        events: list[Event] = []
+        wires: list[Wire] = []
+        for word in words:
+            if isinstance(word, Stop):
+                for seat in self._seats.values():
+                    seat.claimed = True
+                continue
+            try:
+                wires += self._say(now, word)
+            except ValueError as error:
+                about = getattr(word, "motor", getattr(word, "bus", ""))
+                events.append(Refused(now, type(word).__name__, about, str(error)))
+        return events + self._impatient(now), wires
+
+    def due(self) -> Nanos | None:
+        """When a request has waited, or a device been silent, for too long."""
+        seats = self._seats.values()
+        answers = [seat.clearing for seat in seats if seat.clearing is not None]
+        silences = [s.heard + OFFLINE for s in seats if s.heard is not None and s.mode != Mode.OFFLINE]
+        return min(answers + silences, default=None)
+
+    # -- down ------------------------------------------------------------------------------------------
+
+    def _say(self, now: Nanos, word: Command | Request) -> list[Wire]:
+        """What this word puts on the wire. ValueError with a sentence: it must not, or cannot."""
+        seat = self._names.get(getattr(word, "motor", ""))
+        if seat is None:
+            raise ValueError("no such device here")
+        match word:
+            case Idle():
+                return [codec.command(seat.address, Order.STOP)] if seat.claimed else []
+            case Velocity():
+                if not (math.isfinite(word.velocity) and abs(word.velocity) <= codec.MAX_SPEED):
+                    raise ValueError(f"{word.velocity!r} rad/s is not in ±{codec.MAX_SPEED:g}")
+                seat.claimed = True
+                return [codec.command(seat.address, Order.RUN, word.velocity)]
+            case ClearFault():
+                seat.clearing = now + ANSWER
+                return [codec.command(seat.address, Order.CLEAR)]
+            case _:
+                raise ValueError("the device cannot do that")
+
+    def _impatient(self, now: Nanos) -> list[Event]:
+        """What the time has to say: no answer, or silence."""
+        events: list[Event] = []
+        for seat in self._seats.values():
+            if seat.clearing is not None and now >= seat.clearing:
+                seat.clearing = None
+                events.append(
+                    Refused(now, "ClearFault", seat.name, f"no answer in {ANSWER // MILLISECOND} ms")
+                )
+            seat.heard = now if seat.heard is None else seat.heard
+            if seat.mode != Mode.OFFLINE and now - seat.heard >= OFFLINE:
+                seat.mode = Mode.OFFLINE
+                events.append(State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms"))
+        return events
+
+    # -- up --------------------------------------------------------------------------------------------
+
+    def _hear(self, t: Nanos, seat: _Seat, status: codec.Status) -> list[Event]:
+        events: list[Event] = []
+        mode, seat.heard = MODES[status.mode], t
+        if mode != seat.mode:
+            seat.mode = mode
+            events.append(State(seat.name, t, mode, status.mode.name.lower()))
+        if status.fault and status.fault != seat.fault:
+            told = FAULTS[status.fault]
+            events.append(Fault(seat.name, t, status.fault, told.name, told.cause, told.cure))
+        seat.fault = status.fault
+        if seat.clearing is not None and not status.fault:
+            seat.clearing = None
+            events.append(Done(t, "ClearFault", seat.name))
+        return [*events, Feedback(seat.name, t, status.position, status.velocity)]
