@@ -14,16 +14,20 @@ A third party's distribution is found by one line in its pyproject.toml:
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
+from itertools import groupby
 from typing import Any, Literal, Protocol
 
 from protocols.wire import BusState, Wire
 from protocols.words import Command, Event, Nanos, Request, Torque
 
 GROUP = "motor_gateway.protocols"
+OURS = "motor-gateway"
+"""The distribution that this interface belongs to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +87,10 @@ class Watchdog:
     """Whether it is on as the device stands, as far as options and settings tell."""
     note: str = ""
     """What a person must know, said at every start until the robot file acknowledges it."""
+    fed_by: Literal["its commands", "any command", "any wire"] = "its commands"
+    """What keeps it from tripping: a command to this device; a command to any device of its driver (a
+    heartbeat that the driver sends while it is commanded); or whatever the host says, questions too: then it
+    tells a host that is gone, not one that has nothing to say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,36 +249,86 @@ class UnknownProtocol(LookupError):
 
 def installed() -> tuple[EntryPoint, ...]:
     """The entry points of every installed protocol, by name. Takes milliseconds: call it at start."""
-    return tuple(sorted(entry_points(group=GROUP), key=lambda point: point.name))
+    return tuple(sorted(entry_points(group=GROUP), key=lambda point: (point.name, _owner(point))))
 
 
 def load(name: str) -> Plugin:
-    """The plugin of this name. Raises UnknownProtocol with what there is."""
+    """The plugin of this name; no other is imported. Raises UnknownProtocol with what there is."""
     points = installed()
-    for point in points:
-        if point.name == name:
-            plugin = _load(point)
-            if isinstance(plugin, Broken):
-                raise UnknownProtocol(name, [p.name for p in points], plugin)
-            return plugin
-    raise UnknownProtocol(name, [p.name for p in points])
+    names = tuple(dict.fromkeys(point.name for point in points))
+    plugins, broken = _settle([point for point in points if point.name == name])
+    if plugins:
+        return plugins[0]
+    raise UnknownProtocol(name, names, broken[0] if broken else None)
 
 
 def load_all() -> tuple[tuple[Plugin, ...], tuple[Broken, ...]]:
     """Every installed plugin, and those that could not be loaded with the reason."""
-    loaded = [_load(point) for point in installed()]
-    return (
-        tuple(p for p in loaded if isinstance(p, Plugin)),
-        tuple(p for p in loaded if isinstance(p, Broken)),
-    )
+    plugins: list[Plugin] = []
+    broken: list[Broken] = []
+    for _, points in groupby(installed(), key=lambda point: point.name):
+        good, bad = _settle(list(points))
+        plugins += good
+        broken += bad
+    return tuple(plugins), tuple(broken)
+
+
+def _settle(points: Sequence[EntryPoint]) -> tuple[list[Plugin], list[Broken]]:
+    """What the entry points of one name come to.
+
+    Where several distributions bring the name, ours has it; among others none has, since which of them
+    moves a motor must not hang on the order of folders."""
+    if len(points) > 1:
+        owners = [_owner(point) for point in points]
+        broken = []
+        for at, owner in enumerate(owners):
+            others = " and ".join(owners[:at] + owners[at + 1 :])
+            if owner != OURS:
+                broken.append(Broken(points[at].name, owner, f"{others} has a protocol of that name too"))
+        ours = [point for point in points if _owner(point) == OURS]
+        plugins, bad = _settle(ours[:1])
+        return plugins, bad + broken
+    loaded = [_load(point) for point in points]
+    return [p for p in loaded if isinstance(p, Plugin)], [p for p in loaded if isinstance(p, Broken)]
 
 
 def _load(point: EntryPoint) -> Plugin | Broken:
-    distribution = point.dist.name if point.dist else "?"
+    """The plugin, tried as far as it can be without a device."""
     try:
         plugin = point.load()
-    except (Exception, SystemExit) as error:  # noqa: BLE001 -- a third party's module may raise anything
-        return Broken(point.name, distribution, f"{type(error).__name__}: {error}")
+        wrong = _wrong(point, plugin)
+    except KeyboardInterrupt:  # a person's, who wants to leave
+        raise
+    except BaseException as error:  # noqa: BLE001 -- a third party's module may raise anything, SystemExit too
+        wrong = f"{type(error).__name__}: {error}{_wanted(point, error)}"
+    return Broken(point.name, _owner(point), wrong) if wrong else plugin
+
+
+def _wrong(point: EntryPoint, plugin: object) -> str:
+    """What is wrong with what an entry point gave; "" if nothing. Raises what the plugin raises."""
     if not isinstance(plugin, Plugin):
-        return Broken(point.name, distribution, f"{point.value} is not a protocols.plugin.Plugin")
-    return plugin
+        return f"{point.value} is not a protocols.plugin.Plugin"
+    if plugin.name != point.name:
+        return f"its entry point is called {point.name!r}, and it calls itself {plugin.name!r}"
+    device = Device("motor", 1, plugin.options(), plugin.settings())
+    try:
+        spec = plugin.spec(device)
+    except ValueError:  # an address, or options, that it cannot have: that is a robot file's affair
+        return ""
+    return (
+        "" if isinstance(spec, Spec) else f"its spec gives {type(spec).__name__}, not protocols.plugin.Spec"
+    )
+
+
+def _wanted(point: EntryPoint, error: BaseException) -> str:
+    """Which version of the gateway a distribution asks for, where it may fail for want of it."""
+    requirements = (point.dist.requires if point.dist else None) or ()
+    asked = [r for r in requirements if re.match(rf"{OURS}\b", r, re.IGNORECASE)]
+    if not asked or not isinstance(error, TypeError | ImportError | AttributeError):
+        return ""
+    return f" (it asks for {asked[0]})"
+
+
+def _owner(point: EntryPoint) -> str:
+    """The distribution that an entry point belongs to."""
+    return (point.dist.name if point.dist else None) or "?"

@@ -26,6 +26,7 @@ from protocols.conformance.manners import (
 )
 from protocols.conformance.rehearsal import ADDRESSES
 from protocols.conformance.safety import begins_where_it_is, idle_disarms
+from protocols.conformance.silence import silence_blinds, silence_trips
 from protocols.conformance.state import copies_go_on, same_in_same_out
 from protocols.conformance.survival import commands_survive, measurements_survive
 from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
@@ -60,6 +61,8 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("copies", "a copy made between any two calls goes on the same", copies_go_on),
     Clause("jump", "the first command after arming equals the measured position", begins_where_it_is),
     Clause("disarm", "Idle and the words of a stop disarm from every state", idle_disarms),
+    Clause("watchdog", "silence of the host trips the watchdog and is told; commands feed it", silence_trips),
+    Clause("blind", "a silent device is told to be offline in time, and nothing is made up", silence_blinds),
 )
 
 Outcome = Literal["passed", "failed", "not applicable"]

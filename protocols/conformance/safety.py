@@ -193,7 +193,7 @@ def _cut(on: Scene, spec: Spec, kind: type[Command], steps: int) -> Failure | No
     start = on.measured.get(ALPHA, 0.0)
     on.wait(steps, [resting(kind, spec, ALPHA, start)])
     failure = _disarms(on, [Idle(ALPHA)])
-    return failure and on.failure(f"{steps} steps of {kind.__name__}, then Idle: {failure}")
+    return on.failure(f"{steps} steps of {kind.__name__}, then Idle: {failure}") if failure else None
 
 
 def _paths(spec: Spec) -> list[tuple[str, list[Words]]]:
@@ -216,7 +216,7 @@ def _while_moving(case: Case, spec: Spec, path: tuple[str, list[Words]]) -> Fail
     for said in words[:-1]:
         on.step(said)
     failure = _disarms(on, words[-1])
-    return failure and on.failure(f"{name}, while moving: {failure}")
+    return on.failure(f"{name}, while moving: {failure}") if failure else None
 
 
 def _in_motion(case: Case, spec: Spec) -> Scene | Failure:
@@ -245,8 +245,10 @@ def _while_lost(case: Case, spec: Spec, up: bool, down: bool) -> Failure | None:
         return on.failure(f"Idle while replies are lost: after {LOST} ms the torque is {torque:.3g} N·m")
     cable.up = cable.down = True
     failure = _disarms(on, [Idle(ALPHA)])
+    if not failure:
+        return None
     lost = " and ".join(w for w, passes in (("replies", up), ("words", down)) if not passes)
-    return failure and on.failure(f"{lost} lost for the first {LOST} ms of Idle, then none: {failure}")
+    return on.failure(f"{lost} lost for the first {LOST} ms of Idle, then none: {failure}")
 
 
 def _stop_of_another(case: Case, spec: Spec) -> Failure | None:
@@ -264,7 +266,7 @@ def _stop_of_another(case: Case, spec: Spec) -> Failure | None:
     on.host.other = None
     on.step([Stop("a test"), Idle(ALPHA)])
     failure = _disarms(on, [Idle(ALPHA)])
-    return failure and on.failure(f"Stop, then Idle, to a device that another host armed: {failure}")
+    return on.failure(f"Stop, then Idle, to a device that another host armed: {failure}") if failure else None
 
 
 def _disarms(on: Scene, words: Words) -> str:

@@ -158,7 +158,12 @@ def spec(device: Device) -> Spec:
         commands=frozenset({Idle, Hold, Position, Velocity, Torque}),
         requests=frozenset(requests),
         ranges=RANGES | {"Feedback.position": _measured(settings)},
-        watchdog=Watchdog(timeout, settings.enable_watchdog, "" if quiet else WATCHDOG_NOTE),
+        watchdog=Watchdog(
+            timeout,
+            settings.enable_watchdog,
+            "" if quiet else WATCHDOG_NOTE,
+            "any wire" if line_of(device) == "0.5" else "its commands",
+        ),
         holds_unattended=not settings.enable_watchdog,
         stop_clears_faults=False,
         faults=COMPLAINTS05 if line_of(device) == "0.5" else COMPLAINTS06,
