@@ -175,6 +175,10 @@ def _wired(
     except ValueError as error:
         mistakes.add((*at, "address") if "address" in str(error) else at, str(error))
         return None
+    except Exception as error:  # noqa: BLE001 -- a third party's spec may raise anything
+        said = f"protocol {protocol!r} is broken: its spec raises {type(error).__name__}: {error}"
+        mistakes.add((*at, "protocol"), said)
+        return None
     if spec.kind != kind:
         mistakes.add((*at, "protocol"), f"{protocol!r} speaks to a {spec.kind} here, expected a {kind}")
         return None

@@ -7,7 +7,8 @@ import pytest
 
 from protocols import plugin as interface
 from protocols.conformance import CLAUSES, check
-from protocols.plugin import GROUP, Broken, Plugin, UnknownProtocol, installed, load, load_all
+from protocols.plugin import Broken, Plugin, UnknownProtocol, installed, load, load_all
+from tests.distributions import Site
 
 GOOD = """
 from dataclasses import replace
@@ -17,28 +18,9 @@ plugin = replace(plain, name="acme", title="Acme's motors")
 """
 
 
-class Shelf:
-    """A directory on sys.path in which distributions are installed by hand."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def put(self, distribution: str, entry: str, module: str = "", source: str = "") -> None:
-        info = self.path / f"{distribution.replace('-', '_')}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
-        (info / "entry_points.txt").write_text(f"[{GROUP}]\n{entry}\n")
-        if module:
-            (self.path / f"{module}.py").write_text(source)
-
-
 @pytest.fixture
-def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shelf:
-    monkeypatch.syspath_prepend(str(tmp_path))
-    for name in list(sys.modules):
-        if name.startswith("acme_"):
-            monkeypatch.delitem(sys.modules, name)
-    return Shelf(tmp_path)
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Site:
+    return Site(tmp_path / "site", monkeypatch)
 
 
 def test_ours_are_declared_as_anybodys() -> None:
@@ -66,8 +48,8 @@ def test_an_unknown_name_is_answered_with_what_there_is_and_the_nearest(name: st
     assert raised.value.broken is None
 
 
-def test_a_third_partys_distribution_is_found_and_treated_like_ours(shelf: Shelf) -> None:
-    shelf.put("acme-motors", "acme = acme_good:plugin", "acme_good", GOOD)
+def test_a_third_partys_distribution_is_found_and_treated_like_ours(site: Site) -> None:
+    site.install("acme-motors", "acme = acme_good:plugin", GOOD)
     plugin = load("acme")
     assert plugin.title == "Acme's motors"
     loaded, broken = load_all()
@@ -85,15 +67,33 @@ BROKEN: list[tuple[str, str, str | None, str]] = [
     ("a syntax error", "acme_syntax", "def", "SyntaxError: "),
     ("the end of the program", "acme_exit", "raise SystemExit(3)", "SystemExit: 3"),
     ("no plugin", "acme_else", "plugin = 5", "acme_else:plugin is not a protocols.plugin.Plugin"),
+    ("a missing dependency", "acme_poor", "import acme_dependency", "No module named 'acme_dependency'"),
+    ("another's panic", "acme_panic", "raise BaseException('panic')", "BaseException: panic"),
+    ("another name", "acme_name", f"{GOOD}\nplugin = replace(plugin, name='other')", "calls itself 'other'"),
+    ("a spec that raises", "acme_spec", f"{GOOD}\nplugin = replace(plugin, spec=len)", "TypeError: "),
+    (
+        "a spec that is none",
+        "acme_none",
+        f"{GOOD}\nplugin = replace(plugin, spec=repr)",
+        "its spec gives str",
+    ),
+    ("options without defaults", "acme_options", f"{GOOD}\nplugin = replace(plugin, options=bytes.find)", ""),
+    (
+        "another interface",
+        "acme_old",
+        "from protocols.plugin import Plugin\nplugin = Plugin(wire=1)",
+        "'wire'",
+    ),
+    ("a name that is gone", "acme_gone", "from protocols.plugin import Translator", "cannot import name"),
     ("only its class", "acme_type", "from protocols.plugin import Plugin as plugin", "is not a protocols."),
 ]
 
 
 @pytest.mark.parametrize(("module", "source", "reason"), [b[1:] for b in BROKEN], ids=[b[0] for b in BROKEN])
 def test_a_broken_plugin_is_named_and_left_out(
-    shelf: Shelf, module: str, source: str | None, reason: str
+    site: Site, module: str, source: str | None, reason: str
 ) -> None:
-    shelf.put("acme-motors", f"acme = {module}:plugin", "" if source is None else module, source or "")
+    site.install("acme-motors", f"acme = {module}:plugin", source)
     loaded, broken = load_all()
     assert {"odrive_can", "plain"} <= {plugin.name for plugin in loaded}
     assert "acme" not in {plugin.name for plugin in loaded}
@@ -107,17 +107,69 @@ def test_a_broken_plugin_is_named_and_left_out(
     assert load("plain").name == "plain"  # it hinders nobody
 
 
-def test_a_broken_plugin_does_not_hinder_one_that_is_sound(shelf: Shelf) -> None:
-    shelf.put("acme-motors", "acme = acme_good:plugin", "acme_good", GOOD)
-    shelf.put("acme-brakes", "acme_brakes = acme_worse:plugin", "acme_worse", "raise SystemError('no')")
+def test_a_broken_plugin_does_not_hinder_one_that_is_sound(site: Site) -> None:
+    site.install("acme-motors", "acme = acme_good:plugin", GOOD)
+    site.install("acme-brakes", "acme_brakes = acme_worse:plugin", "raise SystemError('no')")
     loaded, broken = load_all()
     assert "acme" in {plugin.name for plugin in loaded}
     assert broken == (Broken("acme_brakes", "acme-brakes", "SystemError: no"),)
 
 
-def test_entry_points_of_other_groups_are_not_ours(shelf: Shelf) -> None:
-    shelf.put("acme-motors", "acme = acme_good:plugin", "acme_good", GOOD)
-    info = next(shelf.path.glob("*.dist-info"))
+def test_a_plugin_for_another_version_says_which_it_asks_for(site: Site) -> None:
+    source = "from protocols.plugin import Translator"
+    site.install("acme-motors", "acme = acme_new:plugin", source, more="Requires-Dist: motor-gateway>=9\n")
+    (broken,) = load_all()[1]
+    assert broken.reason.startswith("ImportError: cannot import name 'Translator'")
+    assert broken.reason.endswith("(it asks for motor-gateway>=9)")
+
+
+def test_a_person_who_leaves_is_not_a_broken_plugin(site: Site) -> None:
+    site.install("acme-motors", "acme = acme_slow:plugin", "raise KeyboardInterrupt")
+    with pytest.raises(KeyboardInterrupt):
+        load_all()
+    assert load("plain").name == "plain"
+
+
+def test_to_load_one_imports_no_other(site: Site) -> None:
+    site.install("acme-motors", "acme = acme_good:plugin", GOOD)
+    site.install("acme-brakes", "acme_brakes = acme_worse:plugin", "raise KeyboardInterrupt")
+    assert load("acme").name == "acme"
+    assert "acme_worse" not in sys.modules
+
+
+def test_two_distributions_with_one_name_are_told_and_neither_is_taken(site: Site) -> None:
+    site.install("acme-motors", "acme = acme_good:plugin", GOOD)
+    site.install("acme-clones", "acme = acme_clone:plugin", GOOD)
+    plugins, broken = load_all()
+    assert "acme" not in {plugin.name for plugin in plugins}
+    assert broken == (
+        Broken("acme", "acme-clones", "acme-motors has a protocol of that name too"),
+        Broken("acme", "acme-motors", "acme-clones has a protocol of that name too"),
+    )
+    with pytest.raises(UnknownProtocol, match="acme-motors has a protocol of that name too"):
+        load("acme")
+    assert load("plain").name == "plain"
+
+
+def test_nobody_takes_a_name_of_ours(site: Site) -> None:
+    site.install("a-clone", "plain = acme_good:plugin", GOOD.replace('"acme"', '"plain"'))
+    plugins, broken = load_all()
+    assert load("plain").title == next(p.title for p in plugins if p.name == "plain") != "Acme's motors"
+    assert broken == (Broken("plain", "a-clone", "motor-gateway has a protocol of that name too"),)
+    assert "acme_good" not in sys.modules
+
+
+def test_what_its_spec_says_of_an_address_is_a_robot_files_affair(site: Site) -> None:
+    source = (
+        GOOD + "\ndef spec(_): raise ValueError('an address from 7')\nplugin = replace(plugin, spec=spec)"
+    )
+    site.install("acme-motors", "acme = acme_seven:plugin", source)
+    assert load("acme").name == "acme"
+
+
+def test_entry_points_of_other_groups_are_not_ours(site: Site) -> None:
+    site.install("acme-motors", "acme = acme_good:plugin", GOOD)
+    info = next(site.path.glob("*.dist-info"))
     (info / "entry_points.txt").write_text("[console_scripts]\nacme = acme_good:plugin\n")
     assert "acme" not in {point.name for point in installed()}
 
