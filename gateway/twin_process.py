@@ -40,8 +40,8 @@ class Devices:
     """As another program meets it: its buses have the interfaces which that program is to open."""
     twins: TwinWorld
     buses: dict[str, Bus]
-    paths: dict[str, list[str]]
-    """The ptys of each bus that has no interface of its own."""
+    offered: dict[str, list[str]]
+    """Where programs may meet each bus that has no interface of its own: "slcan:/dev/pts/3", one each."""
     clock: Clock
     voices: Voices
     age: Nanos
@@ -74,14 +74,16 @@ class Devices:
             )
 
     def _sentence(self, bus: str, state: BusState) -> str:
-        sentence = (_OF_PTYS if bus in self.paths else _OF_WIRES).get(state, f"is {state}")
-        if state is BusState.PASSIVE and bus in self.paths:
+        sentence = (_OF_PTYS if bus in self.offered else _OF_WIRES).get(state, f"is {state}")
+        if state is BusState.PASSIVE and bus in self.offered:
             sentence += f": {self.robot.buses[bus].bitrate} bit/s"
         if state in (BusState.GONE, BusState.OFF) and (left := self.voices.left_armed(bus)):
             sentence += f"; {left}"
         return sentence
 
 
+ADAPTERS = ("slcan", "fdcanusb")
+"""What a port of a CAN bus may speak (gateway.buses.adapter_pty)."""
 _OF_WIRES = {
     BusState.PASSIVE: "is error-passive: check the wiring, the termination and the bit rate",
     BusState.OFF: "is bus-off: the devices are not heard",
@@ -101,7 +103,8 @@ def twin(options: Namespace) -> int:
     robot = outer(config.load(shipped.find("robots", options.robot)), dict(options.bus))
     if options.realtime is not None and (refused := run.real_time(options.realtime)):
         log.warning("%s", refused)
-    with devices(robot, WallClock(), options.seed, options.ports, options.link) as made:
+    adapters = (options.adapter or ["slcan"]) * options.ports
+    with devices(robot, WallClock(), options.seed, adapters, options.link) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
         made.serve(options.seconds)
     account = made.account
@@ -124,12 +127,16 @@ def _without_interfaces(robot: Robot) -> Robot:
 
 @contextmanager
 def devices(
-    robot: Robot, clock: Clock, seed: int | None = None, ports: int = 1, link: Path | None = None
+    robot: Robot,
+    clock: Clock,
+    seed: int | None = None,
+    adapters: Sequence[str] = ("slcan",),
+    link: Path | None = None,
 ) -> Iterator[Devices]:
     """Make the world, then open the buses in front of it.
 
-    `ports`: how many programs may be on a CAN bus; `link`: a folder in which ptys get names that stay the
-    same. Raises WorldError and BusError with a sentence."""
+    `adapters`: what each port of a CAN bus speaks, for one program each; `link`: a folder in which ptys get
+    names that stay the same. Raises WorldError and BusError with a sentence."""
     from gateway.buses.twin import open_world
 
     with ExitStack() as stack:
@@ -137,49 +144,47 @@ def devices(
         voices = Voices(robot)
         age = voices.meet(twins.buses)
         buses: dict[str, Bus] = {}
-        paths: dict[str, list[str]] = {}
+        offered: dict[str, list[str]] = {}
         met = dict(robot.buses)
         for name, settings in robot.buses.items():
-            buses[name], paths_of_bus = _open(settings, clock, ports)
+            buses[name], ports = _open(settings, clock, adapters)
             stack.callback(buses[name].close)
-            if paths_of_bus:
-                if link is not None:
-                    paths_of_bus = _linked(link, name, paths_of_bus, stack)
-                paths[name] = paths_of_bus
-                kind = "serial" if settings.kind == "serial" else "slcan"
-                met[name] = replace(settings, interface=f"{kind}:{paths_of_bus[0]}")
+            if ports:
+                offered[name] = ports if link is None else _linked(link, name, ports, stack)
+                met[name] = replace(settings, interface=offered[name][0])
         stack.enter_context(run.quiet_collector())
-        made = Devices(replace(robot, buses=met), twins, buses, paths, clock, voices, age)
+        made = Devices(replace(robot, buses=met), twins, buses, offered, clock, voices, age)
         stack.enter_context(run.signals(lambda name: setattr(made, "leaving", name)))
         yield made
 
 
-def _open(settings: BusSettings, clock: Clock, ports: int) -> tuple[Bus, list[str]]:
-    """A bus on its interface; or on ptys, and their paths."""
+def _open(settings: BusSettings, clock: Clock, adapters: Sequence[str]) -> tuple[Bus, list[str]]:
+    """A bus on its interface; or on ptys, and by which interfaces they are met."""
     serial, offered = settings.kind == "serial", settings.interface == TWIN
     if serial and offered:
         from gateway.buses.pty import SerialPty
 
         line = SerialPty(settings, clock)
-        return line, [line.pty.path]
+        return line, [f"serial:{line.pty.path}"]
     if serial:
         from gateway.buses.serial import open_serial
 
         return open_serial(settings, clock), []
     if offered:
-        from gateway.buses.slcan_pty import SlcanPty
+        from gateway.buses.adapter_pty import AdapterPty
 
-        adapters = SlcanPty(settings, clock, ports)
-        return adapters, adapters.paths
+        ports = AdapterPty(settings, clock, adapters)
+        return ports, [f"{kind}:{path}" for kind, path in zip(adapters, ports.paths, strict=True)]
     from gateway.buses.can import open_can
 
     return open_can(settings, clock), []
 
 
-def _linked(folder: Path, bus: str, paths: Sequence[str], stack: ExitStack) -> list[str]:
+def _linked(folder: Path, bus: str, ports: Sequence[str], stack: ExitStack) -> list[str]:
     """Names for ptys in a folder: the bus's own, then NAME.2 …; gone when the stack is left."""
     links = []
-    for number, path in enumerate(paths, start=1):
+    for number, port in enumerate(ports, start=1):
+        kind, _, path = port.partition(":")
         link = folder / (bus if number == 1 else f"{bus}.{number}")
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -189,7 +194,7 @@ def _linked(folder: Path, bus: str, paths: Sequence[str], stack: ExitStack) -> l
         except OSError as error:
             raise BusError(f"bus {bus!r}: --link {link}: {error.strerror}") from error
         stack.callback(link.unlink, missing_ok=True)
-        links.append(str(link))
+        links.append(f"{kind}:{link}")
     return links
 
 
@@ -199,16 +204,22 @@ def invitation(made: Devices, robot: str) -> Sequence[str]:
     notes = []
     for name, bus in made.robot.buses.items():
         kind, _, channel = bus.interface.partition(":")
-        if kind in ("slcan", "serial") and name not in made.paths:  # a port is for one program alone
-            other = "another adapter on the bus of" if kind == "slcan" else "the other end of"
+        if kind in (*ADAPTERS, "serial") and name not in made.offered:  # a port is for one program alone
+            other = "another adapter on the bus of" if kind in ADAPTERS else "the other end of"
             notes.append(f"PORT of {name}: {other} {channel}")
             channel = "PORT"
         words += ["--bus", f"{name}={kind}:{channel}"]
-    for name, paths in made.paths.items():
-        if paths[1:]:
-            fd = " --fd" if made.robot.buses[name].kind == "canfd" else ""
-            also = ", ".join(f"slcan:{path}" for path in paths[1:])
-            notes.append(f"other programs may be on {name} too, by {also}; for instance:")
-            notes.append(f"  python -m can.viewer -i slcan -c {paths[1]}{fd}")
+    for name, ports in made.offered.items():
+        if ports[1:]:
+            notes.append(f"other programs may be on {name} too, by {', '.join(ports[1:])}; for instance:")
+            notes.append(f"  {_example(ports[1], made.robot.buses[name])}")
     head = f"the devices of {made.robot.name} are there; to run the robot:"
     return [head, "  " + shlex.join(words), *notes]
+
+
+def _example(port: str, bus: BusSettings) -> str:
+    """What might listen at a port."""
+    kind, _, path = port.partition(":")
+    if kind != "slcan":
+        return f"gateway watch {port}"
+    return f"python -m can.viewer -i slcan -c {path}{' --fd' if bus.kind == 'canfd' else ''}"

@@ -20,8 +20,8 @@ from typing import TypeAlias
 from gateway import config, shipped
 from gateway.bench.measure import Effort, Figures, NotMeasured, figures
 from gateway.bench.rows import Beside, Row, Target
+from gateway.buses.adapter_pty import AdapterPty
 from gateway.buses.pty import SerialPty
-from gateway.buses.slcan_pty import SlcanPty
 from gateway.clock import WallClock, stopwatch
 from gateway.robot import BusSettings
 from protocols.words import MILLISECOND, SECOND, Nanos
@@ -36,7 +36,7 @@ PATIENCE: Nanos = 60 * SECOND
 GLANCE: Nanos = MILLISECOND
 """How often it is looked whether a frame has come."""
 
-Wire: TypeAlias = SlcanPty | SerialPty
+Wire: TypeAlias = AdapterPty | SerialPty
 
 
 def processes(effort: Effort) -> list[Row]:
@@ -112,7 +112,7 @@ def until_first_frame(robot: str, stay: Nanos) -> tuple[Nanos, int]:
         with _process(("-m", "gateway", "run", robot, *buses)) as process:
             first: Nanos | None = None
             while clock.now() < (PATIENCE if first is None else first + stay) and process.poll() is None:
-                heard = [wire for wire in wires if wire.read(clock.now())[1] and isinstance(wire, SlcanPty)]
+                heard = [wire for wire in wires if wire.read(clock.now())[1] and isinstance(wire, AdapterPty)]
                 if heard and first is None:
                     first = clock.now()
                 clock.wait(clock.now() + GLANCE)
@@ -169,8 +169,8 @@ def _wires(robot: str, clock: WallClock) -> Iterator[list[Wire]]:
 
 
 def _wire(settings: BusSettings, clock: WallClock) -> Wire:
-    return SerialPty(settings, clock) if settings.kind == "serial" else SlcanPty(settings, clock)
+    return SerialPty(settings, clock) if settings.kind == "serial" else AdapterPty(settings, clock)
 
 
 def _address(wire: Wire) -> str:
-    return f"slcan:{wire.paths[0]}" if isinstance(wire, SlcanPty) else f"serial:{wire.pty.path}"
+    return f"slcan:{wire.paths[0]}" if isinstance(wire, AdapterPty) else f"serial:{wire.pty.path}"

@@ -1,4 +1,5 @@
-"""A CAN bus by python-can's name for it: "slcan:/dev/ttyACM0", "virtual:test". SocketCAN has its own file.
+"""A CAN bus by an interface of python-can, or of ours: "slcan:/dev/ttyACM0", "fdcanusb:/dev/ttyACM0",
+"virtual:test". SocketCAN has its own file.
 
 Rules. Opening says in a sentence what is missing; afterwards nothing is raised, everything is told as a
 BusState, once for each change. Reading drains what is there, a bounded number of frames at a time, and never
@@ -79,9 +80,10 @@ class CanBus:
         clock = self._clock
         self._stamps.begin(now, clock.system_offset() if isinstance(clock, WallClock) else None)
         for _ in range(MOST_READ):
+            bad = self.bad
             message = self._receive(now)
             if message is None:
-                if self._more():
+                if self.bad > bad or self._more():
                     continue
                 self._stamps.end()
                 break
@@ -90,7 +92,9 @@ class CanBus:
                 continue
             frame = _frame(message)
             if not self._is_echo(frame):
-                packets.append(Packet(self._stamps.move(round(message.timestamp * SECOND)), self.name, frame))
+                stamp = round(message.timestamp * SECOND)
+                t = self._stamps.move(stamp) if stamp else self._stamps.none()
+                packets.append(Packet(t, self.name, frame))
         self._flush(now)
         return self._states.take(now), packets
 

@@ -12,6 +12,7 @@ import can
 from can.typechecking import CanFilter
 
 from gateway.buses import BusError
+from gateway.buses.fdcanusb_client import FdcanusbInterface
 from gateway.buses.link import Link
 from gateway.buses.slcan_client import SlcanInterface
 from gateway.mistakes import unknown
@@ -29,6 +30,8 @@ _REFUSALS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, ImportE
 """What python-can's back ends raise when they cannot be opened (NotImplementedError is a RuntimeError)."""
 
 
+INTERFACES = can.VALID_INTERFACES | {"fdcanusb"}
+"""By which a CAN bus can be reached: python-can's, and ours."""
 SILENT: dict[str, dict[str, Any]] = {
     "slcan": {"listen_only": True},
     "vector": {"listen_only": True},
@@ -57,6 +60,8 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
             wire: can.BusABC = SlcanInterface(
                 channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only
             )
+        elif interface == "fdcanusb":
+            wire = FdcanusbInterface(channel, settings.bitrate, settings.data_bitrate)
         else:
             wire = can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
     except _REFUSALS as error:
@@ -73,9 +78,9 @@ def filters(heard: Sequence[tuple[int, int]]) -> list[CanFilter]:
 
 def _refusal(settings: BusSettings, interface: str, error: Exception) -> str:
     said = _head(settings)
-    if interface in can.VALID_INTERFACES:
+    if interface in INTERFACES:
         return f"{said}: {error}"
-    kinds = unknown("interface", interface, [TWIN, *sorted(can.VALID_INTERFACES)])
+    kinds = unknown("interface", interface, [TWIN, *sorted(INTERFACES)])
     return f"{said}: {kinds}. {_what_there_is(can_interfaces())}"
 
 

@@ -54,6 +54,11 @@ class Stamps:
         self._last = max(self._last, min(self._moved(stamp), self._now))
         return self._last
 
+    def none(self) -> Nanos:
+        """For a frame without a stamp: the moment of reading."""
+        self._last = max(self._last, self._now)
+        return self._last
+
     def _moved(self, stamp: Nanos) -> Nanos:
         if self._offset is None:
             return self._now

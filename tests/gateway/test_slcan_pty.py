@@ -16,10 +16,10 @@ from can.interfaces.slcan import slcanBus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.buses.adapter_pty import AdapterPty
 from gateway.buses.can import open_can
 from gateway.buses.pty import Pty, SerialPty
 from gateway.buses.slcan import LENGTHS, Adapter, frame_of, line_of, rate_of
-from gateway.buses.slcan_pty import SlcanPty
 from gateway.clock import SimulatedClock
 from gateway.robot import BusSettings
 from protocols.wire import BusState, CanFrame, Packet
@@ -323,8 +323,8 @@ def test_a_serial_bus_on_a_pty_tells_who_comes_and_goes() -> None:
 
 
 @pytest.fixture
-def bus() -> Iterator[SlcanPty]:
-    with closing(SlcanPty(FD, SimulatedClock(), ports=2)) as made:
+def bus() -> Iterator[AdapterPty]:
+    with closing(AdapterPty(FD, SimulatedClock(), ("slcan", "slcan"))) as made:
         yield made
 
 
@@ -352,7 +352,7 @@ def message_of(frame: CanFrame) -> can.Message:
     )
 
 
-def test_python_can_speaks_with_the_adapter_in_both_directions(bus: SlcanPty) -> None:
+def test_python_can_speaks_with_the_adapter_in_both_directions(bus: AdapterPty) -> None:
     wire = client(bus.paths[0], bitrate=RATE)
     assert bus.read(0) == ([BusState.BACK], [])
     for frame, _ in FRAMES:
@@ -366,7 +366,7 @@ def test_python_can_speaks_with_the_adapter_in_both_directions(bus: SlcanPty) ->
     assert bus.read(3) == ([BusState.GONE], [])
 
 
-def test_what_one_program_says_the_other_hears_and_not_itself(bus: SlcanPty) -> None:
+def test_what_one_program_says_the_other_hears_and_not_itself(bus: AdapterPty) -> None:
     first, second = (client(path) for path in bus.paths)
     bus.read(0)
     first.send(message_of(FRAMES[0][0]))
@@ -381,7 +381,7 @@ def test_what_one_program_says_the_other_hears_and_not_itself(bus: SlcanPty) -> 
     assert bus.read(3)[0] == [BusState.GONE]
 
 
-def test_a_program_that_hangs_up_without_a_word_leaves_a_closed_adapter(bus: SlcanPty) -> None:
+def test_a_program_that_hangs_up_without_a_word_leaves_a_closed_adapter(bus: AdapterPty) -> None:
     for turn in range(3):
         other = open_path(bus.paths[0])
         os.write(other, b"S8\rO\rt12")  # and is killed in the middle of a line
@@ -397,7 +397,7 @@ def test_a_program_that_hangs_up_without_a_word_leaves_a_closed_adapter(bus: Slc
     wire.shutdown()
 
 
-def test_another_bit_rate_is_told(bus: SlcanPty) -> None:
+def test_another_bit_rate_is_told(bus: AdapterPty) -> None:
     wire = client(bus.paths[0], bitrate=500_000)
     assert bus.read(0)[0] == [BusState.PASSIVE]
     wire.set_bitrate(RATE)
@@ -405,7 +405,7 @@ def test_another_bit_rate_is_told(bus: SlcanPty) -> None:
     wire.shutdown()
 
 
-def test_a_slow_program_loses_the_oldest_frames_and_the_flags_say_so(bus: SlcanPty) -> None:
+def test_a_slow_program_loses_the_oldest_frames_and_the_flags_say_so(bus: AdapterPty) -> None:
     other = open_path(bus.paths[0])
     os.write(other, b"O\r")
     bus.read(0)
@@ -429,7 +429,7 @@ def test_a_slow_program_loses_the_oldest_frames_and_the_flags_say_so(bus: SlcanP
 # -- our own end -----------------------------------------------------------------------------------
 
 
-def test_our_own_end_meets_the_adapter_in_both_directions(bus: SlcanPty) -> None:
+def test_our_own_end_meets_the_adapter_in_both_directions(bus: AdapterPty) -> None:
     settings = BusSettings("can0", "canfd", f"slcan:{bus.paths[0]}", RATE, DATA_RATE)
     every = [frame for frame, _ in FRAMES]
     with closing(open_can(settings, SimulatedClock())) as ours:
@@ -444,7 +444,7 @@ def test_our_own_end_meets_the_adapter_in_both_directions(bus: SlcanPty) -> None
     assert [packet.wire for packet in packets] == every[:1]  # the last word arrives
 
 
-def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: SlcanPty) -> None:
+def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
     settings = BusSettings("can0", "can", f"slcan:{bus.paths[0]}", RATE)
     heard: list[CanFrame] = []
     told: list[BusState] = []
@@ -465,7 +465,7 @@ def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: SlcanPty
 def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
     from gateway.buses import BusError
 
-    with closing(SlcanPty(FD, SimulatedClock())) as adapters:
+    with closing(AdapterPty(FD, SimulatedClock())) as adapters:
         path = adapters.paths[0]
         for settings, said in (
             (BusSettings("can0", "can", "slcan:/dev/there-is-none", RATE), "No such file"),
@@ -481,7 +481,7 @@ def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
 def test_our_own_end_tells_a_vanished_adapter_and_one_that_is_taken() -> None:
     from gateway.buses import BusError
 
-    adapters = SlcanPty(CLASSIC, SimulatedClock())
+    adapters = AdapterPty(CLASSIC, SimulatedClock())
     settings = BusSettings("can0", "can", f"slcan:{adapters.paths[0]}", RATE)
     ours = open_can(settings, SimulatedClock())
     assert adapters.read(0)[0] == [BusState.BACK]

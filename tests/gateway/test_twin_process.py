@@ -22,9 +22,9 @@ from odrive_can.odrive import ODriveCAN
 from gateway import config, run
 from gateway.__main__ import main
 from gateway.buses import BusError
+from gateway.buses.adapter_pty import AdapterPty
 from gateway.buses.can import open_can
 from gateway.buses.pty import SerialPty
-from gateway.buses.slcan_pty import SlcanPty
 from gateway.buses.twin import open_world
 from gateway.clock import SimulatedClock, WallClock
 from gateway.recording import read
@@ -240,25 +240,25 @@ def test_twins_speak_only_where_the_command_line_says_so() -> None:
 
 def test_the_invitation_is_a_line_to_type() -> None:
     robot = outer(config.load(Path(str(files("fixtures"))) / "robots" / "diffbot.toml"), {})
-    with devices(robot, SimulatedClock(), seed=3, ports=3) as made:
+    with devices(robot, SimulatedClock(), seed=3, adapters=("slcan",) * 3) as made:
         lines = invitation(made, "my robots/a.toml")
         words = shlex.split(lines[1])
-    can0, sensors = made.paths["can0"], made.paths["sensors"]
+    can0, sensors = made.offered["can0"], made.offered["sensors"]
     assert words == [
         *("gateway", "run", "my robots/a.toml"),
-        *("--bus", f"can0=slcan:{can0[0]}", "--bus", f"sensors=serial:{sensors[0]}"),
+        *("--bus", f"can0={can0[0]}", "--bus", f"sensors={sensors[0]}"),
     ]
     assert len(set(can0)) == 3
     assert lines[2:] == [
-        f"other programs may be on can0 too, by slcan:{can0[1]}, slcan:{can0[2]}; for instance:",
-        f"  python -m can.viewer -i slcan -c {can0[1]}",
+        f"other programs may be on can0 too, by {can0[1]}, {can0[2]}; for instance:",
+        f"  python -m can.viewer -i slcan -c {can0[1].removeprefix('slcan:')}",
     ]
 
 
 def test_the_invitation_does_not_name_a_port_that_is_taken() -> None:
     robot = config.loads(BENCH)
-    with devices(outer(robot, {}), SimulatedClock(), ports=2) as first:
-        path = first.paths["can0"][1]
+    with devices(outer(robot, {}), SimulatedClock(), adapters=("slcan", "slcan")) as first:
+        path = first.offered["can0"][1].removeprefix("slcan:")
         with devices(outer(robot, {"can0": f"slcan:{path}"}), SimulatedClock()) as second:
             assert invitation(second, "rig")[1:] == [
                 "  gateway run rig --bus can0=slcan:PORT",
@@ -274,8 +274,8 @@ def test_ptys_may_have_names_that_stay_the_same(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "can0").symlink_to("/dev/pts/of-one-that-was-killed")
     for _ in range(2):
-        with devices(robot, SimulatedClock(), ports=2, link=folder) as made:
-            assert made.paths["can0"] == [str(folder / "can0"), str(folder / "can0.2")]
+        with devices(robot, SimulatedClock(), adapters=("slcan", "slcan"), link=folder) as made:
+            assert made.offered["can0"] == [f"slcan:{folder}/can0", f"slcan:{folder}/can0.2"]
             assert invitation(made, "rig")[1].endswith(f"--bus can0=slcan:{folder / 'can0'}")
             settings = BusSettings("can0", "can", f"slcan:{folder / 'can0'}", 1_000_000)
             with closing(open_can(settings, SimulatedClock())):
@@ -369,7 +369,7 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
 def test_the_first_frame_goes_out_within_three_seconds_also_if_it_is_recorded(folder: Path) -> None:
     """Of the processor's time: what else the machine does is not ours to judge."""
     clock = WallClock()
-    adapters = SlcanPty(BusSettings("can0", "can", "twin", 1_000_000), clock)
+    adapters = AdapterPty(BusSettings("can0", "can", "twin", 1_000_000), clock)
     line = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000), clock)
     buses = ["--bus", f"can0=slcan:{adapters.paths[0]}", "--bus", f"sensors=serial:{line.pty.path}"]
     words = ["run", "diffbot", *buses, "--record", str(folder / "first.mcap")]

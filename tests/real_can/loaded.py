@@ -8,7 +8,7 @@ import gc
 from importlib import import_module
 
 ROOMS = "__main__ commands session operator views recording judge twin_process world.rover"
-BUSES = "can serial pty slcan_pty twin"
+BUSES = "can serial pty adapter_pty twin"
 MODULES = [
     "filterpy.kalman",
     "mujoco",
