@@ -18,6 +18,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
+from protocols.conformance.complaints import faults_latch
 from protocols.conformance.manners import (
     nothing_non_finite,
     only_declared_wires,
@@ -63,6 +64,7 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("disarm", "Idle and the words of a stop disarm from every state", idle_disarms),
     Clause("watchdog", "silence of the host trips the watchdog and is told; commands feed it", silence_trips),
     Clause("blind", "a silent device is told to be offline in time, and nothing is made up", silence_blinds),
+    Clause("faults", "faults are told with their text, latch, and go by ClearFault alone", faults_latch),
 )
 
 Outcome = Literal["passed", "failed", "not applicable"]

@@ -145,6 +145,8 @@ class Scene:
     """The last wires in which the ear heard a word."""
     obeys: dict[str, Command] = field(default_factory=dict)
     """The last command that each device would obey."""
+    asked: list[Request] = field(default_factory=list)
+    """The requests that devices would obey, since this was last emptied."""
     faults: list[Fault] = field(default_factory=list)
     """Told since this was last emptied."""
     offline: dict[str, Nanos] = field(default_factory=dict)
@@ -183,6 +185,8 @@ class Scene:
         for word in said.heard:
             if isinstance(word, Command):
                 self.obeys[word.motor] = word
+            else:
+                self.asked.append(word)
         for event in said.events:
             self._note(event)
         return said
