@@ -351,11 +351,11 @@ def protocols(options: Namespace) -> int:
         return _check_protocols(options)
     if options.what == "new":
         return _new_protocol(options)
+    from gateway.languages import listing
     from protocols.plugin import load_all
 
     plugins, broken = load_all()
-    for plugin in plugins:
-        print(f"{plugin.name}: {plugin.title}\n    trust: {plugin.trust}")
+    print("\n".join(listing(plugins)))
     _tell_broken(broken)
     return 1 if broken else 0
 
