@@ -1,0 +1,321 @@
+"""What a drive obeys: its dictionary, NMT and power state as its host drives them, and what that is in words.
+
+Rules. `Axis` is what one drive remembers of what it was told. The ear has one per device, and the twin's
+firmware runs on the very same class, so ear and twin cannot disagree on what is obeyed. What only the
+firmware can know (a fault, standstill after a quick stop) the twin puts into it; an axis of an ear does not
+wait for standstill (`instant`). A frame that changes nothing gives no word: set-points to a drive that is
+not in OPERATION ENABLED are remembered, and become a word when it is enabled. PDOs are heard in NMT
+operational only, SDO not in NMT stopped.
+
+Source: CiA 301 (NMT, PDO, SYNC); CiA 402-2 (modes, set-point handshake of profile position).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum, auto
+
+from protocols.cia402 import objects as o
+from protocols.cia402 import sdo
+from protocols.cia402.codec import Heartbeat, Nmt, NmtCommand, NmtState, Sync, decode, is_classic, sdo_rx_id
+from protocols.cia402.dictionary import Dictionary
+from protocols.cia402.machine import HOLDING_QUICK_STOPS, obey
+from protocols.cia402.objects import TARGETS, Key, title
+from protocols.cia402.options import Settings
+from protocols.cia402.pdo import DISABLED, is_synchronous
+from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_of
+from protocols.cia402.server import Server
+from protocols.cia402.units import READ, Units, units_of
+from protocols.plugin import Device
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    ClearFault,
+    Command,
+    Estop,
+    Home,
+    Idle,
+    Nanos,
+    Position,
+    Reboot,
+    Request,
+    Torque,
+    Velocity,
+    WriteParameter,
+)
+
+Words = Sequence[Command | Request]
+COMMUNICATION_END = 0x2000
+"""Below it lie the objects of communication."""
+NEXT_STATE = {
+    NmtCommand.START: NmtState.OPERATIONAL,
+    NmtCommand.STOP: NmtState.STOPPED,
+    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+}
+
+
+class Signal(Enum):
+    """What the firmware behind an axis has to do."""
+
+    SYNC = auto()
+    RESET_NODE = auto()
+    RESET_COMMUNICATION = auto()
+    CONNECTION_LOST = auto()
+    """NMT stopped or reset: what object 6007 says."""
+
+
+class Axis:
+    """One drive, as far as its host drives it. Plain data."""
+
+    def __init__(self, device: Device, instant: bool) -> None:
+        self.device = device
+        self.motor, self.node = device.name, device.address
+        self.instant = instant
+        self.signals: list[Signal] = []
+        """For the firmware, in order."""
+        self.answers: list[sdo.Answer] = []
+        """To SDO requests, in order."""
+        self.position = 0
+        """6064 as the firmware knows it; an ear does not."""
+        self.fault_stands = False
+        """The cause of a fault is not gone: it cannot be reset."""
+        self.start()
+
+    def start(self) -> None:
+        """As after power-on."""
+        settings: Settings = self.device.settings
+        self.dictionary = Dictionary(settings, self.node)
+        self.server = Server()
+        self.nmt = NmtState.PRE_OPERATIONAL
+        self.state = PowerState.SWITCH_ON_DISABLED
+        self.control = 0
+        """The last controlword."""
+        self.mode_before = self.mode
+        self.latched: dict[int, tuple[int, ...]] = {}
+        """Values of synchronous RPDOs that wait for a SYNC, by the index of the PDO."""
+        self.heard: dict[int, Nanos] = {}
+        """When each RPDO came last."""
+        self.host_beat: Nanos | None = None
+        """When the heartbeat that object 1016 names came last."""
+        self.goal: int | None = None
+        """The set-point of profile position that is gone to."""
+        self.next_goal: int | None = None
+        """The one after it."""
+        self.units = self._units()
+        self._ids = self._rpdo_ids()
+
+    def _units(self) -> Units:
+        units = units_of({key: self.dictionary.values[key] for key in READ})
+        if units is None:
+            raise ValueError("the dictionary keeps 608F, 6091 and 6092 above zero")
+        return units
+
+    def _rpdo_ids(self) -> dict[int, list[int]]:
+        """The PDOs that listen to an identifier, by their index."""
+        ids: dict[int, list[int]] = {}
+        for number in o.PDO_NUMBERS:
+            index = o.RPDO_COMMUNICATION + number - 1
+            cob = self.dictionary.values[index, o.COB_ID]
+            if not cob & DISABLED:
+                ids.setdefault(cob & 0x7FF, []).append(index)
+        return ids
+
+    # -- hearing ------------------------------------------------------------------------------
+
+    def hear(self, t: Nanos, wire: Wire) -> Words:
+        """What the drive obeys on hearing a wire, in words."""
+        if not isinstance(wire, CanFrame) or not is_classic(wire):
+            return ()
+        if wire.id == sdo_rx_id(self.node):
+            return self._hear_sdo(wire.data)
+        if wire.id in self._ids:
+            return [word for index in self._ids[wire.id] for word in self._hear_rpdo(t, index, wire.data)]
+        match decode(wire):
+            case Nmt(command, node) if node in (0, self.node):
+                return self._hear_nmt(command)
+            case Sync():
+                return self._hear_sync()
+            case Heartbeat(node, _) if node == self.dictionary.values[o.CONSUMER_HEARTBEAT] >> 16 & 0x7F:
+                self.host_beat = t
+        return ()
+
+    def _hear_nmt(self, command: NmtCommand) -> Words:
+        if command is NmtCommand.RESET_NODE:
+            self.signals.append(Signal.RESET_NODE)
+            self.start()
+            return (Reboot(self.motor),)
+        words: Words = ()
+        if command in (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION):
+            words = self.lose_connection()
+        if command is NmtCommand.RESET_COMMUNICATION:
+            self.signals.append(Signal.RESET_COMMUNICATION)
+            self._forget_communication()
+        self.nmt = NEXT_STATE.get(command, NmtState.PRE_OPERATIONAL)
+        if self.nmt is not NmtState.OPERATIONAL:
+            self.latched.clear()
+            self.heard.clear()
+        return words
+
+    def _forget_communication(self) -> None:
+        fresh = Dictionary(self.device.settings, self.node)
+        kept = {key: value for key, value in self.dictionary.values.items() if key[0] >= COMMUNICATION_END}
+        fresh.values |= kept
+        self.dictionary, self.server, self.host_beat = fresh, Server(), None
+        self._ids = self._rpdo_ids()
+
+    def lose_connection(self) -> Words:
+        """The host is gone: what object 6007 says."""
+        option = self.dictionary.values[o.ABORT_CONNECTION]
+        if self.state not in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP) or not option:
+            return ()
+        self.signals.append(Signal.CONNECTION_LOST)
+        if option == 3:
+            return self._demand(Demand.QUICK_STOP)
+        if option == 2:
+            return self._demand(Demand.DISABLE_VOLTAGE)
+        if self.instant:
+            self.state = PowerState.FAULT
+        return (Idle(self.motor),)
+
+    def _hear_sdo(self, data: bytes) -> Words:
+        request = sdo.decode_request(data)
+        if request is None or self.nmt is NmtState.STOPPED:
+            return ()
+        answer = self.server.hear(self.dictionary, request)
+        if answer is not None:
+            self.answers.append(answer)
+        return self._obey(self.server.written)
+
+    def _hear_rpdo(self, t: Nanos, index: int, data: bytes) -> Words:
+        packing = self.dictionary.active(index)
+        if packing is None or self.nmt is not NmtState.OPERATIONAL:
+            return ()
+        values = packing.unpack(data)
+        if values is None:
+            return ()
+        self.heard[index] = t
+        if is_synchronous(self.dictionary.values[index, o.TRANSMISSION]):
+            self.latched[index] = values
+            return ()
+        return self._take(index, values)
+
+    def _hear_sync(self) -> Words:
+        if self.nmt is not NmtState.OPERATIONAL:
+            return ()
+        self.signals.append(Signal.SYNC)
+        latched, self.latched = self.latched, {}
+        return [word for index in sorted(latched) for word in self._take(index, latched[index])]
+
+    def _take(self, index: int, values: tuple[int, ...]) -> Words:
+        packing = self.dictionary.active(index)
+        if packing is None:
+            return ()
+        pairs = [(entry.key, value) for entry, value in zip(packing.entries, values, strict=True)]
+        return self._obey([key for key, value in pairs if self.dictionary.take(key, value)])
+
+    # -- obeying ------------------------------------------------------------------------------
+
+    @property
+    def mode(self) -> Mode:
+        """6061."""
+        return Mode(self.dictionary.values[o.MODE])
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it is in OPERATION ENABLED."""
+        return self.state is PowerState.OPERATION_ENABLED
+
+    def _obey(self, keys: Sequence[Key]) -> Words:
+        """These objects were written, all at once: what the drive does for it."""
+        if self.mode is not self.mode_before:
+            self.mode_before = self.mode
+            self._leave_setpoints()
+        values = self.dictionary.values
+        told = [key for key in keys if key not in TARGETS and key not in (o.CONTROLWORD, o.MODE)]
+        words: list[Command | Request] = [
+            WriteParameter(self.motor, title(key), float(values[key])) for key in told
+        ]
+        if any(key[0] < COMMUNICATION_END for key in keys):
+            self._ids = self._rpdo_ids()
+        if any(key in READ for key in keys):
+            self.units = self._units()
+        if o.CONTROLWORD in keys:
+            words += self._control()
+        if self.enabled and any(key in TARGETS or key in (o.CONTROLWORD, o.MODE) for key in keys):
+            words += self.word()
+        return words
+
+    def _control(self) -> Words:
+        control = self.dictionary.values[o.CONTROLWORD]
+        before, self.control = self.control, control
+        words = list(self._demand(demand_of(control, before)))
+        rising = control & ~before
+        if self.enabled and rising & Control.NEW_SETPOINT:
+            if self.mode is Mode.PP:
+                self._accept(control)
+            elif self.mode is Mode.HM:
+                words.append(Home(self.motor))
+        return words
+
+    def _demand(self, demand: Demand | None) -> Words:
+        if demand is Demand.FAULT_RESET and self.fault_stands:
+            return ()
+        option = self.dictionary.values[o.QUICK_STOP_OPTION]
+        before, self.state = self.state, obey(self.state, demand, option)
+        if demand is Demand.FAULT_RESET:
+            return (ClearFault(self.motor),)
+        if self.state is before:
+            return ()
+        self._leave_setpoints()
+        if self.state is PowerState.QUICK_STOP:
+            if self.instant and option not in HOLDING_QUICK_STOPS:
+                self.state = PowerState.SWITCH_ON_DISABLED
+            return (Estop(self.motor),)
+        return (Idle(self.motor),) if before in _TORQUE else ()
+
+    def _leave_setpoints(self) -> None:
+        self.goal = self.next_goal = None
+
+    def _accept(self, control: int) -> None:
+        """A new set-point of profile position: at once, or after the one that is under way."""
+        target = self.dictionary.values[o.TARGET_POSITION]
+        if control & Control.RELATIVE:
+            base = self.position if self.goal is None else self.goal
+            target += base if self.next_goal is None else self.next_goal
+        if self.goal is None or control & Control.CHANGE_IMMEDIATELY:
+            self.goal, self.next_goal = target, None
+        elif self.next_goal is None:
+            self.next_goal = target
+
+    @property
+    def acknowledged(self) -> bool:
+        """Bit 12 of the statusword in profile position."""
+        return bool(self.control & Control.NEW_SETPOINT) or self.next_goal is not None
+
+    def word(self) -> Words:
+        """The command that the set-points amount to now."""
+        value, units = self.dictionary.values, self.units
+        if self.control & Control.HALT:
+            return (Velocity(self.motor, 0.0),)
+        match self.mode:
+            case Mode.PP:
+                goal = self.goal if self.next_goal is None else self.next_goal
+                return () if goal is None else (Position(self.motor, units.position(goal)),)
+            case Mode.PV:
+                return (Velocity(self.motor, units.velocity(value[o.TARGET_VELOCITY])),)
+            case Mode.PT:
+                return (Torque(self.motor, units.torque(value[o.TARGET_TORQUE])),)
+            case Mode.CSP:
+                position = units.position(value[o.TARGET_POSITION])
+                velocity = units.velocity(value[o.VELOCITY_OFFSET])
+                return (Position(self.motor, position, velocity, units.torque(value[o.TORQUE_OFFSET])),)
+            case Mode.CSV:
+                speed = units.velocity(value[o.TARGET_VELOCITY] + value[o.VELOCITY_OFFSET])
+                return (Velocity(self.motor, speed, units.torque(value[o.TORQUE_OFFSET])),)
+            case Mode.CST:
+                torque = units.torque(value[o.TARGET_TORQUE] + value[o.TORQUE_OFFSET])
+                return (Torque(self.motor, torque),)
+        return ()
+
+
+_TORQUE = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
+"""The states in which a drive gives torque."""
