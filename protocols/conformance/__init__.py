@@ -13,11 +13,11 @@ a bool. Driver and twins then talk in virtual time, over a wire without faults, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
-from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
+from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown, variants
 from protocols.conformance.complaints import faults_latch
 from protocols.conformance.manners import (
     nothing_non_finite,
@@ -34,6 +34,8 @@ from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wi
 from protocols.plugin import Plugin
 from protocols.wire import Wire
 from protocols.words import Word
+
+__all__ = ["CLAUSES", "Clause", "Outcome", "Result", "check", "table", "variants"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,22 +99,6 @@ def check(
     have 1, 2 and 3."""
     cases = [Case(plugin, options, seed, addresses) for options in variants(plugin)]
     return tuple(_judge(clause, cases) for clause in clauses)
-
-
-def variants(plugin: Plugin) -> Iterator[Any]:
-    """The plugin's default options, then those that differ in one Literal or bool each."""
-    default = plugin.options()
-    yield default
-    hints = get_type_hints(plugin.options)
-    for f in fields(plugin.options):
-        literal = get_origin(hints[f.name]) is Literal
-        values = get_args(hints[f.name]) if literal else (False, True) if hints[f.name] is bool else ()
-        for value in values:
-            if value != getattr(default, f.name):
-                try:
-                    yield plugin.options(**{f.name: value})
-                except ValueError:
-                    continue  # It does not stand alone; the plugin says so itself.
 
 
 def table(results: Sequence[Result]) -> str:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields
 from itertools import zip_longest
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 from protocols.conformance import rehearsal as play
 from protocols.conformance.dice import Dice
@@ -46,6 +46,8 @@ class Case:
     seed: int
     addresses: tuple[int, int, int]
     """Of alpha and beta, who have one driver, and of a stranger whom it does not know."""
+    kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    """What is worked out once: the specs, and a busy day."""
 
     def start(self) -> Rehearsal:
         """Alpha and beta, as they come out of the box."""
@@ -66,7 +68,24 @@ class Case:
     @property
     def specs(self) -> tuple[Spec, ...]:
         """Of alpha and beta."""
-        return self.start().specs
+        if "specs" not in self.kept:
+            self.kept["specs"] = self.start().specs
+        specs: tuple[Spec, ...] = self.kept["specs"]
+        return specs
+
+    @property
+    def day(self) -> tuple[Said, ...]:
+        """Alpha's and beta's busy day, over a wire without faults."""
+        if "day" not in self.kept:
+            stage = self.start()
+            self.kept["day"] = tuple(stage.step(words) for words in play.script(self.spec, NAMES))
+        day: tuple[Said, ...] = self.kept["day"]
+        return day
+
+    @property
+    def usual(self) -> bool:
+        """Whether this is the plugin with its default options: the first of `variants`."""
+        return bool(self.options == self.plugin.options())
 
     @property
     def spec(self) -> Spec:
@@ -86,6 +105,22 @@ class Case:
     def dice(self) -> Dice:
         """A generator that starts anew for each clause."""
         return Dice(self.seed)
+
+
+def variants(plugin: Plugin) -> Iterator[Any]:
+    """The plugin's default options, then those that differ in one Literal or bool each."""
+    default = plugin.options()
+    yield default
+    hints = get_type_hints(plugin.options)
+    for f in fields(plugin.options):
+        literal = get_origin(hints[f.name]) is Literal
+        values = get_args(hints[f.name]) if literal else (False, True) if hints[f.name] is bool else ()
+        for value in values:
+            if value != getattr(default, f.name):
+                try:
+                    yield plugin.options(**{f.name: value})
+                except ValueError:
+                    continue  # It does not stand alone; the plugin says so itself.
 
 
 def by_name(kinds: Iterable[type[T]]) -> list[type[T]]:

@@ -102,10 +102,8 @@ def _harmless(specs: Sequence[Spec], wire: Wire) -> bool:
 
 def only_declared_wires(case: Case) -> Verdict:
     """All that goes out or comes in is of the bus's kind, and of an id that the spec lists."""
-    spec, stage = case.spec, case.start()
-    sends, expects = case.sends, case.expects
-    for words in play.script(spec, NAMES):
-        said = stage.step(words)
+    spec, sends, expects = case.spec, case.sends, case.expects
+    for words, said in zip(play.script(spec, NAMES), case.day, strict=True):
         for who, wires, ids in (("driver", said.down, sends), ("device", said.up, expects)):
             for wire in wires:
                 wrong = _undeclared(spec, wire, ids)
