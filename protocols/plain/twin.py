@@ -1,4 +1,4 @@
-"""The device's end of a plain line: an ear, a sensor, and the firmware of a small motor controller.
+"""The device's end of a plain line: a sensor, and the firmware of a small motor controller.
 
 Rules. A device obeys whole messages to its address, or to everyone (Scan, SetId), whose numbers lie
 within `line.LIMITS`; all else it does not hear. A sensor tells what the world shows it at once. A motor
@@ -15,6 +15,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from protocols.plain import line
+from protocols.plain.ear import PlainEar
 from protocols.plugin import Complaint, Device, Twin
 from protocols.wire import Wire
 from protocols.words import (
@@ -101,36 +102,6 @@ COMPLAINTS = {
 """What a motor may complain of, by code."""
 
 WRITABLE = tuple(f.name for f in fields(Settings) if f.name != "serial")
-
-
-class PlainEar:
-    """What plain devices would obey. A motor in fault hears a command too, and does not obey it."""
-
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._stream = line.Stream()
-        self._names = {d.address: d.name for d in devices}
-        self._motors = [d.name for d in devices if d.options.kind == "motor"]
-
-    def follow(self, device: Device) -> None:
-        """This device has a new address."""
-        self._names = {a: name for a, name in self._names.items() if name != device.name}
-        self._names[device.address] = device.name
-
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
-        """The words in the messages that are complete with this wire."""
-        if not isinstance(wire, bytes):
-            return []
-        heard = [self._read(t, body) for body in self._stream.feed(wire)]
-        return [word for word in heard if word is not None]
-
-    def _read(self, t: Nanos, body: bytes) -> Command | Request | None:
-        name = self._names.get(body[0], "")
-        word = line.read(body, t, name)
-        if isinstance(word, line.LineRequest):
-            return word if body[0] == line.EVERYONE else None
-        if name in self._motors and isinstance(word, Command | line.MotorRequest):
-            return word
-        return None
 
 
 class PlainSensor:

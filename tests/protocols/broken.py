@@ -17,7 +17,8 @@ from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.plain import line, plugin
 from protocols.plain.driver import PlainDriver
-from protocols.plain.twin import PlainEar, PlainMotor
+from protocols.plain.ear import PlainEar
+from protocols.plain.twin import PlainMotor
 from protocols.plugin import Device, Plugin
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
