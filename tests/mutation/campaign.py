@@ -1,0 +1,119 @@
+"""A campaign over a language: which mutants, what is known of them already, and the result.
+
+Rules. A sample is drawn with a seed from all mutants (of some files, if so asked) in their order. A campaign
+goes on where it was interrupted. A deadline, if there is one, is looked at between mutants.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from numpy.random import PCG64, Generator
+
+from tests.mutation import store
+from tests.mutation.judge import judged_by
+from tests.mutation.languages import Language, mutated_modules
+from tests.mutation.mutants import Mutant, Source, digest, source_of
+from tests.mutation.runner import Baseline, Runner, Verdict, baseline
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much of it."""
+
+    sample: int | None = None
+    """How many mutants; None: all."""
+    seed: int = 0
+    files: Collection[str] | None = None
+    """Names of the files to be mutated; None: all."""
+    processes: int = 1
+    deadline: float | None = None
+    """s from the start, after which no further mutant is tried."""
+
+
+def run(
+    language: Language, plan: Plan, progress: Path = store.PROGRESS, tell: Callable[[str], None] = print
+) -> store.Campaign:
+    """Try the mutants of a plan that are not known yet."""
+    began = time.monotonic()
+    modules = mutated_modules(language)
+    judge = judged_by(language)
+    language.forget()  # a child imports it anew in any case; here nothing of it may be kept
+    sources = {module: source_of(module, path) for module, path in modules.items()}
+    files = {s.path.name: s for s in sources.values()}
+    chosen = _chosen(list(sources.values()), plan)
+    kept = store.Progress(progress / f"mutation-{language.name}.jsonl", judge)
+    known = [verdict for mutant in chosen if (verdict := kept.before(mutant))]
+    tell(f"{language.name}: {len(chosen)} mutants, {len(known)} of them known")
+    base = baseline(language, modules)
+    for name, wrong in base.failing.items():
+        tell(f"{language.name}: {name} fails without any mutation, and judges nothing: {wrong}")
+    ends = began + plan.deadline if plan.deadline is not None else None
+    verdicts = list(_verdicts(Runner(language, sources, base, plan.processes), chosen, kept, ends, tell))
+    return store.Campaign(
+        language.name,
+        {name: source.digest for name, source in sorted(files.items())},
+        _judge(judge, base),
+        sum(len(source.mutants) for source in sources.values()),
+        sum(source.wordings for source in sources.values()),
+        None if plan.sample is None and plan.files is None and ends is None else plan.seed,
+        verdicts,
+    )
+
+
+def changed(language: Language, result: dict[str, str]) -> list[str]:
+    """The files that driver and ear lean on whose digest is not this (or has none)."""
+    now = {path.name: digest(path.read_text("utf-8")) for path in mutated_modules(language).values()}
+    return sorted(name for name, value in now.items() if result.get(name) != value)
+
+
+def _judge(judge: str, base: Baseline) -> dict[str, object]:
+    clauses = dict.fromkeys(name.partition("[")[0] for name in base.cost)
+    return {"digest": judge, "checks": list(clauses), "failing": dict(base.failing)}
+
+
+def _chosen(sources: Sequence[Source], plan: Plan) -> list[Mutant]:
+    every = [m for s in sources for m in s.mutants if plan.files is None or m.file in plan.files]
+    if plan.sample is None or plan.sample >= len(every):
+        return every
+    picked = Generator(PCG64(plan.seed)).choice(len(every), plan.sample, replace=False)
+    return [every[at] for at in sorted(picked)] if plan.deadline is None else [every[at] for at in picked]
+
+
+def _verdicts(
+    runner: Runner,
+    chosen: list[Mutant],
+    kept: store.Progress,
+    ends: float | None,
+    tell: Callable[[str], None],
+) -> Iterator[Verdict]:
+    """What is known, then what is found; each is kept at once."""
+    ahead = []
+    for mutant in chosen:
+        known = kept.before(mutant)
+        if known:
+            yield known
+        else:
+            ahead.append(mutant)
+
+    def in_time() -> Iterator[Mutant]:
+        for mutant in ahead:
+            if ends is not None and time.monotonic() > ends:
+                return
+            yield mutant
+
+    for count, verdict in enumerate(runner.run(in_time(), kept.killers), 1):
+        kept.keep(verdict)
+        if not verdict.killer:
+            tell(f"  survives: {described(verdict.mutant)}")
+        if count % 100 == 0:
+            tell(f"  {count} of {len(ahead)}")
+        yield verdict
+
+
+def described(mutant: Mutant) -> str:
+    """A mutant in a few lines."""
+    return "\n    ".join([f"{mutant.file} {mutant.function}", *mutant.diff.split("\n")])
