@@ -20,6 +20,7 @@ from protocols.words import MILLISECOND, SECOND, Asked, Goal, Nanos
 
 if TYPE_CHECKING:
     from gateway.demo import Figures, Watcher
+    from gateway.gateway import Gateway
     from gateway.operator import Operator
     from gateway.robot import Robot
     from gateway.session import Session
@@ -249,13 +250,23 @@ def status_text(made: Session) -> str:
         ]
         lines.append(f"{name}: {joint.mode}, {heard}{''.join(', ' + part for part in parts)}")
         lines += [f"  fault: {fault.name}; {fault.cure}" for fault in joint.faults.values()]
-    for name, driver in gateway.tallies():
-        lines.append(f"{name}: {driver.heard} messages heard, {driver.bad} bad, {driver.foreign} foreign")
+    lines += _counted(gateway)
     lines.append(f"ticks: {made.account.ticks}, {made.account.missed} missed")
     if (recorder := made.recorder) is not None:
         lost = f", {recorder.lost} ticks lost: {recorder.trouble}" if recorder.trouble else ""
         lines.append(f"recording: {recorder.path}{lost}")
     return "\n".join(lines)
+
+
+def _counted(gateway: Gateway) -> list[str]:
+    """What each driver has counted, by bus; with its language where a bus has several."""
+    tallies = gateway.tallies()
+    buses = [bus for bus, _, _ in tallies]
+    return [
+        f"{f'{bus}, {language}' if buses.count(bus) > 1 else bus}: {tally.heard} messages heard, "
+        f"{tally.bad} bad, {tally.foreign} foreign"
+        for bus, language, tally in tallies
+    ]
 
 
 def twin(options: Namespace) -> int:

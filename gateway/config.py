@@ -6,7 +6,7 @@ positive finite numbers. What a protocol, a joint or the brain can be told is ty
 dataclasses, so this file knows no setting of theirs by name. Files are TOML (toml.io, version 1.0.0).
 
     name, rate_hz, world, seed          the robot; `world` is what stands behind the twins
-    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate; hear
+    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate; hear, mixed
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.joint)
     [motors.NAME.limits]                velocity, acceleration, torque, position
     [motors.NAME.options]               what our driver should do: the protocol's own

@@ -81,11 +81,13 @@ class Gateway:
         )
         self.stopped = ""
         """Why an operator has stopped the robot; "" if nobody has."""
+        self._languages: list[str] = []
         self._drivers: list[tuple[str, frozenset[str], Driver]] = []
         """Bus, the names of its motors, driver: in the order of the robot file."""
         for bus in robot.buses:
             for plugin, devices in by_plugin(robot, bus):
                 motors = frozenset(d.name for d in devices if d.name in self.joints)
+                self._languages.append(plugin.name)
                 self._drivers.append((bus, motors, plugin.driver(devices)))
         self._of_bus = {bus: [d for b, _, d in self._drivers if b == bus] for bus in robot.buses}
         self._specs = {name: motor.spec for name, motor in robot.motors.items()}
@@ -148,9 +150,13 @@ class Gateway:
                 return f"{name}: {fault.name}"
         return ""
 
-    def tallies(self) -> list[tuple[str, Tally]]:
-        """What each driver has counted, with its bus."""
-        return [(bus, driver.tally) for bus, _, driver in self._drivers]
+    def tallies(self) -> list[tuple[str, str, Tally]]:
+        """What each driver has counted, with its bus and language. What is foreign to one of a bus's drivers
+        may be another's."""
+        return [
+            (bus, language, driver.tally)
+            for language, (bus, _, driver) in zip(self._languages, self._drivers, strict=True)
+        ]
 
     # -- in -----------------------------------------------------------------------------------
 

@@ -32,6 +32,8 @@ class _Bus:
     data_bitrate: int = 0
     baudrate: int = 0
     hear: Literal["all", "own"] = "all"
+    mixed: Literal["unknown", "acknowledged"] = "unknown"
+    """What a person knows of languages that share the bus (gateway.sharing)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,9 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         return None
     if made.hear == "own" and kind == "serial":
         mistakes.add((*at, "hear"), "a serial bus has no ids to choose by; expected no key 'hear'")
-    return BusSettings(name, made.kind, made.interface, made.bitrate, made.data_bitrate, made.baudrate)
+    rates_of_bus = made.bitrate, made.data_bitrate, made.baudrate
+    known = made.mixed == "acknowledged"
+    return BusSettings(name, made.kind, made.interface, *rates_of_bus, acknowledged=known)
 
 
 def only_own(table: Table, specs: Iterable[Spec]) -> tuple[tuple[int, int], ...]:

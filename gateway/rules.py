@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from typing import TypeAlias
 
 from brain.settings import BrainSettings
 from gateway.mistakes import Key, Mistakes, unknown
 from gateway.robot import BusSettings, Motor, Robot, Sensor
+from gateway.sharing import Part, clash, mixed
 from gateway.typed import positive
 from protocols.plugin import FeedbackKind
 from protocols.words import MILLISECOND, Nanos, Velocity
-
-Part: TypeAlias = Motor | Sensor
 
 _CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
 """Which kinds of bus carry a device's wires: a classic CAN device may stand on a CAN FD bus."""
@@ -64,10 +62,7 @@ def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:
             said = f"{first.name!r} has address {first.device.address} on bus {first.bus!r} too"
             mistakes.add((*at, "address"), f"{said}; expected an address of its own")
         return
-    shared = (first.spec.sends | first.spec.expects) & (second.spec.sends | second.spec.expects)
-    if shared:
-        ids = ", ".join(f"0x{one:X}" for one in sorted(shared)[:4]) + (", …" if len(shared) > 4 else "")
-        said = f"uses CAN ids of {first.name!r} ({first.plugin.name}) on bus {first.bus!r}: {ids}"
+    if said := clash(first, second):
         mistakes.add((*at, "address"), f"{said}; expected another address or bus")
 
 
@@ -124,7 +119,7 @@ def cautions(robot: Robot) -> list[str]:
     told = [f"{part.name}: {part.spec.watchdog.note}" for part in parts if part.spec.watchdog.note]
     for motor in robot.motors.values():
         told.extend(_beyond(motor))
-    return told + _too_fast(robot) + _always_late(robot) + _unused(robot)
+    return told + mixed(robot.buses, parts) + _too_fast(robot) + _always_late(robot) + _unused(robot)
 
 
 def _too_fast(robot: Robot) -> list[str]:

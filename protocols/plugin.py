@@ -103,6 +103,9 @@ class Complaint:
     """The likely cause."""
     cure: str
     """What to do."""
+    latches: bool = True
+    """Whether the device itself keeps it until it is cleared. False: what the device takes back by itself,
+    such as the verdict on a request that the next request replaces; the joint remembers it all the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +140,12 @@ class Spec:
     overhears: tuple[tuple[int, int], ...] = ()
     """What the driver understands of any device, named in the robot file or not (answers to a scan,
     devices with an address that is held twice): CAN ids as (id, mask), whose masked bits are these."""
+    extended: frozenset[int] | None = None
+    """Those of its ids that are 29-bit ones. None: those above 0x7FF, which can be nothing else."""
+
+    def is_extended(self, number: int) -> bool:
+        """Whether an id of `sends` or `expects` is a 29-bit one."""
+        return number > 0x7FF if self.extended is None else number in self.extended
 
 
 class Driver(Protocol):

@@ -146,11 +146,13 @@ def spec(device: Device) -> Spec:
     requests |= {SetId} if options.firmware != "0.5" else set()
     quiet = options.watchdog == "acknowledged" or settings.enable_watchdog
     timeout = round(settings.watchdog_timeout * SECOND) or None
+    sends = frozenset(frame_id(device.address, cmd) for cmd in said | asks(options))
+    expects = frozenset(frame_id(device.address, cmd) for cmd in told)
     return Spec(
         bus="can",
         kind="motor",
-        sends=frozenset({frame_id(device.address, cmd) for cmd in said | asks(options)} | discovery),
-        expects=frozenset({frame_id(device.address, cmd) for cmd in told} | discovery),
+        sends=sends | discovery,
+        expects=expects | discovery,
         read_only=ReadOnly(asks(options), options.is_extended, discovery),
         feedback=FeedbackKind.CYCLIC,
         feedback_period=options.feedback_ms * MILLISECOND,
@@ -168,6 +170,7 @@ def spec(device: Device) -> Spec:
         stop_clears_faults=False,
         faults=COMPLAINTS05 if line_of(device) == "0.5" else COMPLAINTS06,
         overhears=((cmd_of(Address), CMD_MASK), (cmd_of(Heartbeat), CMD_MASK)),
+        extended=sends | expects if options.is_extended else frozenset(),
     )
 
 

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from gateway import shipped
 from gateway.config import ConfigError, Robot, cautions, describe, devices, load, loads, with_interfaces
 from gateway.mistakes import Mistakes, lines, shown
+from gateway.sharing import clash
 from gateway.typed import build
 from protocols import plugin
 from protocols.plugin import Broken, Device, Plugin, Spec, UnknownProtocol
@@ -532,10 +533,58 @@ def test_a_brake_needs_a_device_that_takes_a_velocity() -> None:
     assert 'motors.left.safe: found "brake", expected "idle"' in said
 
 
-def test_two_languages_do_not_share_ids_on_a_bus() -> None:
-    (said,) = with_stranger(ROVER, sends=frozenset({0x49}), expects=frozenset({0x700}))
-    assert "motors.right.address: uses CAN ids of 'left' (stranger) on bus 'can0': 0x49" in said
-    assert with_stranger(ROVER, sends=frozenset({0x701}), expects=frozenset({0x700})) == []
+SEVERAL = (
+    "0x055 (it is commanded there, and 'left' reports)"
+    "; 0x041, 0x043, 0x044, 0x045, … (it reports there, and 'left' is commanded)"
+    "; 0x042, 0x047 (each would obey what the other is sent)"
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        # `right` is node 2: it is commanded on 0x42, 0x43 …, and reports on 0x41, 0x43 … when asked there
+        ({"sends": {0x41}}, "0x041 (it reports there, and 'left' is commanded)"),
+        ({"sends": {0x42}}, "0x042 (each would obey what the other is sent)"),
+        ({"expects": {0x42}}, "0x042 (it is commanded there, and 'left' reports)"),
+        ({"sends": set(range(0x41, 0x48)), "expects": {0x55}}, SEVERAL),
+    ],
+)
+def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, set[int]], why: str) -> None:
+    ids = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "overhears": ()}
+    assert with_stranger(ROVER, **ids) == []
+    (said,) = with_stranger(ROVER, **ids | {key: frozenset(some) for key, some in changes.items()})
+    said = said.partition(": ")[2]
+    assert said == (
+        f"motors.right.address: uses CAN ids of 'left' (stranger) on bus 'can0': {why}; "
+        "expected another address or bus"
+    )
+
+
+def test_two_languages_do_not_report_on_one_id() -> None:
+    motors = loads(ROVER).motors
+    left, right = (
+        dataclasses.replace(
+            m, spec=dataclasses.replace(m.spec, sends=frozenset({n}), expects=frozenset({0x41}))
+        )
+        for n, m in enumerate(motors.values())
+    )
+    assert (
+        clash(left, right) == "uses CAN ids of 'left' (odrive_can) on bus 'can0': 0x041 (both report there)"
+    )
+
+
+def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
+    """As of an ODrive with is_extended."""
+    ids: dict[str, Any] = {"sends": frozenset({0x41, 0x1041}), "expects": frozenset({0x47})}
+    assert len(with_stranger(ROVER, **ids, extended=frozenset({0x1041}))) == 1
+    assert len(with_stranger(ROVER, **ids, extended=None)) == 1
+    assert with_stranger(ROVER, **ids, extended=frozenset({0x41, 0x1041, 0x47})) == []
+    options = 'watchdog = "acknowledged"'
+    old = loads(changed(options, f'{options}\nfirmware = "0.5"\nis_extended = true')).motors["left"].spec
+    assert all(old.is_extended(number) for number in old.sends | old.expects)
+    new = loads(ROVER).motors["left"].spec
+    assert not any(new.is_extended(number) for number in new.sends | new.expects)
 
 
 def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -> None:
@@ -566,6 +615,40 @@ def test_the_watchdog_is_told_at_every_start_until_it_is_acknowledged() -> None:
     (said,) = cautions(loads(changed('watchdog = "acknowledged"', "")))
     assert said.startswith("left: ")
     assert "watchdog" in said
+
+
+def mixed(text: str, **changes: Any) -> list[str]:
+    """The cautions of a robot whose left motor speaks a language of somebody else's, with ids of its own."""
+    own: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "overhears": ()}
+    made = stranger(**own | changes)
+    text = re.sub(r"\[motors.left.options\].*\nwatchdog = .*\n", "", text)
+    text = changed('protocol = "odrive_can"', 'protocol = "stranger"', text)
+    robot = loads(text, find=lambda name: made if name == "stranger" else plugin.load(name))
+    return [said for said in cautions(robot) if "watchdog" not in said]
+
+
+FD = 'kind = "canfd"\ndata_bitrate = 5_000_000'
+
+
+def test_classic_can_beside_can_fd_is_told_until_it_is_acknowledged() -> None:
+    text = changed('kind = "can" ', FD)
+    assert mixed(text) == []  # all of it classic
+    (said,) = mixed(text, bus="canfd")
+    assert said.startswith(
+        "can0: left speaks CAN FD, and right classic CAN alone; the controller of right must"
+    )
+    assert said.endswith('If so, write mixed = "acknowledged" under [buses.can0]')
+    assert mixed(changed('kind = "can" ', f'{FD}\nmixed = "acknowledged"'), bus="canfd") == []
+
+
+def test_what_another_language_takes_for_its_own_is_told_until_it_is_acknowledged() -> None:
+    """ODrive's driver heeds every heartbeat, 0x01 in the low five bits, whoever is there."""
+    expects = frozenset({0x181, 0x701, 0x582})
+    (said,) = mixed(ROVER, expects=expects, sends=frozenset({0x202}))
+    assert said.startswith("left: odrive_can takes what it sends on 0x181, 0x701 for words of its own kind")
+    assert mixed(changed('kind = "can" ', 'kind = "can"\nmixed = "acknowledged"'), expects=expects) == []
+    (said,) = mixed(ROVER, overhears=((0x41, 0x7FF), (0x55, 0x7FF)))
+    assert said.startswith("right: stranger takes what it sends on 0x041, 0x055 for words")
 
 
 def test_limits_that_a_device_cannot_be_told_are_cautions() -> None:

@@ -186,7 +186,7 @@ def test_two_robots_and_a_stranger_share_a_bus_and_none_obeys_another_s_word() -
     assert [rig.velocity("left") for rig in rigs] == pytest.approx(speeds, abs=0.2)
     assert [rig.velocity("right") for rig in rigs] == [0.0, 0.0]
     for rig in rigs:
-        ((_, tally),) = rig.gateway.tallies()
+        ((_, _, tally),) = rig.gateway.tallies()
         assert tally.bad == 0
         assert tally.foreign > 3000
     for live in lived:
