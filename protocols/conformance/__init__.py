@@ -30,6 +30,7 @@ from protocols.conformance.safety import begins_where_it_is, idle_disarms
 from protocols.conformance.silence import silence_blinds, silence_trips
 from protocols.conformance.state import copies_go_on, same_in_same_out
 from protocols.conformance.survival import commands_survive, measurements_survive
+from protocols.conformance.takeover import load_is_kept, scan_only_looks
 from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
 from protocols.plugin import Plugin
 from protocols.wire import Wire
@@ -67,6 +68,8 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("watchdog", "silence of the host trips the watchdog and is told; commands feed it", silence_trips),
     Clause("blind", "a silent device is told to be offline in time, and nothing is made up", silence_blinds),
     Clause("faults", "faults are told with their text, latch, and go by ClearFault alone", faults_latch),
+    Clause("attach", "a fresh driver takes a device over without dropping its load", load_is_kept),
+    Clause("scan", "discovery finds the devices, and neither enables nor clears", scan_only_looks),
 )
 
 Outcome = Literal["passed", "failed", "not applicable"]

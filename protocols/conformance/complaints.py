@@ -51,7 +51,7 @@ def faults_latch(case: Case) -> Verdict:
     failure = _each_is_told(case, spec, codes[:SAMPLE])
     if failure or not kinds_of(spec):
         return failure
-    for code in codes[:LONG]:
+    for code in [code for code in codes if spec.faults[code].latches][:LONG]:
         failure = _Story(case, spec, code).tell()
         if failure:
             return failure
@@ -66,6 +66,7 @@ def _each_is_told(case: Case, spec: Spec, codes: list[int]) -> Failure | None:
             on = scene(case)
             if not on.ready():
                 return on.failure(f"is not heard to be ready in {ARMING} ms")
+        on.faults.clear()
         on.cables[ALPHA].provoke(code)
         wrong = told_wrongly(on, spec, code) or (_cleared(on) if ClearFault in spec.requests else "")
         if wrong:
@@ -75,18 +76,19 @@ def _each_is_told(case: Case, spec: Spec, codes: list[int]) -> Failure | None:
     return None
 
 
-def told_wrongly(on: Scene, spec: Spec, code: int) -> str:
+def told_wrongly(on: Scene, spec: Spec, code: int, motor: str = ALPHA) -> str:
     """What is wrong with how a fault that stands is told; "" if it comes with its text, and State FAULT."""
     complaint = spec.faults[code]
-    on.faults.clear()
 
     def told(_: Said) -> bool:
-        return on.mode() is Mode.FAULT and any(fault.code == code for fault in named(on.faults))
+        return on.mode(motor) is Mode.FAULT and any(fault.code == code for fault in named(on.faults, motor))
 
     if not on.until(told, TOLD):
-        known = sorted({fault.code for fault in named(on.faults)})
-        return f"fault {code} ({complaint.name}) is not told in {TOLD} ms: State {on.mode()}, Fault {known}"
-    said = next(fault for fault in named(on.faults) if fault.code == code)
+        known = sorted({fault.code for fault in named(on.faults, motor)})
+        return (
+            f"fault {code} ({complaint.name}) is not told in {TOLD} ms: State {on.mode(motor)}, Fault {known}"
+        )
+    said = next(fault for fault in named(on.faults, motor) if fault.code == code)
     return _text_wrong(said, complaint)
 
 

@@ -72,7 +72,7 @@ def unclaimed_is_read_only(case: Case) -> Verdict:
             idle = case.spec.commands and count % 3 == 0
             said = stage.step([Idle(name) for name in NAMES] if idle else [])
             for wire in said.down:
-                if not _harmless(stage.specs, wire):
+                if not harmless(stage.specs, wire):
                     heard = tuple(case.plugin.ear(stage.devices).hear(said.now, wire))
                     return Failure(f"an unclaimed driver, to devices {what}", (wire,), heard)
     return None
@@ -95,7 +95,8 @@ def _found(case: Case) -> Iterator[tuple[str, Rehearsal]]:
         yield "in fault", faulty
 
 
-def _harmless(specs: Sequence[Spec], wire: Wire) -> bool:
+def harmless(specs: Sequence[Spec], wire: Wire) -> bool:
+    """Whether each device that a wire is for calls it read-only."""
     concerned = [spec for spec in specs if not isinstance(wire, CanFrame) or wire.id in spec.sends]
     return bool(concerned) and all(spec.read_only(wire) for spec in concerned)
 

@@ -96,9 +96,10 @@ def _from(case: Case, spec: Spec, kind: type[Command], place: float) -> Failure 
         return on.failure("Idle does not disarm")
     on.turn(BY_HAND)
     failure = _arms_still(on, spec, kind, "after a disarm, turned by hand")
-    if failure or not spec.faults or ClearFault not in spec.requests:
+    codes = sorted(code for code, complaint in spec.faults.items() if complaint.latches)
+    if failure or not codes or ClearFault not in spec.requests:
         return failure
-    on.cables[ALPHA].provoke(case.dice().choice(sorted(spec.faults)))
+    on.cables[ALPHA].provoke(case.dice().choice(codes))
     if not on.until(lambda _: on.mode() is Mode.FAULT, PATIENCE, [Idle(ALPHA)]):
         return on.failure("a fault of the device is not told by State FAULT")
     on.turn(-2.0 * BY_HAND)

@@ -114,6 +114,7 @@ AXIS: dict[int, Complaint] = {
         "INVALID_STATE",
         "a state was asked for that is not possible now, most often since motor or encoder is not calibrated",
         _CALIBRATE,
+        latches=False,  # the next state request takes it back (ODrive@f9b5419 `MotorControl/axis.cpp`)
     ),
     AxisError.MOTOR_FAILED: Complaint(
         "MOTOR_FAILED", "the motor has an error of its own", "read the motor's error"
