@@ -75,7 +75,7 @@ class Axis:
         self.answers: list[sdo.Answer] = []
         """To SDO requests, in order."""
         self.position = 0
-        """6064 as the firmware knows it; an ear does not."""
+        """What a relative set-point is relative to while none is gone to; an ear does not know it."""
         self.fault_stands = False
         """The cause of a fault is not gone: it cannot be reset."""
         self.start()
@@ -100,6 +100,8 @@ class Axis:
         """The set-point of profile position that is gone to."""
         self.next_goal: int | None = None
         """The one after it."""
+        self.homing_asked = False
+        """The firmware is to begin with homing."""
         self.units = self._units()
         self._ids = self._rpdo_ids()
 
@@ -253,6 +255,7 @@ class Axis:
             if self.mode is Mode.PP:
                 self._accept(control)
             elif self.mode is Mode.HM:
+                self.homing_asked = True
                 words.append(Home(self.motor))
         return words
 
@@ -281,7 +284,7 @@ class Axis:
         if control & Control.RELATIVE:
             base = self.position if self.goal is None else self.goal
             target += base if self.next_goal is None else self.next_goal
-        if self.goal is None or control & Control.CHANGE_IMMEDIATELY:
+        if self.goal is None or self.instant or control & Control.CHANGE_IMMEDIATELY:
             self.goal, self.next_goal = target, None
         elif self.next_goal is None:
             self.next_goal = target
