@@ -13,6 +13,8 @@ from protocols.words import MILLISECOND, SECOND
 
 FRAME_BITS = 125
 """Of a classic CAN frame with 8 data bytes and an 11-bit id: 111 with its gap, and some stuffing."""
+FD_BITS = 32, 100
+"""Of such a frame of CAN FD, with its bit rate switched: at the bus's bit rate, and at that of its data."""
 
 
 def describe(robot: Robot) -> str:
@@ -59,15 +61,24 @@ def _bus(robot: Robot, bus: BusSettings) -> list[str]:
 
 
 def _load(robot: Robot, bus: BusSettings) -> str:
-    """The least that a classic CAN bus carries: a command per step and a report per period, per motor."""
-    if bus.kind != "can":
+    """The least that a CAN bus carries: a command per step and a report per period, per motor."""
+    if bus.kind == "serial":
         return "-"
-    frames = 0.0
+    busy = 0.0
     for motor in robot.motors.values():
         if motor.bus == bus.name:
             told = motor.spec.feedback is not FeedbackKind.NONE and motor.spec.feedback_period > 0
-            frames += SECOND / robot.period + (SECOND / motor.spec.feedback_period if told else 0)
-    return f"at least {100 * frames * FRAME_BITS / bus.bitrate:.0f} %"
+            frames = SECOND / robot.period + (SECOND / motor.spec.feedback_period if told else 0)
+            busy += frames * _least_time(bus, fd=motor.spec.bus == "canfd")
+    return f"at least {100 * busy:.0f} %"
+
+
+def _least_time(bus: BusSettings, *, fd: bool) -> float:
+    """Seconds of a frame of 8 bytes."""
+    if not fd:
+        return FRAME_BITS / bus.bitrate
+    slow, fast = FD_BITS
+    return slow / bus.bitrate + fast / (bus.data_bitrate or bus.bitrate)
 
 
 def _motor(motor: Motor) -> list[str]:

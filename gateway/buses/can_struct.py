@@ -7,9 +7,9 @@ FD is padded with zeros to the next length that there is (ISO 11898-1: 0 to 8, 1
 from __future__ import annotations
 
 import struct
-from bisect import bisect_left
 
 from gateway.buses.can_errors import CanError
+from gateway.buses.lengths import padded
 from protocols.wire import CanFrame
 
 CLASSIC = struct.Struct("=IB3x8s")
@@ -22,7 +22,6 @@ EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 ID, BASE_ID = 0x1FFF_FFFF, 0x7FF
 BRS, FDF = 0x01, 0x04
 """Flags of a CAN FD frame: switched bit rate; CAN FD at all (newer kernels set it)."""
-LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 def pack(frame: CanFrame) -> bytes:
@@ -35,8 +34,8 @@ def pack(frame: CanFrame) -> bytes:
     if frame.extended:
         can_id |= EXTENDED
     if frame.fd:
-        length = LENGTHS[bisect_left(LENGTHS, len(data))]
-        return FD.pack(can_id, length, FDF | (BRS if frame.brs else 0), data)
+        data = padded(frame).data
+        return FD.pack(can_id, len(data), FDF | (BRS if frame.brs else 0), data)
     if frame.remote:
         return CLASSIC.pack(can_id | REMOTE, 0, b"")
     return CLASSIC.pack(can_id, len(data), data)

@@ -15,7 +15,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
-from gateway.buses.slcan import HEX, LENGTHS
+from gateway.buses.lengths import padded
+from gateway.buses.slcan import HEX
 from protocols.wire import CanFrame
 from protocols.words import Nanos
 
@@ -220,7 +221,7 @@ class Adapter:
         _check(frame, verb)
         if frame.fd and not self.data_bitrate:
             raise _Refusal("this bus carries classic CAN alone")
-        return [] if self.wrong_rate else [_padded(frame)]
+        return [] if self.wrong_rate else [_bare(frame) if frame.remote else padded(frame)]
 
     def _kind(self, verb: str, number: int, flags: str) -> tuple[bool, bool, bool, bool]:
         """Extended, remote, fd, brs. What no flag says is as configured; the last flag of a kind counts."""
@@ -257,8 +258,6 @@ def _check(frame: CanFrame, verb: str) -> None:
         raise _Refusal("data invalid length")
 
 
-def _padded(frame: CanFrame) -> CanFrame:
-    """As it stands on the wire: a remote frame without data, CAN FD with a length that there is."""
-    length = next(n for n in LENGTHS if n >= len(frame.data))
-    data = b"" if frame.remote else frame.data.ljust(length, b"\0")
-    return CanFrame(frame.id, data, frame.extended, frame.remote, frame.fd, frame.brs)
+def _bare(frame: CanFrame) -> CanFrame:
+    """A remote frame carries nothing, whatever length it asks for."""
+    return CanFrame(frame.id, b"", frame.extended, remote=True)

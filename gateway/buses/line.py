@@ -1,8 +1,9 @@
 """One wire in virtual time: who waits to send, who sends next, when it has arrived.
 
 Rules. One wire at a time, each as long as it takes (`timing`). A sender's wires go out in the order in
-which it gave them. Of the senders that wait when a CAN bus falls free the highest priority wins; on a
-serial line the first come is first. No errors, no acknowledgement: every wire arrives.
+which it gave them; CAN FD data fill a length that there is, as they must on a real bus. Of the senders that
+wait when a CAN bus falls free the highest priority wins; on a serial line the first come is first. No errors,
+no acknowledgement: every wire arrives.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from gateway.buses.lengths import padded
 from gateway.buses.timing import priority, wire_time
-from protocols.wire import Wire
+from protocols.wire import CanFrame, Wire
 from protocols.words import Nanos
 
 
@@ -42,7 +44,7 @@ class Line:
         full = len(queue) >= self.limit
         if full:
             queue.popleft()
-        queue.append(Sent(t, sender, wire))
+        queue.append(Sent(t, sender, padded(wire) if isinstance(wire, CanFrame) and wire.fd else wire))
         self.pending += not full
         return not full
 

@@ -14,14 +14,13 @@ import re
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from gateway.buses.lengths import LENGTHS, padded
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, Nanos
 
 OK, BELL, END = b"\r", b"\a", b"\r"
 LONGEST = 1 + 8 + 1 + 128
 """Characters of the longest line: an extended FD frame."""
-LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""Bytes of data by CAN FD's length code; classic CAN has the first nine (ISO 11898-1)."""
 RATES: dict[str, tuple[int, ...]] = {
     "0": (10_000,),
     "1": (20_000,),
@@ -66,10 +65,9 @@ LETTERS = {kind: letter for letter, kind in KINDS.items()}
 def line_of(frame: CanFrame) -> str:
     """A frame as a line, without its end. Data that no length code fits are filled up with zeros."""
     kind = Kind(frame.extended, frame.remote, frame.fd, frame.fd and frame.brs)
-    code = next(code for code, length in enumerate(LENGTHS) if length >= len(frame.data))
-    data = frame.data.ljust(LENGTHS[code], b"\0")
+    data = padded(frame).data
     head = f"{frame.id:08X}" if frame.extended else f"{frame.id:03X}"
-    return f"{LETTERS[kind]}{head}{code:X}{data.hex().upper()}"
+    return f"{LETTERS[kind]}{head}{LENGTHS.index(len(data)):X}{data.hex().upper()}"
 
 
 def frame_of(line: str) -> CanFrame | None:

@@ -6,6 +6,7 @@ Sources: ISO 11898-1:2015, frame formats; worst-case bit stuffing as in Davis, B
 
 from __future__ import annotations
 
+from gateway.buses.lengths import padded
 from protocols.wire import CanFrame, Wire
 from protocols.words import SECOND, Nanos
 
@@ -29,15 +30,15 @@ def wire_time(wire: Wire, bitrate: int, data_bitrate: int = 0) -> Nanos:
 
 def frame_bits(frame: CanFrame) -> tuple[int, int]:
     """Bits at the bit rate of the arbitration, and bits at that of the data phase (0 in classic CAN)."""
-    payload = 8 * len(frame.data)
     if not frame.fd:
-        stuffed = (54 if frame.extended else 34) + payload
+        stuffed = (54 if frame.extended else 34) + 8 * len(frame.data)
         return stuffed + 13 + (stuffed - 1) // 4, 0
     # Arbitration: start to BRS with stuff bits; CRC delimiter, ACK, end and gap. Data: ESI, DLC and data with
     # stuff bits; then stuff count and CRC, with a fixed stuff bit in front and after every fourth bit.
     head = 36 if frame.extended else 17
-    crc = 21 if len(frame.data) > 16 else 17
-    data = 5 + payload
+    length = len(padded(frame).data)
+    crc = 21 if length > 16 else 17
+    data = 5 + 8 * length
     checked = 4 + crc
     return head + (head - 1) // 4 + 13, data + data // 4 + checked + 1 + checked // 4
 

@@ -16,7 +16,8 @@ from can.interfaces.socketcan.socketcan import build_can_frame
 
 from gateway.buses import can_errors
 from gateway.buses.can_errors import CanError, counters, kinds, sentence, state_of
-from gateway.buses.can_struct import LENGTHS, pack, unpack
+from gateway.buses.can_struct import pack, unpack
+from gateway.buses.lengths import LENGTHS
 from gateway.buses.link import Device, Link, parse, request
 from gateway.buses.stamps import OLDEST, Stamps
 from gateway.buses.states import CALM, MOST_WAITING, Outbox, States

@@ -20,7 +20,7 @@ from gateway.buses import Bus, BusError, fdcanusb_client
 from gateway.buses.adapter_pty import AdapterPty
 from gateway.buses.can import CanBus, open_can
 from gateway.buses.fdcanusb import Adapter, checksum, command_of, heard_of, sealed, told_of, unsealed
-from gateway.buses.slcan import LENGTHS
+from gateway.buses.lengths import LENGTHS
 from gateway.clock import SimulatedClock
 from gateway.robot import BusSettings
 from protocols.wire import BusState, CanFrame, Packet

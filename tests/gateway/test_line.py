@@ -41,6 +41,76 @@ def test_can_fd_switches_its_data_phase() -> None:
         wire_time(b"", 0)
 
 
+def bits_of(frame: CanFrame) -> tuple[int, int]:
+    """The bits of a CAN FD frame as they would be sent, laid out one by one (ISO 11898-1:2015, 10.4.2).
+
+    Stuff bits behind five equal ones, up to the end of the data; from there on at fixed places, so that it
+    does not matter which bits the CRC has."""
+    ident = f"{frame.id:011b}" if not frame.extended else f"{frame.id >> 18:011b}11{frame.id & 0x3FFFF:018b}"
+    head = (
+        "0" + ident + ("0" if frame.extended else "00") + "10" + str(int(frame.brs))
+    )  # RRS (IDE), FDF, res, BRS
+    code = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64).index(len(frame.data))
+    rest = f"0{code:04b}" + "".join(f"{byte:08b}" for byte in frame.data)
+    counts, same, last = [0, 0], 0, ""
+    for at, bit in enumerate(head + rest):
+        phase = int(at >= len(head))
+        counts[phase] += 1
+        same = same + 1 if bit == last else 1
+        last = bit
+        if same == 5:
+            counts[phase] += 1
+            same, last = 1, "10"[int(bit)]
+    checked = 4 + (21 if len(frame.data) > 16 else 17)  # stuff count with parity, and CRC
+    counts[1] += checked + 1 + checked // 4
+    counts[0] += 1 + 1 + 1 + 7 + 3  # CRC delimiter, acknowledgement and its delimiter, end, gap
+    return counts[0], counts[1]
+
+
+def test_a_can_fd_frame_takes_no_less_than_its_bits_and_little_more_than_the_worst() -> None:
+    rng = np.random.Generator(np.random.PCG64(11))
+    worst: dict[tuple[int, bool], int] = {}
+    for length in (0, 1, 7, 8, 12, 16, 20, 24, 32, 48, 64):
+        for extended in (False, True):
+            alike = [
+                bytes(length),
+                b"\xff" * length,
+                b"\x78\x3c\x1e\x0f\x87\xc3\xe1\xf0"[:length],
+                b"\xf8" * length,
+            ]
+            for data in (*alike, *(rng.bytes(length) for _ in range(30))):
+                number = int(rng.integers(0x20000000 if extended else 0x800))
+                for ident in (number, 0):
+                    frame = CanFrame(ident, data.ljust(length, b"\0"), extended, fd=True, brs=True)
+                    (slow, fast), (most_slow, most_fast) = bits_of(frame), frame_bits(frame)
+                    assert slow <= most_slow, frame
+                    assert fast <= most_fast, frame
+                    worst[length, extended] = max(worst.get((length, extended), 0), slow + fast)
+            bound = sum(frame_bits(CanFrame(0, bytes(length), extended, fd=True, brs=True)))
+            assert bound - worst[length, extended] <= 10 + 2 * length
+
+
+def test_can_fd_data_fill_a_length_that_there_is() -> None:
+    line = Line(MBIT, 5 * MBIT)
+    for length in (8, 9, 13, 33, 49):
+        line.send(0, "a", CanFrame(1, b"\x50" * length, fd=True, brs=True))
+    arrived = [sent.wire for sent in line.run(MILLISECOND)]
+    assert [len(wire.data) for wire in arrived if isinstance(wire, CanFrame)] == [8, 12, 16, 48, 64]
+    assert arrived[1] == CanFrame(1, b"\x50" * 9 + bytes(3), fd=True, brs=True)
+    nine, twelve = (CanFrame(1, bytes(n), fd=True, brs=True) for n in (9, 12))
+    assert wire_time(nine, MBIT, 5 * MBIT) == wire_time(twelve, MBIT, 5 * MBIT)
+
+
+def test_frames_of_both_kinds_share_a_bus() -> None:
+    """The classic one wins by its id; the switched one takes less time, though it carries three times as much."""
+    line = Line(MBIT, 5 * MBIT)
+    line.send(0, "fd", CanFrame(0x501, bytes(24), fd=True, brs=True))
+    line.send(0, "classic", CanFrame(0x181, bytes(8)))
+    first, second = line.run(MILLISECOND)
+    assert (first.sender, first.t) == ("classic", 135_000)
+    assert (second.sender, second.t - first.t) == ("fd", 34_000 + 55_600)
+
+
 def test_who_wins_the_arbitration() -> None:
     ranked = [
         CanFrame(0x001, b"\0"),

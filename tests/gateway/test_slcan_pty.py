@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 
 from gateway.buses.adapter_pty import AdapterPty
 from gateway.buses.can import open_can
+from gateway.buses.lengths import LENGTHS
 from gateway.buses.pty import Pty, SerialPty
-from gateway.buses.slcan import LENGTHS, Adapter, frame_of, line_of, rate_of
+from gateway.buses.slcan import Adapter, frame_of, line_of, rate_of
 from gateway.clock import SimulatedClock
 from gateway.robot import BusSettings
 from protocols.wire import BusState, CanFrame, Packet
