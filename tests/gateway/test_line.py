@@ -102,7 +102,7 @@ def test_can_fd_data_fill_a_length_that_there_is() -> None:
 
 
 def test_frames_of_both_kinds_share_a_bus() -> None:
-    """The classic one wins by its id; the switched one takes less time, though it carries three times as much."""
+    """The classic one wins by its id; the switched one takes less time and carries three times as much."""
     line = Line(MBIT, 5 * MBIT)
     line.send(0, "fd", CanFrame(0x501, bytes(24), fd=True, brs=True))
     line.send(0, "classic", CanFrame(0x181, bytes(8)))
