@@ -1,0 +1,138 @@
+"""mjbots moteus over CAN FD: the multiplex protocol with registers. See README.md beside this.
+
+Rules. This file is the contract (`Spec`) and the entry point; nothing is decided here that the device or the
+robot file should decide. Ranges are what the wire can carry in sense, not what a joint may do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from protocols.moteus.codec import BROADCAST, REPLY_BIT, Ask, command_id, parse, reply_id
+from protocols.moteus.driver import MoteusDriver
+from protocols.moteus.ear import MoteusEar
+from protocols.moteus.faults import FAULTS
+from protocols.moteus.messages import names
+from protocols.moteus.options import ADDRESS_MAX, Options, Settings
+from protocols.moteus.twin import MoteusTwin
+from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Hold,
+    Idle,
+    Position,
+    ReadParameter,
+    Scan,
+    SetId,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+
+BINARY32 = 2.0**-24
+"""Largest relative error of rounding to binary32."""
+MAX_REVOLUTIONS = 32768.0
+"""The device counts no further (mjbots/moteus@1f4a195 `fw/bldc_servo_control.h`)."""
+MAX_SPEED = 1e3
+"""rev/s"""
+MAX_TORQUE = 1e3
+"""N·m"""
+
+_position = Range(-MAX_REVOLUTIONS * math.tau, MAX_REVOLUTIONS * math.tau, 1e-12, BINARY32 * 1.01)
+_velocity = Range(-MAX_SPEED * math.tau, MAX_SPEED * math.tau, 1e-12, BINARY32 * 1.01)
+_torque = Range(-MAX_TORQUE, MAX_TORQUE, 1e-12, BINARY32 * 1.01)
+_scalar = Range(-3.4e38, 3.4e38, 1e-12, BINARY32 * 1.01)
+RANGES: dict[str, Range] = {
+    "Position.position": _position,
+    "Position.velocity": _velocity,
+    "Position.torque": _torque,
+    "Velocity.velocity": _velocity,
+    "Velocity.torque": _torque,
+    "Torque.torque": _torque,
+    "Feedback.position": _scalar,
+    "Feedback.velocity": _scalar,
+    "Feedback.torque": _scalar,
+    "Feedback.current": _scalar,
+    "Feedback.voltage": Range(0.0, 3276.7, 0.05001),
+    "Feedback.temperature": Range(-3276.7, 3276.7, 0.05001),
+}
+
+
+def _measured(settings: Settings) -> Range:
+    """A position is told to half a count of the encoder, and rounded to binary32."""
+    return replace(_scalar, resolution=math.pi / settings.encoder_cpr * 1.001)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOnly:
+    """Whether a frame only asks: registers are read, and nothing else stands in it."""
+
+    ids: frozenset[int]
+
+    def __call__(self, wire: Wire) -> bool:
+        """A value rather than a function, so that equal specs are equal."""
+        if not isinstance(wire, CanFrame) or wire.remote or wire.id not in self.ids:
+            return False
+        subframes, sound = parse(wire.data)
+        return sound and all(isinstance(subframe, Ask) for subframe in subframes)
+
+
+def spec(device: Device) -> Spec:
+    """The contract of one moteus. ValueError if its address cannot be one."""
+    options, settings = device.options, device.settings
+    if not isinstance(options, Options) or not isinstance(settings, Settings):
+        raise TypeError("a moteus device takes moteus' Options and Settings")
+    if not 1 <= device.address <= ADDRESS_MAX:
+        raise ValueError(f"address {device.address} of {device.name}: an id is 1 to {ADDRESS_MAX}")
+    host, prefix = options.host_id, options.can_prefix
+    sends = frozenset(command_id(address, host, prefix) for address in (device.address, BROADCAST))
+    return Spec(
+        bus="canfd",
+        kind="motor",
+        sends=sends,
+        expects=frozenset({reply_id(device.address, host, prefix)}),
+        read_only=ReadOnly(sends),
+        feedback=FeedbackKind.POLLED,
+        feedback_period=options.feedback_ms * MILLISECOND,
+        offline_after=options.offline_ms * MILLISECOND,
+        commands=frozenset({Idle, Hold, Position, Velocity, Torque}),
+        requests=frozenset({ClearFault, Scan, SetId, Zero, ReadParameter, WriteParameter}),
+        ranges=RANGES | {"Feedback.position": _measured(settings)},
+        watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True),
+        holds_unattended=False,
+        stop_clears_faults=True,
+        faults=FAULTS,
+        overhears=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | REPLY_BIT | 0x80),),
+    )
+
+
+def driver(devices: Sequence[Device]) -> Driver:
+    """Our end, for all moteus controllers of one bus. ValueError if two have the same address."""
+    addresses = [(device.address, device.options.can_prefix) for device in devices]
+    for device, address in zip(devices, addresses, strict=True):
+        if addresses.count(address) > 1:
+            raise ValueError(f"address {device.address} of {device.name} is given twice on this bus")
+    return MoteusDriver(devices, RANGES)
+
+
+plugin = Plugin(
+    name="moteus",
+    title="mjbots moteus (r4, c1, n1, x1) over CAN FD",
+    trust=(
+        "bytes of every frame that moves a motor, answers, discovery: moteus 1.1.1 (the vendor's);"
+        " worked examples: mjbots/moteus@db1a762; the twin driven by moteus 1.1.1's Controller and Transport"
+    ),
+    options=Options,
+    settings=Settings,
+    spec=spec,
+    driver=driver,
+    ear=MoteusEar,
+    twin=MoteusTwin,
+    messages=names,
+    vectors=("fixtures", "vectors/moteus.json"),
+)

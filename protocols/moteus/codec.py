@@ -1,0 +1,347 @@
+"""Subframes ↔ the bytes of a CAN FD frame, and the identifiers of frames.
+
+Rules. Little-endian. An integer register's most negative value, and NaN in a binary32, mean "not given": that
+is `None` here and stays in this folder; no number that is not finite is encoded (ValueError: our own mistake)
+or comes up. −0.0 and denormals become 0.0. What the firmware would obey of an ill-formed frame stands before
+the flaw, so `parse` gives that too, and says whether the frame is sound. Source: mjbots/moteus@db1a762
+`docs/protocol/can.md`; the rule for extended identifiers and padding: moteus 1.1.1 `transport.py`,
+`transport_device.py`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from protocols.moteus.registers import scale_of
+from protocols.wire import CanFrame
+
+INT8, INT16, INT32, F32 = range(4)
+SIZES = (1, 2, 4, 4)
+_VALUE = tuple(struct.Struct(code) for code in ("<b", "<h", "<i", "<f"))
+NOT_GIVEN = (-0x80, -0x8000, -0x80000000)
+"""By resolution; in a binary32 it is NaN."""
+LARGEST = (0x7F, 0x7FFF, 0x7FFFFFFF)
+
+WRITE, READ, REPLY = 0x00, 0x10, 0x20
+WRITE_ERROR, READ_ERROR = 0x30, 0x31
+TO_DEVICE, FROM_DEVICE, POLL = 0x40, 0x41, 0x42
+NOP = 0x50
+COUNT_MAX = 128
+"""More registers than that in one subframe are no message: no reply could hold them."""
+
+BROADCAST = 0x7F
+REPLY_BIT = 0x8000
+STANDARD_MAX = 0x7FF
+LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Bytes that a CAN FD frame can hold."""
+PADDED = tuple(min(size for size in LENGTHS if size >= length) for length in range(65))
+SOUND = frozenset(LENGTHS)
+
+FLOAT_MAX = 3.4028234663852886e38
+FLOAT_TINY = 2.0**-126
+Raw: TypeAlias = int | float
+
+
+@dataclass(frozen=True, slots=True)
+class Values:
+    """Registers from `start` on, written or told, as they stand on the wire."""
+
+    code: int
+    """WRITE or REPLY."""
+    start: int
+    resolution: int
+    raw: tuple[Raw, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Registers from `start` on, asked for."""
+
+    start: int
+    resolution: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """A register that could not be written (WRITE_ERROR) or read (READ_ERROR)."""
+
+    code: int
+    register: int
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A piece of the diagnostic console: to the device, from it, or the question for it (POLL)."""
+
+    code: int
+    channel: int
+    data: bytes = b""
+    most: int = 0
+    """Bytes asked for, of a POLL."""
+
+
+Subframe: TypeAlias = Values | Ask | Error | Stream
+
+
+# -- identifiers -------------------------------------------------------------------------------------
+
+
+def command_id(address: int, host: int = 0, prefix: int = 0) -> int:
+    """Of a frame to a device that it answers."""
+    return prefix << 16 | REPLY_BIT | host << 8 | address
+
+
+def reply_id(address: int, host: int = 0, prefix: int = 0) -> int:
+    """Of a device's answer."""
+    return prefix << 16 | address << 8 | host
+
+
+def framed(identifier: int, data: bytes) -> CanFrame:
+    """A frame, padded with NOP to a length that CAN FD has."""
+    size = PADDED[len(data)]
+    if size != len(data):
+        data += b"\x50" * (size - len(data))
+    return CanFrame(identifier, data, identifier > STANDARD_MAX, False, True, True)
+
+
+# -- numbers -----------------------------------------------------------------------------------------
+
+
+def single(value: float) -> float:
+    """A finite number that a binary32 holds; ValueError for what is not finite."""
+    if -FLOAT_MAX <= value <= FLOAT_MAX:
+        return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite: it never reaches the wire")
+    return math.copysign(FLOAT_MAX, value)
+
+
+def raw_of(register: int, resolution: int, value: float | None) -> Raw:
+    """A quantity as it stands on the wire: rounded to the nearest count, saturating; None is "not given"."""
+    if resolution == F32:
+        return math.nan if value is None else single(value)
+    if value is None:
+        return NOT_GIVEN[resolution]
+    most = LARGEST[resolution]
+    return max(-most, min(most, round(single(value) / scale_of(register)[resolution])))
+
+
+def quantity(register: int, resolution: int, raw: Raw) -> float | None:
+    """What a value on the wire means; None: not given. An infinity is not given either."""
+    if resolution == F32:
+        return single(raw) if math.isfinite(raw) else None
+    return None if raw == NOT_GIVEN[resolution] else raw * scale_of(register)[resolution]
+
+
+# -- to bytes ----------------------------------------------------------------------------------------
+
+
+def varuint(value: int) -> bytes:
+    """Seven bits a byte, the lowest first."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def head(code: int, start: int, resolution: int, count: int) -> bytes:
+    """The beginning of a subframe: up to three registers are counted in its first byte."""
+    first = code + (resolution << 2)
+    if count <= 3:
+        return bytes((first + count,)) + varuint(start)
+    return bytes((first,)) + varuint(count) + varuint(start)
+
+
+def encode(subframe: Subframe) -> bytes:
+    """The bytes of one subframe."""
+    match subframe:
+        case Values(code, start, resolution, raw):
+            packed = b"".join(_VALUE[resolution].pack(value) for value in raw)
+            return head(code, start, resolution, len(raw)) + packed
+        case Ask(start, resolution, count):
+            return head(READ, start, resolution, count)
+        case Error(code, register, number):
+            return bytes((code,)) + varuint(register) + varuint(number)
+        case Stream(code, channel, data, most):
+            body = varuint(most) if code == POLL else varuint(len(data)) + data
+            return bytes((code,)) + varuint(channel) + body
+
+
+def write(start: int, *values: float | None, resolution: int = F32) -> bytes:
+    """A subframe that writes quantities from a register on."""
+    raw = tuple(raw_of(start + i, resolution, value) for i, value in enumerate(values))
+    return encode(Values(WRITE, start, resolution, raw))
+
+
+# -- from bytes --------------------------------------------------------------------------------------
+
+
+class _Flaw(Exception):
+    """The bytes end too soon, or are no subframe."""
+
+
+@dataclass(slots=True)
+class _Reader:
+    data: bytes
+    at: int = 0
+
+    def byte(self) -> int:
+        if self.at >= len(self.data):
+            raise _Flaw
+        self.at += 1
+        return self.data[self.at - 1]
+
+    def varuint(self) -> int:
+        value = 0
+        for shift in range(0, 35, 7):
+            byte = self.byte()
+            value |= (byte & 0x7F) << shift
+            if not byte & 0x80:
+                return value
+        raise _Flaw
+
+    def take(self, count: int) -> bytes:
+        if self.at + count > len(self.data):
+            raise _Flaw
+        self.at += count
+        return self.data[self.at - count : self.at]
+
+    def count(self, first: int) -> int:
+        count = first & 0x03 or self.varuint()
+        if count > COUNT_MAX:
+            raise _Flaw
+        return count
+
+
+def parse(data: bytes) -> tuple[list[Subframe], bool]:
+    """The subframes up to the first flaw, and whether there is none."""
+    reader, out = _Reader(data), list[Subframe]()
+    try:
+        while reader.at < len(data):
+            _next(reader, out)
+    except _Flaw:
+        return out, False
+    return out, True
+
+
+def _next(reader: _Reader, out: list[Subframe]) -> None:
+    first = reader.byte()
+    kind, resolution = first & 0xF0, first >> 2 & 0x03
+    if kind in (WRITE, REPLY):
+        _values(reader, out, kind, resolution, reader.count(first))
+    elif kind == READ:
+        count = reader.count(first)
+        out.append(Ask(reader.varuint(), resolution, count))
+    elif first in (WRITE_ERROR, READ_ERROR):
+        out.append(Error(first, reader.varuint(), reader.varuint()))
+    elif first in (TO_DEVICE, FROM_DEVICE):
+        out.append(Stream(first, reader.varuint(), reader.take(reader.varuint())))
+    elif first == POLL:
+        out.append(Stream(first, reader.varuint(), b"", reader.varuint()))
+    elif first != NOP:
+        raise _Flaw
+
+
+def _values(reader: _Reader, out: list[Subframe], code: int, resolution: int, count: int) -> None:
+    start, raw = reader.varuint(), list[Raw]()
+    unpack, size = _VALUE[resolution].unpack, SIZES[resolution]
+    try:
+        raw.extend(unpack(reader.take(size))[0] for _ in range(count))
+    finally:  # what stands before the flaw is obeyed
+        if raw:
+            out.append(Values(code, start, resolution, tuple(raw)))
+
+
+# -- what a device tells -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One frame of a device: its registers, what it could not do, and what its console says."""
+
+    values: Mapping[int, float | None]
+    errors: tuple[Error, ...] = ()
+    console: bytes = b""
+
+
+def decode(data: bytes) -> Told | None:
+    """What a device's frame tells; None if it is ill-formed, or is none of a device's."""
+    if len(data) not in SOUND:
+        return None
+    known = SHAPES.get(len(data))
+    if known is not None:
+        values = known(data)
+        if values is not None:
+            return Told(values)
+    subframes, sound = parse(data)
+    return _told(subframes) if sound else None
+
+
+def _told(subframes: list[Subframe]) -> Told | None:
+    values: dict[int, float | None] = {}
+    errors: list[Error] = []
+    console = b""
+    for subframe in subframes:
+        match subframe:
+            case Values(code, start, resolution, raw) if code == REPLY:
+                if resolution == F32 and not all(math.isfinite(x) or math.isnan(x) for x in raw):
+                    return None
+                for i, value in enumerate(raw):
+                    values[start + i] = quantity(start + i, resolution, value)
+            case Error():
+                errors.append(subframe)
+            case Stream(code, _, piece) if code == FROM_DEVICE:
+                console += piece
+            case _:
+                return None
+    return Told(values, tuple(errors), console)
+
+
+# The two questions that are asked all the time have answers of a known shape: the same, without a loop.
+
+FAST = bytes.fromhex("11001f01110f")
+"""Mode as int8, position, velocity, torque as binary32, fault as int8: 20 bytes of answer."""
+FULL = bytes.fromhex("11001c040114060a")
+"""And the current, motor's temperature, trajectory, home state, voltage, temperature, fault as int16."""
+_FAST = struct.Struct("<2sb2sfff2sb")
+_FULL = struct.Struct("<2sb3sffff3shhhhhh11s")
+_PADDING = b"\x50" * 11
+
+
+def _fast(data: bytes) -> dict[int, float | None] | None:
+    a, mode, b, position, velocity, torque, c, fault = _FAST.unpack(data)
+    if a != b"\x21\x00" or b != b"\x2f\x01" or c != b"\x21\x0f" or mode == -128 or fault == -128:
+        return None
+    if not math.isfinite(position + velocity + torque):
+        return None
+    return {
+        0x00: mode,
+        0x01: 0.0 if -FLOAT_TINY < position < FLOAT_TINY else position,
+        0x02: 0.0 if -FLOAT_TINY < velocity < FLOAT_TINY else velocity,
+        0x03: 0.0 if -FLOAT_TINY < torque < FLOAT_TINY else torque,
+        0x0F: fault,
+    }
+
+
+def _full(data: bytes) -> dict[int, float | None] | None:
+    a, mode, b, position, velocity, torque, current, c, *rest, padding = _FULL.unpack(data)
+    if a != b"\x21\x00" or b != b"\x2c\x04\x01" or c != b"\x24\x06\x0a" or padding != _PADDING:
+        return None
+    if mode == -128 or not math.isfinite(position + velocity + torque + current):
+        return None
+    floats = (position, velocity, torque, current)
+    told: dict[int, float | None] = {0: mode}
+    told |= {1 + i: 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value for i, value in enumerate(floats)}
+    return told | {0x0A + i: quantity(0x0A + i, INT16, value) for i, value in enumerate(rest)}
+
+
+SHAPES = {20: _fast, 48: _full}
+"""By length of the frame."""

@@ -1,0 +1,339 @@
+"""What the driver knows and wants of one device: its mode heard, its arming, its questions.
+
+Rules. Only questions go to a device that was never commanded. Arming is position control at the measured
+place until the device tells that mode; only then do set-points follow. A velocity starts from the measured
+place too, until that was answered: the device's own set-point may stand anywhere. Since a stop clears
+faults, a device in fault or timeout is told none until ClearFault, also not for Idle: in fault it gives no
+torque, and in timeout it damps its shaft, as its owner configured. What has tripped is not commanded again
+before ClearFault, whoever stopped it. Whether it is armed is forgotten in silence and bus trouble; what was
+commanded is remembered, so that Idle still goes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import tau
+
+from protocols.moteus.codec import FAST, FULL, Told, command_id, reply_id
+from protocols.moteus.faults import NOT_ARMED, TIMEOUT, complaint_of
+from protocols.moteus.messages import IDENTIFY, STOP, move, push
+from protocols.moteus.options import Options, limits_of
+from protocols.moteus.registers import LATCHED, RISING, Mode, Register, mode_name
+from protocols.words import (
+    MILLISECOND,
+    SECOND,
+    Command,
+    Event,
+    Fault,
+    Feedback,
+    Hold,
+    Idle,
+    Nanos,
+    Position,
+    State,
+    Torque,
+    Velocity,
+)
+from protocols.words import Mode as StateMode
+
+NEVER: Nanos = 1 << 62
+RELEASE_AGAIN = 20 * MILLISECOND
+"""A stop is repeated so often until two answers have confirmed it."""
+CONFIRMED = 2
+ABSENT_AGAIN = 50 * MILLISECOND
+"""A device that is offline is asked so often."""
+ANCHORED = 3
+"""Answers after which a measured place must have arrived: the first ones may have been on their way."""
+IDENTIFY_EVERY = 5 * SECOND
+"""Who holds an id is asked so often, to notice one that is held twice."""
+IDENTIFY_AGAIN = 100 * MILLISECOND
+"""... and so often until it is known."""
+ARMING = SECOND
+"""A device that answers but is not in position control after so long is a fault."""
+EPSILON = 2.0**-126
+
+
+class Node:
+    """One device as the driver sees it. Plain data."""
+
+    def __init__(self, name: str, address: int, options: Options) -> None:
+        self.name = name
+        self.address = address
+        self.options = options
+        self.limits = limits_of(options)
+        self.asks_at = command_id(address, options.host_id, options.can_prefix)
+        self.tells_at = reply_id(address, options.host_id, options.can_prefix)
+        self.started: Nanos | None = None
+        self.heard_at: Nanos | None = None
+        self.offline = False
+        self.mode: int | None = None
+        self.fault = 0
+        self.position: float | None = None
+        """rev"""
+        self.firmware: int | None = None
+        self.model: int | None = None
+        self.uuids: dict[bytes, Nanos] = {}
+        """Whoever answered as this device, and when."""
+        self.claimed = False
+        """We have commanded it since it was last released."""
+        self.tripped = False
+        """It was heard in fault or timeout, or would not arm, and nobody has cleared it."""
+        self.arming_since: Nanos | None = None
+        self.steered: type[Command] | None = None
+        """What kind of command it was last told."""
+        self.anchor: int | None = None
+        """A velocity starts from the measured place: how often that was answered since it is sent."""
+        self.hold: float | None = None
+        self.releasing = False
+        self.release_next: Nanos = 0
+        self.release_seen = 0
+        self.told: tuple[StateMode, str] | None = None
+        self.told_fault: int | None = None
+        self.asked_at: Nanos = -NEVER
+        self.details_at: Nanos = 0
+        self.identify_at: Nanos = 0
+
+    def forget(self) -> None:
+        """The device may have restarted or been changed: only a fresh sequence arms it again."""
+        self.mode, self.position, self.hold, self.told = None, None, None, None
+        self.told_fault, self.steered, self.arming_since, self.anchor = None, None, None, None
+        self.release_seen, self.release_next, self.identify_at = 0, 0, 0
+        self.uuids.clear()
+
+    def resend(self) -> None:
+        """Frames may have been lost on our side."""
+        self.release_next, self.release_seen, self.steered, self.anchor = 0, 0, None, None
+
+    # -- hearing ------------------------------------------------------------------------------
+
+    def hear(self, t: Nanos, told: Told) -> list[Event]:
+        """An answer of the device; what it means in words."""
+        self.heard_at, self.offline = t, False
+        values = told.values
+        events = self._measured(t, values)
+        self._identified(values)
+        mode = values.get(Register.MODE)
+        if mode is None:
+            return events
+        self.fault = int(values.get(Register.FAULT) or 0)
+        self.mode = int(mode)
+        self._anchored()
+        self._confirm_release()
+        return events + self._complaint(t, known=Register.FAULT in values) + self._state(t)
+
+    def _anchored(self) -> None:
+        if self.anchor is None or self.mode != Mode.POSITION:
+            return
+        self.anchor += 1
+        if self.anchor >= ANCHORED:
+            self.steered, self.anchor = Velocity, None
+
+    def _measured(self, t: Nanos, values: Mapping[int, float | None]) -> list[Event]:
+        get = values.get
+        position, velocity, torque = get(Register.POSITION), get(Register.VELOCITY), get(Register.TORQUE)
+        if position is not None:
+            self.position = position
+        hot = [x for x in (get(Register.TEMPERATURE), get(Register.MOTOR_TEMPERATURE)) if x is not None]
+        current, voltage = get(Register.Q_CURRENT), get(Register.VOLTAGE)
+        feedback = Feedback(
+            self.name,
+            t,
+            None if position is None else _turned(position),
+            None if velocity is None else _turned(velocity),
+            torque,
+            current,
+            voltage,
+            max(hot) if hot else None,
+        )
+        return [feedback] if any(x is not None for x in (position, velocity, torque, voltage, *hot)) else []
+
+    def _identified(self, values: Mapping[int, float | None]) -> None:
+        firmware, model = values.get(Register.FIRMWARE_VERSION), values.get(Register.MODEL_NUMBER)
+        self.firmware = self.firmware if firmware is None else int(firmware)
+        self.model = self.model if model is None else int(model)
+
+    def title(self) -> str:
+        """Hardware and firmware as far as known, for a sentence."""
+        if self.firmware is None:
+            return "firmware not known yet"
+        version = ".".join(str(self.firmware >> shift & 0xFF) for shift in (16, 8, 0))
+        return f"model {self.model or 0:06X}, firmware {version}"
+
+    def _confirm_release(self) -> None:
+        self.release_seen = self.release_seen + 1 if self.releasing and self.mode == Mode.STOPPED else 0
+        if self.release_seen >= CONFIRMED or (self.releasing and self.mode in LATCHED):
+            self.claimed = self.releasing = False
+            self.release_seen = 0
+
+    def _complaint(self, t: Nanos, known: bool) -> list[Event]:
+        """Told once for each time that it trips."""
+        if self.mode not in LATCHED:
+            self.told_fault = None
+            return []
+        code = TIMEOUT if self.mode == Mode.TIMEOUT else self.fault
+        self.tripped, self.arming_since, self.hold, self.steered = True, None, None, None
+        if code == self.told_fault or (self.mode == Mode.FAULT and not known):
+            return []
+        self.told_fault = code
+        return [self.complains(t, code)]
+
+    def complains(self, t: Nanos, code: int) -> Fault:
+        """A fault of the table, in words."""
+        text = complaint_of(code)
+        return Fault(self.name, t, code, text.name, text.cause, text.cure)
+
+    def _state(self, t: Nanos) -> list[Event]:
+        told = (self._mode_now(), self._detail())
+        if told == self.told:
+            return []
+        self.told = told
+        return [State(self.name, t, *told)]
+
+    def _mode_now(self) -> StateMode:
+        if self.tripped:
+            return StateMode.FAULT
+        if self.mode == Mode.STOPPED:
+            return StateMode.READY
+        return StateMode.INITIALISING if self.mode is None or self.mode in RISING else StateMode.ARMED
+
+    def _detail(self) -> str:
+        detail = "" if self.mode is None else mode_name(self.mode)
+        return f"{detail}, not cleared yet" if self.tripped and self.mode not in LATCHED else detail
+
+    # -- saying -------------------------------------------------------------------------------
+
+    def say(self, now: Nanos, command: Command) -> tuple[list[Event], list[bytes]]:
+        """What a command takes now; nothing while the device cannot take it."""
+        if isinstance(command, Idle):
+            return [], self._release(now)
+        self.releasing = False
+        if self.unfit():
+            return [], []
+        if not isinstance(command, Hold):
+            self.hold = None
+        elif self.hold is None:
+            self.hold = self.position
+        self.claimed = True
+        if self.mode != Mode.POSITION:
+            return self._arm(now, command)
+        self.arming_since = None
+        return [], [self._steer(command) + self.question(now)]
+
+    def unfit(self) -> str:
+        """Why the device cannot be commanded now; "" if it can."""
+        if self.offline or self.mode is None:
+            return "it is not heard"
+        if self.position is None:
+            return "its position is not known yet"
+        return "it is in fault, or was and is not cleared" if self.tripped else ""
+
+    def _arm(self, now: Nanos, command: Command) -> tuple[list[Event], list[bytes]]:
+        """Position control where the shaft is (for a torque: none), until the device tells that mode."""
+        place = self.position or 0.0
+        if self.arming_since is None:
+            self.arming_since = now
+        if now - self.arming_since > ARMING:
+            return self._give_up(now), []
+        still = push(place, 0.0, self.limits) if isinstance(command, Torque) else self._still(place)
+        # What it is told now is where it is: a velocity may go on from there.
+        self.steered, self.anchor = type(command), None
+        return [], [still + self.question(now)]
+
+    def _still(self, place: float) -> bytes:
+        return move(place, 0.0, 0.0, self.limits)
+
+    def _give_up(self, now: Nanos) -> list[Event]:
+        self.tripped, self.arming_since = True, None
+        said = f"it stayed in mode {mode_name(self.mode or 0)} for {ARMING // MILLISECOND} ms"
+        cure = "look at it with the vendor's tool (tview), then clear"
+        return [Fault(self.name, now, NOT_ARMED, "did not arm", said, cure), *self._state(now)]
+
+    def _steer(self, command: Command) -> bytes:
+        place = self.position or 0.0
+        if not isinstance(command, Velocity):
+            self.steered, self.anchor = type(command), None
+        match command:
+            case Position(_, position, velocity, torque):
+                return move(position / tau, velocity / tau, torque, self.limits)
+            case Velocity(_, velocity, torque):
+                if self.steered is Velocity:
+                    return move(None, velocity / tau, torque, self.limits)
+                self.anchor = self.anchor or 0
+                return move(place, velocity / tau, torque, self.limits)
+            case Torque(_, torque):
+                return push(place, torque, self.limits)
+        return self._still(place if self.hold is None else self.hold)
+
+    def question(self, now: Nanos) -> bytes:
+        """What is asked for in a frame that goes out now."""
+        self.asked_at = now
+        if now < self.details_at:
+            return FAST
+        self.details_at = now + self.options.details_ms * MILLISECOND
+        return FULL
+
+    def _release(self, now: Nanos) -> list[bytes]:
+        self.hold, self.steered, self.anchor, self.arming_since = None, None, None, None
+        if not self.claimed:
+            return []
+        if self.mode in LATCHED:
+            self.claimed = self.releasing = False
+            return []
+        if not self.releasing:
+            self.releasing, self.release_seen, self.release_next = True, 0, now
+        if now < self.release_next:
+            return []
+        self.release_next = now + RELEASE_AGAIN
+        return [STOP + self.question(now)]
+
+    # -- clearing -----------------------------------------------------------------------------
+
+    def clearing(self, now: Nanos) -> bytes:
+        """An operator clears: a stop to what is latched, a question to what is not."""
+        return (STOP if self.mode in LATCHED else b"") + self.question(now)
+
+    def cleared(self, t: Nanos) -> list[Event]:
+        """It is latched no more."""
+        self.tripped, self.told_fault, self.arming_since = False, None, None
+        return self._state(t)
+
+    def tell_again(self) -> None:
+        """A fault that stays is told again, with all its words."""
+        self.told_fault, self.told = None, None
+
+    # -- by itself ----------------------------------------------------------------------------
+
+    def tend(self, now: Nanos) -> tuple[list[Event], list[bytes]]:
+        """What falls due: silence told, and questions."""
+        if self.started is None:
+            self.started = now
+        events: list[Event] = []
+        if not self.offline and now >= self._offline_at():
+            self.offline = True
+            self.forget()
+            events.append(State(self.name, now, StateMode.OFFLINE, "nothing heard"))
+        asks = [self.question(now)] if now >= self._ask_at() else []
+        if not self.offline and self.mode is not None and now >= self.identify_at:
+            self.identify_at = now + (IDENTIFY_EVERY if self.uuids else IDENTIFY_AGAIN)
+            asks.append(IDENTIFY)
+        return events, asks
+
+    def due(self) -> Nanos:
+        """When `tend` next has something to do that cannot wait for a step."""
+        if self.started is None:
+            return 0
+        return self._ask_at() if self.offline else min(self._ask_at(), self._offline_at())
+
+    def _ask_at(self) -> Nanos:
+        period = ABSENT_AGAIN if self.offline else self.options.feedback_ms * MILLISECOND
+        return self.asked_at + period
+
+    def _offline_at(self) -> Nanos:
+        since = self.heard_at if self.heard_at is not None else self.started or 0
+        return since + self.options.offline_ms * MILLISECOND
+
+
+def _turned(value: float) -> float:
+    """Revolutions in radians; next to nothing is nothing."""
+    turned = value * tau
+    return turned if turned > EPSILON or turned < -EPSILON else 0.0

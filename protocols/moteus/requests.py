@@ -1,0 +1,269 @@
+"""Requests that wait for a device: what is sent, what counts as carried out, when it is given up.
+
+Rules. Every request ends in Done or Refused within its deadline, whatever the device does. A request that is
+impossible is refused at once with the reason. What is written is read back in the same frame, so that its
+answer says whether it was taken. Nothing that drops a load or moves a running shaft is said to a device that
+is armed. An id is given by the device's console, to the one whose UUID begins with the serial number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import isfinite
+
+from protocols.moteus.codec import F32, FLOAT_MAX, INT32, READ_ERROR, WRITE_ERROR, Error, Told
+from protocols.moteus.ear import NOT_WRITEABLE
+from protocols.moteus.faults import complaint_of
+from protocols.moteus.messages import DISCOVER, ask, console, masked, set_register
+from protocols.moteus.node import Node
+from protocols.moteus.options import ADDRESS_MAX, SERIAL_BYTES, serial_of
+from protocols.moteus.registers import LATCHED, NAMES, SCALES, Mode, Register
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Done,
+    Event,
+    Nanos,
+    Parameter,
+    ReadParameter,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    WriteParameter,
+    Zero,
+)
+
+ANSWER = 600 * MILLISECOND
+RESEND = 60 * MILLISECOND
+SCAN_STEP = 200 * MILLISECOND
+SCAN_STEPS = 4
+ASSIGN = 1500 * MILLISECOND
+ASSIGN_AGAIN = 150 * MILLISECOND
+ZERO_WITHIN = 0.01
+"""rev"""
+SAVE = "conf_write"
+"""Written with 1, the device saves its configuration."""
+REGISTER_MAX = 0x7FFF
+
+COMMANDED = (range(0x010, 0x030), range(0x040, 0x049))
+"""Registers that commands write."""
+REFUSED = {
+    Register.MODE: "the mode is what commands are for",
+    Register.MULTIPLEX_ID: "use SetId with the serial number",
+    0x071: "a trimmed clock may end all communication",
+}
+
+
+@dataclass(slots=True)
+class Pending:
+    """A request under way."""
+
+    request: Request
+    name: str
+    node: Node | None
+    data: tuple[bytes, ...]
+    """Of frames to the device, or to all if `node` is None."""
+    deadline: Nanos
+    again: Nanos
+    """Sent again so long after it was last sent."""
+    next: Nanos
+    began: Nanos
+    register: int = -1
+    """Which register it is about."""
+    sent: int = 0
+    found: dict[tuple[int, bytes], str] = field(default_factory=dict)
+
+    def title(self) -> str:
+        """The request's name."""
+        return type(self.request).__name__
+
+    def done(self, t: Nanos, detail: str = "") -> Done:
+        """It was carried out."""
+        return Done(t, self.title(), self.name, detail)
+
+    def refuse(self, t: Nanos, reason: str) -> Refused:
+        """It was not."""
+        return Refused(t, self.title(), self.name, reason)
+
+
+def refuse(t: Nanos, request: Request, reason: str) -> Refused:
+    """A request that is not even begun."""
+    name: str = getattr(request, "motor", "") or getattr(request, "bus", "")
+    return Refused(t, type(request).__name__, name, reason)
+
+
+def begin(now: Nanos, request: Request, node: Node) -> Pending | Refused:
+    """A request to one device."""
+    running = node.claimed or node.mode not in (None, Mode.STOPPED, *LATCHED)
+    match request:
+        case ClearFault():
+            return Pending(request, node.name, node, (), now + ANSWER, RESEND, now, now)
+        case Zero() if running:
+            return refuse(now, request, "it is armed, and would jump: say idle first")
+        case Zero():
+            return _pending(now, request, node, (set_register(Register.SET_OUTPUT_EXACT, 0.0),))
+        case ReadParameter(_, parameter):
+            return _read(now, request, node, parameter)
+        case WriteParameter(_, parameter, value):
+            if running and parameter == SAVE:
+                return refuse(now, request, "it is armed: say idle first")
+            return _write(now, request, node, parameter, value)
+    return refuse(now, request, f"a moteus has no {type(request).__name__} on its bus")
+
+
+def _pending(
+    now: Nanos, request: Request, node: Node, data: tuple[bytes, ...], register: int = -1
+) -> Pending:
+    return Pending(request, node.name, node, data, now + ANSWER, RESEND, now, now, register)
+
+
+def register_of(parameter: str) -> int | None:
+    """A register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88)."""
+    known = NAMES.get(parameter.lower())
+    if known is not None:
+        return known
+    try:
+        number = int(parameter, 0)
+    except ValueError:
+        return None
+    return number if 0 <= number <= REGISTER_MAX else None
+
+
+def _unknown(now: Nanos, request: Request, parameter: str) -> Refused:
+    said = f"no register {parameter!r}: give its number (0x058), or one of {', '.join(NAMES)}"
+    return refuse(now, request, said)
+
+
+def _asks(register: int) -> bytes:
+    """Quantities are read as binary32, the rest as int32."""
+    return ask(register, F32 if register in SCALES else INT32)
+
+
+def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | Refused:
+    register = register_of(parameter)
+    if register is None:
+        return _unknown(now, request, parameter)
+    return _pending(now, request, node, (_asks(register),), register)
+
+
+def _write(now: Nanos, request: Request, node: Node, parameter: str, value: float) -> Pending | Refused:
+    if parameter == SAVE:
+        if value != 1:
+            return refuse(now, request, f"{SAVE} takes 1")
+        return _pending(now, request, node, (console("conf write") + _asks(Register.MULTIPLEX_ID),), 0x110)
+    register = register_of(parameter)
+    if register is None:
+        return _unknown(now, request, parameter)
+    if not (isfinite(value) and abs(value) <= FLOAT_MAX):
+        return refuse(now, request, f"{value} is no finite number of 32 bits")
+    if register in REFUSED:
+        return refuse(now, request, REFUSED[register])
+    if any(register in commanded for commanded in COMMANDED):
+        return refuse(now, request, "that register is what commands are for")
+    if Register.UUID_MASK1 <= register <= Register.UUID_MASK4:
+        return refuse(now, request, "a mask of UUIDs is no parameter")
+    if register in _MOVING and (node.claimed or node.mode not in (Mode.STOPPED, *LATCHED)):
+        return refuse(now, request, "it is armed, and would jump: say idle first")
+    return _pending(now, request, node, (set_register(register, value) + _asks(register),), register)
+
+
+_MOVING = (
+    Register.SET_OUTPUT_NEAREST,
+    Register.SET_OUTPUT_EXACT,
+    Register.REQUIRE_REINDEX,
+    Register.RECAPTURE_POSITION_VELOCITY,
+)
+
+
+def scan(now: Nanos, request: Scan) -> Pending:
+    """Discovery: a question to all."""
+    end = now + SCAN_STEP * SCAN_STEPS
+    return Pending(request, request.bus, None, (DISCOVER,), end, SCAN_STEP, now, now)
+
+
+def set_id(now: Nanos, request: SetId, nodes: list[Node], holders: dict[int, set[int]]) -> Pending | Refused:
+    """Give the device with a serial number an id, and ask it who it is. `holders`: serial numbers by id."""
+    if not 1 <= request.address <= ADDRESS_MAX:
+        return refuse(now, request, f"{request.address} is not an id: 1 to {ADDRESS_MAX}")
+    if not 0 < request.serial < 1 << 8 * SERIAL_BYTES:
+        return refuse(now, request, f"{request.serial} is no serial number of 64 bits")
+    others = sorted(holders.get(request.address, set()) - {request.serial})
+    if others:
+        said = f"id {request.address} is held by serial number {others[0]:016X}"
+        return refuse(now, request, said)
+    for node in nodes:
+        mine = request.serial in map(serial_of, node.uuids) or node.address == request.address
+        if mine and (node.claimed or node.mode not in (None, Mode.STOPPED, *LATCHED)):
+            return refuse(now, request, f"{node.name} is armed: say idle first")
+    uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
+    data = (masked(uuid, console(f"conf set id.id {request.address}")), masked(uuid, DISCOVER))
+    return Pending(request, request.bus, None, data, now + ASSIGN, ASSIGN_AGAIN, now, now)
+
+
+def data_of(pending: Pending, now: Nanos) -> tuple[bytes, ...]:
+    """What is to be sent for a request now."""
+    if isinstance(pending.request, ClearFault) and pending.node is not None:
+        return (pending.node.clearing(now),)
+    if isinstance(pending.request, Zero) and pending.node is not None:
+        return (pending.data[0] + pending.node.question(now),)
+    return pending.data
+
+
+def hear(pending: Pending, t: Nanos, told: Told) -> list[Event]:
+    """Let a request of one device hear its answer; the events that end it, or none."""
+    node = pending.node
+    if node is None or not pending.sent:
+        return []
+    match pending.request:
+        case ClearFault() if Register.MODE in told.values and node.mode not in LATCHED:
+            return [*node.cleared(t), pending.done(t)]
+        case Zero():
+            position = told.values.get(Register.POSITION)
+            return [pending.done(t)] if position is not None and abs(position) < ZERO_WITHIN else []
+        case ReadParameter(_, parameter):
+            return _hear_read(pending, t, told, parameter)
+        case WriteParameter():
+            return _hear_written(pending, t, told)
+    return []
+
+
+def _wrong(told: Told, code: int, register: int) -> Error | None:
+    return next((e for e in told.errors if e.code == code and e.register == register), None)
+
+
+def _hear_read(pending: Pending, t: Nanos, told: Told, parameter: str) -> list[Event]:
+    if _wrong(told, READ_ERROR, pending.register):
+        return [pending.refuse(t, "the device has no such register, or cannot read it so")]
+    if pending.register not in told.values:
+        return []
+    value = told.values[pending.register]
+    if value is None:
+        return [pending.refuse(t, "the device says that it is not given")]
+    return [Parameter(pending.name, t, parameter, float(value)), pending.done(t)]
+
+
+def _hear_written(pending: Pending, t: Nanos, told: Told) -> list[Event]:
+    wrong = _wrong(told, WRITE_ERROR, pending.register)
+    if wrong:
+        why = "read only" if wrong.number == NOT_WRITEABLE else f"error {wrong.number}: no such register?"
+        return [pending.refuse(t, f"the device does not take it ({why})")]
+    answered = pending.register in told.values or _wrong(told, READ_ERROR, pending.register)
+    return [pending.done(t)] if answered else []
+
+
+def give_up(pending: Pending, now: Nanos) -> list[Event]:
+    """The deadline has passed."""
+    node = pending.node
+    if isinstance(pending.request, SetId):
+        said = f"no device with serial number {pending.request.serial:016X} took the id"
+        return [pending.refuse(now, said)]
+    if node is None or node.heard_at is None or node.heard_at < pending.began:
+        return [pending.refuse(now, "no answer of the device")]
+    if isinstance(pending.request, ClearFault):
+        node.tell_again()
+        code = int(Mode.TIMEOUT) if node.mode == Mode.TIMEOUT else node.fault
+        return [pending.refuse(now, f"still in fault: {complaint_of(code).name}")]
+    if isinstance(pending.request, Zero):
+        return [pending.refuse(now, "its position did not become zero: is it turning?")]
+    return [pending.refuse(now, "the device did not answer this")]
