@@ -102,9 +102,9 @@ def contents(name: str, bus: Bus) -> dict[str, str]:
     """What is to be written, by path in the folder."""
     codec = "codec_serial.py" if bus == "serial" else "codec.py"
     texts = {f"{name}/{file}": _read(codec if file == "codec.py" else file) for file in PACKAGE}
-    texts[f"{name}/__init__.py"] = _put(texts[f"{name}/__init__.py"], 'NAME = "blank"', f'NAME = "{name}"')
+    path = f"{name}/codec.py"
+    texts[path] = _put(texts[path], 'NAME = "blank"', f'NAME = "{name}"')
     if bus == "canfd":
-        path = f"{name}/codec.py"
         texts[path] = _put(texts[path], '"serial"] = "can"', '"serial"] = "canfd"')
         texts[path] = _put(texts[path], "FD = False", "FD = True")
     texts[f"{name}/README.md"] = _renamed(texts[f"{name}/README.md"], name)

@@ -13,12 +13,11 @@ from protocols.wire import Wire
 from protocols.words import MILLISECOND, ClearFault, Idle, Velocity
 
 from . import codec
+from .codec import NAME, STATUS_PERIOD
 from .driver import OFFLINE, MotorDriver, Options
 from .ear import MotorEar
 from .faults import FAULTS
-from .twin import STATUS_PERIOD, MotorTwin, Settings
-
-NAME = "blank"
+from .twin import MotorTwin, Settings
 
 
 def read_only(_wire: Wire) -> bool:

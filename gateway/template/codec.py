@@ -21,7 +21,9 @@ from typing import Literal
 
 from protocols.plugin import Tally
 from protocols.wire import CanFrame, Wire
+from protocols.words import MILLISECOND, Nanos
 
+NAME = "blank"
 BUS: Literal["can", "canfd", "serial"] = "can"
 FD = False
 """Whether its frames are CAN FD (with bit-rate switch)."""
@@ -39,6 +41,7 @@ MAX_TURNED = 1e6
 """rad"""
 TINY = 2.0**-126
 """The smallest normal float32: what is smaller is zero on this wire."""
+STATUS_PERIOD: Nanos = 10 * MILLISECOND
 WATCHDOG, TOO_HOT = 1, 2
 """Codes of its faults; 0 is none."""
 

@@ -18,12 +18,14 @@ from protocols.plugin import Device, Tally
 from protocols.wire import BusState, Wire
 from protocols.words import (
     MILLISECOND,
+    SECOND,
     ClearFault,
     Command,
     Done,
     Event,
     Fault,
     Feedback,
+    Found,
     Idle,
     Mode,
     Nanos,
@@ -35,7 +37,7 @@ from protocols.words import (
 )
 
 from . import codec
-from .codec import DeviceMode, Order
+from .codec import NAME, DeviceMode, Order
 from .faults import FAULTS
 
 ANSWER: Nanos = 200 * MILLISECOND
@@ -67,6 +69,10 @@ class _Seat:
     """As it was last told."""
     fault: int = 0
     """The code that was told and still stands."""
+    since: Nanos | None = None
+    """From when its messages are counted, ..."""
+    count: int = 0
+    """... and how many there were."""
     clearing: Nanos | None = None
     """When our patience with ClearFault ends."""
 
@@ -173,4 +179,18 @@ class MotorDriver:
         if seat.clearing is not None and not status.fault:
             seat.clearing = None
             events.append(Done(t, "ClearFault", seat.name))
-        return [*events, Feedback(seat.name, t, status.position, status.velocity)]
+        return [*events, *_twice(t, seat), Feedback(seat.name, t, status.position, status.velocity)]
+
+
+def _twice(t: Nanos, seat: _Seat) -> list[Event]:
+    """Twice as many messages as one device sends are two devices'."""
+    if seat.since is None or t < seat.since:
+        seat.since, seat.count = t, 0
+    seat.count += 1
+    span = t - seat.since
+    if span < SECOND:
+        return []
+    many = seat.count * codec.STATUS_PERIOD > 1.5 * span
+    seat.since, seat.count = t, 0
+    said = f"address {seat.address} is held by more than one device: they speak too often for one"
+    return [Found(t, NAME, seat.address, None, said, twice=True)] if many else []

@@ -28,11 +28,9 @@ from protocols.words import (
 )
 
 from . import codec
-from .codec import DeviceMode, Status
+from .codec import STATUS_PERIOD, DeviceMode, Status
 from .ear import MotorEar
 from .faults import FAULTS
-
-STATUS_PERIOD: Nanos = 10 * MILLISECOND
 
 
 @dataclass(frozen=True, slots=True)
