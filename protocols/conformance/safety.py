@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
-from protocols.conformance.rehearsal import ARMING, NAMES, Said
+from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Said
 from protocols.conformance.trouble import (
     STILL,
     Scene,
@@ -100,11 +100,12 @@ def _from(case: Case, spec: Spec, kind: type[Command], place: float) -> Failure 
     if failure or not codes or ClearFault not in spec.requests:
         return failure
     on.cables[ALPHA].provoke(case.dice().choice(codes))
-    if not on.until(lambda _: on.mode() is Mode.FAULT, PATIENCE, [Idle(ALPHA)]):
+    if not on.until(lambda _: on.mode() is Mode.FAULT, PATIENCE):
         return on.failure("a fault of the device is not told by State FAULT")
+    on.wait(AFTER, [Idle(ALPHA)] if Idle in spec.commands else [])
     on.turn(-2.0 * BY_HAND)
     on.step([ClearFault(ALPHA)])
-    if not on.until(lambda _: on.mode() is not Mode.FAULT, PATIENCE, [Idle(ALPHA)]):
+    if not on.until(lambda _: on.mode() is not Mode.FAULT, PATIENCE):
         return on.failure("ClearFault does not clear")
     return _arms_still(on, spec, kind, "after a fault, turned by hand")
 
@@ -238,18 +239,24 @@ def _while_lost(case: Case, spec: Spec, up: bool, down: bool) -> Failure | None:
     on = _in_motion(case, spec)
     if isinstance(on, Failure):
         return on
-    cable = on.cables[ALPHA]
+    cable, span = on.cables[ALPHA], _lost(spec)
     cable.up, cable.down = up, down
-    on.wait(LOST, [Idle(ALPHA)])
+    on.wait(span, [Idle(ALPHA)])
     torque = torque_of(on.step([Idle(ALPHA)]))
     if down and abs(torque) > STILL:
-        return on.failure(f"Idle while replies are lost: after {LOST} ms the torque is {torque:.3g} N·m")
+        return on.failure(f"Idle while replies are lost: after {span} ms the torque is {torque:.3g} N·m")
     cable.up = cable.down = True
     failure = _disarms(on, [Idle(ALPHA)])
     if not failure:
         return None
     lost = " and ".join(w for w, passes in (("replies", up), ("words", down)) if not passes)
-    return on.failure(f"{lost} lost for the first {LOST} ms of Idle, then none: {failure}")
+    return on.failure(f"{lost} lost for the first {span} ms of Idle, then none: {failure}")
+
+
+def _lost(spec: Spec) -> int:
+    """Steps of loss that no watchdog minds: it is Idle that must disarm."""
+    patience = spec.watchdog.timeout if spec.watchdog.enabled else None
+    return LOST if patience is None else min(LOST, patience // (2 * STEP))
 
 
 def _stop_of_another(case: Case, spec: Spec) -> Failure | None:
@@ -273,6 +280,7 @@ def _stop_of_another(case: Case, spec: Spec) -> Failure | None:
 def _disarms(on: Scene, words: Words) -> str:
     """What is wrong after saying this for as long as it may take; "" if the device is disarmed."""
     calm = 0
+    on.faults.clear()
 
     def ended(said: Said) -> bool:
         nonlocal calm
@@ -283,7 +291,7 @@ def _disarms(on: Scene, words: Words) -> str:
         return _complaint(on)
     if on.until(lambda said: not _calm(on, said), 20):
         return f"a moment later, with nothing said: {_complaint(on)}"
-    return ""
+    return f"it ends in a fault instead: {on.faults[0].name}" if on.faults else ""
 
 
 def _calm(on: Scene, said: Said) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
-from protocols.conformance.complaints import told_wrongly
 from protocols.conformance.manners import harmless
 from protocols.conformance.rehearsal import ARMING, NAMES, Said
 from protocols.conformance.trouble import (
@@ -26,7 +25,6 @@ from protocols.conformance.trouble import (
 )
 from protocols.plugin import Spec
 from protocols.words import (
-    ClearFault,
     Command,
     Done,
     Found,
@@ -138,7 +136,7 @@ def _takes_over(on: Scene, kind: type[Command], given: float) -> Failure | None:
     for at in range(2 * SETTLE):
         said = on.step([word])
         limp = limp + 1 if abs(torque_of(said)) <= STILL else 0
-        dropping = [w for w in said.heard if isinstance(w, Idle | ClearFault | Reboot)]
+        dropping = [w for w in said.heard if isinstance(w, Idle | Reboot)]
         wrong = ""
         if dropping:
             wrong = f"the device is told {dropping[0]}"
@@ -192,9 +190,8 @@ def _scan_running(case: Case) -> Failure | None:
     sag = before.stage.shafts[ALPHA].position - place
     if sag > 0.5 * SLACK or on.mode() is not Mode.ARMED:
         return on.failure(f"a scan, and the device that ran sags by {sag:.3g} rad, and is {on.mode()}")
-    if code is not None:
-        wrong = told_wrongly(on, on.spec, code, BETA)
-        return on.failure(f"after a scan, of the device in fault: {wrong}") if wrong else None
+    if code is not None and on.mode(BETA) is not Mode.FAULT:
+        return on.failure(f"a scan, and the device that was in fault {code} is {on.mode(BETA)}")
     return None
 
 

@@ -1,0 +1,349 @@
+"""Plugins that are broken on purpose: motion begins or ends unsafely, silence is missed, faults go.
+
+Rules. Each is the plain plugin, or ODrive's, with one class of it replaced; what is wrong is said by its
+name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from protocols.odrive_can import RANGES
+from protocols.odrive_can import plugin as odrive
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.plain import line
+from protocols.plain.driver import PlainDriver
+from protocols.plain.twin import PlainMotor
+from protocols.plugin import Device, Plugin
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Command,
+    Event,
+    Fault,
+    Feedback,
+    Hold,
+    Idle,
+    Mode,
+    Nanos,
+    Position,
+    Request,
+    Scan,
+    State,
+    Stop,
+)
+from tests.protocols.broken import Sent, motors
+
+Words = Sequence[Command | Request]
+
+
+class Knowing(PlainDriver):
+    """Sound; remembers what it has told, for those below."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.modes: dict[str, Mode] = {}
+        self.places: dict[str, float] = {}
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        events = super().receive(t, wire)
+        for event in events:
+            if isinstance(event, State):
+                self.modes[event.motor] = event.mode
+            elif isinstance(event, Feedback) and event.position is not None:
+                self.places[event.motor] = event.position
+        return events
+
+    def say(self, word: Command | Request) -> Wire:
+        """A word to a device, past everything that a driver should think of."""
+        return line.message(self._addresses[getattr(word, "motor", "")], word)
+
+
+# -- jump ----------------------------------------------------------------------------------------------
+
+
+class FirstSetPointIsZero(Knowing):
+    """The set-point is zero until the first one has been sent."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        fresh = [w.motor for w in words if isinstance(w, Position) and self.modes.get(w.motor) != Mode.ARMED]
+        events, wires = super().send(now, words)
+        return events, [*(self.say(Position(name, 0.0)) for name in fresh), *wires]
+
+
+class HoldsWhereItOnceWas(Knowing):
+    """Hold is where the shaft was when it was first said in this life."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.held: dict[str, float] = {}
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        for word in words:
+            if isinstance(word, Hold) and word.motor in self.places:
+                self.held.setdefault(word.motor, self.places[word.motor])
+        return super().send(now, [self.kept(word) for word in words])
+
+    def kept(self, word: Command | Request) -> Command | Request:
+        if isinstance(word, Hold) and word.motor in self.held:
+            return Position(word.motor, self.held[word.motor])
+        return word
+
+
+# -- disarm --------------------------------------------------------------------------------------------
+
+
+class SaysIdleOnce(PlainDriver):
+    """Whether Idle has arrived is nobody's business."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.last: dict[str, Command] = {}
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        said = [w for w in words if not (isinstance(w, Idle) and isinstance(self.last.get(w.motor), Idle))]
+        self.last |= {w.motor: w for w in words if isinstance(w, Command)}
+        return super().send(now, said)
+
+
+class IdlesOnlyWhatItHearsArmed(Knowing):
+    """Idle waits until the device has been heard to be armed."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        heard, self.modes = dict(self.modes), {}
+        return super().send(
+            now, [w for w in words if not isinstance(w, Idle) or heard.get(w.motor) == Mode.ARMED]
+        )
+
+
+class StopsOnlyItsOwn(PlainDriver):
+    """An operator's stop does not reach what another host has armed."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        return super().send(now, [w for w in words if not isinstance(w, Stop)])
+
+
+# -- watchdog ------------------------------------------------------------------------------------------
+
+
+class FeedsByItself(PlainDriver):
+    """Nothing to say: then what was said last, so that the watchdog does not trip."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.last: dict[str, Command] = {}
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        self.last |= {w.motor: w for w in words if isinstance(w, Command)}
+        return super().send(now, words or list(self.last.values()))
+
+
+class NeverTrips(PlainMotor):
+    """The watchdog is promised, and forgotten."""
+
+    def _watch(self, now: Nanos) -> None:
+        if self._mode == Mode.ARMED:
+            self._fed = now
+        super()._watch(now)
+
+
+class TripsEarly(PlainMotor):
+    """The watchdog takes half of the declared time."""
+
+    def _watch(self, now: Nanos) -> None:
+        fed = self._fed
+        self._fed = fed - 47 * MILLISECOND
+        super()._watch(now)
+        self._fed = fed
+
+
+# -- blind ---------------------------------------------------------------------------------------------
+
+
+class NeverMissesADevice(PlainDriver):
+    """The time of silence is stored, and never looked at."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        for seat in self._seats.values():
+            seat.heard = now
+        return super().send(now, words)
+
+
+class ReadsTheLastStateForEver(Knowing):
+    """Every read succeeds, with the last state if there is no newer one."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        events, wires = super().send(now, words)
+        return [*(Feedback(name, now, place) for name, place in self.places.items()), *events], wires
+
+
+class ReadsZeroAtFirst(Knowing):
+    """Every read succeeds, with zero if there was none yet."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        events, wires = super().send(now, words)
+        zeros = [Feedback(name, now, 0.0) for name in self._addresses if name not in self.places]
+        return [*zeros, *events], wires
+
+
+class WaitsForEver(PlainDriver):
+    """Says and tells nothing more until every device has answered."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.waits: Nanos | None = None
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        events = super().receive(t, wire)
+        seats = self._seats.values()
+        if any(seat.heard is None or t - seat.heard > 100 * MILLISECOND for seat in seats):
+            return events
+        self.waits = None
+        return events
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        if self.waits is not None and now - self.waits > 100 * MILLISECOND:
+            return [], []
+        self.waits = now if self.waits is None else self.waits
+        return super().send(now, words)
+
+
+class HearsItself(OdriveDriver):
+    """What it has sent, given back by the bus, is a sign of life of the device."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        events = super().receive(t, wire)
+        if isinstance(wire, CanFrame) and not wire.extended and wire.id >> 5 in self.nodes:
+            self.nodes[wire.id >> 5].heard_at = t
+        return events
+
+
+# -- faults --------------------------------------------------------------------------------------------
+
+
+class IgnoresTheFaultBits(PlainDriver):
+    """The state is told, what is wrong is not."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        return [event for event in super().receive(t, wire) if not isinstance(event, Fault)]
+
+
+class KnowsNoCure(PlainDriver):
+    """Faults are told by number and name."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        events = super().receive(t, wire)
+        return [replace(e, cure="") if isinstance(e, Fault) else e for e in events]
+
+
+class ClearsAtEachModeSwitch(Knowing):
+    """Every change of the kind of command begins with clearing faults."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.kinds: dict[str, type[Command]] = {}
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        before = dict(self.kinds)
+        self.kinds |= {w.motor: type(w) for w in words if isinstance(w, Command)}
+        switched = [name for name, kind in self.kinds.items() if before.get(name, kind) is not kind]
+        events, wires = super().send(now, words)
+        return events, [*(self.say(ClearFault(name)) for name in switched), *wires]
+
+
+class PollsByClearing(Knowing):
+    """A device in fault that is to be commanded is asked for its state by clearing its fault."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        events, wires = super().send(now, words)
+        asked = [w.motor for w in words if isinstance(w, Command) and self.modes.get(w.motor) == Mode.FAULT]
+        clears = [] if now % (50 * MILLISECOND) else [self.say(ClearFault(name)) for name in asked]
+        return events, [*clears, *wires]
+
+
+class ForgetsItsFault(PlainMotor):
+    """The firmware takes Idle for the end of a fault."""
+
+    def _obey(self, t: Nanos, command: Command) -> None:
+        if isinstance(command, Idle) and self._mode == Mode.FAULT:
+            self._fault = None
+            self._enter(t, Mode.READY)
+        super()._obey(t, command)
+
+
+# -- attach, scan --------------------------------------------------------------------------------------
+
+
+class DisarmsToArm(Knowing):
+    """The first command to a device is Idle, to begin from a known state."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        claims = [
+            w.motor
+            for w in words
+            if isinstance(w, Command) and not isinstance(w, Idle) and not self._claimed(w.motor)
+        ]
+        events, wires = super().send(now, words)
+        return events, [*(self.say(Idle(name)) for name in claims), *wires]
+
+    def _claimed(self, name: str) -> bool:
+        address = self._addresses.get(name)
+        return address is None or self._seats[address].claimed
+
+
+class ScansByArming(Knowing):
+    """Who moves is there."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        events, wires = super().send(now, words)
+        scans = any(isinstance(word, Scan) for word in words)
+        return events, [*wires, *(self.say(Hold(name)) for name in self._addresses if scans)]
+
+
+class ScansByClearing(Knowing):
+    """A device in fault might not answer: so none is left in it."""
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        events, wires = super().send(now, words)
+        scans = any(isinstance(word, Scan) for word in words)
+        return events, [*(self.say(ClearFault(name)) for name in self._addresses if scans), *wires]
+
+
+def _driver(kind: type[PlainDriver]) -> Plugin:
+    return replace(motors, name=kind.__name__, driver=kind)
+
+
+def _twin(kind: type[PlainMotor]) -> Plugin:
+    return replace(motors, name=kind.__name__, twin=lambda device, _: kind(device))
+
+
+def _can(kind: type[OdriveDriver]) -> Plugin:
+    return replace(odrive, name=kind.__name__, driver=lambda devices: kind(devices, RANGES))
+
+
+BROKEN_SAFETY: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
+    (_driver(FirstSetPointIsZero), ("jump",)),
+    (_driver(HoldsWhereItOnceWas), ("jump",)),
+    (_driver(SaysIdleOnce), ("disarm",)),
+    (_driver(IdlesOnlyWhatItHearsArmed), ("disarm",)),
+    (_driver(StopsOnlyItsOwn), ("disarm",)),
+    (_driver(FeedsByItself), ("watchdog",)),
+    (_twin(NeverTrips), ("watchdog",)),
+    (_twin(TripsEarly), ("watchdog",)),
+    (_driver(NeverMissesADevice), ("blind",)),
+    (_driver(ReadsTheLastStateForEver), ("blind",)),
+    (_driver(ReadsZeroAtFirst), ("blind",)),
+    (_driver(WaitsForEver), ("blind",)),
+    (_can(HearsItself), ("blind",)),
+    (_driver(IgnoresTheFaultBits), ("faults",)),
+    (_driver(KnowsNoCure), ("faults",)),
+    (_driver(ClearsAtEachModeSwitch), ("faults",)),
+    (_driver(PollsByClearing), ("faults",)),
+    (_twin(ForgetsItsFault), ("faults",)),
+    (_driver(DisarmsToArm), ("attach",)),
+    (_driver(ScansByArming), ("scan",)),
+    (_driver(ScansByClearing), ("scan",)),
+)
+"""Each with all the clauses that find it."""
