@@ -1,0 +1,385 @@
+"""The driver: our end of CANopen CiA 402, for all such drives of one bus.
+
+Rules. No clock, no bus: time and frames are arguments, what is to be sent is returned. `receive` never raises
+and never learns from a host's frames (ours or another's). `Node` holds what is known of one device, `motion`
+what a command takes, `requests` what is asked; this file deals out the frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+
+from protocols.cia402 import jobs, motion, requests, sdo
+from protocols.cia402 import objects as o
+from protocols.cia402.client import DOUBLED, Outcome, Purpose
+from protocols.cia402.codec import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    NODE_MASK,
+    SDO_TX_BASE,
+    Emcy,
+    Heartbeat,
+    decode,
+    is_classic,
+    sdo_rx_id,
+)
+from protocols.cia402.complaints import DUPLICATE_NODE, NOT_ARMED, NOT_CONFIGURED
+from protocols.cia402.node import Node
+from protocols.cia402.requests import Pending
+from protocols.cia402.scanning import Scanner, describe
+from protocols.cia402.sync import Pulse, agree
+from protocols.plugin import Device, Range, Tally
+from protocols.wire import BusState, CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Done,
+    Event,
+    Found,
+    Impedance,
+    Mode,
+    Nanos,
+    Refused,
+    Request,
+    Scan,
+    State,
+    Stop,
+)
+
+PROTOCOL = "cia402"
+WAITING = 32
+"""Requests under way at once."""
+PDO_IDS = range(0x180, SDO_TX_BASE)
+
+
+class Cia402Driver:
+    """All CiA 402 drives of one bus. Plain data. ValueError if they do not agree on what is the bus's own."""
+
+    def __init__(self, devices: Sequence[Device], ranges: Mapping[str, Mapping[str, Range]]) -> None:
+        """`ranges`: each device's, by its name."""
+        agree(devices)
+        self.tally = Tally()
+        nodes = [Node(device.name, device.address, device.options) for device in devices]
+        self.nodes = {node.address: node for node in nodes}
+        self._all = nodes
+        self._by_name = {node.name: node for node in nodes}
+        self._ranges = {name: dict(table) for name, table in ranges.items()}
+        synced = [node.options for node in nodes if node.options.feedback == "sync"]
+        host = nodes[0].options.host_id if nodes else 0
+        self.pulse = Pulse(synced[0].sync_ms * MILLISECOND if synced else 0, host)
+        self._pending: list[Pending] = []
+        self._scan: Scanner | None = None
+        self._token = 0
+        self._events: list[Event] = []
+        """What happened outside `send`, to be told by the next one."""
+        self._refused: dict[str, str] = {}
+
+    # -- hearing ------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        """What a wire says; [] to what is not ours."""
+        if not isinstance(wire, CanFrame) or not is_classic(wire):
+            self.tally.foreign += 1
+            return []
+        function, address = wire.id & ~NODE_MASK, wire.id & NODE_MASK
+        node = self.nodes.get(address)
+        if node is None:
+            return self._overhear(function, address, wire)
+        if function == SDO_TX_BASE:
+            return self._hear_sdo(t, node, wire)
+        if function in (EMCY_BASE, HEARTBEAT_BASE):
+            return self._hear_message(t, node, wire)
+        if wire.id in PDO_IDS and wire.id & 0x80:
+            events = node.hear_tpdo(t, wire.id, wire.data)
+            return self._counted(events)
+        self.tally.foreign += 1
+        return []
+
+    def _counted(self, events: list[Event] | None) -> list[Event]:
+        if events is None:
+            self.tally.bad += 1
+            return []
+        self.tally.heard += 1
+        return events
+
+    def _hear_message(self, t: Nanos, node: Node, wire: CanFrame) -> list[Event]:
+        match decode(wire):
+            case Heartbeat() as beat:
+                events = node.hear_beat(t, beat)
+                return self._counted([*events, *self._contradiction(t, node)])
+            case Emcy() as emcy:
+                return self._counted(node.hear_emcy(t, emcy))
+        return self._counted(None)
+
+    def _overhear(self, function: int, address: int, wire: CanFrame) -> list[Event]:
+        """A node that is not in the robot file: only a scan listens to it."""
+        answer = sdo.decode_answer(wire.data) if function == SDO_TX_BASE and self._scan is not None else None
+        if answer is not None and self._scan is not None and self._scan.hear(address, answer):
+            self.tally.heard += 1
+        else:
+            self.tally.foreign += 1
+        return []
+
+    def _hear_sdo(self, t: Nanos, node: Node, wire: CanFrame) -> list[Event]:
+        answer = sdo.decode_answer(wire.data)
+        if answer is None:
+            return self._counted(None)
+        self.tally.heard += 1
+        node.heard(t)
+        outcome = node.client.hear(answer)
+        events = self._ended(t, node, outcome) if outcome is not None else []
+        return events + self._double(t, node)
+
+    # -- SDO transfers that ended -----------------------------------------------------------------
+
+    def _ended(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
+        job, abort = outcome.job, outcome.abort
+        match job.purpose:
+            case Purpose.READING if not outcome.silent:
+                return node.hear_read(t, job.key, outcome.value, abort)
+            case Purpose.POLL if abort is None:
+                value = jobs.polled(job.key, outcome.value)
+                return node.take(t, {job.key: value}) if value is not None else []
+            case Purpose.POLL if not outcome.silent and job.key not in (o.STATUSWORD, o.POSITION):
+                node.absent.add(job.key)
+            case Purpose.SETUP:
+                return self._wrote(t, node, outcome)
+            case Purpose.SETPOINT if abort is None and job.data is not None:
+                node.outlet.told[job.key] = jobs.polled(job.key, job.data) or 0
+                node.rounds += 1
+            case Purpose.ASKED:
+                return self._answered(t, job.token, outcome)
+            case Purpose.ROLL_CALL if abort is None:
+                return self._hear_roll_call(t, node, outcome)
+        return []
+
+    def _wrote(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
+        if outcome.silent:  # nobody knows what it has taken: all of it again
+            node.setup, node.writing = None, ()
+            return []
+        key = outcome.job.key
+        if motion.wrote(node, key, outcome.abort) or node.insist is not None:
+            return []
+        node.refused, node.setup = True, None
+        said = f"{o.title(key)}: {sdo.abort_text(outcome.abort or 0)}"
+        return node.complain(t, NOT_CONFIGURED, said)
+
+    def _answered(self, t: Nanos, token: int, outcome: Outcome) -> list[Event]:
+        for pending in [p for p in self._pending if p.token == token]:
+            events = requests.hear(pending, t, outcome)
+            if events:
+                self._pending.remove(pending)
+            return events
+        return []
+
+    # -- who holds which node id --------------------------------------------------------------------
+
+    def _hear_roll_call(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
+        """Another serial number: another device stands there now, of which nothing is known."""
+        known = node.known.serial if node.known is not None else None
+        said = int.from_bytes(outcome.value, "little")
+        if outcome.job.key == o.SERIAL_NUMBER and known is not None and said != known:
+            node.forget()
+            node.heard(t)
+            return node.tell(t, "another device answers")
+        return []
+
+    def _double(self, t: Nanos, node: Node) -> list[Event]:
+        if node.client.repeated or node.client.doubled:
+            node.roll_call = min(node.roll_call, t)
+        if node.client.doubled < DOUBLED:
+            return []
+        return self._held_twice(t, node, "every question is answered twice")
+
+    def _contradiction(self, t: Nanos, node: Node) -> list[Event]:
+        """Heartbeats that say A B A B come from two devices."""
+        said = node.beats
+        if len(said) < 4 or said[0] != said[2] or said[1] != said[3] or said[0] == said[1]:
+            return []
+        return self._held_twice(t, node, "its heartbeats contradict each other in turn")
+
+    def _held_twice(self, t: Nanos, node: Node, cause: str) -> list[Event]:
+        if node.doubled:
+            return []
+        node.doubled = True
+        serial = node.known.serial if node.known is not None else None
+        detail = f"node id {node.address} is held twice: {cause}"
+        found = Found(t, PROTOCOL, node.address, serial, detail, twice=True)
+        return [found, *node.complain(t, DUPLICATE_NODE, cause)]
+
+    # -- the bus ------------------------------------------------------------------------------
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        """The bus changed: forget what frames may have been lost, or devices may have restarted."""
+        if state is BusState.FULL:
+            for node in self._all:
+                node.outlet.forget()
+        if state not in (BusState.GONE, BusState.OFF, BusState.BACK):
+            return
+        for node in self._all:
+            node.forget()
+        if state is not BusState.BACK:
+            self._events += [p.refuse(t, f"the bus is {state}") for p in self._pending]
+            self._pending.clear()
+            if self._scan is not None:
+                self._events.append(Refused(t, Scan.__name__, self._scan.bus, f"the bus is {state}"))
+                self._scan = None
+
+    # -- saying -------------------------------------------------------------------------------
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+        """Say the words, then what falls due: set-points, requests, SDO transfers, SYNC and heartbeat."""
+        events, self._events = self._events, []
+        wires: list[Wire] = []
+        for word in words:
+            if isinstance(word, Stop):
+                for node in self._all:
+                    node.claimed = True
+            elif not isinstance(word, Command):
+                events += self._ask_for(now, word)
+        steered = False
+        at_sync = self.pulse.due_now(now)
+        for word in words:
+            if isinstance(word, Command):
+                frames = self._command(now, word, at_sync, events)
+                steered = steered or bool(frames)
+                wires += frames
+        wires += self._tend_requests(now, events)
+        for node in self._all:
+            wires += self._tend(now, node, events)
+        wires += self.pulse.sync(now, self._all, steered)
+        wires += self.pulse.beat(now, self._all)
+        return events, wires
+
+    def _tend(self, now: Nanos, node: Node, events: list[Event]) -> list[Wire]:
+        """What falls due for a device by itself."""
+        if node.started is None:
+            node.started = now
+        if not node.offline and now >= node.offline_at:
+            node.forget()
+            node.offline, node.told = True, (Mode.OFFLINE, "nothing heard")
+            events.append(State(node.name, now, Mode.OFFLINE, "nothing heard"))
+        stuck = motion.stuck(node, now)
+        if stuck:
+            node.refused, node.values = True, {}
+            node.unarm()
+            events += node.complain(now, NOT_ARMED, stuck)
+        wires: list[Wire] = [*motion.insist(node, now)]
+        request, outcome = node.client.say(now)
+        if outcome is not None:
+            events += self._ended(now, node, outcome)
+        if request is None:
+            job = jobs.next_job(node, now)
+            if job is not None:
+                node.client.begin(job)
+                request, _ = node.client.say(now)
+        if request is not None:
+            wires.append(CanFrame(sdo_rx_id(node.address), sdo.encode(request)))
+        return wires
+
+    def _command(self, now: Nanos, command: Command, at_sync: bool, events: list[Event]) -> list[CanFrame]:
+        node = self._by_name.get(command.motor)
+        if node is None:
+            reason = "no such motor on this bus"
+        else:
+            reason = self._wrong(command) or motion.possible(node, command)
+        if node is None or reason:
+            if self._refused.get(command.motor) != reason:
+                events.append(Refused(now, type(command).__name__, command.motor, reason))
+            self._refused[command.motor] = reason
+            return []
+        self._refused.pop(command.motor, None)
+        return motion.say(node, now, command, at_sync)
+
+    def _wrong(self, command: Command) -> str:
+        """Why a command must not reach the wire; "" if it may."""
+        if isinstance(command, Impedance):
+            return "the profile has no impedance control"
+        kind, ranges = type(command).__name__, self._ranges[command.motor]
+        for name in command.__slots__:
+            value = getattr(command, name)
+            if isinstance(value, str):
+                continue
+            if not isfinite(value):
+                return f"{name} is {value}"
+            allowed = ranges.get(f"{kind}.{name}")
+            if allowed is None:
+                if value:
+                    return f"the drive has no {name} for {kind}"
+            elif not allowed.low <= value <= allowed.high:
+                return f"{name} {value:.6g} lies outside {allowed.low:.6g} … {allowed.high:.6g}"
+        return ""
+
+    # -- requests -----------------------------------------------------------------------------
+
+    def _ask_for(self, now: Nanos, request: Request) -> list[Event]:
+        node = self._by_name.get(getattr(request, "motor", ""))
+        begun: Pending | Refused
+        if isinstance(request, Scan):
+            return self._begin_scan(now, request)
+        if len(self._pending) >= WAITING:
+            begun = requests.refuse(now, request, "too many requests are under way")
+        elif node is None:
+            begun = requests.refuse(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
+        else:
+            self._token += 1
+            begun = requests.begin(now, request, node, self._token, node.holding)
+        if isinstance(begun, Refused):
+            return [begun]
+        self._pending.append(begun)
+        return []
+
+    def _tend_requests(self, now: Nanos, events: list[Event]) -> list[Wire]:
+        wires: list[Wire] = []
+        for pending in list(self._pending):
+            ended, frames = requests.tend(pending, now)
+            events += ended
+            wires += frames
+            if ended:
+                self._pending.remove(pending)
+        if self._scan is not None:
+            wires += self._scan.say(now)
+            if self._scan.over(now):
+                events += self._end_scan(now, self._scan)
+                self._scan = None
+        return wires
+
+    def _begin_scan(self, now: Nanos, request: Scan) -> list[Event]:
+        if self._scan is not None:
+            return [requests.refuse(now, request, "a scan is under way")]
+        self._scan = Scanner(request.bus, tuple(self.nodes), now)
+        return []
+
+    def _end_scan(self, now: Nanos, scan: Scanner) -> list[Event]:
+        events: list[Event] = []
+        for node in self._all:
+            if node.heard_at is not None and not node.offline and o.DEVICE_TYPE in node.read:
+                serial, detail = describe(dict(node.read), [node.name, *([node.title] if node.title else [])])
+                events.append(Found(now, PROTOCOL, node.address, serial, detail, twice=node.doubled))
+        for address, known in sorted(scan.found.items()):
+            serial, detail = describe(known)
+            events.append(Found(now, PROTOCOL, address, serial, detail, twice=address in scan.twice))
+        return [*events, Done(now, Scan.__name__, scan.bus, f"{len(events)} devices")]
+
+    # -- when ---------------------------------------------------------------------------------
+
+    def due(self) -> Nanos | None:
+        """When `send` next has something to do by itself."""
+        times = [self._due_of(node) for node in self._all]
+        times += [min(pending.deadline, pending.next) for pending in self._pending]
+        times += [self._scan.due()] if self._scan is not None else []
+        times += [self.pulse.next] if self.pulse.next is not None else []
+        return min(times) if times else None
+
+    @staticmethod
+    def _due_of(node: Node) -> Nanos:
+        if node.started is None:
+            return 0
+        own = node.client.due()
+        due = jobs.due(node) if own is None else own
+        if node.insist is not None:
+            due = min(due, node.insist_next)
+        if node.trying_since is not None and not node.refused:
+            due = min(due, node.trying_since + node.options.state_timeout_ms * MILLISECOND)
+        return due if node.offline else min(due, node.offline_at)

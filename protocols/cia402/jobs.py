@@ -1,0 +1,116 @@
+"""Which object of a device is next to be read or written by SDO, and when.
+
+Rules. One transfer at a time per device; what presses most goes first, and set-points take turns with
+feedback. What a TPDO tells is not asked for. Nothing is written to a device that was not commanded, but for
+what an operator asks. Every question has a period, whether it is answered or not.
+"""
+
+from __future__ import annotations
+
+from protocols.cia402 import objects as o
+from protocols.cia402.client import Job, Purpose
+from protocols.cia402.node import NEVER, Node
+from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
+from protocols.words import MILLISECOND, SECOND, Nanos
+
+ROLL_CALL = 5 * SECOND
+"""A device's serial number is read again so often: to notice another one in its place, or two."""
+ROLL_CALL_AGAIN = 100 * MILLISECOND
+"""... and so often when an answer came twice."""
+POLLED: tuple[tuple[Key, int], ...] = (
+    (o.POSITION, 1),
+    (o.VELOCITY, 1),
+    (o.STATUSWORD, 2),
+    (o.TORQUE, 5),
+    (o.MODE_DISPLAY, 10),
+    (o.ERROR_CODE, 20),
+    (o.CURRENT, 20),
+    (o.DC_VOLTAGE, 20),
+)
+"""What is asked for, and how many feedback periods lie between."""
+CHANGING = (o.STATUSWORD, o.MODE_DISPLAY)
+"""What is asked for more often while it is to change."""
+MISSED = 3
+"""A TPDO that did not come for so many of its periods is no longer waited for."""
+SPARE = 10 * MILLISECOND
+UNTIMED = 100 * MILLISECOND
+"""What an object is worth that came by a TPDO whose period is not known."""
+
+
+def next_job(node: Node, now: Nanos) -> Job | None:
+    """What is to be begun now; None if nothing is due, or the client is at work."""
+    client = node.client
+    if node.urgent and client.free(Purpose.RELEASE):
+        return node.urgent.pop(0)
+    if not client.free(Purpose.POLL):
+        return None
+    if node.setup and (node.claimed or node.commanded_at == now):
+        return node.setup.pop(0)
+    poll = _poll(node, now)
+    setpoint = _setpoint(node, now)
+    if setpoint is not None and (poll is None or not node.took_turn):
+        node.took_turn = True
+        return setpoint
+    node.took_turn = False
+    if node.questions:
+        return node.questions.pop(0)
+    if poll is not None:
+        node.asked[poll] = now
+        return Job(Purpose.POLL, poll)
+    key = node.next_key()
+    if key is not None:
+        return Job(Purpose.READING, key)
+    if now >= node.roll_call and node.heard_at is not None:
+        node.roll_call = now + (ROLL_CALL_AGAIN if client.doubled or client.repeated else ROLL_CALL)
+        return Job(Purpose.ROLL_CALL, o.DEVICE_TYPE if o.SERIAL_NUMBER in node.absent else o.SERIAL_NUMBER)
+    return None
+
+
+def _setpoint(node: Node, now: Nanos) -> Job | None:
+    """A set-point that stands in no PDO, while the device is commanded."""
+    if not node.values or node.insist is not None or not (node.commanded_at == now or node.homing):
+        return None
+    wanted = node.outlet.by_sdo(node.values, node.target)
+    if wanted is None:
+        return None
+    key, value = wanted
+    return Job(Purpose.SETPOINT, key, to_bytes(OBJECTS[key].type, value))
+
+
+def _poll(node: Node, now: Nanos) -> Key | None:
+    """What is most overdue of the feedback."""
+    if node.units is None:
+        return None
+    due, key = min(((poll_at(node, key, periods), at) for at, (key, periods) in enumerate(POLLED)))
+    return POLLED[key][0] if due <= now else None
+
+
+def poll_at(node: Node, key: Key, periods: int) -> Nanos:
+    """When an object is next to be asked for."""
+    if key in node.absent or (key == o.ERROR_CODE and not node.wants_error):
+        return NEVER
+    if key in CHANGING and (node.trying_since is not None or node.insist is not None or node.clearing):
+        periods = 1
+    asked = node.asked.get(key)
+    again = 0 if asked is None else asked + periods * node.options.feedback_ms * MILLISECOND
+    fresh = node.fresh.get(key)
+    return again if fresh is None else max(again, fresh + worth(node, key))
+
+
+def worth(node: Node, key: Key) -> Nanos:
+    """How long it takes after a TPDO until its object is asked for."""
+    periods = [period for keys, _, period in node.listening.values() if key in keys and period is not None]
+    return MISSED * min(periods) + SPARE if periods else UNTIMED
+
+
+def due(node: Node) -> Nanos:
+    """When `next_job` next has something for a free client."""
+    if node.urgent or node.setup or node.questions or node.next_key() is not None:
+        return 0
+    polls = NEVER if node.units is None else min(poll_at(node, key, periods) for key, periods in POLLED)
+    return min(polls, node.roll_call if node.heard_at is not None else NEVER)
+
+
+def polled(key: Key, data: bytes) -> int | None:
+    """What an upload of the feedback tells; None if it is not as long as its type."""
+    return from_bytes(OBJECTS[key].type, data)

@@ -1,0 +1,364 @@
+"""What a command takes: configuring a device, starting it, arming it, steering it, disarming it.
+
+Rules. Functions on a `Node`; they return frames, or leave jobs for its SDO client. Nothing but uploads goes
+to a device before it is commanded. Set-points go out only in answer to a command of the same step. The first
+set-point of a sequence is where the shaft is measured to be. Disarming and quick stops are repeated until the
+statusword shows them, commanded or not.
+"""
+
+from __future__ import annotations
+
+from protocols.cia402 import arming, mapping
+from protocols.cia402 import objects as o
+from protocols.cia402.client import Job, Purpose
+from protocols.cia402.codec import Nmt, NmtCommand, NmtState, encode
+from protocols.cia402.mapping import Pdo
+from protocols.cia402.node import CONFIRMED, FAULTY, Homing, Node
+from protocols.cia402.objects import OBJECTS, Key, to_bytes
+from protocols.cia402.profile import Control, Demand, PowerState, Status, homing_of
+from protocols.cia402.profile import Homing as Outcome
+from protocols.cia402.profile import Mode as Operation
+from protocols.cia402.setpoint import TARGET_OF, Values, mode_for, standstill, values_of
+from protocols.cia402.startup import Known, mode_name
+from protocols.wire import CanFrame
+from protocols.words import MILLISECOND, Command, Hold, Idle, Nanos
+
+START_AGAIN = 100 * MILLISECOND
+"""NMT start is repeated so often until the device says that it is operational."""
+STARTS = 3
+"""So often, where it says nothing of its NMT state."""
+INSIST_AGAIN = 50 * MILLISECOND
+LATE = 500 * MILLISECOND
+"""A device that has not disarmed by then is told DISABLE VOLTAGE."""
+PLACED = 2
+"""Rounds of set-points that stand before a device is enabled."""
+HANDSHAKE = 250 * MILLISECOND
+"""A set-point of PP that was not acknowledged by then is given again."""
+HOMED = 3
+"""Statuswords after the start of homing before one is believed."""
+
+
+def possible(node: Node, command: Command) -> str:
+    """Why a device cannot do a command at all; "" if it can, or nobody knows yet."""
+    known = node.known
+    if known is None or isinstance(command, Idle):
+        return ""
+    operation = mode_for(command, known, node.options.modes)
+    if operation is None:
+        return f"its object 6502 ({known.modes:#x}) has no mode for {type(command).__name__}"
+    try:
+        values = values_of(command, operation, known.units, 0)
+    except ValueError as error:
+        return str(error)
+    lacking = next((key for key, value in values.items() if value and key in node.absent), None)
+    return f"it has no object {lacking[0]:04X} ({OBJECTS[lacking].name})" if lacking else ""
+
+
+def say(node: Node, now: Nanos, command: Command, at_sync: bool) -> list[CanFrame]:
+    """What a command takes now; nothing while the device cannot take it.
+
+    `at_sync`: a SYNC follows, or is not ours to wait for."""
+    node.commanded_at = now
+    node.holding = isinstance(command, Hold)
+    if isinstance(command, Idle):
+        return release(node, now)
+    if node.insist is Demand.SHUTDOWN:
+        node.insist = None
+    if node.nmt is NmtState.STOPPED and not node.offline:
+        return _start(node, now)
+    if node.known is None or node.unfit():
+        node.values = {}
+        return []
+    node.claimed = True
+    if not configured(node):
+        return []
+    said = _start(node, now) if not started(node) else []
+    if node.outlet.synchronous and not at_sync:
+        return said
+    return said + _steer(node, now, node.known, command)
+
+
+# -- configuring -----------------------------------------------------------------------------------------
+
+
+def configured(node: Node) -> bool:
+    """Whether all is written that comes before arming; plans it at first."""
+    if node.setup is None:
+        node.setup = _plan(node)
+    if node.setup or (node.client.job is not None and node.client.job.purpose is Purpose.SETUP):
+        return False
+    if node.writing or not node.outlet.ways:
+        _adopt(node)
+    return True
+
+
+def _plan(node: Node) -> list[Job]:
+    options, jobs = node.options, list[Job]()
+
+    def write(key: Key, value: int) -> None:
+        jobs.append(Job(Purpose.SETUP, key, to_bytes(OBJECTS[key].type, value)))
+
+    if options.heartbeat_ms and not node.read.get(o.PRODUCER_HEARTBEAT):
+        write(o.PRODUCER_HEARTBEAT, options.heartbeat_ms)
+    node.writing = _unfitting(node) if options.mapping == "auto" else ()
+    for pdo in node.writing:
+        before = node.read.get((mapping.FIRST[pdo.way][0] + pdo.number - 1, o.COB_ID), 0)
+        jobs += [Job(Purpose.SETUP, key, data) for key, data in mapping.writes(pdo, before)]
+    if options.watchdog_ms:
+        write(o.CONSUMER_HEARTBEAT, options.host_id << 16 | options.watchdog_ms)
+    return jobs
+
+
+def _unfitting(node: Node) -> tuple[Pdo, ...]:
+    """The PDOs that must be written anew."""
+    known, options = node.known, node.options
+    if known is None:
+        return ()
+    synced = options.feedback == "sync"
+    sync = options.sync_ms * MILLISECOND
+    wanted = mapping.wanted(node.address, options, synced, node.absent)
+    if mapping.commands_fit(node.usable("to"), targets_of(known, options.modes)):
+        wanted = [pdo for pdo in wanted if pdo.way == "from"]
+    # Where somebody else produces SYNC, nobody here knows its period: once in ten periods must do.
+    most = 10 * max(sync, options.feedback_ms * MILLISECOND)
+    if mapping.feedback_fits(node.usable("from"), sync or options.feedback_ms * MILLISECOND, most):
+        wanted = [pdo for pdo in wanted if pdo.way == "to"]
+    have = {(pdo.way, pdo.number): pdo for pdo in known.pdos}
+    there = [p for p in wanted if (p.way, p.number) in have]
+    return tuple(p for p in there if not mapping.same(have[p.way, p.number], p))
+
+
+def targets_of(known: Known, prefer: str) -> set[Key]:
+    """The set-points of the modes that would be used."""
+    cyclic = (Operation.CSP, Operation.CSV, Operation.CST)
+    profile = (Operation.PP, Operation.PV, Operation.PT)
+    first, second = (cyclic, profile) if prefer == "cyclic" else (profile, cyclic)
+    used = [known.mode(*pair) for pair in zip(first, second, strict=True)]
+    return {TARGET_OF[mode] for mode in used if mode is not None}
+
+
+def _adopt(node: Node) -> None:
+    """The PDOs are as they were written: speak and listen by them."""
+    if node.known is None:
+        return
+    pdos = {(pdo.way, pdo.number): pdo for pdo in node.known.pdos}
+    pdos |= {(pdo.way, pdo.number): pdo for pdo in node.writing}
+    node.known = Known(node.known.units, node.known.modes, node.known.serial, tuple(pdos.values()))
+    node.writing = ()
+    node.listen(node.known.pdos)
+    told = {key: node.read[key] for key in (o.VELOCITY_OFFSET, o.TORQUE_OFFSET) if key in node.read}
+    node.outlet.configure(node.usable("to"))
+    node.outlet.told |= told
+
+
+def wrote(node: Node, key: Key, abort: int | None) -> bool:
+    """A job of the setup has ended; False if it may not have failed.
+
+    A PDO that the device does not let us write stays disabled: what it held goes by SDO."""
+    if abort is None:
+        if key == o.CONSUMER_HEARTBEAT:
+            node.watched = True
+        return True
+    if key[1] == o.INHIBIT and o.TPDO_COMMUNICATION <= key[0] < o.TPDO_MAPPING:
+        return True
+    failed = [p for p in node.writing if key[0] in (i + p.number - 1 for i in mapping.FIRST[p.way])]
+    if not failed:
+        return key == o.PRODUCER_HEARTBEAT
+    (pdo,) = failed
+    node.writing = tuple(p for p in node.writing if p is not pdo)
+    indices = [first + pdo.number - 1 for first in mapping.FIRST[pdo.way]]
+    node.setup = [job for job in node.setup or [] if job.key[0] not in indices]
+    if node.known is not None:
+        gone = tuple(p for p in node.known.pdos if (p.way, p.number) != (pdo.way, pdo.number))
+        node.known = Known(node.known.units, node.known.modes, node.known.serial, gone)
+    return True
+
+
+def started(node: Node) -> bool:
+    """Whether it is in NMT operational, as far as it tells."""
+    return node.nmt is NmtState.OPERATIONAL or (node.nmt is None and node.starts >= STARTS)
+
+
+def _start(node: Node, now: Nanos) -> list[CanFrame]:
+    if now < node.start_next:
+        return []
+    node.claimed = True
+    node.start_next, node.starts = now + START_AGAIN, node.starts + 1
+    return [encode(Nmt(NmtCommand.START, node.address))]
+
+
+# -- steering --------------------------------------------------------------------------------------------
+
+
+def _steer(node: Node, now: Nanos, known: Known, command: Command) -> list[CanFrame]:
+    if node.homing is not None:
+        return _send(node, now, _home(node, now, node.homing), o.CONTROLWORD)
+    operation = mode_for(command, known, node.options.modes)
+    power, position = node.power, node.position
+    if operation is None or position is None or power is None:
+        return []
+    if not isinstance(command, Hold):
+        node.hold = None
+    elif node.hold is None:
+        node.hold = position
+    node.target = TARGET_OF[operation]
+    if power is PowerState.OPERATION_ENABLED:
+        values = values_of(command, operation, known.units, position if node.hold is None else node.hold)
+        control = int(Demand.ENABLE_OPERATION)
+        if operation is Operation.PP and node.has_mode(operation):
+            control = _hand(node, now, values)
+        if node.has_mode(operation):
+            node.trying_since = None
+        else:
+            _try(node, now, (power, operation))
+    else:
+        values = standstill(position)
+        demand = _climb(node, now, power, operation)
+        if demand is None:
+            return []
+        control = demand
+    values |= {o.CONTROLWORD: control, o.MODE: int(operation)}
+    node.rounds += 1
+    return _send(node, now, values, node.target)
+
+
+def _climb(node: Node, now: Nanos, power: PowerState, operation: Operation) -> int | None:
+    """The next controlword on the way to OPERATION ENABLED."""
+    _try(node, now, (power, node.operation == operation))
+    node.setpoint, node.handing = None, False
+    # By SDO, one transfer after the other: each is confirmed before the next begins.
+    placed = node.has_mode(operation) and node.rounds >= PLACED
+    return arming.upward(power, node.read.get(o.QUICK_STOP_OPTION, 2), placed=placed)
+
+
+def _try(node: Node, now: Nanos, seen: object) -> None:
+    """Note that it is not there yet; it is given up when nothing changes for too long."""
+    if node.trying_since is None or node.trying != seen:
+        node.trying_since, node.trying = now, seen
+
+
+def _hand(node: Node, now: Nanos, values: Values) -> int:
+    """PP: the handshake, with the target that it is about."""
+    acknowledged = bool((node.status or 0) & Status.SETPOINT_ACKNOWLEDGED)
+    if node.handing and not acknowledged and now > node.handed_at + HANDSHAKE:
+        node.handing, node.setpoint = False, None
+    before = node.handing
+    target = values[o.TARGET_POSITION]
+    control, given, node.handing = arming.handshake(acknowledged, node.handing, target, node.setpoint)
+    if node.handing:
+        values[o.TARGET_POSITION] = node.setpoint = given
+        node.handed_at = node.handed_at if before else now
+    return control
+
+
+def _send(node: Node, now: Nanos, values: Values, moving: Key) -> list[CanFrame]:
+    node.values = values
+    return node.outlet.frames(now, values, moving)
+
+
+# -- disarming -------------------------------------------------------------------------------------------
+
+
+def release(node: Node, now: Nanos) -> list[CanFrame]:
+    """Idle: only to what we commanded, or after an operator's stop."""
+    if node.claimed and node.insist is None:
+        node.insist, node.insist_since, node.insist_next = Demand.SHUTDOWN, now, now
+        node.disarmed = 0
+        node.refused = False
+        node.unarm()
+        node.values = {}
+    return []
+
+
+def insist(node: Node, now: Nanos) -> list[CanFrame]:
+    """Disarming or a quick stop under way: said again until the statusword shows it."""
+    if node.insist is None:
+        return []
+    gone = node.power in FAULTY and node.power is not PowerState.FAULT_REACTION
+    if node.disarmed >= CONFIRMED or (gone and node.disarmed):
+        _disarmed(node)
+        return []
+    if now < node.insist_next:
+        return []
+    node.insist_next = now + INSIST_AGAIN
+    late = now - node.insist_since >= LATE
+    demand = arming.downward(late=late) if node.insist is Demand.SHUTDOWN else node.insist
+    return command_power(node, now, demand, by_sdo=now > node.insist_since)
+
+
+def command_power(node: Node, now: Nanos, demand: Demand, by_sdo: bool) -> list[CanFrame]:
+    """A controlword, by RPDO where there is one, and by SDO where there is none or it did not help."""
+    frames = []
+    if o.CONTROLWORD in node.outlet.mapped and started(node):
+        values = dict.fromkeys(node.outlet.mapped, 0)
+        values |= {o.TARGET_POSITION: node.position or 0, o.MODE: node.operation or 0}
+        frames = node.outlet.frames(now, values | {o.CONTROLWORD: int(demand)}, o.CONTROLWORD)
+    if by_sdo or not frames:
+        node.urgent = [Job(Purpose.RELEASE, o.CONTROLWORD, to_bytes(OBJECTS[o.CONTROLWORD].type, demand))]
+    node.outlet.told.pop(o.CONTROLWORD, None)
+    return frames
+
+
+def _disarmed(node: Node) -> None:
+    if node.insist is Demand.SHUTDOWN:
+        if node.watched:  # a host that leaves is not a host that died
+            node.setup = [Job(Purpose.SETUP, o.CONSUMER_HEARTBEAT, bytes(4))]
+            node.watched = False
+            return
+        if node.setup or (node.client.job is not None and node.client.job.purpose is Purpose.SETUP):
+            return
+        node.claimed, node.setup = False, None
+    node.insist = None
+
+
+def stuck(node: Node, now: Nanos) -> str:
+    """Why arming is given up now; "" if it is not."""
+    since = node.trying_since
+    if since is None or node.refused or now < since + node.options.state_timeout_ms * MILLISECOND:
+        return ""
+    power = "nothing" if node.power is None else node.power.value
+    shown = "no mode" if node.operation is None else mode_name(node.operation)
+    return f"it stayed in {power} with {shown} shown"
+
+
+# -- homing ----------------------------------------------------------------------------------------------
+
+
+def begin_homing(node: Node, now: Nanos, token: int, *, zero: bool) -> None:
+    """Home, or call the present position zero; the device is armed, and holds."""
+    node.homing = Homing(token, now, zero=zero)
+
+
+def _home(node: Node, now: Nanos, homing: Homing) -> Values:
+    control = int(Demand.ENABLE_OPERATION)
+    if node.has_mode(Operation.HM):
+        if homing.started is None:
+            homing.started, homing.seen = now, node.statuses
+        control |= Control.START_HOMING
+    values = standstill(node.position or 0)
+    return values | {o.CONTROLWORD: control, o.MODE: int(Operation.HM)}
+
+
+def homed(node: Node, now: Nanos) -> tuple[bool, str] | None:
+    """Whether homing has ended: (well, or not; why). None while it goes on."""
+    homing = node.homing
+    if homing is None:
+        return None
+    if node.power is not PowerState.OPERATION_ENABLED:
+        return False, "it was disarmed meanwhile"
+    if now >= homing.since + node.options.home_timeout_ms * MILLISECOND:
+        return False, "it did not end in time"
+    if homing.started is None or node.statuses < homing.seen + HOMED or node.status is None:
+        return None
+    match homing_of(node.status):
+        case Outcome.DONE:
+            return True, "home is found" if not homing.zero else "the present position is zero"
+        case Outcome.ERROR_MOVING | Outcome.ERROR_STOPPED:
+            return False, "it reports a homing error (bit 13 of its statusword)"
+    return None
+
+
+def end_homing(node: Node) -> None:
+    """Back to holding, where the shaft is measured from now on."""
+    node.homing, node.hold, node.position, node.rounds = None, None, None, 0
+    node.asked.pop(o.POSITION, None)
