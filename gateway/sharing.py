@@ -25,12 +25,15 @@ MOST_NAMED = 4
 
 def clash(first: Part, second: Part) -> str:
     """What is wrong with two devices of different languages on one bus, from the second one's side; or ""."""
-    ours, theirs = _ids(second.spec), _ids(first.spec)
+    ours, theirs, name = second.spec, first.spec, repr(first.name)
+    obeyed, obeyed_there = _obeyed(ours, _sent(theirs)), _obeyed(theirs, _sent(ours))
     kinds = (
-        (ours[0] & theirs[1], f"it is commanded there, and {first.name!r} reports"),
-        (ours[1] & theirs[0], f"it reports there, and {first.name!r} is commanded"),
-        (ours[0] & theirs[0], "each would obey what the other is sent"),
-        (ours[1] & theirs[1], "both report there"),
+        (_obeyed(ours, _told(theirs)), f"it would obey what {name} reports there"),
+        (_obeyed(theirs, _told(ours)), f"{name} would obey what it reports there"),
+        (obeyed & obeyed_there, "each would obey what the other is sent"),
+        (obeyed, f"it would obey what {name} is sent"),
+        (obeyed_there, f"{name} would obey what it is sent"),
+        (_told(ours) & _told(theirs), "both report there"),
     )
     told: list[str] = []
     seen: set[Id] = set()
@@ -40,8 +43,7 @@ def clash(first: Part, second: Part) -> str:
             seen |= new
     if not told:
         return ""
-    whose = f"{first.name!r} ({first.plugin.name}) on bus {first.bus!r}"
-    return f"uses CAN ids of {whose}: {'; '.join(told)}"
+    return f"uses CAN ids of {name} ({first.plugin.name}) on bus {first.bus!r}: {'; '.join(told)}"
 
 
 def mixed(buses: Mapping[str, BusSettings], parts: Sequence[Part]) -> list[str]:
@@ -78,7 +80,7 @@ def _mistaken(parts: Sequence[Part]) -> list[str]:
         key = listener.plugin.name, speaker.name
         if listener.plugin.name == speaker.plugin.name or key in told:
             continue
-        taken = {one for one in _ids(speaker.spec)[1] if _overhears(listener.spec, one[0])}
+        taken = {one for one in _told(speaker.spec) if _matches(listener.spec.overhears, one[0])}
         if taken:
             said = f"{listener.plugin.name} takes what it sends on {_list(taken)} for words of its own kind"
             cure = f'an address of its own, or mixed = "acknowledged" under [buses.{speaker.bus}]'
@@ -86,16 +88,23 @@ def _mistaken(parts: Sequence[Part]) -> list[str]:
     return list(told.values())
 
 
-def _overhears(spec: Spec, number: int) -> bool:
-    return any(number & mask == bits for bits, mask in spec.overhears)
+def _sent(spec: Spec) -> frozenset[Id]:
+    """What its driver sends it, with the format of each id."""
+    return frozenset((number, spec.is_extended(number)) for number in spec.sends)
 
 
-def _ids(spec: Spec) -> tuple[frozenset[Id], frozenset[Id]]:
-    """What it is sent, and what it sends, with the format of each id."""
-    return (
-        frozenset((number, spec.is_extended(number)) for number in spec.sends),
-        frozenset((number, spec.is_extended(number)) for number in spec.expects),
-    )
+def _told(spec: Spec) -> frozenset[Id]:
+    """What it sends."""
+    return frozenset((number, spec.is_extended(number)) for number in spec.expects)
+
+
+def _obeyed(spec: Spec, ids: frozenset[Id]) -> frozenset[Id]:
+    """Those of somebody's ids that it would heed."""
+    return (_sent(spec) & ids) | {one for one in ids if _matches(spec.listens, one[0] | one[1] << 31)}
+
+
+def _matches(choices: Iterable[tuple[int, int]], number: int) -> bool:
+    return any(number & mask == bits for bits, mask in choices)
 
 
 def _list(ids: Iterable[Id]) -> str:

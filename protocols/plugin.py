@@ -142,6 +142,9 @@ class Spec:
     devices with an address that is held twice): CAN ids as (id, mask), whose masked bits are these."""
     extended: frozenset[int] | None = None
     """Those of its ids that are 29-bit ones. None: those above 0x7FF, which can be nothing else."""
+    listens: tuple[tuple[int, int], ...] = ()
+    """Which ids the device heeds beside `sends`, whoever uses them: as (id, mask), with bit 31 for the format
+    (1: 29 bits), as the kernel's filters have them. Other languages on its bus must keep off."""
 
     def is_extended(self, number: int) -> bool:
         """Whether an id of `sends` or `expects` is a 29-bit one."""

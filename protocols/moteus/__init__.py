@@ -82,6 +82,11 @@ class ReadOnly:
         return sound and all(isinstance(subframe, Ask) for subframe in subframes)
 
 
+DESTINATION = 0x1FFF_00FF
+"""The bits of an identifier that say for whom it is: prefix and destination, of a frame of any format, CAN FD
+or classic (mjbots/moteus@1f4a195 `fw/fdcan_micro_server.h`)."""
+
+
 def spec(device: Device) -> Spec:
     """The contract of one moteus. ValueError if its address cannot be one."""
     options, settings = device.options, device.settings
@@ -107,6 +112,7 @@ def spec(device: Device) -> Spec:
         holds_unattended=False,
         stop_clears_faults=True,
         faults=FAULTS,
+        listens=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
         overhears=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | REPLY_BIT | 0x80),),
     )
 

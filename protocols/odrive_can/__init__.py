@@ -88,6 +88,8 @@ NOT_SENT = (RxSdo, EnterDfuMode, SetAxisNodeId, StartAnticogging, AskAdcVoltage)
 LINES = {"auto": ("0.5", "0.6"), "0.5": ("0.5",), "0.6": ("0.6",)}
 """The firmware lines that a device may turn out to be of, by the option: the driver asks first."""
 CMD_MASK = 0x1F
+ALL_OF_NODE = 0x9FFF_FFE0
+"""The bits of an identifier, and of its format, that say for which node it is."""
 DISCOVERY = frame_id(BROADCAST, cmd_of(Address))
 WATCHDOG_NOTE = (
     "the device's watchdog is off, and cannot be switched on over CAN: if this host or its cable fails, the"
@@ -171,6 +173,7 @@ def spec(device: Device) -> Spec:
         faults=COMPLAINTS05 if line_of(device) == "0.5" else COMPLAINTS06,
         overhears=((cmd_of(Address), CMD_MASK), (cmd_of(Heartbeat), CMD_MASK)),
         extended=sends | expects if options.is_extended else frozenset(),
+        listens=((frame_id(device.address, 0) | options.is_extended << 31, ALL_OF_NODE),),
     )
 
 

@@ -248,7 +248,7 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         (
             'protocol = "odrive_can"',
             'protocol = "odrive-can"',
-            "no protocol 'odrive-can'; installed: odrive_can, plain; did you mean 'odrive_can'?",
+            f"no protocol 'odrive-can'; installed: {INSTALLED}; did you mean 'odrive_can'?",
         ),
         ('protocol = "odrive_can"', "", "missing; expected a string"),
     ],
@@ -390,6 +390,7 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         ("[buses.can0]", "[buses]\nx = 1\n[buses.can0]", "found 1, expected a table [buses.x]"),
     ],
 }
+INSTALLED = ", ".join(point.name for point in plugin.installed())
 ROWS = [(key, *row) for key, rows in MISTAKES.items() for row in rows]
 
 
@@ -516,26 +517,28 @@ def with_stranger(text: str, **changes: Any) -> list[str]:
 def test_hold_cannot_be_the_last_word_of_a_device_that_lets_go() -> None:
     text = changed('safe = "idle"', 'safe = "hold"')
     assert told(text) == []
-    (said,) = with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset())
+    (said,) = with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset(), listens=())
     assert 'motors.left.safe: found "hold", expected "idle": with nobody feeding it' in said
 
 
 def test_a_silent_brain_may_mean_hold_on_any_device_for_the_joint_goes_on_feeding_it() -> None:
     text = changed('silent = "idle"', 'silent = "hold"')
-    assert with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset()) == []
+    assert (
+        with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset(), listens=()) == []
+    )
 
 
 def test_a_brake_needs_a_device_that_takes_a_velocity() -> None:
     text = changed('safe = "idle"', 'safe = "brake"')
     assert told(text) == []
-    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset()}
+    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "listens": ()}
     (said,) = with_stranger(text, commands=frozenset({Idle, Torque}), **free)
     assert 'motors.left.safe: found "brake", expected "idle"' in said
 
 
 SEVERAL = (
-    "0x055 (it is commanded there, and 'left' reports)"
-    "; 0x041, 0x043, 0x044, 0x045, … (it reports there, and 'left' is commanded)"
+    "0x055 (it would obey what 'left' reports there)"
+    "; 0x041, 0x043, 0x044, 0x045, … ('left' would obey what it reports there)"
     "; 0x042, 0x047 (each would obey what the other is sent)"
 )
 
@@ -544,16 +547,21 @@ SEVERAL = (
     ("changes", "why"),
     [
         # `right` is node 2: it is commanded on 0x42, 0x43 …, and reports on 0x41, 0x43 … when asked there
-        ({"sends": {0x41}}, "0x041 (it reports there, and 'left' is commanded)"),
+        ({"sends": {0x41}}, "0x041 ('left' would obey what it reports there)"),
+        (
+            {"sends": {0x5F}},
+            "0x05F (it would obey what 'left' is sent)",
+        ),  # of its node, if not in its language
+        ({"listens": ((0x42, 0x7FF),)}, "0x042 ('left' would obey what it is sent)"),
         ({"sends": {0x42}}, "0x042 (each would obey what the other is sent)"),
-        ({"expects": {0x42}}, "0x042 (it is commanded there, and 'left' reports)"),
+        ({"expects": {0x42}}, "0x042 (it would obey what 'left' reports there)"),
         ({"sends": set(range(0x41, 0x48)), "expects": {0x55}}, SEVERAL),
     ],
 )
-def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, set[int]], why: str) -> None:
-    ids = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "overhears": ()}
+def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: str) -> None:
+    ids: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "listens": ()}
     assert with_stranger(ROVER, **ids) == []
-    (said,) = with_stranger(ROVER, **ids | {key: frozenset(some) for key, some in changes.items()})
+    (said,) = with_stranger(ROVER, **ids | changes)
     said = said.partition(": ")[2]
     assert said == (
         f"motors.right.address: uses CAN ids of 'left' (stranger) on bus 'can0': {why}; "
@@ -563,11 +571,10 @@ def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, set[int]], w
 
 def test_two_languages_do_not_report_on_one_id() -> None:
     motors = loads(ROVER).motors
+    ids: dict[str, Any] = {"expects": frozenset({0x41}), "listens": ()}
     left, right = (
-        dataclasses.replace(
-            m, spec=dataclasses.replace(m.spec, sends=frozenset({n}), expects=frozenset({0x41}))
-        )
-        for n, m in enumerate(motors.values())
+        dataclasses.replace(motor, spec=dataclasses.replace(motor.spec, sends=frozenset({number}), **ids))
+        for number, motor in enumerate(motors.values())
     )
     assert (
         clash(left, right) == "uses CAN ids of 'left' (odrive_can) on bus 'can0': 0x041 (both report there)"
@@ -576,7 +583,7 @@ def test_two_languages_do_not_report_on_one_id() -> None:
 
 def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
     """As of an ODrive with is_extended."""
-    ids: dict[str, Any] = {"sends": frozenset({0x41, 0x1041}), "expects": frozenset({0x47})}
+    ids: dict[str, Any] = {"sends": frozenset({0x41, 0x1041}), "expects": frozenset({0x47}), "listens": ()}
     assert len(with_stranger(ROVER, **ids, extended=frozenset({0x1041}))) == 1
     assert len(with_stranger(ROVER, **ids, extended=None)) == 1
     assert with_stranger(ROVER, **ids, extended=frozenset({0x41, 0x1041, 0x47})) == []
@@ -590,7 +597,7 @@ def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
 def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -> None:
     fd = changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 5_000_000')
     assert told(fd) == []
-    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "bus": "canfd"}
+    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "listens": (), "bus": "canfd"}
     assert with_stranger(fd, **free) == []
     (said,) = with_stranger(ROVER, **free)
     assert "motors.left.bus: stranger needs a bus of kind canfd, and 'can0' is can" in said
@@ -620,6 +627,7 @@ def test_the_watchdog_is_told_at_every_start_until_it_is_acknowledged() -> None:
 def mixed(text: str, **changes: Any) -> list[str]:
     """The cautions of a robot whose left motor speaks a language of somebody else's, with ids of its own."""
     own: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "overhears": ()}
+    own["listens"] = ()
     made = stranger(**own | changes)
     text = re.sub(r"\[motors.left.options\].*\nwatchdog = .*\n", "", text)
     text = changed('protocol = "odrive_can"', 'protocol = "stranger"', text)
