@@ -27,6 +27,7 @@ from protocols.words import MILLISECOND, Idle, Nanos, Torque
 ROBOTS = sorted(Path(shipped.__file__).parent.parent.glob("fixtures/robots/*.toml"))
 BENCH = shipped.find("robots", "bench").read_text()
 
+INSTALLED = ", ".join(point.name for point in plugin.installed())
 ROVER = """\
 # A differential robot over ODrive 0.6 CAN frames, with a lidar and an IMU on a serial line.
 name = "rover"
@@ -390,7 +391,6 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         ("[buses.can0]", "[buses]\nx = 1\n[buses.can0]", "found 1, expected a table [buses.x]"),
     ],
 }
-INSTALLED = ", ".join(point.name for point in plugin.installed())
 ROWS = [(key, *row) for key, rows in MISTAKES.items() for row in rows]
 
 
