@@ -108,7 +108,7 @@ class OdriveDriver:
 
     def _hear_node(self, t: Nanos, node: Node, message: AnyMessage) -> list[Event]:
         events = node.hear(t, message)
-        if beat_of(message) is not None:
+        if beat_of(message) is not None or node.two:
             events += self._contradiction(t, node)
         for pending in [p for p in self._pending if p.node is node]:
             ended = requests.hear(pending, t, message)
@@ -182,7 +182,12 @@ class OdriveDriver:
 
     def _contradiction(self, t: Nanos, node: Node) -> list[Event]:
         """Heartbeats that say A B A B while we asked for no change come from two devices."""
-        if len(node.beats) < 4 or self._told_double.get(node.address):
+        if self._told_double.get(node.address):
+            return []
+        if node.two:
+            self._told_double[node.address], self._roll_call = True, t
+            return self._contradicted(t, node, "its positions contradict each other in turn")
+        if len(node.beats) < 4:
             return []
         said = [(state, errors) for _, state, errors in node.beats]
         if (

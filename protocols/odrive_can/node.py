@@ -50,6 +50,7 @@ from protocols.odrive_can.messages05 import (
     GetSensorlessError,
 )
 from protocols.odrive_can.options import Options
+from protocols.odrive_can.places import Places
 from protocols.plugin import Complaint
 from protocols.words import (
     MILLISECOND,
@@ -113,6 +114,9 @@ class Node:
         """Codes of error bits that are told, and still there."""
         self.wanted: dict[int, int] = {}
         """Error words that are waited for, by command, and how often they were asked for."""
+        self.places = Places()
+        self.two = False
+        """Its estimates contradict each other: there are two of it."""
         self.beats: list[tuple[Nanos, int, int]] = []
         """The last heartbeats: time, state, errors."""
         self.asking = Asking(options)
@@ -146,6 +150,7 @@ class Node:
         match message:
             case GetEncoderEstimates(position, velocity):
                 self.position = position
+                self.two = self.two or self.places.hear(t, position, velocity)
                 return [Feedback(self.name, t, position=radians(position), velocity=radians(velocity))]
             case GetIq(_, measured):
                 return [Feedback(self.name, t, current=measured)]
@@ -348,6 +353,7 @@ class Node:
     def cleared(self) -> None:
         """An operator clears the device's faults: it may arm again, and is asked again what it is."""
         self.refused, self.attempts, self.beats_since_arming = False, 0, 0
+        self.two, self.places = False, Places()
         self.wanted.clear()
         self.identity.cleared()
 
