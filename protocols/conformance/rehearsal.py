@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from protocols.conformance.dice import Dice
 from protocols.plugin import Device, Driver, Ear, Plugin, Range, Spec, Twin
@@ -42,6 +42,8 @@ from protocols.words import (
     Zero,
     seconds,
 )
+
+T = TypeVar("T")
 
 STEP: Nanos = MILLISECOND
 START: Nanos = 1_000_000 * MILLISECOND
@@ -323,6 +325,12 @@ def _floats(value: object) -> Iterator[float]:
             yield from _floats(getattr(value, f.name))
 
 
+def within(word: Command, ranges: dict[str, Range]) -> bool:
+    """Whether every number of a command lies in the range that the spec has for it."""
+    named = [(getattr(word, name), ranges[key]) for name, key in numbers(type(word), ranges)]
+    return all(bounds.low <= number <= bounds.high for number, bounds in named)
+
+
 def close(said: float, heard: float | None, bounds: Range) -> bool:
     """Whether a number came through within the declared resolution (and a few bits of float64)."""
     if heard is None:
@@ -365,19 +373,25 @@ def data_of(wire: Wire) -> bytes:
     return wire.data if isinstance(wire, CanFrame) else wire
 
 
-def shortest(wire: Wire, fails: Callable[[Wire], bool]) -> Wire:
-    """A wire with as few and as plain bytes as still fail. `fails` must be true of `wire`."""
-    data = data_of(wire)
-    size = max(len(data) // 2, 1)
+def fewest(items: Sequence[T], fails: Callable[[Sequence[T]], bool]) -> Sequence[T]:
+    """As few of these, in their order, as still fail. `fails` must be true of all of them."""
+    kept = list(items)
+    size = max(len(kept) // 2, 1)
     while size:
         at = 0
-        while at < len(data):
-            fewer = data[:at] + data[at + size :]
-            if fewer != data and fails(with_data(wire, fewer)):
-                data = fewer
+        while at < len(kept):
+            fewer = kept[:at] + kept[at + size :]
+            if len(fewer) < len(kept) and fails(fewer):
+                kept = fewer
             else:
                 at += size
         size //= 2
+    return kept
+
+
+def shortest(wire: Wire, fails: Callable[[Wire], bool]) -> Wire:
+    """A wire with as few and as plain bytes as still fail. `fails` must be true of `wire`."""
+    data = bytes(fewest(data_of(wire), lambda data: fails(with_data(wire, bytes(data)))))
     for at in range(len(data)):
         plainer = data[:at] + b"\0" + data[at + 1 :]
         if plainer != data and fails(with_data(wire, plainer)):

@@ -95,6 +95,10 @@ def _frames_counted(case: Case) -> Failure | None:
     every, some = case.armed(), case.armed()
     if every is None or some is None:
         return Failure(f"does not arm in {play.ARMING} ms")
+    for wire in noise.conversation(case)[:9]:
+        first = _fed(case, [wire])[1]
+        if sum(first) != 1:
+            return Failure(f"the first wire ever heard is counted as (heard, bad, foreign) {first}", (wire,))
     now, other = every.now, noise.other_format(case)
     for wire in [*other, *noise.wires(case, 1500)]:
         before = counts(every.driver.tally)

@@ -1,0 +1,276 @@
+"""Obedience: what the ear hears, the device does; what the ear does not hear, the device does not do.
+
+Rules. Devices are caught in three states (ready, armed and holding still, in fault) and copied there. A copy
+gets wires that the ear makes nothing of, and must go on as one that did not get them: the same torques, the
+same messages, but for direct answers. Another copy gets a wire in which the ear hears a word, and must do
+that: arm and push the right way, let go, clear. Shafts stand still meanwhile, and the host says what it said.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from protocols.conformance import noise
+from protocols.conformance import rehearsal as play
+from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
+from protocols.conformance.rehearsal import NAMES, STEP, Rehearsal
+from protocols.conformance.trouble import kinds_of, liveliest, resting
+from protocols.plugin import Ear, Twin
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    ClearFault,
+    Command,
+    Estop,
+    Event,
+    Feedback,
+    Hold,
+    Idle,
+    Impedance,
+    Mode,
+    Nanos,
+    Position,
+    Reboot,
+    Request,
+    Torque,
+    Velocity,
+    Zero,
+)
+
+PLACE = 0.75
+"""rad where every shaft stands."""
+LISTENED = 1200
+"""Steps after which a driver knows its devices."""
+SILENT = 150
+"""Wires without a word that are tried in each state, ..."""
+HEARD = 6
+"""... and wires with words, of each kind of word."""
+EACH = 3
+"""Silent wires in one step."""
+WATCHED = 40
+"""Steps for which a device is watched afterwards."""
+ANSWERED = 20
+"""Steps in which a device has answered."""
+TOLD = 600
+"""Steps in which a device has told that it is no longer in fault, or where its zero is now."""
+NONE = 1e-9
+"""N·m that count as none."""
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """Devices in some state; to be copied, never run. And what their host says to them from now on."""
+
+    title: str
+    ear: Ear
+    twins: tuple[Twin, ...]
+    now: Nanos
+    down: tuple[tuple[Wire, ...], ...]
+    armed: bool
+    faulty: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """What a device did, step by step."""
+
+    torques: tuple[float, ...]
+    up: tuple[tuple[Wire, ...], ...]
+
+
+def ear_and_twin_agree(case: Case) -> Verdict:
+    """Wires of a day, damaged ones and random ones, to devices in different states."""
+    if not case.spec.commands:
+        return Inapplicable("the spec lists no commands: the device obeys nothing that moves")
+    samples = _samples(case)
+    for state in _states(case):
+        silent, heard = _sorted_by_ear(state, samples)
+        failure = _undone(state, silent) or _done(case, state, heard)
+        if failure:
+            return failure
+    return None
+
+
+def _samples(case: Case) -> list[Wire]:
+    real = noise.conversation(case)
+    said = [wire for wire in real if isinstance(wire, bytes) or wire.id in case.sends]
+    dice = case.dice()
+    mutated = [
+        play.with_data(wire, noise.damaged(play.data_of(wire), dice))
+        for wire in (*said, *said)
+        if len(said) < 500
+    ]
+    return [*real, *mutated, *noise.wires(case, 150)]
+
+
+# -- states --------------------------------------------------------------------------------------------
+
+
+def _states(case: Case) -> Iterator[_State]:
+    stage = _still(case)
+    for _ in range(LISTENED):
+        stage.step()
+        if all(stage.armed.get(name) is Mode.READY for name in NAMES):
+            break
+    stage.steps(10)
+    yield _caught("ready", stage, ())
+    kind = liveliest(case.spec) or kinds_of(case.spec)[0]
+    words = [resting(kind, case.spec, name, PLACE) for name in NAMES]
+    by_name = {word.motor: word for word in words}
+    if not stage.arm(lambda name: by_name[name]):
+        return
+    stage.steps(10, words)
+    yield _caught("armed", stage, words)
+    if case.spec.faults:
+        for twin in stage.twins:
+            twin.provoke(min(case.spec.faults))
+        stage.steps(300)
+        yield _caught("in fault", stage, ())
+
+
+def _still(case: Case) -> Rehearsal:
+    stage = case.start()
+    for shaft in stage.shafts.values():
+        shaft.locked, shaft.position = True, PLACE
+    return stage
+
+
+def _caught(title: str, stage: Rehearsal, words: Sequence[Command]) -> _State:
+    """The devices as they are, and what the host goes on to say to them."""
+    ear, twins, now = copy.deepcopy(stage.ear), copy.deepcopy(stage.twins), stage.now
+    modes = {stage.armed.get(name) for name in NAMES}
+    down = tuple(stage.step(words).down for _ in range(SILENT // EACH + ANSWERED + WATCHED))
+    return _State(title, ear, tuple(twins), now, down, Mode.ARMED in modes, title == "in fault")
+
+
+def _sorted_by_ear(state: _State, samples: Sequence[Wire]) -> tuple[list[Wire], list[Wire]]:
+    """Wires of which the ear makes nothing, after those before; and wires in which it hears a word."""
+    ear, silent, heard = copy.deepcopy(state.ear), list[Wire](), dict[tuple[str, ...], list[Wire]]()
+    for wire in samples:
+        trial = copy.deepcopy(ear)
+        words = trial.hear(state.now, wire)
+        if not words:
+            silent.append(wire)
+            ear = trial
+        elif isinstance(wire, CanFrame) or list(copy.deepcopy(state.ear).hear(state.now, wire)) == list(
+            words
+        ):
+            heard.setdefault(tuple(type(word).__name__ for word in words), []).append(wire)
+    some = [wire for wires in heard.values() for wire in wires[:: max(len(wires) // HEARD, 1)][:HEARD]]
+    return silent[:: max(len(silent) // SILENT, 1)][:SILENT], some
+
+
+def _run(state: _State, extra: Sequence[Sequence[Wire]], at: int, count: int, fed: bool) -> _Run:
+    """A copy of one device for so many steps, with extra wires, and with what its host says or without."""
+    twin, now, name = copy.deepcopy(state.twins[at]), state.now, NAMES[at]
+    torques, up = [], []
+    for step in range(count):
+        now += STEP
+        for wire in (*(extra[step] if step < len(extra) else ()), *(state.down[step] if fed else ())):
+            twin.receive(now, wire)
+        shown: list[Event] = [Feedback(name, now, PLACE, 0.0)]
+        given, wires = twin.step(now, shown)
+        torques.append(math.fsum(torque.torque for torque in given))
+        up.append(tuple(wires))
+    return _Run(tuple(torques), tuple(up))
+
+
+# -- what is not heard ---------------------------------------------------------------------------------
+
+
+def _undone(state: _State, silent: Sequence[Wire]) -> Failure | None:
+    for at in range(len(NAMES)):
+        if not _goes_astray(state, silent, at):
+            continue
+
+        def fails(wires: Sequence[Wire], at: int = at) -> bool:
+            return bool(_goes_astray(state, wires, at))
+
+        few = play.fewest(silent, fails)
+        text = f"{NAMES[at]}, {state.title}: the ear hears no word, and yet {_goes_astray(state, few, at)}"
+        return Failure(text, (_plainest(state, few[0], at),) if len(few) == 1 else tuple(few))
+    return None
+
+
+def _goes_astray(state: _State, wires: Sequence[Wire], at: int) -> str:
+    """What a device does otherwise that got these wires besides; "" if nothing."""
+    extra = [wires[i : i + EACH] for i in range(0, len(wires), EACH)]
+    count = len(extra) + ANSWERED + WATCHED
+    without, other = _run(state, (), at, count, fed=True), _run(state, extra, at, count, fed=True)
+    for step, (left, right) in enumerate(zip(without.torques, other.torques, strict=True)):
+        if left != right:
+            return f"it gives {right:.6g} N·m instead of {left:.6g} after {step + 1} ms"
+    early, late = slice(0, len(extra) + ANSWERED), slice(len(extra) + ANSWERED, None)
+    missing = Counter(w for said in without.up[early] for w in said)
+    missing -= Counter(w for said in other.up[early] for w in said)
+    if missing:
+        return f"it does not say {shown(next(iter(missing)))} as it would have"
+    for sooner, later in zip(without.up[late], other.up[late], strict=True):
+        if sooner != later:
+            said = next((w for w in (*sooner, *later) if (w in sooner) != (w in later)), "another order")
+            return f"it says something else later: {shown(said)}"
+    return ""
+
+
+def _plainest(state: _State, wire: Wire, at: int) -> Wire:
+    def fails(other: Wire) -> bool:
+        silent = not list(copy.deepcopy(state.ear).hear(state.now, other))
+        return silent and bool(_goes_astray(state, [other], at))
+
+    return play.shortest(wire, fails) if fails(wire) else wire
+
+
+# -- what is heard -------------------------------------------------------------------------------------
+
+
+def _done(case: Case, state: _State, heard: Sequence[Wire]) -> Failure | None:
+    for wire in heard:
+        words = tuple(copy.deepcopy(state.ear).hear(state.now, wire))
+        for at, name in enumerate(NAMES):
+            about = [word for word in words if getattr(word, "motor", "") == name]
+            if not about:
+                continue
+            wrong = _not_done(case, state, about[-1], wire, at)
+            if wrong:
+                return Failure(f"{name}, {state.title}: {wrong}", (wire,), words)
+    return None
+
+
+def _not_done(case: Case, state: _State, word: Command | Request, wire: Wire, at: int) -> str:
+    """What a device did not do of what it was told; "" if it did."""
+    clears = isinstance(word, ClearFault) and state.faulty
+    if clears or (isinstance(word, Zero) and not state.armed and not state.faulty):
+        same = _run(state, [[wire]], at, TOLD, fed=False) == _run(state, (), at, TOLD, fed=False)
+        return "it goes on as if it had not heard" if same else ""
+    torque = _run(state, [[wire]], at, WATCHED, fed=False).torques[-1]
+    if isinstance(word, Idle | Estop | Reboot):
+        return "" if abs(torque) <= NONE else f"it is to let go, and gives {torque:.6g} N·m"
+    if not isinstance(word, Command) or state.faulty or not play.within(word, case.spec.ranges):
+        return ""
+    wanted = _push(word)
+    if wanted and torque * wanted <= 0.0:
+        return f"it hears the command, and gives {torque:.6g} N·m"
+    return ""
+
+
+def _push(word: Command) -> float:
+    """Which way a shaft at rest at PLACE is to be pushed by a command; 0 where that is not plain."""
+    along: list[float] = []
+    if isinstance(word, Torque):
+        along = [word.torque if abs(word.torque) > 1e-3 else 0.0]
+    elif isinstance(word, Velocity):
+        along = [word.velocity if abs(word.velocity) > 0.5 else 0.0, word.torque]
+    elif isinstance(word, Position):
+        away = word.position - PLACE
+        along = [away if abs(away) > 0.1 else 0.0, word.velocity, word.torque]
+    elif isinstance(word, Impedance):
+        push = word.stiffness * (word.position - PLACE) + word.damping * word.velocity + word.torque
+        along = [push if abs(push) > 1e-3 else 0.0]
+    elif isinstance(word, Hold):
+        along = []
+    pushes = [value for value in along if value]
+    same = bool(along) and bool(along[0]) and all(value * along[0] > 0.0 for value in pushes)
+    return along[0] if same else 0.0

@@ -1,0 +1,256 @@
+"""Replies that are lost, late, doubled or out of order: they are their own device's trouble, and no other's.
+
+Rules. Only what alpha says goes wrong, and only on its way up. Beta must arm, be heard and be answered as if
+nothing had happened, but for what a shared bus may cost; and when the trouble ends alpha must arm too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from protocols.conformance import rehearsal as play
+from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
+from protocols.conformance.dice import Dice
+from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Rehearsal, Said
+from protocols.plugin import Twin
+from protocols.wire import Wire
+from protocols.words import (
+    ClearFault,
+    Command,
+    Done,
+    Event,
+    Fault,
+    Feedback,
+    Idle,
+    Mode,
+    Nanos,
+    Parameter,
+    ReadParameter,
+    Refused,
+    Request,
+    Torque,
+)
+
+ALPHA, BETA = NAMES
+LASTS = 600
+"""Steps of trouble after beta is armed."""
+GRACE = 60
+"""Steps that the trouble of one may cost another: a question or two that share the bus."""
+Queue: TypeAlias = list[tuple[Nanos, Wire]]
+"""What is on its way, and when it arrives."""
+
+
+@dataclass(slots=True)
+class Mishap:
+    """A twin whose messages do not arrive as they were said."""
+
+    twin: Twin
+    happens: Callable[[Mishap, Nanos, Sequence[Wire]], None]
+    """Puts what was said now into the queue, or does not."""
+    dice: Dice
+    on: bool = True
+    queue: Queue = field(default_factory=list)
+    held: list[Wire] = field(default_factory=list)
+
+    def receive(self, t: Nanos, wire: Wire) -> None:
+        """All is heard."""
+        self.twin.receive(t, wire)
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+        """The device runs on; what arrives of its words is told."""
+        torques, wires = self.twin.step(now, truth)
+        if self.on:
+            self.happens(self, now, wires)
+        else:
+            self.queue += [(now, wire) for wire in (*self.held, *wires)]
+            self.held = []
+        arrived = [wire for at, wire in self.queue if at <= now]
+        self.queue = [(at, wire) for at, wire in self.queue if at > now]
+        return torques, arrived
+
+    def due(self) -> Nanos | None:
+        """The device's."""
+        return self.twin.due()
+
+    def provoke(self, code: int) -> None:
+        """The device's."""
+        self.twin.provoke(code)
+
+
+def _lost(_: Mishap, __: Nanos, ___: Sequence[Wire]) -> None:
+    """Nothing arrives."""
+
+
+def _half_lost(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
+    it.queue += [(now, wire) for wire in wires if it.dice.below(2)]
+
+
+def _late(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
+    it.queue += [(now + 35 * STEP, wire) for wire in wires]
+
+
+def _too_late(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
+    it.queue += [(now + 700 * STEP, wire) for wire in wires]
+
+
+def _doubled(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
+    it.queue += [(now, wire) for wire in wires for _ in range(2)]
+
+
+def _swapped(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
+    """Each pair in the other order."""
+    for wire in wires:
+        if it.held:
+            it.queue += [(now, wire), (now, it.held.pop())]
+        else:
+            it.held.append(wire)
+
+
+TROUBLES = (
+    ("half lost", _half_lost),
+    ("lost", _lost),
+    ("late", _late),
+    ("very late", _too_late),
+    ("doubled", _doubled),
+    ("in the wrong order", _swapped),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fortune:
+    """How a device fared: in steps; None: not at all."""
+
+    armed: int | None
+    gap: int
+    """The longest between two measurements."""
+    answered: int | None
+
+
+def one_stalls_no_other(case: Case) -> Verdict:
+    """Whatever happens to alpha's replies, beta fares as without it; and alpha recovers."""
+    kinds = by_name(case.spec.commands - {Idle})
+    if not kinds:
+        return Inapplicable("the spec lists no commands: nobody waits for an answer")
+    words = [play.gentle(kinds[0], case.spec.ranges)(name) for name in NAMES]
+    usual = _fares(case, words, None)
+    for what, happens in TROUBLES if case.usual else TROUBLES[:1]:
+        mishap = Mishap(case.start().twins[0], happens, case.dice())
+        failure = _worse(what, usual, _fares(case, words, mishap), words)
+        if failure:
+            return failure
+    return None
+
+
+@dataclass(slots=True)
+class _Watch:
+    """What is seen of a device."""
+
+    motor: str
+    armed_at: int | None = None
+    heard_at: int | None = None
+    gap: int = 0
+    answered_at: int | None = None
+    fault: Fault | None = None
+
+    def see(self, at: int, events: Sequence[Event]) -> None:
+        """The events of one step."""
+        for event in events:
+            if isinstance(event, Feedback) and event.motor == self.motor:
+                self.heard_at = at
+            elif isinstance(event, Fault) and event.motor == self.motor:
+                self.fault = event
+            elif isinstance(event, Parameter | Done | Refused) and _about(event) == self.motor:
+                self.answered_at = at
+        if self.armed_at is not None and self.heard_at is not None:
+            self.gap = max(self.gap, at - self.heard_at)
+
+
+def _about(event: Parameter | Done | Refused) -> str:
+    return event.motor if isinstance(event, Parameter) else event.name
+
+
+@dataclass(frozen=True, slots=True)
+class _Day:
+    """What became of both while alpha was in trouble, and of alpha afterwards."""
+
+    beta: _Fortune
+    recovered: bool
+    fault: Fault | None
+    last: Said
+
+
+def _fares(case: Case, words: list[Command], mishap: Mishap | None) -> _Day:
+    stage = case.start()
+    if mishap is not None:
+        mishap.twin = stage.twins[0]
+        stage.twins[0] = mishap
+    alpha, beta = _Watch(ALPHA), _Watch(BETA)
+    questions = _questions(case)
+    at, until, said = 0, ARMING, stage.step(words)
+    while at < until:
+        beta.see(at, said.events)
+        alpha.see(at, said.events)
+        if beta.armed_at is None and _is_armed(stage, BETA, at):
+            beta.armed_at, until = at, at + LASTS
+        asked: list[Command | Request] = []
+        if beta.armed_at is not None and at == beta.armed_at + LASTS // 4:
+            beta.answered_at, asked = None, questions
+        said = stage.step([*words, *asked])
+        at += 1
+    if mishap is not None:
+        mishap.on = False
+    answered = None
+    if beta.answered_at is not None and beta.armed_at is not None:
+        answered = beta.answered_at - beta.armed_at
+    fortune = _Fortune(beta.armed_at, beta.gap, answered if questions else 0)
+    return _Day(fortune, _recovers(case, stage, words, alpha), alpha.fault, said)
+
+
+def _questions(case: Case) -> list[Command | Request]:
+    """What both are asked in the midst of it: something that they do not have, and what moves nothing."""
+    asked: list[Command | Request] = []
+    if ReadParameter in case.spec.requests:
+        asked += [ReadParameter(name, "no such parameter") for name in NAMES]
+    if ClearFault in case.spec.requests and not case.spec.stop_clears_faults:
+        asked += [ClearFault(name) for name in NAMES]
+    return asked
+
+
+def _is_armed(stage: Rehearsal, name: str, at: int) -> bool:
+    return stage.armed.get(name) is Mode.ARMED or (at > ARMING // 10 and not stage.armed)
+
+
+def _recovers(case: Case, stage: Rehearsal, words: list[Command], alpha: _Watch) -> bool:
+    """Alpha arms when the trouble is over. A device that tripped meanwhile is cleared first."""
+    for at in range(ARMING):
+        clear = at % 1000 == 300 and ClearFault in case.spec.requests and not _is_armed(stage, ALPHA, ARMING)
+        said = stage.step([*words, *([ClearFault(ALPHA)] if clear else [])])
+        alpha.see(at, said.events)
+        fresh = any(isinstance(event, Feedback) and event.motor == ALPHA for event in said.events)
+        if fresh and at > 50 and _is_armed(stage, ALPHA, ARMING):
+            return True
+    return False
+
+
+def _worse(what: str, usual: _Day, day: _Day, words: list[Command]) -> Failure | None:
+    """Why beta fared worse, or alpha did not recover."""
+    were, are = usual.beta, day.beta
+    text = ""
+    if are.armed is None or (were.armed is not None and are.armed > were.armed + GRACE):
+        text = f"beta arms after {_ms(are.armed)} instead of {_ms(were.armed)}"
+    elif are.gap > were.gap + GRACE:
+        text = f"beta is not heard for {are.gap} ms instead of {were.gap}"
+    elif were.answered is not None and (are.answered is None or are.answered > were.answered + GRACE):
+        text = f"beta's question is answered after {_ms(are.answered)} instead of {_ms(were.answered)}"
+    elif not day.recovered:
+        text = "alpha does not recover when it is over"
+    if not text:
+        return None
+    told = (day.fault,) if day.fault else ()
+    return Failure(f"alpha's replies are {what}: {text}", (*day.last.down, *day.last.up)[:6], (*words, *told))
+
+
+def _ms(steps: int | None) -> str:
+    return "never" if steps is None else f"{steps} ms"
