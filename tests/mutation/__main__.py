@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from tests.mutation import campaign, store
@@ -26,15 +28,21 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--verdicts", type=Path, help="write the verdicts there instead of storing the result"
     )
+    parser.add_argument("--quick", action="store_true", help="lean on the stored result; name new survivors")
+    parser.add_argument("--clauses", help="names of clauses, with commas between: only they judge")
     asked = parser.parse_args(arguments)
     files = asked.files.split(",") if asked.files else None
-    plan = campaign.Plan(asked.sample, asked.seed, files, asked.processes, asked.seconds)
     for name in asked.names:
-        found = campaign.run(_language(name, asked.language), plan, asked.progress)
+        known = store.stored(name) if asked.quick else None
+        plan = campaign.Plan(asked.sample, asked.seed, files, asked.processes, asked.seconds, known)
+        language = _language(name, asked.language)
+        if asked.clauses:
+            language = replace(language, clauses=tuple(asked.clauses.split(",")))
+        found = campaign.run(language, plan, asked.progress)
         killed = sum(bool(verdict.killer) for verdict in found.verdicts)
         print(f"{name}: {killed} of {len(found.verdicts)} killed ({found.mutants} mutants)")
-        if asked.verdicts:
-            asked.verdicts.write_text(json.dumps(_plain(found)), "utf-8")
+        if asked.verdicts or asked.quick:
+            (asked.verdicts or Path(os.devnull)).write_text(json.dumps(_plain(found)), "utf-8")
         else:
             print(f"{name}: {store.save(found)}")
     return 0
@@ -59,7 +67,12 @@ def _plain(found: store.Campaign) -> dict[str, object]:
         }
         for verdict in found.verdicts
     ]
-    return {"mutants": found.mutants, "failing": found.judge["failing"], "verdicts": rows}
+    return {
+        "mutants": found.mutants,
+        "chosen": found.chosen,
+        "failing": found.judge["failing"],
+        "verdicts": rows,
+    }
 
 
 if __name__ == "__main__":

@@ -7,9 +7,10 @@ goes on where it was interrupted. A deadline, if there is one, is looked at betw
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from numpy.random import PCG64, Generator
 
@@ -32,6 +33,8 @@ class Plan:
     processes: int = 1
     deadline: float | None = None
     """s from the start, after which no further mutant is tried."""
+    stored: Mapping[str, Any] | None = None
+    """A stored result to lean on, to be quick: what checks cost, and which survivors are not tried again."""
 
 
 def run(
@@ -48,7 +51,7 @@ def run(
     kept = store.Progress(progress / f"mutation-{language.name}.jsonl", judge)
     known = [verdict for mutant in chosen if (verdict := kept.before(mutant))]
     tell(f"{language.name}: {len(chosen)} mutants, {len(known)} of them known")
-    base = baseline(language, modules)
+    base = baseline(language, modules) if plan.stored is None else _assumed(plan.stored)
     for name, wrong in base.failing.items():
         tell(f"{language.name}: {name} fails without any mutation, and judges nothing: {wrong}")
     ends = began + plan.deadline if plan.deadline is not None else None
@@ -60,6 +63,7 @@ def run(
         sum(len(source.mutants) for source in sources.values()),
         sum(source.wordings for source in sources.values()),
         None if plan.sample is None and plan.files is None and ends is None else plan.seed,
+        len(chosen),
         verdicts,
     )
 
@@ -71,12 +75,20 @@ def changed(language: Language, result: dict[str, str]) -> list[str]:
 
 
 def _judge(judge: str, base: Baseline) -> dict[str, object]:
-    clauses = dict.fromkeys(name.partition("[")[0] for name in base.cost)
-    return {"digest": judge, "checks": list(clauses), "failing": dict(base.failing)}
+    cost = {name: round(seconds, 2) for name, seconds in base.cost.items()}
+    return {"digest": judge, "checks": cost, "failing": dict(base.failing)}
+
+
+def _assumed(stored: Mapping[str, Any]) -> Baseline:
+    """What the checks cost when the result was stored; which functions each runs is not known."""
+    return Baseline(stored["judge"]["checks"], None, frozenset(), {})
 
 
 def _chosen(sources: Sequence[Source], plan: Plan) -> list[Mutant]:
     every = [m for s in sources for m in s.mutants if plan.files is None or m.file in plan.files]
+    if plan.stored:
+        known = store.named(plan.stored)
+        every = [m for m in every if (m.file, m.function, m.diff) not in known]
     if plan.sample is None or plan.sample >= len(every):
         return every
     picked = Generator(PCG64(plan.seed)).choice(len(every), plan.sample, replace=False)

@@ -46,6 +46,8 @@ def checks(language: Language) -> list[Check]:
     plugin = language.plugin()
     found = [Check(VECTORS, lambda: _vectors(language))] if language.tests else []
     for clause in CLAUSES:
+        if language.clauses is not None and clause.name not in language.clauses:
+            continue
         for at, options in enumerate(variants(plugin)):
             found.append(Check(f"{clause.name}[{at}]", _clause(clause, plugin, options)))
     return found
@@ -65,7 +67,7 @@ def judged_by(language: Language) -> str:
     vectors = language.plugin().vectors
     if vectors:
         texts.append((files(vectors[0]) / vectors[1]).read_text("utf-8"))
-    return digest(*texts)
+    return digest(*texts, *(language.clauses or ()))
 
 
 def _sources(package: str) -> list[Path]:

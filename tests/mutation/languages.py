@@ -31,6 +31,8 @@ class Language:
     """Where its `Plugin` stands: `module` and name in it."""
     tests: str | None = None
     """The package of its tests, if there is one; its tests of vectors judge, too."""
+    clauses: tuple[str, ...] | None = None
+    """The clauses that judge; None: all."""
 
     def plugin(self) -> Plugin:
         """As it stands in the modules that are imported now, or are imported by this."""

@@ -42,8 +42,8 @@ class Baseline:
 
     cost: Mapping[str, float]
     """s of CPU time, by check."""
-    runs: Mapping[str, frozenset[str]]
-    """By check, the functions that it runs, as "module:Class.name"."""
+    runs: Mapping[str, frozenset[str]] | None
+    """By check, the functions that it runs, as "module:Class.name"; None if that is not known."""
     at_import: frozenset[str]
     failing: Mapping[str, str]
     """Checks that the language fails as it is, with what is wrong: these judge nothing."""
@@ -51,7 +51,8 @@ class Baseline:
     def relevant(self, module: str, function: str) -> list[str]:
         """The checks that run a function, the cheapest first."""
         key = f"{module}:{function}"
-        names = [name for name in self.cost if key in self.at_import or key in self.runs[name]]
+        every = self.runs is None or key in self.at_import
+        names = [name for name in self.cost if every or key in (self.runs or {})[name]]
         return sorted(names, key=lambda name: (self.cost[name], name))
 
 
@@ -182,15 +183,14 @@ def baseline(language: Language, modules: Mapping[str, Path]) -> Baseline:
 
     def work(say: Callable[[Any], None]) -> None:
         language.forget()
-        with _Profile(names) as at_import:
+        with _Ran(names) as at_import:
             every = checks(language)
         say(["import", 0.0, "", sorted(at_import)])
         for check in every:
-            attempt(check)  # once for what is made once
             began = time.process_time()
             wrong = attempt(check)
             cost = time.process_time() - began
-            with _Profile(names) as ran:
+            with _Ran(names) as ran:
                 attempt(check)
             say([check.name, cost, wrong, sorted(ran)])
 
@@ -207,19 +207,19 @@ def baseline(language: Language, modules: Mapping[str, Path]) -> Baseline:
     )
 
 
-class _Profile:
+class _Ran:
     """The functions of some files that are called meanwhile."""
 
     def __init__(self, modules: Mapping[str, str]) -> None:
         self.modules = modules
         self.codes: set[CodeType] = set()
 
-    def __enter__(self) -> _Profile:
-        sys.setprofile(self._note)
+    def __enter__(self) -> _Ran:
+        sys.settrace(self._note)
         return self
 
     def __exit__(self, *_: object) -> None:
-        sys.setprofile(None)
+        sys.settrace(None)
 
     def __iter__(self) -> Iterator[str]:
         for code in self.codes:
@@ -227,9 +227,9 @@ class _Profile:
             if module:
                 yield f"{module}:{code.co_qualname.partition('.<locals>')[0]}"
 
-    def _note(self, frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            self.codes.add(frame.f_code)
+    def _note(self, frame: FrameType, _event: str, _: object) -> None:
+        """Called for each new frame; it asks for no more than that."""
+        self.codes.add(frame.f_code)
 
 
 # -- all of them ----------------------------------------------------------------------------------------

@@ -103,6 +103,8 @@ class Campaign:
     wordings: int
     seed: int | None
     """Of the sample; None if all were tried."""
+    chosen: int
+    """How many were to be tried."""
     verdicts: Sequence[Verdict]
 
 
@@ -162,11 +164,9 @@ def judged(row: Mapping[str, str]) -> bool:
     return any(row["judgement"].startswith(kind) and len(row["judgement"]) > len(kind) + 3 for kind in KINDS)
 
 
-def new_survivors(verdicts: Iterable[Verdict], result: Mapping[str, Any]) -> list[Mutant]:
-    """Mutants that survived and are not named in a stored result."""
-    known = {_key(row) for row in result["survivors"]}
-    alive = [verdict.mutant for verdict in verdicts if not verdict.killer]
-    return [m for m in alive if (m.file, m.function, m.diff) not in known]
+def named(result: Mapping[str, Any]) -> frozenset[tuple[str, str, str]]:
+    """The survivors of a stored result: file, function, difference."""
+    return frozenset(_key(row) for row in result["survivors"])
 
 
 def floors(path: Path = FLOORS) -> dict[str, float]:
