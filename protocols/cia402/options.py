@@ -188,9 +188,9 @@ class Settings:
 
     position_gain: float = 15.0
     """1/s, of the position controller; like all that follows not in the dictionary"""
-    velocity_gain: float = 0.06
+    velocity_gain: float = 0.1
     """N·m·s/rad at the device's shaft"""
-    velocity_integral: float = 0.3
+    velocity_integral: float = 0.2
     """N·m/rad"""
     torque_bandwidth: float = 1000.0
     """rad/s of the current loop"""
