@@ -1,0 +1,43 @@
+"""The same robot over each device language, and over three on one bus: arrives, and replays to the byte."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from gateway import config, shipped
+from gateway.recording import read
+from protocols.wire import CanFrame
+from tests.gateway.test_demo import gateway
+
+ROBOTS = {"diffbot_moteus": {"moteus"}}
+"""By robot file, the languages on its bus of motors."""
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: str, tmp_path: Path) -> None:
+    robot = config.load(shipped.find("robots", name))
+    assert {motor.plugin.name for motor in robot.motors.values()} == ROBOTS[name]
+    done = gateway("demo", "--fast", "--robot", name, "--goal", "1.6,0.6", "--out", str(tmp_path))
+    text = done.stdout + done.stderr
+    assert done.returncode == 0, text
+    assert "by the true pose: 1 of 1" in text
+    assert "touched: 0" in text
+    recording = tmp_path / "demo.mcap"
+    wires = [packet.wire for tick in read(recording).ticks for packet in tick.outputs.packets]
+    kinds = {wire.fd for wire in wires if isinstance(wire, CanFrame)}
+    assert kinds == {language == "moteus" for language in ROBOTS[name]}
+    judged = gateway("replay", str(recording))
+    assert judged.returncode == 0, judged.stdout + judged.stderr
+    assert "the same, byte for byte" in judged.stdout
+    compared = re.search(r"(\d+) packets", judged.stdout)
+    assert compared
+    assert int(compared[1]) > 1000
+
+
+def test_a_robot_that_is_not_of_these_is_not_forgotten() -> None:
+    """Every shipped robot that drives the office with another language than the demo's is tried above."""
+    found = {path.stem for path in Path(str(shipped.find("robots", "diffbot"))).parent.glob("diffbot_*.toml")}
+    assert found == set(ROBOTS)
