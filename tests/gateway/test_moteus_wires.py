@@ -1,0 +1,98 @@
+"""The vendor's Controller (package moteus 1.1.1) on the twin's process, over fdcanusb and python-can's slcan.
+
+On the wall clock, since processes and ptys are: nothing less shows that they meet."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from moteus import Controller, Mode, Register
+from moteus.fdcanusb_device import FdcanusbDevice
+from moteus.pythoncan_device import PythonCanDevice
+from moteus.transport import Transport
+
+from tests.gateway.processes import Process
+
+SERVO = """
+name = "servo"
+rate_hz = 200
+world = "bench"
+[buses.can0]
+kind = "canfd"
+bitrate = 1_000_000
+data_bitrate = 5_000_000
+interface = "twin"
+[defaults.motors]
+protocol = "moteus"
+bus = "can0"
+limits = { velocity = 20.0, acceleration = 60.0, torque = 2.0 }
+[motors.left]
+address = 1
+[motors.right]
+address = 2
+[brain]
+body = "joints"
+[brain.joints]
+motors = ["left", "right"]
+"""
+
+
+def over_slcan(path: str) -> PythonCanDevice:
+    return PythonCanDevice(interface="slcan", channel=path, bitrate=1_000_000, sleep_after_open=0)
+
+
+async def session(device: FdcanusbDevice | PythonCanDevice) -> list[float]:
+    """Find both, turn one of them until it says that it turns, stop it; the velocities told, in rev/s."""
+    transport = Transport([device])
+    told: list[float] = []
+    try:
+        found = await transport.discover()
+        assert sorted(info.can_id for info in found) == [1, 2]
+        servo = Controller(id=1, transport=transport)
+        state = await servo.query()
+        assert state.values[Register.MODE] == Mode.STOPPED
+        assert state.values[Register.FAULT] == 0
+        for _ in range(500):
+            state = await servo.set_position(
+                position=math.nan, velocity=0.5, watchdog_timeout=5.0, maximum_torque=1.0, query=True
+            )
+            told.append(state.values[Register.VELOCITY])
+            if state.values[Register.MODE] == Mode.POSITION and abs(told[-1] - 0.5) < 0.01:
+                break
+        await servo.set_stop(query=True)
+        state = await servo.query()
+        assert state.values[Register.MODE] == Mode.STOPPED
+    finally:
+        transport.close()
+    return told
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize(
+    ("adapter", "opened"),
+    [("fdcanusb", FdcanusbDevice), ("slcan", over_slcan)],
+    ids=["fdcanusb", "python-can"],
+)
+def test_the_vendors_controller_turns_the_twin(
+    adapter: str, opened: Callable[[str], FdcanusbDevice | PythonCanDevice], tmp_path: Path
+) -> None:
+    robot = tmp_path / "servo.toml"
+    robot.write_text(SERVO)
+    link = tmp_path / "ports"
+    with Process(tmp_path, "twin", str(robot), "-v", "--adapter", adapter, "--link", str(link)) as twin:
+        twin.until(f"can0={adapter}:{link}/can0")
+
+        async def talk() -> list[float]:
+            return await session(opened(str(link / "can0")))
+
+        told = asyncio.run(talk())
+        assert told[-1] == pytest.approx(0.5, abs=0.01)
+        twin.until("can0: somebody is there", "left: armed", "left: ready", "can0: nobody is there any more")
+        status, text = twin.end(signal.SIGTERM)
+        assert status == 0, text
+        assert "Traceback" not in text
