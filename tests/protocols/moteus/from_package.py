@@ -1,0 +1,165 @@
+"""The vectors that moteus 1.1.1 makes itself, made again: commands by its `Controller`, answers parsed by it.
+
+Rules. A command's bytes come from the package alone. An answer is built from the layout by hand, and stands
+here as bytes; what it means is what the package parses. Nothing of ours is used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import moteus
+from moteus import multiplex as mp
+from moteus.device_info import DeviceAddress
+from moteus.protocol import make_uuid_prefix, parse_registers
+from moteus.transport import Transport, _make_uuid_query
+from moteus.transport_device import TransportDevice
+
+MADE = "moteus 1.1.1 (PyPI) Controller, framed by its Transport"
+PARSED = "reply built from the layout, parsed by moteus 1.1.1 (PyPI)"
+UUID = bytes.fromhex("0123456789abcdeffedcba9876543210")
+
+
+class Fast(moteus.QueryResolution):
+    """What our driver asks for all the time."""
+
+    voltage = temperature = mp.IGNORE
+
+
+class Full(moteus.QueryResolution):
+    """What it asks for now and then."""
+
+    q_current = mp.F32
+    motor_temperature = trajectory_complete = home_state = mp.INT16
+    voltage = temperature = fault = mp.INT16
+
+
+MOVE: dict[str, float] = {
+    "position": 0.25,
+    "velocity": -1.5,
+    "feedforward_torque": 0.125,
+    "watchdog_timeout": 0.1,
+}
+PUSH: dict[str, float] = {"kp_scale": 0.0, "kd_scale": 0.0, "ilimit_scale": 0.0, "velocity": 0.0}
+LIMITED: dict[str, float] = {"maximum_torque": 1.5, "velocity_limit": 4.0, "accel_limit": 20.0}
+NO_ACCEL: dict[str, float] = {**LIMITED, "accel_limit": math.nan}
+
+
+def _position(query: type, **values: float) -> Callable[[Any], Any]:
+    return lambda c: c.make_position(**values, query_override=query())
+
+
+COMMANDS: dict[str, tuple[dict[str, Any], Callable[[Any], Any]]] = {
+    # name → arguments of the Controller, the command
+    "position_watchdog_0.1s": ({}, _position(Fast, **MOVE)),
+    "velocity_watchdog_0.1s": ({}, _position(Fast, **{**MOVE, "position": math.nan})),
+    "torque_watchdog_0.1s": ({}, _position(Fast, **{**MOVE, **PUSH})),
+    "position_limited": ({}, _position(Fast, **MOVE, **LIMITED)),
+    "position_limited_no_accel": ({}, _position(Fast, **MOVE, **NO_ACCEL)),
+    "velocity_limited": ({}, _position(Fast, **{**MOVE, "position": math.nan}, **LIMITED)),
+    "torque_limited": ({}, _position(Full, **{**MOVE, **PUSH}, **LIMITED)),
+    "position_full_query": ({}, _position(Full, **MOVE)),
+    "query_fast": ({}, lambda c: c.make_query(query_override=Fast())),
+    "query_full": ({}, lambda c: c.make_query(query_override=Full())),
+    "stop_with_query": ({}, lambda c: c.make_stop(query_override=Fast())),
+    "stop_id_100": ({"id": 100}, lambda c: c.make_stop(query_override=Fast())),
+    "stop_host_3": ({"source_can_id": 3}, lambda c: c.make_stop(query_override=Fast())),
+    "stop_prefix": ({"can_prefix": 0x1ABC}, lambda c: c.make_stop(query_override=Fast())),
+    "zero_velocity": ({}, lambda c: c.make_zero_velocity(kd_scale=0.5)),
+    "stay_within": ({}, lambda c: c.make_stay_within(lower_bound=-0.5, upper_bound=math.nan)),
+    "vfoc": ({}, lambda c: c.make_vfoc(theta=0.5, voltage=1.0, query=True)),
+    "set_output_exact_0": ({}, lambda c: c.make_set_output_exact(position=0.0, query_override=Fast())),
+    "require_reindex": ({}, lambda c: c.make_require_reindex()),
+    "recapture": ({}, lambda c: c.make_recapture_position_velocity()),
+    "read_parameters": ({}, lambda c: c.make_custom_query({0x20: mp.F32, 0x21: mp.F32, 0x70: mp.INT32})),
+    "console_conf_write": ({}, lambda c: c.make_diagnostic_write(b"conf write\n")),
+    "console_read": ({}, lambda c: c.make_diagnostic_read(48)),
+    "set_id_by_uuid": (
+        {"id": DeviceAddress(uuid=UUID[:8])},
+        lambda c: c.make_diagnostic_write(b"conf set id.id 9\n"),
+    ),
+    "discover_by_uuid": ({"id": 0x7F}, lambda c: _discover_by_uuid(c)),
+}
+
+ANSWERS: dict[str, tuple[int, str]] = {
+    # name → id, data
+    "reply_fast": (0x500, "21000a" + "2f01000000be0000c03f000040bf" + "210f00"),
+    "reply_fast_fault": (0x500, "210001" + "2f010000484200000000cdcccc3d" + "210f26"),
+    "reply_full": (
+        0x500,
+        "21000a2c0401000000be0000c03f000040bf0000204124060a2701 0100 0200 f500 9d01 0000" + "50" * 11,
+    ),
+    "reply_nan": (0x500, "21000a" + "2f010000c07f0000c07f0000c07f" + "210f00"),
+    "reply_int8_nan": (0x500, "2701" + "008000800080" + "2304808080" + "505050"),
+    "reply_uuid": (0x500, "2804d002" + UUID.hex() + "21d80201"),
+    "reply_errors": (0x500, "31d00201" + "31d10201" + "300f02" + "50"),
+    "reply_id_100": (0x6400, "210000" + "2f01000000000000000000000000" + "210f00"),
+}
+
+
+def _discover_by_uuid(controller: Any) -> Any:
+    command, _ = controller._make_command(query=True)
+    command.data = make_uuid_prefix(DeviceAddress(uuid=UUID[:8])) + _make_uuid_query()[0]
+    return command
+
+
+def command(name: str) -> dict[str, Any]:
+    """One command as an entry of the vectors' file."""
+    arguments, make = COMMANDS[name]
+    controller = moteus.Controller(**{"id": 5, **arguments}, transport=object())
+    frame = Transport([])._command_to_frame(make(controller))
+    size = TransportDevice()._round_up_dlc(len(frame.data))
+    meaning = {"cmd": name, "parsed_by_moteus": _parsed(frame.data)}
+    return {
+        "name": name,
+        "direction": "to_device",
+        "bus": "canfd",
+        "id": frame.arbitration_id,
+        "extended": frame.is_extended_id,
+        "data": (bytes(frame.data) + b"\x50" * (size - len(frame.data))).hex(),
+        "meaning": meaning,
+        "source": MADE,
+        "brs": frame.bitrate_switch,
+    }
+
+
+def answer(name: str) -> dict[str, Any]:
+    """One answer as an entry of the vectors' file."""
+    identifier, data = ANSWERS[name]
+    plain = data.replace(" ", "")
+    return {
+        "name": name,
+        "direction": "from_device",
+        "bus": "canfd",
+        "id": identifier,
+        "extended": identifier > 0x7FF,
+        "data": plain,
+        "meaning": {"parsed_by_moteus": _parsed(bytes.fromhex(plain))},
+        "source": PARSED,
+        "brs": True,
+    }
+
+
+def _parsed(data: bytes) -> dict[str, Any]:
+    """What the package reads in a frame; None where it says NaN."""
+    if data[:1] in (b"\x40", b"\x42") or b"conf " in bytes(data):
+        return {}
+    found = parse_registers(data)
+    both = {**found.command, **found.response}
+    values = {f"{register:03X}": None if value != value else value for register, value in both.items()}
+    return {
+        **values,
+        **({"read": [f"{register:03X}" for register, _ in found.query]} if found.query else {}),
+        **(
+            {"errors": [[f"{register:03X}", number] for register, number in found.errors]}
+            if found.errors
+            else {}
+        ),
+    }
+
+
+def entries() -> list[dict[str, Any]]:
+    """All of them."""
+    return [*map(command, COMMANDS), *map(answer, ANSWERS)]

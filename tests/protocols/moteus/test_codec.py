@@ -1,0 +1,375 @@
+"""Bytes both ways: tables, the independent vectors, and moteus 1.1.1 on random frames."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from importlib.resources import files
+from typing import Any
+
+import moteus
+import numpy as np
+import pytest
+from moteus import multiplex as mp
+from moteus import protocol as theirs
+
+from protocols.moteus import plugin
+from protocols.moteus.codec import (
+    F32,
+    FAST,
+    FULL,
+    INT8,
+    INT16,
+    INT32,
+    LENGTHS,
+    POLL,
+    READ,
+    READ_ERROR,
+    REPLY,
+    TO_DEVICE,
+    WRITE,
+    WRITE_ERROR,
+    Ask,
+    Error,
+    Stream,
+    Subframe,
+    Values,
+    command_id,
+    decode,
+    encode,
+    framed,
+    head,
+    parse,
+    quantity,
+    raw_of,
+    reply_id,
+    varuint,
+    write,
+)
+from protocols.moteus.messages import (
+    DISCOVER,
+    IDENTIFY,
+    STOP,
+    Limits,
+    console,
+    masked,
+    move,
+    names,
+    push,
+    set_register,
+    written,
+)
+from protocols.moteus.registers import NAMES, SCALES, Mode, Register, mode_name, scale_of
+from protocols.vectors import Vector, vectors_of
+from protocols.wire import CanFrame
+from tests.protocols.moteus.from_package import UUID, entries
+
+VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
+PLAIN = Limits(0.1)
+LIMITED = Limits(0.1, 1.5, 4.0, 20.0)
+MOVE = (0.25, -1.5, 0.125)
+
+
+def made(data: bytes, address: int = 5, host: int = 0, prefix: int = 0) -> CanFrame:
+    return framed(command_id(address, host, prefix), data)
+
+
+# What our end says, beside the frame that moteus 1.1.1 makes of the same values.
+SAID: dict[str, CanFrame] = {
+    "position_watchdog_0.1s": made(move(*MOVE, PLAIN) + FAST),
+    "velocity_watchdog_0.1s": made(move(None, -1.5, 0.125, PLAIN) + FAST),
+    "torque_watchdog_0.1s": made(push(0.25, 0.125, PLAIN) + FAST),
+    "position_limited": made(move(*MOVE, LIMITED) + FAST),
+    "position_limited_no_accel": made(move(*MOVE, Limits(0.1, 1.5, 4.0)) + FAST),
+    "velocity_limited": made(move(None, -1.5, 0.125, LIMITED) + FAST),
+    "torque_limited": made(push(0.25, 0.125, LIMITED) + FULL),
+    "position_full_query": made(move(*MOVE, PLAIN) + FULL),
+    "query_fast": made(FAST),
+    "query_full": made(FULL),
+    "stop_with_query": made(STOP + FAST),
+    "stop_id_100": made(STOP + FAST, 100),
+    "stop_host_3": made(STOP + FAST, host=3),
+    "stop_prefix": made(STOP + FAST, prefix=0x1ABC),
+    "stop_no_reply": framed(5, STOP),
+    "set_output_exact_0": made(set_register(Register.SET_OUTPUT_EXACT, 0.0) + FAST),
+    "console_conf_write": framed(5, console("conf write")),
+    "set_id_by_uuid": framed(0x7F, masked(UUID[:8], console("conf set id.id 9"))),
+    "discover_by_uuid": made(masked(UUID[:8], DISCOVER), 0x7F),
+    "discover_broadcast_0x7f": made(DISCOVER, 0x7F),
+}
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_what_we_say_is_what_the_package_says(name: str) -> None:
+    assert SAID[name] == VECTORS[name].wire
+
+
+def test_the_vectors_of_the_package_are_made_again() -> None:
+    stored = json.loads((files("fixtures") / "vectors/moteus.json").read_text("utf-8"))
+    again = {entry["name"]: entry for entry in entries()}
+    assert {entry["name"]: entry for entry in stored if entry["name"] in again} == again
+
+
+def _told_by(vector: Vector) -> dict[int, float | None]:
+    """What the package reads in an answer, by register number."""
+    said = vector.meaning["parsed_by_moteus"]
+    ours = {k: v for k, v in said.items() if k not in ("errors", "read")}
+    return {NAMES[k.lower()] if k.lower() in NAMES else int(k, 16): v for k, v in ours.items()}
+
+
+@pytest.mark.parametrize(
+    "vector",
+    [v for v in VECTORS.values() if v.direction == "from_device" and "parsed_by_moteus" in v.meaning],
+    ids=lambda v: v.name,
+)
+def test_answers_tell_what_the_package_reads(vector: Vector) -> None:
+    assert isinstance(vector.wire, CanFrame)
+    data = vector.wire.data
+    told = decode(data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\x50"))
+    assert told is not None
+    expected = _told_by(vector)
+    assert set(told.values) == set(expected)
+    for register, value in expected.items():
+        assert told.values[register] == (None if value is None else pytest.approx(value))
+    errors = [[f"{e.register:03X}", e.number] for e in told.errors]
+    assert errors == vector.meaning["parsed_by_moteus"].get("errors", [])
+
+
+SUBFRAMES: tuple[tuple[Subframe, str], ...] = (
+    (Values(WRITE, 0, INT8, (10,)), "01000a"),
+    (Values(WRITE, 0x20, INT16, (96, 288, -176)), "0720 6000 2001 50ff"),
+    (Values(WRITE, 0x20, F32, (0.5, -2.0)), "0e20 0000003f 000000c0"),
+    (Values(WRITE, 0x131, F32, (0.0,)), "0db102 00000000"),
+    (Values(REPLY, 0, INT16, (10, 80, 256, -144)), "240400 0a00 5000 0001 70ff"),
+    (Values(REPLY, 0x150, INT32, (1, -2)), "2ad002 01000000 feffffff"),
+    (Ask(0, INT16, 4), "140400"),
+    (Ask(0x0D, INT8, 3), "130d"),
+    (Ask(0x4000, F32, 5), "1c05808001"),
+    (Error(WRITE_ERROR, 0x0F, 2), "300f02"),
+    (Error(READ_ERROR, 0x158, 1), "31d80201"),
+    (Stream(TO_DEVICE, 1, b"tel stop\n"), "400109 74656c2073746f700a"),
+    (Stream(POLL, 1, b"", 48), "420130"),
+)
+
+
+@pytest.mark.parametrize(("subframe", "data"), SUBFRAMES, ids=[data for _, data in SUBFRAMES])
+def test_a_subframe_and_its_bytes(subframe: Subframe, data: str) -> None:
+    plain = bytes.fromhex(data)
+    assert encode(subframe) == plain
+    assert parse(plain) == ([subframe], True)
+    assert parse(b"\x50" + plain + b"\x50\x50") == ([subframe], True)
+    for cut in range(1, len(plain)):
+        found, sound = parse(plain[:cut])
+        assert not sound
+        assert all(isinstance(each, Values) for each in found)  # what stands before the flaw is obeyed
+
+
+@pytest.mark.parametrize(
+    ("value", "data"), [(0, "00"), (0x7F, "7f"), (0x80, "8001"), (0x150, "d002"), (2**32 - 1, "ffffffff0f")]
+)
+def test_varuints(value: int, data: str) -> None:
+    assert varuint(value) == bytes.fromhex(data)
+    assert parse(bytes.fromhex("11" + data))[0] == [Ask(value, INT8, 1)]
+
+
+@pytest.mark.parametrize("flaw", ["03", "0101", "60", "32", "1080808080808001", "10ff0100", "4001ff00", "43"])
+def test_what_is_no_subframe_ends_a_frame(flaw: str) -> None:
+    before = Values(WRITE, 0, INT8, (0,))
+    assert parse(encode(before) + bytes.fromhex(flaw)) == ([before], False)
+
+
+def test_a_value_that_is_cut_off_leaves_those_before_it() -> None:
+    data = bytes.fromhex("0f20 0000803e 0000c0bf 0000")
+    assert parse(data) == ([Values(WRITE, 0x20, F32, (0.25, -1.5))], False)
+    assert parse(bytes.fromhex("0720")) == ([], False)
+
+
+def test_identifiers_and_padding() -> None:
+    assert (command_id(5), command_id(0x7F), command_id(5, 3, 0x1ABC)) == (0x8005, 0x807F, 0x1ABC8305)
+    assert (reply_id(5), reply_id(100, 3), reply_id(7, 0, 1)) == (0x500, 0x6403, 0x10700)
+    for length in range(65):
+        frame = framed(0x8005, b"\x01" * length)
+        assert len(frame.data) in LENGTHS
+        assert frame.data == b"\x01" * length + b"\x50" * (len(frame.data) - length)
+    assert len(framed(0x8005, bytes(9)).data) == 12
+    assert (framed(0x7FF, b"").extended, framed(0x800, b"").extended) == (False, True)
+    assert framed(1, b"").fd
+    assert framed(1, b"").brs
+
+
+@pytest.mark.parametrize("register", Register)
+def test_names_and_scales_are_the_package_s(register: Register) -> None:
+    assert theirs.Register(register).name in (register.name, "REZERO", "REZERO_STATE", "SERIAL_NUMBER")
+    if register in SCALES and register not in (0x130, 0x131):
+        for resolution in (INT8, INT16, INT32, F32):
+            scaled = theirs.scale_register(register, resolution, 1)
+            if _package_scales(register):
+                assert scaled == pytest.approx(scale_of(register)[resolution])
+
+
+def _package_scales(register: int) -> bool:
+    """The package leaves registers that only a command writes as they stand."""
+    return theirs.scale_register(register, mp.INT8, 100) not in (100, None)
+
+
+def test_modes_are_the_package_s() -> None:
+    assert {mode.name: mode.value for mode in theirs.Mode} == {
+        mode.name: mode.value for mode in Mode if mode not in (2, 3, 4)
+    }
+    assert (mode_name(10), mode_name(12), mode_name(77)) == ("position", "zero velocity", "mode 77")
+
+
+@pytest.mark.parametrize(
+    ("register", "resolution", "value", "raw"),
+    [
+        (Register.COMMAND_POSITION, INT8, 0.5, 50),
+        (Register.COMMAND_POSITION, INT16, 0.0096, 96),  # the package truncates to 95 (±1 LSB)
+        (Register.COMMAND_POSITION, INT32, -1.0, -100_000),
+        (Register.COMMAND_POSITION, INT16, 99.0, 32767),
+        (Register.COMMAND_POSITION, INT16, -99.0, -32767),
+        (Register.COMMAND_POSITION, INT8, None, -128),
+        (Register.COMMAND_POSITION, INT16, None, -32768),
+        (Register.COMMAND_POSITION, INT32, None, -2147483648),
+        (Register.COMMAND_KP_SCALE, INT8, 1.0, 127),
+        (Register.COMMAND_TIMEOUT, INT16, 0.1, 100),
+        (Register.TEMPERATURE, INT8, 41.0, 41),
+        (Register.FAULT, INT16, 99.0, 99),
+    ],
+)
+def test_numbers_in_counts(register: int, resolution: int, value: float | None, raw: int) -> None:
+    assert raw_of(register, resolution, value) == raw
+    back = quantity(register, resolution, raw)
+    if value is None:
+        assert back is None
+    elif abs(value) < 99.0:
+        assert back == pytest.approx(value)
+
+
+def test_numbers_in_binary32() -> None:
+    assert raw_of(1, F32, -0.0) == 0.0
+    assert math.copysign(1.0, raw_of(1, F32, -0.0)) == 1.0
+    assert raw_of(1, F32, 1e-40) == 0.0
+    assert raw_of(1, F32, 1e300) == pytest.approx(3.4028234663852886e38)
+    assert math.isnan(raw_of(1, F32, None))
+    assert quantity(1, F32, math.nan) is None
+    assert quantity(1, F32, math.inf) is None
+    for bad in (math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match="not finite"):
+            raw_of(1, F32, bad)
+        with pytest.raises(ValueError, match="not finite"):
+            move(bad, 0.0, 0.0, PLAIN)
+        with pytest.raises(ValueError, match="not finite"):
+            push(0.0, bad, PLAIN)
+
+
+def test_frames_of_a_length_that_cannot_be_or_of_a_host_tell_nothing() -> None:
+    assert decode(bytes.fromhex("21000a2f01000000be0000c03f000040bf210f005050")) is None  # 22 bytes
+    assert decode(FAST) is None
+    assert decode(bytes.fromhex("01000a")) is None
+    assert decode(bytes.fromhex("21000a21")) is None
+    assert decode(bytes.fromhex("21000a2f010000807f0000c03f000040bf210f00")) is None  # an infinity
+
+
+@pytest.mark.parametrize("size", [20, 48])
+def test_the_short_cuts_read_like_the_loop(size: int) -> None:
+    generator = np.random.Generator(np.random.PCG64(7))
+    vector = VECTORS["reply_fast" if size == 20 else "reply_full"].wire
+    assert isinstance(vector, CanFrame)
+    for _ in range(300):
+        data = bytearray(vector.data)
+        for at in generator.integers(0, size, 2):
+            data[at] = int(generator.integers(0, 256))
+        told = decode(bytes(data))
+        subframes, sound = parse(bytes(data))
+        if told is None:
+            loud = [s for s in subframes if isinstance(s, Values) and s.code == REPLY]
+            infinite = any(s.resolution == F32 and any(map(math.isinf, s.raw)) for s in loud)
+            assert not sound or len(loud) != len(subframes) or infinite
+            continue
+        again = {
+            s.start + i: quantity(s.start + i, s.resolution, raw)
+            for s in subframes
+            if isinstance(s, Values)
+            for i, raw in enumerate(s.raw)
+        }
+        assert dict(told.values) == again
+
+
+def _their_write(register: int, resolution: int, value: float) -> bytes:
+    buffer = io.BytesIO()
+    writer = theirs.Writer(buffer)
+    writer.write_int8(mp.WRITE_BASE | resolution << 2 | 1)
+    writer.write_varuint(register)
+    scale = scale_of(register)
+    writer.write_mapped(value, scale[0], scale[1], scale[2], resolution)
+    return buffer.getvalue()
+
+
+def test_random_writes_are_the_package_s_within_a_count() -> None:
+    generator = np.random.Generator(np.random.PCG64(11))
+    for _ in range(300):
+        register = list(SCALES)[int(generator.integers(len(SCALES)))]
+        resolution = int(generator.integers(4))
+        value = float(np.float32(generator.uniform(-2.0, 2.0)))
+        ours, other = write(register, value, resolution=resolution), _their_write(register, resolution, value)
+        assert head(WRITE, register, resolution, 1) == other[: -(1, 2, 4, 4)[resolution]]
+        (mine,), (yours,) = (s.raw for s in (*parse(ours)[0], *parse(other)[0]) if isinstance(s, Values))
+        assert abs(mine - yours) <= (0 if resolution == F32 else 1)
+
+
+def test_random_questions_are_the_package_s() -> None:
+    generator = np.random.Generator(np.random.PCG64(13))
+    controller: Any = moteus.Controller(id=5, transport=object())
+    for _ in range(100):
+        start, count = int(generator.integers(0, 0x200)), int(generator.integers(1, 8))
+        resolution = int(generator.integers(4))
+        command = controller.make_custom_query({start + i: resolution for i in range(count)})
+        assert parse(command.data) == ([Ask(start, resolution, count)], True)
+        assert encode(Ask(start, resolution, count)) == command.data
+
+
+def test_what_is_written_is_what_the_package_reads() -> None:
+    for vector in VECTORS.values():
+        if vector.direction == "to_device" and isinstance(vector.wire, CanFrame):
+            subframes, sound = parse(vector.wire.data)
+            assert sound
+            other = (
+                theirs.parse_registers(vector.wire.data) if vector.meaning.get("parsed_by_moteus") else None
+            )
+            if other is not None:
+                mine = {k: math.nan if v is None else v for k, v in written(subframes).items() if k < 0x154}
+                yours = {k: v for k, v in other.command.items() if k < 0x154}
+                assert mine == pytest.approx(yours, nan_ok=True)
+
+
+NAMED = {
+    "position_watchdog_0.1s": ("position 020 021 022 027", "read"),
+    "velocity_watchdog_0.1s": ("velocity 020 021 022 027", "read"),
+    "torque_watchdog_0.1s": ("torque 020 021 022 023 024 027 02B", "read"),
+    "stop_no_reply": ("stop",),
+    "brake": ("brake", "read"),
+    "current_q2A": ("current 01C 01D", "read"),
+    "query_default": ("read",),
+    "rezero_nearest_0": ("write 130", "read"),
+    "set_id_by_uuid": ("write 154 155", "console: conf set id.id"),
+    "console_conf_write": ("console: conf write",),
+    "console_read": ("console: read",),
+    "reply_fast": (),
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_messages_have_names(name: str) -> None:
+    assert names(VECTORS[name].wire) == NAMED[name]
+
+
+def test_what_is_no_frame_to_a_device_has_no_name() -> None:
+    assert names(b"\x01\x00\x00") == ()
+    assert names(CanFrame(0x8005, b"\x01\x00", extended=True, fd=True)) == ()
+    assert names(CanFrame(0x8085, STOP, extended=True, fd=True)) == ()
+    assert names(made(IDENTIFY)) == ("read",)
+
+
+def test_reading_begins_at_0x10() -> None:
+    assert head(READ, Register.MODE, INT8, 1) == b"\x11\x00"
