@@ -12,7 +12,7 @@ import importlib
 import itertools
 import pkgutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -23,7 +23,6 @@ import protocols
 from protocols.conformance import CLAUSES, Clause, variants
 from protocols.conformance.case import Case, Failure
 from protocols.conformance.rehearsal import ADDRESSES
-from protocols.plugin import Plugin
 from tests.mutation.languages import Language, mutated_modules
 from tests.mutation.mutants import digest
 
@@ -41,15 +40,19 @@ class Check:
     """What is wrong, or ""."""
 
 
-def checks(language: Language) -> list[Check]:
-    """All checks of a language; it is imported if it is not yet."""
+def checks(language: Language, alone: bool = False) -> list[Check]:
+    """All checks of a language; it is imported if it is not yet.
+
+    The clauses on one set of options share what their case works out once; `alone` each has its own, so that
+    a check runs all that it rests on."""
     plugin = language.plugin()
     found = [Check(VECTORS, lambda: _vectors(language))] if language.tests else []
+    cases = [Case(plugin, options, SEED, ADDRESSES) for options in variants(plugin)]
     for clause in CLAUSES:
-        if language.clauses is not None and clause.name not in language.clauses:
-            continue
-        for at, options in enumerate(variants(plugin)):
-            found.append(Check(f"{clause.name}[{at}]", _clause(clause, plugin, options)))
+        if language.clauses is None or clause.name in language.clauses:
+            for at, case in enumerate(cases):
+                own = replace(case, kept={}) if alone else case
+                found.append(Check(f"{clause.name}[{at}]", partial(_clause, clause, own)))
     return found
 
 
@@ -75,12 +78,9 @@ def _sources(package: str) -> list[Path]:
     return sorted(path for folder in module.__path__ for path in Path(folder).rglob("*.py"))
 
 
-def _clause(clause: Clause, plugin: Plugin, options: Any) -> Callable[[], str]:
-    def run() -> str:
-        verdict = clause.check(Case(plugin, options, SEED, ADDRESSES))
-        return verdict.text or "failed" if isinstance(verdict, Failure) else ""
-
-    return run
+def _clause(clause: Clause, case: Case) -> str:
+    verdict = clause.check(case)
+    return verdict.text or "failed" if isinstance(verdict, Failure) else ""
 
 
 # -- tests of vectors ----------------------------------------------------------------------------------
