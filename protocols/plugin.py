@@ -137,6 +137,9 @@ class Spec:
     """Whether disarming clears the device's own faults (then a joint must remember them)."""
     faults: Mapping[int, Complaint] = field(default_factory=dict)
     """By code (`Fault.code`): everything that the device may complain of, as its driver tells it."""
+    unsealed: frozenset[str] = frozenset()
+    """Names of messages (`Plugin.messages`) that the device takes though nothing in them guards against a
+    wrong bit. Where they are damaged the contract is silent, and a driver must not lean on them."""
     overhears: tuple[tuple[int, int], ...] = ()
     """What the driver understands of any device, named in the robot file or not (answers to a scan,
     devices with an address that is held twice): CAN ids as (id, mask), whose masked bits are these."""

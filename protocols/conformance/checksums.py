@@ -1,7 +1,8 @@
 """Checksums: a message on a stream in which one bit is wrong tells nothing, moves nothing, changes nothing.
 
-Rules. One message of each kind that was seen, every bit of it, at both ends. What a reader keeps of a
-message that never ends may cost the next one, never more: sound messages follow, and then all is as it was.
+Rules. One message of each kind that was seen, every bit of it, at both ends, but for those that the spec
+calls unsealed. What a reader keeps of a message that never ends may cost the next one, never more: sound
+messages follow, and then all is as it was.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def bad_checksums_change_nothing(case: Case) -> Verdict:
 def _kinds(case: Case, downward: bool) -> list[bytes]:
     """One message of each kind (down: name, up: length), the shortest first."""
     wires = [wire for said in case.day for wire in (said.down if downward else said.up)]
-    stream = [wire for wire in wires if isinstance(wire, bytes) and wire]
+    stream = [wire for wire in wires if isinstance(wire, bytes) and wire and noise.sealed(case, wire)]
     kinds = {(len(w), *(case.plugin.messages(w) if downward else ())): w for w in reversed(stream)}
     chosen = [kinds[kind] for kind in sorted(kinds)]
     return chosen[:: max(-(-len(chosen) // KINDS), 1)]

@@ -31,7 +31,7 @@ STRANGE = tuple(
 def wires(case: Case, count: int) -> list[Wire]:
     """So many wires, most of them like those that alpha, beta and their driver say."""
     dice, spec = case.dice(), case.spec
-    said = conversation(case)
+    said = [wire for wire in conversation(case) if sealed(case, wire)]
     ids = sorted(case.sends | case.expects)
     return [_wire(spec, said, ids, dice) for _ in range(count)]
 
@@ -40,6 +40,11 @@ def conversation(case: Case) -> list[Wire]:
     """Different wires of both directions from a busy day."""
     seen = dict.fromkeys(wire for said in case.day for wire in (*said.down, *said.up))
     return list(seen)[:: max(len(seen) // 400, 1)]
+
+
+def sealed(case: Case, wire: Wire) -> bool:
+    """Whether the device can notice damage in this wire, as far as the spec says."""
+    return not case.spec.unsealed.intersection(case.plugin.messages(wire))
 
 
 def other_format(case: Case) -> list[Wire]:

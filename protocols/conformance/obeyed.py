@@ -101,7 +101,7 @@ def _samples(case: Case) -> list[Wire]:
     mutated = [
         play.with_data(wire, noise.damaged(play.data_of(wire), dice))
         for wire in (*said, *said)
-        if len(said) < 500
+        if len(said) < 500 and noise.sealed(case, wire)
     ]
     return [*real, *mutated, *noise.wires(case, 150)]
 
