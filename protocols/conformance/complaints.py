@@ -70,7 +70,7 @@ def _each_is_told(case: Case, spec: Spec, codes: list[int]) -> Failure | None:
         on.cables[ALPHA].provoke(code)
         wrong = told_wrongly(on, spec, code) or (_cleared(on) if ClearFault in spec.requests else "")
         if wrong:
-            return on.failure(f"at rest, {wrong}", (), _complaints(on))
+            return on.failure(f"at rest, {wrong}", on.passed, _complaints(on))
         if ClearFault not in spec.requests:
             on = None
     return None
@@ -140,7 +140,7 @@ class _Story:
         on.cables[ALPHA].provoke(self.code)
         wrong = told_wrongly(on, self.spec, self.code)
         if wrong:
-            return on.failure(f"in motion, {wrong}", (), _complaints(on))
+            return on.failure(f"in motion, {wrong}", on.passed, _complaints(on))
         for what, trial in self._trials():
             wrong = self._outlives(on, what, trial)
             if wrong:

@@ -98,7 +98,7 @@ def _settings(default: Any) -> Iterator[object]:  # noqa: ANN401 -- a dataclass 
         elif get_origin(kind) is Literal:
             switches += [(f.name, other) for other in get_args(kind) if other != value]
         elif kind in (int, float) and not value:
-            numbers += [(f.name, kind(number)) for number in (0.3, 300.0) if kind(number)]
+            numbers += [(f.name, kind(number)) for number in (0.2, 200.0) if kind(number)]
     changes = [dict([one]) for one in (*switches, *numbers)]
     changes += [dict([switch, number]) for switch in switches for number in numbers]
     for change in changes:

@@ -143,6 +143,8 @@ class Scene:
     """What was said, the last of each run of words of the same kinds."""
     obeyed: list[Wire] = field(default_factory=list)
     """The last wires in which the ear heard a word."""
+    passed: list[Wire] = field(default_factory=list)
+    """The last wires from the devices, no two alike."""
     obeys: dict[str, Command] = field(default_factory=dict)
     """The last command that each device would obey."""
     asked: list[Request] = field(default_factory=list)
@@ -182,6 +184,8 @@ class Scene:
             self.said.append(tuple(words))
         if said.heard:
             self.obeyed = [*self.obeyed, *(w for w in said.down if w not in self.obeyed[-4:])][-4:]
+        if said.up:
+            self.passed = [*(w for w in self.passed if w not in said.up), *said.up][-4:]
         for word in said.heard:
             if isinstance(word, Command):
                 self.obeys[word.motor] = word
@@ -258,9 +262,9 @@ class Scene:
             self.step(words)
 
     def failure(self, text: str, wires: Sequence[Wire] = (), words: Sequence[Word] = ()) -> Failure:
-        """With the wires that led here, and all that was said until now."""
+        """With the wires that led here (or the last that passed), and what was said until now."""
         shown = tuple(word for words in self.said[-4:] for word in words)
-        return Failure(text, tuple(wires) or tuple(self.obeyed), (*shown, *words))
+        return Failure(text, tuple(wires or self.obeyed or self.passed), (*shown, *words))
 
 
 def _kinds(words: Words) -> list[tuple[type[Word], str]]:

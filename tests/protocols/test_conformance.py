@@ -15,7 +15,8 @@ from protocols.conformance.rehearsal import Rehearsal, Shaft, close, finite, reh
 from protocols.plugin import Plugin, Range, load_all
 from protocols.wire import CanFrame, Wire
 from protocols.words import Feedback, LaserScan, Velocity
-from tests.protocols.broken import BROKEN, HoldsAGenerator, motors, sensors
+from tests.protocols.broken import HoldsAGenerator, motors, sensors
+from tests.protocols.broken_all import BROKEN
 
 INSTALLED, UNLOADABLE = load_all()
 NAMES = [clause.name for clause in CLAUSES]

@@ -1,0 +1,49 @@
+"""The fourteen defects of drivers in the field, each in a plugin that has it, and the clause that finds it.
+
+Rules. One row per defect at least; the defect is told as it was found, by number. The counterexample that is
+given comes again with the same seed, and speaks of what is wrong.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from protocols.conformance import CLAUSES, check
+from protocols.plugin import Plugin
+from tests.protocols.broken_all import BROKEN
+
+DEFECTS: tuple[tuple[int, str, str, str], ...] = (
+    (1, "NaN in, full speed out", "ClampsNan", "finite"),
+    (2, "a feed-forward of int8 where the protocol has int16", "WrapsFeedForward", "commands"),
+    (3, "waits without a timeout", "WaitsForEver", "blind"),
+    (5, "a mode switch clears faults", "ClearsAtEachModeSwitch", "faults"),
+    (5, "the first set-point is zero", "FirstSetPointIsZero", "jump"),
+    (6, "what was sent is decoded into the state", "HearsItself", "blind"),
+    (8, "fault bits are ignored", "IgnoresTheFaultBits", "faults"),
+    (9, "status is polled by clearing the fault", "PollsByClearing", "faults"),
+    (11, "a timeout is stored and never used", "NeverMissesADevice", "blind"),
+    (12, "read gives the last state without a device", "ReadsTheLastStateForEver", "blind"),
+    (12, "read gives zero without a device", "ReadsZeroAtFirst", "blind"),
+    (13, "a twin that measures whole units", "WholeUnits", "measurements"),
+    (14, "devices are found by enabling them", "ScansByArming", "scan"),
+)
+"""Number, what was found, the plugin that has it here, the clause that must find it."""
+BY_NAME: dict[str, Plugin] = {plugin.name: plugin for plugin, _ in BROKEN}
+
+
+def test_no_defect_is_left_out() -> None:
+    assert {number for number, *_ in DEFECTS} == set(range(1, 15))
+
+
+def test_no_two_broken_plugins_have_one_name() -> None:
+    assert len(BY_NAME) == len(BROKEN)
+
+
+@pytest.mark.parametrize(
+    ("number", "what", "name", "clause"), DEFECTS, ids=[f"{row[0]}-{row[2]}" for row in DEFECTS]
+)
+def test_a_defect_of_the_field_is_found(number: int, what: str, name: str, clause: str) -> None:
+    (result,) = check(BY_NAME[name], clauses=[each for each in CLAUSES if each.name == clause])
+    assert result.outcome == "failed", f"defect {number}, {what}: {result}"
+    assert result.text
+    assert result.wires or result.words, "a counterexample in bytes or words"
