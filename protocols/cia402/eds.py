@@ -14,7 +14,7 @@ from protocols.cia402.options import Settings
 
 VARIABLE, ARRAY, RECORD = 0x7, 0x8, 0x9
 MANDATORY = (0x1000, 0x1001, 0x1018)
-ARRAYS = frozenset({0x1016, 0x1029, 0x607D})
+ARRAYS = frozenset({0x1016, 0x1029, 0x607D, 0x608F, 0x6091, 0x6092, 0x6099})
 """Objects whose subindices are all alike; the others with subindices are records."""
 RATES = (10, 20, 50, 125, 250, 500, 800, 1000)
 NAMES = {
@@ -43,7 +43,7 @@ def eds(settings: Settings | None = None) -> str:
         if len(subs) == 1:
             lines += _variable(f"{index:04X}", subs[0], one, two)
             continue
-        kind = ARRAY if index in ARRAYS or _is_mapping(index) else RECORD
+        kind = ARRAY if index in ARRAYS else RECORD
         lines += [f"[{index:04X}]", f"ParameterName={_name(index)}", f"ObjectType={kind:#x}"]
         lines.append(f"SubNumber={len(subs):#x}")
         for row in subs:

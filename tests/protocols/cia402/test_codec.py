@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -134,7 +135,8 @@ def test_pdo_vectors() -> None:
 
 def serve(data: bytes, transfer: sdo.Transfer, twice: bool = False) -> bytes:
     """A server in a few lines: what it holds after the transfer. `twice`: every answer comes twice."""
-    taken, request, left = b"", transfer.first(), data
+    taken, left = b"", data
+    request: sdo.Request | None = transfer.first()
     while not transfer.done:
         answer: sdo.Answer
         match request:
@@ -360,14 +362,15 @@ def test_units_both_ways_and_at_their_limits() -> None:
         assert units.to_velocity(units.velocity(whole)) == whole
         torque = int(dice.integers(Type.I16.low, Type.I16.high))
         assert units.to_torque(units.torque(torque)) == torque
-    for refused in (
+    refusals: list[Callable[[], int]] = [
         lambda: units.to_position(units.position(Type.I32.high + 1)),
         lambda: units.to_velocity(units.velocity(Type.I32.low - 1)),
         lambda: units.to_torque(units.torque(Type.I16.high + 1)),
         lambda: units.to_position(math.nan),
         lambda: units.to_torque(math.inf),
         lambda: Units(100.0).to_torque(0.1),
-    ):
+    ]
+    for refused in refusals:
         with pytest.raises(ValueError, match=r"fit|finite|known"):
             refused()
 
