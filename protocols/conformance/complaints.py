@@ -8,14 +8,16 @@ the fault is still the device's, and not only remembered by our driver, a fresh 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Said
 from protocols.conformance.trouble import (
     STILL,
     Scene,
+    Words,
     kinds_of,
     liveliest,
     moving,
@@ -29,6 +31,8 @@ from protocols.plugin import Complaint, Spec
 from protocols.wire import BusState
 from protocols.words import ClearFault, Fault, Idle, Mode, Reboot
 
+Trial: TypeAlias = Callable[[Scene], Iterator[Words]]
+"""What is said step by step, with what happens to cables and hosts in between."""
 ALPHA = NAMES[0]
 SAMPLE = 16
 """Codes that are told from a device at rest."""
@@ -142,59 +146,62 @@ class _Story:
         if wrong:
             return on.failure(f"in motion, {wrong}", on.passed, _complaints(on))
         for what, trial in self._trials():
-            wrong = self._outlives(on, what, trial)
-            if wrong:
-                return on.failure(wrong)
+            failure = self._outlives(on, what, trial)
+            if failure:
+                return failure
         return self._afresh(on)
 
-    def _trials(self) -> list[tuple[str, Callable[[Scene], None]]]:
+    def _trials(self) -> list[tuple[str, Trial]]:
         """What a fault must outlive."""
         return [
             ("silence of the host", _no_host),
             ("commands of every kind", self._commands),
-            ("Idle", lambda on: on.wait(60, [Idle(ALPHA)])),
+            ("Idle", lambda _: iter([[Idle(ALPHA)]] * 60)),
             ("silence of the device", self._no_device),
             ("a bus that was off", _no_bus),
             ("commands of every kind once more", self._commands),
         ]
 
-    def _outlives(self, on: Scene, what: str, trial: Callable[[Scene], None]) -> str:
-        """What is wrong after this; "" if the fault still stands, and nobody has tried to clear it."""
-        on.asked.clear()
-        trial(on)
+    def _outlives(self, on: Scene, what: str, trial: Trial) -> Failure | None:
+        """A trial, after which the fault must still stand, and in which nobody may try to clear it."""
+        for words in trial(on):
+            said = on.step(words)
+            clearing = [word for word in named(said.heard) if isinstance(word, ClearFault | Reboot)]
+            if clearing:
+                text = f"fault {self.code}: at {what} the device is told {clearing[0]}, unasked"
+                return on.failure(text, said.down, clearing[:1])
         on.until(lambda _: on.mode() is Mode.FAULT, TOLD)
-        clearing = [word for word in named(on.asked) if isinstance(word, ClearFault | Reboot)]
-        if clearing:
-            return f"fault {self.code}: at {what} the device is told {clearing[0]}, unasked"
         if on.mode() is not Mode.FAULT:
-            return f"fault {self.code}: after {what} the driver tells {on.mode()}"
+            return on.failure(f"fault {self.code}: after {what} the driver tells {on.mode()}")
         if abs(torque_of(on.step())) > STILL:
-            return f"fault {self.code}: after {what} the device gives torque"
-        return ""
+            return on.failure(f"fault {self.code}: after {what} the device gives torque")
+        return None
 
-    def _commands(self, on: Scene) -> None:
+    def _commands(self, on: Scene) -> Iterator[Words]:
         """Each kind for a while: every change of kind may be a change of the device's mode."""
         start = on.measured.get(ALPHA, 0.0)
         for kind in kinds_of(self.spec):
             for at in range(KIND):
-                on.step([moving(kind, self.spec, ALPHA, start, at)])
+                yield [moving(kind, self.spec, ALPHA, start, at)]
 
-    def _no_device(self, on: Scene) -> None:
+    def _no_device(self, on: Scene) -> Iterator[Words]:
         """Its cable is pulled until it is told to be offline, and put back."""
         cable = on.cables[ALPHA]
         cable.up = cable.down = False
-        on.until(lambda _: on.mode() is Mode.OFFLINE, TOLD + self.spec.offline_after // STEP)
+        for _ in range(TOLD + self.spec.offline_after // STEP):
+            if on.mode() is not Mode.OFFLINE:
+                yield ()
         cable.up = cable.down = True
 
     def _afresh(self, on: Scene) -> Failure | None:
         """A fresh driver finds the fault, tells it, leaves it, and clears it when asked."""
         fresh = takeover(self.case, on)
         wrong = told_wrongly(fresh, self.spec, self.code)
-        wrong = wrong or self._outlives(fresh, "commands of every kind", self._commands)
         if wrong:
-            return fresh.failure(f"to a fresh driver: {wrong}", (), _complaints(fresh))
-        if ClearFault not in self.spec.requests:
-            return None
+            return fresh.failure(f"to a fresh driver: {wrong}", fresh.passed, _complaints(fresh))
+        failure = self._outlives(fresh, "commands of every kind from a fresh driver", self._commands)
+        if failure or ClearFault not in self.spec.requests:
+            return failure
         kind = kinds_of(self.spec)[0]
         wrong = _cleared(fresh)
         word = resting(kind, self.spec, ALPHA, fresh.measured.get(ALPHA, 0.0))
@@ -203,14 +210,14 @@ class _Story:
         return fresh.failure(f"fault {self.code}: {wrong}") if wrong else None
 
 
-def _no_host(on: Scene) -> None:
+def _no_host(on: Scene) -> Iterator[Words]:
     on.host.alive = False
-    on.wait(300)
+    yield from [()] * 300
     on.host.alive = True
 
 
-def _no_bus(on: Scene) -> None:
+def _no_bus(on: Scene) -> Iterator[Words]:
     on.host.bus(on.now, BusState.OFF)
-    on.wait(20)
+    yield from [()] * 20
     on.host.bus(on.now, BusState.BACK)
-    on.wait(20)
+    yield from [()] * 20

@@ -147,8 +147,6 @@ class Scene:
     """The last wires from the devices, no two alike."""
     obeys: dict[str, Command] = field(default_factory=dict)
     """The last command that each device would obey."""
-    asked: list[Request] = field(default_factory=list)
-    """The requests that devices would obey, since this was last emptied."""
     faults: list[Fault] = field(default_factory=list)
     """Told since this was last emptied."""
     offline: dict[str, Nanos] = field(default_factory=dict)
@@ -189,8 +187,6 @@ class Scene:
         for word in said.heard:
             if isinstance(word, Command):
                 self.obeys[word.motor] = word
-            else:
-                self.asked.append(word)
         for event in said.events:
             self._note(event)
         return said
