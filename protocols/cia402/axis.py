@@ -238,6 +238,8 @@ class Axis:
         ]
         if any(key[0] < COMMUNICATION_END for key in keys):
             self._ids = self._rpdo_ids()
+        if o.CONSUMER_HEARTBEAT in keys:
+            self.host_beat = None  # it is watched from its next one on (CiA 301 "heartbeat consumer")
         if any(key in READ for key in keys):
             self.units = self._units()
         if o.CONTROLWORD in keys:

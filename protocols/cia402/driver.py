@@ -24,7 +24,7 @@ from protocols.cia402.codec import (
     is_classic,
     sdo_rx_id,
 )
-from protocols.cia402.complaints import DUPLICATE_NODE, NOT_ARMED, NOT_CONFIGURED
+from protocols.cia402.complaints import DUPLICATE_NODE, NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED
 from protocols.cia402.node import Node
 from protocols.cia402.requests import Pending
 from protocols.cia402.scanning import Scanner, describe
@@ -35,6 +35,7 @@ from protocols.words import (
     MILLISECOND,
     Command,
     Done,
+    Estop,
     Event,
     Found,
     Impedance,
@@ -146,7 +147,7 @@ class Cia402Driver:
             case Purpose.SETUP:
                 return self._wrote(t, node, outcome)
             case Purpose.SETPOINT if abort is None and job.data is not None:
-                node.outlet.told[job.key] = jobs.polled(job.key, job.data) or 0
+                node.outlet.confirm(t, job.key, jobs.polled(job.key, job.data) or 0)
                 node.rounds += 1
             case Purpose.ASKED:
                 return self._answered(t, job.token, outcome)
@@ -156,10 +157,10 @@ class Cia402Driver:
 
     def _wrote(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
         if outcome.silent:  # nobody knows what it has taken: all of it again
-            node.setup, node.writing = None, ()
+            node.setup, node.writing, node.configured = None, (), False
             return []
         key = outcome.job.key
-        if motion.wrote(node, key, outcome.abort) or node.insist is not None:
+        if motion.wrote(node, outcome.job, outcome.abort) or node.insist is not None:
             return []
         node.refused, node.setup = True, None
         said = f"{o.title(key)}: {sdo.abort_text(outcome.abort or 0)}"
@@ -328,6 +329,8 @@ class Cia402Driver:
         if isinstance(begun, Refused):
             return [begun]
         self._pending.append(begun)
+        if isinstance(request, Estop):
+            return begun.node.complain(now, QUICK_STOPPED)
         return []
 
     def _tend_requests(self, now: Nanos, events: list[Event]) -> list[Wire]:

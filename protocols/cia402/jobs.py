@@ -13,7 +13,7 @@ from protocols.cia402.node import NEVER, Node
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.words import MILLISECOND, SECOND, Nanos
 
-ROLL_CALL = 5 * SECOND
+ROLL_CALL = SECOND
 """A device's serial number is read again so often: to notice another one in its place, or two."""
 ROLL_CALL_AGAIN = 100 * MILLISECOND
 """... and so often when an answer came twice."""
@@ -70,7 +70,7 @@ def _setpoint(node: Node, now: Nanos) -> Job | None:
     """A set-point that stands in no PDO, while the device is commanded."""
     if not node.values or node.insist is not None or not (node.commanded_at == now or node.homing):
         return None
-    wanted = node.outlet.by_sdo(node.values, node.target)
+    wanted = node.outlet.by_sdo(now, node.values, node.target)
     if wanted is None:
         return None
     key, value = wanted

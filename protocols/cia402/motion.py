@@ -87,8 +87,9 @@ def configured(node: Node) -> bool:
         node.setup = _plan(node)
     if node.setup or (node.client.job is not None and node.client.job.purpose is Purpose.SETUP):
         return False
-    if node.writing or not node.outlet.ways:
+    if not node.configured:
         _adopt(node)
+        node.configured = True
     return True
 
 
@@ -151,13 +152,14 @@ def _adopt(node: Node) -> None:
     node.outlet.told |= told
 
 
-def wrote(node: Node, key: Key, abort: int | None) -> bool:
+def wrote(node: Node, job: Job, abort: int | None) -> bool:
     """A job of the setup has ended; False if it may not have failed.
 
     A PDO that the device does not let us write stays disabled: what it held goes by SDO."""
+    key = job.key
     if abort is None:
         if key == o.CONSUMER_HEARTBEAT:
-            node.watched = True
+            node.watched = any(job.data or b"")
         return True
     if key[1] == o.INHIBIT and o.TPDO_COMMUNICATION <= key[0] < o.TPDO_MAPPING:
         return True
@@ -203,7 +205,8 @@ def _steer(node: Node, now: Nanos, known: Known, command: Command) -> list[CanFr
         node.hold = position
     node.target = TARGET_OF[operation]
     if power is PowerState.OPERATION_ENABLED:
-        values = values_of(command, operation, known.units, position if node.hold is None else node.hold)
+        resting = node.values.get(o.TARGET_POSITION, position) if node.hold is None else node.hold
+        values = values_of(command, operation, known.units, resting)
         control = int(Demand.ENABLE_OPERATION)
         if operation is Operation.PP and node.has_mode(operation):
             control = _hand(node, now, values)
@@ -307,7 +310,7 @@ def _disarmed(node: Node) -> None:
             return
         if node.setup or (node.client.job is not None and node.client.job.purpose is Purpose.SETUP):
             return
-        node.claimed, node.setup = False, None
+        node.claimed, node.setup, node.configured = False, None, False
     node.insist = None
 
 

@@ -90,6 +90,8 @@ class Node:
         """What it must still be told before it can be armed; None: not planned yet."""
         self.writing: tuple[Pdo, ...] = ()
         """The PDOs that the setup writes."""
+        self.configured = False
+        """All of it is written: set-points may go out, and SYNC."""
         self.watched = False
         """It expects our heartbeat."""
         self.armed = False
@@ -149,7 +151,7 @@ class Node:
         self.told_faults.clear()
         self.outlet = Outlet()
         self.unarm()
-        self.setup, self.writing, self.watched = None, (), False
+        self.setup, self.writing, self.watched, self.configured = None, (), False, False
         self.urgent.clear()
         self.questions.clear()
         self.starts, self.start_next = 0, 0

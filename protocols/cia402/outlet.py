@@ -21,6 +21,8 @@ from protocols.words import MILLISECOND, Nanos
 
 REFRESH = 100 * MILLISECOND
 """An RPDO whose values stay the same is sent again so often, in case one was lost."""
+REWRITE = 20 * MILLISECOND
+"""What moves the motor is written by SDO again so often, whether it has changed or not."""
 OFFSETS = (o.VELOCITY_OFFSET, o.TORQUE_OFFSET)
 
 
@@ -45,6 +47,7 @@ class Outlet:
     """Set-points take effect with SYNC: one round of RPDOs for each."""
     told: Values = field(default_factory=dict)
     """What was last written by SDO, and confirmed."""
+    told_at: dict[Key, Nanos] = field(default_factory=dict)
 
     def configure(self, pdos: Sequence[Pdo]) -> None:
         """Use these PDOs to the device from now on. The one with the controlword goes last."""
@@ -63,12 +66,18 @@ class Outlet:
                 frames.append(CanFrame(way.id, data))
         return frames
 
-    def by_sdo(self, values: Values, target: Key) -> tuple[Key, int] | None:
+    def by_sdo(self, now: Nanos, values: Values, target: Key) -> tuple[Key, int] | None:
         """What is next to be written by SDO; None if everything stands in RPDOs or is there already."""
         for key in (*OFFSETS, target, o.MODE, o.CONTROLWORD):
-            if key in values and key not in self.mapped and self.told.get(key) != values[key]:
-                return key, values[key]
+            if key in values and key not in self.mapped:
+                old = key == target and now >= self.told_at.get(key, now) + REWRITE
+                if old or self.told.get(key) != values[key]:
+                    return key, values[key]
         return None
+
+    def confirm(self, now: Nanos, key: Key, value: int) -> None:
+        """The device has taken a value by SDO."""
+        self.told[key], self.told_at[key] = value, now
 
     def forget(self) -> None:
         """Nothing is known of what the device has taken."""

@@ -230,9 +230,8 @@ def tend(pending: Pending, now: Nanos) -> tuple[list[Event], list[CanFrame]]:
     match request:
         case ClearFault():
             ended, frames = _clear(pending, now)
-        case Estop():
-            if node.insist is None and node.power is not None:
-                ended = [pending.done(now, "it stays in fault until cleared")]
+        case Estop() if node.insist is None and node.power is not None:
+            ended = [pending.done(now, "it stays in fault until cleared")]
         case Reboot() if node.booted_at is not None and node.booted_at > pending.began and pending.stage:
             ended = [pending.done(now, "it has restarted")]
         case Reboot() if now >= pending.next:
