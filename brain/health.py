@@ -4,7 +4,8 @@ Rules. Every source (a motor's feedback, a sensor) is judged by the age of its n
 of that source's own timeout (the robot file's, which is the one place where a timeout stands), and by the
 share of its measurements that perception has rejected. Worse is believed at once, better only after it
 has lasted for `recover`. What stays bad for `give_up` is gone: the tasks are dropped, and when it comes back
-the brain is ready, but does not go on by itself. A motor in fault is gone at once.
+the brain is ready, but does not go on by itself. A motor in fault is gone at once; one that initialises obeys
+nothing yet, whatever it already measures.
 """
 
 from __future__ import annotations
@@ -101,6 +102,8 @@ class Health:
         """What a source says, in a word."""
         self._heard: dict[str, int] = {}
         self._faults: dict[str, str] = {}
+        self._initialising: dict[str, str] = {}
+        """The motors of which their driver does not yet know enough to command them, and what it says."""
         self._bad: Verdict = WELL
         self._bad_at: Nanos | None = None
         self._standing_since: Nanos | None = None
@@ -120,8 +123,9 @@ class Health:
                 self._note(event.sensor, event)
 
     def missing(self) -> str:
-        """What has never been heard, in words; "" if all was."""
+        """What has never been heard or is not ready to be commanded, in words; "" if all is well."""
         parts = [f"feedback of {name}" for name in self._motors if name not in self._last]
+        parts += [f"{name} to initialise" for name in self._initialising if name in self._last]
         parts += [f"a reading of {name}" for name in self._sensors if name not in self._last]
         return ", ".join(parts)
 
@@ -150,6 +154,8 @@ class Health:
             return Verdict(Level.GONE, f"{name} is in fault{self._faults[name]}")
         if name not in self._last:
             return Verdict(Level.STAND, f"{name} was never heard")
+        if name in self._initialising:
+            return Verdict(Level.STAND, f"{name} initialises{self._initialising[name]}")
         if name not in self._timeouts:
             return WELL
         age, timeout = now - self._last[name], self._timeouts[name]
@@ -167,10 +173,11 @@ class Health:
     def _hear_state(self, event: State) -> None:
         if event.motor not in self._motors:
             return
-        if event.mode is Mode.FAULT:
-            self._faults[event.motor] = f": {event.detail}" if event.detail else ""
-        else:
-            self._faults.pop(event.motor, None)
+        for mode, of_mode in ((Mode.FAULT, self._faults), (Mode.INITIALISING, self._initialising)):
+            if event.mode is mode:
+                of_mode[event.motor] = f": {event.detail}" if event.detail else ""
+            else:
+                of_mode.pop(event.motor, None)
 
     def _note(self, name: str, event: Feedback | Imu | LaserScan | Fix) -> None:
         self._last[name] = max(event.t, self._last.get(name, event.t))

@@ -147,6 +147,20 @@ def test_a_motor_in_fault_is_gone_at_once_until_it_says_otherwise() -> None:
     assert health.source(0, "left").level is Level.WELL
 
 
+def test_a_motor_that_initialises_obeys_nothing_yet_though_it_is_heard() -> None:
+    """Of two wheels, one would turn alone."""
+    health = heard()
+    health.hear(
+        [State("right", 0, Mode.INITIALISING, "asking it what it is"), State("other", 0, Mode.INITIALISING)]
+    )
+    assert health.missing() == "right to initialise"
+    verdict = health.judge(0, {})
+    assert (verdict.level, verdict.reason) == (Level.STAND, "right initialises: asking it what it is")
+    health.hear([State("right", 0, Mode.READY)])
+    assert health.missing() == ""
+    assert health.source(0, "right").level is Level.WELL
+
+
 def test_an_old_measurement_that_comes_late_makes_nothing_younger() -> None:
     health = heard()
     health.hear([scan(500 * MILLISECOND), scan(100 * MILLISECOND)])
