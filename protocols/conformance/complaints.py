@@ -24,6 +24,7 @@ from protocols.conformance.trouble import (
     named,
     resting,
     scene,
+    some,
     takeover,
     torque_of,
 )
@@ -52,10 +53,10 @@ def faults_latch(case: Case) -> Verdict:
     if not spec.faults:
         return Inapplicable("the spec lists no faults")
     codes = dice.shuffled(sorted(spec.faults))
-    failure = _each_is_told(case, spec, codes[:SAMPLE])
+    failure = _each_is_told(case, spec, some(case, codes[:SAMPLE]))
     if failure or not kinds_of(spec):
         return failure
-    for code in [code for code in codes if spec.faults[code].latches][:LONG]:
+    for code in some(case, [code for code in codes if spec.faults[code].latches][:LONG]):
         failure = _Story(case, spec, code).tell()
         if failure:
             return failure

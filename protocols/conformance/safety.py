@@ -7,7 +7,9 @@ growing numbers of steps, so that the first that fails is the shortest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeAlias
 
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Said
@@ -22,6 +24,7 @@ from protocols.conformance.trouble import (
     resting,
     scene,
     slack,
+    some,
     takeover,
     torque_of,
 )
@@ -43,6 +46,8 @@ from protocols.words import (
     Zero,
 )
 
+Way: TypeAlias = Callable[[Case, Spec], Failure | None]
+"""A way out of some state; what is wrong with it."""
 ALPHA = NAMES[0]
 PLACES = (0.7, -2.9, 61.3, -417.0)
 """rad where shafts stand: none is zero, nor a whole turn."""
@@ -70,8 +75,8 @@ def begins_where_it_is(case: Case) -> Verdict:
         return Inapplicable("the spec has no range for Feedback.position: the device measures none")
     places = [_within(spec, place) for place in PLACES]
     first = dice.below(len(places))
-    for at, kind in enumerate(kinds_of(spec)):
-        failure = _from(case, spec, kind, places[(first + at) % len(places)])
+    for at, kind in some(case, list(enumerate(kinds_of(spec), first))):
+        failure = _from(case, spec, kind, places[at % len(places)])
         if failure:
             return failure
     return None
@@ -161,19 +166,11 @@ def idle_disarms(case: Case) -> Verdict:
     spec = case.spec
     if Idle not in spec.commands or not kinds_of(spec):
         return Inapplicable("the spec lists no Idle, or nothing that arms")
-    for failure in _ways_out(case, spec):
+    for way in (_cut_short, *some(case, [*_while_moving(spec), *_while_lost(spec), _stop_of_another])):
+        failure = way(case, spec)
         if failure:
             return failure
     return None
-
-
-def _ways_out(case: Case, spec: Spec) -> Iterator[Failure | None]:
-    yield _cut_short(case, spec)
-    for path in _paths(spec):
-        yield _while_moving(case, spec, path)
-    for up, down in ((False, True), (True, False), (False, False)):
-        yield _while_lost(case, spec, up, down)
-    yield _stop_of_another(case, spec)
 
 
 def _cut_short(case: Case, spec: Spec) -> Failure | None:
@@ -183,7 +180,7 @@ def _cut_short(case: Case, spec: Spec) -> Failure | None:
         return on.failure(f"is not heard to be ready in {ARMING} ms")
     first = case.dice().below(2)
     tries = [(cut, kind) for i, cut in enumerate(CUTS) for j, kind in enumerate(kinds) if (i + j + first) % 2]
-    for cut, kind in tries:
+    for cut, kind in some(case, tries):
         failure = _cut(on, spec, kind, cut)
         if failure:
             fresh = scene(case)
@@ -211,8 +208,11 @@ def _paths(spec: Spec) -> list[tuple[str, list[Words]]]:
     ]
 
 
-def _while_moving(case: Case, spec: Spec, path: tuple[str, list[Words]]) -> Failure | None:
-    name, words = path
+def _while_moving(spec: Spec) -> list[Way]:
+    return [partial(_out_of_motion, name, words) for name, words in _paths(spec)]
+
+
+def _out_of_motion(name: str, words: list[Words], case: Case, spec: Spec) -> Failure | None:
     on = _in_motion(case, spec)
     if isinstance(on, Failure):
         return on
@@ -235,7 +235,11 @@ def _in_motion(case: Case, spec: Spec) -> Scene | Failure:
     return on
 
 
-def _while_lost(case: Case, spec: Spec, up: bool, down: bool) -> Failure | None:
+def _while_lost(_: Spec) -> list[Way]:
+    return [partial(_lossy, up, down) for up, down in ((False, True), (True, False), (False, False))]
+
+
+def _lossy(up: bool, down: bool, case: Case, spec: Spec) -> Failure | None:
     """What the device says, or the first that it is told, is lost from the moment when Idle is said."""
     on = _in_motion(case, spec)
     if isinstance(on, Failure):

@@ -8,8 +8,9 @@ still speaks. What our own host sends, given back by the bus, is no sign of life
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
+from functools import partial
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
@@ -25,6 +26,7 @@ from protocols.conformance.trouble import (
     resting,
     scene,
     slack,
+    some,
     torque_of,
 )
 from protocols.plugin import Device, FeedbackKind, Spec, Watchdog
@@ -64,12 +66,14 @@ def silence_trips(case: Case) -> Verdict:
         off = "the spec's watchdog has no timeout, or is off, and no setting switches it on"
         return Inapplicable(off)
     dog = _dog(case, settings)
-    trips = [_host_dies(case, settings, dog)]
-    if dog.fed_by != "any wire":
-        trips.append(_nothing_said(case, settings, dog))
-    if dog.fed_by == "its commands":
-        trips.append(_others_fed(case, settings, dog))
-    return next(filter(None, trips), None)
+    trips = [_host_dies]
+    trips += [_nothing_said] if dog.fed_by != "any wire" else []
+    trips += [_others_fed] if dog.fed_by == "its commands" else []
+    for trip in some(case, trips):
+        failure = trip(case, settings, dog)
+        if failure:
+            return failure
+    return None
 
 
 def _dog(case: Case, settings: object) -> Watchdog:
@@ -225,12 +229,13 @@ def silence_blinds(case: Case) -> Verdict:
         return Inapplicable("the spec's kind is sensor: it has no joint that could be blind")
     if spec.feedback is FeedbackKind.NONE:
         return Inapplicable("the spec says that the device gives no feedback")
-    kind = kinds_of(spec)[0] if kinds_of(spec) else None
-    return (
-        _never_there(case)
-        or _falls_silent(case, None)
-        or (_falls_silent(case, kind) if kind is not None else None)
-    )
+    tries: list[Callable[[Case], Failure | None]] = [_never_there, partial(_falls_silent, None)]
+    tries += [partial(_falls_silent, kind) for kind in kinds_of(spec)[:1]]
+    for falls in some(case, tries):
+        failure = falls(case)
+        if failure:
+            return failure
+    return None
 
 
 def _never_there(case: Case) -> Failure | None:
@@ -242,7 +247,7 @@ def _never_there(case: Case) -> Failure | None:
     return _silent(on, on.now, (), "a device that is not there")
 
 
-def _falls_silent(case: Case, kind: type[Command] | None) -> Failure | None:
+def _falls_silent(kind: type[Command] | None, case: Case) -> Failure | None:
     """Alpha speaks, falls silent, is turned by hand, and speaks again; armed by this command, or not."""
     on, spec, words = scene(case, 2), case.spec, list[Command]()
     if not on.ready():

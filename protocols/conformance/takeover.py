@@ -20,6 +20,7 @@ from protocols.conformance.trouble import (
     resting,
     scene,
     slack,
+    some,
     takeover,
     torque_of,
 )
@@ -128,6 +129,7 @@ def _takes_over(on: Scene, kind: type[Command], given: float) -> Failure | None:
     word = resting(kind, on.spec, ALPHA, on.measured.get(ALPHA, place))
     on.host.other = None
     on.obeyed.clear()
+    on.faults.clear()  # two hosts on one bus may well be complained of
     limp = 0
     for at in range(2 * SETTLE):
         said = on.step([word])
@@ -141,7 +143,7 @@ def _takes_over(on: Scene, kind: type[Command], given: float) -> Failure | None:
         elif shaft.position - place > room:
             wrong = f"the shaft sags by {shaft.position - place:.3g} rad"
         elif on.mode() is not Mode.ARMED or on.faults:
-            wrong = f"the driver tells {on.mode()}"
+            wrong = f"the driver tells {on.faults[0].name if on.faults else on.mode()}"
         if wrong:
             return on.failure(f"a fresh driver takes over with {kind.__name__}; {at} ms later {wrong}")
     return None
@@ -154,7 +156,11 @@ def scan_only_looks(case: Case) -> Verdict:
     """Scan finds the devices, with read-only wires; what runs runs on, what is in fault stays in fault."""
     if Scan not in case.spec.requests:
         return Inapplicable("the spec lists no request Scan")
-    return _scan_fresh(case) or (_scan_running(case) if _holding(case.spec) else None)
+    for scan in some(case, [_scan_fresh, *([_scan_running] if _holding(case.spec) else [])]):
+        failure = scan(case)
+        if failure:
+            return failure
+    return None
 
 
 def _scan_fresh(case: Case) -> Failure | None:

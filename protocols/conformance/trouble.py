@@ -2,7 +2,8 @@
 
 Rules. A `Scene` is a rehearsal that keeps what a failure must show: the words that were said, one of each
 run of a kind, and the last wires that a device obeyed. Trouble is put between driver and twin, never into
-them. Everything polls: a scene goes on until a condition holds or a bound is reached.
+them. Everything polls: a scene goes on until a condition holds or a bound is reached. What a clause tries
+is tried whole with the plugin's usual options, and in part with each other value of an option (`some`).
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
+from zlib import crc32
 
 from protocols.conformance import rehearsal as play
 from protocols.conformance.case import Case, Failure, by_name
 from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Rehearsal, Said
-from protocols.plugin import Driver, Range, Spec, Tally, Twin
+from protocols.plugin import Device, Driver, Range, Spec, Tally, Twin
 from protocols.wire import BusState, Wire
 from protocols.words import (
     Command,
@@ -38,6 +40,9 @@ from protocols.words import (
 Words: TypeAlias = Sequence[Command | Request]
 Saying: TypeAlias = Callable[[int], Words]
 """What is said, by the number of the step."""
+T = TypeVar("T")
+PART = 3
+"""With options beside the usual ones, one in so many of the tries is made."""
 SPEED = 2.0
 """rad/s at which shafts are turned."""
 SLACK = 0.01
@@ -284,6 +289,16 @@ def takeover(case: Case, before: Scene) -> Scene:
     host = Host(case.plugin.driver(stage.devices))
     stage.driver = host
     return Scene(stage, host, before.cables, said=before.said)
+
+
+def some(case: Case, items: Sequence[T]) -> list[T]:
+    """All of these with the plugin's usual options; with each other value of an option, some of them by the
+    seed. (Where the usual options make a device of another kind, all of them too.)"""
+    usual = Device(NAMES[0], case.addresses[0], case.plugin.options(), case.plugin.settings())
+    if case.usual or case.plugin.spec(usual).kind != case.spec.kind:
+        return list(items)
+    first = crc32(f"{case.seed} {case.options}".encode()) % PART
+    return list(items[first::PART]) or list(items[:1])
 
 
 # -- words ---------------------------------------------------------------------------------------------
