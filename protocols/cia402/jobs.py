@@ -1,8 +1,9 @@
 """Which object of a device is next to be read or written by SDO, and when.
 
-Rules. One transfer at a time per device; what presses most goes first, and set-points take turns with
-feedback. What a TPDO tells is not asked for. Nothing is written to a device that was not commanded, but for
-what an operator asks. Every question has a period, whether it is answered or not.
+Rules. One transfer at a time per device; what presses most goes first. Set-points take turns with feedback,
+and so does what is read of a device at first. What a TPDO tells is not asked for. Nothing is written to a
+device that was not commanded, but for what an operator asks. Every question has a period, whether it is
+answered or not.
 """
 
 from __future__ import annotations
@@ -51,15 +52,16 @@ def next_job(node: Node, now: Nanos) -> Job | None:
     if setpoint is not None and (poll is None or not node.took_turn):
         node.took_turn = True
         return setpoint
-    node.took_turn = False
+    turn_taken, node.took_turn = node.took_turn, False
     if node.questions:
         return node.questions.pop(0)
+    key = node.next_key()
+    if key is not None and (poll is None or not turn_taken):
+        node.took_turn = True
+        return Job(Purpose.READING, key)
     if poll is not None:
         node.asked[poll] = now
         return Job(Purpose.POLL, poll)
-    key = node.next_key()
-    if key is not None:
-        return Job(Purpose.READING, key)
     if now >= node.roll_call and node.heard_at is not None:
         node.roll_call = now + (ROLL_CALL_AGAIN if client.doubled or client.repeated else ROLL_CALL)
         return Job(Purpose.ROLL_CALL, o.DEVICE_TYPE if o.SERIAL_NUMBER in node.absent else o.SERIAL_NUMBER)
