@@ -52,6 +52,8 @@ PROTOCOL = "cia402"
 WAITING = 32
 """Requests under way at once."""
 PDO_IDS = range(0x180, SDO_TX_BASE)
+SMALLEST = 2.0**-126
+"""Less than the smallest normal binary32 is nothing."""
 
 
 class Cia402Driver:
@@ -86,7 +88,7 @@ class Cia402Driver:
         function, address = wire.id & ~NODE_MASK, wire.id & NODE_MASK
         node = self.nodes.get(address)
         if node is None:
-            return self._overhear(function, address, wire)
+            return self._overhear(t, function, address, wire)
         if function == SDO_TX_BASE:
             return self._hear_sdo(t, node, wire)
         if function in (EMCY_BASE, HEARTBEAT_BASE):
@@ -113,10 +115,10 @@ class Cia402Driver:
                 return self._counted(node.hear_emcy(t, emcy))
         return self._counted(None)
 
-    def _overhear(self, function: int, address: int, wire: CanFrame) -> list[Event]:
+    def _overhear(self, t: Nanos, function: int, address: int, wire: CanFrame) -> list[Event]:
         """A node that is not in the robot file: only a scan listens to it."""
         answer = sdo.decode_answer(wire.data) if function == SDO_TX_BASE and self._scan is not None else None
-        if answer is not None and self._scan is not None and self._scan.hear(address, answer):
+        if answer is not None and self._scan is not None and self._scan.hear(t, address, answer):
             self.tally.heard += 1
         else:
             self.tally.foreign += 1
@@ -191,7 +193,7 @@ class Cia402Driver:
             node.roll_call = min(node.roll_call, t)
         if node.client.doubled < DOUBLED:
             return []
-        return self._held_twice(t, node, "every question is answered twice")
+        return self._held_twice(t, node, "every question is answered twice (by two devices, or to two hosts)")
 
     def _contradiction(self, t: Nanos, node: Node) -> list[Event]:
         """Heartbeats that say A B A B come from two devices."""
@@ -306,7 +308,7 @@ class Cia402Driver:
                 return f"{name} is {value}"
             allowed = ranges.get(f"{kind}.{name}")
             if allowed is None:
-                if value:
+                if abs(value) >= SMALLEST:
                     return f"the drive has no {name} for {kind}"
             elif not allowed.low <= value <= allowed.high:
                 return f"{name} {value:.6g} lies outside {allowed.low:.6g} … {allowed.high:.6g}"

@@ -36,6 +36,8 @@ class Scanner:
     next: Nanos
     at: int = 1
     """The node id that is asked next."""
+    asked: dict[int, Nanos] = field(default_factory=dict)
+    """When each node id was asked last."""
     found: dict[int, dict[Key, int | None]] = field(default_factory=dict)
     """What was asked of whom: None is not answered yet, -1 was refused."""
     ask: list[tuple[int, Key]] = field(default_factory=list)
@@ -54,18 +56,25 @@ class Scanner:
             self.ends = now + PATIENCE
         elif self.ends is None:
             self.ends = now
+        self.asked |= {node: now for node, _ in questions}
         return [CanFrame(sdo_rx_id(node), sdo.encode(sdo.Upload(*key))) for node, key in questions]
 
-    def hear(self, node: int, answer: sdo.Answer) -> bool:
+    def hear(self, t: Nanos, node: int, answer: sdo.Answer) -> bool:
         """An answer of a node that nobody has in the robot file; False if it was not asked for."""
-        if not isinstance(answer, sdo.Uploaded | sdo.Abort) or node in self.own or node >= self.at:
+        late = t > self.asked.get(node, t - 2 * PATIENCE) + PATIENCE
+        if late or not isinstance(answer, sdo.Uploaded | sdo.Abort):
             return False
-        key, known = (answer.index, answer.sub), self.found.setdefault(node, {})
-        if key != o.DEVICE_TYPE and known.get(key, 0) is not None:
-            return False
-        if key == o.DEVICE_TYPE and key in known:
+        key = answer.index, answer.sub
+        known = self.found.get(node)
+        if known is None:
+            if key != o.DEVICE_TYPE:
+                return False
+            known = self.found[node] = {}
+        elif key == o.DEVICE_TYPE:
             self.twice.add(node)
             return True
+        elif known.get(key, 0) is not None:
+            return False
         known[key] = -1 if isinstance(answer, sdo.Abort) else int.from_bytes(answer.data, "little")
         missing = next((k for k in IDENTITY if k not in known), None)
         if missing is not None:
