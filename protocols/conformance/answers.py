@@ -1,0 +1,252 @@
+"""Requests are answered: each once, under its own name, with a reason if it is refused, and in whole words.
+
+Rules. Asked are the requests that the spec lists, of alpha, then of alpha and beta at once, and those that it
+does not list, which must be refused. Parameters have the names that the ear hears in the plugin's vectors. A
+word is whole if each of its fields is of the kind that `protocols.words` declares, if it is about a device
+that there is, and if its time has come.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from enum import Enum
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from protocols.conformance import rehearsal as play
+from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
+from protocols.conformance.rehearsal import NAMES, START, Rehearsal, Said
+from protocols.plugin import Device
+from protocols.vectors import vectors_of
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    ClearFault,
+    Done,
+    Estop,
+    Found,
+    Home,
+    Nanos,
+    Parameter,
+    ReadParameter,
+    Reboot,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    Word,
+    WriteParameter,
+    Zero,
+)
+
+ALPHA = NAMES[0]
+KNOWN = 1200
+"""Steps after which a driver knows its devices."""
+PATIENCE = 8000
+"""Steps in which a request must be answered, but for Home, which may take a way."""
+AFTER = 60
+"""Steps in which nothing may be answered a second time."""
+NOBODY = 987_654_321
+"""A serial number that no device has."""
+SPARED = (Scan, ReadParameter, ClearFault, Estop)
+"""What may be done without a word to a device, since nothing is in fault or moves, or in other words."""
+LINE_REQUESTS = (Scan, SetId)
+MOTOR_REQUESTS = (ClearFault, Estop, Zero, Home, Reboot)
+ALL_REQUESTS = (*LINE_REQUESTS, *MOTOR_REQUESTS, ReadParameter, WriteParameter)
+
+
+def requests_are_answered(case: Case) -> Verdict:
+    """Each request has one answer; all that is told and heard is whole."""
+    for said in case.day:
+        for word in (*said.events, *said.heard):
+            if wrong := broken(word, said.now):
+                return Failure(wrong, said.down, (word,))
+    if not case.spec.requests:
+        return Inapplicable("the spec lists no requests")
+    stage = case.start()
+    stage.steps(KNOWN)
+    found: list[Found] = []
+    for words in _asked(case, found):
+        failure = _answered(stage, words, found, case)
+        if failure:
+            return failure
+    return None
+
+
+def _asked(case: Case, found: list[Found]) -> Iterator[tuple[Request, ...]]:
+    """What is asked in one step each; `found` fills while this goes on."""
+    listed, names = case.spec.requests, [*parameters(case), "no such parameter"]
+    for kind in (kind for kind in ALL_REQUESTS if kind not in listed):
+        yield (_request(kind, ALPHA),)
+    if Scan in listed:
+        yield (Scan("bus"),)
+    if ReadParameter in listed:
+        yield from ((ReadParameter(ALPHA, name),) for name in names)
+        yield tuple(ReadParameter(name, names[0]) for name in NAMES)
+    if SetId in listed:
+        yield (SetId("bus", NOBODY, 9),)
+        serials = [word.serial for word in found if word.address == case.addresses[0]]
+        yield from ((SetId("bus", serial, case.addresses[0]),) for serial in serials[:1] if serial)
+    for kind in (kind for kind in by_name(listed) if kind in MOTOR_REQUESTS and kind is not Reboot):
+        yield (_request(kind, ALPHA),)
+        yield tuple(_request(kind, name) for name in NAMES)
+    if WriteParameter in listed:
+        yield from ((WriteParameter(ALPHA, name, value),) for name in names for value in (1.0, math.nan))
+    if Reboot in listed:
+        yield (Reboot(ALPHA),)
+
+
+def _request(kind: type[Request], motor: str) -> Request:
+    word = play.request(kind, motor)
+    return WriteParameter(motor, "no such parameter", 1.0) if word is None else word
+
+
+def parameters(case: Case) -> list[str]:
+    """The names of parameters that an ear hears in the plugin's vectors, whichever device they are to."""
+    names: dict[str, None] = {}
+    listeners = list(_listeners(case))
+    for vector in vectors_of(case.plugin):
+        wire = vector.wire
+        if vector.direction == "to_device" and not vector.wrong:
+            serial = not isinstance(wire, CanFrame)
+            meant = [
+                device for sends, device in listeners if not isinstance(wire, CanFrame) or wire.id in sends
+            ]
+            for device in meant[: 16 if serial else 1]:
+                heard = case.plugin.ear([device]).hear(START, wire)
+                names.update(
+                    (w.parameter, None) for w in heard if isinstance(w, ReadParameter | WriteParameter)
+                )
+    return sorted(names)
+
+
+def _listeners(case: Case) -> Iterator[tuple[frozenset[int], Device]]:
+    """A device at each address that there is, and the ids that are sent to it."""
+    for address in range(256):
+        device = Device(ALPHA, address, case.options, case.plugin.settings())
+        try:
+            yield case.plugin.spec(device).sends, device
+        except ValueError:
+            continue
+
+
+# -- one round ------------------------------------------------------------------------------------------
+
+
+def _answered(stage: Rehearsal, words: tuple[Request, ...], found: list[Found], case: Case) -> Failure | None:
+    """None if each of these requests, said in one step, is answered once, and nothing else is."""
+    open_, wires, heard = list(words), list[Wire](), list[Word]()
+    for count in range(PATIENCE):
+        said = stage.step(words if count == 0 else ())
+        wires += [*said.down, *said.up] if len(wires) < 4 else []
+        heard += said.heard
+        found += [event for event in said.events if isinstance(event, Found)]
+        failure = _sorted_out(said, open_, words, case) or _unsaid(said, words, heard)
+        if failure:
+            return failure
+        if not open_:
+            break
+    late = [word for word in open_ if not isinstance(word, Home)]
+    if late:
+        return Failure(f"not answered in {PATIENCE} ms", tuple(wires[:4]), tuple(late[:1]))
+    for said in stage.steps(AFTER):
+        failure = _sorted_out(said, [], words, case)
+        if failure:
+            return failure
+    return None
+
+
+def _sorted_out(said: Said, open_: list[Request], words: Sequence[Request], case: Case) -> Failure | None:
+    """Take what is answered in a step out of what is open."""
+    for event in said.events:
+        if wrong := broken(event, said.now):
+            return Failure(wrong, said.down, (*words, event))
+        if not isinstance(event, Done | Refused | Parameter):
+            continue
+        answered = next((word for word in open_ if answers(event, word)), None)
+        if answered is None:
+            return Failure(
+                "an answer to what nobody has asked, or a second one", said.up[:2], (*words, event)
+            )
+        if type(answered) not in case.spec.requests and not isinstance(event, Refused):
+            text = f"the spec does not list {type(answered).__name__}, and yet it is not refused"
+            return Failure(text, said.down, (answered, event))
+        open_.remove(answered)
+    return None
+
+
+def _unsaid(said: Said, words: Sequence[Request], heard: Sequence[Word]) -> Failure | None:
+    """A request to a device that is done, though no ear has heard it."""
+    for event in said.events:
+        for word in words if isinstance(event, Done) else ():
+            if isinstance(word, SPARED) or not answers(event, word):
+                continue
+            if not any(_meant(word, each) for each in heard):
+                return Failure("done, and yet the ear has not heard it", said.down, (word, event))
+    return None
+
+
+def _meant(said: Request, heard: Word) -> bool:
+    """Whether what an ear heard is what was said; a bus has no name on the wire."""
+    if isinstance(said, WriteParameter) and isinstance(heard, WriteParameter):
+        same = (said.motor, said.parameter) == (heard.motor, heard.parameter)
+        return same and math.isclose(said.value, heard.value, rel_tol=1e-6, abs_tol=1e-6)
+    if isinstance(said, SetId) and isinstance(heard, SetId):
+        return (said.serial, said.address) == (heard.serial, heard.address)
+    return said == heard
+
+
+def answers(event: Done | Refused | Parameter, word: Request) -> bool:
+    """Whether an event is an answer to this request."""
+    about = getattr(word, "motor", getattr(word, "bus", ""))
+    if isinstance(event, Parameter):
+        return isinstance(word, ReadParameter) and (event.motor, event.parameter) == (about, word.parameter)
+    return event.request == type(word).__name__ and event.name == about
+
+
+# -- whole words ----------------------------------------------------------------------------------------
+
+
+def broken(word: Word, now: Nanos) -> str:
+    """What is wrong with the form of a word that was told or heard at `now`, or ""."""
+    hints = _hints(type(word))
+    for f in fields(word):
+        value = getattr(word, f.name)
+        if not _fits(value, hints[f.name]):
+            return f"{f.name} is {value!r}, and should be {_said(hints[f.name])}"
+    for name in ("motor", "sensor"):
+        if getattr(word, name, ALPHA) not in NAMES:
+            return f"there is no {name} of this name"
+    time = getattr(word, "t", now)
+    if not START <= time <= now:
+        return f"its time is {time}; it was told at {now}, and nothing was before {START}"
+    if isinstance(word, Refused) and not word.reason.strip():
+        return "refused without a reason"
+    if isinstance(word, Done | Refused) and word.request not in {kind.__name__ for kind in ALL_REQUESTS}:
+        return "an answer to no request that there is"
+    return ""
+
+
+@cache
+def _hints(kind: type[Word]) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _fits(value: object, hint: Any) -> bool:  # noqa: ANN401 -- any annotation
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, part) for part in parts)
+    if origin is tuple:
+        if not isinstance(value, tuple) or (parts[-1] is not Ellipsis and len(value) != len(parts)):
+            return False
+        return all(_fits(item, parts[0]) for item in value)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return isinstance(value, hint)
+    return type(value) is hint
+
+
+def _said(hint: Any) -> str:  # noqa: ANN401 -- any annotation
+    parts = [part.__name__ for part in get_args(hint) if part is not NoneType and isinstance(part, type)]
+    return " or ".join(parts) or str(getattr(hint, "__name__", hint))

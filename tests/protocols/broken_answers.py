@@ -1,0 +1,98 @@
+"""Plugins that are broken on purpose: requests without an answer, with two, and words that are not whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from protocols.plain.driver import PlainDriver
+from protocols.plain.ear import PlainEar
+from protocols.plugin import Plugin
+from protocols.wire import Wire
+from protocols.words import Command, Done, Event, Nanos, Parameter, Refused, Request, WriteParameter
+from tests.protocols.broken import Sent, motors
+
+
+class Alters(PlainDriver):
+    """A driver whose events are altered on their way up."""
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        return [each for event in super().receive(t, wire) for each in self.altered(event)]
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
+        events, wires = super().send(now, words)
+        return [each for event in events for each in self.altered(event)], wires
+
+    def altered(self, event: Event) -> Sequence[Event]:
+        return [event]
+
+
+class AnswersTwice(Alters):
+    """Says of a parameter what it is, and then that this is done."""
+
+    def altered(self, event: Event) -> Sequence[Event]:
+        if isinstance(event, Parameter):
+            return [event, Done(event.t, "ReadParameter", event.motor)]
+        return [event]
+
+
+class RefusesWithoutReason(Alters):
+    """Says no, and not why."""
+
+    def altered(self, event: Event) -> Sequence[Event]:
+        return [replace(event, reason=" ") if isinstance(event, Refused) else event]
+
+
+class DoesNotRefuse(Alters):
+    """Lets the question of an unknown parameter fall."""
+
+    def altered(self, event: Event) -> Sequence[Event]:
+        return [] if isinstance(event, Refused) and event.request == "ReadParameter" else [event]
+
+
+class AnswersForNobody(Alters):
+    """Does not say whose request was done."""
+
+    def altered(self, event: Event) -> Sequence[Event]:
+        return [replace(event, name="") if isinstance(event, Done) and event.request == "Zero" else event]
+
+
+class TellsText(Alters):
+    """The value of a parameter as a text."""
+
+    def altered(self, event: Event) -> Sequence[Event]:
+        value: Callable[[float], float] = str  # type: ignore[assignment]  # what an untyped plugin may do
+        return [replace(event, value=value(event.value)) if isinstance(event, Parameter) else event]
+
+
+class OnlySaysDone(Alters):
+    """What is to be written is never sent, and yet done."""
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
+        events, wires = super().send(now, [w for w in words if not isinstance(w, WriteParameter)])
+        written = [w for w in words if isinstance(w, WriteParameter)]
+        return [*events, *(Done(now, "WriteParameter", w.motor) for w in written)], wires
+
+
+class NoName(PlainEar):
+    """The ear hears words for nobody."""
+
+    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+        words = super().hear(t, wire)
+        return [replace(w, parameter=None) if isinstance(w, WriteParameter) else w for w in words]  # type: ignore[arg-type]  # as above
+
+
+def _driver(kind: type[PlainDriver]) -> Plugin:
+    return replace(motors, name=kind.__name__, driver=kind)
+
+
+BROKEN_ANSWERS: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
+    (_driver(AnswersTwice), ("answers",)),
+    (_driver(RefusesWithoutReason), ("answers",)),
+    (_driver(DoesNotRefuse), ("answers",)),
+    (_driver(AnswersForNobody), ("answers",)),
+    (_driver(TellsText), ("answers",)),
+    (_driver(OnlySaysDone), ("answers",)),
+    (replace(motors, name=NoName.__name__, ear=NoName), ("answers",)),
+)
+"""Each with all the clauses that find it."""
