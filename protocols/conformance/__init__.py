@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown, variants
+from protocols.conformance.checksums import bad_checksums_change_nothing
 from protocols.conformance.complaints import faults_latch
 from protocols.conformance.manners import (
     nothing_non_finite,
@@ -25,13 +26,18 @@ from protocols.conformance.manners import (
     strangers_change_nothing,
     unclaimed_is_read_only,
 )
+from protocols.conformance.normal import only_normal_numbers
+from protocols.conformance.obeyed import ear_and_twin_agree
 from protocols.conformance.rehearsal import ADDRESSES
+from protocols.conformance.replies import one_stalls_no_other
 from protocols.conformance.safety import begins_where_it_is, idle_disarms
 from protocols.conformance.silence import silence_blinds, silence_trips
 from protocols.conformance.state import copies_go_on, same_in_same_out
 from protocols.conformance.survival import commands_survive, measurements_survive
 from protocols.conformance.takeover import load_is_kept, scan_only_looks
 from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
+from protocols.conformance.twice import held_twice_is_noticed
+from protocols.conformance.vouched import motion_is_vouched_for
 from protocols.plugin import Plugin
 from protocols.wire import Wire
 from protocols.words import Word
@@ -70,6 +76,12 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("faults", "faults are told with their text, latch, and go by ClearFault alone", faults_latch),
     Clause("attach", "a fresh driver takes a device over without dropping its load", load_is_kept),
     Clause("scan", "discovery finds the devices, and neither enables nor clears", scan_only_looks),
+    Clause("normal", "−0.0 and denormals are said and told as 0.0", only_normal_numbers),
+    Clause("checksums", "a message in which a bit is wrong changes nothing", bad_checksums_change_nothing),
+    Clause("obeyed", "the device does what its ear hears, and nothing else", ear_and_twin_agree),
+    Clause("twice", "an address that two devices hold is noticed", held_twice_is_noticed),
+    Clause("replies", "a reply lost, late, doubled or out of order stalls nobody else", one_stalls_no_other),
+    Clause("vectors", "each message that moves a motor has an independent vector", motion_is_vouched_for),
 )
 
 Outcome = Literal["passed", "failed", "not applicable"]

@@ -20,7 +20,7 @@ from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, sho
 from protocols.conformance.rehearsal import NAMES, STEP, Rehearsal
 from protocols.conformance.trouble import kinds_of, liveliest, resting
 from protocols.plugin import Ear, Twin
-from protocols.wire import CanFrame, Wire
+from protocols.wire import Wire
 from protocols.words import (
     ClearFault,
     Command,
@@ -45,7 +45,7 @@ PLACE = 0.75
 LISTENED = 1200
 """Steps after which a driver knows its devices."""
 SILENT = 150
-"""Wires without a word that are tried in each state, ..."""
+"""Wires without a word that are tried in each state, as many of each message, ..."""
 HEARD = 6
 """... and wires with words, of each kind of word."""
 EACH = 3
@@ -87,7 +87,7 @@ def ear_and_twin_agree(case: Case) -> Verdict:
         return Inapplicable("the spec lists no commands: the device obeys nothing that moves")
     samples = _samples(case)
     for state in _states(case):
-        silent, heard = _sorted_by_ear(state, samples)
+        silent, heard = _sorted_by_ear(case, state, samples)
         failure = _undone(state, silent) or _done(case, state, heard)
         if failure:
             return failure
@@ -95,15 +95,11 @@ def ear_and_twin_agree(case: Case) -> Verdict:
 
 
 def _samples(case: Case) -> list[Wire]:
-    real = noise.conversation(case)
-    said = [wire for wire in real if isinstance(wire, bytes) or wire.id in case.sends]
-    dice = case.dice()
-    mutated = [
-        play.with_data(wire, noise.damaged(play.data_of(wire), dice))
-        for wire in (*said, *said)
-        if len(said) < 500 and noise.sealed(case, wire)
-    ]
-    return [*real, *mutated, *noise.wires(case, 150)]
+    """Wires of both directions, at least one of each message to a device; damaged ones; random ones."""
+    named = {tuple(case.plugin.messages(wire)): wire for said in case.day for wire in reversed(said.down)}
+    said, dice = [*named.values(), *noise.conversation(case)], case.dice()
+    mutated = [play.with_data(wire, noise.damaged(play.data_of(wire), dice)) for wire in said]
+    return [*said, *mutated, *noise.wires(case, 150)]
 
 
 # -- states --------------------------------------------------------------------------------------------
@@ -142,25 +138,32 @@ def _caught(title: str, stage: Rehearsal, words: Sequence[Command]) -> _State:
     """The devices as they are, and what the host goes on to say to them."""
     ear, twins, now = copy.deepcopy(stage.ear), copy.deepcopy(stage.twins), stage.now
     modes = {stage.armed.get(name) for name in NAMES}
-    down = tuple(stage.step(words).down for _ in range(SILENT // EACH + ANSWERED + WATCHED))
+    down = tuple(stage.step(words).down for _ in range(2 * SILENT // EACH + ANSWERED + WATCHED))
     return _State(title, ear, tuple(twins), now, down, Mode.ARMED in modes, title == "in fault")
 
 
-def _sorted_by_ear(state: _State, samples: Sequence[Wire]) -> tuple[list[Wire], list[Wire]]:
-    """Wires of which the ear makes nothing, after those before; and wires in which it hears a word."""
-    ear, silent, heard = copy.deepcopy(state.ear), list[Wire](), dict[tuple[str, ...], list[Wire]]()
+def _sorted_by_ear(case: Case, state: _State, samples: Sequence[Wire]) -> tuple[list[Wire], list[Wire]]:
+    """Wires of which the ear makes nothing, one after the other; and wires in which it hears a word."""
+    silent: dict[tuple[str, ...], list[Wire]] = {}
+    heard: dict[tuple[str, ...], list[Wire]] = {}
     for wire in samples:
-        trial = copy.deepcopy(ear)
-        words = trial.hear(state.now, wire)
-        if not words:
-            silent.append(wire)
-            ear = trial
-        elif isinstance(wire, CanFrame) or list(copy.deepcopy(state.ear).hear(state.now, wire)) == list(
-            words
-        ):
+        words = copy.deepcopy(state.ear).hear(state.now, wire)
+        if words:
             heard.setdefault(tuple(type(word).__name__ for word in words), []).append(wire)
-    some = [wire for wires in heard.values() for wire in wires[:: max(len(wires) // HEARD, 1)][:HEARD]]
-    return silent[:: max(len(silent) // SILENT, 1)][:SILENT], some
+        else:
+            silent.setdefault(tuple(case.plugin.messages(wire)), []).append(wire)
+    ear, series = copy.deepcopy(state.ear), list[Wire]()
+    for wire in _some(silent, max(SILENT // max(len(silent), 1), 3)):
+        trial = copy.deepcopy(ear)
+        if not trial.hear(state.now, wire):  # what was heard before may have changed what it makes of this
+            ear = trial
+            series.append(wire)
+    return series, _some(heard, HEARD)
+
+
+def _some(kinds: dict[tuple[str, ...], list[Wire]], most: int) -> list[Wire]:
+    """At most so many of each kind."""
+    return [wire for wires in kinds.values() for wire in wires[:: max(len(wires) // most, 1)][:most]]
 
 
 def _run(state: _State, extra: Sequence[Sequence[Wire]], at: int, count: int, fed: bool) -> _Run:
@@ -169,7 +172,10 @@ def _run(state: _State, extra: Sequence[Sequence[Wire]], at: int, count: int, fe
     torques, up = [], []
     for step in range(count):
         now += STEP
-        for wire in (*(extra[step] if step < len(extra) else ()), *(state.down[step] if fed else ())):
+        for wire in (
+            *(extra[step] if step < len(extra) else ()),
+            *(state.down[step] if fed and step < len(state.down) else ()),
+        ):
             twin.receive(now, wire)
         shown: list[Event] = [Feedback(name, now, PLACE, 0.0)]
         given, wires = twin.step(now, shown)
@@ -187,7 +193,7 @@ def _undone(state: _State, silent: Sequence[Wire]) -> Failure | None:
             continue
 
         def fails(wires: Sequence[Wire], at: int = at) -> bool:
-            return bool(_goes_astray(state, wires, at))
+            return _unheard(state, wires) and bool(_goes_astray(state, wires, at))
 
         few = play.fewest(silent, fails)
         text = f"{NAMES[at]}, {state.title}: the ear hears no word, and yet {_goes_astray(state, few, at)}"
@@ -217,10 +223,15 @@ def _goes_astray(state: _State, wires: Sequence[Wire], at: int) -> str:
 
 def _plainest(state: _State, wire: Wire, at: int) -> Wire:
     def fails(other: Wire) -> bool:
-        silent = not list(copy.deepcopy(state.ear).hear(state.now, other))
-        return silent and bool(_goes_astray(state, [other], at))
+        return _unheard(state, [other]) and bool(_goes_astray(state, [other], at))
 
     return play.shortest(wire, fails) if fails(wire) else wire
+
+
+def _unheard(state: _State, wires: Sequence[Wire]) -> bool:
+    """Whether the ear hears no word in these, one after the other."""
+    ear = copy.deepcopy(state.ear)
+    return not any(list(ear.hear(state.now, wire)) for wire in wires)
 
 
 # -- what is heard -------------------------------------------------------------------------------------

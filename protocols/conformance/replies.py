@@ -126,6 +126,10 @@ class _Fortune:
     gap: int
     """The longest between two measurements."""
     answered: int | None
+    unspoken: int
+    """The longest between two commands that it was to hear."""
+    stays: bool
+    """It stays armed."""
 
 
 def one_stalls_no_other(case: Case) -> Verdict:
@@ -152,11 +156,15 @@ class _Watch:
     heard_at: int | None = None
     gap: int = 0
     answered_at: int | None = None
+    spoken_at: int | None = None
+    unspoken: int = 0
     fault: Fault | None = None
 
-    def see(self, at: int, events: Sequence[Event]) -> None:
-        """The events of one step."""
-        for event in events:
+    def see(self, at: int, said: Said) -> None:
+        """One step."""
+        if any(isinstance(word, Command) and word.motor == self.motor for word in said.heard):
+            self.spoken_at = at
+        for event in said.events:
             if isinstance(event, Feedback) and event.motor == self.motor:
                 self.heard_at = at
             elif isinstance(event, Fault) and event.motor == self.motor:
@@ -165,6 +173,8 @@ class _Watch:
                 self.answered_at = at
         if self.armed_at is not None and self.heard_at is not None:
             self.gap = max(self.gap, at - self.heard_at)
+        if self.armed_at is not None and self.spoken_at is not None:
+            self.unspoken = max(self.unspoken, at - self.spoken_at)
 
 
 def _about(event: Parameter | Done | Refused) -> str:
@@ -190,8 +200,8 @@ def _fares(case: Case, words: list[Command], mishap: Mishap | None) -> _Day:
     questions = _questions(case)
     at, until, said = 0, ARMING, stage.step(words)
     while at < until:
-        beta.see(at, said.events)
-        alpha.see(at, said.events)
+        beta.see(at, said)
+        alpha.see(at, said)
         if beta.armed_at is None and _is_armed(stage, BETA, at):
             beta.armed_at, until = at, at + LASTS
         asked: list[Command | Request] = []
@@ -204,7 +214,8 @@ def _fares(case: Case, words: list[Command], mishap: Mishap | None) -> _Day:
     answered = None
     if beta.answered_at is not None and beta.armed_at is not None:
         answered = beta.answered_at - beta.armed_at
-    fortune = _Fortune(beta.armed_at, beta.gap, answered if questions else 0)
+    stays = _is_armed(stage, BETA, at)
+    fortune = _Fortune(beta.armed_at, beta.gap, answered if questions else 0, beta.unspoken, stays)
     return _Day(fortune, _recovers(case, stage, words, alpha), alpha.fault, said)
 
 
@@ -227,7 +238,7 @@ def _recovers(case: Case, stage: Rehearsal, words: list[Command], alpha: _Watch)
     for at in range(ARMING):
         clear = at % 1000 == 300 and ClearFault in case.spec.requests and not _is_armed(stage, ALPHA, ARMING)
         said = stage.step([*words, *([ClearFault(ALPHA)] if clear else [])])
-        alpha.see(at, said.events)
+        alpha.see(at, said)
         fresh = any(isinstance(event, Feedback) and event.motor == ALPHA for event in said.events)
         if fresh and at > 50 and _is_armed(stage, ALPHA, ARMING):
             return True
@@ -244,6 +255,10 @@ def _worse(what: str, usual: _Day, day: _Day, words: list[Command]) -> Failure |
         text = f"beta is not heard for {are.gap} ms instead of {were.gap}"
     elif were.answered is not None and (are.answered is None or are.answered > were.answered + GRACE):
         text = f"beta's question is answered after {_ms(are.answered)} instead of {_ms(were.answered)}"
+    elif are.unspoken > were.unspoken + GRACE:
+        text = f"nothing is said to beta for {are.unspoken} ms instead of {were.unspoken}"
+    elif were.stays and not are.stays:
+        text = "beta does not stay armed"
     elif not day.recovered:
         text = "alpha does not recover when it is over"
     if not text:

@@ -54,8 +54,8 @@ class SensorOptions:
     kind: Literal["sensor"] = "sensor"
 
 
-motors = replace(plugin, options=MotorOptions)
-sensors = replace(plugin, options=SensorOptions)
+motors = replace(plugin, options=MotorOptions, vectors=("tests.protocols", "motors.json"))
+sensors = replace(plugin, options=SensorOptions, vectors=None)
 
 
 # -- commands ------------------------------------------------------------------------------------------
