@@ -1,0 +1,102 @@
+"""Package canopen 2.4.1 without a bus and without a thread: its networks joined by function calls.
+
+Rules. What a network sends is kept in order and handed to whoever listens at once, so that a master's SDO
+client has its answer before it begins to wait. `Slave` is a `LocalNode` as a device for our driver; `said_by`
+records what a master says. Nothing is measured in wall time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import deepcopy
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import canopen
+
+import protocols.cia402
+from protocols.wire import CanFrame
+
+EDS = str(Path(protocols.cia402.__file__).parent / "twin.eds")
+PACKAGE = "canopen 2.4.1"
+
+
+@cache
+def _parsed(node: int) -> Any:
+    return canopen.import_od(EDS, node_id=node)
+
+
+def dictionary(node: int) -> Any:
+    """The twin's EDS as the package understands it; one's own to change."""
+    return deepcopy(_parsed(node))
+
+
+class Joined(canopen.Network):  # type: ignore[misc]  # the package has no types
+    """A network whose frames go to a list, and to `on_sent`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent: list[CanFrame] = []
+        self.on_sent: Callable[[CanFrame], None] = lambda _: None
+        self.cyclic: dict[int, bytes] = {}
+        """What it sends by a timer of its own, which does not run here."""
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        frame = CanFrame(can_id, bytes(data), remote=remote)
+        self.sent.append(frame)
+        self.on_sent(frame)
+
+    def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
+        self.cyclic[can_id] = bytes(data)
+        return Timer(self, can_id)
+
+    def hear(self, frame: CanFrame) -> None:
+        """A frame of the other side."""
+        self.notify(frame.id, bytearray(frame.data), 0.0)
+
+
+class Timer:
+    """A periodic message of the package, without its thread."""
+
+    def __init__(self, network: Joined, can_id: int) -> None:
+        self.network, self.can_id = network, can_id
+
+    def stop(self) -> None:
+        self.network.cyclic.pop(self.can_id, None)
+
+    def update(self, data: Any) -> None:
+        self.network.cyclic[self.can_id] = bytes(data)
+
+
+class Slave:
+    """A LocalNode with the twin's dictionary. It has no state machine of CiA 402."""
+
+    def __init__(self, node: int) -> None:
+        self.network = Joined()
+        self.node: Any = self.network.create_node(node, dictionary(node))
+        self.node.nmt.state = "INITIALISING"
+        self.node.nmt.state = "PRE-OPERATIONAL"
+
+    def receive(self, frame: CanFrame) -> None:
+        self.network.hear(frame)
+
+    def said(self) -> list[CanFrame]:
+        """What it has sent since this was last asked."""
+        sent, self.network.sent = self.network.sent, []
+        return sent
+
+    def value(self, index: int, sub: int = 0) -> int:
+        """What stands in its dictionary."""
+        return int.from_bytes(self.node.get_data(index, sub), "little")
+
+
+def master(node: int) -> tuple[Joined, Any]:
+    """A network with a RemoteNode, whose frames a LocalNode answers at once: (network, node)."""
+    network, slave = Joined(), Slave(node)
+    slave.said()
+    remote = canopen.RemoteNode(node, dictionary(node))
+    network.add_node(remote)
+    slave.network.on_sent = network.hear
+    network.on_sent = slave.network.hear
+    return network, remote
