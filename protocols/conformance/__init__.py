@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from protocols.conformance.answers import requests_are_answered
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown, variants
 from protocols.conformance.checksums import bad_checksums_change_nothing
 from protocols.conformance.complaints import faults_latch
@@ -82,6 +83,7 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("twice", "an address that two devices hold is noticed", held_twice_is_noticed),
     Clause("replies", "a reply lost, late, doubled or out of order stalls nobody else", one_stalls_no_other),
     Clause("vectors", "each message that moves a motor has an independent vector", motion_is_vouched_for),
+    Clause("answers", "each request has one answer; what is told and heard is whole", requests_are_answered),
 )
 
 Outcome = Literal["passed", "failed", "not applicable"]
