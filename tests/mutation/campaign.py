@@ -92,7 +92,7 @@ def _chosen(sources: Sequence[Source], plan: Plan) -> list[Mutant]:
     if plan.sample is None or plan.sample >= len(every):
         return every
     picked = Generator(PCG64(plan.seed)).choice(len(every), plan.sample, replace=False)
-    return [every[at] for at in sorted(picked)] if plan.deadline is None else [every[at] for at in picked]
+    return [every[at] for at in picked]  # as they were drawn: the first of them are a sample, too
 
 
 def _verdicts(

@@ -2,9 +2,9 @@
 
 Rules. The process that forks has everything imported but the language; a child imports it, with one module
 mutated. Each check has a limit of CPU time, ten times what the sound language takes: a mutant may hang.
-A mutant meets only those checks in which the sound language runs its function (all, if it is run at import);
-those that have killed the function's other mutants first, then the cheapest. At most `processes` children at
-a time.
+A mutant meets only those checks in which the sound language runs its function (all, if it is run at import),
+and of a clause that is not cheap only the first such variant: a score is what is killed at least. Checks that
+have killed the function's other mutants come first, then the cheapest. At most `processes` children at a time.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from tests.mutation.mutants import Mutant, Source
 
 MEMORY = 4 << 30
 PATIENCE = 10.0
+CHEAP = 0.15
+"""s; what takes longer is tried on the first variant only that runs the function."""
 LEAST = 2.0
 """s of CPU time that every check is given."""
 HANGS = {signal.SIGPROF, signal.SIGXCPU, signal.SIGSEGV}
@@ -49,11 +51,13 @@ class Baseline:
     """Checks that the language fails as it is, with what is wrong: these judge nothing."""
 
     def relevant(self, module: str, function: str) -> list[str]:
-        """The checks that run a function, the cheapest first."""
+        """The checks that are worth trying on a function's mutants, the cheapest first."""
         key = f"{module}:{function}"
         every = self.runs is None or key in self.at_import
         names = [name for name in self.cost if every or key in (self.runs or {})[name]]
-        return sorted(names, key=lambda name: (self.cost[name], name))
+        first = {name.partition("[")[0]: name for name in reversed(names)}
+        worth = [n for n in names if self.cost[n] <= CHEAP or first[n.partition("[")[0]] == n]
+        return sorted(worth, key=lambda name: (self.cost[name], name))
 
 
 @dataclass(frozen=True, slots=True)
