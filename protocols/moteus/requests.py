@@ -72,6 +72,8 @@ class Pending:
     register: int = -1
     """Which register it is about."""
     sent: int = 0
+    taken: bool = False
+    """The device has said that it arrived."""
     found: dict[tuple[int, bytes], str] = field(default_factory=dict)
 
     def title(self) -> str:
@@ -102,7 +104,8 @@ def begin(now: Nanos, request: Request, node: Node) -> Pending | Refused:
         case Zero() if running:
             return refuse(now, request, "it is armed, and would jump: say idle first")
         case Zero():
-            return _pending(now, request, node, (set_register(Register.SET_OUTPUT_EXACT, 0.0),))
+            exact = Register.SET_OUTPUT_EXACT  # read back, for the answer that this frame arrived
+            return _pending(now, request, node, (set_register(exact, 0.0) + _asks(exact),), exact)
         case ReadParameter(_, parameter):
             return _read(now, request, node, parameter)
         case WriteParameter(_, parameter, value):
@@ -219,13 +222,23 @@ def hear(pending: Pending, t: Nanos, told: Told) -> list[Event]:
         case ClearFault() if Register.MODE in told.values and node.mode not in LATCHED:
             return [*node.cleared(t), pending.done(t)]
         case Zero():
-            position = told.values.get(Register.POSITION)
-            return [pending.done(t)] if position is not None and abs(position) < ZERO_WITHIN else []
+            return _hear_zero(pending, t, told)
         case ReadParameter(_, parameter):
             return _hear_read(pending, t, told, parameter)
         case WriteParameter():
             return _hear_written(pending, t, told)
     return []
+
+
+def _hear_zero(pending: Pending, t: Nanos, told: Told) -> list[Event]:
+    """Taken, as its answer says, and then measured: a position near zero alone may be from before."""
+    ended = _hear_written(pending, t, told)
+    pending.taken = pending.taken or bool(ended)
+    if ended and isinstance(ended[0], Refused):
+        return ended
+    position = told.values.get(Register.POSITION)
+    near = position is not None and abs(position) < ZERO_WITHIN
+    return [pending.done(t)] if pending.taken and near and not ended else []
 
 
 def _wrong(told: Told, code: int, register: int) -> Error | None:
@@ -240,7 +253,7 @@ def _hear_read(pending: Pending, t: Nanos, told: Told, parameter: str) -> list[E
     value = told.values[pending.register]
     if value is None:
         return [pending.refuse(t, "the device says that it is not given")]
-    return [Parameter(pending.name, t, parameter, float(value)), pending.done(t)]
+    return [Parameter(pending.name, t, parameter, float(value))]
 
 
 def _hear_written(pending: Pending, t: Nanos, told: Told) -> list[Event]:

@@ -371,7 +371,8 @@ class Servo:
     def _drive(self, dt: float, torque: float) -> None:
         s = self.settings
         self.control_torque = torque
-        off = self.mode in (Mode.STOPPED, Mode.FAULT) or self.mode in RISING
+        let_go = self.mode == Mode.TIMEOUT and s.timeout_mode == Mode.STOPPED
+        off = self.mode in (Mode.STOPPED, Mode.FAULT) or self.mode in RISING or let_go
         wanted = 0.0 if off else torque / self.kt
         self.iq = 0.0 if off else self.iq + _lag(dt, s.current_bandwidth) * (wanted - self.iq)
         square = 1.5 * self.iq * self.iq

@@ -22,18 +22,20 @@ PARSED = "reply built from the layout, parsed by moteus 1.1.1 (PyPI)"
 UUID = bytes.fromhex("0123456789abcdeffedcba9876543210")
 
 
-class Fast(moteus.QueryResolution):
+def fast() -> Any:
     """What our driver asks for all the time."""
+    query = moteus.QueryResolution()
+    query.voltage = query.temperature = mp.IGNORE
+    return query
 
-    voltage = temperature = mp.IGNORE
 
-
-class Full(moteus.QueryResolution):
+def full() -> Any:
     """What it asks for now and then."""
-
-    q_current = mp.F32
-    motor_temperature = trajectory_complete = home_state = mp.INT16
-    voltage = temperature = fault = mp.INT16
+    query = moteus.QueryResolution()
+    query.q_current = mp.F32
+    query.motor_temperature = query.trajectory_complete = query.home_state = mp.INT16
+    query.voltage = query.temperature = query.fault = mp.INT16
+    return query
 
 
 MOVE: dict[str, float] = {
@@ -47,30 +49,30 @@ LIMITED: dict[str, float] = {"maximum_torque": 1.5, "velocity_limit": 4.0, "acce
 NO_ACCEL: dict[str, float] = {**LIMITED, "accel_limit": math.nan}
 
 
-def _position(query: type, **values: float) -> Callable[[Any], Any]:
+def _position(query: Callable[[], Any], **values: float) -> Callable[[Any], Any]:
     return lambda c: c.make_position(**values, query_override=query())
 
 
 COMMANDS: dict[str, tuple[dict[str, Any], Callable[[Any], Any]]] = {
     # name → arguments of the Controller, the command
-    "position_watchdog_0.1s": ({}, _position(Fast, **MOVE)),
-    "velocity_watchdog_0.1s": ({}, _position(Fast, **{**MOVE, "position": math.nan})),
-    "torque_watchdog_0.1s": ({}, _position(Fast, **{**MOVE, **PUSH})),
-    "position_limited": ({}, _position(Fast, **MOVE, **LIMITED)),
-    "position_limited_no_accel": ({}, _position(Fast, **MOVE, **NO_ACCEL)),
-    "velocity_limited": ({}, _position(Fast, **{**MOVE, "position": math.nan}, **LIMITED)),
-    "torque_limited": ({}, _position(Full, **{**MOVE, **PUSH}, **LIMITED)),
-    "position_full_query": ({}, _position(Full, **MOVE)),
-    "query_fast": ({}, lambda c: c.make_query(query_override=Fast())),
-    "query_full": ({}, lambda c: c.make_query(query_override=Full())),
-    "stop_with_query": ({}, lambda c: c.make_stop(query_override=Fast())),
-    "stop_id_100": ({"id": 100}, lambda c: c.make_stop(query_override=Fast())),
-    "stop_host_3": ({"source_can_id": 3}, lambda c: c.make_stop(query_override=Fast())),
-    "stop_prefix": ({"can_prefix": 0x1ABC}, lambda c: c.make_stop(query_override=Fast())),
+    "position_watchdog_0.1s": ({}, _position(fast, **MOVE)),
+    "velocity_watchdog_0.1s": ({}, _position(fast, **{**MOVE, "position": math.nan})),
+    "torque_watchdog_0.1s": ({}, _position(fast, **{**MOVE, **PUSH})),
+    "position_limited": ({}, _position(fast, **MOVE, **LIMITED)),
+    "position_limited_no_accel": ({}, _position(fast, **MOVE, **NO_ACCEL)),
+    "velocity_limited": ({}, _position(fast, **{**MOVE, "position": math.nan}, **LIMITED)),
+    "torque_limited": ({}, _position(full, **{**MOVE, **PUSH}, **LIMITED)),
+    "position_full_query": ({}, _position(full, **MOVE)),
+    "query_fast": ({}, lambda c: c.make_query(query_override=fast())),
+    "query_full": ({}, lambda c: c.make_query(query_override=full())),
+    "stop_with_query": ({}, lambda c: c.make_stop(query_override=fast())),
+    "stop_id_100": ({"id": 100}, lambda c: c.make_stop(query_override=fast())),
+    "stop_host_3": ({"source_can_id": 3}, lambda c: c.make_stop(query_override=fast())),
+    "stop_prefix": ({"can_prefix": 0x1ABC}, lambda c: c.make_stop(query_override=fast())),
     "zero_velocity": ({}, lambda c: c.make_zero_velocity(kd_scale=0.5)),
     "stay_within": ({}, lambda c: c.make_stay_within(lower_bound=-0.5, upper_bound=math.nan)),
     "vfoc": ({}, lambda c: c.make_vfoc(theta=0.5, voltage=1.0, query=True)),
-    "set_output_exact_0": ({}, lambda c: c.make_set_output_exact(position=0.0, query_override=Fast())),
+    "set_output_exact_0": ({}, lambda c: c.make_set_output_exact(position=0.0, query_override=fast())),
     "require_reindex": ({}, lambda c: c.make_require_reindex()),
     "recapture": ({}, lambda c: c.make_recapture_position_velocity()),
     "read_parameters": ({}, lambda c: c.make_custom_query({0x20: mp.F32, 0x21: mp.F32, 0x70: mp.INT32})),

@@ -13,7 +13,7 @@ from protocols.moteus.messages import IDENTIFY
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.registers import Mode, Register
 from protocols.moteus.twin import MoteusTwin
-from protocols.wire import BusState, CanFrame
+from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
     ClearFault,
@@ -70,7 +70,9 @@ def test_feedback_is_in_si_and_of_the_time_of_the_answer() -> None:
     assert events[-1].position == pytest.approx(rev(1.25), abs=tau / 16384)
     assert events[-1].t == bench.heard[-1][0]
     full = [e for e in events if e.voltage is not None][-1]
-    assert (full.voltage, full.temperature, full.current) == (pytest.approx(24.0), pytest.approx(25.0), 0.0)
+    assert full.voltage == pytest.approx(24.0)
+    assert full.temperature == pytest.approx(25.0)
+    assert full.current == 0.0
 
 
 def test_ready_is_told_once() -> None:
@@ -469,7 +471,7 @@ def test_other_frames_are_counted_and_change_nothing() -> None:
     bench = ready()
     before = copy.deepcopy(bench.driver)
     good = bench.heard[-1][1]
-    foreign = [
+    foreign: list[Wire] = [
         b"\x01\x02",
         CanFrame(good.id, good.data[:8]),
         CanFrame(good.id, good.data, extended=True, fd=True),

@@ -1,0 +1,112 @@
+"""What `gateway bench` measures of this language, beside the vendor's own package on the same frames.
+
+Rules. Data and calls only: nothing here is used by the robot. Everybody starts from plain values, or from a
+frame's data. The package does what its documentation shows: `Controller.make_position` and `make_stop` with
+the registers that our driver writes and asks for, `parse_reply` on the data. It makes a command without
+padding and without a frame; ours makes the whole frame, padded. Bare `struct` knows its message beforehand,
+checks nothing and makes no frame: it is the floor.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from protocols.moteus.codec import FAST, Told, command_id, decode, framed
+from protocols.moteus.messages import STOP, Limits, move, push
+
+RIVAL = ("moteus", "moteus", "the vendor's package")
+ADDRESS = 5
+LIMITS = Limits(0.1)
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """The package, prepared."""
+
+    controller: Any
+    fast: Any
+    parse: Callable[[bytes], Mapping[int, Any]]
+
+
+def prepared(moteus: Any) -> Known:  # noqa: ANN401 -- a package without types
+    """A controller, and the question that our driver asks."""
+    fast = moteus.QueryResolution()
+    fast.voltage = fast.temperature = moteus.multiplex.IGNORE
+    return Known(moteus.Controller(id=ADDRESS, transport=object()), fast, moteus.protocol.parse_reply)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One message in one direction."""
+
+    what: str
+    ours: Callable[[], Any]
+    struct: Callable[[], Any]
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Of `make_position`; {}: a stop, or it is decoded."""
+    data: bytes = b""
+    """What is decoded; b"": it is encoded."""
+
+    def theirs(self, known: Known) -> Callable[[], Any]:
+        """What the package does for it."""
+        if self.data:
+            parse, data = known.parse, self.data
+            return lambda: parse(data)
+        controller, query, values = known.controller, known.fast, self.values
+        if not values:
+            return lambda: controller.make_stop(query_override=query).data
+        return lambda: controller.make_position(**values, query_override=query).data
+
+    def alike(self, ours: Any, theirs: Any, struct: Any) -> bool:  # noqa: ANN401 -- a frame, or registers
+        """Encoding gives the same bytes, decoding the same registers."""
+        if not isinstance(ours, Told):
+            return bool(ours.data.rstrip(b"\x50") == theirs == struct)
+        told = {register: value for register, value in ours.values.items() if value is not None}
+        return _near(told, dict(theirs)) and _near(dict(zip(told, struct, strict=True)), told, 2e4)
+
+
+def _near(one: Mapping[int, float], other: Mapping[int, float], scale: float = 1e-6) -> bool:
+    """Scaled the same, or (of bare struct) not scaled at all."""
+    return one.keys() == other.keys() and all(abs(one[key] - other[key]) <= scale for key in one)
+
+
+_MOVE = struct.Struct("<5sfff2sf6s")
+_PUSH = struct.Struct("<6sfffff2sf2sf6s")
+_REPLY = struct.Struct("<2xb2xfff2xb")
+_DETAILS = struct.Struct("<2xb3xffff3xhhhhhh11x")
+_SHORT = bytes.fromhex("21000a2f01000000be0000c03f000040bf210f00")
+_LONG = bytes.fromhex(
+    "21000a2c0401000000be0000c03f000040bf0000204124060a270101000200f5009d0100005050505050505050505050"
+)
+_TO = command_id(ADDRESS)
+
+SAMPLES = (
+    Sample(
+        "encode position with a question",
+        lambda: framed(_TO, move(0.25, -1.5, 0.125, LIMITS) + FAST),
+        lambda: _MOVE.pack(b"\x01\x00\x0a\x0f\x20", 0.25, -1.5, 0.125, b"\x0d\x27", 0.1, FAST),
+        {"position": 0.25, "velocity": -1.5, "feedforward_torque": 0.125, "watchdog_timeout": 0.1},
+    ),
+    Sample(
+        "encode torque with a question",
+        lambda: framed(_TO, push(0.25, 0.125, LIMITS) + FAST),
+        lambda: _PUSH.pack(
+            b"\x01\x00\x0a\x0c\x05\x20", 0.25, 0, 0.125, 0, 0, b"\x0d\x27", 0.1, b"\x0d\x2b", 0, FAST
+        ),
+        {
+            "position": 0.25,
+            "velocity": 0.0,
+            "feedforward_torque": 0.125,
+            "kp_scale": 0.0,
+            "kd_scale": 0.0,
+            "watchdog_timeout": 0.1,
+            "ilimit_scale": 0.0,
+        },
+    ),
+    Sample("encode stop with a question", lambda: framed(_TO, STOP + FAST), lambda: STOP + FAST),
+    Sample("decode state", lambda: decode(_SHORT), lambda: _REPLY.unpack(_SHORT), {}, _SHORT),
+    Sample("decode state and details", lambda: decode(_LONG), lambda: _DETAILS.unpack(_LONG), {}, _LONG),
+)

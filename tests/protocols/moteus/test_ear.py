@@ -1,0 +1,170 @@
+"""The ear alone: what each frame would make a device do, and that it agrees with the twin."""
+
+from __future__ import annotations
+
+from math import tau
+
+import numpy as np
+import pytest
+
+from protocols.moteus import plugin
+from protocols.moteus.codec import F32, INT8, REPLY, Ask, Values, command_id, encode, framed, write
+from protocols.moteus.ear import MoteusEar
+from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
+from protocols.moteus.options import Options, Settings, serial_of
+from protocols.moteus.registers import Mode, Register
+from protocols.moteus.twin import MoteusTwin
+from protocols.vectors import vectors_of
+from protocols.wire import CanFrame
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Feedback,
+    Idle,
+    Position,
+    Request,
+    SetId,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+from tests.protocols.moteus.helpers import device, rev
+
+UUID = "0123456789abcdeffedcba9876543210"
+KT = 8.27 / 304
+LIMITS = Limits(0.1)
+
+
+def hear(data: bytes, to: int = 1, settings: Settings | None = None) -> list[Command | Request]:
+    return list(MoteusEar([device(settings=settings)]).hear(0, framed(command_id(to), data)))
+
+
+def mode(value: Mode, *rest: bytes) -> bytes:
+    return write(Register.MODE, float(value), resolution=INT8) + b"".join(rest)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (STOP, [Idle("left")]),
+        (move(0.5, 0.25, -0.5, LIMITS), [Position("left", rev(0.5), rev(0.25), -0.5)]),
+        (move(None, 0.25, 0.125, LIMITS), [Velocity("left", rev(0.25), 0.125)]),
+        (push(7.0, 0.25, LIMITS), [Torque("left", 0.25)]),
+        (push(7.0, 0.25, Limits(0.1, 1.0, 2.0, 3.0)), [Torque("left", 0.25)]),
+        (mode(Mode.POSITION), [Position("left", 0.0, 0.0, 0.0)]),
+        (mode(Mode.POSITION, write(0x20, None), write(0x23, 0.0)), [Velocity("left", 0.0, 0.0)]),
+        (mode(Mode.CURRENT, write(0x1C, 2.0)), [Torque("left", 2.0 * KT)]),
+        (mode(Mode.BRAKE), [Velocity("left", 0.0)]),
+        (mode(Mode.ZERO_VELOCITY), [Velocity("left", 0.0)]),
+        (mode(Mode.STAY_WITHIN, write(0x40, -1.0, 1.0), write(0x42, 0.5)), [Torque("left", 0.5)]),
+        (mode(Mode.VOLTAGE_FOC), [WriteParameter("left", "mode", 7.0)]),
+        (mode(Mode.FAULT), []),
+        (write(0x20, 1.0), []),
+        (write(Register.POSITION, 1.0), []),
+        (encode(Ask(0, F32, 3)), []),
+        (encode(Values(REPLY, 0, INT8, (0,))), []),
+        (write(Register.SET_OUTPUT_EXACT, 0.0), [Zero("left")]),
+        (write(Register.SET_OUTPUT_NEAREST, 0.5), [WriteParameter("left", "set_output_nearest", 0.5)]),
+        (write(Register.SET_OUTPUT_EXACT, None), []),
+        (write(Register.REQUIRE_REINDEX, 1.0), [WriteParameter("left", "require_reindex", 1.0)]),
+        (console("conf set id.id 9"), [SetId("", serial_of(bytes.fromhex(UUID)), 9)]),
+        (console("conf write"), [WriteParameter("left", "conf_write", 1.0)]),
+        (console("conf set servo.max_current_A 3"), []),
+        (STOP + write(Register.SET_OUTPUT_EXACT, 0.0), [Idle("left"), Zero("left")]),
+        (b"", []),
+        (b"\x60\x01\x00\x00", []),
+        (b"\x50" + STOP, [Idle("left")]),
+    ],
+)
+def test_what_a_frame_makes_a_device_do(data: bytes, words: list[Command | Request]) -> None:
+    assert hear(data, settings=Settings(uuid=UUID)) == words
+
+
+def test_two_commands_in_a_frame_are_one() -> None:
+    assert hear(move(0.5, 0.0, 0.0, LIMITS) + STOP) == [Idle("left")]
+
+
+def test_who_is_addressed() -> None:
+    ear = MoteusEar([device("left", 1), device("right", 2), device("far", 2, options=Options(can_prefix=3))])
+    assert ear.hear(0, framed(command_id(2), STOP)) == [Idle("right")]
+    assert ear.hear(0, framed(command_id(2, 5, 3), STOP)) == [Idle("far")]
+    assert ear.hear(0, framed(command_id(0x7F), STOP)) == [Idle("left"), Idle("right")]
+    assert ear.hear(0, framed(2, STOP)) == [Idle("right")]
+    assert ear.hear(0, CanFrame(2, STOP, extended=True)) == [Idle("right")]
+    for wire in (b"\x01\x00\x00", CanFrame(0x82, STOP, fd=True), CanFrame(2, b"", remote=True)):
+        assert ear.hear(0, wire) == []
+
+
+def test_a_mask_chooses_by_uuid() -> None:
+    ear = MoteusEar([device("left", 1, Settings(uuid=UUID)), device("right", 2, Settings(uuid="f" * 32))])
+    uuid = bytes.fromhex(UUID)
+    assert ear.hear(0, framed(0x7F, masked(uuid[:8], STOP))) == [Idle("left")]
+    assert ear.hear(0, framed(0x7F, masked(uuid, console("conf set id.id 9")))) == [
+        SetId("", serial_of(uuid), 9)
+    ]
+    assert ear.hear(0, framed(9, STOP)) == [Idle("left")]
+    assert ear.hear(0, framed(1, STOP)) == []
+
+
+def test_an_ear_without_uuids_tells_what_one_of_them_would_do() -> None:
+    ear = MoteusEar([device("left", 1)])
+    uuid = bytes.fromhex(UUID)
+    assert ear.hear(0, framed(0x7F, masked(uuid[:8], console("conf set id.id 9")))) == [
+        SetId("", serial_of(uuid), 9)
+    ]
+    assert ear.hear(0, framed(0x7F, masked(uuid[:8], DISCOVER))) == []
+    assert ear.hear(0, framed(1, STOP)) == [Idle("left")]  # whose id it was, is not known
+
+
+def test_a_console_line_may_come_in_pieces() -> None:
+    ear = MoteusEar([device(settings=Settings(uuid=UUID))])
+    line = b"conf set id.id 7\n"
+    pieces = [framed(1, b"\x40\x01" + bytes((len(p),)) + p) for p in (line[:7], line[7:])]
+    assert [len(ear.hear(0, piece)) for piece in pieces] == [0, 1]
+    assert ear.hear(0, framed(7, b"\x40\x02\x05conf\n" + STOP)) == [Idle("left")]
+
+
+def test_the_package_s_commands_are_heard_as_they_are_meant() -> None:
+    heard = {
+        vector.name: MoteusEar([device(address=5)]).hear(0, vector.wire)
+        for vector in vectors_of(plugin)
+        if vector.direction == "to_device"
+    }
+    (position,) = heard["position_0.5rev_vel0.2_tq1.5_query"]
+    assert isinstance(position, Position)
+    assert (position.position, position.velocity) == pytest.approx((0.5 * tau, 0.2 * tau))
+    for name, torque in (("torque_only_kp0_kd0_ff0.3", 0.3), ("current_q2A", 2.0 * KT)):
+        (push_,) = heard[name]
+        assert isinstance(push_, Torque)
+        assert push_.torque == pytest.approx(torque)
+    assert heard["stop_no_reply"] == [Idle("left")]
+    assert heard["brake"] == [Velocity("left", 0.0)]
+    assert heard["rezero_nearest_0"] == [Zero("left")]
+    assert heard["query_default"] == []
+    assert heard["discover_broadcast_0x7f"] == []
+
+
+def test_ear_and_twin_hear_the_same_registers() -> None:
+    """Random frames of random registers: the command that the ear has is the one that the firmware runs."""
+    generator = np.random.Generator(np.random.PCG64(3))
+    for _ in range(200):
+        ear, twin = MoteusEar([device()]), MoteusTwin(device(), 0)
+        twin.step(0, [Feedback("left", 0, 0.0, 0.0)])
+        frame = framed(command_id(1), _random_frame(generator))
+        words = ear.hear(MILLISECOND, frame)
+        twin.receive(MILLISECOND, frame)
+        assert repr(ear.axes[0].command) == repr(twin.axis.command)
+        assert ear.axes[0].mode == twin.axis.mode
+        if any(isinstance(word, Command) for word in words):
+            assert repr(twin.servo.command) == repr(ear.axes[0].command)
+            assert twin.servo.wanted == ear.axes[0].mode
+
+
+def _random_frame(generator: np.random.Generator) -> bytes:
+    data = b""
+    for _ in range(int(generator.integers(1, 4))):
+        start = int(generator.choice([0, 0, 0x1C, 0x20, 0x23, 0x27, 0x40, 0x42, 0x130, 0x3F0]))
+        values = [float(np.float32(v)) for v in generator.uniform(-9, 16, int(generator.integers(1, 4)))]
+        data += write(start, *values, resolution=int(generator.integers(4)))
+    return data[: int(generator.integers(len(data) // 2, min(len(data), 64) + 1))]

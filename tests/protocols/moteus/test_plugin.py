@@ -1,0 +1,184 @@
+"""The contract of the plugin: entry point, spec, ids, read-only frames, options, settings, the samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from types import ModuleType
+from typing import Any
+
+import moteus
+import pytest
+
+from gateway.bench.codec import theirs
+from protocols.moteus import bench, driver, plugin, spec
+from protocols.moteus.codec import FAST, FULL, command_id, framed
+from protocols.moteus.faults import FAULTS, LIMITS, complaint_of
+from protocols.moteus.messages import DISCOVER, IDENTIFY, STOP, Limits, ask, console, masked, move
+from protocols.moteus.options import Options, Settings, limits_of
+from protocols.moteus.registers import Register
+from protocols.plugin import Device, load
+from protocols.wire import CanFrame
+from protocols.words import Estop, Hold, Idle, Impedance, Position, Reboot, Torque, Velocity
+from tests.protocols.moteus.helpers import device, ready
+
+
+def changed(options: Any, name: str, value: Any) -> Any:
+    return replace(options, **{name: value})
+
+
+def test_the_entry_point_loads_it() -> None:
+    assert load("moteus") is plugin
+
+
+def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected() -> None:
+    bench_ = ready(device("left", 1), device("right", 2))
+    for word in (
+        Velocity("left", 5.0),
+        Position("left", 0.0),
+        Torque("left", 0.0),
+        Hold("left"),
+        Idle("left"),
+    ):
+        bench_.run(100, word)
+    specs = [spec(item) for item in bench_.devices]
+    assert {f.id for _, f in bench_.sent} <= specs[0].sends | specs[1].sends
+    assert {f.id for _, f in bench_.heard} <= specs[0].expects | specs[1].expects
+    assert specs[0].sends & specs[1].sends == {0x807F}
+
+
+def test_specs_of_equal_devices_are_equal() -> None:
+    assert spec(device()) == spec(device())
+    assert spec(device()).commands == {Idle, Hold, Position, Velocity, Torque}
+    assert not {Impedance} & spec(device()).commands
+    assert not {Estop, Reboot} & spec(device()).requests
+
+
+@pytest.mark.parametrize("data", [FAST, FULL, DISCOVER, IDENTIFY, ask(Register.VOLTAGE, 3), b"", b"\x50"])
+def test_questions_are_read_only(data: bytes) -> None:
+    read_only = spec(device()).read_only
+    assert read_only(framed(command_id(1), data))
+    assert read_only(framed(command_id(0x7F), data))
+    assert not read_only(framed(command_id(2), data))
+    assert not read_only(data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        STOP,
+        move(0.0, 0.0, 0.0, Limits(0.1)) + FAST,
+        console("conf get id.id"),
+        masked(bytes(8), DISCOVER),
+        FAST + b"\x60",
+        FAST[:-1],
+        bytes.fromhex("420130"),
+    ],
+)
+def test_all_else_is_not(data: bytes) -> None:
+    assert not spec(device()).read_only(framed(command_id(1), data))
+
+
+@pytest.mark.parametrize("address", [0, -1, 127, 200])
+def test_an_address_that_is_no_id(address: int) -> None:
+    with pytest.raises(ValueError, match="an id is 1 to 126"):
+        spec(device(address=address))
+
+
+def test_an_address_that_is_given_twice() -> None:
+    with pytest.raises(ValueError, match="given twice"):
+        driver([device("left", 1), device("right", 1)])
+    driver([device("left", 1), device("right", 1, options=Options(can_prefix=1))])
+
+
+def test_somebody_else_s_options_are_an_error() -> None:
+    with pytest.raises(TypeError, match="Options and Settings"):
+        spec(Device("left", 1, object(), Settings()))
+
+
+def test_the_watchdog_is_always_on_and_in_the_spec() -> None:
+    watchdog = spec(device(options=Options(timeout_ms=250))).watchdog
+    assert (watchdog.timeout, watchdog.enabled, watchdog.note) == (250_000_000, True, "")
+    with pytest.raises(ValueError, match="timeout_ms is 0"):
+        Options(timeout_ms=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("host_id", 127),
+        ("host_id", -1),
+        ("can_prefix", 0x2000),
+        ("timeout_ms", 9),
+        ("timeout_ms", 10_001),
+        ("feedback_ms", 0),
+        ("details_ms", 0),
+        ("offline_ms", 19),
+        ("max_torque", math.nan),
+        ("max_torque", -1.0),
+        ("velocity_limit", math.inf),
+        ("acceleration_limit", -0.1),
+    ],
+)
+def test_options_that_cannot_be(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=name):
+        changed(Options(), name, value)
+
+
+def test_all_mistakes_in_options_are_told_at_once() -> None:
+    with pytest.raises(ValueError, match=r"host_id.*max_torque.*offline_ms"):
+        Options(host_id=127, max_torque=-1.0, feedback_ms=1000, offline_ms=100)
+
+
+def test_limits_are_in_the_device_s_units() -> None:
+    limits = limits_of(Options(max_torque=1.5, velocity_limit=math.tau, acceleration_limit=2 * math.tau))
+    assert limits == Limits(0.1, 1.5, 1.0, 2.0)
+    assert limits_of(Options()) == Limits(0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("uuid", "xyz"),
+        ("firmware", "1.2"),
+        ("timeout_mode", 3),
+        ("kp", math.nan),
+        ("kp", -1.0),
+        ("ki", math.inf),
+        ("motor_kv", 0.0),
+        ("encoder_cpr", 0),
+        ("enable_ms", -1),
+        ("position_max", math.inf),
+        ("max_current", 0.0),
+    ],
+)
+def test_settings_that_cannot_be(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=name):
+        changed(Settings(), name, value)
+
+
+def test_settings_may_be_nan_where_the_device_s_may() -> None:
+    for field in fields(Settings):
+        if field.name in ("position_min", "default_timeout_s", "fault_position_error"):
+            changed(Settings(), field.name, math.nan)
+
+
+def test_every_fault_has_all_its_words() -> None:
+    for code in (*FAULTS, 77):
+        text = complaint_of(code)
+        assert text.name
+        assert text.cause
+        assert text.cure
+    assert not set(FAULTS) & set(LIMITS)
+
+
+@pytest.mark.parametrize("sample", bench.SAMPLES, ids=lambda sample: sample.what)
+def test_both_sides_of_a_sample_come_to_the_same(sample: bench.Sample) -> None:
+    package: ModuleType = moteus
+    theirs(sample, bench.prepared(package))
+
+
+def test_the_ear_and_the_twin_are_the_plugin_s() -> None:
+    twin = plugin.twin(device(), 0)
+    assert twin.step(0, [])[1] == []
+    assert plugin.ear([device()]).hear(0, CanFrame(1, STOP, fd=True)) == [Idle("left")]

@@ -1,0 +1,267 @@
+"""Requests: each ends in Done or Refused, and nothing is said to a running device that drops or moves it."""
+
+from __future__ import annotations
+
+import pytest
+
+from protocols.moteus.codec import decode, framed
+from protocols.moteus.messages import DISCOVER
+from protocols.moteus.options import Options, Settings, serial_of
+from protocols.moteus.registers import Register
+from protocols.moteus.twin import MoteusTwin
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Done,
+    Estop,
+    Found,
+    Hold,
+    Home,
+    Idle,
+    Parameter,
+    ReadParameter,
+    Reboot,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    WriteParameter,
+    Zero,
+)
+from tests.protocols.moteus.helpers import Bench, Shaft, device, of, ready, rev
+
+UUID = "0123456789abcdeffedcba9876543210"
+
+
+def with_stranger(address: int = 9, settings: Settings | None = None) -> Bench:
+    """Two devices on the bus, of which the driver knows one."""
+    bench = ready()
+    other = device("stranger", address, settings)
+    bench.devices = [*bench.devices, other]
+    bench.twins.append(MoteusTwin(other, 5))
+    bench.shafts.append(Shaft())
+    bench.run(10)
+    return bench
+
+
+# -- scan ------------------------------------------------------------------------------------------
+
+
+def test_a_scan_finds_known_and_unknown_devices_by_one_question() -> None:
+    bench = with_stranger()
+    since = bench.now
+    told = bench.ask(Scan("can0"), 1000)
+    found = {f.address: f for f in of(Found, told)}
+    assert set(found) == {1, 9}
+    assert found[1].detail.startswith("left, model 030404, firmware 1.3.4; UUID ")
+    assert found[9].detail.startswith("UUID ")
+    assert [found[a].serial for a in (1, 9)] == [serial_of(twin.uuid) for twin in bench.twins]
+    assert not any(f.twice for f in found.values())
+    assert of(Done, told)[0].detail == "2 devices"
+    asked = [f for t, f in bench.sent if t >= since and f.id == 0x807F]
+    assert {f.data.rstrip(b"\x50") for f in asked} == {DISCOVER}
+    assert all(f.data.startswith(DISCOVER) for f in asked)
+
+
+def test_a_device_without_a_uuid_is_found_too() -> None:
+    bench = with_stranger()
+    bench.twins[1].receive = lambda t, wire: None  # type: ignore[method-assign]
+    bench.ask(Scan("can0"))
+    bench.run(5)
+    old = bytes.fromhex("31d0020131d1020131d2020131d3020131d8020150505050")[:24]
+
+    told = list(bench.driver.receive(bench.now, framed(0x900, old)))
+    assert [(f.address, f.serial, f.detail) for f in of(Found, told)] == [
+        (9, None, "it has no UUID: older firmware")
+    ]
+
+
+def test_two_devices_with_one_id_are_both_found() -> None:
+    bench = with_stranger(1)
+    found = of(Found, bench.ask(Scan("can0"), 1000))
+    assert len({f.serial for f in found}) == 2
+    assert any(f.twice for f in found)
+
+
+def test_the_answer_to_another_host_s_question_is_not_found() -> None:
+    bench = with_stranger()
+    bench.ask(Scan("can0"))
+    asked = [f for _, f in bench.heard if (told := decode(f.data)) and Register.MODEL_NUMBER in told.values]
+    assert asked
+    assert of(Found, bench.driver.receive(bench.now, framed(0x900, asked[0].data))) == []
+
+
+# -- ids -------------------------------------------------------------------------------------------
+
+
+def test_an_id_is_given_by_serial_number_and_confirmed_by_the_device() -> None:
+    bench = with_stranger()
+    serial = serial_of(bench.twins[1].uuid)
+    told = bench.ask(SetId("can0", serial, 12), 300)
+    assert [d.request for d in of(Done, told)] == ["SetId"]
+    assert "conf_write" in of(Done, told)[0].detail
+    assert [twin.axis.address for twin in bench.twins] == [1, 12]
+
+
+@pytest.mark.parametrize(
+    ("serial", "address", "reason"),
+    [(5, 0, "not an id"), (5, 127, "not an id"), (0, 5, "no serial"), (1 << 64, 5, "no serial")],
+)
+def test_ids_that_cannot_be_are_refused(serial: int, address: int, reason: str) -> None:
+    bench = ready()
+    assert reason in of(Refused, bench.ask(SetId("can0", serial, address)))[0].reason
+
+
+def test_an_id_is_not_given_away_nor_taken_from_what_runs() -> None:
+    bench = ready(device("left", 1), device("right", 2))
+    mine = serial_of(bench.twin.uuid)
+    assert "is held by" in of(Refused, bench.ask(SetId("can0", mine, 2)))[0].reason
+    bench.run(50, Hold("left"), Idle("right"))
+    assert "armed" in of(Refused, bench.ask(SetId("can0", mine, 5)))[0].reason
+    told = bench.ask(SetId("can0", 77, 5), 1600)
+    assert "no device with serial number 000000000000004D" in of(Refused, told)[0].reason
+
+
+# -- zero ------------------------------------------------------------------------------------------
+
+
+def test_zero_is_confirmed_by_the_position() -> None:
+    bench = ready()
+    bench.shaft.position = rev(2.3)  # answers on their way still say 0
+    told = bench.ask(Zero("left"), 100)
+    assert [d.request for d in of(Done, told)] == ["Zero"]
+    assert bench.twin.servo.position == pytest.approx(0.0, abs=1e-3)
+    bench.run(500, Hold("left"))
+    assert bench.shaft.position == pytest.approx(rev(2.3), abs=0.01)
+
+
+def test_zero_is_refused_while_armed() -> None:
+    bench = ready()
+    bench.run(50, Hold("left"))
+    assert "say idle first" in of(Refused, bench.ask(Zero("left")))[0].reason
+
+
+# -- parameters ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("voltage", 24.0),
+        ("0x00d", 24.0),
+        ("temperature", 25.0),
+        ("firmware_version", float(0x010304)),
+        ("mode", 0.0),
+        ("uuid_mask_capable", 1.0),
+    ],
+)
+def test_registers_are_read_by_name_and_number(name: str, value: float) -> None:
+    bench = ready()
+    told = bench.ask(ReadParameter("left", name), 50)
+    assert [p.value for p in of(Parameter, told)] == [pytest.approx(value, abs=0.1)]
+    assert of(Done, told) == []  # the parameter is the answer
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (ReadParameter("left", "no such"), "no register 'no such'"),
+        (ReadParameter("left", "0x7ff"), "no such register"),
+        (ReadParameter("left", "control_position"), "not given"),
+        (WriteParameter("left", "no such", 1.0), "no register"),
+        (WriteParameter("left", "mode", 10.0), "commands are for"),
+        (WriteParameter("left", "0x020", 1.0), "commands are for"),
+        (WriteParameter("left", "command_within_lower_bound", 1.0), "commands are for"),
+        (WriteParameter("left", "clock_trim", 1.0), "no register"),
+        (WriteParameter("left", "0x071", 1.0), "communication"),
+        (WriteParameter("left", "multiplex_id", 3.0), "SetId"),
+        (WriteParameter("left", "uuid_mask1", 3.0), "mask"),
+        (WriteParameter("left", "voltage", 3.0), "read only"),
+        (WriteParameter("left", "0x7ff", 3.0), "no such register"),
+        (WriteParameter("left", "set_output_exact", float("nan")), "finite"),
+        (WriteParameter("left", "set_output_exact", 1e39), "finite"),
+        (WriteParameter("left", "conf_write", 2.0), "takes 1"),
+        (Home("left"), "no Home"),
+        (Reboot("left"), "no Reboot"),
+        (Estop("left"), "no Estop"),
+        (Zero("nobody"), "knows no such motor"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_is_refused_with_the_reason(request_: Request, reason: str) -> None:
+    bench = ready()
+    told = of(Refused, bench.ask(request_, 100))
+    assert len(told) == 1
+    assert reason in told[0].reason
+
+
+def test_an_output_is_set_and_the_configuration_saved() -> None:
+    bench = ready()
+    assert len(of(Done, bench.ask(WriteParameter("left", "set_output_exact", 1.5), 50))) == 1
+    assert bench.twin.servo.position == pytest.approx(1.5, abs=1e-3)
+    assert len(of(Done, bench.ask(WriteParameter("left", "conf_write", 1.0), 50))) == 1
+    assert "console: conf write" in bench.said()
+
+
+@pytest.mark.parametrize("name", ["conf_write", "set_output_nearest", "require_reindex"])
+def test_what_moves_or_stops_a_running_device_is_not_written(name: str) -> None:
+    bench = ready()
+    bench.run(50, Hold("left"))
+    assert "armed" in of(Refused, bench.ask(WriteParameter("left", name, 1.0)))[0].reason
+
+
+# -- a device that does not answer -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("request_", "within"),
+    [
+        (ClearFault("left"), 600),
+        (Zero("left"), 600),
+        (ReadParameter("left", "voltage"), 600),
+        (WriteParameter("left", "set_output_exact", 0.0), 600),
+        (SetId("can0", 5, 6), 1500),
+    ],
+    ids=str,
+)
+def test_every_request_ends(request_: Request, within: int) -> None:
+    bench = ready()
+    bench.to_device = lambda _: False
+    told = of(Refused, bench.ask(request_, within + 10))
+    assert [r.request for r in told] == [type(request_).__name__]
+    assert bench.driver._pending == []
+
+
+def test_a_zero_that_does_not_become_zero_is_refused() -> None:
+    bench = ready()
+    bench.shaft.position = rev(3.0)
+    bench.run(20)
+    bench.to_device = lambda frame: b"\xb1\x02" not in frame.data
+    told = bench.ask(Zero("left"), 700)
+    assert "did not become zero" in of(Refused, told)[0].reason
+
+
+def test_a_read_that_is_answered_by_other_frames_only_is_refused() -> None:
+    bench = ready()
+    bench.to_device = lambda frame: frame.data[:1] != b"\x1d"
+    told = bench.ask(ReadParameter("left", "power"), 700)
+    assert of(Refused, told)[0].reason == "the device did not answer this"
+
+
+def test_too_many_requests_are_refused() -> None:
+    bench = ready()
+    bench.to_device = lambda _: False
+    for _ in range(32):
+        bench.driver.send(bench.now, [ReadParameter("left", "voltage")])
+    told, _ = bench.driver.send(bench.now, [ReadParameter("left", "voltage")])
+    assert "too many" in of(Refused, told)[0].reason
+
+
+def test_questions_to_all_go_out_once_for_each_prefix() -> None:
+    bench = ready(device("left", 1), device("right", 2, options=Options(can_prefix=3)))
+    since = bench.now
+    told = bench.ask(Scan("can0"), 50)
+    ids = {f.id for t, f in bench.sent if t >= since and f.id & 0x7F == 0x7F}
+    assert ids == {0x807F, 0x3807F}
+    assert {f.address for f in of(Found, told)} == {1, 2}
+    assert bench.now - since == 50 * MILLISECOND

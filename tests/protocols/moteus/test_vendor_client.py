@@ -1,0 +1,276 @@
+"""The vendor's `Controller` and `Transport` (package moteus 1.1.1) drive our twins over a python-can bus.
+
+They wait on the wall clock, so these are some of the few tests on it: the twins are stepped by a task beside
+them, a virtual millisecond at a time, as fast as frames come. Nothing here depends on how fast that is. Every
+public call of the Controller is listed; a new one fails the test.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
+
+import can
+import moteus
+import pytest
+from moteus import Mode, Register
+from moteus import multiplex as mp
+from moteus.device_info import DeviceAddress
+from moteus.pythoncan_device import PythonCanDevice
+from moteus.transport import Transport
+
+from protocols.moteus.options import Settings
+from protocols.moteus.twin import MoteusTwin
+from protocols.wire import CanFrame
+from protocols.words import MILLISECOND, Feedback
+from tests.protocols.moteus.helpers import Shaft, device, rev
+
+CHANNEL = "moteus-vendor"
+UUIDS = ("0123456789abcdeffedcba9876543210", "0123456789abcdef0011223344556677")
+TIMEOUT = 2.0
+"""s without a command until a twin's watchdog trips: virtual ones, of which no more pass than real ones."""
+WITHIN = 20.0
+"""s of the wall clock that a call may take on a machine that is busy."""
+
+# Calls that ask or move a motor, and run in `drive` or `dialogue`.
+RAN = {
+    "query",
+    "custom_query",
+    "set_stop",
+    "set_position",
+    "set_position_wait_complete",
+    "set_current",
+    "set_vfoc",
+    "set_stay_within",
+    "set_zero_velocity",
+    "set_brake",
+    "set_output",
+    "set_output_nearest",
+    "set_output_exact",
+    "set_rezero",
+    "set_require_reindex",
+    "set_recapture_position_velocity",
+    "send_diagnostic_write",
+    "diagnostic_read",
+    "diagnostic_read_flow",
+    "flush_transport",
+    "execute",
+}
+# Pins, PWM outputs and clock of the device: our twin has none and answers with an error, or not.
+NONE_HERE = {"set_write_gpio", "read_gpio", "set_trim", "set_aux_pwm"}
+
+
+class Bus:
+    """The twins behind a virtual python-can bus."""
+
+    def __init__(self) -> None:
+        self.bus = can.Bus(interface="virtual", channel=CHANNEL, fd=True)
+        self.now = 1_000_000 * MILLISECOND
+        self.shafts = [Shaft(), Shaft()]
+        self.twins = [
+            MoteusTwin(
+                device(f"m{address}", address, Settings(uuid=uuid, default_timeout_s=TIMEOUT)), address
+            )
+            for address, uuid in zip((5, 6), UUIDS, strict=True)
+        ]
+
+    def step(self) -> None:
+        """A virtual millisecond."""
+        while (message := self.bus.recv(0)) is not None:
+            frame = CanFrame(
+                message.arbitration_id,
+                bytes(message.data),
+                message.is_extended_id,
+                fd=message.is_fd,
+                brs=message.bitrate_switch,
+            )
+            for twin in self.twins:
+                twin.receive(self.now, frame)
+        for twin, shaft in zip(self.twins, self.shafts, strict=True):
+            truth = Feedback(twin.device.name, self.now, shaft.position, shaft.velocity)
+            torques, wires = twin.step(self.now, [truth])
+            shaft.step(torques[0].torque)
+            for wire in wires:
+                assert isinstance(wire, CanFrame)
+                self._send(wire)
+        self.now += MILLISECOND
+
+    def _send(self, frame: CanFrame) -> None:
+        self.bus.send(
+            can.Message(
+                arbitration_id=frame.id,
+                data=frame.data,
+                is_extended_id=frame.extended,
+                is_fd=frame.fd,
+                bitrate_switch=frame.brs,
+            )
+        )
+
+    async def pump(self) -> None:
+        while True:
+            self.step()
+            await asyncio.sleep(0.0005)
+
+
+@pytest.fixture
+def bus() -> Iterator[Bus]:
+    made = Bus()
+    yield made
+    made.bus.shutdown()
+
+
+def _in(mode: Mode) -> Callable[[Any], bool]:
+    return lambda values: bool(values[Register.MODE] == mode)
+
+
+def session(bus: Bus, talk: Callable[[Transport], Awaitable[None]]) -> None:
+    """A conversation with the twins, with the twins running beside it."""
+
+    async def run() -> None:
+        transport = Transport([PythonCanDevice(interface="virtual", channel=CHANNEL, fd=True)])
+        pump = asyncio.create_task(bus.pump())
+        try:
+            await asyncio.wait_for(talk(transport), 3 * WITHIN)
+            assert not pump.done()
+        finally:
+            pump.cancel()
+            transport.close()
+
+    asyncio.run(run())
+
+
+async def until(state: Callable[[], Awaitable[Any]], true: Callable[[Any], bool]) -> Any:
+    """Ask until it is so."""
+    for _ in range(2000):
+        told = await state()
+        if true(told.values):
+            return told
+    raise AssertionError(f"in 2000 answers not: {told}")
+
+
+def test_every_public_call_of_the_controller_is_known() -> None:
+    calls = {
+        name
+        for name in vars(moteus.Controller)
+        if not name.startswith(("_", "make_")) and callable(getattr(moteus.Controller, name))
+    }
+    assert calls == RAN | NONE_HERE
+
+
+def test_the_controller_drives_a_twin(bus: Bus) -> None:
+    twin, shaft = bus.twins[0], bus.shafts[0]
+
+    async def drive(transport: Transport) -> None:
+        c = moteus.Controller(id=5, transport=transport)
+        told = await c.query()
+        assert told.id == 5
+        assert (told.values[Register.MODE], told.values[Register.FAULT]) == (Mode.STOPPED, 0)
+        assert told.values[Register.VOLTAGE] == pytest.approx(24.0, abs=0.5)
+        position: Callable[[], Awaitable[Any]] = lambda: c.set_position(position=0.5, query=True)  # noqa: E731
+        told = await until(position, lambda v: abs(v[Register.POSITION] - 0.5) < 0.02)
+        assert told.values[Register.MODE] == Mode.POSITION
+        turning: Callable[[], Awaitable[Any]] = lambda: c.set_position(  # noqa: E731
+            position=math.nan, velocity=1.5, maximum_torque=1.0, query=True
+        )
+        await until(turning, lambda v: abs(v[Register.VELOCITY] - 1.5) < 0.05)
+        await c.set_position_wait_complete(position=0.25, velocity_limit=2.0, accel_limit=20.0)
+        assert abs(shaft.position - rev(0.25)) < rev(0.05)
+        c.position_resolution.position = mp.INT16
+        await c.set_position(position=0.3, velocity=0.0, query=True)
+        c.position_resolution.position = mp.F32
+        assert twin.axis.command[Register.COMMAND_POSITION] == pytest.approx(0.3, abs=1e-4)  # it truncates
+        shaft.held, shaft.velocity = True, 0.0
+        pushing: Callable[[], Awaitable[Any]] = lambda: c.set_position(  # noqa: E731
+            position=math.nan,
+            kp_scale=0.0,
+            kd_scale=0.0,
+            ilimit_scale=0.0,  # else what the integrator has gathered goes on pushing
+            feedforward_torque=0.125,
+            query=True,
+        )
+        await until(pushing, lambda v: abs(v[Register.TORQUE] - 0.125) < 1e-3)
+        await c.set_recapture_position_velocity()
+        current: Callable[[], Awaitable[Any]] = lambda: c.set_current(q_A=2.0, d_A=0.0, query=True)  # noqa: E731
+        await until(current, lambda v: v[Register.MODE] == Mode.CURRENT)
+        assert twin.servo.command[Register.COMMAND_Q_CURRENT] == 2.0
+        shaft.held = False
+        calls: list[tuple[Callable[[], Awaitable[Any]], Mode]] = [
+            (lambda: c.set_stay_within(lower_bound=-9.0, upper_bound=9.0, query=True), Mode.STAY_WITHIN),
+            (lambda: c.set_vfoc(theta=0.0, voltage=0.5, query=True), Mode.VOLTAGE_FOC),
+            (lambda: c.set_zero_velocity(query=True), Mode.ZERO_VELOCITY),
+            (lambda: c.set_brake(query=True), Mode.BRAKE),
+            (lambda: c.set_stop(query=True), Mode.STOPPED),
+        ]
+        for call, mode in calls:
+            await until(call, _in(mode))
+        await c.set_output_exact(position=3.0, query=True)
+        assert (await c.query()).values[Register.POSITION] == pytest.approx(3.0, abs=0.01)
+        await c.set_output_nearest(position=1.0)
+        await c.set_rezero(rezero=0.5)
+        await c.set_output(position=0.25, cmd=Register.SET_OUTPUT_EXACT, query=True)
+        await c.set_require_reindex()
+        wanted = {Register.HOME_STATE: mp.INT8, Register.MILLISECOND_COUNTER: mp.INT32}
+        told = await c.custom_query(wanted)
+        assert told.values[Register.HOME_STATE] == 0
+
+    session(bus, drive)
+
+
+def test_faults_and_timeouts_are_seen_and_left_by_a_stop(bus: Bus) -> None:
+    twin = bus.twins[0]
+
+    async def drive(transport: Transport) -> None:
+        c = moteus.Controller(id=5, transport=transport)
+        held: Callable[[], Awaitable[Any]] = lambda: c.set_position(position=0.0, query=True)  # noqa: E731
+        await until(held, lambda v: v[Register.MODE] == Mode.POSITION)
+        twin.provoke(38)
+        told = await until(held, lambda v: v[Register.MODE] == Mode.FAULT)
+        assert told.values[Register.FAULT] == 38
+        with pytest.raises(moteus.FaultError, match="code=38"):
+            await c.set_position_wait_complete(position=0.0)
+        await c.set_stop()
+        await until(c.query, lambda v: v[Register.MODE] == Mode.STOPPED)
+        await c.set_position(position=0.0, watchdog_timeout=0.02)
+        await until(c.query, lambda v: v[Register.MODE] == Mode.TIMEOUT)
+        await until(held, lambda v: v[Register.MODE] == Mode.TIMEOUT)  # it latches
+        await c.set_stop()
+        await until(c.query, lambda v: v[Register.MODE] == Mode.STOPPED)
+
+    session(bus, drive)
+
+
+def test_discovery_and_uuids(bus: Bus) -> None:
+    async def dialogue(transport: Transport) -> None:
+        found = await transport.discover()
+        assert [(info.can_id, info.uuid.hex()) for info in found] == list(zip((5, 6), UUIDS, strict=True))
+        assert [info.address.can_id for info in found] == [5, 6]
+        # Eight bytes are the same here: the package needs the third word to tell them apart.
+        one = moteus.Controller(id=DeviceAddress(uuid=bytes.fromhex(UUIDS[1])), transport=transport)
+        await one.send_diagnostic_write(data=b"conf set id.id 5\n")
+        twice: list[Any] = []
+        for _ in range(50):  # until it has taken the id
+            twice = await transport.discover(timeout=0.05)
+            if [info.can_id for info in twice] == [5, 5]:
+                break
+        assert sorted(info.uuid.hex() for info in twice) == sorted(UUIDS)
+        assert all(info.address.can_id is None for info in twice)
+        assert bus.twins[1].axis.address == 5
+
+    session(bus, dialogue)
+
+
+def test_the_console_and_registers_that_the_twin_has_not(bus: Bus) -> None:
+    async def dialogue(transport: Transport) -> None:
+        c = moteus.Controller(id=6, transport=transport)
+        await c.send_diagnostic_write(data=b"conf get id.id\n")
+        (answer,) = await c.diagnostic_read(48)
+        assert answer.data == b"6\r\n"
+        with pytest.raises(asyncio.TimeoutError):
+            await asyncio.wait_for(c.diagnostic_read_flow(), 0.1)
+        await c.flush_transport()
+        (reply,) = await transport.cycle([c.make_custom_query({0x060: mp.F32})])
+        assert moteus.protocol.parse_registers(reply.data).errors == [(0x060, 1)]
+
+    session(bus, dialogue)
