@@ -10,9 +10,15 @@ import pytest
 from gateway import config, shipped
 from gateway.recording import read
 from protocols.wire import CanFrame
+from protocols.words import Goal, Mode, Position
+from tests.gateway.rig import Rig
 from tests.gateway.test_demo import gateway
 
-ROBOTS = {"diffbot_moteus": {"moteus"}}
+ROBOTS = {
+    "diffbot_cia402": {"cia402"},
+    "diffbot_moteus": {"moteus"},
+    "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
+}
 """By robot file, the languages on its bus of motors."""
 
 
@@ -27,14 +33,31 @@ def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: s
     assert "touched: 0" in text
     recording = tmp_path / "demo.mcap"
     wires = [packet.wire for tick in read(recording).ticks for packet in tick.outputs.packets]
-    kinds = {wire.fd for wire in wires if isinstance(wire, CanFrame)}
-    assert kinds == {language == "moteus" for language in ROBOTS[name]}
+    fd = {wire.fd for wire in wires if isinstance(wire, CanFrame)}
+    assert fd == {language == "moteus" for language in ROBOTS[name]}
     judged = gateway("replay", str(recording))
     assert judged.returncode == 0, judged.stdout + judged.stderr
     assert "the same, byte for byte" in judged.stdout
     compared = re.search(r"(\d+) packets", judged.stdout)
     assert compared
     assert int(compared[1]) > 1000
+
+
+def test_three_languages_move_at_once_on_one_bus() -> None:
+    """Wheels and mast; each driver hears only its own, and what the others say is foreign to it, not bad."""
+    rig = Rig(shipped.find("robots", "diffbot_mixed").read_text("utf-8"))
+    rig.run(1.5)
+    rig.run(0.01, Position("mast", 0.5))
+    rig.run(2.5, Goal(0.4, 0.0))
+    told = {motor: joint.mode for motor, joint in rig.gateway.joints.items()}
+    assert told == dict.fromkeys(("left", "right", "mast"), Mode.ARMED)
+    assert rig.world.world.shaft("mast")[0] == pytest.approx(0.5, abs=0.01)
+    assert rig.world.world.truth().x > 0.2
+    counted = {language: tally for bus, language, tally in rig.gateway.tallies() if bus == "can0"}
+    assert set(counted) == {"cia402", "moteus", "odrive_can"}
+    for tally in counted.values():
+        assert tally.bad == 0
+        assert min(tally.heard, tally.foreign) > 100
 
 
 def test_a_robot_that_is_not_of_these_is_not_forgotten() -> None:
