@@ -4,8 +4,8 @@ Rules. Every source (a motor's feedback, a sensor) is judged by the age of its n
 of that source's own timeout (the robot file's, which is the one place where a timeout stands), and by the
 share of its measurements that perception has rejected. Worse is believed at once, better only after it
 has lasted for `recover`. What stays bad for `give_up` is gone: the tasks are dropped, and when it comes back
-the brain is ready, but does not go on by itself. A motor in fault is gone at once; one that initialises obeys
-nothing yet, whatever it already measures.
+the brain is ready, but does not go on by itself. A motor in fault is gone at once. At the start one that
+initialises is missing, whatever it already measures; later some do so for a moment whenever they are armed.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class Health:
         self._heard: dict[str, int] = {}
         self._faults: dict[str, str] = {}
         self._initialising: dict[str, str] = {}
-        """The motors of which their driver does not yet know enough to command them, and what it says."""
+        """The motors that cannot be commanded yet, and what they say of it."""
         self._bad: Verdict = WELL
         self._bad_at: Nanos | None = None
         self._standing_since: Nanos | None = None
@@ -125,7 +125,9 @@ class Health:
     def missing(self) -> str:
         """What has never been heard or is not ready to be commanded, in words; "" if all is well."""
         parts = [f"feedback of {name}" for name in self._motors if name not in self._last]
-        parts += [f"{name} to initialise" for name in self._initialising if name in self._last]
+        parts += [
+            f"{name} to initialise{said}" for name, said in self._initialising.items() if name in self._last
+        ]
         parts += [f"a reading of {name}" for name in self._sensors if name not in self._last]
         return ", ".join(parts)
 
@@ -154,8 +156,6 @@ class Health:
             return Verdict(Level.GONE, f"{name} is in fault{self._faults[name]}")
         if name not in self._last:
             return Verdict(Level.STAND, f"{name} was never heard")
-        if name in self._initialising:
-            return Verdict(Level.STAND, f"{name} initialises{self._initialising[name]}")
         if name not in self._timeouts:
             return WELL
         age, timeout = now - self._last[name], self._timeouts[name]

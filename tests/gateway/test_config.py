@@ -565,7 +565,7 @@ def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: s
     said = said.partition(": ")[2]
     assert said == (
         f"motors.right.address: uses CAN ids of 'left' (stranger) on bus 'can0': {why}; "
-        "expected another address or bus"
+        "expected another address or bus, or an option that moves its ids"
     )
 
 

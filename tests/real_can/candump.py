@@ -11,8 +11,9 @@ from pathlib import Path
 
 from protocols.wire import CanFrame
 
-LINE = re.compile(r"\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#(R?)([0-9A-F]*)")
-"""A line of `candump -L`: (seconds) interface ID#DATA, or ID#R and perhaps the length asked for."""
+LINE = re.compile(r"\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#(R|#[0-9A-F])?([0-9A-F]*)")
+"""A line of `candump -L`: (seconds) interface ID#DATA; ID#R and perhaps the length asked for; of CAN FD ID##F
+and the data, where F has the flags: 1 is the switched bit rate, 4 CAN FD itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +25,21 @@ class Seen:
 
 
 def parse(text: str) -> list[Seen]:
-    """Every classic frame of a `candump -L`. Raises ValueError at a line that is none."""
+    """Every frame of a `candump -L`. Raises ValueError at a line that is none."""
     seen = []
     for line in text.splitlines():
         found = LINE.fullmatch(line)
         if found is None:
             raise ValueError(f"not a line of candump -L: {line!r}")
-        seconds, _interface, number, remote, data = found.groups()
-        content = b"" if remote else bytes.fromhex(data)
-        seen.append(Seen(float(seconds), CanFrame(int(number, 16), content, len(number) == 8, bool(remote))))
+        seen.append(Seen(float(found[1]), _frame(found[3], found[4] or "", found[5])))
     return seen
+
+
+def _frame(number: str, kind: str, data: str) -> CanFrame:
+    remote, fd = kind == "R", kind.startswith("#")
+    content = b"" if remote else bytes.fromhex(data)
+    brs = fd and bool(int(kind[1:], 16) & 1)
+    return CanFrame(int(number, 16), content, len(number) == 8, remote, fd, brs)
 
 
 @contextmanager

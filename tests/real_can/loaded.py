@@ -16,8 +16,7 @@ MODULES = [
     "pydantic.type_adapter",
     "pytest",  # the main module of those who fork
     "rosbags.typesys.stores.ros2_jazzy",
-    "protocols.odrive_can",
-    "protocols.plain",
+    *(f"protocols.{name}" for name in ("cia402", "moteus", "odrive_can", "plain")),
     *(f"gateway.{name}" for name in ROOMS.split()),
     *(f"gateway.buses.{name}" for name in BUSES.split()),
 ]

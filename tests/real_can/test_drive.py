@@ -1,4 +1,6 @@
-"""`gateway run` and `gateway twin`, two processes on a real CAN: a goal, the recording, what others see."""
+"""`gateway run` and `gateway twin`, two processes on a real CAN: a goal, the recording, what others see.
+
+Over ODrive on each wire; over CiA 402, moteus, and the three on one CAN FD bus, on a virtual one."""
 
 from __future__ import annotations
 
@@ -16,9 +18,36 @@ from tests.real_can.rover import rover
 
 
 @dataclass(frozen=True, slots=True)
+class Robot:
+    """Which robot drives, on which wire, and what it says."""
+
+    name: str
+    bitrate: int
+    """Of the wire; 0 on a virtual one."""
+    kinds: frozenset[bool]
+    """Of the frames that go out: True is CAN FD."""
+    ids: int
+    """So many ids, at least, are ours alone."""
+
+
+ROVERS = [
+    pytest.param(
+        Robot("rover", int(str(wired.values[0])), frozenset({False}), 4), id=wired.id, marks=wired.marks
+    )
+    for wired in WIRES
+]
+LANGUAGES = [
+    Robot("rover_cia402", 0, frozenset({False}), 4),
+    Robot("rover_moteus", 0, frozenset({True}), 2),
+    Robot("rover_mixed", 0, frozenset({False, True}), 6),
+]
+
+
+@dataclass(frozen=True, slots=True)
 class Drive:
     """What is left of a drive."""
 
+    robot: Robot
     status: int
     said: str
     recording: Path
@@ -26,21 +55,26 @@ class Drive:
     """By candump, on our end."""
 
 
-@pytest.fixture(scope="module", params=WIRES)
+@pytest.fixture(scope="module", params=[*ROVERS, *(pytest.param(one, id=one.name) for one in LANGUAGES)])
 def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    robot: Robot = request.param
     folder = tmp_path_factory.mktemp("drive")
     recording, log = folder / "drive.mcap", folder / "candump.log"
     asked = ("--goal", "0.4,0", "--record", str(recording))
     with (
-        wire(request.param) as ends,
+        wire(robot.bitrate) as ends,
         candump(ends[0], log),
-        rover(folder, request.param, ends, *asked) as (run, twin),
+        rover(folder, robot.bitrate, ends, *asked, name=robot.name) as (run, twin),
     ):
+        if robot.name == "rover_mixed":
+            run.until("arm: ready")
+            run.ask(robot.name, "velocity arm 1")
+            run.until("arm: armed")
         run.until("goal 1 reached", patience=30.0)
         status = run.end()
         twin.end()
         print(run.text, twin.text)
-        return Drive(status, run.text, recording, parse(log.read_text()))
+        return Drive(robot, status, run.text, recording, parse(log.read_text()))
 
 
 def test_goal_is_reached(drive: Drive) -> None:
@@ -64,7 +98,8 @@ def test_candump_reads_what_we_sent(drive: Drive) -> None:
     assert in_order(heard, seen)
     theirs = {(frame.id, frame.remote) for frame in heard}
     ours = {(frame.id, frame.remote) for frame in sent} - theirs
-    assert len(ours) >= 4
+    assert len(ours) >= drive.robot.ids
+    assert {frame.fd for frame in sent} == drive.robot.kinds
     assert [f for f in seen if (f.id, f.remote) in ours] == [f for f in sent if (f.id, f.remote) in ours]
 
 

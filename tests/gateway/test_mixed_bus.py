@@ -1,0 +1,129 @@
+"""Three languages on one CAN FD bus: each driver gets every frame, its own devices and the bus's states."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from gateway import config
+from gateway.gateway import ear_of
+from protocols.wire import BusState, CanFrame
+from protocols.words import Command, Feedback, Idle, Mode, Velocity
+from tests.gateway.rig import Rig, told
+
+MIXED = """
+name = "mixed"
+rate_hz = 200
+world = "bench"
+[buses.can0]
+kind = "canfd"
+bitrate = 1_000_000
+data_bitrate = 5_000_000
+mixed = "acknowledged"
+interface = "twin"
+[defaults.motors]
+bus = "can0"
+on_fault = "continue"
+feedback_timeout_ms = 300
+limits = { velocity = 20.0, acceleration = 60.0, torque = 2.0 }
+[motors.servo]
+protocol = "moteus"
+address = 1
+options = { can_prefix = 1 }
+[motors.drive]
+protocol = "cia402"
+address = 2
+[motors.arm]
+protocol = "odrive_can"
+address = 3
+options = { watchdog = "acknowledged" }
+[brain]
+body = "joints"
+[brain.joints]
+motors = ["servo", "drive", "arm"]
+"""
+MOTORS = {"servo": "moteus", "drive": "cia402", "arm": "odrive_can"}
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """All ready."""
+    made = Rig(MIXED)
+    made.run(1.2)
+    assert {name: joint.mode for name, joint in made.gateway.joints.items()} == dict.fromkeys(
+        MOTORS, Mode.READY
+    )
+    return made
+
+
+def test_each_motor_turns_and_obeys_nobody_else(rig: Rig) -> None:
+    for turning in MOTORS:
+        ticks = rig.run(0.8, Velocity(turning, 2.0))
+        assert rig.velocity(turning) == pytest.approx(2.0, abs=0.1)
+        assert all(abs(rig.velocity(name)) < 0.02 for name in MOTORS if name != turning)
+        ear = ear_of(rig.robot, "can0")
+        obeyed = {
+            word.motor
+            for tick in ticks
+            for packet in tick.outputs.packets
+            for word in ear.hear(packet.t, packet.wire)
+            if isinstance(word, Command) and not isinstance(word, Idle)
+        }
+        assert obeyed == {turning}
+        rig.run(0.5, Idle(turning))
+    assert [note for note in told(rig.ticks) if note.level == "error"] == []
+
+
+def test_every_frame_is_counted_once_by_every_language_and_is_understood_by_one(rig: Rig) -> None:
+    rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
+    received = sum(len(tick.inputs.packets) for tick in rig.ticks)
+    tallies = {language: tally for _, language, tally in rig.gateway.tallies()}
+    assert list(tallies) == list(MOTORS.values())
+    assert [tally.heard + tally.bad + tally.foreign for tally in tallies.values()] == [received] * 3
+    assert sum(tally.heard for tally in tallies.values()) == received
+    assert all(tally.bad == 0 and tally.heard > 200 for tally in tallies.values())
+    for packets in ("inputs", "outputs"):
+        wires = [p.wire for tick in rig.ticks for p in getattr(tick, packets).packets]
+        kinds = {(w.fd, w.brs, w.extended) for w in wires if isinstance(w, CanFrame)}
+        assert kinds == {(False, False, False), (True, True, True)}
+
+
+def test_a_bus_that_vanishes_and_comes_back_is_told_to_all_of_them(rig: Rig) -> None:
+    rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
+    rig.world.lose("can0")
+    ticks = rig.run(1.0)
+    assert [state for tick in ticks for _, state in tick.inputs.states] == [BusState.GONE]
+    assert all(rig.gateway.joints[name].mode in (Mode.OFFLINE, Mode.FAULT) for name in MOTORS)
+    rig.world.restore("can0")
+    ticks = rig.run(1.5)
+    assert [state for tick in ticks for _, state in tick.inputs.states] == [BusState.BACK]
+    heard = {e.motor for tick in ticks[-100:] for e in tick.outputs.events if isinstance(e, Feedback)}
+    assert heard == set(MOTORS)
+    assert all(abs(rig.velocity(name)) < 0.05 for name in ("servo", "drive"))  # their watchdogs saw to that
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        # a moteus without a prefix heeds every id whose low byte is its own, whatever kind of frame it is
+        (("can_prefix = 1", "can_prefix = 0"), "drive.*0x601.*'servo' would obey what it is sent"),
+        # 0x080 is SYNC, and the version of an ODrive's node 4
+        (("address = 3", "address = 4"), "arm.*0x082 .*0x080 .'drive' would obey what it reports there"),
+        # 0x000 is NMT, and all of node 0's
+        (("address = 3", "address = 0"), "arm.*0x000 .'drive' would obey what it reports there"),
+        # 0x202 is RPDO1 of node 2, and Estop of node 16
+        (("address = 3", "address = 16"), "arm.*0x202"),
+    ],
+)
+def test_ids_that_clash_are_told(change: tuple[str, str], said: str) -> None:
+    with pytest.raises(config.ConfigError) as raised:
+        config.loads(MIXED.replace(*change))
+    assert any(re.search(said, str(mistake)) for mistake in raised.value.mistakes), str(raised.value)
+
+
+def test_all_clashes_are_told_at_once() -> None:
+    text = MIXED.replace("can_prefix = 1", "can_prefix = 0").replace("address = 3", "address = 4")
+    with pytest.raises(config.ConfigError) as raised:
+        config.loads(text)
+    assert len(raised.value.mistakes) == 2
