@@ -4,8 +4,8 @@ Rules. Nothing is said to a device before its first command other than Idle (or 
 is said that was not asked for, so that the device's watchdog is fed by commands alone. A fault is told
 once, until the device has left it or the bus has come back. A request ends: done, or refused after `ANSWER`.
 
-FILL IN what the real device needs to be armed, polled and asked. The clauses "unclaimed", "disarm", "faults"
-and "blind" tell.
+FILL IN what the real device needs to be armed, polled and asked. The clauses "unclaimed", "disarm", "faults",
+"blind", "twice" and "replies" tell.
 """
 
 from __future__ import annotations

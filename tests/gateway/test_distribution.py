@@ -28,6 +28,11 @@ MIXED = BENCH.replace("[motors.left]\n", f'[motors.left]\nprotocol = "{NAME}"\no
 )
 """The left motor speaks the stranger's language and the right one ours, on one bus."""
 ROBOT = MIXED.replace("address = 2\n", 'address = 2\noptions = { watchdog = "acknowledged" }\n')
+COLOURED = """
+from dataclasses import replace
+from protocols.plain import plugin
+plugin = replace(plugin, name="g7_unspecified", spec=lambda device: device.color)
+"""
 BROKEN = {
     "raises": ("1 / 0", "ZeroDivisionError: division by zero"),
     "poor": ("import g7_dependency", "ModuleNotFoundError: No module named 'g7_dependency'"),
@@ -39,8 +44,7 @@ BROKEN = {
         "got an unexpected keyword argument 'wires' (it asks for motor-gateway>=9)",
     ),
     "unspecified": (
-        "import protocols.plain as p, dataclasses as d\n"
-        + "plugin = d.replace(p.plugin, name='g7_unspecified', spec=lambda device: device.color)",
+        COLOURED,
         "AttributeError: 'Device' object has no attribute 'color'",
     ),
 }
