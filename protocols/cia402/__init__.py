@@ -222,8 +222,8 @@ plugin = Plugin(
     name="cia402",
     title="servo drives with CANopen and the profile CiA 402 (DS402)",
     trust=(
-        "bytes of NMT, SYNC, heartbeat, EMCY, SDO and PDO both ways: canopen 2.4.1; error codes, units and modes"
-        " of CiA 402: from memory of its text, checked against no drive; twin driven by canopen 2.4.1's"
+        "bytes of NMT, SYNC, heartbeat, EMCY, SDO and PDO both ways: canopen 2.4.1; error codes, units and"
+        " modes of CiA 402: from memory of its text, checked against no drive; twin driven by canopen 2.4.1's"
         " BaseNode402 (arming, modes, fault, homing, PdoMap.save, scanner)"
     ),
     options=Options,

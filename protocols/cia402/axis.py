@@ -17,7 +17,19 @@ from enum import Enum, auto
 
 from protocols.cia402 import objects as o
 from protocols.cia402 import sdo
-from protocols.cia402.codec import Heartbeat, Nmt, NmtCommand, NmtState, Sync, decode, is_classic, sdo_rx_id
+from protocols.cia402.codec import (
+    HEARTBEAT_BASE,
+    NODE_MASK,
+    SYNC_ID,
+    Heartbeat,
+    Nmt,
+    NmtCommand,
+    NmtState,
+    Sync,
+    decode,
+    is_classic,
+    sdo_rx_id,
+)
 from protocols.cia402.dictionary import Dictionary
 from protocols.cia402.machine import HOLDING_QUICK_STOPS, obey
 from protocols.cia402.objects import TARGETS, Key, title
@@ -44,6 +56,7 @@ from protocols.words import (
 )
 
 Words = Sequence[Command | Request]
+MODES = {int(mode): mode for mode in Mode}
 COMMUNICATION_END = 0x2000
 """Below it lie the objects of communication."""
 NEXT_STATE = {
@@ -131,6 +144,8 @@ class Axis:
             return self._hear_sdo(wire.data)
         if wire.id in self._ids:
             return [word for index in self._ids[wire.id] for word in self._hear_rpdo(t, index, wire.data)]
+        if wire.id > SYNC_ID and wire.id & ~NODE_MASK != HEARTBEAT_BASE:
+            return ()
         match decode(wire):
             case Nmt(command, node) if node in (0, self.node):
                 return self._hear_nmt(command)
@@ -219,7 +234,7 @@ class Axis:
     @property
     def mode(self) -> Mode:
         """6061."""
-        return Mode(self.dictionary.values[o.MODE])
+        return MODES[self.dictionary.values[o.MODE]]
 
     @property
     def enabled(self) -> bool:

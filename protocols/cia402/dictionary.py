@@ -98,6 +98,14 @@ class Dictionary:
                 for sub, entry in enumerate(entries, 1):
                     self.values[map_first + at, sub] = word_of(entry)
 
+    def __deepcopy__(self, _: dict[int, object]) -> Dictionary:
+        """As deep as it goes: keys and values are numbers, packings never change. (Copied often.)"""
+        other = object.__new__(Dictionary)
+        other.supported = self.supported
+        other.texts, other.values = dict(self.texts), dict(self.values)
+        other.packings = dict(self.packings)
+        return other
+
     # -- as an SDO server sees it ---------------------------------------------------------------
 
     def read(self, key: Key) -> tuple[int, bytes]:

@@ -101,7 +101,7 @@ def _variable(section: str, row: Object, one: Dictionary, two: Dictionary) -> li
         f"[{section}]",
         f"ParameterName={row.name}",
         f"ObjectType={VARIABLE:#x}",
-        f"DataType={row.type.value[0]:#06x}",
+        f"DataType={row.type.code:#06x}",
         f"AccessType={row.access}",
         f"DefaultValue={_default(row, one, two)}",
         f"PDOMapping={int(row.mappable)}",

@@ -31,25 +31,17 @@ class Type(Enum):
     U32 = (0x07, 32, False)
     TEXT = (0x09, 0, False)
 
-    @property
-    def bits(self) -> int:
+    def __init__(self, code: int, bits: int, signed: bool) -> None:
+        self.code = code
+        """In an EDS."""
+        self.bits = bits
         """Length; 0 for text."""
-        return self.value[1]
-
-    @property
-    def signed(self) -> bool:
+        self.signed = signed
         """Whether it is a two's complement."""
-        return self.value[2]
-
-    @property
-    def low(self) -> int:
+        self.low = -(1 << bits - 1) if signed else 0
         """Smallest value."""
-        return -(1 << self.bits - 1) if self.signed else 0
-
-    @property
-    def high(self) -> int:
+        self.high = (1 << bits - signed) - 1
         """Largest value."""
-        return (1 << self.bits - self.signed) - 1
 
 
 @dataclass(frozen=True, slots=True)

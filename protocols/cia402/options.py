@@ -58,6 +58,9 @@ class Options:
     """Position units per turn of the device's shaft, for drives whose 608F, 6091 and 6092 do not say; 0: then
     they stay unknown, and the drive is not commanded."""
 
+    def __deepcopy__(self, _: dict[int, object]) -> Options:
+        return self
+
     def __post_init__(self) -> None:
         wrong = [_outside(name, getattr(self, name), low, high) for name, low, high in _OPTION_RANGES]
         wrong += [f"{name} must be finite and not negative" for name in _AMOUNTS if not _amount(self, name)]
@@ -202,6 +205,9 @@ class Settings:
     """How long the drive takes for an SDO answer, at least; 0: it answers at its next cycle."""
     boot_ms: int = 300
     """How long a reset is silent."""
+
+    def __deepcopy__(self, _: dict[int, object]) -> Settings:
+        return self
 
     def __post_init__(self) -> None:
         wrong = []

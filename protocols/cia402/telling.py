@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from protocols.cia402 import objects as o
 from protocols.cia402.dictionary import Dictionary
 from protocols.cia402.objects import Key
-from protocols.cia402.pdo import Packing, is_synchronous
+from protocols.cia402.pdo import DISABLED, Packing, is_synchronous
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, Nanos
 
@@ -56,6 +56,12 @@ class Tpdo:
         else:
             due = self.syncs >= transmission
         return (self.frame(now, dictionary, packing),) if due else ()
+
+    def is_timed(self, dictionary: Dictionary) -> bool:
+        """Whether it goes by itself."""
+        if dictionary.values[self.index, o.COB_ID] & DISABLED:
+            return False
+        return not is_synchronous(dictionary.values[self.index, o.TRANSMISSION])
 
     def on_time(self, now: Nanos, dictionary: Dictionary) -> Sequence[CanFrame]:
         """Time went on."""

@@ -14,10 +14,10 @@ from collections.abc import Sequence
 from protocols.cia402 import objects as o
 from protocols.cia402 import sdo
 from protocols.cia402.axis import Axis, Signal
-from protocols.cia402.codec import Emcy, Heartbeat, NmtState, encode, sdo_tx_id
+from protocols.cia402.codec import Emcy, Heartbeat, NmtState, encode, sdo_rx_id, sdo_tx_id
 from protocols.cia402.drive import Drive
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, NO_ERROR, RPDO_TIMEOUT, register_of
-from protocols.cia402.objects import Key, Type
+from protocols.cia402.objects import Type
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import STATE_BITS, Mode, PowerState, Status
 from protocols.cia402.telling import Tpdo, tpdos
@@ -41,6 +41,7 @@ class Cia402Twin:
         self.tpdos: list[Tpdo] = tpdos()
         self.silent_until: Nanos = 0
         """It boots until then."""
+        self._asked = sdo_rx_id(device.address)
         self._phase = (seed * 7919 + device.address * 31) % 1000
         self._booted = False
         """Its boot-up message is out."""
@@ -63,8 +64,11 @@ class Cia402Twin:
             return
         axis = self.axis
         before, nmt = axis.state, axis.nmt
-        self._tell()
+        if isinstance(wire, CanFrame) and wire.id == self._asked:
+            self._tell()
         axis.hear(t, wire)
+        if not (axis.signals or axis.answers or axis.state is not before or axis.nmt is not nmt):
+            return
         if nmt is not axis.nmt and axis.nmt is NmtState.OPERATIONAL:
             self.tpdos = tpdos()
         self._serve(t)
@@ -171,9 +175,9 @@ class Cia402Twin:
             code = self.drive.step(dt, self.axis)
             if code:
                 self.trip(code)
-        self._tell()
-        torque = self.drive.torque
-        return (Torque(self.device.name, torque),), self._say(now)
+        if not self.axis.enabled:
+            self.axis.position = self._counted()
+        return (Torque(self.device.name, self.drive.torque),), self._say(now)
 
     def _see(self, event: Event) -> None:
         if isinstance(event, Feedback) and event.motor == self.device.name:
@@ -201,7 +205,9 @@ class Cia402Twin:
         said += [frame for due, frame in self._answers if due <= now]
         self._answers = [(due, frame) for due, frame in self._answers if due > now]
         syncs, axis.signals = len(axis.signals), []
-        if axis.nmt is NmtState.OPERATIONAL:
+        told = syncs or any(tpdo.is_timed(axis.dictionary) for tpdo in self.tpdos)
+        if axis.nmt is NmtState.OPERATIONAL and told:
+            self._tell()
             for tpdo in self.tpdos:
                 for _ in range(syncs):
                     said += tpdo.on_sync(now, axis.dictionary)
@@ -228,32 +234,34 @@ class Cia402Twin:
 
     # -- what it tells of itself ------------------------------------------------------------------
 
+    def _counted(self) -> int:
+        """The position as 6064 has it."""
+        return _fit(Type.I32, self.drive.position * self.axis.units.per_turn / math.tau)
+
     def _tell(self) -> None:
         """Bring the dictionary's measured values up to date."""
         axis, drive = self.axis, self.drive
         values, units = axis.dictionary.values, axis.units
         per_radian = units.per_turn / math.tau
-        values[o.POSITION] = _fit(o.POSITION, drive.position * per_radian)
-        values[o.VELOCITY] = _fit(o.VELOCITY, drive.velocity * per_radian)
-        values[o.POSITION_DEMAND] = _fit(o.POSITION_DEMAND, drive.ramp.position * per_radian)
-        values[o.VELOCITY_DEMAND] = _fit(o.VELOCITY_DEMAND, drive.ramp.velocity * per_radian)
+        values[o.POSITION] = self._counted()
+        values[o.VELOCITY] = _fit(Type.I32, drive.velocity * per_radian)
+        values[o.POSITION_DEMAND] = _fit(Type.I32, drive.ramp.position * per_radian)
+        values[o.VELOCITY_DEMAND] = _fit(Type.I32, drive.ramp.velocity * per_radian)
         permille = 1000.0 / (units.rated_torque * units.gear)
-        values[o.TORQUE] = _fit(o.TORQUE, drive.torque * permille)
+        values[o.TORQUE] = _fit(Type.I16, drive.torque * permille)
         values[o.CURRENT] = values[o.TORQUE]
-        values[o.TORQUE_DEMAND] = _fit(o.TORQUE_DEMAND, drive.wanted * permille)
+        values[o.TORQUE_DEMAND] = _fit(Type.I16, drive.wanted * permille)
         values[o.DC_VOLTAGE] = round(self.settings.dc_voltage * 1000.0)
         values[o.MODE_DISPLAY] = values[o.MODE]
         values[o.STATUSWORD] = self._statusword()
-        if axis.goal is None and not axis.enabled:
-            axis.position = values[o.POSITION]
 
     def _statusword(self) -> int:
         axis, drive = self.axis, self.drive
-        word = STATE_BITS[axis.state][1] | Status.VOLTAGE_ENABLED | Status.REMOTE
+        word = STATE_BITS[axis.state][1] | ALWAYS
         if drive.limited:
-            word |= Status.INTERNAL_LIMIT
+            word |= LIMITED
         if axis.state is PowerState.QUICK_STOP:
-            return word | (Status.TARGET_REACHED if drive.standing() else 0)
+            return word | (REACHED if drive.standing() else 0)
         if axis.mode is Mode.HM:  # also while it is not enabled: whether home is known
             return word | self._homing_bits()
         return word | self._mode_bits() if axis.enabled else word
@@ -262,35 +270,38 @@ class Cia402Twin:
         drive = self.drive
         if drive.homing or self.axis.homing_asked:
             return 0
-        return Status.TARGET_REACHED | (Status.HOMING_ATTAINED if drive.homed else 0)
+        return REACHED | (BIT_12 if drive.homed else 0)
 
     def _mode_bits(self) -> int:
         axis, drive, values = self.axis, self.drive, self.axis.dictionary.values
-        error = Status.FOLLOWING_ERROR if drive.following_error else 0
+        error = BIT_13 if drive.following_error else 0
         match axis.mode:
             case Mode.CSP:
-                return Status.FOLLOWS_COMMAND | error
+                return BIT_12 | error
             case Mode.CSV | Mode.CST:
-                return Status.FOLLOWS_COMMAND
+                return BIT_12
             case Mode.PP:
-                acknowledged = Status.SETPOINT_ACKNOWLEDGED if axis.acknowledged else 0
+                acknowledged = BIT_12 if axis.acknowledged else 0
                 return error | acknowledged | self._reached(values[o.POSITION_WINDOW_TIME])
             case Mode.PV:
                 slow = abs(drive.velocity) <= axis.units.velocity(values[o.VELOCITY_THRESHOLD])
-                zero = Status.ZERO_SPEED if slow else 0
-                return zero | self._reached(values[o.VELOCITY_WINDOW_TIME])
+                return (BIT_12 if slow else 0) | self._reached(values[o.VELOCITY_WINDOW_TIME])
             case Mode.PT:
                 return self._reached(0)
         return 0
 
     def _reached(self, milliseconds: int) -> int:
-        return Status.TARGET_REACHED if self.drive.arrived.lasts(milliseconds) else 0
+        return REACHED if self.drive.arrived.lasts(milliseconds) else 0
 
 
-_BOUNDS: dict[Key, Type] = {key: row.type for key, row in o.OBJECTS.items()}
+ALWAYS = int(Status.VOLTAGE_ENABLED | Status.REMOTE)
+LIMITED = int(Status.INTERNAL_LIMIT)
+REACHED = int(Status.TARGET_REACHED)
+BIT_12 = int(Status.FOLLOWS_COMMAND)
+"""Also set-point acknowledged, speed zero, homing attained."""
+BIT_13 = int(Status.FOLLOWING_ERROR)
 
 
-def _fit(key: Key, value: float) -> int:
+def _fit(type_: Type, value: float) -> int:
     """A measured value as its object holds it: it stays at the end of its range."""
-    type_ = _BOUNDS[key]
     return max(type_.low, min(type_.high, round(value)))
