@@ -314,7 +314,7 @@ class Node:
             events.append(State(self.name, now, StateMode.OFFLINE, "nothing heard"))
         asks = [self.question(now)] if now >= self._ask_at() else []
         if not self.offline and self.mode is not None and now >= self.identify_at:
-            self.identify_at = now + (IDENTIFY_EVERY if self.uuids else IDENTIFY_AGAIN)
+            self.identify_at = now + (IDENTIFY_AGAIN if self.firmware is None else IDENTIFY_EVERY)
             asks.append(IDENTIFY)
         return events, asks
 

@@ -7,7 +7,7 @@ from math import inf, nan, tau
 
 import pytest
 
-from protocols.moteus.codec import FAST, FULL, framed, reply_id
+from protocols.moteus.codec import FAST, FULL, READ_ERROR, Error, Values, encode, framed, reply_id
 from protocols.moteus.faults import FAULTS, HELD_TWICE, NOT_ARMED, TIMEOUT
 from protocols.moteus.messages import IDENTIFY
 from protocols.moteus.options import Options, Settings
@@ -32,7 +32,7 @@ from protocols.words import (
     Torque,
     Velocity,
 )
-from tests.protocols.moteus.helpers import Bench, device, modes, of, ready, rev
+from tests.protocols.moteus.helpers import Bench, device, modes, of, ready, rev, subframes
 
 P, V, T = Register.COMMAND_POSITION, Register.COMMAND_VELOCITY, Register.COMMAND_FEEDFORWARD_TORQUE
 
@@ -61,6 +61,22 @@ def test_one_question_a_period_and_the_details_now_and_then() -> None:
     since = bench.now - 1000 * MILLISECOND
     frames = [f.data for t, f in bench.sent if t >= since]
     assert len(frames) == pytest.approx(200, abs=2)  # 5 ms: each command asks by itself
+
+
+def test_a_device_without_a_uuid_is_not_asked_for_it_all_the_time() -> None:
+    bench = Bench([device()])
+    bench.from_device = lambda frame: (_without_uuid(frame),)
+    bench.run(2000)
+    assert bench.node.firmware == 0x010304
+    assert bench.node.uuids == {}
+    assert len([f for _, f in bench.sent if f.data.startswith(IDENTIFY)]) <= 2
+
+
+def _without_uuid(frame: CanFrame) -> CanFrame:
+    """As an older firmware would have answered."""
+    errors = b"".join(encode(Error(READ_ERROR, r, 1)) for r in (0x150, 0x151, 0x152, 0x153, 0x158))
+    kept = [encode(s) for s in subframes(frame) if not (isinstance(s, Values) and s.start >= 0x150)]
+    return frame if len(kept) == len(subframes(frame)) else framed(frame.id, b"".join(kept) + errors)
 
 
 def test_feedback_is_in_si_and_of_the_time_of_the_answer() -> None:
