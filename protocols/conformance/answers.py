@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from enum import Enum
-from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -55,6 +54,7 @@ SPARED = (Scan, ReadParameter, ClearFault, Estop)
 LINE_REQUESTS = (Scan, SetId)
 MOTOR_REQUESTS = (ClearFault, Estop, Zero, Home, Reboot)
 ALL_REQUESTS = (*LINE_REQUESTS, *MOTOR_REQUESTS, ReadParameter, WriteParameter)
+HINTS: dict[type, dict[str, Any]] = {kind: get_type_hints(kind) for kind in get_args(Word)}
 
 
 def requests_are_answered(case: Case) -> Verdict:
@@ -179,8 +179,8 @@ def _sorted_out(said: Said, open_: list[Request], words: Sequence[Request], case
 
 def _unsaid(said: Said, words: Sequence[Request], heard: Sequence[Word]) -> Failure | None:
     """A request to a device that is done, though no ear has heard it."""
-    for event in said.events:
-        for word in words if isinstance(event, Done) else ():
+    for event in (event for event in said.events if isinstance(event, Done)):
+        for word in words:
             if isinstance(word, SPARED) or not answers(event, word):
                 continue
             if not any(_meant(word, each) for each in heard):
@@ -211,7 +211,7 @@ def answers(event: Done | Refused | Parameter, word: Request) -> bool:
 
 def broken(word: Word, now: Nanos) -> str:
     """What is wrong with the form of a word that was told or heard at `now`, or ""."""
-    hints = _hints(type(word))
+    hints = HINTS[type(word)]
     for f in fields(word):
         value = getattr(word, f.name)
         if not _fits(value, hints[f.name]):
@@ -227,11 +227,6 @@ def broken(word: Word, now: Nanos) -> str:
     if isinstance(word, Done | Refused) and word.request not in {kind.__name__ for kind in ALL_REQUESTS}:
         return "an answer to no request that there is"
     return ""
-
-
-@cache
-def _hints(kind: type[Word]) -> dict[str, Any]:
-    return get_type_hints(kind)
 
 
 def _fits(value: object, hint: Any) -> bool:  # noqa: ANN401 -- any annotation
