@@ -26,7 +26,8 @@ def upward(power: PowerState, quick_stop_option: int, *, placed: bool) -> Demand
     `placed`: mode and set-points stand, and do not move the shaft."""
     if power is PowerState.QUICK_STOP:
         holds = quick_stop_option in HOLDING_QUICK_STOPS
-        return Demand.ENABLE_OPERATION if holds and placed else None if holds else Demand.DISABLE_VOLTAGE
+        held = Demand.ENABLE_OPERATION if placed else Demand.QUICK_STOP
+        return held if holds else Demand.DISABLE_VOLTAGE
     demand = UP.get(power)
     waiting = demand is Demand.ENABLE_OPERATION and power is PowerState.SWITCHED_ON and not placed
     return Demand.SWITCH_ON if waiting else demand

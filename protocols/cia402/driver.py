@@ -139,7 +139,7 @@ class Cia402Driver:
     def _ended(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
         job, abort = outcome.job, outcome.abort
         match job.purpose:
-            case Purpose.READING if not outcome.silent:
+            case Purpose.READING if not outcome.silent or job.key == o.DEVICE_NAME:
                 return node.hear_read(t, job.key, outcome.value, abort)
             case Purpose.POLL if abort is None:
                 value = jobs.polled(job.key, outcome.value)

@@ -179,7 +179,7 @@ class Node:
         self.heard(t)
         self.beats = [*self.beats[-3:], beat.state]
         self.nmt = beat.state
-        return []
+        return self.tell(t)
 
     def hear_emcy(self, t: Nanos, emcy: Emcy) -> list[Event]:
         """An emergency, or that one is over."""

@@ -32,7 +32,7 @@ def dictionary(node: int) -> Any:
     return deepcopy(_parsed(node))
 
 
-class Joined(canopen.Network):  # type: ignore[misc]  # the package has no types
+class Joined(canopen.Network):
     """A network whose frames go to a list, and to `on_sent`."""
 
     def __init__(self) -> None:

@@ -6,6 +6,7 @@ statusword is needed the test writes it.
 from __future__ import annotations
 
 import json
+
 import pytest
 
 from protocols.cia402 import mapping, sdo
@@ -16,6 +17,7 @@ from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.options import Options
 from protocols.cia402.pdo import word_of
+from protocols.cia402.profile import PowerState
 from protocols.conformance.rehearsal import START, STEP
 from protocols.wire import CanFrame
 from protocols.words import (
@@ -132,8 +134,7 @@ def test_what_it_sends_as_rpdo_is_read_by_an_independent_map_and_its_tpdos_by_us
     pair.write(o.STATUSWORD, 0x0231)
     pair.write(o.POSITION, 8192)
     pair.steps(30, Hold("m"))
-    assert pair.driver.nodes[NODE].power is not None
-    assert pair.driver.nodes[NODE].power.value == "READY TO SWITCH ON"
+    assert pair.driver.nodes[NODE].power is PowerState.READY
     assert pair.driver.tally.heard > heard
     assert pair.driver.tally.bad == 0
     rpdo = pair.slave.node.rpdo[1]
