@@ -21,6 +21,7 @@ from protocols.conformance.answers import requests_are_answered
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown, variants
 from protocols.conformance.checksums import bad_checksums_change_nothing
 from protocols.conformance.complaints import faults_latch
+from protocols.conformance.dropped import dropped_is_said_again
 from protocols.conformance.manners import (
     nothing_non_finite,
     only_declared_wires,
@@ -77,6 +78,7 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("faults", "faults are told with their text, latch, and go by ClearFault alone", faults_latch),
     Clause("attach", "a fresh driver takes a device over without dropping its load", load_is_kept),
     Clause("scan", "discovery finds the devices, and neither enables nor clears", scan_only_looks),
+    Clause("dropped", "what the bus dropped when it was full is said again", dropped_is_said_again),
     Clause("normal", "−0.0 and denormals are said and told as 0.0", only_normal_numbers),
     Clause("checksums", "a message in which a bit is wrong changes nothing", bad_checksums_change_nothing),
     Clause("obeyed", "the device does what its ear hears, and nothing else", ear_and_twin_agree),

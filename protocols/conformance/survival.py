@@ -80,7 +80,7 @@ def _heard(stage: Rehearsal, spec: Spec, commands: Sequence[Command]) -> Failure
     missing, wires, heard = list(commands), list[Wire](), list[Word]()
     for _ in range(30):
         said = stage.step(commands)
-        missing = [w for w in missing if not any(_obeyed(stage, spec, w, h) for h in said.heard)]
+        missing = [w for w in missing if not any(obeyed(stage, spec, w, h) for h in said.heard)]
         if not missing:
             return None
         wires += [w for w in said.down if w not in wires]
@@ -91,7 +91,8 @@ def _heard(stage: Rehearsal, spec: Spec, commands: Sequence[Command]) -> Failure
     return Failure(f"said {missing[0]}, heard {told}", tuple(wires[-4:]), (missing[0], *last))
 
 
-def _obeyed(stage: Rehearsal, spec: Spec, said: Command, heard: Command | Request) -> bool:
+def obeyed(stage: Rehearsal, spec: Spec, said: Command, heard: Command | Request) -> bool:
+    """Whether a device that heard this does what was said."""
     if isinstance(said, Hold) and isinstance(heard, Position) and heard.motor == said.motor:
         # Many devices have no word for Hold: the driver then says where the shaft was measured to be.
         measured = spec.ranges.get("Feedback.position", Range(0.0, 0.0, 0.0))
@@ -149,6 +150,7 @@ def measurements_survive(case: Case) -> Verdict:
     for name in ("position", "velocity"):
         bounds = spec.ranges.get(f"Feedback.{name}")
         values = _dense(_sane(bounds), dice) if bounds else []
+        values = values[: case.part(len(values))]
         for at in range(0, len(values), 2):
             pair = (values[at], values[at + 1 - len(values)])
             failure = _told(case, spec, name, dict(zip(NAMES, pair, strict=True)))

@@ -92,6 +92,8 @@ class Host:
     """It calls the driver only when there is a word to say, or when the driver is due."""
     echo: bool = False
     """The bus gives back what this host has sent."""
+    dropping: bool = False
+    """What our driver sends finds no room in the transmit queue."""
     other: Driver | None = None
     """Another host on the bus, ..."""
     others_words: Words = ()
@@ -128,7 +130,7 @@ class Host:
             if words or not self.lazy or (due is not None and now >= due):
                 own, wires = self.driver.send(now, words)
                 events += own
-                self.sent = tuple(wires)
+                self.sent = () if self.dropping else tuple(wires)
         theirs = self.other.send(now, self.others_words)[1] if self.other is not None else ()
         return events, (*theirs, *self.sent)
 

@@ -16,7 +16,7 @@ from protocols.plain import line
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
 from protocols.plugin import Device, Plugin
-from protocols.wire import CanFrame, Wire
+from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
     ClearFault,
@@ -60,6 +60,9 @@ class Knowing(PlainDriver):
         """A word to a device, past everything that a driver should think of."""
         return line.message(self._addresses[getattr(word, "motor", "")], word)
 
+    def claimed(self, name: str) -> bool:
+        return self._seats[self._addresses[name]].claimed
+
 
 # -- jump ----------------------------------------------------------------------------------------------
 
@@ -70,7 +73,7 @@ class FirstSetPointIsZero(Knowing):
     def send(self, now: Nanos, words: Words) -> Sent:
         fresh = [w.motor for w in words if isinstance(w, Position) and self.modes.get(w.motor) != Mode.ARMED]
         events, wires = super().send(now, words)
-        return events, [*(self.say(Position(name, 0.0)) for name in fresh), *wires]
+        return events, [*(self.say(Position(name, 0.0)) for name in fresh if self.claimed(name)), *wires]
 
 
 class HoldsWhereItOnceWas(Knowing):
@@ -220,6 +223,24 @@ class HearsItself(OdriveDriver):
         return events
 
 
+class LosesTheFirst(OdriveDriver):
+    """What comes first empties the line, and is gone."""
+
+    begun = False
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        begun, self.begun = self.begun, True
+        return super().receive(t, wire) if begun else []
+
+
+class IgnoresAFullQueue(OdriveDriver):
+    """That the bus has no room is printed, and what was dropped counts as said."""
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        if state is not BusState.FULL:
+            super().bus(t, state)
+
+
 # -- faults --------------------------------------------------------------------------------------------
 
 
@@ -258,7 +279,8 @@ class PollsByClearing(Knowing):
 
     def send(self, now: Nanos, words: Words) -> Sent:
         events, wires = super().send(now, words)
-        asked = [w.motor for w in words if isinstance(w, Command) and self.modes.get(w.motor) == Mode.FAULT]
+        wanted = [w.motor for w in words if isinstance(w, Command) and not isinstance(w, Idle)]
+        asked = [name for name in wanted if self.modes.get(name) == Mode.FAULT]
         clears = [] if now % (50 * MILLISECOND) else [self.say(ClearFault(name)) for name in asked]
         return events, [*clears, *wires]
 
@@ -280,17 +302,10 @@ class DisarmsToArm(Knowing):
     """The first command to a device is Idle, to begin from a known state."""
 
     def send(self, now: Nanos, words: Words) -> Sent:
-        claims = [
-            w.motor
-            for w in words
-            if isinstance(w, Command) and not isinstance(w, Idle) and not self._claimed(w.motor)
-        ]
+        before = [name for name in self._addresses if self.claimed(name)]
         events, wires = super().send(now, words)
-        return events, [*(self.say(Idle(name)) for name in claims), *wires]
-
-    def _claimed(self, name: str) -> bool:
-        address = self._addresses.get(name)
-        return address is None or self._seats[address].claimed
+        fresh = [name for name in self._addresses if self.claimed(name) and name not in before]
+        return events, [*(self.say(Idle(name)) for name in fresh), *wires]
 
 
 class ScansByArming(Knowing):
@@ -327,7 +342,7 @@ BROKEN_SAFETY: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(FirstSetPointIsZero), ("jump",)),
     (_driver(HoldsWhereItOnceWas), ("jump",)),
     (_driver(SaysIdleOnce), ("disarm",)),
-    (_driver(IdlesOnlyWhatItHearsArmed), ("disarm",)),
+    (_driver(IdlesOnlyWhatItHearsArmed), ("commands", "disarm")),
     (_driver(StopsOnlyItsOwn), ("disarm",)),
     (_driver(FeedsByItself), ("watchdog",)),
     (_twin(NeverTrips), ("watchdog",)),
@@ -335,11 +350,13 @@ BROKEN_SAFETY: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(NeverMissesADevice), ("blind",)),
     (_driver(ReadsTheLastStateForEver), ("blind",)),
     (_driver(ReadsZeroAtFirst), ("blind",)),
-    (_driver(WaitsForEver), ("blind",)),
+    (_driver(WaitsForEver), ("blind", "replies")),
     (_can(HearsItself), ("blind",)),
+    (_can(LosesTheFirst), ("counts", "strangers")),
+    (_can(IgnoresAFullQueue), ("dropped",)),
     (_driver(IgnoresTheFaultBits), ("faults",)),
     (_driver(KnowsNoCure), ("faults",)),
-    (_driver(ClearsAtEachModeSwitch), ("faults",)),
+    (_driver(ClearsAtEachModeSwitch), ("finite", "faults")),
     (_driver(PollsByClearing), ("faults",)),
     (_twin(ForgetsItsFault), ("faults",)),
     (_driver(DisarmsToArm), ("attach",)),
