@@ -101,7 +101,7 @@ SAID: dict[str, CanFrame] = {
 
 
 @pytest.mark.parametrize("name", SAID)
-def test_what_we_say_is_what_the_package_says(name: str) -> None:
+def test_what_we_say_is_the_package_s_vector(name: str) -> None:
     assert SAID[name] == VECTORS[name].wire
 
 
@@ -123,7 +123,7 @@ def _told_by(vector: Vector) -> dict[int, float | None]:
     [v for v in VECTORS.values() if v.direction == "from_device" and "parsed_by_moteus" in v.meaning],
     ids=lambda v: v.name,
 )
-def test_answers_tell_what_the_package_reads(vector: Vector) -> None:
+def test_vectors_of_answers_tell_what_the_package_reads(vector: Vector) -> None:
     assert isinstance(vector.wire, CanFrame)
     data = vector.wire.data
     told = decode(data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\x50"))
@@ -329,7 +329,7 @@ def test_random_questions_are_the_package_s() -> None:
         assert encode(Ask(start, resolution, count)) == command.data
 
 
-def test_what_is_written_is_what_the_package_reads() -> None:
+def test_what_vectors_write_is_what_the_package_reads() -> None:
     for vector in VECTORS.values():
         if vector.direction == "to_device" and isinstance(vector.wire, CanFrame):
             subframes, sound = parse(vector.wire.data)
@@ -360,7 +360,7 @@ NAMED = {
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_messages_have_names(name: str) -> None:
+def test_vectors_have_names(name: str) -> None:
     assert names(VECTORS[name].wire) == NAMED[name]
 
 

@@ -125,7 +125,7 @@ def test_a_console_line_may_come_in_pieces() -> None:
     assert ear.hear(0, framed(7, b"\x40\x02\x05conf\n" + STOP)) == [Idle("left")]
 
 
-def test_the_package_s_commands_are_heard_as_they_are_meant() -> None:
+def test_vectors_of_commands_are_heard_as_they_are_meant() -> None:
     heard = {
         vector.name: MoteusEar([device(address=5)]).hear(0, vector.wire)
         for vector in vectors_of(plugin)

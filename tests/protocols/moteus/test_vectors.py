@@ -1,0 +1,185 @@
+"""The independent vectors at the driver: words become the package's bytes, and its bytes become words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import tau
+
+import pytest
+
+from protocols.moteus import RANGES, plugin
+from protocols.moteus.codec import framed, reply_id
+from protocols.moteus.driver import MoteusDriver
+from protocols.moteus.options import Options, serial_of
+from protocols.vectors import vectors_of
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    ClearFault,
+    Command,
+    Event,
+    Fault,
+    Feedback,
+    Found,
+    Idle,
+    Mode,
+    Position,
+    Request,
+    Scan,
+    SetId,
+    State,
+    Torque,
+    Velocity,
+)
+from tests.protocols.moteus.from_package import UUID
+from tests.protocols.moteus.helpers import device, of, rev
+
+VECTORS = {vector.name: vector.wire for vector in vectors_of(plugin)}
+LIMITED = Options(max_torque=1.5, velocity_limit=4.0 * tau, acceleration_limit=20.0 * tau)
+NO_ACCEL = replace(LIMITED, acceleration_limit=0.0)
+AT = "21000a" + "2f010000803e0000000000000000" + "210f00"
+"""Running, at 0.25 rev."""
+
+
+class Talk:
+    """A driver of device 5, told what the device says, byte by byte."""
+
+    def __init__(self, options: Options | None = None, address: int = 5) -> None:
+        self.options = options or Options()
+        self.driver = MoteusDriver([device(address=address, options=self.options)], RANGES)
+        self.now = 1_000_000 * MILLISECOND
+        self.reply = reply_id(address, self.options.host_id, self.options.can_prefix)
+        self.say()
+
+    def hear(self, data: str | Wire) -> list[Event]:
+        wire = framed(self.reply, bytes.fromhex(data)) if isinstance(data, str) else data
+        return list(self.driver.receive(self.now, wire))
+
+    def say(self, *words: Command | Request) -> list[CanFrame]:
+        self.now += 5 * MILLISECOND
+        sent = self.driver.send(self.now, words)[1]
+        return [wire for wire in sent if isinstance(wire, CanFrame)]
+
+    def running(self) -> Talk:
+        """In position control, and its details known for now."""
+        self.hear(AT)
+        self.say()
+        self.hear(AT)
+        return self
+
+
+POSITION = Position("left", rev(0.25), rev(-1.5), 0.125)
+VELOCITY = Velocity("left", rev(-1.5), 0.125)
+TORQUE = Torque("left", 0.125)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "word"),
+    [
+        ("position_watchdog_0.1s", Options(), POSITION),
+        ("velocity_watchdog_0.1s", Options(), VELOCITY),
+        ("torque_watchdog_0.1s", Options(), TORQUE),
+        ("position_limited", LIMITED, POSITION),
+        ("position_limited_no_accel", NO_ACCEL, POSITION),
+        ("velocity_limited", LIMITED, VELOCITY),
+    ],
+)
+def test_a_command_is_the_vector_of_its_values(name: str, options: Options, word: Command) -> None:
+    talk = Talk(options).running()
+    for _ in range(5):
+        talk.say(word)
+        talk.hear(AT)
+    assert talk.say(word) == [VECTORS[name]]
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "word"),
+    [("position_full_query", Options(), POSITION), ("torque_limited", LIMITED, TORQUE)],
+)
+def test_now_and_then_the_details_are_asked_for_as_in_the_vector(
+    name: str, options: Options, word: Command
+) -> None:
+    talk = Talk(options).running()
+    said: list[Wire] = []
+    for _ in range(41):  # 205 ms
+        said += talk.say(word)
+        talk.hear(AT)
+    assert said.count(VECTORS[name]) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "address"),
+    [
+        ("stop_with_query", Options(), 5),
+        ("stop_id_100", Options(), 100),
+        ("stop_host_3", Options(host_id=3), 5),
+        ("stop_prefix", Options(can_prefix=0x1ABC), 5),
+    ],
+)
+def test_a_stop_is_the_vector(name: str, options: Options, address: int) -> None:
+    talk = Talk(options, address).running()
+    talk.say(POSITION)
+    talk.hear(AT)
+    assert talk.say(Idle("left"))[0] == VECTORS[name]
+    talk.hear(AT.replace("21000a", "210001", 1))  # in fault meanwhile: no other stop goes out ...
+    assert VECTORS[name] not in [f for _ in range(20) for f in talk.say(Idle("left"))]
+    assert VECTORS[name] in talk.say(ClearFault("left"))  # ... but the operator's
+
+
+def test_questions_are_the_vectors() -> None:
+    talk = Talk()
+    said = [frame for _ in range(60) for frame in talk.say()]
+    assert set(said) == {VECTORS["query_fast"], VECTORS["query_full"]}
+
+
+def test_a_scan_and_an_id_are_the_vectors() -> None:
+    talk = Talk().running()
+    assert VECTORS["discover_broadcast_0x7f"] in talk.say(Scan("can0"))
+    said = talk.say(SetId("can0", serial_of(UUID), 9))
+    given = VECTORS["set_id_by_uuid"]
+    assert isinstance(given, CanFrame)
+    assert given.data in [frame.data for frame in said]
+    assert VECTORS["discover_by_uuid"] in said
+
+
+def test_answers_of_vectors_are_told_in_si() -> None:
+    talk = Talk()
+    motion = Feedback("left", talk.now, -0.125 * tau, 1.5 * tau, -0.75)
+    assert talk.hear(VECTORS["reply_fast"]) == [
+        motion,
+        State("left", talk.now, Mode.ARMED, "position"),
+    ]
+    (detailed,) = talk.hear(VECTORS["reply_full"])
+    assert isinstance(detailed, Feedback)
+    assert detailed.temperature == pytest.approx(41.3)
+    assert replace(detailed, temperature=None) == replace(motion, current=10.0, voltage=24.5)
+    (plain,) = talk.hear(VECTORS["query_default_reply"])
+    assert plain == replace(motion, voltage=24.5, temperature=41.0)
+
+
+def test_vectors_that_are_not_given_tell_no_number() -> None:
+    talk = Talk()
+    assert of(Feedback, talk.hear(VECTORS["reply_nan"])) == []
+    assert not [f for f in talk.say(POSITION) if f.data[:1] == b"\x01"]  # where it is, is not known
+    assert talk.hear(VECTORS["reply_int8_nan"]) == []
+    assert talk.driver.tally.heard == 2
+
+
+def test_the_vector_of_a_fault_is_told_with_its_words() -> None:
+    talk = Talk()
+    _, fault, state = talk.hear(VECTORS["reply_fast_fault"])
+    assert isinstance(fault, Fault)
+    assert (fault.code, fault.name) == (38, "over temperature")
+    assert state == State("left", talk.now, Mode.FAULT, "fault")
+    assert [f for _ in range(20) for f in talk.say(POSITION) if f.data[:1] == b"\x01"] == []
+
+
+def test_the_vector_of_a_uuid_is_found_by_a_scan() -> None:
+    talk = Talk().running()
+    talk.say(Scan("can0"))
+    (found,) = of(Found, talk.hear(VECTORS["reply_uuid"]))
+    assert (found.address, found.serial, found.twice) == (5, 0x0123456789ABCDEF, False)
+    assert "01234567-89ab-cdef-fedc-ba9876543210" in found.detail
+    assert of(Found, talk.hear(VECTORS["reply_uuid"])) == []
+    (other,) = of(Found, talk.hear(VECTORS["reply_errors"]))
+    assert (other.serial, other.detail.split("; ")[1]) == (None, "it has no UUID: older firmware")
