@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from gateway import config
-from gateway.gateway import ear_of
+from gateway.__main__ import main
+from gateway.gateway import Gateway, ear_of
+from gateway.judge import compare
+from gateway.recording import read
+from gateway.tick import Inputs, Outputs
 from protocols.wire import BusState, CanFrame
-from protocols.words import Command, Feedback, Idle, Mode, Velocity
+from protocols.words import SECOND, Command, Feedback, Idle, Mode, Nanos, Velocity
 from tests.gateway.rig import Rig, told
 
 MIXED = """
@@ -101,6 +108,43 @@ def test_a_bus_that_vanishes_and_comes_back_is_told_to_all_of_them(rig: Rig) -> 
     heard = {e.motor for tick in ticks[-100:] for e in tick.outputs.events if isinstance(e, Feedback)}
     assert heard == set(MOTORS)
     assert all(abs(rig.velocity(name)) < 0.05 for name in ("servo", "drive"))  # their watchdogs saw to that
+
+
+def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, recording = tmp_path / "mixed.toml", tmp_path / "mixed.mcap"
+    robot.write_text(MIXED)
+    assert main(["run", str(robot), "--fast", "--seconds", "1", "--record", str(recording)]) == 0
+    assert main(["replay", str(recording)]) == 0
+    assert "the same, byte for byte" in capsys.readouterr().out
+    with recording.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    ways = ("to_can_bus", "to_can_bus_fd", "from_can_bus", "from_can_bus_fd")
+    assert {f"/can0/{way}" for way in ways} <= topics
+
+    told = read(recording)
+    robot_told = config.loads(told.robot_text)
+    gateway = Gateway(robot_told)
+    spoilt: list[CanFrame] = []
+
+    def step(now: Nanos, inputs: Inputs) -> Outputs:
+        """The gateway, but that the last bit of one CAN FD frame that it says is another one."""
+        outputs = gateway.step(now, inputs)
+        for at, packet in enumerate(outputs.packets):
+            wire = packet.wire
+            if isinstance(wire, CanFrame) and wire.fd and now > SECOND // 2 and not spoilt:
+                spoilt.append(wire)
+                wrong = replace(packet, wire=replace(wire, data=wire.data[:-1] + bytes([wire.data[-1] ^ 1])))
+                return replace(outputs, packets=(*outputs.packets[:at], wrong, *outputs.packets[at + 1 :]))
+        return outputs
+
+    verdict = compare(told, step, gateway.belief, lambda bus: ear_of(robot_told, bus))
+    assert (verdict.differing, verdict.ok) == (1, False)
+    assert verdict.first is not None
+    assert str(spoilt[0]) in verdict.first.text
 
 
 @pytest.mark.parametrize(
