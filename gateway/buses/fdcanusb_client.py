@@ -3,9 +3,9 @@
 Rules. Reading takes what is there, writing hands over what the port takes, and a line that has partly gone
 out is finished before another one begins. Answers are not waited for: they come in their turn, and complaints
 are told once each. Checksums as the vendor's client has them (package moteus 1.1.1): off on an adapter known
-by its USB ids, on elsewhere (a UART, a pty); beyond that they follow what the other end complains of. With
-checksums on, a line without a right one is bad and changes nothing. Bit rates are the adapter's own
-configuration: they are asked for where it can be asked, and a difference is told.
+by its USB ids, on elsewhere (a UART, a pty); beyond that they follow what the other end complains of. A line
+with a wrong checksum is bad and changes nothing; so is one without, once the other end has used them. Bit
+rates are the adapter's own configuration: they are asked for where it can be asked, and a difference is told.
 """
 
 from __future__ import annotations
@@ -42,6 +42,9 @@ class FdcanusbInterface(can.BusABC):
         """Open the port for us alone. Raises OSError or ValueError."""
         self._port = serial.Serial(channel, BAUDRATE, timeout=0, write_timeout=0, exclusive=True)
         self._sealed = not _is_known(channel)
+        """Whether our lines bear checksums."""
+        self._seals = False
+        """Whether the other end has used them."""
         self._out = bytearray()
         self._in = bytearray()
         self._skipping = False
@@ -138,11 +141,9 @@ class FdcanusbInterface(can.BusABC):
         """A frame that a line tells of; what else it says is heeded. Raises ValueError for a bad one."""
         content, right = unsealed(line)
         text = content.decode("latin-1")
-        if right is None and text == NO_FLAG:
-            self._sealed = False  # it has taken our checksum for a flag
-            return None
-        if right is False or (right is None and self._sealed):
+        if right is False or (right is None and self._seals):
             raise ValueError("a checksum is wrong or missing")
+        self._seals = bool(right)
         if text.startswith("rcv "):
             frame = heard_of(text)
             if frame is None:
@@ -158,7 +159,9 @@ class FdcanusbInterface(can.BusABC):
 
     def _heed(self, complaint: str) -> None:
         """Do about a complaint what can be done; tell it once."""
-        if "checksum" in complaint.lower():
+        if complaint == NO_FLAG and self._sealed and not self._seals:
+            self._sealed = False  # it has taken our checksum for a flag
+        elif "checksum" in complaint.lower():
             self._sealed = True
         elif complaint == NOT_ON:
             self._say("can on")

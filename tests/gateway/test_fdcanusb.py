@@ -471,6 +471,17 @@ def test_checksums_follow_what_the_adapter_complains_of(port: Port) -> None:
         assert port.heard() == sealed(SEND) + b"\n"
 
 
+def test_who_only_listens_hears_an_adapter_that_nobody_has_asked_for_checksums(bus: AdapterPty) -> None:
+    from gateway.sources import open_source
+
+    source = open_source(at(bus.paths[0]), SimulatedClock())
+    bus.read(0)
+    bus.write(1, EVERY)
+    assert [packet.wire for packet in source.read(1)[1]] == EVERY
+    assert bus.read(2)[1] == []  # it has said nothing
+    source.close()
+
+
 @pytest.mark.usefixtures("known")
 def test_an_adapter_that_is_off_the_bus_is_put_on_it(port: Port) -> None:
     with closing(opened(port.path)) as ours:
