@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 SIZE = 8
 SEGMENT = 7
@@ -134,13 +134,21 @@ _LONG = struct.Struct("<BHBI")
 
 def encode(message: Request | Answer) -> bytes:
     """The 8 bytes of a message. ValueError if its data do not fit into it."""
+    kind = type(message)
+    if kind is Download or kind is Uploaded or kind is Upload:
+        return _expedited(message)
+    return _other(message)
+
+
+def _expedited(message: Any) -> bytes:  # noqa: ANN401 -- one of three, by its type: the bulk of all traffic
+    if type(message) is Upload:
+        return _LONG.pack(0x40, message.index, message.sub, 0)
+    data, command = message.data, 0x23 if type(message) is Download else 0x43
+    return _HEAD.pack(command | _unused(data) << 2, message.index, message.sub, data)
+
+
+def _other(message: Request | Answer) -> bytes:
     match message:
-        case Download(index, sub, data):
-            return _HEAD.pack(0x23 | _unused(data) << 2, index, sub, data)
-        case Uploaded(index, sub, data):
-            return _HEAD.pack(0x43 | _unused(data) << 2, index, sub, data)
-        case Upload(index, sub):
-            return _LONG.pack(0x40, index, sub, 0)
         case Downloaded(index, sub):
             return _LONG.pack(0x60, index, sub, 0)
         case DownloadStart(index, sub, size):
@@ -157,6 +165,8 @@ def encode(message: Request | Answer) -> bytes:
             return _LONG.pack(ABORT, index, sub, code)
         case Unsupported(command, index, sub):
             return _LONG.pack(command, index, sub, 0)
+        case Download() | Uploaded() | Upload():
+            return _expedited(message)
 
 
 def _unused(data: bytes) -> int:
@@ -194,19 +204,19 @@ def decode_answer(data: bytes) -> Answer | None:
     """What a server says; None if it is ill-formed."""
     if len(data) != SIZE:
         return None
-    command = data[0]
-    match command >> 5:
-        case 0:
-            return UploadedSegment(*_piece(data))
-        case 1:
-            return SegmentDownloaded(bool(command & 0x10))
-        case 2:
-            return _uploaded(data)
-        case 3:
-            return Downloaded(*_head(data))
-        case 4:
-            return _abort(data)
-    return None
+    command, index, sub, rest = _HEAD.unpack(data)
+    kind = command >> 5
+    if kind == 2 and command & 2:
+        return Uploaded(index, sub, rest[: EXPEDITED - (command >> 2 & 3)] if command & 1 else rest)
+    if kind == 3:
+        return Downloaded(index, sub)
+    if kind == 2:
+        return UploadStart(index, sub, _size(data))
+    if kind == 0:
+        return UploadedSegment(*_piece(data))
+    if kind == 1:
+        return SegmentDownloaded(bool(command & 0x10))
+    return _abort(data) if kind == 4 else None
 
 
 def _head(data: bytes) -> tuple[int, int]:
@@ -234,12 +244,6 @@ def _download(data: bytes) -> Download | DownloadStart:
     if data[0] & 2:
         return Download(*_head(data), data[4 : 4 + _length(data)])
     return DownloadStart(*_head(data), _size(data))
-
-
-def _uploaded(data: bytes) -> Uploaded | UploadStart:
-    if data[0] & 2:
-        return Uploaded(*_head(data), data[4 : 4 + _length(data)])
-    return UploadStart(*_head(data), _size(data))
 
 
 # -- the client's side of one transfer ----------------------------------------------------------------
@@ -278,26 +282,38 @@ class Transfer:
 
     def hear(self, answer: Answer) -> Request | None:
         """Take an answer; the next request, or None if it ended, or if the answer was not for it."""
+        kind = type(answer)
+        if kind is Uploaded or kind is Downloaded:
+            return self._hear_expedited(answer)
+        return self._hear_other(answer)
+
+    def _hear_expedited(self, answer: Any) -> Request | None:  # noqa: ANN401 -- Uploaded or Downloaded
+        """One of the two answers that are the bulk of all traffic."""
+        reading = type(answer) is Uploaded
+        if not self._begins(answer.index, answer.sub, reading):
+            return None
+        if reading:
+            self.done, self.value = True, answer.data
+            return None
+        return self._written()
+
+    def _hear_other(self, answer: Answer) -> Request | None:
         match answer:
             case Abort(index, sub, code):
                 if (index, sub) == (self.index, self.sub):
                     self.done, self.abort = True, code
-            case Uploaded(index, sub, data) if self._begins(index, sub, reading=True):
-                self.done, self.value = True, data
             case UploadStart(index, sub, size) if self._begins(index, sub, reading=True):
                 self.expecting, self.size = UploadedSegment, size
                 return UploadSegment(self.toggle)
             case UploadedSegment(toggle, data, last) if self.expecting is UploadedSegment:
                 return self._take(toggle, data, last)
-            case Downloaded(index, sub) if self._begins(index, sub, reading=False):
-                return self._written()
             case SegmentDownloaded(toggle) if self.expecting is SegmentDownloaded and toggle == self.toggle:
                 self.toggle = not self.toggle
                 return self._next()
         return None
 
     def _begins(self, index: int, sub: int, reading: bool) -> bool:
-        right = (index, sub) == (self.index, self.sub) and reading == (self.data is None)
+        right = index == self.index and sub == self.sub and reading == (self.data is None)
         return right and self.expecting is None and not self.done
 
     def _take(self, toggle: bool, data: bytes, last: bool) -> Request | None:
