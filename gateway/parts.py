@@ -79,6 +79,9 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
         check_interface(interface, kind, at, mistakes)
     if made is None:
         return None
+    if made.kind == "canfd" and 0 < made.data_bitrate < made.bitrate:
+        slower = f"found {made.data_bitrate}, expected at least the bitrate of {made.bitrate}"
+        mistakes.add((*at, "data_bitrate"), slower)
     if made.hear == "own" and kind == "serial":
         mistakes.add((*at, "hear"), "a serial bus has no ids to choose by; expected no key 'hear'")
     rates_of_bus = made.bitrate, made.data_bitrate, made.baudrate

@@ -63,7 +63,8 @@ def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:
             mistakes.add((*at, "address"), f"{said}; expected an address of its own")
         return
     if said := clash(first, second):
-        mistakes.add((*at, "address"), f"{said}; expected another address or bus, or an option that moves its ids")
+        cure = "expected another address or bus, or an option that moves its ids"
+        mistakes.add((*at, "address"), f"{said}; {cure}")
 
 
 def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> None:

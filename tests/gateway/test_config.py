@@ -603,6 +603,12 @@ def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -
     assert "motors.left.bus: stranger needs a bus of kind canfd, and 'can0' is can" in said
 
 
+def test_the_data_phase_of_can_fd_is_not_the_slower_one() -> None:
+    (said,) = told(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 500_000'))
+    assert "buses.can0.data_bitrate: found 500000, expected at least the bitrate of 1000000" in said
+    assert told(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 1_000_000')) == []
+
+
 def test_a_broken_protocol_is_named_with_its_distribution() -> None:
     def find(name: str) -> Plugin:
         if name == "odrive_can":
