@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_t
 from protocols.conformance import rehearsal as play
 from protocols.conformance.dice import Dice
 from protocols.conformance.rehearsal import NAMES, START, STEP, STRANGER, Rehearsal, Said
-from protocols.plugin import Plugin, Spec, Tally
+from protocols.plugin import Device, Plugin, Spec, Tally
 from protocols.wire import Wire
 from protocols.words import Idle, Word
 
@@ -91,6 +91,14 @@ class Case:
     def spec(self) -> Spec:
         """Alpha's; beta's differs in its ids only."""
         return self.specs[0]
+
+    def part(self, count: int) -> int:
+        """So many with the plugin's usual options, or where these make a device of another kind; else a
+        quarter of them: other options seldom make another device."""
+        usual = Device(NAMES[0], self.addresses[0], self.plugin.options(), self.plugin.settings())
+        if "whole" not in self.kept:
+            self.kept["whole"] = self.usual or self.plugin.spec(usual).kind != self.spec.kind
+        return count if self.kept["whole"] else -(-count // 4)
 
     @property
     def sends(self) -> frozenset[int]:

@@ -68,7 +68,7 @@ def unclaimed_is_read_only(case: Case) -> Verdict:
 
     To devices as they come out of the box, to running ones that another host left, and to faulty ones."""
     for what, stage in _found(case):
-        for count in range(LOOK):
+        for count in range(case.part(LOOK)):
             idle = case.spec.commands and count % 3 == 0
             said = stage.step([Idle(name) for name in NAMES] if idle else [])
             for wire in said.down:
@@ -173,7 +173,7 @@ def _bad(kind: type[Command], spec: Spec) -> Iterator[Command]:
 def _up(case: Case) -> Iterator[Failure]:
     """Real wires with NaN and infinities patched in, and devices that measure such."""
     stage = case.armed() or case.start()
-    for wire in case.dice().shuffled(noise.conversation(case))[:120]:
+    for wire in case.dice().shuffled(noise.conversation(case))[: case.part(120)]:
         for mad in _patched(wire):
             for event in stage.driver.receive(stage.now, mad):
                 if not play.finite(event):

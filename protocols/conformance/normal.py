@@ -129,7 +129,7 @@ def _up(case: Case) -> Iterator[Failure]:
         yield from _odd(said.events, said.up)
     stage = case.armed() or case.start()
     expected = [w for w in noise.conversation(case) if not isinstance(w, CanFrame) or w.id in case.expects]
-    for wire in case.dice().shuffled(expected)[:60]:
+    for wire in case.dice().shuffled(expected)[: case.part(60)]:
         for patched in _patched(wire):
             yield from _odd(stage.driver.receive(stage.now, patched), (patched,))
     stage = case.start()

@@ -1,13 +1,15 @@
 """Obedience: what the ear hears, the device does; what the ear does not hear, the device does not do.
 
 Rules. Devices are caught in three states (ready, armed and holding still, in fault) and copied there. A copy
-gets wires that the ear makes nothing of, and must go on as one that did not get them: the same torques, the
-same messages, but for direct answers. Another copy gets a wire in which the ear hears a word, and must do
-that: arm and push the right way, let go, clear. Shafts stand still meanwhile, and the host says what it said.
+gets wires that the ear makes nothing of, and must go on as one that did not get them: the same torques, and
+the same messages, but for direct answers, or messages that tell a driver the same. Another copy gets a wire
+in which the ear hears a word, and must do that: arm and push the right way, let go, clear. Shafts stand still
+meanwhile, and the host says what it said.
 """
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 from collections import Counter
@@ -19,13 +21,14 @@ from protocols.conformance import rehearsal as play
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
 from protocols.conformance.rehearsal import NAMES, STEP, Rehearsal
 from protocols.conformance.trouble import kinds_of, liveliest, resting
-from protocols.plugin import Ear, Twin
+from protocols.plugin import Driver, Ear, Twin
 from protocols.wire import Wire
 from protocols.words import (
     ClearFault,
     Command,
     Estop,
     Event,
+    Fault,
     Feedback,
     Hold,
     Idle,
@@ -35,6 +38,7 @@ from protocols.words import (
     Position,
     Reboot,
     Request,
+    State,
     Torque,
     Velocity,
     Zero,
@@ -50,12 +54,18 @@ HEARD = 6
 """... and wires with words, of each kind of word."""
 EACH = 3
 """Silent wires in one step."""
+LATER = 25
+"""Steps in which what a device keeps for a later message has become a word."""
+NEXT = 30
+"""Steps of the host in which the ear must make of it what it would have."""
 WATCHED = 40
 """Steps for which a device is watched afterwards."""
 ANSWERED = 20
 """Steps in which a device has answered."""
 TOLD = 600
 """Steps in which a device has told that it is no longer in fault, or where its zero is now."""
+NEAR = 1e-3
+"""rad that count as the same place."""
 NONE = 1e-9
 """N·m that count as none."""
 
@@ -65,6 +75,8 @@ class _State:
     """Devices in some state; to be copied, never run. And what their host says to them from now on."""
 
     title: str
+    driver: Driver | None
+    """None: it cannot be copied."""
     ear: Ear
     twins: tuple[Twin, ...]
     now: Nanos
@@ -97,9 +109,11 @@ def ear_and_twin_agree(case: Case) -> Verdict:
 def _samples(case: Case) -> list[Wire]:
     """Wires of both directions, at least one of each message to a device; damaged ones; random ones."""
     named = {tuple(case.plugin.messages(wire)): wire for said in case.day for wire in reversed(said.down)}
-    said, dice = [*named.values(), *noise.conversation(case)], case.dice()
+    dice = case.dice()
+    real = dice.shuffled(noise.conversation(case))
+    said = [*named.values(), *real[: case.part(len(real))]]
     mutated = [play.with_data(wire, noise.damaged(play.data_of(wire), dice)) for wire in said]
-    return [*said, *mutated, *noise.wires(case, 150)]
+    return [*said, *mutated, *noise.wires(case, case.part(150))]
 
 
 # -- states --------------------------------------------------------------------------------------------
@@ -137,9 +151,23 @@ def _still(case: Case) -> Rehearsal:
 def _caught(title: str, stage: Rehearsal, words: Sequence[Command]) -> _State:
     """The devices as they are, and what the host goes on to say to them."""
     ear, twins, now = copy.deepcopy(stage.ear), copy.deepcopy(stage.twins), stage.now
+    driver: Driver | None = None
+    with contextlib.suppress(Exception):  # another clause's finding
+        driver = copy.deepcopy(stage.driver)
     modes = {stage.armed.get(name) for name in NAMES}
     down = tuple(stage.step(words).down for _ in range(2 * SILENT // EACH + ANSWERED + WATCHED))
-    return _State(title, ear, tuple(twins), now, down, Mode.ARMED in modes, title == "in fault")
+    return _State(title, driver, ear, tuple(twins), now, down, Mode.ARMED in modes, title == "in fault")
+
+
+def _next_words(state: _State, ear: Ear) -> list[Command | Request]:
+    """What an ear makes of what the host says next."""
+    trial = copy.deepcopy(ear)
+    return [
+        word
+        for step, wires in enumerate(state.down[:NEXT])
+        for wire in wires
+        for word in trial.hear(state.now + (step + 1) * STEP, wire)
+    ]
 
 
 def _sorted_by_ear(case: Case, state: _State, samples: Sequence[Wire]) -> tuple[list[Wire], list[Wire]]:
@@ -152,13 +180,27 @@ def _sorted_by_ear(case: Case, state: _State, samples: Sequence[Wire]) -> tuple[
             heard.setdefault(tuple(type(word).__name__ for word in words), []).append(wire)
         else:
             silent.setdefault(tuple(case.plugin.messages(wire)), []).append(wire)
-    ear, series = copy.deepcopy(state.ear), list[Wire]()
-    for wire in _some(silent, max(SILENT // max(len(silent), 1), 3)):
-        trial = copy.deepcopy(ear)
-        if not trial.hear(state.now, wire):  # what was heard before may have changed what it makes of this
-            ear = trial
-            series.append(wire)
-    return series, _some(heard, HEARD)
+    quiet = [
+        wire
+        for wire in _some(silent, max(case.part(SILENT) // max(len(silent), 1), 3))
+        if _unheard(state, [wire])
+    ]
+    while not _unheard(state, quiet):  # together they may make a word, as pieces of a stream do
+        quiet = quiet[: len(quiet) // 2]
+    return quiet, _some(heard, HEARD)
+
+
+def _unheard(state: _State, wires: Sequence[Wire]) -> bool:
+    """Whether these add no word to what the ear hears of the host, at once or in the next steps."""
+    ear, usual = copy.deepcopy(state.ear), copy.deepcopy(state.ear)
+    for step in range(-(-len(wires) // EACH) + LATER):
+        now = state.now + (step + 1) * STEP
+        if any(ear.hear(now, wire) for wire in wires[step * EACH : (step + 1) * EACH]):
+            return False
+        down = state.down[step] if step < len(state.down) else ()
+        if [list(ear.hear(now, wire)) for wire in down] != [list(usual.hear(now, wire)) for wire in down]:
+            return False
+    return True
 
 
 def _some(kinds: dict[tuple[str, ...], list[Wire]], most: int) -> list[Wire]:
@@ -209,16 +251,49 @@ def _goes_astray(state: _State, wires: Sequence[Wire], at: int) -> str:
     for step, (left, right) in enumerate(zip(without.torques, other.torques, strict=True)):
         if left != right:
             return f"it gives {right:.6g} N·m instead of {left:.6g} after {step + 1} ms"
-    early, late = slice(0, len(extra) + ANSWERED), slice(len(extra) + ANSWERED, None)
-    missing = Counter(w for said in without.up[early] for w in said)
-    missing -= Counter(w for said in other.up[early] for w in said)
+    said = _said_otherwise(without, other, len(extra) + ANSWERED)
+    return said if said and not _told_alike(state, without, other) else ""
+
+
+def _said_otherwise(without: _Run, other: _Run, answered: int) -> str:
+    """What is said by one and not by the other, but for answers; "" if nothing."""
+    missing = Counter(w for said in without.up[:answered] for w in said)
+    missing -= Counter(w for said in other.up[:answered] for w in said)
     if missing:
         return f"it does not say {shown(next(iter(missing)))} as it would have"
-    for sooner, later in zip(without.up[late], other.up[late], strict=True):
-        if sooner != later:
-            said = next((w for w in (*sooner, *later) if (w in sooner) != (w in later)), "another order")
+    for one, two in zip(without.up[answered:], other.up[answered:], strict=True):
+        if one != two:
+            said = next((w for w in (*one, *two) if (w in one) != (w in two)), "the same in another order")
             return f"it says something else later: {shown(said)}"
     return ""
+
+
+def _told_alike(state: _State, one: _Run, other: _Run) -> bool:
+    """Whether a driver makes the same of all that a device said: its mode, its faults, where its shaft is."""
+    if state.driver is None:
+        return False
+    (modes, places), (their_modes, their_places) = (
+        _told(state.driver, state, one),
+        _told(state.driver, state, other),
+    )
+    apart = [abs(a - b) for a, b in zip(places[-1:], their_places[-1:], strict=False)]
+    return modes == their_modes and all(distance < NEAR for distance in apart)
+
+
+def _told(driver: Driver, state: _State, run: _Run) -> tuple[list[object], list[float]]:
+    """The last mode, the faults, and the positions that are told."""
+    driver, now = copy.deepcopy(driver), state.now
+    mode, faults, places = None, list[object](), list[float]()
+    for wires in run.up:
+        now += STEP
+        for event in (event for wire in wires for event in driver.receive(now, wire)):
+            if isinstance(event, State):
+                mode = event.mode
+            elif isinstance(event, Fault):
+                faults.append(event.code)
+            elif isinstance(event, Feedback) and event.position is not None:
+                places.append(event.position)
+    return [mode, *faults], places
 
 
 def _plainest(state: _State, wire: Wire, at: int) -> Wire:
@@ -226,12 +301,6 @@ def _plainest(state: _State, wire: Wire, at: int) -> Wire:
         return _unheard(state, [other]) and bool(_goes_astray(state, [other], at))
 
     return play.shortest(wire, fails) if fails(wire) else wire
-
-
-def _unheard(state: _State, wires: Sequence[Wire]) -> bool:
-    """Whether the ear hears no word in these, one after the other."""
-    ear = copy.deepcopy(state.ear)
-    return not any(list(ear.hear(state.now, wire)) for wire in wires)
 
 
 # -- what is heard -------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ TAIL = 40
 
 def no_bytes_raise(case: Case) -> Verdict:
     """Driver, ear and twin take any wire: random, cut, too long, of another kind; disarmed or armed."""
-    samples = noise.wires(case, 500)
+    samples = noise.wires(case, case.part(500))
     for start in (case.start, case.armed):
         for who, poke in POKES:
             stage = start()
@@ -100,7 +100,7 @@ def _frames_counted(case: Case) -> Failure | None:
         if sum(first) != 1:
             return Failure(f"the first wire ever heard is counted as (heard, bad, foreign) {first}", (wire,))
     now, other = every.now, noise.other_format(case)
-    for wire in [*other, *noise.wires(case, 1500)]:
+    for wire in [*other, *noise.wires(case, case.part(1500))]:
         before = counts(every.driver.tally)
         events = list(every.driver.receive(now, wire))
         more = tuple(a - b for a, b in zip(counts(every.driver.tally), before, strict=True))
@@ -147,7 +147,7 @@ def _messages_counted(case: Case) -> Failure | None:
     strange = CanFrame(1, b"\0")
     if _fed(case, [strange])[1] != (0, 0, 1):
         return Failure("a CAN frame on a serial line is not counted as foreign", (strange,))
-    for _ in range(30):
+    for _ in range(case.part(30)):
         at = dice.below(len(wires) - TAIL)
         wire = wires[at]
         cut, flipped = (
