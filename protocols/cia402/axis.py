@@ -57,6 +57,8 @@ from protocols.words import (
 
 Words = Sequence[Command | Request]
 MODES = {int(mode): mode for mode in Mode}
+NMT_STATE = "NMT state"
+"""The parameter that an NMT command changes."""
 COMMUNICATION_END = 0x2000
 """Below it lie the objects of communication."""
 NEXT_STATE = {
@@ -160,13 +162,15 @@ class Axis:
             self.signals.append(Signal.RESET_NODE)
             self.start()
             return (Reboot(self.motor),)
-        words: Words = ()
+        words: list[Command | Request] = []
         if command in (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION):
-            words = self.lose_connection()
+            words += self.lose_connection()
         if command is NmtCommand.RESET_COMMUNICATION:
             self.signals.append(Signal.RESET_COMMUNICATION)
             self._forget_communication()
-        self.nmt = NEXT_STATE.get(command, NmtState.PRE_OPERATIONAL)
+        before, self.nmt = self.nmt, NEXT_STATE.get(command, NmtState.PRE_OPERATIONAL)
+        if self.nmt is not before or command is NmtCommand.RESET_COMMUNICATION:
+            words.append(WriteParameter(self.motor, NMT_STATE, float(self.nmt)))
         if self.nmt is not NmtState.OPERATIONAL:
             self.latched.clear()
             self.heard.clear()
