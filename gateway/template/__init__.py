@@ -59,6 +59,7 @@ def spec(device: Device) -> Spec:
         holds_unattended=False,
         stop_clears_faults=False,
         faults=FAULTS,
+        # FILL IN (clauses "checksums", "obeyed"): `unsealed`, if it takes messages without a checksum.
     )
 
 
