@@ -58,6 +58,7 @@ from protocols.words import (
     Torque,
     Velocity,
     WriteParameter,
+    Zero,
 )
 
 WATCHDOG_NOTE = (
@@ -143,7 +144,7 @@ def spec(device: Device) -> Spec:
         feedback_period=_feedback_ms(options) * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({Idle} | able | ({Hold} if able & {Position, Velocity} else set())),
-        requests=frozenset({ClearFault, Estop, Scan, Home, ReadParameter, WriteParameter, Reboot}),
+        requests=frozenset({ClearFault, Estop, Scan, Home, Zero, ReadParameter, WriteParameter, Reboot}),
         ranges=ranges(options, settings),
         watchdog=Watchdog(timeout or None, enabled, "" if enabled else WATCHDOG_NOTE, "any command"),
         holds_unattended=not enabled,
