@@ -1,8 +1,9 @@
 """Which language, and which of its files its driver and its ear lean on.
 
 Rules. Nothing is listed by hand: a driver and an ear are built as the conformance kit builds them, and the
-imports of the modules that their classes stand in are followed within the language's folder. The twin's own
-module is never followed, nor the package itself (its `Spec` is what the contract measures by).
+imports of the modules that their classes stand in are followed within the language's folder. Never followed
+are the twin's own module, the one of the options and settings (a robot file's business, not the wire's), and
+the package itself (its `Spec` is what the contract measures by).
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ def mutated_modules(language: Language) -> dict[str, Path]:
     plugin = language.plugin()
     stage = rehearse(plugin, plugin.options(), ADDRESSES[:2], NAMES)
     left_out = {type(twin).__module__ for twin in stage.twins} | {language.package}
+    left_out |= {plugin.options.__module__, plugin.settings.__module__}
     found: dict[str, Path] = {}
     ahead = sorted({type(stage.driver).__module__, type(stage.ear).__module__})
     while ahead:

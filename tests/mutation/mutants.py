@@ -3,7 +3,8 @@
 Rules. mutmut writes all mutants of a file into one text, each a copy of its function under a name of its own;
 here each is put back in the place of its function, under the function's name. What mutmut leaves alone stays
 alone: what stands outside of functions, decorated functions, annotations, docstrings. Left out besides, and
-counted: another wording of a sentence, which is for people and changes nothing that a program does.
+counted: another wording of a sentence, or of an exception, which is for people and changes nothing that a
+program does.
 """
 
 from __future__ import annotations
@@ -11,8 +12,6 @@ from __future__ import annotations
 import ast
 import difflib
 import hashlib
-import io
-import tokenize
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,14 +127,23 @@ def _difference(old: str, new: str) -> str:
 
 
 def _only_worded(old: str, new: str) -> bool:
-    """Whether all that differs is in string literals that have a space in them: sentences."""
-    one, other = _tokens(old), _tokens(new)
-    if len(one) != len(other):
-        return False
-    pairs = [(a, b) for a, b in zip(one, other, strict=True) if a != b]
-    return bool(pairs) and all(a[0] == b[0] == tokenize.STRING and " " in a[1] for a, b in pairs)
+    """Whether all that differs is in sentences: string literals with a space in them, texts of exceptions."""
+    return _unworded(old) == _unworded(new)
 
 
-def _tokens(text: str) -> list[tuple[int, str]]:
-    whole = "if True:\n" + text if text[:1].isspace() else text
-    return [(token.type, token.string) for token in tokenize.generate_tokens(io.StringIO(whole).readline)]
+def _unworded(text: str) -> str:
+    """What a function does, without its sentences."""
+    tree = ast.parse("if True:\n" + text if text[:1].isspace() else text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+            node.exc.args = [arg for arg in node.exc.args if not _is_text(arg)]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+            node.value = " "
+    return ast.dump(tree)
+
+
+def _is_text(node: ast.expr) -> bool:
+    """A text, or the None that a mutant puts in its place."""
+    plain = isinstance(node, ast.Constant) and (node.value is None or isinstance(node.value, str))
+    return plain or isinstance(node, ast.JoinedStr)

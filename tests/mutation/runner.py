@@ -4,7 +4,7 @@ Rules. The process that forks has everything imported but the language; a child 
 mutated. Each check has a limit of CPU time, ten times what the sound language takes: a mutant may hang.
 A mutant meets only those checks in which the sound language runs its function (all, if it is run at import),
 and of a clause that is not cheap only the first such variant: a score is what is killed at least. Checks that
-have killed the function's other mutants come first, then the cheapest. At most `processes` children at a time.
+killed the function's other mutants come first, then the cheapest. At most `processes` children at a time.
 """
 
 from __future__ import annotations

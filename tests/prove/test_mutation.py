@@ -173,7 +173,7 @@ def test_what_is_mutated_follows_from_driver_and_ear() -> None:
     odrive = mutated_modules(installed_language("odrive_can"))
     names = {name.rpartition(".")[2] for name in odrive}
     assert names >= {"codec", "driver", "ear", "node", "layout", "messages", "requests"}
-    assert not names & {"twin", "twin05", "twin06", "servo", "bench", "odrive_can"}
+    assert not names & {"twin", "twin05", "twin06", "servo", "bench", "options", "odrive_can"}
     plain = mutated_modules(installed_language("plain"))
     assert [path.name for path in plain.values()] == ["codec.py", "driver.py", "ear.py", "line.py"]
 
@@ -192,7 +192,8 @@ class Box:
 
 def words(n: int) -> str:
     if n > 1:
-        raise ValueError("more than one", "key")
+        raise KeyError("more than one", n)
+    note("one or more", "key")
     return f"{n} of them"
 '''
 
@@ -204,9 +205,11 @@ def test_mutants_stand_in_the_place_of_their_function(tmp_path: Path) -> None:
     texts = {mutant.diff: source.with_mutant(mutant) for mutant in source.mutants}
     doubled = texts["- return x * 2\n+ return x * 3"]
     assert doubled == SOURCE.replace("x * 2", "x * 3")
-    assert texts['- raise ValueError("more than one", "key")\n+ raise ValueError("more than one", "KEY")']
-    assert source.wordings == 2 + 2  # two sentences, all small already: with XX, and all large
-    assert not any("XXmore" in diff or "MORE" in diff for diff in texts)
+    assert any(diff.endswith('note("one or more", "KEY")') for diff in texts)
+    assert any(diff.endswith('note(None, "key")') for diff in texts)  # no text at all is no wording
+    assert any(diff.endswith('raise KeyError("more than one", None)') for diff in texts)
+    assert not any("KeyError(None, n)" in diff or "XXone or" in diff for diff in texts)
+    assert source.wordings == 8  # of each sentence: XX, all large; of the exception also None, and without
     assert len({mutant.identity for mutant in source.mutants}) == len(source.mutants)
     for text in texts.values():
         compile(text, "box.py", "exec")
