@@ -18,7 +18,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
 from typing import Any, Literal, Protocol
 
@@ -264,7 +264,26 @@ class UnknownProtocol(LookupError):
 
 def installed() -> tuple[EntryPoint, ...]:
     """The entry points of every installed protocol, by name. Takes milliseconds: call it at start."""
-    return tuple(sorted(entry_points(group=GROUP), key=lambda point: (point.name, _owner(point))))
+    return _found()[0]
+
+
+def _found() -> tuple[tuple[EntryPoint, ...], list[Broken]]:
+    """The entry points by name, and the distributions that cannot be read."""
+    unread: list[Broken] = []
+    try:
+        points = list(entry_points(group=GROUP))
+    except Exception:  # noqa: BLE001 -- one ill-formed file spoils it for all: so one by one
+        points, seen = [], set[str]()
+        for distribution in distributions():
+            name = distribution.name or "?"
+            try:
+                own = distribution.entry_points.select(group=GROUP)
+            except Exception as error:  # noqa: BLE001 -- whatever is wrong with it
+                unread.append(Broken("?", name, f"its entry points cannot be read: {error}"))
+                continue
+            points += own if name not in seen else ()
+            seen.add(name)
+    return tuple(sorted(points, key=lambda point: (point.name, _owner(point)))), unread
 
 
 def load(name: str) -> Plugin:
@@ -279,9 +298,9 @@ def load(name: str) -> Plugin:
 
 def load_all() -> tuple[tuple[Plugin, ...], tuple[Broken, ...]]:
     """Every installed plugin, and those that could not be loaded with the reason."""
+    found, broken = _found()
     plugins: list[Plugin] = []
-    broken: list[Broken] = []
-    for _, points in groupby(installed(), key=lambda point: point.name):
+    for _, points in groupby(found, key=lambda point: point.name):
         good, bad = _settle(list(points))
         plugins += good
         broken += bad
@@ -309,6 +328,8 @@ def _settle(points: Sequence[EntryPoint]) -> tuple[list[Plugin], list[Broken]]:
 
 def _load(point: EntryPoint) -> Plugin | Broken:
     """The plugin, tried as far as it can be without a device."""
+    if not point.pattern.match(point.value):
+        return Broken(point.name, _owner(point), f"{point.value!r} is not MODULE:NAME")
     try:
         plugin = point.load()
         wrong = _wrong(point, plugin)

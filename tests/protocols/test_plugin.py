@@ -167,6 +167,23 @@ def test_what_its_spec_says_of_an_address_is_a_robot_files_affair(site: Site) ->
     assert load("acme").name == "acme"
 
 
+def test_an_entry_point_that_names_no_object_is_told(site: Site) -> None:
+    site.install("acme-motors", "acme = 5 6 7")
+    assert load_all()[1] == (Broken("acme", "acme-motors", "'5 6 7' is not MODULE:NAME"),)
+
+
+@pytest.mark.parametrize("content", [b"[motor_gateway.protocols]\nacme\n", b"\xff\xfe"], ids=["ini", "utf-8"])
+def test_a_distribution_that_cannot_be_read_hinders_nobody(site: Site, content: bytes) -> None:
+    site.install("acme-motors", "acme = acme_good:plugin", GOOD)
+    site.install("acme-brakes", "acme_brakes = acme_worse:plugin")
+    next(site.path.glob("acme_brakes*/entry_points.txt")).write_bytes(content)
+    plugins, (broken,) = load_all()
+    assert {"acme", "odrive_can", "plain"} <= {plugin.name for plugin in plugins}
+    assert load("acme").name == "acme"
+    assert (broken.name, broken.distribution) == ("?", "acme-brakes")
+    assert broken.reason.startswith("its entry points cannot be read: ")
+
+
 def test_entry_points_of_other_groups_are_not_ours(site: Site) -> None:
     site.install("acme-motors", "acme = acme_good:plugin", GOOD)
     info = next(site.path.glob("*.dist-info"))
