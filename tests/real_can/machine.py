@@ -41,8 +41,8 @@ LEFT_OUT = (".venv", ".git", "out", "build", "dist", ".[a-z]*_cache", ".hypothes
 MEMORY = "1536M"
 SPARE = 128
 """MB of the image that are free, beside the space for what it holds."""
-TIME_LIMIT = 420.0
-"""Seconds of the host from switching on to powering off."""
+TIME_LIMIT = 900.0
+"""Seconds of the host from switching on to powering off: four times what it takes on an idle one."""
 
 
 class Missing(Exception):
@@ -154,9 +154,11 @@ def _image() -> Path:
 
 
 def _contents(venv: Path, stdlib: Path) -> Iterator[str]:
-    """What tells one image from another: Python, the installed distributions, the programs."""
+    """What tells one image from another: Python, the distributions and their plugins, the programs."""
     yield f"{sys.version} {venv} {stdlib}"
-    yield from sorted(path.name for path in Path(sysconfig.get_path("purelib")).glob("*.dist-info"))
+    for path in sorted(Path(sysconfig.get_path("purelib")).glob("*.dist-info")):
+        plugins = path / "entry_points.txt"
+        yield f"{path.name} {plugins.read_text() if plugins.exists() else ''}"
     for path in _programs():
         yield f"{path} {path.stat().st_mtime_ns}"
 
