@@ -139,7 +139,7 @@ def test_a_second_node_with_the_same_address_gets_a_sentence_and_the_safe_word(d
     driven.world.duplicate("left")
     ticks = driven.run(1.0)
     faults = [n for n in told(ticks, "left") if n.level == "error"]
-    assert any("address" in n.text for n in faults)
+    assert any("held twice" in n.text for n in faults)
     assert not [w for _, w in said(driven, ticks[-50:]) if not isinstance(w, Idle)]
 
 
