@@ -294,7 +294,7 @@ class Axis:
             if self.instant and option not in HOLDING_QUICK_STOPS:
                 self.state = PowerState.SWITCH_ON_DISABLED
             return (Estop(self.motor),)
-        return (Idle(self.motor),) if before in _TORQUE else ()
+        return (Idle(self.motor),) if before in _TORQUE and self.state not in _TORQUE else ()
 
     def _leave_setpoints(self) -> None:
         self.goal = self.next_goal = None

@@ -1,0 +1,370 @@
+"""The twin's motor: every mode of operation, homing, limits, units (README, "The twin")."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from protocols.cia402 import objects as o
+from protocols.cia402.faults import FOLLOWING_ERROR
+from protocols.cia402.options import Settings
+from protocols.cia402.profile import Homing, Mode, PowerState, Status, homing_of
+from protocols.cia402.profiles import Interpolation, Ramp, Timer
+from tests.protocols.cia402.bench import Bench
+
+NEW, IMMEDIATELY, RELATIVE = 0x10, 0x20, 0x40
+ACKNOWLEDGED = Status.SETPOINT_ACKNOWLEDGED
+REACHED = Status.TARGET_REACHED
+
+
+# -- cyclic modes --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("target", [1, 137, -4096, 40_001])
+def test_csp_goes_to_any_increment(target: int) -> None:
+    """A whole-unit cast anywhere would show: 137 increments are 0.0084 turns."""
+    bench = Bench()
+    bench.enable(Mode.CSP)
+    bench.put(o.TARGET_POSITION, target)
+    bench.run(3000)
+    assert bench.read(o.POSITION) == pytest.approx(target, abs=3)
+    assert bench.increments() == pytest.approx(target, abs=4)
+    assert bench.status & Status.FOLLOWS_COMMAND
+    assert not bench.status & Status.FOLLOWING_ERROR
+
+
+def test_enabling_where_the_set_point_is_the_position_does_not_move() -> None:
+    bench = Bench()
+    bench.position = 0.3217
+    bench.run(2)
+    bench.enable(Mode.CSP)
+    bench.run(200)
+    assert bench.position == pytest.approx(0.3217, abs=math.tau / 16384)
+
+
+def test_csp_obeys_its_offsets() -> None:
+    bench = Bench()
+    bench.locked = True
+    bench.enable(Mode.CSP)
+    bench.put(o.TORQUE_OFFSET, 250)
+    bench.run(50)
+    assert bench.torque == pytest.approx(0.25, abs=0.01)
+    bench.put(o.TORQUE_OFFSET, 0)
+    bench.put(o.VELOCITY_OFFSET, 16_384)
+    bench.run(20)
+    assert bench.torque == pytest.approx(0.1 * math.tau, rel=0.1)
+
+
+def test_csp_interpolates_over_the_period_of_60c2() -> None:
+    bench = Bench(Settings(interpolation_ms=100))
+    bench.locked = True
+    bench.enable(Mode.CSP)
+    bench.put(o.TARGET_POSITION, 1000)
+    bench.run(48)
+    assert bench.read(o.POSITION_DEMAND) == pytest.approx(500, abs=25)
+    bench.run(60)
+    assert bench.read(o.POSITION_DEMAND) == 1000
+
+
+def test_csv_and_its_offsets() -> None:
+    bench = Bench()
+    bench.enable(Mode.CSV)
+    bench.put(o.TARGET_VELOCITY, 16_384)
+    bench.put(o.VELOCITY_OFFSET, -32_768)
+    bench.run(2500)
+    assert bench.read(o.VELOCITY) == pytest.approx(-16_384, abs=200)
+
+
+def test_cst_gives_torque_of_the_shaft_through_the_gear() -> None:
+    bench = Bench(Settings(gear_motor=10, rated_torque=200))
+    bench.locked = True
+    bench.enable(Mode.CST)
+    bench.put(o.TARGET_TORQUE, 500)
+    bench.run(50)
+    assert bench.torque == pytest.approx(1.0, rel=1e-3)
+    assert bench.read(o.TORQUE) == bench.read(o.CURRENT) == 500
+    bench.put(o.TORQUE_OFFSET, -700)
+    bench.run(50)
+    assert bench.torque == pytest.approx(-0.4, rel=1e-3)
+
+
+# -- profile modes ---------------------------------------------------------------------------------------
+
+
+def pp(settings: Settings | None = None) -> Bench:
+    bench = Bench(
+        settings
+        or Settings(profile_velocity=20_000, profile_acceleration=100_000, profile_deceleration=100_000)
+    )
+    bench.enable(Mode.PP)
+    return bench
+
+
+def test_pp_handshake_and_target_reached() -> None:
+    bench = pp()
+    bench.put(o.TARGET_POSITION, 10_000)
+    bench.run(50)
+    assert abs(bench.increments()) < 2, "a target alone moves nothing"
+    bench.control(0x0F | NEW)
+    assert bench.status & ACKNOWLEDGED
+    assert not bench.status & REACHED
+    bench.control(0x0F)
+    assert not bench.status & ACKNOWLEDGED
+    bench.run(300)
+    assert bench.read(o.VELOCITY) == pytest.approx(20_000, rel=0.1), "6081 is kept"
+    bench.run(1500)
+    assert bench.status & REACHED
+    assert bench.read(o.POSITION) == pytest.approx(10_000, abs=50)
+
+
+def test_pp_finishes_one_set_point_before_the_next() -> None:
+    bench = pp()
+    highest = 0.0
+    for target in (8000, 2000):
+        bench.put(o.TARGET_POSITION, target)
+        bench.control(0x0F | NEW)
+        bench.control(0x0F)
+    assert bench.status & ACKNOWLEDGED, "the place for the next one is taken"
+    for _ in range(300):
+        bench.run(10)
+        highest = max(highest, bench.increments())
+    assert highest == pytest.approx(8000, abs=200)
+    assert bench.read(o.POSITION) == pytest.approx(2000, abs=50)
+    assert not bench.status & ACKNOWLEDGED
+
+
+def test_pp_changes_at_once_when_it_is_told_to() -> None:
+    bench = pp()
+    highest = 0.0
+    for target in (8000, 1000):
+        bench.put(o.TARGET_POSITION, target)
+        bench.control(0x0F | NEW | IMMEDIATELY)
+        bench.control(0x0F)
+    for _ in range(200):
+        bench.run(10)
+        highest = max(highest, bench.increments())
+    assert highest < 4000
+    assert bench.read(o.POSITION) == pytest.approx(1000, abs=50)
+
+
+def test_pp_relative_set_points_add_up() -> None:
+    bench = pp()
+    bench.put(o.TARGET_POSITION, 1500)
+    for _ in range(3):
+        bench.control(0x0F | NEW | RELATIVE)
+        bench.control(0x0F)
+        bench.run(900)
+    assert bench.read(o.POSITION) == pytest.approx(4500, abs=50)
+
+
+def test_pp_forgets_its_set_point_when_it_is_disabled() -> None:
+    bench = pp()
+    bench.put(o.TARGET_POSITION, 20_000)
+    bench.control(0x0F | NEW)
+    bench.run(50)
+    bench.control(0x00)
+    bench.run(400)
+    bench.velocity = 0.0
+    stood = bench.position
+    for word in (0x06, 0x07, 0x0F):
+        bench.control(word)
+    bench.run(500)
+    assert bench.position == pytest.approx(stood, abs=0.01)
+
+
+def test_pv_ramps_and_tells_standstill() -> None:
+    bench = Bench(Settings(profile_acceleration=20_000, profile_deceleration=40_000))
+    bench.enable(Mode.PV)
+    assert bench.status & Status.ZERO_SPEED
+    bench.put(o.TARGET_VELOCITY, 20_000)
+    bench.run(500)
+    assert bench.read(o.VELOCITY_DEMAND) == pytest.approx(10_000, rel=0.05)
+    bench.run(2500)
+    assert bench.status & REACHED
+    assert not bench.status & Status.ZERO_SPEED
+    bench.put(o.TARGET_VELOCITY, 0)
+    bench.run(250)
+    assert bench.read(o.VELOCITY_DEMAND) == pytest.approx(10_000, rel=0.05)
+
+
+def test_pt_ramps() -> None:
+    bench = Bench(Settings(torque_slope=1000))
+    bench.locked = True
+    bench.enable(Mode.PT)
+    bench.put(o.TARGET_TORQUE, -400)
+    bench.run(200)
+    assert bench.read(o.TORQUE_DEMAND) == pytest.approx(-200, abs=10)
+    assert not bench.status & REACHED
+    bench.run(300)
+    assert bench.torque == pytest.approx(-0.4, rel=0.01)
+    assert bench.status & REACHED
+
+
+# -- homing ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("method", "home"), [(33, 0), (34, 16_384), (35, 4096), (37, 4096)])
+@pytest.mark.parametrize("offset", [0, 300])
+def test_homing(method: int, home: int, offset: int) -> None:
+    bench = Bench(Settings(homing_method=method, home_offset=offset, homing_speed=20_000))
+    bench.position = 4096 / 16384 * math.tau
+    bench.run(2)
+    bench.enable(Mode.HM)
+    assert homing_of(bench.status) is Homing.INTERRUPTED
+    bench.control(0x1F)
+    if method in (33, 34):
+        assert homing_of(bench.status) is Homing.IN_PROGRESS
+    bench.run(2500)
+    assert homing_of(bench.status) is Homing.DONE
+    assert bench.read(o.POSITION) == pytest.approx(bench.increments() - home - offset, abs=2)
+    assert abs(bench.velocity) < 0.1
+    bench.control(0x0F)
+    assert homing_of(bench.status) is Homing.DONE
+
+
+def test_homing_can_be_interrupted() -> None:
+    bench = Bench(Settings(homing_method=34, homing_speed=5000))
+    bench.position = 0.5
+    bench.run(2)
+    bench.enable(Mode.HM)
+    bench.control(0x1F, steps=100)
+    assert homing_of(bench.status) is Homing.IN_PROGRESS
+    bench.control(0x0F, steps=300)
+    assert homing_of(bench.status) is Homing.INTERRUPTED
+    assert abs(bench.velocity) < 0.05
+
+
+# -- limits ----------------------------------------------------------------------------------------------
+
+
+def test_a_following_error_trips() -> None:
+    bench = Bench(Settings(following_window=500, following_time=20))
+    bench.locked = True
+    bench.enable(Mode.CSP)
+    bench.put(o.TARGET_POSITION, 490)
+    bench.run(100)
+    assert bench.emergencies() == []
+    bench.put(o.TARGET_POSITION, 510)
+    bench.run(10)
+    assert bench.status & Status.FOLLOWING_ERROR
+    assert bench.emergencies() == []
+    bench.run(20)
+    assert bench.state is PowerState.FAULT
+    assert bench.emergencies() == [FOLLOWING_ERROR]
+
+
+@pytest.mark.parametrize("mode", [Mode.CSP, Mode.PP])
+def test_position_limits_hold_the_target(mode: Mode) -> None:
+    bench = Bench(Settings(soft_limit_low=-1000, soft_limit_high=2000))
+    bench.enable(mode)
+    bench.put(o.TARGET_POSITION, 9000)
+    if mode is Mode.PP:
+        bench.control(0x1F)
+    bench.run(60)
+    assert bench.status & Status.INTERNAL_LIMIT
+    bench.run(2000)
+    assert bench.read(o.POSITION) == pytest.approx(2000, abs=20)
+
+
+def test_torque_and_speed_are_limited() -> None:
+    bench = Bench(Settings(max_torque=300, max_profile_velocity=10_000))
+    bench.locked = True
+    bench.enable(Mode.CST)
+    bench.put(o.TARGET_TORQUE, 900)
+    bench.run(50)
+    assert bench.torque == pytest.approx(0.3, rel=1e-3)
+    assert bench.status & Status.INTERNAL_LIMIT
+    bench.locked = False
+    bench.put(o.TARGET_TORQUE, 0)
+    bench.put(o.MODE, Mode.CSV)
+    bench.put(o.TARGET_VELOCITY, 50_000)
+    bench.run(2500)
+    assert bench.read(o.VELOCITY) == pytest.approx(10_000, rel=0.05)
+
+
+def test_the_motors_speed_is_limited_behind_its_gear() -> None:
+    bench = Bench(Settings(max_motor_speed=600, gear_motor=10))
+    bench.enable(Mode.CSV)
+    bench.put(o.TARGET_VELOCITY, 10**6)
+    bench.run(2500)
+    assert bench.velocity == pytest.approx(math.tau, rel=0.05)
+
+
+# -- units -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (Settings(encoder_increments=4000), 1000),
+        (Settings(encoder_increments=4000, gear_motor=5), 5000),
+        (Settings(encoder_increments=4000, gear_motor=5, feed=360), 90),
+        (Settings(encoder_increments=4000, feed=3600, feed_shaft=2), 450),
+    ],
+    ids=("encoder", "gear", "feed", "feed per turns"),
+)
+def test_a_quarter_turn_in_the_drives_units(settings: Settings, told: int) -> None:
+    bench = Bench(settings)
+    bench.position = math.tau / 4
+    bench.run(2)
+    assert bench.read(o.POSITION) == told
+
+
+def test_the_encoder_counts_whole_increments() -> None:
+    bench = Bench(Settings(encoder_increments=100, feed=100_000))
+    seen = set()
+    for step in range(40):
+        bench.position = step * math.tau / 1000
+        bench.run(1)
+        seen.add(bench.read(o.POSITION))
+    assert seen == {0, 1000, 2000, 3000, 4000}
+
+
+def test_units_may_be_written_while_it_runs() -> None:
+    bench = Bench()
+    bench.position = math.tau
+    bench.put(o.FEED, 360)
+    assert bench.read(o.POSITION) == 360
+    bench.put(o.FEED, 0)
+    assert bench.read(o.POSITION) == 16_384
+
+
+# -- ramps -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("goal", [0.001, 1.0, -7.5])
+@pytest.mark.parametrize("dt", [0.001, 0.0002])
+def test_a_trapezoidal_move_arrives_without_passing_its_goal(goal: float, dt: float) -> None:
+    ramp, steps, highest = Ramp(), 0, 0.0
+    while not ramp.go(dt, goal, 2.0, 5.0, 10.0):
+        steps += 1
+        highest = max(highest, abs(ramp.position))
+        assert abs(ramp.velocity) <= 2.0 + 1e-9
+        assert steps < 10 / dt
+    assert highest <= abs(goal) * 1.001 + 0.02
+    assert (ramp.position, ramp.velocity) == (goal, 0.0)
+    fastest = abs(goal) / 2.0
+    assert steps * dt >= fastest
+
+
+def test_interpolation_reaches_its_target_in_time() -> None:
+    way = Interpolation()
+    positions, position = [], 0.0
+    for _ in range(10):
+        position = way.follow(0.001, position, 1.0, 0.010)
+        positions.append(position)
+    assert positions == pytest.approx([0.1 * n for n in range(1, 11)])
+    assert way.follow(0.001, 1.0, 5.0, 0.0) == 5.0
+
+
+def test_a_timer_lasts_as_long_as_it_is_so() -> None:
+    timer = Timer()
+    assert not timer.lasts(0)
+    timer.run(0.01, so=True)
+    assert timer.lasts(0)
+    assert not timer.lasts(10)
+    timer.run(0.01, so=True)
+    assert timer.lasts(10)
+    timer.run(0.01, so=False)
+    assert not timer.lasts(0)

@@ -1,0 +1,59 @@
+"""The twin's own data sheet: written from the dictionary, read by canopen, and true of the twin."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import canopen
+import pytest
+
+import protocols.cia402
+from protocols.cia402 import sdo
+from protocols.cia402.eds import eds
+from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
+from tests.protocols.cia402.bench import NODE, Bench
+
+FILE = Path(protocols.cia402.__file__).parent / "twin.eds"
+LIVE = {(0x6041, 0), (0x6079, 0)}
+"""Not what they are at power-on when they can first be read."""
+
+
+@cache
+def variables() -> dict[Key, Any]:
+    """Every value in the data sheet, as canopen reads it."""
+    found: dict[Key, Any] = {}
+    for index, thing in canopen.import_od(str(FILE), node_id=NODE).items():
+        parts = [thing] if isinstance(thing, canopen.objectdictionary.ODVariable) else thing.values()
+        found |= {(index, part.subindex): part for part in parts}
+    return found
+
+
+def test_the_file_is_what_the_dictionary_makes() -> None:
+    """To write it anew: python -c "from protocols.cia402.eds import eds; print(eds(), end='')" > twin.eds"""
+    assert FILE.read_text("utf-8") == eds()
+
+
+def test_canopen_reads_every_object_of_it() -> None:
+    assert set(variables()) == set(OBJECTS)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench()
+
+
+@pytest.mark.parametrize("key", sorted(OBJECTS), ids=lambda k: f"{k[0]:04X}:{k[1]:02X}")
+def test_the_twin_answers_as_its_data_sheet_says(bench: Bench, key: Key) -> None:
+    told, row = variables()[key], OBJECTS[key]
+    assert (told.data_type, told.access_type, told.pdo_mappable) == (row.type.code, row.access, row.mappable)
+    read = bench.transfer(sdo.Transfer(*key))
+    assert read.abort is None
+    if row.type is Type.TEXT:
+        assert read.value.decode("ascii") == told.default
+        return
+    value = from_bytes(row.type, read.value)
+    assert key in LIVE or value == told.default
+    written = bench.transfer(sdo.Transfer(*key, read.value))
+    assert (written.abort == sdo.READ_ONLY) is (row.access != "rw")

@@ -1,0 +1,554 @@
+"""The twin's behaviour: NMT, heartbeats, power states, stops, faults, PDOs (README, "The twin")."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from protocols.cia402 import objects as o
+from protocols.cia402 import sdo
+from protocols.cia402.codec import NmtCommand, NmtState, heartbeat_id, rpdo_id, sdo_rx_id, sdo_tx_id
+from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, OVERCURRENT, RPDO_TIMEOUT, register_of
+from protocols.cia402.machine import TRANSITIONS
+from protocols.cia402.objects import Key
+from protocols.cia402.options import Settings
+from protocols.cia402.pdo import Entry, word_of
+from protocols.cia402.profile import Demand, Mode, PowerState
+from protocols.wire import CanFrame
+from protocols.words import MILLISECOND, Feedback
+from tests.protocols.cia402.bench import HOST, NODE, Bench
+
+SEED = 20261121
+ON = PowerState.OPERATION_ENABLED
+OFF = PowerState.SWITCH_ON_DISABLED
+HELD = HOST << 16 | 100
+"""1016: the host's heartbeat within 100 ms."""
+
+
+def spinning(settings: Settings | None = None, target: int = 20_000) -> Bench:
+    """A drive that turns in CSV."""
+    bench = Bench(settings)
+    bench.enable(Mode.CSV)
+    bench.put(o.TARGET_VELOCITY, target)
+    bench.run(300)
+    assert bench.velocity > 7.0
+    return bench
+
+
+def beat(bench: Bench) -> list[CanFrame]:
+    return bench.run(1, [CanFrame(heartbeat_id(HOST), b"\x05")])
+
+
+# -- NMT and heartbeat ---------------------------------------------------------------------------------
+
+
+def test_it_boots_and_follows_nmt() -> None:
+    bench = Bench()
+    assert bench.said[0] == CanFrame(heartbeat_id(NODE), b"\x00")
+    for command, node, state in (
+        (NmtCommand.START, NODE, NmtState.OPERATIONAL),
+        (NmtCommand.STOP, 0, NmtState.STOPPED),
+        (NmtCommand.ENTER_PRE_OPERATIONAL, NODE, NmtState.PRE_OPERATIONAL),
+        (NmtCommand.START, NODE + 1, NmtState.PRE_OPERATIONAL),
+    ):
+        bench.nmt(command, node)
+        bench.said.clear()
+        bench.run(110)
+        assert bench.beats()[-1] == state
+        answer = bench.ask(sdo.Upload(0x1000, 0))
+        assert (answer is None) is (state is NmtState.STOPPED)
+
+
+def test_the_heartbeats_period_is_what_1017_says() -> None:
+    bench = Bench(seed=3)
+    for period in (100, 20, 0, 50):
+        bench.put(o.PRODUCER_HEARTBEAT, period)
+        bench.run(120)
+        bench.said.clear()
+        bench.run(600)
+        assert len(bench.beats()) == (600 // period if period else 0)
+
+
+@pytest.mark.parametrize("command", [NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION])
+def test_a_reset_forgets(command: NmtCommand) -> None:
+    bench = spinning(Settings(boot_ms=200))
+    bench.put(o.PROFILE_VELOCITY, 777)
+    bench.put(o.PRODUCER_HEARTBEAT, 13)
+    bench.nmt(NmtCommand.START)
+    bench.said.clear()
+    bench.nmt(command)
+    silent = command is NmtCommand.RESET_NODE
+    assert (bench.ask(sdo.Upload(0x1000, 0)) is None) is silent
+    bench.run(200)
+    assert 0 in bench.beats()
+    assert bench.torque == 0.0
+    assert bench.read(o.PRODUCER_HEARTBEAT) == 100
+    assert bench.read(o.PROFILE_VELOCITY) == (Settings().profile_velocity if silent else 777)
+    assert bench.state is (OFF if silent else PowerState.FAULT)
+
+
+def test_the_hosts_heartbeat_is_watched_from_the_first_one_on() -> None:
+    bench = spinning()
+    bench.put(o.CONSUMER_HEARTBEAT, HELD)
+    bench.run(500)
+    assert bench.state is ON
+    for _ in range(5):
+        beat(bench)
+        bench.run(90)
+    assert bench.state is ON
+    bench.run(101 - 90)
+    assert bench.twin.axis.state is not ON
+    bench.run(2)
+    assert bench.emergencies() == [HEARTBEAT_LOST]
+    assert bench.state is PowerState.FAULT
+    assert bench.read(o.ERROR_CODE) == HEARTBEAT_LOST
+    assert bench.torque == 0.0
+
+
+@pytest.mark.parametrize(
+    ("option", "state"), [(0, ON), (1, PowerState.FAULT), (2, OFF), (3, OFF)], ids=lambda v: str(v)
+)
+def test_what_the_drive_does_when_the_host_falls_silent(option: int, state: PowerState) -> None:
+    bench = spinning(Settings(abort_connection=option, heartbeat_consumer=HELD))
+    beat(bench)
+    bench.run(500)
+    assert bench.emergencies() == [HEARTBEAT_LOST]
+    assert bench.state is state
+    assert (bench.torque == 0.0) is (state is not ON)
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "state"), [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)]
+)
+def test_the_nmt_state_after_the_host_fell_silent(behaviour: int, state: NmtState) -> None:
+    bench = Bench(Settings(error_behaviour=behaviour, heartbeat_consumer=HELD))
+    bench.nmt(NmtCommand.START)
+    beat(bench)
+    bench.run(300)
+    assert bench.beats()[-1] == state
+    assert bench.twin.axis.state is OFF, "it was not armed: no fault"
+
+
+def test_nmt_stop_is_a_lost_connection_for_what_turns() -> None:
+    bench = spinning()
+    bench.nmt(NmtCommand.STOP)
+    bench.run(10)
+    assert bench.torque == 0.0
+    bench.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+    assert bench.state is PowerState.FAULT
+
+
+def test_an_rpdo_that_stays_away_is_noticed() -> None:
+    bench = Bench()
+    pack = bench.map_pdo(0x1400, rpdo_id(1, NODE), 255, o.CONTROLWORD, o.TARGET_VELOCITY, timer=50)
+    bench.put(o.MODE, Mode.CSV)
+    bench.nmt(NmtCommand.START)
+    for word in (0x06, 0x07, 0x0F):
+        bench.rpdo(1, pack, word, 0)
+    for _ in range(10):
+        bench.rpdo(1, pack, 0x0F, 20_000)
+        bench.run(40)
+    assert bench.state is ON
+    bench.run(60)
+    assert bench.emergencies() == [RPDO_TIMEOUT]
+    assert bench.torque == 0.0
+
+
+# -- power states --------------------------------------------------------------------------------------
+
+WAY: dict[PowerState, tuple[int, ...]] = {
+    OFF: (),
+    PowerState.READY: (0x06,),
+    PowerState.SWITCHED_ON: (0x06, 0x07),
+    ON: (0x06, 0x07, 0x0F),
+    PowerState.QUICK_STOP: (0x06, 0x07, 0x0F, 0x02),
+    PowerState.FAULT: (),
+}
+
+
+@pytest.mark.parametrize("state", WAY, ids=lambda s: s.name)
+@pytest.mark.parametrize("demand", Demand, ids=lambda d: d.name)
+def test_every_demand_in_every_state(state: PowerState, demand: Demand) -> None:
+    bench = Bench(Settings(quick_stop_option=6))
+    bench.put(o.MODE, Mode.CSV)
+    for word in WAY[state]:
+        bench.control(word)
+    if state is PowerState.FAULT:
+        bench.twin.provoke(OVERCURRENT)
+        bench.run(1)
+    assert bench.state is state
+    holds = (state, demand) == (PowerState.QUICK_STOP, Demand.ENABLE_OPERATION)
+    expected = ON if holds else TRANSITIONS.get((state, demand), state)
+    assert bench.control(int(demand)) is expected
+
+
+def test_every_transition_of_the_package_is_ours() -> None:
+    """Those that a controlword makes; canopen 2.4.1 `State402.TRANSITIONTABLE`."""
+    from canopen.profiles.p402 import State402
+
+    names = {state.value: state for state in PowerState}
+    made = {(before, after) for (before, _), after in TRANSITIONS.items()}
+    made.add((PowerState.QUICK_STOP, ON))
+    automatic = {PowerState.NOT_READY, PowerState.FAULT_REACTION}
+    for before, after in State402.TRANSITIONTABLE:
+        if before in names and names[before] not in automatic:
+            assert (names[before], names[after]) in made
+
+
+def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
+    bench = Bench()
+    bench.put(o.CONTROLWORD, 0x80)
+    bench.twin.provoke(OVERCURRENT)
+    bench.run(1)
+    assert bench.control(0x80) is PowerState.FAULT
+    assert bench.control(0x00) is PowerState.FAULT
+    assert bench.control(0x80) is OFF
+    assert bench.emergencies() == [OVERCURRENT, 0]
+    assert bench.read(o.ERROR_CODE) == bench.read(o.ERROR_REGISTER) == 0
+
+
+def test_an_unsupported_mode_is_refused() -> None:
+    bench = Bench(Settings(supported_modes=0x180))
+    assert bench.write(o.MODE, Mode.PP) == sdo.BAD_VALUE
+    assert bench.write(o.MODE, 99) == sdo.BAD_VALUE
+    bench.put(o.MODE, Mode.CSP)
+    assert bench.read(o.MODE_DISPLAY) == Mode.CSP
+
+
+# -- stopping --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("option", "slowest", "end"),
+    [
+        (0, None, OFF),
+        (1, 8.0, OFF),
+        (2, 16.0, OFF),
+        (3, 100.0, OFF),
+        (5, 8.0, PowerState.QUICK_STOP),
+        (6, 16.0, PowerState.QUICK_STOP),
+        (7, 100.0, PowerState.QUICK_STOP),
+    ],
+)
+def test_quick_stop(option: int, slowest: float | None, end: PowerState) -> None:
+    """By 605A: ramps of 6084 (here 20 000 /s², 7.7 rad/s²) and 6085 (40 000), or as fast as it can."""
+    bench = spinning(
+        Settings(quick_stop_option=option, profile_deceleration=20_000, quick_stop_deceleration=40_000)
+    )
+    bench.control(0x02)
+    bench.run(40)
+    speed = bench.velocity
+    bench.run(100)
+    lost = (speed - bench.velocity) / 0.1
+    if slowest is None:
+        assert bench.torque == 0.0
+    elif slowest < 50.0:
+        assert slowest * 0.8 < lost < slowest * 1.2
+    else:
+        assert abs(bench.velocity) < 0.1
+    bench.run(2500)
+    assert bench.state is end
+    assert end is OFF or abs(bench.velocity) < 0.05
+
+
+@pytest.mark.parametrize(("word", "key"), [(0x06, o.SHUTDOWN_OPTION), (0x07, o.DISABLE_OPTION)])
+@pytest.mark.parametrize("slows", [0, 1])
+def test_leaving_with_and_without_slowing_down(word: int, key: Key, slows: int) -> None:
+    bench = spinning()
+    bench.put(key, slows)
+    bench.control(word, steps=2)
+    assert (bench.torque != 0.0) is bool(slows)
+    bench.run(400)
+    assert bench.torque == 0.0
+    assert (abs(bench.velocity) < 0.05) is bool(slows)
+
+
+@pytest.mark.parametrize("option", [1, 2, 3])
+def test_halt_stops_and_goes_on(option: int) -> None:
+    bench = spinning(Settings(halt_option=option))
+    bench.control(0x10F, steps=600)
+    assert abs(bench.velocity) < 0.05
+    assert bench.state is ON
+    bench.control(0x0F, steps=300)
+    assert bench.velocity > 7.0
+
+
+@pytest.mark.parametrize("option", [0, 1, 2, 3])
+def test_the_fault_reaction(option: int) -> None:
+    bench = spinning(Settings(fault_option=option, profile_deceleration=100_000))
+    bench.twin.provoke(OVERCURRENT)
+    bench.run(2)
+    slowing = bench.twin.axis.state is PowerState.FAULT_REACTION
+    assert slowing is bool(option)
+    assert (bench.torque != 0.0) is bool(option)
+    bench.run(800)
+    assert bench.state is PowerState.FAULT
+    assert bench.torque == 0.0
+    assert (abs(bench.velocity) < 0.05) is bool(option)
+
+
+# -- faults ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("code", sorted(FAULTS))
+def test_every_fault_can_be_provoked(code: int) -> None:
+    bench = Bench()
+    bench.twin.provoke(code)
+    bench.run(2)
+    assert bench.emergencies() == [code]
+    assert bench.state is PowerState.FAULT
+    assert bench.read(o.ERROR_CODE) == code
+    assert bench.read(o.ERROR_REGISTER) == register_of(code)
+
+
+def test_an_unknown_fault_cannot_be_provoked() -> None:
+    with pytest.raises(ValueError, match="0x1234"):
+        Bench().twin.provoke(0x1234)
+
+
+# -- PDOs ------------------------------------------------------------------------------------------------
+
+
+def test_a_synchronous_rpdo_waits_for_sync_and_the_last_one_counts() -> None:
+    bench = Bench()
+    pack = bench.map_pdo(0x1400, rpdo_id(1, NODE), 1, o.TARGET_VELOCITY)
+    bench.nmt(NmtCommand.START)
+    for value in (1, 2, 3):
+        bench.rpdo(1, pack, value)
+    assert bench.read(o.TARGET_VELOCITY) == 0
+    bench.sync()
+    assert bench.read(o.TARGET_VELOCITY) == 3
+    bench.rpdo(1, pack, 4)
+    bench.nmt(NmtCommand.ENTER_PRE_OPERATIONAL)
+    bench.nmt(NmtCommand.START)
+    bench.sync()
+    assert bench.read(o.TARGET_VELOCITY) == 3, "what waited is forgotten with the state"
+
+
+@pytest.mark.parametrize("transmission", [254, 255])
+def test_another_rpdo_takes_effect_at_once_and_only_in_operational(transmission: int) -> None:
+    bench = Bench()
+    pack = bench.map_pdo(0x1401, rpdo_id(2, NODE), transmission, o.TARGET_TORQUE, o.PROFILE_VELOCITY)
+    bench.rpdo(2, pack, -5, 99)
+    assert bench.read(o.TARGET_TORQUE) == 0
+    bench.nmt(NmtCommand.START)
+    bench.rpdo(2, pack, -5, 99)
+    assert bench.read(o.TARGET_TORQUE) == -5
+    assert bench.read(o.PROFILE_VELOCITY) == 99
+    bench.run(1, [CanFrame(rpdo_id(2, NODE), pack.pack((7, 7))[:-1])])
+    assert bench.read(o.TARGET_TORQUE) == -5, "a short one is not processed"
+    bench.rpdo(2, pack, 6, 0)
+    assert bench.read(o.PROFILE_VELOCITY) == 99, "what SDO would refuse is not taken"
+
+
+@pytest.mark.parametrize("transmission", [1, 2, 7])
+def test_a_tpdo_goes_with_every_nth_sync(transmission: int) -> None:
+    bench = Bench()
+    pack = bench.map_pdo(0x1A00 - 0x200, 0x180 + NODE, transmission, o.POSITION, o.STATUSWORD)
+    bench.sync(20)
+    assert not bench.tpdo(1, bench.said), "not in pre-operational"
+    bench.nmt(NmtCommand.START)
+    bench.position = 1.0
+    frames = [frame for _ in range(21) for frame in bench.sync(3)]
+    told = [pack.unpack(data) for data in bench.tpdo(1, frames)]
+    assert len(told) == 21 // transmission
+    assert told[-1] == (2608, bench.status)
+
+
+def test_type_0_goes_with_a_sync_when_something_has_changed() -> None:
+    bench = Bench()
+    bench.map_pdo(0x1800, 0x180 + NODE, 0, o.POSITION)
+    bench.nmt(NmtCommand.START)
+    counts = []
+    for position in (0.0, 0.0, 1.0, 1.0, 2.0):
+        bench.position = position
+        bench.run(1)
+        counts.append(len(bench.tpdo(1, bench.sync())))
+    assert counts == [1, 0, 1, 0, 1]
+    bench.position = 3.0
+    assert not bench.tpdo(1, bench.run(50))
+
+
+def test_an_event_timer_and_a_change_of_state_send_a_tpdo() -> None:
+    bench = Bench()
+    bench.map_pdo(0x1800, 0x180 + NODE, 255, o.STATUSWORD, o.POSITION, timer=50)
+    bench.nmt(NmtCommand.START)
+    bench.run(50)
+    frames = bench.run(500)
+    assert len(bench.tpdo(1, frames)) == 10
+    bench.position = 0.5
+    assert not bench.tpdo(1, bench.run(3)), "a position is no event where there is a timer"
+    bench.said.clear()
+    bench.control(0x06)
+    assert bench.tpdo(1, bench.said)[0][:2] == b"\x31\x02"
+
+
+def test_without_a_timer_every_change_is_an_event_but_not_within_the_inhibit_time() -> None:
+    bench = Bench()
+    bench.map_pdo(0x1800, 0x180 + NODE, 254, o.POSITION)
+    bench.put((0x1800, o.COB_ID), 1 << 31 | 0x180 + NODE)
+    bench.put((0x1800, o.INHIBIT), 100)  # 10 ms
+    bench.put((0x1800, o.COB_ID), 0x180 + NODE)
+    bench.nmt(NmtCommand.START)
+    bench.run(20)
+    frames: list[CanFrame] = []
+    for step in range(100):
+        bench.position = step * 0.01
+        frames += bench.run(1)
+    assert len(bench.tpdo(1, frames)) == 10
+    bench.run(20)
+    assert not bench.tpdo(1, bench.run(100))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "code"),
+    [
+        ((0x1600, 1), word_of(Entry(0x6040, 0, 16)), sdo.DEVICE_STATE),
+        ((0x1600, 0), 0, sdo.DEVICE_STATE),
+        ((0x1601, 1), word_of(Entry(0x6041, 0, 16)), sdo.NOT_MAPPABLE),
+        ((0x1601, 1), word_of(Entry(0x6040, 0, 8)), sdo.NOT_MAPPABLE),
+        ((0x1601, 1), word_of(Entry(0x5FFF, 0, 8)), sdo.NOT_MAPPABLE),
+        ((0x1601, 1), word_of(Entry(0x1017, 0, 16)), sdo.NOT_MAPPABLE),
+        ((0x1601, 0), 9, sdo.BAD_VALUE),
+        ((0x1601, 0), 1, sdo.NOT_MAPPABLE),
+        ((0x1400, 2), 250, sdo.BAD_VALUE),
+        ((0x1400, 1), 0x300, sdo.DEVICE_STATE),
+        ((0x1401, 1), 1 << 29 | 0x301, sdo.BAD_VALUE),
+        ((0x1401, 1), 0, sdo.BAD_VALUE),
+        ((0x1800, 3), 5, sdo.DEVICE_STATE),
+    ],
+    ids=lambda v: str(v),
+)
+def test_a_pdo_is_configured_as_cia_301_demands(key: Key, value: int, code: int) -> None:
+    bench = Bench(Settings(pdos="usual"))
+    bench.put((0x1401, 1), 1 << 31 | 0x300 + NODE)
+    bench.put((0x1601, 0), 0)
+    bench.put((0x1601, 1), word_of(Entry(0x6040, 0, 16)))
+    bench.twin.axis.dictionary.values[0x1601, 1] = 0
+    assert bench.write(key, value) == code
+
+
+def test_more_than_a_frame_holds_cannot_be_mapped() -> None:
+    bench = Bench()
+    for sub, index in enumerate((0x607A, 0x60FF, 0x6071), 1):
+        bits = o.OBJECTS[index, 0].bits
+        bench.put((0x1600, sub), word_of(Entry(index, 0, bits)))
+    assert bench.write((0x1600, 0), 3) == sdo.PDO_TOO_LONG
+    bench.put((0x1600, 0), 2)
+    assert bench.write((0x1600, 1), word_of(Entry(0x6040, 0, 16))) == sdo.INCOMPATIBLE
+
+
+def test_the_usual_mapping_stands_when_it_starts() -> None:
+    bench = Bench(Settings(pdos="usual"))
+    assert bench.read((0x1A00, 0)) == 3
+    assert bench.read((0x1A00, 1)) == word_of(Entry(0x6041, 0, 16))
+    assert not bench.read((0x1400, 1)) & 1 << 31
+    bench.nmt(NmtCommand.START)
+    assert len(bench.tpdo(1, bench.sync(2))) == 1
+
+
+# -- SDO server --------------------------------------------------------------------------------------------
+
+
+def test_aborts() -> None:
+    bench = Bench()
+    for request, code in (
+        (sdo.Upload(0x5FFF, 0), sdo.NO_OBJECT),
+        (sdo.Upload(0x1018, 9), sdo.NO_SUBINDEX),
+        (sdo.Download(0x6041, 0, b"\0\0"), sdo.READ_ONLY),
+        (sdo.Download(0x1008, 0, b"x"), sdo.READ_ONLY),
+        (sdo.Download(0x6040, 0, b"\0"), sdo.LENGTH_MISMATCH),
+        (sdo.Download(0x6083, 0, b"\0\0\0\0"), sdo.BAD_VALUE),
+        (sdo.UploadSegment(False), sdo.GENERAL),
+        (sdo.DownloadSegment(False, b"1", True), sdo.GENERAL),
+        (sdo.Unsupported(0xC2, 0x6064, 0), sdo.UNKNOWN_COMMAND),
+    ):
+        answer = bench.ask(request)
+        assert isinstance(answer, sdo.Abort), request
+        assert answer.code == code, request
+
+
+def test_segments_alternate_and_a_new_request_takes_over() -> None:
+    bench = Bench(Settings(device_name="a rather long name"))
+    assert bench.ask(sdo.Upload(0x1008, 0)) == sdo.UploadStart(0x1008, 0, 18)
+    assert bench.ask(sdo.UploadSegment(True)) == sdo.Abort(0x1008, 0, sdo.TOGGLE)
+    bench.ask(sdo.Upload(0x1008, 0))
+    bench.ask(sdo.UploadSegment(False))
+    assert bench.ask(sdo.Upload(0x6060, 0)) == sdo.Uploaded(0x6060, 0, b"\0")
+    assert isinstance(bench.ask(sdo.UploadSegment(True)), sdo.Abort)
+    assert bench.ask(sdo.DownloadStart(0x6083, 0, 4)) == sdo.Downloaded(0x6083, 0)
+    assert bench.ask(sdo.DownloadSegment(False, b"\x10\0", False)) == sdo.SegmentDownloaded(False)
+    assert bench.read(o.PROFILE_ACCELERATION) != 16
+    bench.ask(sdo.DownloadStart(0x6083, 0, 4))
+    bench.ask(sdo.DownloadSegment(False, b"\x10\0", False))
+    assert bench.ask(sdo.DownloadSegment(True, b"\0\0", True)) == sdo.SegmentDownloaded(True)
+    assert bench.read(o.PROFILE_ACCELERATION) == 16
+    bench.ask(sdo.DownloadStart(0x6083, 0, 9))
+    assert bench.ask(sdo.DownloadSegment(False, b"\x11\0\0\0", True)) == sdo.Abort(
+        0x6083, 0, sdo.LENGTH_MISMATCH
+    )
+    assert bench.read(o.PROFILE_ACCELERATION) == 16
+
+
+def test_an_abort_ends_a_transfer_without_an_answer() -> None:
+    bench = Bench()
+    bench.ask(sdo.Upload(0x1008, 0))
+    assert bench.ask(sdo.Abort(0x1008, 0, sdo.GENERAL)) is None
+    assert isinstance(bench.ask(sdo.UploadSegment(False)), sdo.Abort)
+
+
+def test_an_answer_takes_its_time() -> None:
+    bench = Bench(Settings(sdo_delay_ms=5))
+    frame = CanFrame(sdo_rx_id(NODE), sdo.encode(sdo.Upload(0x1000, 0)))
+    assert [f for f in bench.run(5, [frame]) if f.id == sdo_tx_id(NODE)] == []
+    assert [f for f in bench.run(1) if f.id == sdo_tx_id(NODE)]
+
+
+# -- manners ---------------------------------------------------------------------------------------------
+
+
+def test_two_twins_of_one_seed_are_alike_and_a_copy_goes_on_the_same() -> None:
+    one, two = spinning(), spinning()
+    assert one.said == two.said
+    three = copy.deepcopy(one)
+    for bench in (one, two, three):
+        bench.said.clear()
+        bench.put(o.TARGET_VELOCITY, -9000)
+        bench.run(200)
+    assert one.said == two.said == three.said
+    assert one.position == two.position == three.position
+
+
+def test_nothing_it_hears_makes_it_raise_or_give_a_torque_that_is_not_finite() -> None:
+    dice = np.random.Generator(np.random.PCG64(SEED))
+    bench = Bench(Settings(pdos="usual"))
+    bench.nmt(NmtCommand.START)
+    ids = [0, 0x80, sdo_rx_id(NODE), *(rpdo_id(n, NODE) for n in (1, 2)), heartbeat_id(HOST)]
+    for _ in range(4000):
+        number = int(dice.choice(ids)) if dice.random() < 0.8 else int(dice.integers(0, 0x800))
+        if number == 0 and dice.random() < 0.9:
+            continue
+        wire = CanFrame(
+            number,
+            dice.bytes(int(dice.integers(0, 9))),
+            extended=bool(dice.random() < 0.05),
+            remote=bool(dice.random() < 0.05),
+        )
+        bench.twin.receive(bench.now, wire)
+        torques, _ = bench.twin.step(bench.now, (Feedback("m", bench.now, 0.1, 0.0),))
+        bench.now += MILLISECOND
+        assert all(np.isfinite(torque.torque) for torque in torques), f"seed {SEED}"
+    bench.twin.receive(bench.now, b"bytes of a serial line")
+
+
+def test_what_is_not_finite_does_not_come_in_with_the_truth() -> None:
+    bench = Bench()
+    bench.position = 1.0
+    bench.run(2)
+    for position, velocity in ((float("nan"), 0.0), (0.0, float("inf"))):
+        bench.twin.step(bench.now, (Feedback("m", bench.now, position, velocity),))
+    bench.twin.step(bench.now, (Feedback("other", bench.now, 9.0, 9.0),))
+    assert bench.twin.axis.dictionary.values[o.POSITION] in (0, 2608)
+    assert bench.read(o.POSITION) == 2608
