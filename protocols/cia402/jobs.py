@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Purpose
-from protocols.cia402.node import NEVER, Node
+from protocols.cia402.node import NEVER, SPARE, Node
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.words import MILLISECOND, SECOND, Nanos
 
@@ -31,9 +31,6 @@ POLLED: tuple[tuple[Key, int], ...] = (
 """What is asked for, and how many feedback periods lie between."""
 CHANGING = (o.STATUSWORD, o.MODE_DISPLAY)
 """What is asked for more often while it is to change."""
-MISSED = 3
-"""A TPDO that did not come for so many of its periods is no longer waited for."""
-SPARE = 10 * MILLISECOND
 UNTIMED = 100 * MILLISECOND
 """What an object is worth that came by a TPDO whose period is not known."""
 
@@ -61,6 +58,7 @@ def next_job(node: Node, now: Nanos) -> Job | None:
         return Job(Purpose.READING, key)
     if poll is not None:
         node.asked[poll] = now
+        node.poll_at = _plan(node)[0]
         return Job(Purpose.POLL, poll)
     if now >= node.roll_call and node.heard_at is not None:
         node.roll_call = now + (ROLL_CALL_AGAIN if client.doubled or client.repeated else ROLL_CALL)
@@ -80,36 +78,49 @@ def _setpoint(node: Node, now: Nanos) -> Job | None:
 
 
 def _poll(node: Node, now: Nanos) -> Key | None:
-    """What is most overdue of the feedback."""
-    if node.units is None:
+    """What is most overdue of the feedback.
+
+    What is heard meanwhile only puts a question off, so the plan is made anew shortly before one is due, or
+    when another reason to ask comes up."""
+    pressing = _pressing(node)
+    if now + SPARE < node.poll_at and pressing == node.poll_pressing:
         return None
-    due, key = min(((poll_at(node, key, periods), at) for at, (key, periods) in enumerate(POLLED)))
-    return POLLED[key][0] if due <= now else None
+    node.poll_pressing = pressing
+    if node.units is None:
+        node.poll_at = NEVER
+        return None
+    node.poll_at, which = _plan(node)
+    return POLLED[which][0] if node.poll_at <= now else None
 
 
-def poll_at(node: Node, key: Key, periods: int) -> Nanos:
+def _plan(node: Node) -> tuple[Nanos, int]:
+    """When the next question is due, and which."""
+    return min((_at(node, key, periods), at) for at, (key, periods) in enumerate(POLLED))
+
+
+def _pressing(node: Node) -> tuple[bool, bool, bool]:
+    """What changes the plan besides time."""
+    changing = node.trying_since is not None or node.insist is not None or node.clearing
+    return changing, node.wants_error, node.units is not None
+
+
+def _at(node: Node, key: Key, periods: int) -> Nanos:
     """When an object is next to be asked for."""
     if key in node.absent or (key == o.ERROR_CODE and not node.wants_error):
         return NEVER
-    if key in CHANGING and (node.trying_since is not None or node.insist is not None or node.clearing):
+    if key in CHANGING and node.poll_pressing[0]:
         periods = 1
     asked = node.asked.get(key)
     again = 0 if asked is None else asked + periods * node.options.feedback_ms * MILLISECOND
     fresh = node.fresh.get(key)
-    return again if fresh is None else max(again, fresh + worth(node, key))
-
-
-def worth(node: Node, key: Key) -> Nanos:
-    """How long it takes after a TPDO until its object is asked for."""
-    periods = [period for keys, _, period in node.listening.values() if key in keys and period is not None]
-    return MISSED * min(periods) + SPARE if periods else UNTIMED
+    return again if fresh is None else max(again, fresh + node.worth.get(key, UNTIMED))
 
 
 def due(node: Node) -> Nanos:
     """When `next_job` next has something for a free client."""
     if node.urgent or node.setup or node.questions or node.next_key() is not None:
         return 0
-    polls = NEVER if node.units is None else min(poll_at(node, key, periods) for key, periods in POLLED)
+    polls = node.poll_at if _pressing(node) == node.poll_pressing else 0
     return min(polls, node.roll_call if node.heard_at is not None else NEVER)
 
 

@@ -365,3 +365,4 @@ def end_homing(node: Node) -> None:
     """Back to holding, where the shaft is measured from now on."""
     node.homing, node.hold, node.position, node.rounds = None, None, None, 0
     node.asked.pop(o.POSITION, None)
+    node.poll_at = 0

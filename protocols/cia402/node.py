@@ -35,6 +35,9 @@ ENERGISED = (
     PowerState.FAULT_REACTION,
 )
 """States that Idle must bring to an end."""
+MISSED = 3
+"""A TPDO that did not come for so many of its periods is no longer waited for."""
+SPARE = 10 * MILLISECOND
 CONFIRMED = 2
 """So many statuswords must say that a device is disarmed."""
 
@@ -76,8 +79,14 @@ class Node:
         """It is in fault, and has not told why."""
         self.fresh: dict[Key, Nanos] = {}
         """When each object came by itself last."""
+        self.worth: dict[Key, Nanos] = {}
+        """For how long what a TPDO told of an object is good, where its period is known."""
         self.asked: dict[Key, Nanos] = {}
         """When each object was last polled."""
+        self.poll_at: Nanos = 0
+        """When the next question is due, or later."""
+        self.poll_pressing = (False, False, False)
+        """What that was planned with."""
         self.told: tuple[Mode, str] | None = None
         self.told_faults: set[int] = set()
         self.roll_call: Nanos = 0
@@ -145,6 +154,8 @@ class Node:
         self.listening.clear()
         self.fresh.clear()
         self.asked.clear()
+        self.worth.clear()
+        self.poll_at = 0
         self.beats.clear()
         self.nmt = self.status = self.power = self.operation = self.position = None
         self.wants_error, self.error_code, self.wrong = False, 0, ""
@@ -348,6 +359,12 @@ class Node:
             for pdo in pdos
             if pdo.way == "from" and pdo.enabled and pdo.entries
         }
+        self.worth = {}
+        for keys, _, period in self.listening.values():
+            if period is not None:
+                good = MISSED * period + SPARE
+                self.worth |= {key: min(good, self.worth.get(key, good)) for key in keys}
+        self.poll_at = 0
 
     def usable(self, way: mapping.Way) -> list[Pdo]:
         """Its PDOs that can be worked with as they are."""
