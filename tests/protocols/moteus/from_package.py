@@ -83,6 +83,20 @@ COMMANDS: dict[str, tuple[dict[str, Any], Callable[[Any], Any]]] = {
         lambda c: c.make_diagnostic_write(b"conf set id.id 9\n"),
     ),
     "discover_by_uuid": ({"id": 0x7F}, lambda c: _discover_by_uuid(c)),
+    "stop_by_whole_uuid": ({"id": DeviceAddress(uuid=UUID)}, lambda c: c.make_stop(query_override=fast())),
+    "set_output_nearest_0.5": ({}, lambda c: c.make_set_output_nearest(position=0.5)),
+    "read_power": ({}, lambda c: c.make_custom_query({0x007: mp.F32})),
+    "read_home_state": ({}, lambda c: c.make_custom_query({0x00C: mp.INT32})),
+    "identify": ({}, lambda c: _joined(c, _read(c, 0x100, 3), _make_uuid_query()[0])),
+    "write_output_exact_1.5_read_back": (
+        {},
+        lambda c: _joined(c, *_exact(c, 1.5)),
+    ),
+    "write_output_exact_0_read_back": ({}, lambda c: _joined(c, *_exact(c, 0.0))),
+    "console_conf_write_read_back": (
+        {},
+        lambda c: _joined(c, c.make_diagnostic_write(b"conf write\n").data, _read(c, 0x110, 1)),
+    ),
 }
 
 ANSWERS: dict[str, tuple[int, str]] = {
@@ -97,6 +111,26 @@ ANSWERS: dict[str, tuple[int, str]] = {
     "reply_int8_nan": (0x500, "2701" + "008000800080" + "2304808080" + "505050"),
     "reply_uuid": (0x500, "2804d002" + UUID.hex() + "21d80201"),
     "reply_errors": (0x500, "31d00201" + "31d10201" + "300f02" + "50"),
+    "reply_stopped": (0x500, "210000" + "2f010000803e0000000000000000" + "210f00"),
+    "reply_enabling": (0x500, "210002" + "2f010000803e0000000000000000" + "210f00"),
+    "reply_timeout": (0x500, "21000b" + "2f010000803e0000000000000000" + "210f00"),
+    "reply_zeroed": (0x500, "210000" + "2f010ad7233b0000000000000000" + "210f00"),
+    "reply_power": (0x500, "2d070000484150"),
+    "reply_power_unknown": (0x500, "310701"),
+    "reply_power_not_given": (0x500, "2d070000c07f50"),
+    "reply_output_taken": (0x500, "31b10201"),
+    "reply_output_refused": (0x500, "30b1020231b10201"),
+    "reply_id_unreadable": (0x500, "31900201"),
+    "reply_identity": (
+        0x500,
+        "2b8002" + "04040300" + "04030100" + "05000000" + "2804d002" + UUID.hex() + "21d80201" + "50" * 9,
+    ),
+    "reply_uuid_other": (0x500, "2804d002" + UUID[::-1].hex() + "21d80201"),
+    "reply_uuid_id_9": (0x900, "2804d002" + UUID.hex() + "21d80201"),
+    "reply_identity_id_9": (
+        0x900,
+        "2b8002" + "04040300" + "04030100" + "05000000" + "2804d002" + UUID.hex() + "21d80201" + "50" * 9,
+    ),
     "reply_id_100": (0x6400, "210000" + "2f01000000000000000000000000" + "210f00"),
 }
 
@@ -104,6 +138,23 @@ ANSWERS: dict[str, tuple[int, str]] = {
 def _discover_by_uuid(controller: Any) -> Any:
     command, _ = controller._make_command(query=True)
     command.data = make_uuid_prefix(DeviceAddress(uuid=UUID[:8])) + _make_uuid_query()[0]
+    return command
+
+
+def _read(controller: Any, start: int, count: int, resolution: int = mp.INT32) -> bytes:
+    data: bytes = controller.make_custom_query({start + i: resolution for i in range(count)}).data
+    return data
+
+
+def _exact(controller: Any, position: float) -> tuple[bytes, bytes]:
+    data: bytes = controller.make_set_output_exact(position=position).data
+    return data, _read(controller, 0x131, 1, mp.F32)
+
+
+def _joined(controller: Any, *data: bytes) -> Any:
+    """One frame with what the package says in several."""
+    command, _ = controller._make_command(query=True)
+    command.data = b"".join(data)
     return command
 
 

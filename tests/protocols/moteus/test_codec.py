@@ -272,7 +272,7 @@ def test_frames_of_a_length_that_cannot_be_or_of_a_host_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize("size", [20, 48])
-def test_the_short_cuts_read_like_the_loop(size: int) -> None:
+def test_damaged_vectors_are_read_by_short_cut_and_loop_alike(size: int) -> None:
     generator = np.random.Generator(np.random.PCG64(7))
     vector = VECTORS["reply_fast" if size == 20 else "reply_full"].wire
     assert isinstance(vector, CanFrame)
@@ -306,7 +306,7 @@ def _their_write(register: int, resolution: int, value: float) -> bytes:
     return buffer.getvalue()
 
 
-def test_random_writes_are_the_package_s_within_a_count() -> None:
+def test_random_vectors_of_writes_are_the_package_s_within_a_count() -> None:
     generator = np.random.Generator(np.random.PCG64(11))
     for _ in range(300):
         register = list(SCALES)[int(generator.integers(len(SCALES)))]
@@ -318,7 +318,7 @@ def test_random_writes_are_the_package_s_within_a_count() -> None:
         assert abs(mine - yours) <= (0 if resolution == F32 else 1)
 
 
-def test_random_questions_are_the_package_s() -> None:
+def test_random_vectors_of_questions_are_the_package_s() -> None:
     generator = np.random.Generator(np.random.PCG64(13))
     controller: Any = moteus.Controller(id=5, transport=object())
     for _ in range(100):

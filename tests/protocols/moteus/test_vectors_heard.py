@@ -1,0 +1,353 @@
+"""Every independent vector to a device at the ear, and its name; conversations of vectors with the driver."""
+
+from __future__ import annotations
+
+from math import tau
+
+import pytest
+
+from protocols.moteus import plugin
+from protocols.moteus.ear import MoteusEar
+from protocols.moteus.faults import FAULTS
+from protocols.moteus.messages import names
+from protocols.moteus.options import Settings, serial_of
+from protocols.vectors import vectors_of
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    ClearFault,
+    Command,
+    Done,
+    Event,
+    Fault,
+    Feedback,
+    Found,
+    Hold,
+    Idle,
+    Mode,
+    Nanos,
+    Parameter,
+    Position,
+    ReadParameter,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    State,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+from tests.protocols.moteus.from_package import UUID
+from tests.protocols.moteus.helpers import device
+from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
+
+KT = 8.27 / 304
+FIFTH, EIGHTH = 0.20000000298023224, 0.30000001192092896
+"""0.2 and 0.3 as binary32."""
+WORDS: dict[str, tuple[str, list[Command | Request]]] = {
+    # name of the vector → name of its messages, what device 5 would do
+    "query_default": ("read", []),
+    "position_0.5rev_vel0.2_tq1.5_query": (
+        "position 020 021 025, read",
+        [Position("m", 0.5 * tau, FIFTH * tau, 0.0)],
+    ),
+    "torque_only_kp0_kd0_ff0.3": ("torque 020 022 023 024, read", [Torque("m", EIGHTH)]),
+    "position_with_watchdog_nan": ("position 020 027, read", [Position("m", 0.25 * tau, 0.0, 0.0)]),
+    "brake": ("brake, read", [Velocity("m", 0.0)]),
+    "current_q2A": ("current 01C 01D, read", [Torque("m", 2.0 * KT)]),
+    "rezero_nearest_0": ("write 130, read", [Zero("m")]),
+    "stop_no_reply": ("stop", [Idle("m")]),
+    "position_int16_0.0096rev_0.072hz_-1.76nm": (
+        "position 020 021 022, read",
+        [Position("m", 0.0095 * tau, 0.072 * tau, -1.76)],  # it truncates
+    ),
+    "position_watchdog_0.1s": (
+        "position 020 021 022 027, read",
+        [Position("m", 0.25 * tau, -1.5 * tau, 0.125)],
+    ),
+    "velocity_watchdog_0.1s": ("velocity 020 021 022 027, read", [Velocity("m", -1.5 * tau, 0.125)]),
+    "torque_watchdog_0.1s": ("torque 020 021 022 023 024 027 02B, read", [Torque("m", 0.125)]),
+    "position_limited": (
+        "position 020 021 022 025 027 028 029, read",
+        [Position("m", 0.25 * tau, -1.5 * tau, 0.125)],
+    ),
+    "torque_limited": ("torque 020 021 022 023 024 025 027 028 029 02B, read", [Torque("m", 0.125)]),
+    "zero_velocity": ("zero velocity 024", [Velocity("m", 0.0)]),
+    "stay_within": ("stay within 040 041", [Torque("m", 0.0)]),
+    "vfoc": ("voltage foc 018 019, read", [WriteParameter("m", "mode", 7.0)]),
+    "set_output_exact_0": ("write 131, read", [Zero("m")]),
+    "set_output_nearest_0.5": ("write 130", [WriteParameter("m", "set_output_nearest", 0.5)]),
+    "write_output_exact_1.5_read_back": ("write 131, read", [WriteParameter("m", "set_output_exact", 1.5)]),
+    "require_reindex": ("write 132", [WriteParameter("m", "require_reindex", 1.0)]),
+    "recapture": ("write 133", [WriteParameter("m", "recapture_position_velocity", 1.0)]),
+    "read_parameters": ("read", []),
+    "console_conf_write": ("console: conf write", [WriteParameter("m", "conf_write", 1.0)]),
+    "console_conf_write_read_back": (
+        "console: conf write, read",
+        [WriteParameter("m", "conf_write", 1.0)],
+    ),
+    "console_read": ("console: read", []),
+    "set_id_by_uuid": ("write 154 155, console: conf set id.id", [SetId("", serial_of(UUID), 9)]),
+    "discover_by_uuid": ("write 154 155, read", []),
+    "stop_by_whole_uuid": ("stop 154 155 156 157, read", [Idle("m")]),
+    "discover_broadcast_0x7f": ("read", []),
+    "identify": ("read", []),
+}
+
+
+@pytest.mark.parametrize("name", WORDS)
+def test_what_a_device_makes_of_a_vector(name: str) -> None:
+    said, words = WORDS[name]
+    assert ", ".join(names(VECTORS[name])) == said
+    for uuid in ("", UUID.hex()):
+        heard = MoteusEar([device("m", 5, Settings(uuid=uuid))]).hear(0, VECTORS[name])
+        assert [type(word) for word in heard] == [type(word) for word in words]
+        for one, other in zip(heard, words, strict=True):
+            assert _plain(one) == pytest.approx(_plain(other))
+    if name not in ("set_id_by_uuid", "stop_by_whole_uuid"):
+        return
+    for uuid in ("f" * 32, UUID[:4].hex() + "f" * 24, "f" * 8 + UUID[4:].hex()):
+        assert MoteusEar([device("m", 5, Settings(uuid=uuid))]).hear(0, VECTORS[name]) == []
+
+
+def _plain(word: Command | Request) -> dict[str, str | float]:
+    return {name: getattr(word, name) for name in word.__slots__}
+
+
+def test_every_vector_that_a_device_obeys_is_in_the_table() -> None:
+    others = {"stop_id_100", "stop_prefix", "doc_example_request_id1"}  # to other devices
+    same = {"stop_with_query", "stop_host_3", "velocity_limited", "position_full_query", "query_fast"}
+    same |= {"position_limited_no_accel", "write_output_exact_0_read_back", "query_full"}
+    same |= {"read_power", "read_home_state"}
+    to_device = {vector.name for vector in vectors_of(plugin) if vector.direction == "to_device"}
+    assert to_device == set(WORDS) | others | same
+
+
+def test_vectors_to_others_are_not_heard() -> None:
+    ear = MoteusEar([device("m", 5), device("n", 6)])
+    for name in ("stop_id_100", "stop_prefix", "doc_example_request_id1", "reply_fast"):
+        assert ear.hear(0, VECTORS[name]) == []
+    assert ear.hear(0, VECTORS["stop_no_reply"]) == [Idle("m")]
+
+
+# -- conversations -------------------------------------------------------------------------------------
+
+
+def talk() -> Talk:
+    """At rest, its identity told."""
+    it = Talk()
+    it.hear(VECTORS["reply_stopped"])
+    assert VECTORS["identify"] in it.say()
+    assert it.hear(VECTORS["reply_identity"]) == []
+    return it
+
+
+def told(it: Talk, *wires: str) -> list[Event]:
+    """What the vectors tell, without measurements."""
+    events = [event for wire in wires for event in it.hear(VECTORS[wire])]
+    return [event for event in events if not isinstance(event, Feedback)]
+
+
+def waits(it: Talk, milliseconds: int) -> list[Event]:
+    """The device speaks, but not of this; what the driver tells."""
+    events: list[Event] = []
+    for _ in range(milliseconds // 5):
+        it.now += 5_000_000
+        said, _sent = it.driver.send(it.now, ())
+        events += [*said, *(e for e in it.hear(VECTORS["reply_stopped"]) if not isinstance(e, Feedback))]
+    return events
+
+
+READ = ReadParameter("left", "power")
+WRITE = WriteParameter("left", "set_output_exact", 1.5)
+SAVE = WriteParameter("left", "conf_write", 1.0)
+NO_REGISTER = "the device has no such register, or cannot read it so"
+
+
+@pytest.mark.parametrize(
+    ("request_", "vector", "answer", "expected"),
+    [
+        (
+            READ,
+            "read_power",
+            "reply_power",
+            [Parameter("left", 0, "power", 12.5)],
+        ),
+        (READ, "read_power", "reply_power_unknown", [Refused(0, "ReadParameter", "left", NO_REGISTER)]),
+        (
+            READ,
+            "read_power",
+            "reply_power_not_given",
+            [Refused(0, "ReadParameter", "left", "the device says that it is not given")],
+        ),
+        (
+            WRITE,
+            "write_output_exact_1.5_read_back",
+            "reply_output_taken",
+            [Done(0, "WriteParameter", "left")],
+        ),
+        (
+            WRITE,
+            "write_output_exact_1.5_read_back",
+            "reply_output_refused",
+            [Refused(0, "WriteParameter", "left", "the device does not take it (read only)")],
+        ),
+        (SAVE, "console_conf_write_read_back", "reply_id_unreadable", [Done(0, "WriteParameter", "left")]),
+    ],
+)
+def test_a_request_and_its_answer_as_vectors(
+    request_: Request, vector: str, answer: str, expected: list[Event]
+) -> None:
+    it = talk()
+    assert VECTORS[vector] in it.say(request_)
+    assert told(it, "reply_stopped", "reply_uuid") == []
+    assert told(it, answer) == [_at(it.now, event) for event in expected]
+    assert told(it, answer) == []
+    assert VECTORS[vector] not in it.say()
+
+
+def _at(t: Nanos, event: Event) -> Event:
+    values = {name: getattr(event, name) for name in event.__slots__}
+    return type(event)(**{**values, "t": t})
+
+
+@pytest.mark.parametrize("request_", [READ, WRITE, SAVE])
+def test_a_request_that_no_vector_answers_is_said_ten_times_and_given_up(request_: Request) -> None:
+    it = talk()
+    it.say(request_)
+    kind = type(request_).__name__
+    assert waits(it, 600) == [Refused(it.now, kind, "left", "the device did not answer this")]
+
+
+def test_zero_as_vectors() -> None:
+    it = talk()
+    frame = VECTORS["write_output_exact_0_read_back"]
+    assert isinstance(frame, CanFrame)
+    said = it.say(Zero("left"))
+    assert any(f.data.startswith(frame.data.rstrip(b"\x50")) for f in said)
+    assert told(it, "reply_zeroed") == []  # from before
+    assert told(it, "reply_output_taken", "reply_stopped") == []
+    assert told(it, "reply_zeroed") == [Done(it.now, "Zero", "left")]
+    it.say(Zero("left"))
+    refused = Refused(it.now, "Zero", "left", "the device does not take it (read only)")
+    assert told(it, "reply_output_refused") == [refused]
+    it.say(Zero("left"))
+    said_ = "its position did not become zero: is it turning?"
+    assert waits(it, 600) == [Refused(it.now, "Zero", "left", said_)]
+
+
+def test_clearing_a_fault_as_vectors() -> None:
+    it = talk()
+    text = FAULTS[38]
+    fault = Fault("left", it.now, 38, text.name, text.cause, text.cure)
+    assert told(it, "reply_fast_fault") == [fault, State("left", it.now, Mode.FAULT, "fault")]
+    assert told(it, "reply_fast_fault") == []
+    stopped = VECTORS["stop_with_query"]
+    assert stopped not in [*it.say(Idle("left")), *it.say(Hold("left"))]
+    assert stopped in it.say(ClearFault("left"))
+    assert told(it, "reply_fast_fault") == []
+    ready = State("left", it.now, Mode.READY, "stopped")
+    fault_no_more = State("left", it.now, Mode.FAULT, "stopped, not cleared yet")
+    assert told(it, "reply_stopped") in (
+        [ready, Done(it.now, "ClearFault", "left")],
+        [fault_no_more, ready, Done(it.now, "ClearFault", "left")],
+    )
+    text = FAULTS[11]
+    timeout = Fault("left", it.now, 11, text.name, text.cause, text.cure)
+    assert told(it, "reply_timeout") == [timeout, State("left", it.now, Mode.FAULT, "timeout")]
+    it.say(ClearFault("left"))
+    events: list[Event] = []
+    for _ in range(120):
+        it.now += 5_000_000
+        events += it.driver.send(it.now, ())[0]
+        events += told(it, "reply_timeout")
+    assert Refused(it.now, "ClearFault", "left", "still in fault: timeout") in events
+    assert len([e for e in events if isinstance(e, Fault)]) <= 1
+
+
+def test_a_device_that_does_not_arm_as_vectors() -> None:
+    it = talk()
+    events: list[Event] = []
+    for _ in range(220):
+        it.now += 5_000_000
+        events += it.driver.send(it.now, [Hold("left")])[0]
+        events += told(it, "reply_enabling")
+    (fault,) = (e for e in events if isinstance(e, Fault))
+    assert (fault.motor, fault.code, fault.name) == ("left", 0x101, "did not arm")
+    assert fault.cause == "it stayed in mode enabling for 1000 ms"
+    assert fault.cure == "look at it with the vendor's tool (tview), then clear"
+    states = [(s.mode, s.detail) for s in events if isinstance(s, State)]
+    assert states == [(Mode.INITIALISING, "enabling"), (Mode.FAULT, "enabling, not cleared yet")]
+    assert 1_000_000_000 < fault.t - it.now + 220 * 5_000_000 <= 1_020_000_000
+
+
+def test_a_scan_as_vectors() -> None:
+    it = talk()
+    it.say(Scan("can0"))
+    printed = "01234567-89ab-cdef-fedc-ba9876543210"
+    ours = f"left, model 030404, firmware 1.3.4; UUID {printed}"
+    assert told(it, "reply_uuid") == [Found(it.now, "moteus", 5, serial_of(UUID), ours)]
+    other = Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")
+    assert told(it, "reply_identity_id_9") == []  # another host's question
+    assert told(it, "reply_uuid_id_9", "reply_uuid_id_9") == [other]
+    assert told(it, "reply_id_100") == []
+    (done,) = waits(it, 800)
+    assert done == Done(it.now, "Scan", "can0", "2 devices")
+    assert told(it, "reply_uuid_id_9") == []
+
+
+def test_an_id_is_given_as_vectors() -> None:
+    it = talk()
+    said = it.say(SetId("can0", serial_of(UUID), 9))
+    assert VECTORS["discover_by_uuid"] in said
+    assert told(it, "reply_uuid") == []
+    detail = "not saved yet: write conf_write 1 to keep it after power-off"
+    assert told(it, "reply_uuid_id_9") == [Done(it.now, "SetId", "can0", detail)]
+    it.say(SetId("can0", serial_of(UUID), 9))
+    reason = "no device with serial number 0123456789ABCDEF took the id"
+    assert waits(it, 1500) == [Refused(it.now, "SetId", "can0", reason)]
+
+
+def test_two_uuids_at_one_id_as_vectors() -> None:
+    it = talk()
+    one, other = "01234567-89ab-cdef-fedc-ba9876543210", "10325476-98ba-dcfe-efcd-ab8967452301"
+    said = f"id 5 is held twice: by {one} and {other}"
+    cause = f"two devices answer to it: UUIDs {one} and {other}"
+    cure = "take one off the bus, or give it another id (SetId with its serial number)"
+    assert told(it, "reply_uuid_other") == [
+        Found(it.now, "moteus", 5, serial_of(UUID), said, True),
+        Found(it.now, "moteus", 5, serial_of(UUID[::-1]), said, True),
+        Fault("left", it.now, 0x100, "id 5 is held twice", cause, cure),
+    ]
+    assert told(it, "reply_uuid", "reply_uuid_other") == []
+
+
+def test_a_motor_that_nobody_has_is_refused_beside_vectors() -> None:
+    it = talk()
+    assert it.driver.send(it.now, [Idle("nobody")])[0] == [
+        Refused(it.now, "Idle", "nobody", "no such motor on this bus")
+    ]
+    assert told(it, "reply_stopped") == []
+
+
+def test_a_velocity_begins_where_the_vector_says_that_the_shaft_is() -> None:
+    it = Talk().running()
+    first = it.say(Velocity("left", -1.5 * tau, 0.125))[0]
+    assert first == VECTORS["position_watchdog_0.1s"]
+    for _ in range(2):
+        it.hear(AT)
+        assert it.say(Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["position_watchdog_0.1s"]
+    it.hear(AT)
+    assert it.say(Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["velocity_watchdog_0.1s"]
+
+
+def test_vectors_of_other_shapes_are_foreign_or_bad() -> None:
+    it = talk()
+    frame = VECTORS["reply_fast"]
+    assert isinstance(frame, CanFrame)
+    heard = it.driver.tally.heard
+    others: list[Wire] = [frame.data, VECTORS["reply_id_100"], VECTORS["stop_with_query"]]
+    assert [event for wire in others for event in it.hear(wire)] == []
+    assert it.driver.tally.foreign == len(others)
+    assert it.driver.tally.heard == heard
