@@ -28,13 +28,18 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--verdicts", type=Path, help="write the verdicts there instead of storing the result"
     )
+    parser.add_argument(
+        "--untraced", action="store_true", help="quick to begin: try every check on each mutant"
+    )
     parser.add_argument("--quick", action="store_true", help="lean on the stored result; name new survivors")
     parser.add_argument("--clauses", help="names of clauses, with commas between: only they judge")
     asked = parser.parse_args(arguments)
     files = asked.files.split(",") if asked.files else None
     for name in asked.names:
         known = store.stored(name) if asked.quick else None
-        plan = campaign.Plan(asked.sample, asked.seed, files, asked.processes, asked.seconds, known)
+        plan = campaign.Plan(
+            asked.sample, asked.seed, files, asked.processes, asked.seconds, not asked.untraced, known
+        )
         language = _language(name, asked.language)
         if asked.clauses:
             language = replace(language, clauses=tuple(asked.clauses.split(",")))

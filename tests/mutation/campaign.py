@@ -33,6 +33,8 @@ class Plan:
     processes: int = 1
     deadline: float | None = None
     """s from the start, after which no further mutant is tried."""
+    traced: bool = True
+    """Whether to find out first which functions each check runs: slow to begin, quicker for each mutant."""
     stored: Mapping[str, Any] | None = None
     """A stored result to lean on, to be quick: what checks cost, and which survivors are not tried again."""
 
@@ -51,7 +53,7 @@ def run(
     kept = store.Progress(progress / f"mutation-{language.name}.jsonl", judge)
     known = [verdict for mutant in chosen if (verdict := kept.before(mutant))]
     tell(f"{language.name}: {len(chosen)} mutants, {len(known)} of them known")
-    base = baseline(language, modules) if plan.stored is None else _assumed(plan.stored)
+    base = baseline(language, modules, plan.traced) if plan.stored is None else _assumed(plan.stored)
     for name, wrong in base.failing.items():
         tell(f"{language.name}: {name} fails without any mutation, and judges nothing: {wrong}")
     ends = began + plan.deadline if plan.deadline is not None else None

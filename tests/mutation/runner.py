@@ -181,8 +181,8 @@ def _verdict(mutant: Mutant, lines: list[Any], ended: int, seconds: float) -> Ve
 # -- the sound language ---------------------------------------------------------------------------------
 
 
-def baseline(language: Language, modules: Mapping[str, Path]) -> Baseline:
-    """The checks on the sound language, in a child: what each costs, and which functions it runs."""
+def baseline(language: Language, modules: Mapping[str, Path], traced: bool = True) -> Baseline:
+    """The checks on the sound language, in a child: what each costs, and which functions it runs (if traced)."""
     names = {str(path): module for module, path in modules.items()}
 
     def work(say: Callable[[Any], None]) -> None:
@@ -198,7 +198,8 @@ def baseline(language: Language, modules: Mapping[str, Path]) -> Baseline:
             costs[check.name] = (cost, wrong)
         for check in checks(language, alone=True):
             with _Ran(names) as ran:
-                attempt(check)
+                if traced:
+                    attempt(check)
             say([check.name, *costs[check.name], sorted(ran)])
 
     lines, ended, _ = heard(*in_child(work))
@@ -208,7 +209,7 @@ def baseline(language: Language, modules: Mapping[str, Path]) -> Baseline:
     sound = [line for line in rest if not line[2]]
     return Baseline(
         {name: cost for name, cost, _, _ in sound},
-        {name: frozenset(ran) for name, _, _, ran in sound},
+        {name: frozenset(ran) for name, _, _, ran in sound} if traced else None,
         frozenset(first[3]),
         {name: wrong for name, _, wrong, _ in rest if wrong},
     )
