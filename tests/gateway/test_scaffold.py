@@ -16,7 +16,7 @@ from gateway import scaffold, template
 from gateway.__main__ import main
 from gateway.scaffold import BUSES, Bus, ScaffoldError
 from protocols.conformance import CLAUSES, Result, check, table
-from protocols.plugin import load
+from protocols.plugin import Broken, load
 from tests.distributions import Site
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -201,6 +201,18 @@ def test_check_says_which_fails_and_ends_with_1(
 
 def _raising(_: object) -> Any:
     raise RuntimeError("no")
+
+
+def test_check_without_a_name_is_all_of_them_and_names_what_is_broken(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = ((replace(template.plugin, name="a1_one"),), (Broken("a1_two", "acme", "no"),))
+    monkeypatch.setattr("protocols.plugin.load_all", lambda: loaded)
+    assert main(["protocols", "check", "-q"]) == 1
+    captured = capsys.readouterr()
+    assert re.search(r"^a1_one: \d\d passed", captured.out, re.MULTILINE)
+    assert re.search(r"^[01] of 2 keep the contract$", captured.out, re.MULTILINE)
+    assert captured.err == "a1_two: left out: acme is broken: no\n"
 
 
 def test_check_does_not_begin_if_one_name_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
