@@ -91,9 +91,9 @@ def _chosen(sources: Sequence[Source], plan: Plan) -> list[Mutant]:
     if plan.stored:
         known = store.named(plan.stored)
         every = [m for m in every if (m.file, m.function, m.diff) not in known]
-    if plan.sample is None or plan.sample >= len(every):
+    if plan.sample is None:
         return every
-    picked = Generator(PCG64(plan.seed)).choice(len(every), plan.sample, replace=False)
+    picked = Generator(PCG64(plan.seed)).choice(len(every), min(plan.sample, len(every)), replace=False)
     return [every[at] for at in picked]  # as they were drawn: the first of them are a sample, too
 
 

@@ -182,7 +182,7 @@ def _verdict(mutant: Mutant, lines: list[Any], ended: int, seconds: float) -> Ve
 
 
 def baseline(language: Language, modules: Mapping[str, Path], traced: bool = True) -> Baseline:
-    """The checks on the sound language, in a child: what each costs, and which functions it runs (if traced)."""
+    """The checks on the sound language, in a child: their cost, and, if traced, which functions each runs."""
     names = {str(path): module for module, path in modules.items()}
 
     def work(say: Callable[[Any], None]) -> None:
