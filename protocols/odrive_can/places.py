@@ -2,7 +2,8 @@
 
 Rules. A shaft that leaps away and is back at once, time and again, and faster than it says that it turns, is
 two shafts: two devices hold one node id. A single leap proves nothing (a new zero, a restart), nor does one
-that does not come back (a loose encoder). Turns, turns/s.
+that does not come back (a loose encoder; frames that an adapter without stamps hands over in pairs, so that
+the shaft seems to leap on). Turns, turns/s.
 """
 
 from __future__ import annotations
@@ -23,14 +24,16 @@ LEAPS, WITHIN = 8, 2 * SECOND
 class Places:
     """The last two places that were told, and when the shaft leapt back. Plain data."""
 
-    before: tuple[Nanos, float, float] = (0, 0.0, 0.0)
-    last: tuple[Nanos, float, float] = (0, 0.0, 0.0)
+    before: tuple[Nanos, float, float] = (-2 * STALE, 0.0, 0.0)
+    last: tuple[Nanos, float, float] = (-2 * STALE, 0.0, 0.0)
     leaps: list[Nanos] = field(default_factory=list)
 
     def hear(self, t: Nanos, position: float, velocity: float) -> bool:
         """Whether this can no longer be one shaft."""
         before, last, now = self.before, self.last, (t, position, velocity)
         self.before, self.last = last, now
+        if (last[1] - before[1]) * (position - last[1]) >= 0.0:
+            return False  # on and on, not there and back
         if t - before[0] > STALE or _one_way(last, now) or not _one_way(before, now):
             return False
         self.leaps = [at for at in self.leaps if t - at <= WITHIN] + [t]

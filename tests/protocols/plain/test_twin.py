@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from protocols.conformance.rehearsal import Rehearsal, sights
-from protocols.plain import line
-from protocols.plain.twin import BOOT, Settings
+from protocols.plain import line, plugin
+from protocols.plain.twin import BOOT, COMPLAINTS, Settings
+from protocols.wire import CanFrame
 from protocols.words import (
     MILLISECOND,
     ClearFault,
@@ -353,3 +354,38 @@ def test_requests_are_refused_during_a_restart() -> None:
 def test_settings_that_cannot_be_are_an_error_of_configuration(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Settings(**wrong)  # type: ignore[arg-type]  # serial is an int, and is not among them
+
+
+# -- what the contract asks of a twin and of names ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("code", sorted(COMPLAINTS))
+def test_a_provoked_fault_disarms_and_is_told_as_the_contract_has_it(code: int) -> None:
+    stage = bench()
+    stage.steps(20, [Velocity("m", 1.0)])
+    said = COMPLAINTS[code]
+    stage.twins[0].provoke(code)
+    due = stage.twins[0].due()
+    assert due is not None
+    assert due <= stage.now
+    (fault,) = told(stage.steps(5, [Velocity("m", 1.0)]), Fault)
+    assert (fault.code, fault.name, fault.cause, fault.cure) == (code, said.name, said.cause, said.cure)
+    assert torque(stage) == 0.0
+    assert stage.specs[0].faults == COMPLAINTS
+    ask(stage, ClearFault("m"))
+    assert mode(stage) == Mode.READY
+
+
+def test_what_is_no_fault_is_not_provoked() -> None:
+    stage = bench(sensors=["s"], motors=["m"])
+    for twin, code in ((stage.twins[1], 1), (stage.twins[0], 0), (stage.twins[0], 3)):
+        with pytest.raises(ValueError, match=f"has no fault {code}"):
+            twin.provoke(code)
+
+
+def test_messages_are_named_after_their_words() -> None:
+    two = line.message(1, Velocity("m", 1.0)) + line.message(2, Hold("m"))
+    assert plugin.messages(two) == ("Velocity", "Hold")
+    assert plugin.messages(two[:-1]) == ("Velocity",)
+    assert plugin.messages(line.message(1, Feedback("m", 0))) == ()
+    assert plugin.messages(CanFrame(1)) == ()

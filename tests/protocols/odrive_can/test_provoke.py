@@ -1,0 +1,47 @@
+"""Every fault that the contract names: a twin trips it, a driver tells it with its words, and it goes."""
+
+from __future__ import annotations
+
+import pytest
+
+from protocols.odrive_can import spec
+from protocols.odrive_can.faults import COMPLAINTS06, DUPLICATE_NODE, PROCEDURE, Error
+from protocols.odrive_can.faults05 import COMPLAINTS05
+from protocols.odrive_can.options import Options
+from protocols.plugin import Complaint
+from protocols.words import ClearFault, Fault, Idle, Velocity
+from tests.protocols.odrive_can.helpers import device, of, ready
+
+CASES = [(Options(), code) for code in COMPLAINTS06] + [(Options(firmware="0.5"), c) for c in COMPLAINTS05]
+
+
+@pytest.mark.parametrize(("options", "code"), CASES)
+def test_a_provoked_fault_disarms_is_told_as_the_contract_has_it_and_is_cleared(
+    options: Options, code: int
+) -> None:
+    left = device(options=options)
+    complaint = spec(left).faults[code]
+    bench = ready(left)
+    bench.run(900, Velocity("left", 1.0))
+    assert [twin.axis.armed for twin in bench.twins] == [True]
+    bench.twins[0].provoke(code)
+    assert [twin.axis.armed for twin in bench.twins] == [False]
+    told = {fault.code: fault for fault in of(Fault, bench.run(400))}
+    assert told[code] == Fault("left", told[code].t, code, complaint.name, complaint.cause, complaint.cure)
+    assert set(told) <= set(spec(left).faults)
+    bench.words = (Idle("left"),)
+    bench.ask(ClearFault("left"), 300)
+    assert not of(Fault, bench.run(300))
+
+
+def test_codes_mean_one_thing_whichever_the_line() -> None:
+    assert not COMPLAINTS05.keys() & COMPLAINTS06.keys()
+    assert all(isinstance(said, Complaint) and said.cause and said.cure for said in COMPLAINTS06.values())
+
+
+@pytest.mark.parametrize("code", [0, 3, Error.INITIALIZING, PROCEDURE + 14, DUPLICATE_NODE, 1 << 60, -1])
+@pytest.mark.parametrize("options", [Options(), Options(firmware="0.5")], ids=["0.6", "0.5"])
+def test_what_is_no_fault_of_the_device_is_not_provoked(options: Options, code: int) -> None:
+    bench = ready(device(options=options))
+    with pytest.raises(ValueError, match="has no fault"):
+        bench.twins[0].provoke(int(code))
