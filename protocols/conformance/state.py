@@ -25,6 +25,8 @@ R = TypeVar("R")
 
 def same_in_same_out(case: Case) -> Verdict:
     """Two drivers, ears and twins fed the same say the same, in the same order."""
+    if case.part(2) < 2:
+        return None  # With options beside the usual ones `copies` tries the same.
     return _alike(case, case.start(), "the first", "the second")
 
 
