@@ -21,6 +21,7 @@ from protocols.words import (
     MILLISECOND,
     ClearFault,
     Command,
+    Done,
     Event,
     Fault,
     Feedback,
@@ -33,6 +34,7 @@ from protocols.words import (
     Scan,
     State,
     Stop,
+    WriteParameter,
 )
 from tests.protocols.broken import Sent, motors
 
@@ -295,7 +297,30 @@ class ForgetsItsFault(PlainMotor):
         super()._obey(t, command)
 
 
-# -- attach, scan --------------------------------------------------------------------------------------
+# -- unclaimed, attach, scan -------------------------------------------------------------------------------
+
+
+class ConfiguresUnasked(Knowing):
+    """Sees to it that the device is set up as it should be, whoever runs it; and tells nobody."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.set_up: list[str] = []
+        self.answered: list[str] = []
+
+    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+        events = list(super().receive(t, wire))
+        for event in [e for e in events if isinstance(e, Done) and e.request == WriteParameter.__name__]:
+            if event.name in self.set_up and event.name not in self.answered:
+                self.answered.append(event.name)
+                events.remove(event)
+        return events
+
+    def send(self, now: Nanos, words: Words) -> Sent:
+        events, wires = super().send(now, words)
+        fresh = [w.motor for w in words if isinstance(w, Idle) and w.motor not in self.set_up]
+        self.set_up += fresh
+        return events, [*wires, *(self.say(WriteParameter(name, "supply", 24.0)) for name in fresh)]
 
 
 class DisarmsToArm(Knowing):
@@ -341,7 +366,7 @@ def _can(kind: type[OdriveDriver]) -> Plugin:
 BROKEN_SAFETY: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(FirstSetPointIsZero), ("jump",)),
     (_driver(HoldsWhereItOnceWas), ("jump",)),
-    (_driver(SaysIdleOnce), ("disarm",)),
+    (_driver(SaysIdleOnce), ("disarm", "dropped")),
     (_driver(IdlesOnlyWhatItHearsArmed), ("commands", "disarm")),
     (_driver(StopsOnlyItsOwn), ("disarm",)),
     (_driver(FeedsByItself), ("watchdog",)),
@@ -359,6 +384,7 @@ BROKEN_SAFETY: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(ClearsAtEachModeSwitch), ("finite", "faults")),
     (_driver(PollsByClearing), ("faults",)),
     (_twin(ForgetsItsFault), ("faults",)),
+    (_driver(ConfiguresUnasked), ("unclaimed",)),
     (_driver(DisarmsToArm), ("attach",)),
     (_driver(ScansByArming), ("scan",)),
     (_driver(ScansByClearing), ("scan",)),
