@@ -1,4 +1,4 @@
-"""One shaft or two, by where they are told to be."""
+"""Two shafts at one node id: positions that no one shaft can have."""
 
 from __future__ import annotations
 
@@ -6,29 +6,89 @@ import math
 
 import pytest
 
-from protocols.odrive_can.places import Places
-from protocols.words import MILLISECOND
+from protocols.odrive_can.faults import DUPLICATE_NODE
+from protocols.odrive_can.places import APART, LEAPS, Places
+from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin05 import Twin05
+from protocols.odrive_can.twin06 import Twin06
+from protocols.words import MILLISECOND, ClearFault, Fault, Found, Nanos
+from tests.protocols.odrive_can.helpers import Options, Shaft, device, of, ready
 
-MS = MILLISECOND
+Told = list[tuple[Nanos, float, float]]
 
 
-def heard(told: list[tuple[int, float, float]]) -> bool:
+def first(told: Told) -> int | None:
+    """Which of these made it certain that there are two shafts."""
     places = Places()
-    return any([places.hear(*one) for one in told])
+    return next((at for at, place in enumerate(told) if places.hear(*place)), None)
+
+
+def every(period_ms: int, places: list[tuple[float, float]]) -> Told:
+    return [(at * period_ms * MILLISECOND + 1, *place) for at, place in enumerate(places)]
+
+
+def vibration(amplitude: float, hertz: float) -> list[tuple[float, float]]:
+    """100 Hz of samples of a shaft that vibrates."""
+    turn = [math.tau * hertz * at * 0.01 + 0.3 for at in range(400)]
+    return [(amplitude * math.sin(w), amplitude * math.tau * hertz * math.cos(w)) for w in turn]
+
+
+@pytest.mark.parametrize(
+    ("told", "at"),
+    [
+        (every(10, [(0.0, 0.0), (1.0, 0.0)] * 20), LEAPS + 1),
+        (every(5, [(0.0, 0.0), (2.0 * APART, 0.0)] * 20), LEAPS + 1),
+        (every(10, [(3.0, 0.0), (3.0, 0.0), (3.0, 0.0), (-1.0, 0.0)] * 20), 4 * LEAPS),
+        (every(5, [(at * 0.05, 10.0) if at % 2 else (7.5, 0.0) for at in range(40)]), LEAPS + 1),
+    ],
+    ids=["far apart", "just apart", "one speaks more often", "one turns"],
+)
+def test_two_shafts_are_noticed(told: Told, at: int) -> None:
+    assert first(told) == at
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        every(10, [(at * 0.3, 30.0) for at in range(500)]),
+        every(10, [(0.0, 0.0)] * 20 + [(5.0, 0.0)] * 20 + [(0.0, 0.0)] * 20),
+        every(10, [(float(at % 7), 0.0) for at in range(500)]),
+        every(10, [(0.0, 0.0), (APART * 0.9, 0.0)] * 200),
+        every(400, [(0.0, 0.0), (1.0, 0.0)] * 50),
+        *[every(10, vibration(0.024, hertz)) for hertz in (3.0, 17.0, 41.0, 49.0, 50.0, 51.0)],
+    ],
+    ids=["turning", "a new zero", "a loose encoder", "noise", "seldom", *["vibration"] * 6],
+)
+def test_one_shaft_is_believed_to_be_one(told: Told) -> None:
+    assert first(told) is None
 
 
 @pytest.mark.parametrize("bunch", [1, 2, 3, 5])
-def test_one_shaft_that_turns_fast_is_one_however_its_frames_are_handed_over(bunch: int) -> None:
+def test_frames_that_are_handed_over_in_bunches_make_no_second_shaft(bunch: int) -> None:
     """An adapter without stamps: so many frames bear the moment at which they were read."""
-    speed = 12.7
-    steady = [(10 * MS * (n // bunch * bunch + bunch), speed * 0.01 * n, speed) for n in range(200)]
-    assert not heard(steady)
-    swing = [(t, 0.5 * math.sin(0.06 * n), 3.0 * math.cos(0.06 * n)) for n, (t, _, _) in enumerate(steady)]
-    assert not heard(swing)
+    times = [10 * MILLISECOND * (at // bunch * bunch + bunch) for at in range(300)]
+    assert first([(t, 12.7 * 0.01 * at, 12.7) for at, t in enumerate(times)]) is None
+    swing = [(0.5 * math.sin(0.06 * at), 3.0 * math.cos(0.06 * at)) for at in range(300)]
+    assert first([(t, *place) for t, place in zip(times, swing, strict=True)]) is None
 
 
-def test_two_shafts_that_speak_in_turn_are_two() -> None:
-    assert heard([(5 * MS * n, 0.3 if n % 2 else 0.001 * n, 0.1) for n in range(40)])
-    assert heard(
-        [(5 * MS * n, -2.0 if n % 2 else 12.7 * 0.005 * n, 0.0 if n % 2 else 12.7) for n in range(40)]
-    )
+@pytest.mark.parametrize(("line", "kind"), [("0.5", Twin05), ("0.6", Twin06)])
+def test_two_devices_with_one_serial_number_are_noticed_by_their_places(
+    line: str, kind: type[OdriveTwin]
+) -> None:
+    options = Options(firmware="0.5") if line == "0.5" else Options(firmware="0.6")
+    bench = ready(device(options=options))
+    bench.devices = [*bench.devices, device(options=options)]
+    bench.twins.append(kind(device(options=options), 7))
+    bench.shafts.append(Shaft(position=3.0))
+    events = bench.run(400)
+    assert [(found.address, found.twice) for found in of(Found, events)] == [(1, True)]
+    assert [fault.code for fault in of(Fault, events)] == [DUPLICATE_NODE]
+    assert "positions contradict" in of(Fault, events)[0].cause
+
+    assert not of(Fault, bench.run(400))  # told once, until it is cleared
+    assert [fault.code for fault in of(Fault, bench.ask(ClearFault("left"), 400))] == [DUPLICATE_NODE]
+    bench.twins.pop()
+    bench.shafts.pop()
+    bench.devices = bench.devices[:1]
+    assert not of(Fault, bench.ask(ClearFault("left"), 2000))
