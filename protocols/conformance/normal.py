@@ -11,7 +11,7 @@ import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Any
 
 from protocols.conformance import noise
@@ -125,8 +125,8 @@ def _with(word: Any, name: str, number: float) -> Any:  # noqa: ANN401 -- a comm
 
 def _up(case: Case) -> Iterator[Failure]:
     """What comes up in a day, of real wires with such numbers patched in, and of devices that see such."""
-    for said in case.day:
-        yield from _odd(said.events, said.up)
+    for before, said in pairwise(case.day):
+        yield from _odd(said.events, before.up)
     stage = case.armed() or case.start()
     expected = [w for w in noise.conversation(case) if not isinstance(w, CanFrame) or w.id in case.expects]
     for wire in case.dice().shuffled(expected)[: case.part(60)]:
@@ -137,8 +137,8 @@ def _up(case: Case) -> Iterator[Failure]:
         for name in NAMES:
             shown = [Feedback(name, stage.now, number, number), *_sights(name, stage.now, number)]
             for _ in range(10):
-                said = stage.step(truth=shown)
-                yield from _odd(said.events, said.up)
+                arriving = stage.on_the_way
+                yield from _odd(stage.step(truth=shown).events, arriving)
 
 
 def _patched(wire: Wire) -> Iterator[Wire]:
@@ -161,7 +161,7 @@ def _sights(sensor: str, t: Nanos, number: float) -> list[Event]:
 def _odd(events: Sequence[Event], wires: Sequence[Wire]) -> Iterator[Failure]:
     for event in events:
         if not normal(event):
-            yield Failure("−0.0 or a denormal came up", tuple(wires)[:4], (event,))
+            yield Failure("−0.0 or a denormal came up", tuple(wires)[:2], (event,))
 
 
 def normal(word: Word) -> bool:

@@ -1,0 +1,180 @@
+"""What the clauses of the wire are made of: shortening, mishaps, pairs, numbers, sources."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from protocols.conformance import CLAUSES, Result, check
+from protocols.conformance.case import Case
+from protocols.conformance.dice import Dice
+from protocols.conformance.normal import normal
+from protocols.conformance.obeyed import _push
+from protocols.conformance.rehearsal import STEP, fewest, within
+from protocols.conformance.replies import TROUBLES, Mishap
+from protocols.conformance.twice import Pair
+from protocols.conformance.vouched import SOURCE
+from protocols.plugin import Plugin, Range
+from protocols.wire import Wire
+from protocols.words import (
+    Command,
+    Event,
+    Feedback,
+    Hold,
+    Impedance,
+    LaserScan,
+    Nanos,
+    Position,
+    Torque,
+    Velocity,
+)
+from tests.protocols.broken import motors
+from tests.protocols.broken_wire import BROKEN_WIRE
+
+
+@dataclass
+class Talker:
+    """Says the number of its step; a twin."""
+
+    count: int = 0
+    shown: list[float | None] = field(default_factory=list)
+    heard: list[Wire] = field(default_factory=list)
+
+    def receive(self, t: Nanos, wire: Wire) -> None:
+        self.heard.append(wire)
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+        self.shown += [event.position for event in truth if isinstance(event, Feedback)]
+        self.count += 1
+        return [Torque("m", float(self.count))], [self.count.to_bytes(2)]
+
+    def due(self) -> Nanos | None:
+        return self.count
+
+    def provoke(self, code: int) -> None:
+        raise ValueError(code)
+
+
+def suffered(what: str, steps: int, trouble: int) -> list[int]:
+    """The numbers that arrive of a talker that is in trouble for so many of its steps."""
+    mishap = Mishap(Talker(), dict(TROUBLES)[what], Dice(0))
+    arrived: list[int] = []
+    for at in range(steps):
+        mishap.on = at < trouble
+        wires = mishap.step(at * STEP, ())[1]
+        arrived += [int.from_bytes(wire) for wire in wires if isinstance(wire, bytes)]
+    return arrived
+
+
+def test_mishaps_do_what_they_are_called_and_end() -> None:
+    assert suffered("lost", 6, 4) == [5, 6]
+    assert suffered("doubled", 4, 2) == [1, 1, 2, 2, 3, 4]
+    assert suffered("in the wrong order", 6, 5) == [2, 1, 4, 3, 5, 6]
+    half = suffered("half lost", 200, 200)
+    assert 60 < len(half) < 140
+    assert half == sorted(half)
+    assert suffered("late", 40, 40) == [1, 2, 3, 4, 5]
+    assert suffered("very late", 700, 100) == [*range(101, 701)]
+    assert set(suffered("very late", 801, 100)) == set(range(1, 802))
+
+
+def test_a_pair_hears_the_same_stands_apart_and_hears_itself() -> None:
+    one, other = Talker(), Talker(count=10)
+    pair = Pair(one, other)
+    pair.receive(0, b"hello")
+    torques, wires = pair.step(1, [Feedback("m", 1, 1.0, 0.0)])
+    assert torques == [Torque("m", 1.0)]
+    assert wires == (b"\0\1", b"\0\x0b")
+    assert (one.heard, other.heard) == ([b"hello", b"\0\x0b"], [b"hello", b"\0\1"])
+    assert one.shown == [1.0]
+    assert other.shown != [1.0]
+    assert (pair.due(), pair.last) == (1, (b"\0\1", b"\0\x0b"))
+
+
+def test_fewest_keeps_order_and_only_what_still_fails() -> None:
+    assert fewest(range(100), lambda some: {7, 63} <= set(some)) == [7, 63]
+    assert fewest([3, 1, 2], lambda some: sum(some) >= 4) == [3, 2]
+    assert fewest([5], lambda _: True) == []
+
+
+@pytest.mark.parametrize("number", [-0.0, 5e-324, -1e-310, 1e-40, -(2.0**-127)])
+def test_what_is_nearly_zero_is_not_normal_wherever_it_stands(number: float) -> None:
+    scan = LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 2.0))
+    assert normal(scan)
+    assert not normal(replace(scan, ranges=(1.0, number)))
+    assert not normal(replace(scan, angle_min=number))
+    assert not normal(Feedback("m", 0, torque=number))
+    assert normal(Feedback("m", 0, 0.0, -(2.0**-126)))
+
+
+def test_within() -> None:
+    ranges = {"Position.position": Range(-1.0, 1.0, 0.0), "Position.torque": Range(0.0, 2.0, 0.0)}
+    assert within(Position("m", 1.0, 99.0, 2.0), ranges)
+    assert not within(Position("m", 1.1), ranges)
+    assert not within(Position("m", float("nan")), ranges)
+    assert not within(Position("m", 0.0, 0.0, -0.1), ranges)
+
+
+@pytest.mark.parametrize(
+    ("word", "way"),
+    [
+        (Torque("m", 0.5), 1),
+        (Torque("m", 1e-6), 0),
+        (Velocity("m", -2.0), -1),
+        (Velocity("m", -2.0, 1.0), 0),
+        (Velocity("m", 0.0, 1.0), 0),
+        (Position("m", 3.0), 1),
+        (Position("m", 0.75), 0),
+        (Position("m", -3.0, 1.0), 0),
+        (Impedance("m", 0.75, 0.0, 0.0, 5.0, 1.0), 0),
+        (Impedance("m", 0.25, 0.0, 0.0, 5.0, 1.0), -1),
+        (Hold("m"), 0),
+    ],
+    ids=str,
+)
+def test_which_way_a_command_pushes(word: Command, way: int) -> None:
+    push = _push(word)
+    assert (push > 0) - (push < 0) == way
+
+
+@pytest.mark.parametrize(
+    ("source", "good"),
+    [
+        ("canopen 2.4.1 RemoteNode", True),
+        ("odriverobotics/ODrive@f9b5419 can_simple.cpp", True),
+        ("CiA 301 §7.2.4", True),
+        ("vendor's manual, paragraph 4", True),
+        ("made by hand", False),
+        ("somebody/repository main.py", False),
+    ],
+)
+def test_what_counts_as_a_source(source: str, good: bool) -> None:
+    assert bool(SOURCE.search(source)) is good
+
+
+@pytest.mark.parametrize(("plugin", "finders"), BROKEN_WIRE, ids=[plugin.name for plugin, _ in BROKEN_WIRE])
+def test_a_failure_shows_few_wires_or_words_and_comes_again(plugin: Plugin, finders: tuple[str, ...]) -> None:
+    (finder,) = [clause for clause in CLAUSES if clause.name in finders]
+    first, again = (_failed(check(plugin, 3, clauses=[finder])) for _ in range(2))
+    assert first == again
+    assert first.seed == 3
+    assert first.wires or first.words
+    assert len(first.wires) <= 6
+    assert len(first.words) <= 4
+
+
+def _failed(results: Sequence[Result]) -> Result:
+    (result,) = results
+    assert result.outcome == "failed"
+    return result
+
+
+def test_a_case_keeps_its_day() -> None:
+    case = Case(motors, motors.options(), 0, (1, 2, 3))
+    assert case.day is case.day
+    assert case.specs is case.specs
+    assert len(case.day) > 500
+    assert any(said.heard for said in case.day)
+    assert case.part(100) == 100
