@@ -2,9 +2,9 @@
 
 Rules. On a CAN bus nobody is addressed: whatever bears an id that a device listens to is obeyed by it,
 whoever meant it for whom. So two languages may share no id, in either direction: a command would be obeyed by
-a stranger (SYNC of CANopen, 0x080, is an id of an ODrive's node 4), a report be taken for a command or for
-somebody else's report, and two that send the same id at once destroy each other's frames. An 11-bit id and a
-29-bit one of the same number are two ids. Devices of one language are its own matter.
+a stranger (0x080 calls all of a bus in one language, and is a node's own in another), a report be taken for
+a command or for somebody else's report, and two that send the same id at once destroy each other's frames.
+An 11-bit id and a 29-bit one of the same number are two ids. Devices of one language are its own matter.
 """
 
 from __future__ import annotations

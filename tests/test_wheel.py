@@ -25,7 +25,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("protocols", "brain", "gateway", "fixtures")
-CARRIED = {".py", ".toml", ".json", ".md", ".typed"}
+CARRIED = {".py", ".toml", ".json", ".md", ".eds", ".typed"}
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
