@@ -82,7 +82,7 @@ class Axis:
     """One drive, as far as its host drives it. Plain data."""
 
     def __init__(self, device: Device, instant: bool) -> None:
-        self.device = device
+        self.settings: Settings = device.settings
         self.motor, self.node = device.name, device.address
         self.instant = instant
         self.signals: list[Signal] = []
@@ -97,8 +97,7 @@ class Axis:
 
     def start(self) -> None:
         """As after power-on."""
-        settings: Settings = self.device.settings
-        self.dictionary = Dictionary(settings, self.node)
+        self.dictionary = Dictionary(self.settings, self.node)
         self.server = Server()
         self.nmt = NmtState.PRE_OPERATIONAL
         self.state = PowerState.SWITCH_ON_DISABLED
@@ -177,7 +176,7 @@ class Axis:
         return words
 
     def _forget_communication(self) -> None:
-        fresh = Dictionary(self.device.settings, self.node)
+        fresh = Dictionary(self.settings, self.node)
         kept = {key: value for key, value in self.dictionary.values.items() if key[0] >= COMMUNICATION_END}
         fresh.values |= kept
         self.dictionary, self.server, self.host_beat = fresh, Server(), None

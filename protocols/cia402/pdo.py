@@ -88,6 +88,9 @@ class Packing:
     """For `struct`; "" if an entry does not lie on whole bytes of a usual length."""
     signed: tuple[bool, ...]
 
+    def __deepcopy__(self, _: dict[int, object]) -> Packing:
+        return self
+
     def pack(self, values: Sequence[int]) -> bytes:
         """The bytes of the frame. ValueError if a value does not fit its entry."""
         if self.form:

@@ -35,7 +35,7 @@ class Cia402Twin:
 
     def __init__(self, device: Device, seed: int) -> None:
         self.settings: Settings = device.settings
-        self.device = device
+        self.name = device.name
         self.axis = Axis(device, instant=False)
         self.drive = Drive(self.settings)
         self.tpdos: list[Tpdo] = tpdos()
@@ -167,7 +167,7 @@ class Cia402Twin:
         if first or dt > 0.0:
             self.drive.measure(dt or 1.0, *self._shaft, self.axis.units.gear)
         if now < self.silent_until:
-            return (Torque(self.device.name, 0.0),), ()
+            return (Torque(self.name, 0.0),), ()
         if not self._booted:
             self._boot(now)
         self._watch_host(now)
@@ -177,10 +177,10 @@ class Cia402Twin:
                 self.trip(code)
         if not self.axis.enabled:
             self.axis.position = self._counted()
-        return (Torque(self.device.name, self.drive.torque),), self._say(now)
+        return (Torque(self.name, self.drive.torque),), self._say(now)
 
     def _see(self, event: Event) -> None:
-        if isinstance(event, Feedback) and event.motor == self.device.name:
+        if isinstance(event, Feedback) and event.motor == self.name:
             position = self._shaft[0] if event.position is None else event.position
             velocity = self._shaft[1] if event.velocity is None else event.velocity
             if math.isfinite(position) and math.isfinite(velocity):
@@ -205,8 +205,9 @@ class Cia402Twin:
         said += [frame for due, frame in self._answers if due <= now]
         self._answers = [(due, frame) for due, frame in self._answers if due > now]
         syncs, axis.signals = len(axis.signals), []
-        told = syncs or any(tpdo.is_timed(axis.dictionary) for tpdo in self.tpdos)
-        if axis.nmt is NmtState.OPERATIONAL and told:
+        if axis.nmt is NmtState.OPERATIONAL and (
+            syncs or any(tpdo.is_timed(axis.dictionary) for tpdo in self.tpdos)
+        ):
             self._tell()
             for tpdo in self.tpdos:
                 for _ in range(syncs):

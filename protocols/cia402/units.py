@@ -33,6 +33,9 @@ class Units:
     rated_current: float = 0.0
     """A; 0: not known."""
 
+    def __deepcopy__(self, _: dict[int, object]) -> Units:
+        return self
+
     # -- the drive's → SI -----------------------------------------------------------------------
 
     def position(self, value: int) -> float:
