@@ -212,10 +212,6 @@ def driver(devices: Sequence[Device]) -> Driver:
             raise ValueError(f"address {device.address} of {device.name} is given twice on this bus")
         if device.address in {other.options.host_id for other in devices}:
             raise ValueError(f"address {device.address} of {device.name} is a host's own node id on this bus")
-    for name in ("sync_ms", "host_id"):
-        said = sorted({getattr(device.options, name) for device in devices})
-        if len(said) > 1:
-            raise ValueError(f"{name} must be the same for all drives of one bus: {said}")
     return Cia402Driver(devices, {device.name: spec(device).ranges for device in devices})
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Purpose
-from protocols.cia402.node import NEVER, SPARE, Node
+from protocols.cia402.node import NEVER, Node
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.words import MILLISECOND, SECOND, Nanos
 
@@ -31,6 +31,8 @@ POLLED: tuple[tuple[Key, int], ...] = (
 """What is asked for, and how many feedback periods lie between."""
 CHANGING = (o.STATUSWORD, o.MODE_DISPLAY)
 """What is asked for more often while it is to change."""
+AHEAD = 5 * MILLISECOND
+"""So long before a question is due its plan is made anew."""
 UNTIMED = 100 * MILLISECOND
 """What an object is worth that came by a TPDO whose period is not known."""
 
@@ -83,7 +85,7 @@ def _poll(node: Node, now: Nanos) -> Key | None:
     What is heard meanwhile only puts a question off, so the plan is made anew shortly before one is due, or
     when another reason to ask comes up."""
     pressing = _pressing(node)
-    if now + SPARE < node.poll_at and pressing == node.poll_pressing:
+    if now + AHEAD < node.poll_at and pressing == node.poll_pressing:
         return None
     node.poll_pressing = pressing
     if node.units is None:

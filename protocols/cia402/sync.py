@@ -21,9 +21,7 @@ from protocols.words import MILLISECOND, Nanos
 def agree(devices: Sequence[Device]) -> None:
     """ValueError if the devices of a bus need a host that does two things at once."""
     synced = [device for device in devices if device.options.feedback == "sync"]
-    wrong = _differ("sync_ms", "the period of SYNC", synced) + _differ(
-        "host_id", "the host's node id", devices
-    )
+    wrong = _differ("sync_ms", synced) + _differ("host_id", devices)
     taken = {device.address for device in devices}
     wrong += [
         f"host_id {device.options.host_id} of {device.name} is the address of a device"
@@ -34,10 +32,11 @@ def agree(devices: Sequence[Device]) -> None:
         raise ValueError("; ".join(wrong))
 
 
-def _differ(option: str, what: str, devices: Sequence[Device]) -> list[str]:
+def _differ(option: str, devices: Sequence[Device]) -> list[str]:
     said = [(device.name, getattr(device.options, option)) for device in devices]
     return [
-        f"{what} is one for a bus: {option} is {said[0][1]} for {said[0][0]} and {value} for {name}"
+        f"{option} must be the same for all drives of one bus: it is {said[0][1]} for {said[0][0]} and"
+        f" {value} for {name}"
         for name, value in said
         if value != said[0][1]
     ][:1]
