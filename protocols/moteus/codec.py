@@ -116,7 +116,7 @@ def framed(identifier: int, data: bytes) -> CanFrame:
 def single(value: float) -> float:
     """A finite number that a binary32 holds; ValueError for what is not finite."""
     if -FLOAT_MAX <= value <= FLOAT_MAX:
-        return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
+        return _normal(value)
     if not math.isfinite(value):
         raise ValueError(f"{value} is not finite: it never reaches the wire")
     return math.copysign(FLOAT_MAX, value)
@@ -322,13 +322,12 @@ def _fast(data: bytes) -> dict[int, float | None] | None:
         return None
     if not math.isfinite(position + velocity + torque):
         return None
-    return {
-        0x00: mode,
-        0x01: 0.0 if -FLOAT_TINY < position < FLOAT_TINY else position,
-        0x02: 0.0 if -FLOAT_TINY < velocity < FLOAT_TINY else velocity,
-        0x03: 0.0 if -FLOAT_TINY < torque < FLOAT_TINY else torque,
-        0x0F: fault,
-    }
+    return {0: mode, 1: _normal(position), 2: _normal(velocity), 3: _normal(torque), 0x0F: fault}
+
+
+def _normal(value: float) -> float:
+    """Next to nothing is nothing."""
+    return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
 
 
 def _full(data: bytes) -> dict[int, float | None] | None:
@@ -339,7 +338,7 @@ def _full(data: bytes) -> dict[int, float | None] | None:
         return None
     floats = (position, velocity, torque, current)
     told: dict[int, float | None] = {0: mode}
-    told |= {1 + i: 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value for i, value in enumerate(floats)}
+    told |= {1 + i: _normal(value) for i, value in enumerate(floats)}
     return told | {0x0A + i: quantity(0x0A + i, INT16, value) for i, value in enumerate(rest)}
 
 

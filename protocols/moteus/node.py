@@ -50,7 +50,6 @@ IDENTIFY_AGAIN = 100 * MILLISECOND
 """... and so often until it is known."""
 ARMING = SECOND
 """A device that answers but is not in position control after so long is a fault."""
-EPSILON = 2.0**-126
 
 
 class Node:
@@ -138,8 +137,8 @@ class Node:
         feedback = Feedback(
             self.name,
             t,
-            None if position is None else _turned(position),
-            None if velocity is None else _turned(velocity),
+            None if position is None else position * tau,
+            None if velocity is None else velocity * tau,
             torque,
             current,
             voltage,
@@ -331,9 +330,3 @@ class Node:
     def _offline_at(self) -> Nanos:
         since = self.heard_at if self.heard_at is not None else self.started or 0
         return since + self.options.offline_ms * MILLISECOND
-
-
-def _turned(value: float) -> float:
-    """Revolutions in radians; next to nothing is nothing."""
-    turned = value * tau
-    return turned if turned > EPSILON or turned < -EPSILON else 0.0

@@ -12,7 +12,7 @@ from protocols.moteus.faults import FAULTS
 from protocols.moteus.messages import names
 from protocols.moteus.options import Settings, serial_of
 from protocols.vectors import vectors_of
-from protocols.wire import CanFrame, Wire
+from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (
     ClearFault,
     Command,
@@ -351,3 +351,71 @@ def test_vectors_of_other_shapes_are_foreign_or_bad() -> None:
     assert [event for wire in others for event in it.hear(wire)] == []
     assert it.driver.tally.foreign == len(others)
     assert it.driver.tally.heard == heard
+
+
+def test_a_bus_that_goes_ends_what_was_asked_for_beside_vectors() -> None:
+    it = talk()
+    it.say(READ, Scan("can0"))
+    it.driver.bus(it.now, BusState.GONE)
+    it.now += 5_000_000
+    assert it.driver.send(it.now, ())[0] == [
+        Refused(it.now - 5_000_000, "ReadParameter", "left", "the bus is gone"),
+        Refused(it.now - 5_000_000, "Scan", "can0", "the bus is gone"),
+    ]
+    assert told(it, "reply_power") == []
+
+
+def test_what_runs_as_the_vector_says_is_given_no_id_and_no_zero() -> None:
+    it = Talk().running()
+    for request, name in ((SetId("can0", 7, 5), "can0"), (Zero("left"), "left"), (SAVE, "left")):
+        (refused,) = it.driver.send(it.now, [request])[0]
+        assert isinstance(refused, Refused)
+        assert (refused.t, refused.request, refused.name) == (it.now, type(request).__name__, name)
+        assert "armed" in refused.reason
+
+
+def test_a_device_is_asked_who_it_is_every_five_seconds_once_the_vector_has_told() -> None:
+    it = Talk()
+    before = 0
+    for _ in range(60):  # 300 ms, and no answer to this
+        it.hear(VECTORS["reply_stopped"])
+        before += VECTORS["identify"] in it.say()
+    assert before == 3
+    it.hear(VECTORS["reply_identity"])
+    after = 0
+    for _ in range(2200):  # 11 s
+        after += VECTORS["identify"] in it.say()
+        it.hear(VECTORS["reply_stopped"])
+    assert after == 3
+
+
+def test_two_uuids_are_told_again_after_clear_as_vectors() -> None:
+    it = talk()
+    assert len(told(it, "reply_uuid_other")) == 3
+    it.say(ClearFault("left"))
+    assert [type(e) for e in told(it, "reply_stopped")] == [Done]
+    assert told(it, "reply_uuid") == []
+    assert len(told(it, "reply_uuid_other")) == 3
+
+
+def test_numbers_next_to_nothing_in_a_vector_are_nothing() -> None:
+    frame = VECTORS["reply_fast"]
+    assert isinstance(frame, CanFrame)
+    tiny = bytes.fromhex("01000080")
+    data = frame.data[:5] + 3 * tiny + frame.data[17:]
+    (feedback, _) = talk().hear(CanFrame(frame.id, data, False, False, True, True))
+    assert isinstance(feedback, Feedback)
+    assert str((feedback.position, feedback.velocity, feedback.torque)) == "(0.0, 0.0, 0.0)"
+
+
+def test_a_request_to_a_device_that_says_no_vector_is_not_answered() -> None:
+    it = Talk()
+    it.say(READ)
+    events: list[Event] = []
+    for _ in range(125):
+        it.now += 5_000_000
+        events += it.driver.send(it.now, ())[0]
+    refused = [event for event in events if isinstance(event, Refused)]
+    assert [(r.name, r.reason) for r in refused] == [("left", "no answer of the device")]
+    (offline,) = (event for event in events if isinstance(event, State))
+    assert (offline.motor, offline.mode, offline.detail) == ("left", Mode.OFFLINE, "nothing heard")
