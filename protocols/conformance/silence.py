@@ -72,8 +72,15 @@ def silence_trips(case: Case) -> Verdict:
     for trip in some(case, trips):
         failure = trip(case, settings, dog)
         if failure:
-            return failure
+            return replace(failure, text=failure.text + _changed(case.plugin.settings(), settings))
     return None
+
+
+def _changed(default: Any, settings: Any) -> str:  # noqa: ANN401 -- dataclasses of the plugin's
+    """The settings that were changed, to be said with a failure."""
+    names = [f.name for f in fields(default) if getattr(default, f.name) != getattr(settings, f.name)]
+    said = ", ".join(f"{name}={getattr(settings, name)!r}" for name in names)
+    return f" [settings {said}]" if said else ""
 
 
 def _dog(case: Case, settings: object) -> Watchdog:
@@ -123,10 +130,10 @@ def _moved(case: Case, settings: object, count: int) -> Scene | Failure:
     on = scene(case, count, settings)
     kind, spec = _kind(on.spec), on.spec
     if not on.ready():
-        return on.failure(f"is not heard to be ready in {ARMING} ms (settings {settings})")
+        return on.failure(f"is not heard to be ready in {ARMING} ms")
     rest = [resting(kind, spec, name, on.measured.get(name, 0.0)) for name in on.names]
     if not on.arm(lambda _: rest):
-        return on.failure(f"{kind.__name__} does not arm in {ARMING} ms (settings {settings})")
+        return on.failure(f"{kind.__name__} does not arm in {ARMING} ms")
     on.faults.clear()
     return on
 
