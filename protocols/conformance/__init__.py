@@ -8,7 +8,8 @@ Rules. A clause is a function; a failure is a value with the shortest bytes and 
 comes again with the same seed. The kit knows a plugin only through `protocols.plugin`: it builds devices
 named alpha, beta and stranger at the addresses 1, 2 and 3 (or those given), with the plugin's default
 settings, once with its default options and once for each other value of an option that is a Literal or
-a bool. Driver and twins then talk in virtual time, over a wire without faults, with a simple shaft.
+a bool. Driver and twins then talk in virtual time, with a simple shaft, over a wire on which nothing goes wrong
+unless a clause says so.
 """
 
 from __future__ import annotations
