@@ -623,9 +623,9 @@ def test_a_bus_that_vanished_ends_requests_and_forgets(state: BusState) -> None:
 
 def test_devices_of_a_bus_must_agree_on_sync_and_host() -> None:
     one, two = device("left", 1), device("right", 2, Options(sync_ms=20))
-    with pytest.raises(ValueError, match="sync_ms .* 10 for left and 20 for right"):
+    with pytest.raises(ValueError, match=r"sync_ms .* 10 for left and 20 for right"):
         driver_of(one, two)
-    with pytest.raises(ValueError, match="host_id .* 127 for left and 100 for right"):
+    with pytest.raises(ValueError, match=r"host_id .* 127 for left and 100 for right"):
         driver_of(one, device("right", 2, Options(host_id=100)))
     with pytest.raises(ValueError, match="node id"):
         driver_of(one, device("right", 127))

@@ -1,0 +1,320 @@
+"""Parts of the driver by themselves: words and vectors, the way through the state machine, PDOs that fit."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from protocols.cia402 import arming, mapping, motion
+from protocols.cia402 import objects as o
+from protocols.cia402.client import DOUBLED, TRIES, Client, Job, Purpose
+from protocols.cia402.mapping import Pdo
+from protocols.cia402.options import Options
+from protocols.cia402.outlet import REFRESH, Outlet
+from protocols.cia402.pdo import DISABLED, entry_of
+from protocols.cia402.pdo import mapping as entries
+from protocols.cia402.profile import Demand, Mode, PowerState, mode_bit
+from protocols.cia402.scanning import BURST, Scanner
+from protocols.cia402.sdo import TIMEOUT, Abort, Downloaded, Upload, Uploaded
+from protocols.cia402.setpoint import Values, mode_for, standstill, values_of
+from protocols.cia402.startup import Known, units_from, value_of
+from protocols.cia402.units import Units
+from protocols.words import MILLISECOND, Command, Hold, Idle, Position, Torque, Velocity
+from tests.protocols.cia402.driver_vectors import pdos
+from tests.protocols.cia402.vectors import VECTORS
+
+UNITS = Units(per_turn=16_384.0, gear=1.0, rated_torque=1.0, rated_current=5.0)
+ALL = sum(mode_bit(m) for m in (Mode.PP, Mode.PV, Mode.PT, Mode.CSP, Mode.CSV, Mode.CST))
+
+
+def known(modes: int = ALL) -> Known:
+    return Known(UNITS, modes, 1, ())
+
+
+def counts(value: int) -> float:
+    return value * math.tau / 16_384.0
+
+
+# -- words and bytes ------------------------------------------------------------------------------------
+
+WORDS: tuple[tuple[Command, Mode, str, str], ...] = (
+    (Position("m", counts(-123_456)), Mode.CSP, "rpdo1_as_mapped", "0f0008c01dfeff"),
+    (Position("m", 0.0, counts(-1000)), Mode.CSP, "rpdo3_as_mapped", "18fcffff"),
+)
+
+
+@pytest.mark.parametrize(("command", "mode", "name", "data"), WORDS)
+def test_a_command_becomes_the_bytes_of_a_vector(command: Command, mode: Mode, name: str, data: str) -> None:
+    (vector,) = [v for v in VECTORS if v.name == name]
+    outlet = Outlet()
+    outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
+    values = values_of(command, mode, UNITS, 0)
+    values |= {o.CONTROLWORD: int(Demand.ENABLE_OPERATION), o.MODE: int(mode)}
+    frames = outlet.frames(0, values, o.TARGET_POSITION)
+    assert vector.wire in frames
+    assert bytes.fromhex(data) in [frame.data for frame in frames]
+
+
+def test_velocity_and_torques_share_the_second_rpdo() -> None:
+    (vector,) = [v for v in VECTORS if v.name == "rpdo2_as_mapped"]
+    outlet = Outlet()
+    outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
+    values: Values = standstill(0) | values_of(Velocity("m", counts(654_321), 0.125), Mode.CSV, UNITS, 0)
+    values |= values_of(Torque("m", -0.25), Mode.CST, UNITS, 0) | {
+        o.TARGET_VELOCITY: values[o.TARGET_VELOCITY],
+        o.TORQUE_OFFSET: values[o.TORQUE_OFFSET],
+    }
+    assert vector.wire in outlet.frames(0, values, o.TARGET_VELOCITY)
+
+
+@pytest.mark.parametrize(
+    ("command", "cyclic", "profile"),
+    [
+        (Position("m", 1.0), Mode.CSP, Mode.PP),
+        (Hold("m"), Mode.CSP, Mode.PP),
+        (Velocity("m", 1.0), Mode.CSV, Mode.PV),
+        (Torque("m", 1.0), Mode.CST, Mode.PT),
+    ],
+)
+def test_modes_are_those_preferred_or_the_other_ones(command: Command, cyclic: Mode, profile: Mode) -> None:
+    assert mode_for(command, known(), "cyclic") is cyclic
+    assert mode_for(command, known(), "profile") is profile
+    assert mode_for(command, known(mode_bit(profile)), "cyclic") is profile
+    assert mode_for(command, known(mode_bit(cyclic)), "profile") is cyclic
+    assert mode_for(command, known(0), "cyclic") is None
+    assert mode_for(Idle("m"), known(), "cyclic") is None
+
+
+def test_hold_without_a_position_mode_is_standing_still() -> None:
+    assert mode_for(Hold("m"), known(mode_bit(Mode.CSV)), "cyclic") is Mode.CSV
+    assert motion.targets_of(known(mode_bit(Mode.CSV)), "cyclic") == {o.TARGET_VELOCITY}
+
+
+def test_feed_forward_is_left_out_of_profile_modes() -> None:
+    values = values_of(Position("m", 1.0, 2.0, 0.5), Mode.PP, UNITS, 0)
+    assert (values[o.VELOCITY_OFFSET], values[o.TORQUE_OFFSET]) == (0, 0)
+
+
+# -- the state machine from our side --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("power", "option", "placed", "demand"),
+    [
+        (PowerState.SWITCH_ON_DISABLED, 2, True, 0x06),
+        (PowerState.READY, 2, True, 0x07),
+        (PowerState.SWITCHED_ON, 2, True, 0x0F),
+        (PowerState.SWITCHED_ON, 2, False, 0x07),
+        (PowerState.OPERATION_ENABLED, 2, False, 0x0F),
+        (PowerState.QUICK_STOP, 2, True, 0x00),
+        (PowerState.QUICK_STOP, 6, True, 0x0F),
+        (PowerState.QUICK_STOP, 6, False, 0x02),
+        (PowerState.NOT_READY, 2, True, None),
+        (PowerState.FAULT, 2, True, None),
+        (PowerState.FAULT_REACTION, 2, True, None),
+    ],
+)
+def test_the_way_up(power: PowerState, option: int, placed: bool, demand: int | None) -> None:
+    assert arming.upward(power, option, placed=placed) == demand
+
+
+def test_the_way_down() -> None:
+    assert (arming.downward(late=False), arming.downward(late=True)) == (0x06, 0x00)
+
+
+@pytest.mark.parametrize(
+    ("acknowledged", "handing", "target", "given", "after"),
+    [
+        (False, False, 5, None, (0x3F, 5, True)),
+        (False, True, 7, 5, (0x3F, 5, True)),
+        (True, True, 7, 5, (0x2F, 5, False)),
+        (True, False, 7, 5, (0x2F, 5, False)),
+        (False, False, 7, 5, (0x3F, 7, True)),
+        (False, False, 5, 5, (0x2F, 5, False)),
+    ],
+)
+def test_the_handshake_of_pp(
+    acknowledged: bool, handing: bool, target: int, given: int | None, after: tuple[int, int, bool]
+) -> None:
+    assert arming.handshake(acknowledged, handing, target, given) == after
+
+
+# -- PDOs -----------------------------------------------------------------------------------------------
+
+
+def _rpdo(**changed: object) -> Pdo:
+    plain: dict[str, object] = {
+        "way": "to",
+        "number": 1,
+        "cob": 0x205,
+        "transmission": 1,
+        "entries": entries(o.CONTROLWORD, o.TARGET_POSITION),
+    }
+    return Pdo(**(plain | changed))  # type: ignore[arg-type]  # the fields by name
+
+
+@pytest.mark.parametrize(
+    ("pdo", "synced", "usable"),
+    [
+        (_rpdo(), True, True),
+        (_rpdo(), False, False),
+        (_rpdo(transmission=255), False, True),
+        (_rpdo(cob=0x205 | DISABLED), True, False),
+        (_rpdo(cob=0x206), True, False),
+        (_rpdo(cob=0x205 | 1 << 29), True, False),
+        (_rpdo(entries=()), True, False),
+        (_rpdo(entries=entries(o.CONTROLWORD, o.MAX_TORQUE)), True, False),
+        (_rpdo(entries=(entry_of(0x00050008), *entries(o.CONTROLWORD))), True, True),
+        (_rpdo(entries=(entry_of(0x60400008),)), True, False),
+        (_rpdo(way="from", cob=0x185 | 1 << 30, entries=entries(o.MAX_TORQUE)), True, True),
+    ],
+)
+def test_which_pdos_are_usable(pdo: Pdo, synced: bool, usable: bool) -> None:
+    assert mapping.usable(pdo, 5, synced) is usable
+
+
+def test_what_fits() -> None:
+    both = {o.TARGET_POSITION}
+    assert mapping.commands_fit([_rpdo()], both)
+    assert not mapping.commands_fit([_rpdo()], both | {o.TARGET_VELOCITY})
+    assert not mapping.commands_fit([_rpdo(entries=entries(o.TARGET_POSITION))], both)
+    told = entries(o.STATUSWORD, o.POSITION)
+    for transmission, event_ms, fits in ((1, 0, True), (240, 0, False), (0, 0, False), (255, 0, False)):
+        tpdo = Pdo("from", 1, 0x185, transmission, event_ms, told)
+        assert mapping.feedback_fits([tpdo], 10 * MILLISECOND, 100 * MILLISECOND) is fits
+    assert mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 20, told)], 0, 100 * MILLISECOND)
+    assert not mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 200, told)], 0, 100 * MILLISECOND)
+
+
+def test_an_object_that_is_absent_is_not_mapped() -> None:
+    wanted = mapping.wanted(5, Options(), synced=True, absent={o.VELOCITY_OFFSET, o.TORQUE_OFFSET})
+    assert [pdo.number for pdo in wanted if pdo.way == "to"] == [1, 2]
+    assert wanted[1].keys == (o.TARGET_VELOCITY, o.TARGET_TORQUE)
+
+
+def test_set_points_go_when_they_move_or_change_and_again_after_a_while() -> None:
+    outlet = Outlet()
+    outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
+    values = standstill(0) | {o.CONTROLWORD: 6, o.MODE: 9}
+    first = outlet.frames(0, values, o.TARGET_VELOCITY)
+    assert [frame.id & 0x700 for frame in first] == [0x300, 0x400, 0x200]
+    assert [frame.id & 0x700 for frame in outlet.frames(1, values, o.TARGET_VELOCITY)] == [0x300]
+    changed = outlet.frames(2, values | {o.CONTROLWORD: 7}, o.TARGET_VELOCITY)
+    assert [frame.id & 0x700 for frame in changed] == [0x300, 0x200]
+    assert len(outlet.frames(REFRESH + 2, values | {o.CONTROLWORD: 7}, o.TARGET_VELOCITY)) == 3
+
+
+# -- SDO ------------------------------------------------------------------------------------------------
+
+
+def test_a_transfer_is_repeated_and_given_up() -> None:
+    client = Client(100)
+    client.begin(Job(Purpose.POLL, o.STATUSWORD))
+    sent = [now for now in range(1000) if client.say(now)[0] is not None]
+    assert sent == [0, 100, 200][:TRIES]
+    assert client.job is None
+    client.begin(Job(Purpose.POLL, o.STATUSWORD))
+    outcomes = [outcome for now in range(2000, 3000) if (outcome := client.say(now)[1])]
+    assert [(x.abort, x.silent) for x in outcomes] == [(TIMEOUT, True)]
+
+
+def test_an_answer_to_something_else_is_nothing() -> None:
+    client = Client(100)
+    client.begin(Job(Purpose.POLL, o.STATUSWORD))
+    client.say(0)
+    for answer in (Uploaded(0x6064, 0, b"\0"), Downloaded(0x6041, 0), Abort(0x6041, 1, 1)):
+        assert client.hear(answer) is None
+    outcome = client.hear(Uploaded(0x6041, 0, b"\x37\x06"))
+    assert outcome is not None
+    assert outcome.value == b"\x37\x06"
+    assert client.hear(Uploaded(0x6041, 0, b"\x37\x06")) is None
+
+
+def test_only_a_release_takes_the_place_of_another() -> None:
+    client = Client(100)
+    client.begin(Job(Purpose.READING, o.DEVICE_TYPE))
+    assert not client.free(Purpose.SETUP)
+    assert client.free(Purpose.RELEASE)
+    client.begin(Job(Purpose.RELEASE, o.CONTROLWORD, b"\6\0"))
+    assert not client.free(Purpose.RELEASE)
+    assert client.hear(Uploaded(*o.DEVICE_TYPE, b"\0")) is None
+    outcome = client.hear(Downloaded(*o.CONTROLWORD))
+    assert outcome is not None
+    assert outcome.job.purpose is Purpose.RELEASE
+
+
+def test_answers_that_come_twice_are_counted_in_a_row() -> None:
+    client = Client(100)
+    for count in range(1, DOUBLED + 2):
+        client.begin(Job(Purpose.POLL, o.POSITION))
+        client.say(0)
+        client.hear(Uploaded(*o.POSITION, bytes(4)))
+        assert client.doubled == count - 1
+        client.hear(Uploaded(*o.POSITION, bytes(4)))
+    client.begin(Job(Purpose.POLL, o.POSITION))
+    client.hear(Uploaded(*o.POSITION, bytes(4)))
+    client.begin(Job(Purpose.POLL, o.POSITION))
+    client.hear(Uploaded(*o.POSITION, bytes(4)))
+    assert client.doubled == 0
+
+
+def test_two_serial_numbers_are_two_devices_at_once() -> None:
+    client = Client(100)
+    client.begin(Job(Purpose.ROLL_CALL, o.SERIAL_NUMBER))
+    client.hear(Uploaded(*o.SERIAL_NUMBER, b"\1\0\0\0"))
+    client.hear(Uploaded(*o.SERIAL_NUMBER, b"\2\0\0\0"))
+    assert client.doubled == DOUBLED
+
+
+# -- reading, scanning ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("key", "data", "value"),
+    [
+        (o.STATUSWORD, b"\x50\x02", 0x0250),
+        (o.SUPPORTED_MODES, b"\xef\x03", 0x3EF),
+        (o.MODE_DISPLAY, b"\xff", -1),
+        (o.POSITION, b"\xc0\x1d\xfe\xff", -123_456),
+        (o.POSITION, b"\xc0\x1d", None),
+        (o.STATUSWORD, b"\x50\x02\0", None),
+        ((0x2000, 1), b"\xff\xff", 0xFFFF),
+        ((0x2000, 1), b"", None),
+        (o.DEVICE_NAME, b"a longer text", None),
+    ],
+)
+def test_what_an_upload_tells(key: o.Key, data: bytes, value: int | None) -> None:
+    assert value_of(key, data) == value
+
+
+def test_units_of_the_robot_file_stand_in_for_what_a_drive_lacks() -> None:
+    assert units_from({}, Options()) is None
+    told = units_from({o.RATED_CURRENT: 2000}, Options(counts_per_turn=500.0, rated_torque=0.4))
+    assert told == Units(500.0, 1.0, 0.4, 2.0)
+    drive = {o.ENCODER_INCREMENTS: 1000, o.GEAR_MOTOR: 5, o.RATED_TORQUE: 300}
+    assert units_from(drive, Options(rated_torque=9.0)) == Units(5000.0, 5.0, 0.3, 0.0)
+
+
+def test_a_scan_asks_in_bursts_and_believes_only_what_it_asked_for() -> None:
+    scan, asked, now = Scanner("can0", (3,), 0), [], 0
+    while not scan.over(now):
+        asked += [frame.id - 0x600 for frame in scan.say(now)]
+        assert len(asked) <= BURST * (now // (10 * MILLISECOND) + 1)
+        now += MILLISECOND
+    assert asked == [n for n in range(1, 128) if n != 3]
+    assert not scan.hear(now, 5, Uploaded(*o.DEVICE_TYPE, bytes(4))), "too late"
+    fresh = Scanner("can0", (), 0)
+    fresh.say(0)
+    assert not fresh.hear(1, 100, Uploaded(*o.DEVICE_TYPE, bytes(4))), "not asked yet"
+    assert not fresh.hear(1, 2, Uploaded(*o.VENDOR_ID, bytes(4))), "not asked for"
+    assert fresh.hear(1, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
+    assert fresh.say(MILLISECOND)[0].data[:4] == bytes((0x40, 0x18, 0x10, 1))
+    assert fresh.hear(2, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
+    assert fresh.twice == {2}
+
+
+def test_an_upload_is_the_message_of_the_vectors() -> None:
+    client = Client(100)
+    client.begin(Job(Purpose.READING, o.DEVICE_TYPE))
+    assert client.say(0)[0] == Upload(*o.DEVICE_TYPE)
