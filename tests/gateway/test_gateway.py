@@ -140,6 +140,9 @@ def test_a_second_node_with_the_same_address_gets_a_sentence_and_the_safe_word(d
     ticks = driven.run(1.0)
     faults = [n for n in told(ticks, "left") if n.level == "error"]
     assert any("held twice" in n.text for n in faults)
+    warned = [n.text for n in told(ticks, "scan") if n.level == "warning"]
+    assert warned
+    assert all("more than one device holds this address" in text for text in warned)
     assert not [w for _, w in said(driven, ticks[-50:]) if not isinstance(w, Idle)]
 
 
