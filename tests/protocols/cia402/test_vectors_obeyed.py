@@ -1,0 +1,167 @@
+"""The independent vectors at the drive's side: the twin answers as canopen's slave did, the ear hears them.
+
+The vectors are of node 2, whose dictionary was another one: what it held is put into the twin first.
+"""
+
+from __future__ import annotations
+
+import math
+
+from protocols.cia402 import objects as o
+from protocols.cia402.codec import NmtState, decode
+from protocols.cia402.ear import Cia402Ear
+from protocols.cia402.faults import OVERCURRENT
+from protocols.cia402.options import Options, Settings
+from protocols.cia402.pdo import entry_of
+from protocols.cia402.twin import Cia402Twin
+from protocols.plugin import Device
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Estop,
+    Feedback,
+    Idle,
+    Position,
+    Reboot,
+    Request,
+    Velocity,
+    WriteParameter,
+)
+from tests.protocols.cia402.vectors import VECTORS
+
+BY_NAME = {vector.name: vector for vector in VECTORS}
+DEVICE = Device("m", 2, Options(), Settings())
+TURN = Settings().encoder_increments
+# fmt: off
+ANSWERED: list[tuple[str, str]] = [
+    ("sdo_read_statusword#0",                  "sdo_read_statusword#1"),
+    ("sdo_read_position_-123456#0",            "sdo_read_position_-123456#1"),
+    ("sdo_write_mode_pp#0",                    "sdo_write_mode_pp#1"),
+    ("sdo_write_target_velocity_-1000#0",      "sdo_write_target_velocity_-1000#1"),
+    ("sdo_write_target_torque_500permille#0",  "sdo_write_target_torque_500permille#1"),
+    ("sdo_abort_no_object#0",                  "sdo_abort_no_object#1"),
+    ("enable_over_sdo#2",                      "enable_over_sdo#3"),
+    ("sdo_read_statusword#0",                  "enable_over_sdo#4"),
+    ("enable_over_sdo#5",                      "enable_over_sdo#3"),
+    ("sdo_read_statusword#0",                  "enable_over_sdo#6"),
+    ("enable_over_sdo#7",                      "enable_over_sdo#3"),
+    ("sdo_read_statusword#0",                  "enable_over_sdo#8"),
+    ("quick_stop_over_sdo#2",                  "quick_stop_over_sdo#3"),
+    ("disable_over_sdo#2",                     "quick_stop_over_sdo#3"),
+    ("sdo_read_statusword#0",                  "disable_over_sdo#4"),
+]
+# fmt: on
+
+
+def frame_of(name: str) -> CanFrame:
+    wire = BY_NAME[name].wire
+    assert isinstance(wire, CanFrame)
+    return wire
+
+
+class Drive:
+    """A twin on a shaft that stands still."""
+
+    def __init__(self) -> None:
+        self.twin = Cia402Twin(DEVICE, 0)
+        self.now = 0
+        self.position = -123_456 / TURN * math.tau
+
+    def step(self, *wires: Wire) -> list[Wire]:
+        self.now += MILLISECOND
+        for wire in wires:
+            self.twin.receive(self.now, wire)
+        return list(self.twin.step(self.now, (Feedback("m", self.now, self.position, 0.0),))[1])
+
+
+def test_the_twin_answers_sdo_vectors_as_the_slave_did() -> None:
+    drive = Drive()
+    drive.step()
+    drive.step()
+    for asked, answered in ANSWERED:
+        if asked == "enable_over_sdo#2":  # in no mode the statusword has no bits of a mode
+            drive.twin.axis.dictionary.values[o.MODE] = 0
+        said = [
+            wire for wire in drive.step(frame_of(asked)) if isinstance(wire, CanFrame) and wire.id == 0x582
+        ]
+        assert said == [frame_of(answered)], f"{asked}: {[str(s) for s in said]}"
+
+
+def test_the_twin_tells_its_name_in_segments_as_the_vectors_have_it() -> None:
+    drive = Drive()
+    drive.step()
+    ask = CanFrame(0x602, bytes.fromhex("4008100000000000"))
+    assert drive.step(ask)[:1] == [frame_of("sdo_read_dev_name_segmented#1")]
+    said = drive.step(frame_of("sdo_read_dev_name_segmented#2"))
+    assert said[0] == CanFrame(0x582, b"\x01twin402")
+
+
+def test_the_twin_boots_beats_and_clears_as_the_vectors_have_it() -> None:
+    drive = Drive()
+    said = [wire for _ in range(120) for wire in drive.step()]
+    assert said[0] == frame_of("nmt_slave_bootup#0")
+    assert frame_of("heartbeat_preop") in said
+    drive.twin.provoke(OVERCURRENT)
+    drive.step()
+    fault = drive.step(frame_of("sdo_read_statusword#0"))
+    assert frame_of("fault_statusword#1") in fault
+    drive.step(frame_of("reset_from_fault_cw#0"))
+    assert frame_of("emcy_reset#0") in drive.step(frame_of("reset_from_fault_cw#1"))
+    for name, state in (
+        ("nmt_start#0", NmtState.OPERATIONAL),
+        ("nmt_stop#0", NmtState.STOPPED),
+        ("nmt_enter_preop#0", NmtState.PRE_OPERATIONAL),
+    ):
+        said = [*drive.step(frame_of(name)), *(wire for _ in range(110) for wire in drive.step())]
+        assert any(getattr(decode(wire), "state", None) is state for wire in said), name
+    assert frame_of("nmt_slave_bootup#0") in drive.step(frame_of("nmt_reset_comm#0"))
+
+
+def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
+    drive = Drive()
+    drive.step()
+    frames = [v.wire for v in VECTORS if v.name.startswith("configure_")]
+    for frame in frames:
+        for said in drive.step(frame):
+            assert isinstance(said, CanFrame)
+            assert said.id != 0x582 or said.data[0] in (0x60, 0x4F, 0x4B, 0x43), f"{frame!r}: {said}"
+    dictionary = drive.twin.axis.dictionary
+    for vector in VECTORS:
+        if vector.name.startswith("configure_") and vector.name.endswith("#0"):
+            what = vector.name.removeprefix("configure_").partition("#")[0]
+            first = o.RPDO_COMMUNICATION if what[0] == "R" else o.TPDO_COMMUNICATION
+            packing = dictionary.active(first + int(what[-1]) - 1)
+            assert packing is not None, what
+            assert [*packing.entries] == [entry_of(word) for word in vector.meaning["entries"]], what
+
+
+def test_vectors_are_heard_as_the_words_that_they_mean() -> None:
+    ear = Cia402Ear([DEVICE])
+
+    def heard(name: str) -> list[Command | Request]:
+        return list(ear.hear(0, frame_of(name)))
+
+    configured = [word for v in VECTORS if v.name.startswith("configure_") for word in ear.hear(0, v.wire)]
+    assert all(isinstance(word, WriteParameter) for word in configured)
+    assert heard("nmt_start#0") == [WriteParameter("m", "NMT state", 5.0)]
+    assert heard("nmt_start#0") == []
+    assert heard("sdo_write_target_velocity_-1000#0") == []
+    for name in ("enable_over_sdo#2", "enable_over_sdo#5", "enable_over_sdo#7"):
+        assert heard(name) == []
+    assert heard("rpdo1_as_mapped") == [], "it waits for the SYNC"
+    assert heard("rpdo2_as_mapped") == []
+    assert heard("rpdo3_as_mapped") == []
+    words = heard("sync#0")
+    assert words[-1] == Position("m", -123_456 / TURN * math.tau, -1000 / TURN * math.tau, 0.125)
+    assert {type(word) for word in words} == {Position}
+    assert heard("sync#0") == []
+    ear.axes[0].dictionary.values |= {o.MODE: 9, o.VELOCITY_OFFSET: 0, o.TORQUE_OFFSET: 0}
+    assert heard("sdo_write_target_velocity_-1000#0") == [Velocity("m", -1000 / TURN * math.tau)]
+    assert heard("quick_stop_over_sdo#2") == [Estop("m")]
+    for name in ("enable_over_sdo#2", "enable_over_sdo#5"):
+        assert heard(name) == []
+    assert heard("enable_over_sdo#7") == [Velocity("m", -1000 / TURN * math.tau)]
+    assert heard("disable_over_sdo#2") == [Idle("m")]
+    assert heard("sdo_probe_scan#1") == heard("sdo_read_statusword#0") == []
+    assert heard("nmt_reset_node") == [Reboot("m")]
