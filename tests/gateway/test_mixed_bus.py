@@ -171,3 +171,9 @@ def test_all_clashes_are_told_at_once() -> None:
     with pytest.raises(config.ConfigError) as raised:
         config.loads(text)
     assert len(raised.value.mistakes) == 2
+
+
+def test_check_tells_the_load_of_frames_of_both_kinds() -> None:
+    """Each motor 200 commands and 100 reports a second: 52 µs each of moteus, 125 µs each of the others."""
+    said = config.describe(config.loads(MIXED))
+    assert re.search(r"can0 +canfd +1000000 bit/s, data 5000000 bit/s +twin +at least 9 %", said)
