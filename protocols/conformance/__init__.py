@@ -8,8 +8,8 @@ Rules. A clause is a function; a failure is a value with the shortest bytes and 
 comes again with the same seed. The kit knows a plugin only through `protocols.plugin`: it builds devices
 named alpha, beta and stranger at the addresses 1, 2 and 3 (or those given), with the plugin's default
 settings, once with its default options and once for each other value of an option that is a Literal or
-a bool. Driver and twins then talk in virtual time, with a simple shaft, over a wire on which nothing goes wrong
-unless a clause says so.
+a bool. Driver and twins then talk in virtual time, with a simple shaft, over a wire on which nothing goes
+wrong unless a clause says so.
 """
 
 from __future__ import annotations
@@ -34,13 +34,14 @@ from protocols.conformance.obeyed import ear_and_twin_agree
 from protocols.conformance.rehearsal import ADDRESSES
 from protocols.conformance.replies import one_stalls_no_other
 from protocols.conformance.safety import begins_where_it_is, idle_disarms
-from protocols.conformance.silence import silence_blinds, silence_trips
+from protocols.conformance.silence import silence_blinds
 from protocols.conformance.state import copies_go_on, same_in_same_out
 from protocols.conformance.survival import commands_survive, measurements_survive
 from protocols.conformance.takeover import load_is_kept, scan_only_looks
 from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
 from protocols.conformance.twice import held_twice_is_noticed
 from protocols.conformance.vouched import motion_is_vouched_for
+from protocols.conformance.watchdog import silence_trips
 from protocols.plugin import Plugin
 from protocols.wire import Wire
 from protocols.words import Word

@@ -10,8 +10,8 @@ from protocols.conformance import variants
 from protocols.conformance.case import Case
 from protocols.conformance.rehearsal import ADDRESSES
 from protocols.conformance.safety import _leads_away
-from protocols.conformance.silence import _dog, _watched, silence_trips
 from protocols.conformance.trouble import Scene, resting, scene, some, takeover, torque_of
+from protocols.conformance.watchdog import _dog, _watched, silence_trips
 from protocols.odrive_can import plugin as odrive
 from protocols.plain import plugin as plain
 from protocols.wire import BusState
