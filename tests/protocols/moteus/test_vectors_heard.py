@@ -419,3 +419,26 @@ def test_a_request_to_a_device_that_says_no_vector_is_not_answered() -> None:
     assert [(r.name, r.reason) for r in refused] == [("left", "no answer of the device")]
     (offline,) = (event for event in events if isinstance(event, State))
     assert (offline.motor, offline.mode, offline.detail) == ("left", Mode.OFFLINE, "nothing heard")
+
+
+def test_a_stop_ends_with_its_second_answer_as_vectors() -> None:
+    it = Talk().running()
+    it.say(Hold("left"))
+    stop = VECTORS["stop_with_query"]
+    assert it.say(Idle("left"))[0] == stop
+    it.hear(AT)  # how things stood before it
+    said = [frame for _ in range(4) for frame in it.say(Idle("left"))]
+    assert said.count(stop) == 1  # every 20 ms
+    it.hear(VECTORS["reply_stopped"])
+    assert stop in [frame for _ in range(4) for frame in it.say(Idle("left"))]  # one answer may be an old one
+    it.hear(VECTORS["reply_stopped"])
+    assert stop not in [frame for _ in range(40) for frame in it.say(Idle("left"))]
+
+
+def test_a_mode_that_a_vector_does_not_give_tells_no_state() -> None:
+    for name, mode in (("reply_fast", 2), ("reply_full", 2)):
+        frame = VECTORS[name]
+        assert isinstance(frame, CanFrame)
+        data = frame.data[:mode] + b"\x80" + frame.data[mode + 1 :]
+        events = Talk().hear(CanFrame(frame.id, data, False, False, True, True))
+        assert [type(event) for event in events] == [Feedback]
