@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 
 from protocols.odrive_can import spec
@@ -10,8 +12,17 @@ from protocols.odrive_can.faults05 import COMPLAINTS05
 from protocols.odrive_can.options import Options
 from protocols.plugin import Complaint
 from protocols.words import ClearFault, Fault, Idle, Velocity
-from tests.protocols.odrive_can.helpers import device, of, ready
+from tests.protocols.odrive_can.helpers import Bench, device, of, ready
 
+
+def armed(options: Options) -> Bench:
+    """A bench whose motor turns."""
+    bench = ready(device(options=options))
+    bench.run(900, Velocity("left", 1.0))
+    return bench
+
+
+ARMED = {options: armed(options) for options in (Options(), Options(firmware="0.5"))}
 CASES = [(Options(), code) for code in COMPLAINTS06] + [(Options(firmware="0.5"), c) for c in COMPLAINTS05]
 
 
@@ -19,19 +30,18 @@ CASES = [(Options(), code) for code in COMPLAINTS06] + [(Options(firmware="0.5")
 def test_a_provoked_fault_disarms_is_told_as_the_contract_has_it_and_is_cleared(
     options: Options, code: int
 ) -> None:
-    left = device(options=options)
+    bench = copy.deepcopy(ARMED[options])
+    (left,) = bench.devices
     complaint = spec(left).faults[code]
-    bench = ready(left)
-    bench.run(900, Velocity("left", 1.0))
     assert [twin.axis.armed for twin in bench.twins] == [True]
     bench.twins[0].provoke(code)
     assert [twin.axis.armed for twin in bench.twins] == [False]
-    told = {fault.code: fault for fault in of(Fault, bench.run(400))}
+    told = {fault.code: fault for fault in of(Fault, bench.run(250))}
     assert told[code] == Fault("left", told[code].t, code, complaint.name, complaint.cause, complaint.cure)
     assert set(told) <= set(spec(left).faults)
     bench.words = (Idle("left"),)
-    bench.ask(ClearFault("left"), 300)
-    assert not of(Fault, bench.run(300))
+    bench.ask(ClearFault("left"), 200)
+    assert not of(Fault, bench.run(150))
 
 
 def test_codes_mean_one_thing_whichever_the_line() -> None:
