@@ -43,14 +43,14 @@ def test_every_word_has_a_code_and_a_vector() -> None:
 
 
 @pytest.mark.parametrize("row", VECTORS["also_read"], ids=ids)
-def test_what_other_writers_write_is_read(row: dict[str, Any]) -> None:
+def test_a_vector_of_other_writers_is_read(row: dict[str, Any]) -> None:
     read = unpack(bytes.fromhex(row["bytes"]))
     assert read == word_of(row)
     assert not isinstance(read, Torque) or type(read.torque) is float
 
 
 @pytest.mark.parametrize("row", VECTORS["unreadable"], ids=ids)
-def test_what_is_no_word_is_none(row: dict[str, Any]) -> None:
+def test_a_vector_that_is_no_word_is_none(row: dict[str, Any]) -> None:
     assert unpack(bytes.fromhex(row["bytes"])) is None
 
 
