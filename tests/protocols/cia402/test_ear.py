@@ -21,6 +21,7 @@ from protocols.words import (
     ClearFault,
     Command,
     Estop,
+    Hold,
     Home,
     Idle,
     Position,
@@ -220,9 +221,7 @@ def test_the_spec_follows_options_and_settings() -> None:
     profile = spec(Device("m", NODE, Options(modes="profile"), Settings()))
     assert "Position.velocity" not in profile.ranges
     bare = spec(Device("m", NODE, Options(watchdog_ms=0), Settings(supported_modes=0x100)))
-    assert bare.commands == {Idle, Velocity} | ({*bare.commands} - {Idle, Velocity})
-    assert Position not in bare.commands
-    assert Torque not in bare.commands
+    assert bare.commands == {Idle, Hold, Velocity}
     assert bare.watchdog.timeout is None
     assert "keeps its last set-point" in bare.watchdog.note
     assert bare.holds_unattended
