@@ -1,9 +1,9 @@
 """Which object of a device is next to be read or written by SDO, and when.
 
 Rules. One transfer at a time per device; what presses most goes first. Set-points take turns with feedback,
-and so does what is read of a device at first. What a TPDO tells is not asked for. Nothing is written to a
-device that was not commanded, but for what an operator asks. Every question has a period, whether it is
-answered or not.
+and so does what is read of a device at first, or written before it is armed. What a TPDO tells is not asked
+for. Nothing is written to a device that was not commanded, but for what an operator asks. Every question has
+a period, whether it is answered or not.
 """
 
 from __future__ import annotations
@@ -44,9 +44,10 @@ def next_job(node: Node, now: Nanos) -> Job | None:
         return node.urgent.pop(0)
     if not client.free(Purpose.POLL):
         return None
-    if node.setup and (node.claimed or node.commanded_at == now):
-        return node.setup.pop(0)
     poll = _poll(node, now)
+    if node.setup and (node.claimed or node.commanded_at == now) and (poll is None or not node.took_turn):
+        node.took_turn = True
+        return node.setup.pop(0)
     setpoint = _setpoint(node, now)
     if setpoint is not None and (poll is None or not node.took_turn):
         node.took_turn = True
@@ -60,7 +61,7 @@ def next_job(node: Node, now: Nanos) -> Job | None:
         return Job(Purpose.READING, key)
     if poll is not None:
         node.asked[poll] = now
-        node.poll_at = _plan(node)[0]
+        node.poll_at = _plan(node)
         return Job(Purpose.POLL, poll)
     if now >= node.roll_call and node.heard_at is not None:
         node.roll_call = now + (ROLL_CALL_AGAIN if client.doubled or client.repeated else ROLL_CALL)
@@ -80,7 +81,7 @@ def _setpoint(node: Node, now: Nanos) -> Job | None:
 
 
 def _poll(node: Node, now: Nanos) -> Key | None:
-    """What is most overdue of the feedback.
+    """What is most overdue of the feedback, in its own periods: on a slow line the motion comes first.
 
     What is heard meanwhile only puts a question off, so the plan is made anew shortly before one is due, or
     when another reason to ask comes up."""
@@ -91,13 +92,15 @@ def _poll(node: Node, now: Nanos) -> Key | None:
     if node.units is None:
         node.poll_at = NEVER
         return None
-    node.poll_at, which = _plan(node)
-    return POLLED[which][0] if node.poll_at <= now else None
+    node.poll_at = _plan(node)
+    late = [((now - _at(node, key, periods)) / periods, -at) for at, (key, periods) in enumerate(POLLED)]
+    periods_late, which = max(late)
+    return POLLED[-which][0] if periods_late >= 0 else None
 
 
-def _plan(node: Node) -> tuple[Nanos, int]:
-    """When the next question is due, and which."""
-    return min((_at(node, key, periods), at) for at, (key, periods) in enumerate(POLLED))
+def _plan(node: Node) -> Nanos:
+    """When the next question is due."""
+    return min(_at(node, key, periods) for key, periods in POLLED)
 
 
 def _pressing(node: Node) -> tuple[bool, bool, bool]:

@@ -19,6 +19,7 @@ from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.profile import mode_bit
 from protocols.wire import BusState, CanFrame
 from protocols.words import (
+    MILLISECOND,
     ClearFault,
     Command,
     Done,
@@ -83,6 +84,19 @@ def test_is_initialising_until_units_and_identity_are_read_then_ready() -> None:
     assert {o.ENCODER_INCREMENTS, o.GEAR_MOTOR, o.FEED, o.RATED_TORQUE, o.SUPPORTED_MODES} <= set(uploads)
     assert {o.SERIAL_NUMBER, o.DEVICE_NAME, (0x1400, 1), (0x1803, 1)} <= set(uploads)
     assert s.node.title == "twin402"
+
+
+def test_the_motion_is_told_while_the_drive_is_configured_and_armed() -> None:
+    s = stage()
+    s.until(Mode.READY)
+    s.until(Mode.ARMED, Hold(A))
+    s.steps(50, Hold(A))
+    told = [f.t for f in s.feedback if f.position is not None]
+    gaps = [after - before for before, after in pairwise(told)]
+    assert max(gaps) <= 25 * MILLISECOND
+    assert any(
+        frame.id == 0x601 and frame.data[:3] == b"\x23\x00\x1a" for frame in s.down
+    )  # it was configured
 
 
 def test_units_are_the_drive_s_own() -> None:
