@@ -42,7 +42,10 @@ class Score:
 
     def __str__(self) -> str:
         """As it stands in a table: "91 %", with what must be known of it."""
-        notes = ["sample" if self.sampled else "", "" if self.current else "sources changed since"]
+        notes = [
+            f"sample of {self.tried}" if self.sampled else "",
+            "" if self.current else "sources changed since",
+        ]
         told = ", ".join(note for note in notes if note)
         return f"{int(100 * self.share)} %" + (f" ({told})" if told else "")
 

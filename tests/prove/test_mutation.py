@@ -288,7 +288,7 @@ def test_a_score_is_read_by_name(tmp_path: Path) -> None:
     assert result is not None
     score = score_of(result, tmp_path)
     assert score == Score(killed=1, tried=2, equivalent=0, judged=0, total=5, current=True)
-    assert str(score) == "50 % (sample)"
+    assert str(score) == "50 % (sample of 2)"
     (tmp_path / "a.py").write_text("x = 2\n")
     result["survivors"][0]["judgement"] = "equivalent: it is"
     assert score_of(result, tmp_path) == Score(1, 2, 1, 1, 5, current=False)
