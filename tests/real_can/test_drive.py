@@ -66,11 +66,7 @@ def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         candump(ends[0], log),
         rover(folder, robot.bitrate, ends, *asked, name=robot.name) as (run, twin),
     ):
-        if robot.name == "rover_mixed":
-            run.until("arm: ready")
-            run.ask(robot.name, "velocity arm 1")
-            run.until("arm: armed")
-        run.until("goal 1 reached", patience=30.0)
+        run.until("goal 1 reached", patience=60.0)
         status = run.end()
         twin.end()
         print(run.text, twin.text)
