@@ -32,7 +32,7 @@ class Plan:
     """Names of the files to be mutated; None: all."""
     processes: int = 1
     deadline: float | None = None
-    """s from the start, after which no further mutant is tried."""
+    """s after which no further mutant is tried; the first is, always."""
     traced: bool = True
     """Whether to find out first which functions each check runs: slow to begin, quicker for each mutant."""
     stored: Mapping[str, Any] | None = None
@@ -43,11 +43,11 @@ def run(
     language: Language, plan: Plan, progress: Path = store.PROGRESS, tell: Callable[[str], None] = print
 ) -> store.Campaign:
     """Try the mutants of a plan that are not known yet."""
-    began = time.monotonic()
     modules = mutated_modules(language)
     judge = judged_by(language)
     language.forget()  # a child imports it anew in any case; here nothing of it may be kept
-    sources = {module: source_of(module, path) for module, path in modules.items()}
+    wanted = None if plan.stored is None else plan.files  # to be quick, and nothing is stored
+    sources = {m: source_of(m, path) for m, path in modules.items() if wanted is None or path.name in wanted}
     files = {s.path.name: s for s in sources.values()}
     chosen = _chosen(list(sources.values()), plan)
     kept = store.Progress(progress / f"mutation-{language.name}.jsonl", judge)
@@ -56,7 +56,7 @@ def run(
     base = baseline(language, modules, plan.traced) if plan.stored is None else _assumed(plan.stored)
     for name, wrong in base.failing.items():
         tell(f"{language.name}: {name} fails without any mutation, and judges nothing: {wrong}")
-    ends = began + plan.deadline if plan.deadline is not None else None
+    ends = time.monotonic() + plan.deadline if plan.deadline is not None else None
     verdicts = list(_verdicts(Runner(language, sources, base, plan.processes), chosen, kept, ends, tell))
     return store.Campaign(
         language.name,
@@ -114,8 +114,8 @@ def _verdicts(
             ahead.append(mutant)
 
     def in_time() -> Iterator[Mutant]:
-        for mutant in ahead:
-            if ends is not None and time.monotonic() > ends:
+        for at, mutant in enumerate(ahead):
+            if at and ends is not None and time.monotonic() > ends:
                 return
             yield mutant
 

@@ -163,7 +163,7 @@ def test_a_sample_is_the_same_with_the_same_seed(toy: Path, tmp_path: Path) -> N
     assert len(one["verdicts"]) == 3
     assert {row["file"] for row in one["verdicts"]} == {"codec.py"}
     none, _ = run(toy, "--progress", str(tmp_path), "--sample", "3", "--seconds", "0")
-    assert none["verdicts"] == []
+    assert len(none["verdicts"]) == 1  # the first is tried, however late it is
 
 
 # -- without a campaign ---------------------------------------------------------------------------------
