@@ -149,6 +149,7 @@ def _of(hint: object) -> st.SearchStrategy[Any]:
     plain: dict[object, st.SearchStrategy[Any]] = {
         float: _floats,
         int: int64,
+        bool: st.booleans(),
         str: text,
         Mode: st.sampled_from(Mode),
         type(None): st.none(),
