@@ -189,11 +189,12 @@ class Node:
         return [State(self.name, t, *told)]
 
     def _mode_now(self) -> StateMode:
+        """Enabling and calibrating (its current sensors) are part of every arming: it is ready for that."""
         if self.tripped:
             return StateMode.FAULT
-        if self.mode == Mode.STOPPED:
-            return StateMode.READY
-        return StateMode.INITIALISING if self.mode is None or self.mode in RISING else StateMode.ARMED
+        if self.mode is None:
+            return StateMode.INITIALISING
+        return StateMode.READY if self.mode == Mode.STOPPED or self.mode in RISING else StateMode.ARMED
 
     def _detail(self) -> str:
         detail = "" if self.mode is None else mode_name(self.mode)

@@ -278,7 +278,7 @@ def test_a_device_that_does_not_arm_as_vectors() -> None:
     assert fault.cause == "it stayed in mode enabling for 1000 ms"
     assert fault.cure == "look at it with the vendor's tool (tview), then clear"
     states = [(s.mode, s.detail) for s in events if isinstance(s, State)]
-    assert states == [(Mode.INITIALISING, "enabling"), (Mode.FAULT, "enabling, not cleared yet")]
+    assert states == [(Mode.READY, "enabling"), (Mode.FAULT, "enabling, not cleared yet")]
     assert 1_000_000_000 < fault.t - it.now + 220 * 5_000_000 <= 1_020_000_000
 
 
