@@ -41,13 +41,11 @@ class Score:
         return self.killed / self.tried if self.tried else 0.0
 
     def __str__(self) -> str:
-        """As it stands in a table: "91 %", with what must be known of it."""
-        notes = [
-            f"sample of {self.tried}" if self.sampled else "",
-            "" if self.current else "sources changed since",
-        ]
-        told = ", ".join(note for note in notes if note)
-        return f"{int(100 * self.share)} %" + (f" ({told})" if told else "")
+        """As it stands in a table: "92 % of 310 tried (3025 in all)", with what else must be known of it."""
+        share = f"{int(100 * self.share)} % of {self.tried} tried"
+        if self.sampled:
+            share += f" ({self.total} in all)"
+        return share if self.current else f"{share}, sources changed since"
 
 
 def mutation_score(name: str) -> Score | None:

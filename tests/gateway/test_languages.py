@@ -49,8 +49,10 @@ def test_the_score_says_what_it_is_worth() -> None:
         return blocks(load("plain"), score=score)["plain"]["mutants"]
 
     assert told(None) == "never tried"
-    assert told(Score(913, 1000, 0, 87, 1000, current=True)).startswith("91 %")
-    assert told(Score(913, 1000, 0, 87, 2000, current=False)) == "91 % (sample, sources changed since)"
+    assert told(Score(913, 1000, 0, 87, 1000, current=True)) == "91 % of 1000 tried"
+    assert told(Score(913, 1000, 0, 87, 2000, current=True)) == "91 % of 1000 tried (2000 in all)"
+    old = Score(913, 1000, 0, 87, 2000, current=False)
+    assert told(old) == "91 % of 1000 tried (2000 in all), sources changed since"
 
 
 def test_a_spec_that_raises_is_named_and_hinders_nobody() -> None:
