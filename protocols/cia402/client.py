@@ -2,8 +2,9 @@
 
 Rules. Plain data; `say` gives what is to be sent, `hear` takes an answer, and a `Job` that ended comes back
 as an `Outcome`. Only a RELEASE takes the place of what is under way, which is then forgotten (its late answer
-is nobody's). An answer that nobody waits for changes nothing; it is counted where it repeats the last one,
-for two devices with one node id answer everything twice.
+is nobody's). Segments that another host broke off are begun anew at once. An answer that nobody waits for
+changes nothing; it is counted where it repeats the last one, for two devices with one node id answer
+everything twice.
 """
 
 from __future__ import annotations
@@ -106,6 +107,9 @@ class Client:
         if transfer is None or job is None:
             self._hear_again(answer)
             return None
+        if self._overtaken(transfer, answer):
+            self.next, self.tries = transfer.first(), self.tries + 1
+            return None
         before = transfer.value, transfer.toggle, transfer.sent, transfer.expecting
         request = transfer.hear(answer)
         if transfer.done:
@@ -119,6 +123,13 @@ class Client:
         elif before == (transfer.value, transfer.toggle, transfer.sent, transfer.expecting):
             self._hear_again(answer)
         return None
+
+    def _overtaken(self, transfer: sdo.Transfer, answer: sdo.Answer) -> bool:
+        """Whether another host's request took the place of our segments (a device serves one at a time), and
+        they can be asked for anew. The refusal of a segment names the object of that request."""
+        if transfer.expecting is None or not isinstance(answer, sdo.Abort) or self.tries >= TRIES:
+            return False
+        return (answer.index, answer.sub) != (transfer.index, transfer.sub)
 
     def _hear_again(self, answer: sdo.Answer) -> None:
         """An answer that nobody waits for: late, or the last one again, or a second device's."""

@@ -16,7 +16,17 @@ from protocols.cia402.pdo import DISABLED, entry_of
 from protocols.cia402.pdo import mapping as entries
 from protocols.cia402.profile import Demand, Mode, PowerState, mode_bit
 from protocols.cia402.scanning import BURST, Scanner
-from protocols.cia402.sdo import TIMEOUT, Abort, Downloaded, Upload, Uploaded
+from protocols.cia402.sdo import (
+    GENERAL,
+    TIMEOUT,
+    Abort,
+    Downloaded,
+    Upload,
+    Uploaded,
+    UploadedSegment,
+    UploadSegment,
+    UploadStart,
+)
 from protocols.cia402.setpoint import Values, mode_for, standstill, values_of
 from protocols.cia402.startup import Known, units_from, value_of
 from protocols.cia402.units import Units
@@ -229,6 +239,26 @@ def test_an_answer_to_something_else_is_nothing() -> None:
     assert outcome is not None
     assert outcome.value == b"\x37\x06"
     assert client.hear(Uploaded(0x6041, 0, b"\x37\x06")) is None
+
+
+def test_segments_that_another_host_broke_off_are_asked_for_anew_at_once() -> None:
+    client = Client(100)
+    client.begin(Job(Purpose.READING, o.DEVICE_NAME))
+    assert client.hear(Abort(*o.POSITION, GENERAL)) is None
+    assert client.say(0)[0] == Upload(*o.DEVICE_NAME)
+    assert client.say(1)[0] is None, "before it began, a refusal of something else is nobody's"
+    client.hear(UploadStart(*o.DEVICE_NAME, 7))
+    for _ in range(TRIES - 1):
+        assert client.say(2)[0] == UploadSegment(False)
+        assert client.hear(Abort(*o.POSITION, GENERAL)) is None
+        assert client.say(3)[0] == Upload(*o.DEVICE_NAME)
+        client.hear(UploadStart(*o.DEVICE_NAME, 7))
+    client.say(4)
+    client.hear(Abort(*o.POSITION, GENERAL))
+    assert client.say(5) == (None, None), "not for ever"
+    outcome = client.hear(UploadedSegment(False, b"twin402", True))
+    assert outcome is not None
+    assert outcome.value == b"twin402"
 
 
 def test_only_a_release_takes_the_place_of_another() -> None:
