@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--files", help="names of files, with commas between: only their mutants")
     parser.add_argument("--processes", type=int, default=1, choices=(1, 2))
     parser.add_argument("--seconds", type=float, help="try no further mutant after this time")
+    parser.add_argument("--cpu", action="store_true", help="those seconds are of CPU time")
     parser.add_argument("--progress", type=Path, default=store.PROGRESS, help="folder of what is known")
     parser.add_argument(
         "--language", help="package:module:attribute:tests of a language that is not installed"
@@ -37,8 +39,16 @@ def main(arguments: list[str]) -> int:
     files = asked.files.split(",") if asked.files else None
     for name in asked.names:
         known = store.stored(name) if asked.quick else None
+        clock = campaign.spent if asked.cpu else time.monotonic
         plan = campaign.Plan(
-            asked.sample, asked.seed, files, asked.processes, asked.seconds, not asked.untraced, known
+            asked.sample,
+            asked.seed,
+            files,
+            asked.processes,
+            asked.seconds,
+            clock,
+            traced=not asked.untraced,
+            stored=known,
         )
         language = _language(name, asked.language)
         if asked.clauses:

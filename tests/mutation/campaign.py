@@ -6,6 +6,8 @@ goes on where it was interrupted. A deadline, if there is one, is looked at betw
 
 from __future__ import annotations
 
+import math
+import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ from tests.mutation import store
 from tests.mutation.judge import judged_by
 from tests.mutation.languages import Language, mutated_modules
 from tests.mutation.mutants import Mutant, Source, digest, source_of
-from tests.mutation.runner import Baseline, Runner, Verdict, baseline
+from tests.mutation.runner import Baseline, Runner, Verdict, baseline, prepare
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +35,8 @@ class Plan:
     processes: int = 1
     deadline: float | None = None
     """s after which no further mutant is tried; the first is, always."""
+    clock: Callable[[], float] = time.monotonic
+    """What the deadline is measured by [s]: `spent` is as long on a busy machine as on an idle one."""
     traced: bool = True
     """Whether to find out first which functions each check runs: slow to begin, quicker for each mutant."""
     stored: Mapping[str, Any] | None = None
@@ -45,7 +49,7 @@ def run(
     """Try the mutants of a plan that are not known yet."""
     modules = mutated_modules(language)
     judge = judged_by(language)
-    language.forget()  # a child imports it anew in any case; here nothing of it may be kept
+    prepare(language)
     wanted = None if plan.stored is None else plan.files  # to be quick, and nothing is stored
     sources = {m: source_of(m, path) for m, path in modules.items() if wanted is None or path.name in wanted}
     files = {s.path.name: s for s in sources.values()}
@@ -56,18 +60,25 @@ def run(
     base = baseline(language, modules, plan.traced) if plan.stored is None else _assumed(plan.stored)
     for name, wrong in base.failing.items():
         tell(f"{language.name}: {name} fails without any mutation, and judges nothing: {wrong}")
-    ends = time.monotonic() + plan.deadline if plan.deadline is not None else None
-    verdicts = list(_verdicts(Runner(language, sources, base, plan.processes), chosen, kept, ends, tell))
+    ends = plan.clock() + plan.deadline if plan.deadline is not None else math.inf
+    runner = Runner(language, sources, base, plan.processes)
+    verdicts = list(_verdicts(runner, chosen, kept, lambda: plan.clock() > ends, tell))
     return store.Campaign(
         language.name,
         {name: source.digest for name, source in sorted(files.items())},
         _judge(judge, base),
         sum(len(source.mutants) for source in sources.values()),
         sum(source.wordings for source in sources.values()),
-        None if plan.sample is None and plan.files is None and ends is None else plan.seed,
+        None if plan.sample is None and plan.files is None and plan.deadline is None else plan.seed,
         len(chosen),
         verdicts,
     )
+
+
+def spent() -> float:
+    """CPU time of this process and of its children that have ended [s]."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def changed(language: Language, result: dict[str, str]) -> list[str]:
@@ -101,7 +112,7 @@ def _verdicts(
     runner: Runner,
     chosen: list[Mutant],
     kept: store.Progress,
-    ends: float | None,
+    late: Callable[[], bool],
     tell: Callable[[str], None],
 ) -> Iterator[Verdict]:
     """What is known, then what is found; each is kept at once."""
@@ -115,7 +126,7 @@ def _verdicts(
 
     def in_time() -> Iterator[Mutant]:
         for at, mutant in enumerate(ahead):
-            if at and ends is not None and time.monotonic() > ends:
+            if at and late():
                 return
             yield mutant
 

@@ -1,10 +1,11 @@
 """Mutants and the judge, one process for each mutant.
 
-Rules. The process that forks has everything imported but the language; a child imports it, with one module
-mutated. Each check has a limit of CPU time, ten times what the sound language takes: a mutant may hang.
-A mutant meets only those checks in which the sound language runs its function (all, if it is run at import),
-and of a clause that is not cheap only the first such variant: a score is what is killed at least. Checks that
-killed the function's other mutants come first, then the cheapest. At most `processes` children at a time.
+Rules. The process that forks has everything imported but the language and its tests; a child imports these,
+with one module mutated. Each check has a limit of CPU time, ten times what the sound language takes: a mutant
+may hang. A mutant meets only those checks in which the sound language runs its function (all, if it is run at
+import), and of a clause that is not cheap only the first such variant: a score is what is killed at least.
+Checks that killed the function's other mutants come first, then those that take least for each mutant that
+they have killed. At most `processes` children at a time.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ import resource
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import CodeType, FrameType, ModuleType
 from typing import Any
 
-from tests.mutation.judge import Check, checks
+from tests.mutation.judge import Check, checks, vector_tests
 from tests.mutation.languages import Language
 from tests.mutation.mutants import Mutant, Source
 
@@ -121,6 +123,14 @@ def attempt(check: Check) -> str:
         return check.run()
     except BaseException as error:  # noqa: BLE001 -- a mutant may raise anything, pytest's outcomes included
         return f"{type(error).__name__}: {error}"
+
+
+def prepare(language: Language) -> None:
+    """Import what the language and its tests lean on, and forget these: no child has to import it again."""
+    checks(language)
+    for _ in vector_tests(language):
+        pass
+    language.forget()
 
 
 class Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -253,6 +263,8 @@ class Runner:
     processes: int = 1
     killers: dict[str, list[str]] = field(default_factory=dict)
     """By function, the checks that have killed its mutants, the last first."""
+    kills: Counter[str] = field(default_factory=Counter)
+    """By check, how many mutants it has killed."""
 
     def run(self, mutants: Iterable[Mutant], hints: Mapping[str, str] | None = None) -> Iterator[Verdict]:
         """The verdicts, in the order of the mutants. `hints`: by identity, what killed a mutant before."""
@@ -273,12 +285,14 @@ class Runner:
         mutant, child = ahead.pop(0)
         verdict = _verdict(mutant, *heard(*child))
         if verdict.killer in self.baseline.cost:
+            self.kills[verdict.killer] += 1
             known = self.killers.setdefault(f"{mutant.module}:{mutant.function}", [])
             known[:] = [verdict.killer, *(name for name in known if name != verdict.killer)]
         return verdict
 
     def _order(self, mutant: Mutant, hint: str) -> list[str]:
         names = self.baseline.relevant(mutant.module, mutant.function)
+        names.sort(key=lambda name: self.baseline.cost[name] / (1 + self.kills[name]))
         known = [hint, *self.killers.get(f"{mutant.module}:{mutant.function}", [])]
         first = [name for name in dict.fromkeys(known) if name in names]
         return [*first, *(name for name in names if name not in first)]
