@@ -154,7 +154,7 @@ SUBFRAMES: tuple[tuple[Subframe, str], ...] = (
 
 
 @pytest.mark.parametrize(("subframe", "data"), SUBFRAMES, ids=[data for _, data in SUBFRAMES])
-def test_a_subframe_and_its_bytes(subframe: Subframe, data: str) -> None:
+def test_vectors_of_subframes(subframe: Subframe, data: str) -> None:
     plain = bytes.fromhex(data)
     assert encode(subframe) == plain
     assert parse(plain) == ([subframe], True)
@@ -168,24 +168,24 @@ def test_a_subframe_and_its_bytes(subframe: Subframe, data: str) -> None:
 @pytest.mark.parametrize(
     ("value", "data"), [(0, "00"), (0x7F, "7f"), (0x80, "8001"), (0x150, "d002"), (2**32 - 1, "ffffffff0f")]
 )
-def test_varuints(value: int, data: str) -> None:
+def test_vectors_of_varuints(value: int, data: str) -> None:
     assert varuint(value) == bytes.fromhex(data)
     assert parse(bytes.fromhex("11" + data))[0] == [Ask(value, INT8, 1)]
 
 
 @pytest.mark.parametrize("flaw", ["03", "0101", "60", "32", "1080808080808001", "10ff0100", "4001ff00", "43"])
-def test_what_is_no_subframe_ends_a_frame(flaw: str) -> None:
+def test_vectors_of_what_is_no_subframe(flaw: str) -> None:
     before = Values(WRITE, 0, INT8, (0,))
     assert parse(encode(before) + bytes.fromhex(flaw)) == ([before], False)
 
 
-def test_a_value_that_is_cut_off_leaves_those_before_it() -> None:
+def test_a_vector_that_is_cut_off_leaves_what_stands_before() -> None:
     data = bytes.fromhex("0f20 0000803e 0000c0bf 0000")
     assert parse(data) == ([Values(WRITE, 0x20, F32, (0.25, -1.5))], False)
     assert parse(bytes.fromhex("0720")) == ([], False)
 
 
-def test_identifiers_and_padding() -> None:
+def test_vectors_of_identifiers_and_padding() -> None:
     assert (command_id(5), command_id(0x7F), command_id(5, 3, 0x1ABC)) == (0x8005, 0x807F, 0x1ABC8305)
     assert (reply_id(5), reply_id(100, 3), reply_id(7, 0, 1)) == (0x500, 0x6403, 0x10700)
     for length in range(65):
@@ -199,7 +199,7 @@ def test_identifiers_and_padding() -> None:
 
 
 @pytest.mark.parametrize("register", Register)
-def test_names_and_scales_are_the_package_s(register: Register) -> None:
+def test_vectors_of_names_and_scales_are_the_package_s(register: Register) -> None:
     assert theirs.Register(register).name in (register.name, "REZERO", "REZERO_STATE", "SERIAL_NUMBER")
     if register in SCALES and register not in (0x130, 0x131):
         for resolution in (INT8, INT16, INT32, F32):
@@ -213,7 +213,7 @@ def _package_scales(register: int) -> bool:
     return theirs.scale_register(register, mp.INT8, 100) not in (100, None)
 
 
-def test_modes_are_the_package_s() -> None:
+def test_vectors_of_modes_are_the_package_s() -> None:
     assert {mode.name: mode.value for mode in theirs.Mode} == {
         mode.name: mode.value for mode in Mode if mode not in (2, 3, 4)
     }
@@ -237,7 +237,7 @@ def test_modes_are_the_package_s() -> None:
         (Register.FAULT, INT16, 99.0, 99),
     ],
 )
-def test_numbers_in_counts(register: int, resolution: int, value: float | None, raw: int) -> None:
+def test_vectors_of_numbers_in_counts(register: int, resolution: int, value: float | None, raw: int) -> None:
     assert raw_of(register, resolution, value) == raw
     back = quantity(register, resolution, raw)
     if value is None:
@@ -246,7 +246,7 @@ def test_numbers_in_counts(register: int, resolution: int, value: float | None, 
         assert back == pytest.approx(value)
 
 
-def test_numbers_in_binary32() -> None:
+def test_vectors_of_numbers_in_binary32() -> None:
     assert raw_of(1, F32, -0.0) == 0.0
     assert math.copysign(1.0, raw_of(1, F32, -0.0)) == 1.0
     assert raw_of(1, F32, 1e-40) == 0.0
@@ -263,7 +263,7 @@ def test_numbers_in_binary32() -> None:
             push(0.0, bad, PLAIN)
 
 
-def test_frames_of_a_length_that_cannot_be_or_of_a_host_tell_nothing() -> None:
+def test_vectors_of_a_wrong_length_or_of_a_host_tell_nothing() -> None:
     assert decode(bytes.fromhex("21000a2f01000000be0000c03f000040bf210f005050")) is None  # 22 bytes
     assert decode(FAST) is None
     assert decode(bytes.fromhex("01000a")) is None
@@ -364,12 +364,12 @@ def test_vectors_have_names(name: str) -> None:
     assert names(VECTORS[name].wire) == NAMED[name]
 
 
-def test_what_is_no_frame_to_a_device_has_no_name() -> None:
+def test_what_is_no_vector_to_a_device_has_no_name() -> None:
     assert names(b"\x01\x00\x00") == ()
     assert names(CanFrame(0x8005, b"\x01\x00", extended=True, fd=True)) == ()
     assert names(CanFrame(0x8085, STOP, extended=True, fd=True)) == ()
     assert names(made(IDENTIFY)) == ("read",)
 
 
-def test_reading_begins_at_0x10() -> None:
+def test_vectors_of_questions_begin_at_0x10() -> None:
     assert head(READ, Register.MODE, INT8, 1) == b"\x11\x00"
