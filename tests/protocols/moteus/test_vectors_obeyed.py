@@ -1,0 +1,307 @@
+"""Bytes to a device, and what it does and answers: beside the vectors, register by register."""
+
+from __future__ import annotations
+
+from math import tau
+
+import pytest
+
+from protocols.moteus.ear import MoteusEar
+from protocols.moteus.messages import names
+from protocols.moteus.options import Options, Settings, serial_of
+from protocols.moteus.twin import MoteusTwin
+from protocols.wire import CanFrame, Wire
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Feedback,
+    Idle,
+    Position,
+    Request,
+    SetId,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+from tests.protocols.moteus.from_package import UUID
+from tests.protocols.moteus.helpers import device
+
+KT = 8.27 / 304
+SERIAL = serial_of(UUID)
+
+
+def frame(data: str, identifier: int = 5) -> CanFrame:
+    plain = bytes.fromhex(data)
+    size = min(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= len(plain))
+    return CanFrame(identifier, plain.ljust(size, b"\x50"), identifier > 0x7FF, False, True, True)
+
+
+def parameter(name: str, value: float) -> WriteParameter:
+    return WriteParameter("m", name, value)
+
+
+def line(text: str) -> str:
+    """A console's line, as bytes of a frame."""
+    return f"4001{len(text) + 1:02x}" + text.encode("ascii").hex() + "0a"
+
+
+OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
+    # data → what a device would do, and the names of its messages
+    ("010000", [Idle("m")], ("stop",)),
+    ("0d0000000000", [Idle("m")], ("stop",)),
+    ("05000a00", [Position("m", 0.0)], ("position",)),
+    ("09000a000000", [Position("m", 0.0)], ("position",)),
+    ("0d0000002041", [Position("m", 0.0)], ("position",)),
+    ("01000a" + "0d20" + "0000003f", [Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0120" + "32", [Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0520" + "8813", [Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0920" + "50c30000", [Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0120" + "80", [Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0520" + "0080", [Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0920" + "00000080", [Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0d20" + "0000807f", [Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0e20" + "0000003f" + "0000c07f", [Position("m", 0.5 * tau)], ("position 020 021",)),
+    ("01000a" + "0d22" + "0000c07f", [Position("m", 0.0)], ("position 022",)),
+    ("01000a" + "0d22" + "0000803f", [Position("m", 0.0, 0.0, 1.0)], ("position 022",)),
+    ("01000a" + "0d42" + "0000803f", [Position("m", 0.0, 0.0, 1.0)], ("position 042",)),
+    ("01000a" + "0d23" + "00000000", [Position("m", 0.0)], ("position 023",)),
+    ("01000a" + "0d24" + "00000000", [Position("m", 0.0)], ("position 024",)),
+    ("01000a" + "0e23" + "00000000" + "00000000", [Torque("m", 0.0)], ("torque 023 024",)),
+    ("01000a" + "0e23" + "00000000" + "0000803f", [Position("m", 0.0)], ("position 023 024",)),
+    ("01000a" + "0e23" + "0000803f" + "00000000", [Position("m", 0.0)], ("position 023 024",)),
+    ("01000a" + "0e43" + "00000000" + "00000000", [Torque("m", 0.0)], ("position 043 044",)),
+    ("01000a" + "0d20" + "0000003f" + "01000a", [Position("m", 0.0)], ("position 020",)),
+    ("0d20" + "0000003f" + "01000a", [Position("m", 0.0)], ("position 020",)),
+    ("010009" + "0d1c" + "00000040", [Torque("m", 2.0 * KT)], ("current 01C",)),
+    ("010009", [Torque("m", 0.0)], ("current",)),
+    ("010009" + "0d1c" + "0000c07f", [Torque("m", 0.0)], ("current 01C",)),
+    ("01000c", [Velocity("m", 0.0)], ("zero velocity",)),
+    ("01000f", [Velocity("m", 0.0)], ("brake",)),
+    ("01000d" + "0d42" + "0000003f", [Torque("m", 0.5)], ("stay within 042",)),
+    ("01000d" + "0d22" + "0000003f", [Torque("m", 0.5)], ("stay within 022",)),
+    ("010005", [parameter("mode", 5.0)], ("pwm",)),
+    ("010006", [parameter("mode", 6.0)], ("voltage",)),
+    ("010007", [parameter("mode", 7.0)], ("voltage foc",)),
+    ("010008", [parameter("mode", 8.0)], ("voltage dq",)),
+    ("01000e", [parameter("mode", 14.0)], ("measure ind",)),
+    ("010001", [], ("fault",)),
+    ("010002", [], ("enabling",)),
+    ("010003", [], ("calibrating",)),
+    ("010004", [], ("calibration complete",)),
+    ("01000b", [], ("timeout",)),
+    ("010010", [], ("mode 16",)),
+    ("0100ff", [], ("mode -1",)),
+    ("010080", [], ("stop",)),  # "not given"
+    ("0d20" + "0000003f", [], ("write 020",)),
+    ("0d01" + "0000003f", [], ("write 001",)),
+    ("0db002" + "00000000", [Zero("m")], ("write 130",)),
+    ("0db102" + "00000000", [Zero("m")], ("write 131",)),
+    ("0db102" + "5f708930", [Zero("m")], ("write 131",)),  # just less than 1e-9
+    ("0db102" + "5f7089b0", [Zero("m")], ("write 131",)),
+    ("0db102" + "ad708930", [parameter("set_output_exact", 1.0000070e-09)], ("write 131",)),
+    ("0db102" + "0000c0bf", [parameter("set_output_exact", -1.5)], ("write 131",)),
+    ("0db002" + "0000c0bf", [parameter("set_output_nearest", -1.5)], ("write 130",)),
+    ("0db002" + "0000c07f", [], ("write 130",)),
+    ("0db102" + "0000c07f", [], ("write 131",)),
+    ("01b20201", [parameter("require_reindex", 1.0)], ("write 132",)),
+    ("01b20280", [parameter("require_reindex", 0.0)], ("write 132",)),
+    ("01b30202", [parameter("recapture_position_velocity", 2.0)], ("write 133",)),
+    ("0eb102" + "00000000" + "0000803f", [Zero("m"), parameter("require_reindex", 1.0)], ("write 131 132",)),
+    ("010000" + "0db102" + "00000000", [Idle("m"), Zero("m")], ("stop 131",)),
+    ("0db102" + "00000000" + "010000", [Idle("m"), Zero("m")], ("stop 131",)),
+    ("11001f0111", [], ()),  # cut off
+    ("11001f01110f", [], ("read",)),
+    ("210000", [], ()),
+    ("420130", [], ("console: read",)),
+    ("410101" + "0a", [], ("console: read",)),
+    (line("conf write"), [parameter("conf_write", 1.0)], ("console: conf write",)),
+    (line("conf write x"), [], ("console: conf write",)),
+    (line("conf get id.id"), [], ("console: conf get",)),
+    (line("conf set id.id 9"), [SetId("", SERIAL, 9)], ("console: conf set id.id",)),
+    (line("  conf   set id.id 9 "), [SetId("", SERIAL, 9)], ("console: conf set id.id",)),
+    (line("conf set id.id 1"), [SetId("", SERIAL, 1)], ("console: conf set id.id",)),
+    (line("conf set id.id 126"), [SetId("", SERIAL, 126)], ("console: conf set id.id",)),
+    (line("conf set id.id 0"), [], ("console: conf set id.id",)),
+    (line("conf set id.id 127"), [], ("console: conf set id.id",)),
+    (line("conf set id.id x"), [], ("console: conf set id.id",)),
+    (line("conf set id.id"), [], ("console: conf set id.id",)),
+    (line("conf set id.id 9 9"), [], ("console: conf set id.id",)),
+    (line("conf set can.prefix 9"), [], ("console: conf set can.prefix",)),
+    (line("tel stop"), [], ("console: tel stop",)),
+    ("40020b" + b"conf write\n".hex(), [], ("console: conf write",)),  # another channel
+    (
+        line("conf write\rconf set id.id 9"),
+        [parameter("conf_write", 1.0), SetId("", SERIAL, 9)],
+        ("console: conf write",),
+    ),
+    (line("conf set id.id 9") + line("conf write"), [SetId("", SERIAL, 9), parameter("conf_write", 1.0)],
+     ("console: conf set id.id", "console: conf write")),
+    (
+        "010000" + line("conf write") + "0db102" + "00000000",
+        [Idle("m"), parameter("conf_write", 1.0), Zero("m")],
+        ("stop 131", "console: conf write"),
+    ),
+    ("010000" + "60", [Idle("m")], ()),  # what stands before the flaw is obeyed
+    ("010000" + "0d200000", [Idle("m")], ()),
+    ("01000a" + "0e20" + "0000003f" + "0000", [Position("m", 0.5 * tau)], ()),
+    ("60" + "010000", [], ()),
+    ("50" + "010000" + "5050", [Idle("m")], ("stop",)),
+    ("210000" + "010000", [Idle("m")], ()),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("data", "words", "said"), OBEYED, ids=[row[0] for row in OBEYED])
+def test_a_device_obeys_bytes_as_in_vectors(
+    data: str, words: list[Command | Request], said: tuple[str, ...]
+) -> None:
+    for identifier in (5, 0x8005, 0x8305, 0x7F):
+        ear = MoteusEar([device("m", 5, Settings(uuid=UUID.hex()))])
+        heard = ear.hear(0, frame(data, identifier))
+        assert [_texts(word) for word in heard] == [_texts(word) for word in words]
+        expected = [number for word in words for number in _numbers(word)]
+        told = [number for word in heard for number in _numbers(word)]
+        assert told == pytest.approx(expected, rel=1e-6, abs=1e-12)
+        assert names(frame(data, identifier)) == said
+
+
+def _values(word: Command | Request) -> list[str | float]:
+    return [getattr(word, name) for name in word.__slots__]
+
+
+def _texts(word: Command | Request) -> list[str]:
+    return [type(word).__name__, *(value for value in _values(word) if isinstance(value, str))]
+
+
+def _numbers(word: Command | Request) -> list[float]:
+    return [value for value in _values(word) if not isinstance(value, str)]
+
+
+OTHERS: list[Wire] = [
+    bytes.fromhex("010000"),
+    CanFrame(5, bytes.fromhex("010000"), False, True, True),
+    frame("010000", 6),
+    frame("010000", 0x85),
+    frame("010000", 0x0500),
+    frame("010000", 0x1_0005),
+    frame("010000", 0x1ABC_8005),
+]
+
+
+@pytest.mark.parametrize("wire", OTHERS, ids=str)
+def test_what_is_for_others_beside_vectors(wire: Wire) -> None:
+    ear = MoteusEar([device("m", 5)])
+    assert ear.hear(0, wire) == []
+
+
+def test_who_obeys_beside_vectors() -> None:
+    far = device("far", 5, options=Options(can_prefix=0x1ABC))
+    ear = MoteusEar([device("m", 5), device("n", 6), far])
+    assert ear.hear(0, frame("010000", 0x7F)) == [Idle("m"), Idle("n")]
+    assert ear.hear(0, frame("010000", 0x1ABC_807F)) == [Idle("far")]
+    assert ear.hear(0, CanFrame(6, bytes.fromhex("010000"), True, False, False)) == [Idle("n")]
+
+
+def test_pieces_of_a_console_line_beside_vectors() -> None:
+    whole = b"x" * 300 + b"\nconf write\r\nconf set id.id 7\n"
+    ear = MoteusEar([device("m", 5, Settings(uuid=UUID.hex()))])
+    heard = [w for byte in whole for w in ear.hear(0, frame(f"400101{byte:02x}"))]
+    assert heard == [parameter("conf_write", 1.0), SetId("", SERIAL, 7)]
+    assert ear.hear(0, frame("010000", 5)) == []
+    assert ear.hear(0, frame("010000", 7)) == [Idle("m")]
+    long = b"conf write" + b" " * 246 + b"conf write"
+    again = [w for byte in long for w in ear.hear(0, frame(f"400101{byte:02x}", 7))]
+    assert again == []
+    assert ear.hear(0, frame("4001010a", 7)) == [parameter("conf_write", 1.0)]  # of 256 bytes, the last
+
+
+MASK = "0ad402" + UUID[:8].hex()
+"""The first half of a UUID, as two int32."""
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (MASK + "010000", [Idle("m")]),
+        ("09d402" + UUID[:4].hex() + "010000", [Idle("m")]),
+        ("09d702" + UUID[12:].hex() + "010000", [Idle("m")]),
+        ("0804d402" + UUID.hex() + "010000", [Idle("m")]),
+        ("0ad602" + UUID[8:].hex() + "010000", [Idle("m")]),
+        ("0ad402" + UUID[:4].hex() + "ffffffff" + "010000", []),
+        ("09d702" + "ffffffff" + "010000", []),
+        ("010000" + "09d702" + "ffffffff" + "0db102" + "00000000", [Idle("m")]),  # up to the mask
+        ("0dd402" + "00000000" + "010000", []),  # a mask is int32
+        ("01d402" + "01" + "010000", []),
+        ("09d302" + "ffffffff" + "010000", [Idle("m")]),
+        ("09d802" + "ffffffff" + "010000", [Idle("m")]),
+        (MASK + line("conf set id.id 9"), [SetId("", SERIAL, 9)]),
+    ],
+)
+def test_masks_of_uuids_beside_vectors(data: str, words: list[Command | Request]) -> None:
+    ear = MoteusEar([device("m", 5, Settings(uuid=UUID.hex())), device("n", 6, Settings(uuid="f" * 32))])
+    assert [word for word in ear.hear(0, frame(data, 0x7F)) if "n" not in _texts(word)] == words
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (MASK + line("conf set id.id 9"), [SetId("", SERIAL, 9)]),
+        ("09d402" + UUID[:4].hex() + line("conf set id.id 9"), [SetId("", SERIAL >> 32 << 32, 9)]),
+        ("0804d402" + UUID.hex() + line("conf set id.id 9"), [SetId("", SERIAL, 9)]),
+        (MASK + line("conf set id.id 127"), []),
+        (MASK + line("conf write"), [parameter("conf_write", 1.0)]),
+        (line("conf set id.id 9"), [SetId("", 0, 9)]),
+    ],
+)
+def test_an_id_given_to_whom_it_concerns_beside_vectors(data: str, words: list[Command | Request]) -> None:
+    ear = MoteusEar([device("m", 5)])
+    assert ear.hear(0, frame(data, 0x7F)) == words
+    renamed = 9 if not data.startswith(("0ad4", "09d4", "0804")) else 5
+    assert ear.hear(0, frame("010000", renamed)) == [Idle("m")]
+
+
+@pytest.mark.parametrize(
+    ("data", "answer"),
+    [
+        # what is written to a device, and its complaint: register, and 1 unknown, 2 read only, 3 a bad value
+        ("010001", "300003"),
+        ("01000b", "300003"),
+        ("010010", "300003"),
+        ("010080", "300003"),
+        ("0d0100000000", "300102"),
+        ("0d0f00000000", "300f02"),
+        ("0d900200000000", "30900202"),
+        ("0d100000c07f", ""),
+        ("0d3f00000000", "303f01"),
+        ("0df03f00000000", "30f03f01"),
+        ("0d6000000000", "306001"),
+        ("0ad302000000000000000001b20201", "30d30202"),
+        ("09d80200000000", "30d80202"),
+        ("01b30201", ""),
+        ("0d480000803f" + "1d48", "2d480000803f"),
+        ("0d480000803f" + "1d2d", "2d2d0000803f"),
+        ("0d420000803f" + "1d22", "2d220000803f"),
+        ("0d430000003f" + "1d23", "2d230000003f"),
+        ("0d440000003f" + "1d24", "2d240000003f"),
+        ("0d450000003f" + "1d25", "2d250000003f"),
+        ("0d460000003f" + "1d27", "2d270000003f"),
+        ("0d470000003f" + "1d2b", "2d2b0000003f"),
+        ("0d400000003f" + "1e40", "2e400000003f00000000"),
+        ("1d24", "2d240000803f"),
+        ("1d25", "2d250000c07f"),
+        ("1d27", "2d2700000000"),
+        ("0c0620" + "0000803f" * 6 + "01000a" + "1c0620",
+         "2c0620" + "00000000" * 3 + "0000803f" * 2 + "0000c07f"),
+        ("010000" + "1c0726", "2c0726" + "0000c07f" + "00000000" + "0000c07f" * 3 + "0000803f" + "0000c07f"),
+        ("010000" + "1c0310" + "1c0314", "2f10" + "00000000" * 3 + "2f14" + "00000000" * 3),
+        ("010000" + "1c0718", "2c0718" + "00000000" * 7),
+    ],
+)  # fmt: skip
+def test_what_a_device_answers_beside_vectors(data: str, answer: str) -> None:
+    twin = MoteusTwin(device("m", 5, Settings(uuid="0" * 32)), 0)
+    twin.step(0, [Feedback("m", 0, 0.0, 0.0)])
+    twin.receive(MILLISECOND, frame(data, 0x8005))
+    _, (said,) = twin.step(2 * MILLISECOND, [Feedback("m", 0, 0.0, 0.0)])
+    assert isinstance(said, CanFrame)
+    assert said.data.rstrip(b"\x50") == bytes.fromhex(answer)
+    assert said.id == 0x500
