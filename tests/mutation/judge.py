@@ -65,7 +65,9 @@ def judged_by(language: Language) -> str:
     mutated = set(mutated_modules(language).values())
     own = [path for path in _sources(language.package) if path not in mutated]
     tests = _sources(language.tests) if language.tests else []
-    parts = [*room.glob("*.py"), *kit, *own, *(path for path in tests if "vector" in path.read_text("utf-8"))]
+    kept = _sources(language.tests, "*.txt") if language.tests else []  # conversations of vectors
+    told = [*(path for path in tests if "vector" in path.read_text("utf-8")), *kept]
+    parts = [*room.glob("*.py"), *kit, *own, *told]
     texts = [path.read_text("utf-8") for path in sorted(set(parts))]
     vectors = language.plugin().vectors
     if vectors:
@@ -73,9 +75,9 @@ def judged_by(language: Language) -> str:
     return digest(*texts, *(language.clauses or ()))
 
 
-def _sources(package: str) -> list[Path]:
+def _sources(package: str, names: str = "*.py") -> list[Path]:
     module = importlib.import_module(package)
-    return sorted(path for folder in module.__path__ for path in Path(folder).rglob("*.py"))
+    return sorted(path for folder in module.__path__ for path in Path(folder).rglob(names))
 
 
 def _clause(clause: Clause, case: Case) -> str:
