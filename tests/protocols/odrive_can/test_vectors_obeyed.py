@@ -1,0 +1,352 @@
+"""What ODrives obey, from vectors: frames as cantools encodes them with the vendor's DBC, and the words."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode
+from protocols.odrive_can.ear import OdriveEar
+from protocols.odrive_can.layout import FLOAT_MAX
+from protocols.odrive_can.messages import Ask, GetEncoderEstimates, SetInputPos, SetInputVel
+from protocols.odrive_can.messages05 import AskAdcVoltage
+from protocols.odrive_can.options import Options, Settings
+from protocols.plugin import Device
+from protocols.wire import CanFrame
+from protocols.words import (
+    ClearFault,
+    Estop,
+    Hold,
+    Home,
+    Idle,
+    Position,
+    Reboot,
+    SetId,
+    Torque,
+    Velocity,
+    Word,
+    WriteParameter,
+    Zero,
+)
+from tests.protocols.odrive_can.conversation import frame
+
+SERIAL = 0x385F34733330
+ROUND = math.tau
+Line = tuple[str, dict[str, Any], list[Word]]
+
+
+def ear(line: str = "0.6", **settings: Any) -> OdriveEar:
+    """Of left at node 3 and right at node 4."""
+    options = Options(firmware="0.5" if line == "0.5" else "0.6")
+    names = (("left", 3, SERIAL), ("right", 4, SERIAL + 1))
+    return OdriveEar(
+        [Device(name, node, options, Settings(serial, **settings)) for name, node, serial in names]
+    )
+
+
+def obeyed(listener: OdriveEar, line: str, said: Sequence[Line], node: int = 3) -> None:
+    """What each frame means, one after the other."""
+    for name, signals, words in said:
+        heard = listener.hear(0, frame(name, line, node, **signals))
+        assert list(heard) == words, name
+
+
+def setting(name: str, value: float) -> WriteParameter:
+    """A parameter of left's."""
+    return WriteParameter("left", name, value)
+
+
+COMMON: list[Line] = [
+    (
+        "Set_Limits",
+        {"Velocity_Limit": 2, "Current_Limit": 3},
+        [setting("Velocity_Limit", 2.0), setting("Current_Limit", 3.0)],
+    ),
+    (
+        "Set_Vel_Gains",
+        {"Vel_Gain": 2, "Vel_Integrator_Gain": 3},
+        [setting("Vel_Gain", 2.0), setting("Vel_Integrator_Gain", 3.0)],
+    ),
+    (
+        "Set_Traj_Accel_Limits",
+        {"Traj_Accel_Limit": 2, "Traj_Decel_Limit": 3},
+        [setting("Traj_Accel_Limit", 2.0), setting("Traj_Decel_Limit", 3.0)],
+    ),
+    ("Set_Pos_Gain", {"Pos_Gain": 4}, [setting("Pos_Gain", 4.0)]),
+    ("Set_Traj_Vel_Limit", {"Traj_Vel_Limit": 5}, [setting("Traj_Vel_Limit", 5.0)]),
+    ("Set_Traj_Inertia", {"Traj_Inertia": 6}, [setting("Traj_Inertia", 6.0)]),
+    # Disarmed it remembers, and says nothing.
+    ("Set_Input_Vel", {"Input_Vel": 1.5, "Input_Torque_FF": 0.5}, []),
+    ("Set_Axis_State", {"Axis_Requested_State": 0}, []),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [Velocity("left", 1.5 * ROUND, 0.5)]),
+    ("Set_Axis_State", {"Axis_Requested_State": 0}, []),
+    (
+        "Set_Input_Vel",
+        {"Input_Vel": -0.25, "Input_Torque_FF": 0.125},
+        [Velocity("left", -0.25 * ROUND, 0.125)],
+    ),
+    ("Set_Controller_Mode", {"Control_Mode": 1, "Input_Mode": 1}, [Torque("left", 0.125)]),
+    ("Set_Input_Torque", {"Input_Torque": -2}, [Torque("left", -2.0)]),
+    ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}, [Hold("left")]),
+    (
+        "Set_Input_Pos",
+        {"Input_Pos": 2.5, "Vel_FF": 0.5, "Torque_FF": 0.25},
+        [Position("left", 2.5 * ROUND, 0.5 * ROUND, 0.25)],
+    ),
+    (
+        "Set_Controller_Mode",
+        {"Control_Mode": 3, "Input_Mode": 1},
+        [Position("left", 2.5 * ROUND, 0.5 * ROUND, 0.25)],
+    ),
+    ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 0}, []),
+    ("Set_Controller_Mode", {"Control_Mode": 0, "Input_Mode": 1}, []),
+    ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}, [Hold("left")]),
+    ("Set_Input_Pos", {"Input_Pos": 1}, [Position("left", ROUND)]),
+    ("Set_Axis_State", {"Axis_Requested_State": 1}, [Idle("left")]),
+    ("Set_Input_Pos", {"Input_Pos": 2}, []),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [Hold("left")]),
+    ("Set_Axis_State", {"Axis_Requested_State": 11}, [Home("left")]),
+    ("Set_Input_Pos", {"Input_Pos": 2}, []),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [Hold("left")]),
+]
+"""A day of both lines; it ends holding."""
+
+
+@pytest.mark.parametrize("line", ["0.5", "0.6"])
+def test_vectors_of_a_day_of_either_line(line: str) -> None:
+    listener = ear(line)
+    obeyed(listener, line, COMMON)
+    again: list[Word] = [Hold("left")] if line == "0.5" else [Position("left", 3 * ROUND)]
+    obeyed(
+        listener,
+        line,
+        [
+            ("Set_Input_Pos", {"Input_Pos": 3}, [Position("left", 3 * ROUND)]),
+            ("Set_Axis_State", {"Axis_Requested_State": 8}, again),
+        ],
+    )
+
+
+DISARMS: list[Line] = [("Set_Input_Vel", {"Input_Vel": 1}, [])]
+ARMS: list[Line] = [("Set_Axis_State", {"Axis_Requested_State": 8}, [Velocity("left", ROUND)])]
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "word"),
+    [
+        ("Estop", "0.6", Estop("left")),
+        ("Reboot", "0.6", Reboot("left")),
+        ("Enter_DFU_Mode", "0.6", Reboot("left")),
+        ("Reboot", "0.5", Reboot("left")),
+    ],
+)
+def test_vectors_of_what_disarms(name: str, line: str, word: Word) -> None:
+    listener = ear(line)
+    obeyed(listener, line, [*DISARMS, *ARMS, (name, {}, [word]), *DISARMS, *ARMS])
+
+
+def test_vectors_of_0_6_alone() -> None:
+    obeyed(
+        ear(),
+        "0.6",
+        [
+            ("Set_Absolute_Position", {"Position": 0}, [Zero("left")]),
+            ("Set_Absolute_Position", {"Position": 1.25}, [setting("Position", 1.25 * ROUND)]),
+            ("Clear_Errors", {}, [ClearFault("left")]),
+            ("RxSdo", {"Opcode": 1, "Endpoint_ID": 291, "Value": 7}, [setting("endpoint 291", 7.0)]),
+            ("RxSdo", {"Opcode": 0, "Endpoint_ID": 291, "Value": 7}, []),
+        ],
+    )
+
+
+def test_vectors_of_0_5_alone() -> None:
+    obeyed(
+        ear("0.5"),
+        "0.5",
+        [
+            ("Set_Linear_Count", {"Position": 0}, [Zero("left")]),
+            ("Set_Linear_Count", {"Position": -5}, [setting("Linear_Count", -5.0)]),
+            ("Start_Anticogging", {}, [Home("left")]),
+            ("Clear_Errors", {}, [ClearFault("left")]),
+            ("Set_Axis_Node_ID", {"Axis_Node_ID": 9}, [SetId("", SERIAL, 9)]),
+            ("Clear_Errors", {}, []),
+        ],
+    )
+
+
+def test_vectors_of_a_board_with_two_axes() -> None:
+    options = Options(firmware="0.5")
+    pairs = (("left", 3, 4), ("right", 4, 3), ("far", 9, -1))
+    listener = OdriveEar(
+        [Device(name, node, options, Settings(node, other_axis=other)) for name, node, other in pairs]
+    )
+    assert listener.hear(0, frame("Clear_Errors", "0.5")) == [ClearFault("left"), ClearFault("right")]
+    assert listener.hear(0, frame("Reboot", "0.5", 4)) == [Reboot("left"), Reboot("right")]
+    assert listener.hear(0, frame("Reboot", "0.5", 9)) == [Reboot("far")]
+    assert listener.hear(0, frame("Set_Axis_State", "0.5", 4, Axis_Requested_State=1)) == [Idle("right")]
+    assert listener.hear(0, frame("Set_Axis_Node_ID", "0.5", 4, Axis_Node_ID=7)) == [SetId("", 4, 7)]
+    assert listener.hear(0, frame("Clear_Errors", "0.5", 4)) == []
+    assert listener.hear(0, frame("Clear_Errors", "0.5", 7)) == [ClearFault("left"), ClearFault("right")]
+    assert listener.hear(0, frame("Clear_Errors", "0.5", 0x3F)) == []
+
+
+def test_vectors_of_extended_identifiers() -> None:
+    options = Options(firmware="0.5", is_extended=True)
+    pairs = (("left", 3, 0x30004), ("right", 0x30004, 3))
+    listener = OdriveEar(
+        [Device(name, node, options, Settings(node, other_axis=other)) for name, node, other in pairs]
+    )
+    both = [ClearFault("left"), ClearFault("right")]
+    assert listener.hear(0, frame("Clear_Errors", "0.5")) == []
+    assert listener.hear(0, frame("Clear_Errors", "0.5", extended=True)) == both
+    assert listener.hear(0, frame("Clear_Errors", "0.5", 0x30004, extended=True)) == both
+    renames = frame("Set_Axis_Node_ID", "0.5", 3, True, Axis_Node_ID=0x50005)
+    assert listener.hear(0, renames) == [SetId("", 3, 0x50005)]
+    assert listener.hear(0, frame("Clear_Errors", "0.5", 0x50005, extended=True)) == both
+    assert listener.hear(0, frame("Clear_Errors", "0.5", 3, extended=True)) == []
+
+
+def given(serial: int, node: int, to: int = 0x3F) -> CanFrame:
+    """A node id given out, as vector assign_node_id_5 has it."""
+    return CanFrame(to << 5 | 6, bytes([node]) + serial.to_bytes(6, "little"))
+
+
+def test_vectors_of_node_ids_that_are_given_out() -> None:
+    listener = ear()
+    assert listener.hear(0, given(SERIAL, 5, to=3)) == []
+    assert listener.hear(0, given(SERIAL, 0x40)) == []
+    assert listener.hear(0, given(SERIAL + 9, 6)) == []
+    assert listener.hear(0, given(SERIAL, 5)) == [SetId("", SERIAL, 5)]
+    assert listener.hear(0, frame("Clear_Errors", node=3)) == []
+    assert listener.hear(0, frame("Clear_Errors", node=5)) == [ClearFault("left")]
+    # Who holds an id that another is given vacates it.
+    assert listener.hear(0, given(SERIAL, 4)) == [SetId("", SERIAL, 4), SetId("", SERIAL + 1, 0x3F)]
+    assert listener.hear(0, frame("Set_Pos_Gain", node=4, Pos_Gain=1)) == [setting("Pos_Gain", 1.0)]
+    assert listener.hear(0, given(SERIAL, 0x3F)) == [SetId("", SERIAL, 0x3F)]
+    assert listener.hear(0, given(SERIAL + 9, 0x3F)) == []
+    assert listener.hear(0, frame("Clear_Errors", node=0x3F)) == [ClearFault("left"), ClearFault("right")]
+    assert listener.hear(0, frame("Reboot", node=0x3F)) == [Reboot("left"), Reboot("right")]
+    assert listener.hear(0, frame("Estop", node=9)) == []
+
+
+@pytest.mark.parametrize(
+    ("wire", "line"),
+    [
+        (CanFrame(0x67, b"\1\0\0\0", remote=False), "0.6"),
+        (CanFrame(0x67, b"\1"), "0.6"),
+        (CanFrame(0x67, b"\1\0\0\0"), "0.5"),
+    ],
+)
+def test_vectors_of_short_frames_are_read_as_if_zeros_followed(wire: CanFrame, line: str) -> None:
+    """As vendor hosts send Set_Axis_State, with 4 bytes."""
+    assert ear(line).hear(0, wire) == [Idle("left")]
+
+
+@pytest.mark.parametrize(
+    ("wire", "line", "words"),
+    [
+        (CanFrame(0x67, b"\1\0\0\0\0\0\0\0", fd=True), "0.6", []),
+        (CanFrame(0x67, b"\1\0\0\0\0\0\0\0\0"), "0.6", []),
+        (CanFrame(0x67, remote=True), "0.6", []),
+        (CanFrame(0x76, remote=True), "0.6", []),
+        (CanFrame(0x76, remote=True), "0.5", [Reboot("left")]),
+        (CanFrame(0x66, remote=True), "0.5", [SetId("", SERIAL, 0)]),
+        (CanFrame(0x7D, b"\1\0"), "0.5", []),
+        (CanFrame(0x74), "0.6", []),
+    ],
+)
+def test_vectors_of_frames_of_other_kinds(wire: CanFrame, line: str, words: list[Word]) -> None:
+    assert ear(line).hear(0, wire) == words
+
+
+# -- numbers at their edges, packed by struct -----------------------------------------------------------
+
+TINY = 2.0**-126
+BELOW = math.nextafter(TINY, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "carried"),
+    [
+        (0.0, 0.0),
+        (-0.0, 0.0),
+        (TINY, TINY),
+        (-TINY, -TINY),
+        (BELOW, 0.0),
+        (-BELOW, 0.0),
+        (FLOAT_MAX, FLOAT_MAX),
+        (-FLOAT_MAX, -FLOAT_MAX),
+        (1e39, FLOAT_MAX),
+        (-1e39, -FLOAT_MAX),
+    ],
+)
+def test_vectors_of_numbers_at_the_edges_of_binary32(said: float, carried: float) -> None:
+    both = (struct.pack("<ff", carried, 1.0), struct.pack("<ff", 1.0, carried))
+    assert (encode(3, SetInputVel(said, 1.0)).data, encode(3, SetInputVel(1.0, said)).data) == both
+    assert encode(3, SetInputPos(said, 0.0, 0.0)).data == struct.pack("<fhh", carried, 0, 0)
+    if abs(said) <= FLOAT_MAX and said != BELOW and said != -BELOW:
+        told = decode_from_device(CanFrame(0x69, both[0])), decode_from_device(CanFrame(0x69, both[1]))
+        assert told == (GetEncoderEstimates(carried, 1.0), GetEncoderEstimates(1.0, carried))
+        assert decode_to_device(CanFrame(0x6C, struct.pack("<fhh", said, 0, 0))) == SetInputPos(carried, 0, 0)
+
+
+@pytest.mark.parametrize("bits", [0x007FFFFF, 0x807FFFFF, 1, 0x80000001, 0x80000000])
+def test_vectors_of_denormals(bits: int) -> None:
+    tiny, one = struct.pack("<I", bits), struct.pack("<f", 1.0)
+    for data, wanted in ((tiny + one, (0.0, 1.0)), (one + tiny, (1.0, 0.0))):
+        told = decode_from_device(CanFrame(0x69, data))
+        assert told == GetEncoderEstimates(*wanted)
+        assert isinstance(told, GetEncoderEstimates)
+        assert math.copysign(1.0, told.position) == math.copysign(1.0, told.velocity) == 1.0
+    said = decode_to_device(CanFrame(0x6C, tiny + bytes(4)))
+    assert isinstance(said, SetInputPos)
+    assert math.copysign(1.0, said.position) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("feed", "count"),
+    [
+        (32.767, 32767),
+        (32.768, 32767),
+        (1e9, 32767),
+        (-32.768, -32768),
+        (-32.769, -32768),
+        (-1e9, -32768),
+        (0.0006, 1),
+        (-0.0006, -1),
+        (0.0004, 0),
+    ],
+)
+def test_vectors_of_feed_forwards_that_saturate(feed: float, count: int) -> None:
+    assert encode(3, SetInputPos(0.0, feed, 0.0)).data == struct.pack("<fhh", 0.0, count, 0)
+    assert encode(3, SetInputPos(0.0, 0.0, feed)).data == struct.pack("<fhh", 0.0, 0, count)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_vectors_of_what_is_not_finite_are_no_messages(value: float) -> None:
+    bad, good = struct.pack("<f", value), struct.pack("<f", 1.0)
+    for cmd in (0x09, 0x14, 0x17):
+        assert decode_from_device(CanFrame(0x60 | cmd, bad + good)) is None
+        assert decode_from_device(CanFrame(0x60 | cmd, good + bad)) is None
+    for cmd in (0x0C, 0x0D, 0x0E, 0x11):
+        assert decode_to_device(CanFrame(0x60 | cmd, bad + bytes(4))) is None
+    for message in (SetInputVel(value, 0.0), SetInputVel(0.0, value), SetInputPos(value, 0.0, 0.0)):
+        with pytest.raises(ValueError, match="finite"):
+            encode(3, message)
+    for message in (SetInputPos(0.0, value, 0.0), SetInputPos(0.0, 0.0, value)):
+        with pytest.raises(ValueError, match="finite"):
+            encode(3, message)
+
+
+def test_vectors_of_questions() -> None:
+    assert decode_to_device(CanFrame(0x77, remote=True)) == Ask(0x17)
+    assert decode_to_device(CanFrame(0x77)) == Ask(0x17)
+    assert decode_to_device(CanFrame(0x61, remote=True)) == Ask(0x01)
+    assert decode_to_device(CanFrame(0x61, remote=True), "0.5") is None
+    assert decode_to_device(CanFrame(0x7D, b"\1"), "0.5") == Ask(0x1D)
+    assert decode_to_device(CanFrame(0x7D, b"\1")) is None
+    assert decode_to_device(CanFrame(0x7C, remote=True), "0.5") == AskAdcVoltage(0)
