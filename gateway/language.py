@@ -150,28 +150,35 @@ def _motor_or_all(text: str, robot: Robot) -> str:
     return text if text == ALL else _name("motor", text, [*robot.motors, ALL])
 
 
-def _needs_body(robot: Robot, body: str) -> None:
-    if robot.brain.body == body:
-        return
-    if body == "joints":
-        raise _Wrong(
-            f"the motors of {robot.name!r} belong to its body ({robot.brain.body}): say goal or drive"
-        )
-    raise _Wrong(f"{robot.name!r} is bare joints and goes nowhere: say position, velocity or torque")
+def _bare_joint(text: str, robot: Robot) -> str:
+    """A motor that is no wheel of a base."""
+    base = robot.brain.differential if robot.brain.body == "differential" else None
+    wheels = () if base is None else (base.left, base.right)
+    joints = [name for name in robot.motors if name not in wheels]
+    if not joints:
+        raise _Wrong(f"the motors of {robot.name!r} are the wheels of its base: say goal or drive")
+    if text in wheels:
+        raise _Wrong(f"{text!r} is a wheel: say goal or drive; bare joints are {', '.join(joints)}")
+    return _name("bare joint", text, joints)
+
+
+def _needs_base(robot: Robot) -> None:
+    if robot.brain.body != "differential":
+        raise _Wrong(f"{robot.name!r} is bare joints and goes nowhere: say position, velocity or torque")
 
 
 # -- the words ---------------------------------------------------------------------------------
 
 
 def _goal(args: Args, robot: Robot) -> Goal:
-    _needs_body(robot, "differential")
+    _needs_base(robot)
     _count(args, 2, 3)
     yaw = _angle(args[2], "deg") if len(args) == 3 else None
     return Goal(_number(args[0]), _number(args[1]), yaw)
 
 
 def _drive(args: Args, robot: Robot) -> Drive:
-    _needs_body(robot, "differential")
+    _needs_base(robot)
     _count(args, 2)
     return Drive(_number(args[0]), _number(args[1]))
 
@@ -186,25 +193,22 @@ def _release(args: Args, _: Robot) -> Release:
 
 
 def _position(args: Args, robot: Robot) -> Position:
-    _needs_body(robot, "joints")
     _count(args, 2)
-    return Position(_motor(args[0], robot), _angle(args[1], "rad"))
+    return Position(_bare_joint(args[0], robot), _angle(args[1], "rad"))
 
 
 def _value(kind: type[Velocity] | type[Torque]) -> Make:
     def make(args: Args, robot: Robot) -> Asked:
-        _needs_body(robot, "joints")
         _count(args, 2)
-        return kind(_motor(args[0], robot), _number(args[1]))
+        return kind(_bare_joint(args[0], robot), _number(args[1]))
 
     return make
 
 
 def _at_rest(kind: type[Idle] | type[Hold]) -> Make:
     def make(args: Args, robot: Robot) -> Asked:
-        _needs_body(robot, "joints")
         _count(args, 1)
-        return kind(_motor(args[0], robot))
+        return kind(_bare_joint(args[0], robot))
 
     return make
 

@@ -47,6 +47,8 @@ from protocols.words import (
 
 DIFFBOT = load(shipped.find("robots", "diffbot"))
 BENCH = load(shipped.find("robots", "bench"))
+MIXED = load(shipped.find("robots", "diffbot_mixed"))
+"""A base that carries a mast."""
 
 # -- the language ------------------------------------------------------------------------------
 
@@ -75,6 +77,8 @@ LINES: list[tuple[Robot, str, Asked | Query | None]] = [
     (DIFFBOT, "write left vel_gain 0.2", WriteParameter("left", "vel_gain", 0.2)),
     (BENCH, "position left -1.5", Position("left", -1.5)),
     (BENCH, "position left 90deg", Position("left", math.pi / 2)),
+    (MIXED, "position mast 90deg", Position("mast", math.pi / 2)),
+    (MIXED, "hold mast", Hold("mast")),
     (BENCH, "velocity right 3", Velocity("right", 3.0)),
     (BENCH, "torque right 0.5", Torque("right", 0.5)),
     (BENCH, "idle left", Idle("left")),
@@ -124,12 +128,10 @@ WRONG: list[tuple[Robot, str, str]] = [
     (DIFFBOT, "setid can0 xyz 1", "'xyz' is not a hexadecimal integer"),
     (DIFFBOT, "setid can0 12 1.5", "'1.5' is not an integer"),
     (DIFFBOT, "setid can0 12 -1", "'-1' is negative"),
-    (
-        DIFFBOT,
-        "velocity left 1",
-        "the motors of 'diffbot' belong to its body (differential): say goal or drive",
-    ),
-    (DIFFBOT, "idle left", "belong to its body"),
+    (DIFFBOT, "velocity left 1", "the motors of 'diffbot' are the wheels of its base: say goal or drive"),
+    (DIFFBOT, "idle left", "are the wheels of its base"),
+    (MIXED, "position left 1", "'left' is a wheel: say goal or drive; bare joints are mast"),
+    (MIXED, "torque mats 1", "no bare joint 'mats': there is mast; did you mean 'mast'?"),
     (BENCH, "goal 1 2", "'bench' is bare joints and goes nowhere: say position, velocity or torque"),
     (BENCH, "drive 1 2", "'bench' is bare joints"),
     (BENCH, "torque left nan", "'nan' is not a finite number"),
@@ -145,7 +147,7 @@ def test_a_wrong_line_gets_a_sentence(robot: Robot, line: str, said: str) -> Non
 
 
 @given(
-    st.sampled_from([DIFFBOT, BENCH]),
+    st.sampled_from([DIFFBOT, BENCH, MIXED]),
     st.text(max_size=60) | st.lists(st.sampled_from(list(FORMS))).map(" ".join),
 )
 def test_no_line_raises_and_no_number_is_not_finite(robot: Robot, line: str) -> None:

@@ -28,6 +28,8 @@ class Robot:
     """Of the frames that go out: True is CAN FD."""
     ids: int
     """So many ids, at least, are ours alone."""
+    then: tuple[tuple[str, str], ...] = ()
+    """What is asked when it has arrived, and what is said to that."""
 
 
 ROVERS = [
@@ -39,7 +41,7 @@ ROVERS = [
 LANGUAGES = [
     Robot("rover_cia402", 0, frozenset({False}), 4),
     Robot("rover_moteus", 0, frozenset({True}), 2),
-    Robot("rover_mixed", 0, frozenset({False, True}), 6),
+    Robot("rover_mixed", 0, frozenset({False, True}), 6, (("velocity arm 1", "arm: armed"),)),
 ]
 
 
@@ -67,6 +69,9 @@ def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         rover(folder, robot.bitrate, ends, *asked, name=robot.name) as (run, twin),
     ):
         run.until("goal 1 reached", patience=60.0)
+        for line, seen in robot.then:
+            run.ask(robot.name, line)
+            run.until(seen)
         status = run.end()
         twin.end()
         print(run.text, twin.text)
