@@ -148,6 +148,11 @@ OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
     ("60" + "010000", [], ()),
     ("50" + "010000" + "5050", [Idle("m")], ("stop",)),
     ("210000" + "010000", [Idle("m")], ()),
+    (
+        "0db102" + "00000000" + line("conf write"),
+        [Zero("m"), parameter("conf_write", 1.0)],
+        ("write 131", "console: conf write"),
+    ),
 ]  # fmt: skip
 
 
