@@ -1,16 +1,17 @@
 """Requests are answered: each once, under its own name, with a reason if it is refused, and in whole words.
 
 Rules. Asked are the requests that the spec lists, of alpha, then of alpha and beta at once, and those that it
-does not list, which must be refused. Parameters have the names that the ear hears in the plugin's vectors. A
-word is whole if each of its fields is of the kind that `protocols.words` declares, if it is about a device
-that there is, and if its time has come.
+does not list, which must be refused; at last all at once of an alpha that has fallen silent, by a host that
+calls its driver only when that is due: what nobody answers is given up. Parameters have the names that the
+ear hears in the plugin's vectors. A word is whole if each of its fields is of the kind that `protocols.words`
+declares, if it is about a device that there is, and if its time has come.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from enum import Enum
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -18,10 +19,12 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from protocols.conformance import rehearsal as play
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
 from protocols.conformance.rehearsal import NAMES, START, Rehearsal, Said
+from protocols.conformance.trouble import scene
 from protocols.plugin import Device
 from protocols.vectors import vectors_of
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
+    MILLISECOND,
     ClearFault,
     Done,
     Estop,
@@ -45,6 +48,10 @@ KNOWN = 1200
 """Steps after which a driver knows its devices."""
 PATIENCE = 8000
 """Steps in which a request must be answered, but for Home, which may take a way."""
+RESTART = 4000
+"""Steps more that a device may be awaited after Reboot."""
+OVERDUE: Nanos = 20 * MILLISECOND
+"""What is due may wait for its turn so long, where the driver is called each millisecond."""
 AFTER = 60
 """Steps in which nothing may be answered a second time."""
 NOBODY = 987_654_321
@@ -63,6 +70,8 @@ def requests_are_answered(case: Case) -> Verdict:
         for word in (*said.events, *said.heard):
             if wrong := broken(word, said.now):
                 return Failure(wrong, said.down, (word,))
+        if said.due[0] is not None and said.due[0] < said.now - OVERDUE:
+            return Failure(f"called at {said.now}, the driver says it was due at {said.due[0]}", said.down)
     if not case.spec.requests:
         return Inapplicable("the spec lists no requests")
     stage = case.start()
@@ -72,7 +81,20 @@ def requests_are_answered(case: Case) -> Verdict:
         failure = _answered(stage, words, found, case)
         if failure:
             return failure
-    return None
+    return _given_up(case)
+
+
+def _given_up(case: Case) -> Failure | None:
+    """None if all that is asked of a silent device is answered by the driver."""
+    on = scene(case, len(NAMES))
+    on.stage.steps(KNOWN)
+    on.cables[ALPHA].up = on.cables[ALPHA].down = False
+    on.stage.step()
+    on.host.lazy = True
+    kinds = [kind for kind in by_name(case.spec.requests) if kind in ALL_REQUESTS]
+    words = tuple(_request(kind, ALPHA) for kind in kinds if case.usual or kind is not Reboot)
+    failure = _answered(on.stage, words, [], case)
+    return replace(failure, text=f"{ALPHA} is silent: {failure.text}") if failure else None
 
 
 def _asked(case: Case, found: list[Found]) -> Iterator[tuple[Request, ...]]:
@@ -138,7 +160,8 @@ def _listeners(case: Case) -> Iterator[tuple[frozenset[int], Device]]:
 def _answered(stage: Rehearsal, words: tuple[Request, ...], found: list[Found], case: Case) -> Failure | None:
     """None if each of these requests, said in one step, is answered once, and nothing else is."""
     open_, wires, heard = list(words), list[Wire](), list[Word]()
-    for count in range(PATIENCE):
+    patience = PATIENCE + (RESTART if any(isinstance(word, Reboot) for word in words) else 0)
+    for count in range(patience):
         said = stage.step(words if count == 0 else ())
         wires += [*said.down, *said.up] if len(wires) < 4 else []
         heard += said.heard
@@ -150,7 +173,7 @@ def _answered(stage: Rehearsal, words: tuple[Request, ...], found: list[Found], 
             break
     late = [word for word in open_ if not isinstance(word, Home)]
     if late:
-        return Failure(f"not answered in {PATIENCE} ms", tuple(wires[:4]), tuple(late[:1]))
+        return Failure(f"not answered in {patience} ms", tuple(wires[:4]), tuple(late[:1]))
     for said in stage.steps(AFTER):
         failure = _sorted_out(said, [], words, case)
         if failure:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from protocols.conformance.answers import broken
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Said
 from protocols.conformance.trouble import (
@@ -86,6 +87,9 @@ def _silent(on: Scene, last: Nanos, words: Words, what: str) -> Failure | None:
         made_up = [e for e in named(said.events) if isinstance(e, Feedback)]
         if made_up:
             return on.failure(f"{what} is told to measure something", on.host.sent, made_up[:1])
+        for event in said.events:
+            if wrong := broken(event, said.now):
+                return on.failure(f"{what}: {wrong}", (), [event])
         if BETA in on.offline:
             return on.failure(f"{what}: beta speaks, and is told to be offline too")
         told = on.offline.get(ALPHA)

@@ -9,7 +9,19 @@ from protocols.plain.driver import PlainDriver
 from protocols.plain.ear import PlainEar
 from protocols.plugin import Plugin
 from protocols.wire import Wire
-from protocols.words import Command, Done, Event, Nanos, Parameter, Refused, Request, WriteParameter
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Done,
+    Event,
+    Mode,
+    Nanos,
+    Parameter,
+    Refused,
+    Request,
+    State,
+    WriteParameter,
+)
 from tests.protocols.broken import Sent, motors
 
 
@@ -74,6 +86,31 @@ class OnlySaysDone(Alters):
         return [*events, *(Done(now, "WriteParameter", w.motor) for w in written)], wires
 
 
+class NeverGivesUp(PlainDriver):
+    """A driver that waits for ever for what a silent device does not answer."""
+
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
+        events, wires = super().send(now, words)
+        return [e for e in events if not (isinstance(e, Refused) and "no answer" in e.reason)], wires
+
+
+class DueLongAgo(PlainDriver):
+    """A driver that is due when a second of silence began."""
+
+    def due(self) -> Nanos | None:
+        due = super().due()
+        return None if due is None else due - 1000 * MILLISECOND
+
+
+class OfflineWithoutTime(Alters):
+    """Does not say when a device fell silent."""
+
+    def altered(self, event: Event) -> Sequence[Event]:
+        missing: Nanos = None  # type: ignore[assignment]  # what an untyped plugin may do
+        silent = isinstance(event, State) and event.mode is Mode.OFFLINE
+        return [replace(event, t=missing) if silent else event]
+
+
 class NoName(PlainEar):
     """The ear hears words for nobody."""
 
@@ -93,6 +130,9 @@ BROKEN_ANSWERS: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(AnswersForNobody), ("answers",)),
     (_driver(TellsText), ("answers",)),
     (_driver(OnlySaysDone), ("answers",)),
+    (_driver(NeverGivesUp), ("answers",)),
+    (_driver(DueLongAgo), ("answers",)),
+    (_driver(OfflineWithoutTime), ("answers", "blind")),
     (replace(motors, name=NoName.__name__, ear=NoName), ("answers",)),
 )
 """Each with all the clauses that find it."""
