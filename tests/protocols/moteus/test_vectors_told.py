@@ -1,4 +1,4 @@
-"""Bytes of a device, and what the driver tells and asks then: by length, register and moment."""
+"""Bytes of a device, and what the driver tells: measurements, modes, faults, by length and register."""
 
 from __future__ import annotations
 
@@ -7,45 +7,27 @@ from math import tau
 
 import pytest
 
-from protocols.moteus import RANGES
-from protocols.moteus.codec import decode, reply_id, single
-from protocols.moteus.driver import MoteusDriver
+from protocols.moteus.codec import decode, single
 from protocols.moteus.faults import FAULTS
-from protocols.moteus.options import Options, serial_of
-from protocols.wire import BusState, CanFrame, Wire
+from protocols.moteus.options import Options
+from protocols.wire import CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
-    SECOND,
     ClearFault,
-    Command,
     Done,
     Event,
     Fault,
     Feedback,
-    Found,
     Hold,
-    Idle,
     Mode,
-    Nanos,
-    Position,
-    ReadParameter,
     Refused,
     Release,
-    Request,
-    Scan,
-    SetId,
     State,
-    Stop,
-    Torque,
     Velocity,
     Zero,
 )
-from tests.protocols.moteus.from_package import UUID
-from tests.protocols.moteus.helpers import device
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import talk, told
-
-QUARTER = ("0000803e", 0.25 * tau)
 
 
 def frame(data: str, identifier: int = 0x500) -> CanFrame:
@@ -218,100 +200,15 @@ def test_numbers_at_the_end_of_binary32_beside_vectors() -> None:
     ]
 
 
-# -- silence and questions -----------------------------------------------------------------------------
+def later(it: Talk) -> list[Event]:
+    """Five milliseconds on."""
+    it.now += 5 * MILLISECOND
+    return list(it.driver.send(it.now, ())[0])
 
 
-def moments(
-    options: Options, hears: bool, *, milliseconds: int, start: Nanos = 1000 * SECOND
-) -> tuple[list[tuple[int, str]], list[Event]]:
-    """When a driver asks what by itself, sending whenever it is due."""
-    driver = MoteusDriver([device(address=5, options=options)], RANGES)
-    now = start
-    asked, events = list[tuple[int, str]](), list[Event]()
-    while now < start + milliseconds * MILLISECOND:
-        told_, wires = driver.send(now, ())
-        events += told_
-        asked += [((now - start) // MILLISECOND, w.data.hex()) for w in wires if isinstance(w, CanFrame)]
-        if hears and wires:
-            events += driver.receive(now, VECTORS["reply_stopped"])
-        due = driver.due()
-        assert due is not None
-        assert due > now
-        now = due
-    return asked, events
+# -- modes and faults --------------------------------------------------------------------------------
 
-
-FAST_ASKED, FULL_ASKED = "11001f01110f", "11001c040114060a"
-
-
-def test_a_device_is_asked_as_in_vectors_when_it_is_due() -> None:
-    options = Options(feedback_ms=20, details_ms=100, offline_ms=200)
-    asked, _ = moments(options, hears=True, milliseconds=400)
-    questions = [(at, what) for at, what in asked if what in (FAST_ASKED, FULL_ASKED)]
-    assert questions == [(20 * i, FAST_ASKED if i % 5 else FULL_ASKED) for i in range(20)]
-    identify = VECTORS["identify"]
-    assert isinstance(identify, CanFrame)
-    assert [at for at, what in asked if what == identify.data.hex()] == [20, 120, 220, 320]
-
-
-@pytest.mark.parametrize("start", [0, 1000 * SECOND])
-def test_silence_is_told_once_and_asked_after_beside_vectors(start: Nanos) -> None:
-    options = Options(feedback_ms=20, details_ms=1000, offline_ms=90)
-    asked, events = moments(options, hears=False, milliseconds=300, start=start)
-    offline = State("left", start + 90 * MILLISECOND, Mode.OFFLINE, "nothing heard")
-    assert events == [offline]
-    assert [at for at, _ in asked] == [0, 20, 40, 60, 80, 130, 180, 230, 280]
-    assert MoteusDriver([], RANGES).due() is None
-    assert MoteusDriver([device(address=5)], RANGES).due() == 0
-
-
-def test_silence_after_a_vector_forgets_who_is_armed() -> None:
-    it = Talk().running()
-    it.say(Hold("left"))
-    heard = it.now
-    it.hear(AT)
-    events: list[Event] = []
-    while not events:
-        it.now += MILLISECOND
-        told_, wires = it.driver.send(it.now, [Hold("left")])
-        events += told_
-        commands = [w for w in wires if getattr(w, "data", b"")[:3] == b"\x01\x00\x0a"]
-        assert bool(commands) != bool(events)
-    assert events == [State("left", heard + 200 * MILLISECOND, Mode.OFFLINE, "nothing heard")]
-    assert [w for w in it.say(Hold("left")) if w.data[:1] == b"\x01"] == []
-    assert told(it, "reply_stopped") == [State("left", it.now, Mode.READY, "stopped")]
-    assert [w.data[:3] for w in it.say(Hold("left"))][:1] == [b"\x01\x00\x0a"]
-
-
-def test_who_it_is_is_asked_again_when_it_comes_back_as_in_vectors() -> None:
-    for state in (BusState.BACK, BusState.GONE, BusState.OFF):
-        it = talk()
-        assert VECTORS["identify"] not in it.say()
-        it.driver.bus(it.now, state)
-        it.hear(VECTORS["reply_stopped"])
-        assert VECTORS["identify"] in it.say()
-    it = talk()
-    it.driver.bus(it.now, BusState.FULL)
-    it.hear(VECTORS["reply_stopped"])
-    assert VECTORS["identify"] not in it.say()
-
-
-def test_requests_outlive_a_bus_that_comes_back_or_is_full_beside_vectors() -> None:
-    for state in (BusState.BACK, BusState.FULL):
-        it = talk()
-        it.say(ReadParameter("left", "power"))
-        it.driver.bus(it.now, state)
-        assert [type(event).__name__ for event in told(it, "reply_power")] == ["Parameter"]
-    it = talk()
-    it.say(ReadParameter("left", "power"))
-    it.driver.bus(it.now, BusState.OFF)
-    at = it.now
-    assert it.driver.send(it.now + 1, ())[0] == [Refused(at, "ReadParameter", "left", "the bus is off")]
-
-
-# -- modes and faults ----------------------------------------------------------------------------------
-
-NAMES = [
+NAMES = (
     "stopped",
     "fault",
     "enabling",
@@ -329,7 +226,7 @@ NAMES = [
     "measure_ind",
     "brake",
     "mode_16",
-]
+)
 
 
 @pytest.mark.parametrize("number", range(17))
@@ -404,202 +301,11 @@ def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
     assert [type(event) for event in again] == [Fault, State]
     it.say(ClearFault("left"))
     start = it.now
-    mute = [e for _ in range(125) for e in _later(it) if isinstance(e, Refused)]
+    mute = [e for _ in range(125) for e in later(it) if isinstance(e, Refused)]
     assert mute == [Refused(start + 600 * MILLISECOND, "ClearFault", "left", "no answer of the device")]
 
 
-def _later(it: Talk) -> list[Event]:
-    it.now += 5 * MILLISECOND
-    return list(it.driver.send(it.now, ())[0])
-
-
-# -- arming, set-points and stops ----------------------------------------------------------------------
-
-MOVE = "01000a0f20"
-
-
-def command(it: Talk, word: Command) -> str:
-    """The first frame that goes out, without its question."""
-    return it.say(word)[0].data.hex()
-
-
-@pytest.mark.parametrize(
-    ("word", "first", "then"),
-    [
-        (Hold("left"), MOVE + "0000803e" + "00000000" * 2, MOVE + "0000803e" + "00000000" * 2),
-        (Position("left", tau, -tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
-         MOVE + "0000803f" + "000080bf" + "0000003f"),
-        (Velocity("left", tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
-         MOVE + "0000c07f" + "0000803f" + "0000003f"),
-        (Torque("left", 0.5), "01000a0c0520" + "0000803e" + "00000000" * 4,
-         "01000a0c0520" + "0000803e" + "00000000" + "0000003f" + "00000000" * 2),
-    ],
-)  # fmt: skip
-def test_arming_as_in_vectors(word: Command, first: str, then: str) -> None:
-    it = talk()
-    for vector in ("reply_stopped", "reply_stopped", "reply_enabling", "reply_enabling"):
-        assert command(it, word).startswith(first)
-        it.hear(VECTORS[vector])
-    assert command(it, word).startswith(first)
-    it.hear(AT)
-    assert command(it, word).startswith(then)
-    it.hear(AT)
-    assert command(it, word).startswith(then)
-
-
-def test_a_hold_stays_where_the_vector_had_it_first() -> None:
-    it = Talk().running()
-    held = MOVE + "0000803e" + "00000000" * 2
-    assert command(it, Hold("left")).startswith(held)
-    it.hear(AT.replace("0000803e", "0000003f", 1))
-    assert command(it, Hold("left")).startswith(held)
-    it.say(Position("left", tau))
-    assert command(it, Hold("left")).startswith(MOVE + "0000003f" + "00000000" * 2)
-    it.hear(AT)
-    it.say(Idle("left"))
-    assert command(it, Hold("left")).startswith(held)
-
-
-def test_a_velocity_starts_at_the_shaft_after_anything_else_beside_vectors() -> None:
-    placed, free = MOVE + "0000803e" + "0000803f", MOVE + "0000c07f" + "0000803f"
-    others: tuple[Command, ...] = (Hold("left"), Position("left", 1.0), Torque("left", 0.5), Idle("left"))
-    for other in others:
-        it = Talk().running()
-        for _ in range(5):
-            it.say(Velocity("left", tau))
-            it.hear(AT)
-        assert command(it, Velocity("left", tau)).startswith(free)
-        it.say(other)
-        it.hear(AT)
-        for _ in range(3):
-            assert command(it, Velocity("left", tau)).startswith(placed)
-            it.hear(AT)
-        assert command(it, Velocity("left", tau)).startswith(free)
-    it.driver.bus(it.now, BusState.FULL)
-    assert command(it, Velocity("left", tau)).startswith(placed)
-
-
-def stops(it: Talk, steps: int, word: Command | Request, *, hears: str = "") -> list[int]:
-    """In which steps of 5 ms a stop goes out."""
-    found = []
-    for at in range(steps):
-        sent = it.say(word)
-        found += [at for f in sent if f.data[:3] == b"\x01\x00\x00"]
-        if hears:
-            it.hear(VECTORS[hears])
-    return found
-
-
-def test_stops_are_repeated_until_vectors_confirm_them() -> None:
-    it = Talk().running()
-    it.say(Hold("left"))
-    assert stops(it, 20, Idle("left")) == [0, 4, 8, 12, 16]
-    assert stops(it, 9, Idle("left"), hears="reply_stopped") == [0]
-    it = Talk().running()
-    assert stops(it, 9, Idle("left")) == []  # nobody has commanded it
-    it.say(Hold("left"))
-    it.say(Idle("left"))
-    it.hear(VECTORS["reply_timeout"])
-    assert stops(it, 20, Idle("left")) == []
-    it = Talk().running()
-    it.say(Hold("left"))
-    it.say(Idle("left"))
-    it.driver.bus(it.now, BusState.FULL)
-    assert stops(it, 3, Idle("left")) == [0]
-
-
-def test_an_operator_s_stop_reaches_what_we_did_not_arm_beside_vectors() -> None:
-    it = Talk().running()
-    it.now += 5 * MILLISECOND
-    events, wires = it.driver.send(it.now, [Stop("now"), Idle("left")])
-    assert events == []
-    assert VECTORS["stop_with_query"] in wires
-    it = Talk().running()
-    assert stops(it, 3, Idle("left")) == []
-
-
-# -- scan and ids --------------------------------------------------------------------------------------
-
-
-def test_a_uuid_without_more_is_as_good_as_the_vector() -> None:
-    it = talk()
-    it.say(Scan("can0"))
-    printed = "01234567-89ab-cdef-fedc-ba9876543210"
-    words = "2804d002" + UUID.hex()
-    assert it.hear(frame(words, 0x900)) == [Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")]
-    assert it.hear(frame(words + "21d80200", 0xA00)) == []  # all zero bytes, perhaps: not to be told apart
-    assert it.hear(frame("2803d002" + UUID[:12].hex(), 0xB00)) == []
-    none = "31d00201" + "31d80201"
-    assert it.hear(frame(none, 0xC00)) == [
-        Found(it.now, "moteus", 12, None, "it has no UUID: older firmware")
-    ]
-    assert it.hear(frame("300f02", 0xD00)) == []
-    twice = f"UUID {'-'.join(('10325476', '98ba', 'dcfe', 'efcd', 'ab8967452301'))}; id 9 is held twice"
-    assert it.hear(frame("2804d002" + UUID[::-1].hex(), 0x900)) == [
-        Found(it.now, "moteus", 9, serial_of(UUID[::-1]), twice, True)
-    ]
-
-
-@pytest.mark.parametrize("identifier", [0x901, 0x8900, 0x980, 0x1_0900, 0x1ABC_0900, 0x87F], ids=hex)
-def test_answers_to_others_are_not_found_beside_vectors(identifier: int) -> None:
-    it = talk()
-    it.say(Scan("can0"))
-    assert it.hear(frame("2804d002" + UUID.hex() + "21d80201", identifier)) == []
-
-
-def test_when_a_scan_asks_and_ends_beside_vectors() -> None:
-    it = talk()
-    times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
-    for at in range(170):
-        it.now += 5 * MILLISECOND
-        said, wires = it.driver.send(it.now, [Scan("can0")] if not at else [])
-        events += said
-        times += [
-            (it.now - start) // MILLISECOND for wire in wires if wire == VECTORS["discover_broadcast_0x7f"]
-        ]
-        it.hear(VECTORS["reply_stopped"])
-    assert times == [0, 200, 400, 600]
-    assert events == [Done(start + 800 * MILLISECOND, "Scan", "can0", "0 devices")]
-    it.say(Scan("can0"))
-    told(it, "reply_uuid")
-    ends = [e for _ in range(170) for e in _later(it) if isinstance(e, Done)]
-    assert [e.detail for e in ends] == ["1 device"]
-
-
-def test_when_an_id_is_given_beside_vectors() -> None:
-    it = talk()
-    times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
-    for at in range(320):
-        it.now += 5 * MILLISECOND
-        said, wires = it.driver.send(it.now, [SetId("can0", serial_of(UUID), 9)] if not at else [])
-        events += said
-        times += [(it.now - start) // MILLISECOND for wire in wires if wire == VECTORS["discover_by_uuid"]]
-        it.hear(VECTORS["reply_stopped"])
-    assert times == [150 * i for i in range(10)]
-    reason = "no device with serial number 0123456789ABCDEF took the id"
-    assert events == [Refused(start + 1500 * MILLISECOND, "SetId", "can0", reason)]
-
-
-def test_a_uuid_that_was_heard_long_ago_is_no_second_device_beside_vectors() -> None:
-    for late, twice in ((10 * SECOND, True), (10 * SECOND + 1, False)):
-        it = talk()
-        it.now += late
-        events = told(it, "reply_uuid_other")
-        assert any(isinstance(event, Found) for event in events) == twice
-
-
-def test_all_prefixes_in_use_are_asked_beside_vectors() -> None:
-    options = Options(can_prefix=0x1ABC, host_id=3)
-    driver = MoteusDriver([device("left", 5), device("far", 6, options=options), device("n", 7)], RANGES)
-    wires = driver.send(1, [Scan("can0")])[1]
-    data = bytes.fromhex("1804d00211d802")
-    assert [w.id for w in wires if isinstance(w, CanFrame) and w.data == data] == [0x807F, 0x1ABC837F]
-    found = driver.receive(2, frame("2804d002" + UUID.hex(), 0x1ABC0903))
-    assert [type(event) for event in found] == [Found]
-    assert reply_id(9, 3, 0x1ABC) == 0x1ABC0903
-
-
-# -- zero ----------------------------------------------------------------------------------------------
+# -- zero --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -616,7 +322,7 @@ def test_a_zero_is_near_enough_beside_vectors(place: str, near: bool) -> None:
     assert [type(e) for e in events if not isinstance(e, Feedback)] == ([Done] if near else [])
 
 
-# -- the wire ------------------------------------------------------------------------------------------
+# -- the wire ----------------------------------------------------------------------------------------
 
 
 def test_what_is_foreign_beside_vectors() -> None:

@@ -1,0 +1,126 @@
+"""Arming, set-points and stops beside vectors: which bytes go out while the device says which."""
+
+from __future__ import annotations
+
+from math import tau
+
+import pytest
+
+from protocols.wire import BusState
+from protocols.words import (
+    MILLISECOND,
+    Command,
+    Hold,
+    Idle,
+    Position,
+    Request,
+    Stop,
+    Torque,
+    Velocity,
+)
+from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
+from tests.protocols.moteus.test_vectors_heard import talk
+
+# -- arming, set-points and stops --------------------------------------------------------------------
+
+MOVE = "01000a0f20"
+
+
+def command(it: Talk, word: Command) -> str:
+    """The first frame that goes out, without its question."""
+    return it.say(word)[0].data.hex()
+
+
+@pytest.mark.parametrize(
+    ("word", "first", "then"),
+    [
+        (Hold("left"), MOVE + "0000803e" + "00000000" * 2, MOVE + "0000803e" + "00000000" * 2),
+        (Position("left", tau, -tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
+         MOVE + "0000803f" + "000080bf" + "0000003f"),
+        (Velocity("left", tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
+         MOVE + "0000c07f" + "0000803f" + "0000003f"),
+        (Torque("left", 0.5), "01000a0c0520" + "0000803e" + "00000000" * 4,
+         "01000a0c0520" + "0000803e" + "00000000" + "0000003f" + "00000000" * 2),
+    ],
+)  # fmt: skip
+def test_arming_as_in_vectors(word: Command, first: str, then: str) -> None:
+    it = talk()
+    for vector in ("reply_stopped", "reply_stopped", "reply_enabling", "reply_enabling"):
+        assert command(it, word).startswith(first)
+        it.hear(VECTORS[vector])
+    assert command(it, word).startswith(first)
+    it.hear(AT)
+    assert command(it, word).startswith(then)
+    it.hear(AT)
+    assert command(it, word).startswith(then)
+
+
+def test_a_hold_stays_where_the_vector_had_it_first() -> None:
+    it = Talk().running()
+    held = MOVE + "0000803e" + "00000000" * 2
+    assert command(it, Hold("left")).startswith(held)
+    it.hear(AT.replace("0000803e", "0000003f", 1))
+    assert command(it, Hold("left")).startswith(held)
+    it.say(Position("left", tau))
+    assert command(it, Hold("left")).startswith(MOVE + "0000003f" + "00000000" * 2)
+    it.hear(AT)
+    it.say(Idle("left"))
+    assert command(it, Hold("left")).startswith(held)
+
+
+def test_a_velocity_starts_at_the_shaft_after_anything_else_beside_vectors() -> None:
+    placed, free = MOVE + "0000803e" + "0000803f", MOVE + "0000c07f" + "0000803f"
+    others: tuple[Command, ...] = (Hold("left"), Position("left", 1.0), Torque("left", 0.5), Idle("left"))
+    for other in others:
+        it = Talk().running()
+        for _ in range(5):
+            it.say(Velocity("left", tau))
+            it.hear(AT)
+        assert command(it, Velocity("left", tau)).startswith(free)
+        it.say(other)
+        it.hear(AT)
+        for _ in range(3):
+            assert command(it, Velocity("left", tau)).startswith(placed)
+            it.hear(AT)
+        assert command(it, Velocity("left", tau)).startswith(free)
+    it.driver.bus(it.now, BusState.FULL)
+    assert command(it, Velocity("left", tau)).startswith(placed)
+
+
+def stops(it: Talk, steps: int, word: Command | Request, *, hears: str = "") -> list[int]:
+    """In which steps of 5 ms a stop goes out."""
+    found = []
+    for at in range(steps):
+        sent = it.say(word)
+        found += [at for f in sent if f.data[:3] == b"\x01\x00\x00"]
+        if hears:
+            it.hear(VECTORS[hears])
+    return found
+
+
+def test_stops_are_repeated_until_vectors_confirm_them() -> None:
+    it = Talk().running()
+    it.say(Hold("left"))
+    assert stops(it, 20, Idle("left")) == [0, 4, 8, 12, 16]
+    assert stops(it, 9, Idle("left"), hears="reply_stopped") == [0]
+    it = Talk().running()
+    assert stops(it, 9, Idle("left")) == []  # nobody has commanded it
+    it.say(Hold("left"))
+    it.say(Idle("left"))
+    it.hear(VECTORS["reply_timeout"])
+    assert stops(it, 20, Idle("left")) == []
+    it = Talk().running()
+    it.say(Hold("left"))
+    it.say(Idle("left"))
+    it.driver.bus(it.now, BusState.FULL)
+    assert stops(it, 3, Idle("left")) == [0]
+
+
+def test_an_operator_s_stop_reaches_what_we_did_not_arm_beside_vectors() -> None:
+    it = Talk().running()
+    it.now += 5 * MILLISECOND
+    events, wires = it.driver.send(it.now, [Stop("now"), Idle("left")])
+    assert events == []
+    assert VECTORS["stop_with_query"] in wires
+    it = Talk().running()
+    assert stops(it, 3, Idle("left")) == []
