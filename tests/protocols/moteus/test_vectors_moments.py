@@ -30,7 +30,6 @@ from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import talk, told
 from tests.protocols.moteus.test_vectors_told import frame, later
 
-
 # -- silence and questions ---------------------------------------------------------------------------
 
 
