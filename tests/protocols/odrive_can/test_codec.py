@@ -12,7 +12,6 @@ import can
 import pytest
 from numpy.random import PCG64, Generator
 from odrive_can.odrive import ODriveCAN
-from odrive_can.utils import get_dbc
 
 import fixtures
 from protocols.odrive_can import codec, messages
@@ -27,13 +26,14 @@ from protocols.odrive_can.codec import (
 from protocols.odrive_can.layout import FLOAT_MAX, Layout
 from protocols.odrive_can.messages import Ask, Message
 from protocols.wire import CanFrame
+from tests.protocols.odrive_can.conversation import DBCS
 
 VECTORS: list[dict[str, Any]] = json.loads(
     (Path(fixtures.__file__).parent / "vectors" / "odrive_can.json").read_text()
 )
 OURS = [vector for vector in VECTORS if vector.get("fw", "0.6.10") == "0.6.10"]
 NODE = 3
-DBC = get_dbc("odrive-cansimple-0.6.10")
+DBC = DBCS["0.6"]
 
 # Field names of a vector's meaning, in the order of our messages' fields.
 MEANINGS: dict[str, tuple[type[Any], tuple[str, ...]]] = {

@@ -12,7 +12,6 @@ import odrive_can.odrive
 import pytest
 from numpy.random import PCG64, Generator
 from odrive_can.odrive import ODriveCAN
-from odrive_can.utils import get_dbc
 
 from protocols.odrive_can import messages, messages05
 from protocols.odrive_can.codec import (
@@ -29,6 +28,7 @@ from protocols.odrive_can.codec import (
 from protocols.odrive_can.layout import Layout
 from protocols.odrive_can.messages import Ask
 from protocols.wire import CanFrame
+from tests.protocols.odrive_can.conversation import DBCS
 from tests.protocols.odrive_can.test_codec import (
     MEANINGS,
     NODE,
@@ -41,7 +41,7 @@ from tests.protocols.odrive_can.test_codec import (
     random_value,
 )
 
-DBC = get_dbc("odrive-cansimple-0.5.6")
+DBC = DBCS["0.5"]
 VECTORS05 = [vector for vector in VECTORS if vector.get("fw") == "0.5.6"]
 SHARED = [
     vector
