@@ -122,7 +122,7 @@ def _floats_out(values: object) -> bytes:
 
 
 def _floats_in(data: object) -> tuple[float, ...]:
-    if type(data) is not bytes or len(data) % 8:
+    if type(data) is not bytes:
         raise ValueError("not a run of float64")
     values: tuple[float, ...] = struct.unpack(f"<{len(data) // 8}d", data)
     _all_finite(values)
@@ -172,7 +172,7 @@ def _converters(hint: object) -> tuple[_Convert, _Convert]:
         return plain[hint]
     if get_origin(hint) is tuple:
         items = get_args(hint)
-        return (_floats_out, _floats_in) if items[-1] is Ellipsis else _vector(len(items))
+        return (_floats_out, _floats_in) if Ellipsis in items else _vector(len(items))
     if get_origin(hint) in (Union, types.UnionType):
         (inner,) = [part for part in get_args(hint) if part is not type(None)]
         return _optional(*_converters(inner))

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from protocols import words
 from protocols.plain.codec import CODES, pack, unpack
 from protocols.words import Feedback, LaserScan, Mode, SetId, State, Torque, Velocity, Word
+from tests.protocols.plain.published import packed, ranges
 from tests.protocols.plain.samples import ANY_WORD, VECTORS, word_of
 
 PACKED = VECTORS["packed"]
@@ -111,9 +112,43 @@ BAD: list[Any] = [
 
 
 @pytest.mark.parametrize("word", BAD, ids=repr)
-def test_what_is_no_word_is_refused(word: Any) -> None:
+def test_there_is_no_vector_of_what_is_no_word(word: Any) -> None:
     with pytest.raises(ValueError, match=r"."):
         pack(word)
+
+
+EDGES: list[tuple[Word, bytes]] = [
+    (SetId("b", -(2**63), 2**64 - 1), packed("SetId", "b", -(2**63), 2**64 - 1)),
+    (SetId("b", 0, -1), packed("SetId", "b", 0, -1)),
+    (
+        LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (1.7e308,) * 3),
+        packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, ranges(*[1.7e308] * 3)),
+    ),
+    (LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, ()), packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, b"")),
+]
+
+
+@pytest.mark.parametrize(("word", "data"), EDGES)
+def test_a_vector_at_the_edges_both_ways(word: Word, data: bytes) -> None:
+    assert pack(word) == data
+    assert unpack(data) == word
+
+
+UNREADABLE: list[bytes] = [
+    packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, ranges(1.7e308, 1.7e308, math.inf)),
+    packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, ranges(math.inf, -math.inf)),
+    packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, [1.0]),
+    packed("LaserScan", "l", 0, 0.0, 0.1, 0.1, 10.0, "12345678"),
+    packed("Imu", "i", 0, [0.0, 0.0], [0.0, 0.0, 0.0], None),
+    packed("Imu", "i", 0, [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0], None),
+    packed("Imu", "i", 0, b"123", [0.0, 0.0, 0.0], None),
+    packed("Imu", "i", 0, [0.0, 0.0, None], [0.0, 0.0, 0.0], None),
+]
+
+
+@pytest.mark.parametrize("data", UNREADABLE, ids=bytes.hex)
+def test_a_vector_whose_numbers_are_none(data: bytes) -> None:
+    assert unpack(data) is None
 
 
 def test_ranges_whose_sum_overflows_are_still_finite() -> None:

@@ -1,22 +1,22 @@
 from __future__ import annotations
 
-import struct
 from itertools import pairwise
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from msgpack.fallback import Packer
 
 from protocols.plain import line, plugin
 from protocols.plain.codec import pack
 from protocols.plain.line import MAX_AGE, MAX_BODY, SYNC, Stream, frame, message, read
 from protocols.vectors import Vector, vectors_of
-from protocols.words import Done, Feedback, Imu, LaserScan, Torque, Velocity, WriteParameter
+from protocols.words import Done, Feedback, Imu, LaserScan, Torque, Velocity, Word, WriteParameter
+from tests.protocols.plain.published import framed, packed, ranges, said
 from tests.protocols.plain.samples import VECTORS, word_of
 
-GOOD = [frame(bytes((1, n))) for n in range(5)]
+GOOD = [framed(bytes((1, n))) for n in range(5)]
+SHORT = framed(b"\1")
 
 
 def fed(*pieces: bytes) -> tuple[list[bytes], int, int, bytes]:
@@ -45,37 +45,15 @@ def test_vector_both_ways(vector: Vector) -> None:
 @pytest.mark.parametrize("vector", vectors_of(plugin), ids=lambda vector: str(vector.name))
 def test_the_vectors_are_regenerated_from_the_table_alone(vector: Vector) -> None:
     """By msgpack in Python, struct and a bitwise CRC-32: the README on a message, written once more."""
-    told, row = vector.meaning, [CODES_AS_PUBLISHED[vector.meaning["word"]]]
+    told, row = vector.meaning, list[object]()
     own = next((f for f in ("motor", "sensor", "bus", "name") if f in told["fields"]), "")
     for field, value in told["fields"].items():
-        said = {own: "", "t": told["now"] - value if field == "t" else 0}.get(field, value)
-        row.append(struct.pack(f"<{len(value)}d", *value) if field == "ranges" else said)
-    body = bytes((told["address"],)) + Packer().pack(row)
-    head = b"\xa5\x57" + struct.pack("<HH", len(body), len(body) ^ 0xFFFF)
-    assert head + body + struct.pack("<I", bitwise_crc(body)) == vector.wire
+        put = {own: "", "t": told["now"] - value if field == "t" else 0}.get(field, value)
+        row.append(ranges(*value) if field == "ranges" else put)
+    assert said(told["address"], told["word"], *row) == vector.wire
 
 
-# fmt: off
-CODES_AS_PUBLISHED: dict[str, Any] = {
-    "Idle": 1, "Hold": 2, "Position": 3, "Velocity": 4, "Torque": 5, "Impedance": 6, "ClearFault": 22,
-    "Estop": 23, "Scan": 24, "SetId": 25, "Zero": 26, "ReadParameter": 28, "WriteParameter": 29, "Reboot": 30,
-    "Feedback": 70, "State": 71, "Fault": 72, "Found": 73, "Done": 74, "Refused": 75, "Parameter": 76,
-    "Imu": 77, "LaserScan": 78, "Fix": 79,
-}
-# fmt: on
-
-
-def bitwise_crc(data: bytes) -> int:
-    """CRC-32 of Ethernet: reflected 0x04C11DB7, one bit at a time."""
-    crc = 0xFFFFFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
-    return crc ^ 0xFFFFFFFF
-
-
-def test_minus_zero_and_what_is_next_to_nothing_stand_as_zero() -> None:
+def test_vectors_of_minus_zero_and_what_is_next_to_nothing_stand_as_zero() -> None:
     for tiny in (-0.0, 5e-324, -1e-310, 1e-40, -(2.0**-127)):
         assert message(1, Torque("m", tiny)) == message(1, Torque("m", 0.0))
         word = read(b"\1" + pack(Torque("m", tiny)), 0, "m")
@@ -84,7 +62,56 @@ def test_minus_zero_and_what_is_next_to_nothing_stand_as_zero() -> None:
         heard = read(b"\1" + pack(scan), 0, "l")
         assert repr(heard) == repr(LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
         assert message(1, scan) == message(1, LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
-    assert read(b"\1" + pack(Torque("m", -(2.0**-126))), 0, "m") == Torque("m", -(2.0**-126))
+    for number in (2.0**-126, -(2.0**-126)):  # the smallest normal binary32 is a number like others
+        assert read(b"\1" + packed("Torque", "", number), 0, "m") == Torque("m", number)
+        assert message(1, Torque("m", number)) == said(1, "Torque", "", number)
+        data = said(1, "Imu", "", 0, [1.0, number, 0.0], [number, -1.0, 2.0], None)
+        assert message(1, Imu("i", 0, (1.0, number, -0.0), (number, -1.0, 2.0))) == data
+        assert read(fed(data)[0][0], 0, "i") == Imu("i", 0, (1.0, number, 0.0), (number, -1.0, 2.0))
+    data = said(1, "LaserScan", "", 0, 0.0, 0.1, 0.1, 10.0, ranges(2.0**-126, 1.0))
+    assert message(1, LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (2.0**-126, 1.0))) == data
+
+
+# Numbers that may not stand in a message, behind such as may, or are not given: the word and its fields.
+OUTSIDE: list[tuple[Word, tuple[object, ...], str]] = [
+    (Feedback("m", 0, None, 1e9), (0, None, 1e9, None, None, None, None), "velocity 1000000000.0"),
+    (Feedback("m", 0, 0.0, None, -1e9), (0, 0.0, None, -1e9, None, None, None), "torque -1000000000.0"),
+    (
+        Imu("i", 0, (0.0, 0.0, 1e9), (0.0, 0.0, 0.0)),
+        (0, [0.0, 0.0, 1e9], [0.0, 0.0, 0.0], None),
+        "angular_velocity",
+    ),
+    (
+        Imu("i", 0, (0.0, 0.0, 0.0), (0.0, -1e9, 0.0)),
+        (0, [0.0, 0.0, 0.0], [0.0, -1e9, 0.0], None),
+        "linear_acceleration",
+    ),
+    (
+        LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 1e9)),
+        (0, 0.0, 0.1, 0.1, 10.0, ranges(1.0, 1e9)),
+        "ranges",
+    ),
+    (
+        LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (-1.0, 1.0)),
+        (0, 0.0, 0.1, 0.1, 10.0, ranges(-1.0, 1.0)),
+        "ranges",
+    ),
+]
+
+
+@pytest.mark.parametrize(("word", "values", "name"), OUTSIDE)
+def test_a_vector_with_a_number_that_may_not_be(word: Word, values: tuple[object, ...], name: str) -> None:
+    kind = type(word).__name__
+    with pytest.raises(ValueError, match=rf"^{kind}: {name}.* is not in "):
+        message(1, word)
+    assert read(b"\1" + packed(kind, "", *values), 0, "m") is None
+
+
+def test_a_scan_of_nothing_as_a_vector() -> None:
+    scan = LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, ())
+    data = said(1, "LaserScan", "", 0, 0.0, 0.1, 0.1, 10.0, b"")
+    assert message(1, scan) == data
+    assert read(fed(data)[0][0], 0, "l") == scan
 
 
 # What stands on the stream, what is heard of it, how many are bad, how many runs are noise.
@@ -104,12 +131,13 @@ CASES: list[tuple[str, bytes, list[int], int, int]] = [
     ("cut in the head", GOOD[0][:4] + GOOD[1], [1], 0, 1),
     ("a length of zero", SYNC + b"\0\0\xff\xff" + GOOD[0], [0], 0, 1),
     ("a length too long", SYNC + b"\1\x40\xfe\xbf" + GOOD[0], [0], 0, 1),
-    ("a message inside a bad one", frame(b"\7" + GOOD[3] + b"\7")[:-1] + b"\0" + GOOD[1], [3, 1], 1, 1),
+    ("a body of one byte", SHORT[:8] + b"\0" + GOOD[0], [0], 1, 0),
+    ("a message inside a bad one", framed(b"\7" + GOOD[3] + b"\7")[:-1] + b"\0" + GOOD[1], [3, 1], 1, 1),
 ]
 
 
 @pytest.mark.parametrize(("data", "heard", "bad", "noise"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
-def test_stream(data: bytes, heard: list[int], bad: int, noise: int) -> None:
+def test_a_stream_of_vectors(data: bytes, heard: list[int], bad: int, noise: int) -> None:
     for pieces in ([data], bytewise(data), [data, b""], [b"", data]):
         assert fed(*pieces)[:3] == ([bytes((1, n)) for n in heard], bad, noise)
 
@@ -143,7 +171,7 @@ def test_one_bit_wrong_is_one_count_and_no_neighbour_is_lost(bit: int) -> None:
     assert bad + noise == 1
 
 
-def test_the_buffer_is_bounded() -> None:
+def test_the_buffer_is_bounded_whatever_the_vectors() -> None:
     stream = Stream()
     endless = SYNC + MAX_BODY.to_bytes(2, "little") + (MAX_BODY ^ 0xFFFF).to_bytes(2, "little")
     for _ in range(4000):
@@ -152,7 +180,7 @@ def test_the_buffer_is_bounded() -> None:
     assert stream.bad > 0
 
 
-def test_the_longest_body_passes_and_a_longer_one_is_refused() -> None:
+def test_the_longest_vector_passes_and_a_longer_one_is_refused() -> None:
     body = bytes(range(256)) * (MAX_BODY // 256)
     assert fed(frame(body))[0] == [body]
     for wrong in (body + b"\0", b""):
@@ -170,13 +198,13 @@ def test_a_scan_of_two_thousand_beams_fits_and_one_of_three_thousand_is_refused(
 
 
 @pytest.mark.parametrize("address", [-1, 256])
-def test_an_address_that_is_none_is_refused(address: int) -> None:
+def test_no_vector_has_an_address_that_is_none(address: int) -> None:
     with pytest.raises(ValueError, match=f"address {address}"):
         message(address, Torque("m", 0.0))
 
 
 @pytest.mark.parametrize("name", sorted(line.LIMITS))
-def test_limits_hold_at_both_ends(name: str) -> None:
+def test_limits_hold_at_both_ends_of_vectors(name: str) -> None:
     low, high = line.LIMITS[name]
     kind, _, field = name.partition(".")
     row = next(row for row in VECTORS["packed"][::-1] if row["word"] == kind and field in row["fields"])
@@ -204,7 +232,7 @@ def body(word: Any, now: int = 0) -> bytes:
     return fed(message(1, word, now))[0][0]
 
 
-def test_a_number_outside_the_limits_is_bad_when_read() -> None:
+def test_a_vector_outside_the_limits_is_bad() -> None:
     good = body(Velocity("", 1e5))
     assert read(good, 0, "m") == Velocity("m", 1e5)
     bad = good.replace(bytes.fromhex("40f86a0000000000"), bytes.fromhex("40f86a0000000001"))
@@ -212,27 +240,27 @@ def test_a_number_outside_the_limits_is_bad_when_read() -> None:
     assert read(bad, 0, "m") is None
 
 
-def test_age_becomes_time() -> None:
+def test_the_age_in_a_vector_becomes_time() -> None:
     data = body(Feedback("m", 900, 1.0), now=1000)
     assert read(data, 5000, "x") == Feedback("x", 4900, 1.0)
     assert read(data, 50, "x") == Feedback("x", -50, 1.0)
 
 
-def test_a_measurement_from_the_future_is_told_without_age() -> None:
+def test_a_vector_from_the_future_is_told_without_age() -> None:
     assert read(body(Feedback("m", 2000, 1.0), now=1000), 5000, "m") == Feedback("m", 5000, 1.0)
 
 
 @pytest.mark.parametrize("age", [-1, MAX_AGE + 1, 2**63])
-def test_an_age_that_cannot_be_is_bad(age: int) -> None:
+def test_a_vector_whose_age_cannot_be_is_bad(age: int) -> None:
     assert read(b"\1" + pack(Done(age, "Zero", "")), 0, "m") is None
     assert read(b"\1" + pack(Done(MAX_AGE, "Zero", "")), 0, "m") == Done(-MAX_AGE, "Zero", "m")
 
 
-def test_a_name_on_the_wire_is_not_believed() -> None:
+def test_a_name_in_a_vector_is_not_believed() -> None:
     imu = Imu("forged", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
     assert read(b"\1" + pack(imu), 5, "imu") == Imu("imu", 5, imu.angular_velocity, imu.linear_acceleration)
 
 
-def test_a_text_that_cannot_be_sent_is_refused() -> None:
+def test_no_vector_has_a_text_that_cannot_be_sent() -> None:
     with pytest.raises(ValueError, match="WriteParameter"):
         message(1, WriteParameter("m", "\udcff", 1.0))

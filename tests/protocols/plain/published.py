@@ -1,0 +1,51 @@
+"""Messages of a plain line made from the README's tables alone: msgpack in Python, struct, a bitwise CRC-32.
+
+Nothing of `protocols.plain` is in it, so that what it says is not what the code under test says.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from msgpack.fallback import Packer
+
+# fmt: off
+CODES: dict[str, int] = {
+    "Idle": 1, "Hold": 2, "Position": 3, "Velocity": 4, "Torque": 5, "Impedance": 6, "ClearFault": 22,
+    "Estop": 23, "Scan": 24, "SetId": 25, "Zero": 26, "ReadParameter": 28, "WriteParameter": 29, "Reboot": 30,
+    "Feedback": 70, "State": 71, "Fault": 72, "Found": 73, "Done": 74, "Refused": 75, "Parameter": 76,
+    "Imu": 77, "LaserScan": 78, "Fix": 79,
+}
+# fmt: on
+
+
+def packed(word: str, *values: object) -> bytes:
+    """A word with these fields."""
+    data: bytes = Packer().pack([CODES[word], *values])
+    return data
+
+
+def said(address: int, word: str, *values: object) -> bytes:
+    """A message to or from an address: names stand empty, times are ages, ranges are binary strings."""
+    return framed(bytes((address,)) + packed(word, *values))
+
+
+def framed(body: bytes) -> bytes:
+    """A body between sync bytes, length and CRC."""
+    head = b"\xa5\x57" + struct.pack("<HH", len(body), len(body) ^ 0xFFFF)
+    return head + body + struct.pack("<I", bitwise_crc(body))
+
+
+def ranges(*values: float) -> bytes:
+    """The ranges of a scan."""
+    return struct.pack(f"<{len(values)}d", *values)
+
+
+def bitwise_crc(data: bytes) -> int:
+    """CRC-32 of Ethernet: reflected 0x04C11DB7, one bit at a time."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    return crc ^ 0xFFFFFFFF
