@@ -18,6 +18,7 @@ from protocols.wire import CanFrame
 from tests.protocols.cia402 import conversations
 from tests.protocols.cia402.conversations import FILE, NODE, SCRIPTS, Script, frame_of, obeyed, play
 from tests.protocols.cia402.stack import Joined, Slave, dictionary
+from tests.protocols.cia402.tables import TABLES
 
 UP = {(0x250, 6): 0x231, (0x231, 7): 0x233, (0x233, 15): 0x237, (0x231, 15): 0x237, (0x217, 15): 0x237}
 
@@ -30,6 +31,11 @@ class Firmware:
         self.slave.said()
         self.quiet = self.mute = self.deaf = self.twice = False
         self.stubborn = 0
+        self.beating = True
+        self.strangers = False
+        self.others = [Slave(5), Slave(7), Slave(126)]
+        self.extra: list[CanFrame] = []
+        """Of nobody, or of another: said beside its own frames."""
         self.homes: bool | None = True
         self.beats: list[int] = []
         self.refused: dict[tuple[int, int | None], int] = {}
@@ -116,8 +122,22 @@ class Firmware:
                 self.slave.network.sent.append(CanFrame(id_, bytes(data)))
         if self.beats and ms % 10 == 0:
             self.slave.network.sent.append(CanFrame(0x700 + NODE, bytes((self.beats.pop(0),))))
-        said = [frame for frame in self.slave.said() if not (self.mute and frame.id == 0x580 + NODE)]
+        own = [frame for frame in self.slave.said() if self.beating or frame.id != 0x700 + NODE]
+        own += self._of_others(down) if self.strangers else []
+        own += [self.extra.pop(0) for _ in range(min(3, len(self.extra)))]
+        said = [frame for frame in own if not (self.mute and frame.id == 0x580 + NODE)]
         return [frame for frame in said for _ in range(1 + (self.twice and frame.id == 0x580 + NODE))]
+
+    def _of_others(self, down: Sequence[str]) -> list[CanFrame]:
+        """Of two drives at 5 and 7 (the second is two), and one at 126 that tells little of itself."""
+        for other in self.others:
+            other.said()
+        self.others[2].node.object_dictionary.indices.pop(0x1018, None)
+        for text in down:
+            for other in self.others:
+                other.receive(frame_of(text))
+        told = [other.said() for other in self.others]
+        return [*told[0], *told[1], *told[1], *told[2]]
 
     def _rpdo(self, frame: CanFrame) -> None:
         """LocalNode leaves what its PDOs mean to the firmware: its own PdoMap reads them."""
@@ -366,9 +386,9 @@ def recorded() -> dict[str, list[str]]:
     found = {name: _talk(script) for name, script in SCRIPTS.items()}
     for name in HOSTS:
         frames = host_frames(name)
-        found[f"{name}, ear"] = obeyed(frames, instant=True)
-        if name in ("host, pp", "host, power"):
-            found[f"{name}, twin"] = obeyed(frames, instant=False)
+        ends = ("ear", "twin") if name in ("host, pp", "host, power") else ("ear", "usual ear")
+        found |= {f"{name}, {end}": obeyed(frames, end) for end in ends[: 1 + (name != "host, objects")]}
+    found |= {name: list(table()) for name, table in TABLES.items()}
     return found
 
 

@@ -43,6 +43,7 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from tests.protocols.cia402 import tables
 
 FILE = Path(__file__).parent / "conversations.txt"
 NODE = 2
@@ -93,6 +94,43 @@ def _set(name: str, value: object) -> Callable[[Any], None]:
 
 _RUNNING = _all(_put(o.STATUSWORD, 0x237), _put(o.CONTROLWORD, 15), _put(o.MODE, 8))
 _STOPPED = _all(_put(o.STATUSWORD, 0x217), _put(o.CONTROLWORD, 2), _put(o.MODE, 8))
+
+
+def _noisy(firmware: Any) -> None:
+    """Every vector, whole, cut and lengthened, beside what the device says."""
+    firmware.extra = tables.frames()
+
+
+def _strangers(firmware: Any) -> None:
+    firmware.strangers = True
+
+
+def _beatless(firmware: Any) -> None:
+    firmware.beating = False
+    firmware.put(o.PRODUCER_HEARTBEAT, 0)
+
+
+def _usual(tells: int, timer: int, obeys: int) -> Callable[[Any], None]:
+    """It comes with PDOs: its state and position, told so, and its set-points, obeyed so."""
+    rows = (
+        (0x1800, 0x40000182, tells, timer, (0x60410010, 0x60610008, 0x60640020)),
+        (0x1801, 0x40000282, tells, timer, (0x606C0020, 0x60770010, 0x603F0010)),
+        (0x1400, 0x202, obeys, 0, (0x60400010, 0x60600008, 0x607A0020)),
+        (0x1401, 0x302, obeys, 0, (0x60FF0020, 0x60710010)),
+    )
+
+    def act(firmware: Any) -> None:
+        for index, cob, kind, event, words in rows:
+            firmware.put((index, 1), cob)
+            firmware.put((index, 2), kind)
+            firmware.put((index, 5), event)
+            firmware.put((index + 0x200, 0), len(words))
+            for sub, word in enumerate(words, 1):
+                firmware.put((index + 0x200, sub), word)
+
+    return act
+
+
 MOVES: tuple[tuple[int, int, Words], ...] = (
     (150, 300, [Hold(M)]),
     (300, 330, [Position(M, -0.5, 0.25, 0.125)]),
@@ -163,12 +201,8 @@ SCRIPTS: dict[str, Script] = {
         {320: _all(_fault, _set("stubborn", 2))},
         length=1000,
     ),
-    "stop": Script(
-        {}, ((150, 320, [Hold(M)]), (320, 321, [Stop()]), (321, 450, [Idle(M)])), length=460
-    ),
-    "stop of another's": Script(
-        {}, ((10, 11, [Stop()]), (11, 400, [Idle(M)])), {-1: _RUNNING}, length=400
-    ),
+    "stop": Script({}, ((150, 320, [Hold(M)]), (320, 321, [Stop()]), (321, 450, [Idle(M)])), length=460),
+    "stop of another's": Script({}, ((10, 11, [Stop()]), (11, 400, [Idle(M)])), {-1: _RUNNING}, length=400),
     "another's, left alone": Script(
         {}, ((10, 200, [Idle(M)]), (200, 400, [Hold(M)])), {-1: _RUNNING}, length=400
     ),
@@ -183,9 +217,7 @@ SCRIPTS: dict[str, Script] = {
         {-1: _all(_STOPPED, _put(o.QUICK_STOP_OPTION, 6))},
         length=420,
     ),
-    "a quick stop that ends": Script(
-        {}, ((150, 420, [Hold(M)]),), {-1: _STOPPED}, length=420
-    ),
+    "a quick stop that ends": Script({}, ((150, 420, [Hold(M)]),), {-1: _STOPPED}, length=420),
     "does not arm": Script(
         {"state_timeout_ms": 150}, ((150, 500, [Hold(M)]),), {-1: _set("deaf", True)}, length=500
     ),
@@ -193,7 +225,8 @@ SCRIPTS: dict[str, Script] = {
         {}, ((150, 300, [Hold(M)]), (300, 1000, [Idle(M)])), {310: _set("deaf", True)}, length=1000
     ),
     "lost answers": Script(
-        {"sdo_timeout_ms": 30}, ((150, 400, [Hold(M)]),),
+        {"sdo_timeout_ms": 30},
+        ((150, 400, [Hold(M)]),),
         {40: _set("mute", True), 90: _set("mute", False), 160: _set("mute", True), 300: _set("mute", False)},
         length=500,
     ),
@@ -221,6 +254,50 @@ SCRIPTS: dict[str, Script] = {
         {150: _set("quiet", True)},
         length=9000,
     ),
+    "noise": Script(
+        {}, ((150, 400, [Hold(M)]), (250, 251, [Scan("can0")])), {60: _noisy, 240: _noisy}, length=560
+    ),
+    "noise, asked": Script({"feedback": "sdo"}, ((150, 300, [Velocity(M, 1.0)]),), {60: _noisy}, length=400),
+    "strangers": Script(
+        {}, ((60, 61, [Scan("can0")]), (700, 701, [Scan("can0")])), {-1: _strangers}, length=1250
+    ),
+    "nothing of its NMT state": Script(
+        {"feedback": "sdo", "mapping": "keep", "heartbeat_ms": 0, "watchdog_ms": 0},
+        ((150, 450, [Hold(M)]), (450, 600, [Idle(M)])),
+        {-1: _beatless},
+        length=620,
+    ),
+    "its own PDOs, by its timer": Script(
+        {"feedback": "event"}, MOVES, {-1: _usual(255, 10, 255)}, length=460
+    ),
+    "its own PDOs, too slow": Script({"feedback": "event"}, MOVES, {-1: _usual(255, 200, 255)}, length=460),
+    "its own PDOs, on change": Script(
+        {"feedback": "event"}, MOVES[:2], {-1: _usual(255, 0, 255)}, length=340
+    ),
+    "its own PDOs, by SYNC": Script({}, MOVES, {-1: _usual(1, 0, 1)}, length=460),
+    "its own PDOs, by every second SYNC": Script({"sync_ms": 5}, MOVES, {-1: _usual(2, 0, 255)}, length=460),
+    "its own PDOs, of somebody's SYNC": Script({"sync_ms": 0}, MOVES, {-1: _usual(1, 0, 1)}, length=460),
+    "its own PDOs, kept": Script(
+        {"mapping": "keep", "feedback": "event", "feedback_ms": 20},
+        MOVES,
+        {-1: _usual(255, 20, 255)},
+        length=520,
+    ),
+    "its own PDOs, profile modes": Script({"modes": "profile"}, MOVES, {-1: _usual(1, 0, 1)}, length=520),
+    "its own PDOs, running": Script({}, (), {-1: _all(_usual(255, 10, 255), lambda f: f.nmt(1))}, length=300),
+    "slower": Script(
+        {
+            "feedback": "event",
+            "feedback_ms": 25,
+            "sync_ms": 7,
+            "heartbeat_ms": 50,
+            "watchdog_ms": 120,
+            "host_id": 99,
+        },
+        MOVES,
+        {-1: _put((0x1800, 1), 0x40000182)},
+        length=520,
+    ),
     "reboot while armed": Script({}, ((150, 400, [Hold(M)]), (350, 351, [Reboot(M)])), length=420),
     "home": Script({}, ((150, 500, [Hold(M)]), (350, 351, [Home(M)]), (360, 361, [Home(M)])), length=520),
     "home by SDO": Script(
@@ -230,16 +307,22 @@ SCRIPTS: dict[str, Script] = {
         {}, ((150, 500, [Hold(M)]), (350, 351, [Home(M)])), {-1: _set("homes", False)}, length=520
     ),
     "home never ends": Script(
-        {"home_timeout_ms": 100}, ((150, 600, [Hold(M)]), (350, 351, [Home(M)])), {-1: _set("homes", None)},
+        {"home_timeout_ms": 100},
+        ((150, 600, [Hold(M)]), (350, 351, [Home(M)])),
+        {-1: _set("homes", None)},
         length=700,
     ),
     "home is left": Script(
-        {}, ((150, 360, [Hold(M)]), (350, 351, [Home(M)]), (360, 500, [Idle(M)])), {-1: _set("homes", None)},
+        {},
+        ((150, 360, [Hold(M)]), (350, 351, [Home(M)]), (360, 500, [Idle(M)])),
+        {-1: _set("homes", None)},
         length=520,
     ),
     "zero": Script({}, ((150, 600, [Hold(M)]), (350, 351, [Zero(M)])), length=620),
     "zero, the older number": Script(
-        {}, ((150, 600, [Hold(M)]), (350, 351, [Zero(M)])), {-1: _set("refused", {(0x6098, 37): 0x06090030})},
+        {},
+        ((150, 600, [Hold(M)]), (350, 351, [Zero(M)])),
+        {-1: _set("refused", {(0x6098, 37): 0x06090030})},
         length=620,
     ),
     "no zero": Script({}, ((150, 600, [Hold(M)]), (350, 351, [Zero(M)])), {-1: _lacks(0x6098)}, length=520),
@@ -252,7 +335,7 @@ SCRIPTS: dict[str, Script] = {
     "the heartbeat cannot be written": Script(
         {"feedback": "event"}, MOVES[:2], {-1: _set("refused", {(0x1017, None): 0x06020000})}, length=340
     ),
-}  # fmt: skip
+}
 
 
 # -- playing ------------------------------------------------------------------------------------------
@@ -302,6 +385,8 @@ def play(script: Script, up: Callable[[int, Sequence[str]], Sequence[CanFrame]])
         line = Line(ms, tuple(map(str, frames)), down, None if due is None else due - ms, heard)
         if line.up or line.down or line.events or due != before:
             yield line
+    tally = driver.tally
+    yield Line(script.length, (), events=(f"{tally.heard} heard, {tally.bad} bad, {tally.foreign} foreign",))
 
 
 def _plain(event: Event) -> str:
@@ -332,9 +417,10 @@ def again(script: Script, lines: Sequence[str]) -> list[str]:
 # -- what ear and twin obey -----------------------------------------------------------------------------
 
 
-def obeyed(frames: Sequence[CanFrame], instant: bool) -> list[str]:
+def obeyed(frames: Sequence[CanFrame], name: str) -> list[str]:
     """What an axis makes of frames: words, and where it stands."""
-    axis = Axis(Device(M, NODE, Options(), Settings()), instant=instant)
+    settings = Settings(pdos="usual") if "usual" in name else Settings()
+    axis = Axis(Device(M, NODE, Options(), settings), instant=name.endswith("ear"))
     axis.position = 1000
     lines = []
     for at, frame in enumerate(frames):
