@@ -150,6 +150,29 @@ def test_answers_to_others_are_not_found_beside_vectors(identifier: int) -> None
     assert it.hear(frame("2804d002" + UUID.hex() + "21d80201", identifier)) == []
 
 
+def test_what_a_scan_says_of_a_device_of_ours_beside_vectors() -> None:
+    uuid = "UUID 01234567-89ab-cdef-fedc-ba9876543210"
+    it = Talk()
+    for data, title in (
+        ("", "firmware not known yet"),
+        ("298002" + "04030300", "firmware not known yet"),
+        ("298102" + "04030100", "model 030304, firmware 1.3.4"),
+    ):
+        it.hear(frame(data))
+        it.say(Scan("can0"))
+        (found,) = told(it, "reply_uuid")
+        assert isinstance(found, Found)
+        assert found.detail == f"left, {title}; {uuid}"
+        while not any(isinstance(event, Done) for event in later(it)):
+            it.hear(VECTORS["reply_stopped"])
+    other = Talk()
+    other.hear(frame("298102" + "04030100"))
+    other.say(Scan("can0"))
+    (found,) = told(other, "reply_uuid")
+    assert isinstance(found, Found)
+    assert found.detail == f"left, model 000000, firmware 1.3.4; {uuid}"
+
+
 def test_when_a_scan_asks_and_ends_beside_vectors() -> None:
     it = talk()
     times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
@@ -189,6 +212,14 @@ def test_a_uuid_that_was_heard_long_ago_is_no_second_device_beside_vectors() -> 
         it.now += late
         events = told(it, "reply_uuid_other")
         assert any(isinstance(event, Found) for event in events) == twice
+
+
+def test_a_device_that_was_given_another_id_of_ours_is_no_second_one_beside_vectors() -> None:
+    driver = MoteusDriver([device("left", 5), device("n", 9)], RANGES)
+    now = 1000 * SECOND
+    for vector in ("reply_stopped", "reply_uuid", "reply_uuid_id_9", "reply_uuid_other"):
+        events = driver.receive(now, VECTORS[vector])
+        assert [event for event in events if isinstance(event, Found)] == []
 
 
 def test_all_prefixes_in_use_are_asked_beside_vectors() -> None:

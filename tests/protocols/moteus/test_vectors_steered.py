@@ -9,6 +9,7 @@ import pytest
 from protocols.wire import BusState
 from protocols.words import (
     MILLISECOND,
+    ClearFault,
     Command,
     Hold,
     Idle,
@@ -17,9 +18,10 @@ from protocols.words import (
     Stop,
     Torque,
     Velocity,
+    Zero,
 )
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_heard import talk
+from tests.protocols.moteus.test_vectors_heard import talk, told
 
 # -- arming, set-points and stops --------------------------------------------------------------------
 
@@ -114,6 +116,17 @@ def test_stops_are_repeated_until_vectors_confirm_them() -> None:
     it.say(Idle("left"))
     it.driver.bus(it.now, BusState.FULL)
     assert stops(it, 3, Idle("left")) == [0]
+
+
+def test_idle_lets_go_of_a_device_in_timeout_as_the_vector_says() -> None:
+    it = Talk().running()
+    it.say(Hold("left"))
+    told(it, "reply_timeout")
+    assert stops(it, 9, Idle("left"), hears="reply_timeout") == []
+    it.say(ClearFault("left"))
+    assert len(told(it, "reply_stopped")) >= 2
+    assert stops(it, 9, Idle("left"), hears="reply_stopped") == []
+    assert it.say(Zero("left"))[0].data[:3] == b"\x0d\xb1\x02"  # it is not ours any more
 
 
 def test_an_operator_s_stop_reaches_what_we_did_not_arm_beside_vectors() -> None:

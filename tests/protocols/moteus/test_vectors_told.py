@@ -253,6 +253,14 @@ def test_a_fault_of_a_vector_is_told_with_its_code(code: int) -> None:
     assert events == [fault, State("left", it.now, Mode.FAULT, "fault")]
 
 
+def test_a_fault_that_no_vector_names_is_told_by_its_number() -> None:
+    fault = talk().hear(frame("210001210f7e"))[0]
+    assert isinstance(fault, Fault)
+    assert (fault.code, fault.name) == (126, "fault 126")
+    assert fault.cause == "a code that this driver does not know: newer firmware?"
+    assert fault.cure == "look it up in the vendor's register reference, then clear"
+
+
 def test_a_fault_whose_code_no_vector_has_told_waits_for_it() -> None:
     it = talk()
     assert it.hear(frame("210001")) == [State("left", it.now, Mode.FAULT, "fault")]
