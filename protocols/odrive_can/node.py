@@ -11,6 +11,7 @@ firmware line is `dialect`'s.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from protocols.odrive_can.asking import NEVER, OTHER, VERSION, Asking
 from protocols.odrive_can.codec import EXTENDED, AnyMessage, cmd_of, radians
@@ -360,7 +361,7 @@ class Node:
     def tell_again(self) -> None:
         """Faults that stay are told again, with all their words."""
         self.told_faults.clear()
-        self.beat = Beat(self.beat.error, self.beat.state, self.beat.result)
+        self.beat = replace(self.beat, parts=())
 
     # -- by itself ----------------------------------------------------------------------------
 

@@ -221,6 +221,8 @@ def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
     talk.run(40, Idle("left"))
     talk.mute()
     talk.run(320, Idle("left"))
+    talk.up()
+    talk.run(320, Idle("left"))
     talk.is_as_told("""
         0 < State left initialising IDLE, asking for its firmware
         0 < Feedback position=0 velocity=0
@@ -265,7 +267,13 @@ def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
         1620 > 3?Get_Version
         1640 > 3:Set_Axis_State 1
         1650 > 3?Heartbeat
-        heard 122, bad 0, foreign 0
+        1700 < State left initialising IDLE, asking for its firmware
+        1700 > 3:Set_Axis_State 1 | 3?Get_Encoder_Estimates
+        1710 > 3?Get_Encoder_Estimates
+        1720 > 3?Get_Version | 3?Get_Encoder_Estimates | 3?Get_Bus_Voltage_Current
+        1760 > 3:Set_Axis_State 1
+        1800 < State left ready IDLE
+        heard 159, bad 0, foreign 0
         """)
 
 

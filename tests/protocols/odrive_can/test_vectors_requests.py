@@ -10,7 +10,9 @@ from protocols.words import (
     Idle,
     ReadParameter,
     Reboot,
+    Release,
     Scan,
+    Set,
     SetId,
     Velocity,
     WriteParameter,
@@ -49,7 +51,7 @@ def test_vectors_of_a_zero_an_estop_and_a_clearing() -> None:
     talk.run(100)
     talk.ask(ClearFault("left"))
     talk.run(700)
-    talk.ask(Home("left"))
+    talk.ask(Home("left"), Release(), Set("gains.left", 1.0))
     talk.is_as_told("""
         0 < State left initialising IDLE, asking for its firmware
         0 < Feedback position=0 velocity=0
@@ -94,6 +96,8 @@ def test_vectors_of_a_zero_an_estop_and_a_clearing() -> None:
         2500 < Fault left 33554432 ESTOP_REQUESTED an emergency stop was sent over the bus make sure it is
             safe, then clear
         2580 < Refused Home left odrive_can has no Home
+        2580 < Refused Release  odrive_can cannot do this, or knows no such motor
+        2580 < Refused Set  odrive_can cannot do this, or knows no such motor
         heard 285, bad 0, foreign 0
         """)
 

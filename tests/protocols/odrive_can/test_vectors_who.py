@@ -93,6 +93,48 @@ def test_vectors_of_a_device_that_answers_nothing() -> None:
         """)
 
 
+def test_vectors_of_a_device_that_answers_the_roll_call_and_no_other_question_of_0_6() -> None:
+    talk = Talk([device(poll_ms=0)], every=0)
+    talk.beat()
+    talk.place()
+    talk.answer("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
+    talk.hear(address(3, 10))
+    talk.run(1150)
+    talk.is_as_told("""
+        0 < State left initialising IDLE, asking for its firmware
+        0 < Feedback position=0 velocity=0
+        0 > 3?Get_Version | 3?Get_Bus_Voltage_Current | 63?Address
+        1 < Feedback voltage=24
+        100…1000/100 > 3?Get_Version | 3?Get_Bus_Voltage_Current
+        1000 < Fault left 12884901888 firmware unknown it sends heartbeats but does not answer Get_Version,
+            nor as 0.5.x would: do our frames arrive? look at cable and bit rate with a bus monitor, and for
+            a second host
+        1000 < State left fault IDLE
+        heard 139, bad 0, foreign 0
+        """)
+
+
+def test_vectors_of_heartbeats_with_extended_identifiers_that_contradict_each_other() -> None:
+    talk = Talk([device(poll_ms=0, firmware="0.5", is_extended=True)], "0.5", every=0)
+    for state in (8, 1, 8, 1):
+        talk.tell("Heartbeat", extended=True, Axis_State=state)
+        talk.run(50)
+    talk.is_as_told("""
+        0 < State left initialising CLOSED_LOOP_CONTROL, asking for its firmware
+        0 > x3?0x0 | x3?Get_Bus_Voltage_Current
+        20…90/10 > x3?Get_Encoder_Estimates
+        50 < State left initialising IDLE, asking for its firmware
+        100 < State left initialising CLOSED_LOOP_CONTROL, asking for its firmware
+        100 > x3?0x0 | x3?Get_Encoder_Estimates | x3?Get_Bus_Voltage_Current
+        110…190/10 > x3?Get_Encoder_Estimates
+        150 < State left initialising IDLE, asking for its firmware
+        150 < Found odrive_can 3 None its heartbeats contradict each other in turn True
+        150 < Fault left 8589934592 node id 3 is held twice its heartbeats contradict each other in turn
+            take one off the bus, or give it another node id (SetId with its serial number)
+        heard 4, bad 0, foreign 0
+        """)
+
+
 def test_vectors_of_a_device_that_is_not_what_the_robot_file_says() -> None:
     talk = Talk([device(poll_ms=0, firmware="0.6")], "0.5", every=0)
     talk.beat(1, 0x40, Motor_Error_Flag=1)
@@ -359,7 +401,8 @@ def test_vectors_of_heartbeats_that_contradict_each_other(
         "take one off the bus, or give it another node id (SetId with its serial number)"
     )
     assert [line for _, line in talk.lines if "held twice" in str(line)] == [told] * twice
-    assert sum("Found" in str(line) for _, line in talk.lines) == twice
+    found = "150 < Found odrive_can 3 None its heartbeats contradict each other in turn True"
+    assert [str(line) for _, line in talk.lines if "Found" in str(line)] == [found] * twice
     asked = [str(line) for _, line in talk.lines if "63?Address" in str(line)]
     assert len(asked) == 1 + twice
 
