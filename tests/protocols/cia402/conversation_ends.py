@@ -31,7 +31,7 @@ class Firmware:
         self.slave.said()
         self.quiet = self.mute = self.deaf = self.twice = False
         self.stubborn = 0
-        self.beating = True
+        self.beating = self.acknowledges = True
         self.strangers = False
         self.others = [Slave(5), Slave(7), Slave(126)]
         self.extra: list[CanFrame] = []
@@ -198,7 +198,7 @@ class Firmware:
                 return 0
             return 0x1400 if self.homes else 0x2000
         if mode == 1:
-            return 0x1000 if control & 16 else 0
+            return 0x1000 if control & 16 and self.acknowledges else 0
         return 0x1000 if mode in (8, 9, 10) else 0
 
 

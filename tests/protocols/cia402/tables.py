@@ -403,6 +403,7 @@ def counted() -> Iterator[str]:
     tells: tuple[dict[o.Key, int], ...] = (
         {},
         {o.ENCODER_INCREMENTS: 4000},
+        {o.RATED_CURRENT: 2000, o.RATED_TORQUE: 700},
         {o.ENCODER_INCREMENTS: 1},
         {o.ENCODER_INCREMENTS: 4000, o.ENCODER_REVOLUTIONS: 2},
         {o.ENCODER_INCREMENTS: 4000, o.ENCODER_REVOLUTIONS: 0},
