@@ -239,8 +239,8 @@ def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
             return _hear_reboot(pending, t, up=not beat.error & node.dialect.initializing)
         case WriteParameter() if beat is not None and pending.frames:
             return [pending.done(t, "sent; the device does not confirm it")]
-        case ReadParameter():
-            return _hear_parameter(pending, t, message)
+        case ReadParameter(_, parameter):
+            return _hear_parameter(pending, node, parameter, t, message)
     return []
 
 
@@ -256,17 +256,16 @@ def _hear_reboot(pending: Pending, t: Nanos, up: bool) -> list[Event]:
     return [pending.done(t, "it has restarted")] if pending.stage and up else []
 
 
-def _hear_parameter(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
-    request = pending.request
-    if not isinstance(request, ReadParameter) or pending.node is None:
-        return []
-    kind, attribute = pending.node.dialect.readable.get(request.parameter, (None, ""))
+def _hear_parameter(
+    pending: Pending, node: Node, parameter: str, t: Nanos, message: AnyMessage
+) -> list[Event]:
+    kind, attribute = node.dialect.readable.get(parameter, (None, ""))
     if kind is None or not isinstance(message, kind):
         return []
     value = getattr(message, attribute)
     if value is None:
         return [pending.refuse(t, "the device has no sensor for it")]
-    return [Parameter(pending.name, t, request.parameter, float(value)), pending.done(t)]
+    return [Parameter(pending.name, t, parameter, float(value)), pending.done(t)]
 
 
 def give_up(pending: Pending, now: Nanos) -> Refused:

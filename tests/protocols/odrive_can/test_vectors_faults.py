@@ -203,6 +203,31 @@ def test_vectors_of_arming_again_after_a_clearing() -> None:
         """)
 
 
+def test_vectors_of_a_result_that_is_no_verdict_on_an_arming() -> None:
+    talk = standing()
+    talk.run(20, Velocity("left", 0.0))
+    talk.beat(8)
+    talk.run(100, Velocity("left", 0.0))
+    talk.beat(1, Procedure_Result=12)
+    talk.run(350)
+    talk.is_as_told("""
+        0 < State left initialising IDLE, asking for its firmware
+        0 < Feedback position=0 velocity=0
+        0 > 3?Get_Version | 3?Get_Bus_Voltage_Current | 63?Address
+        1 > 3?Get_Encoder_Estimates
+        100 < State left ready IDLE
+        220 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
+        240…320/20 > 3:Set_Input_Vel 0 0
+        300 < State left armed CLOSED_LOOP_CONTROL
+        400 < State left ready IDLE, HOMING_WITHOUT_ENDSTOP, left closed loop by itself
+        400 > 3?Get_Error
+        500 < State left ready IDLE, HOMING_WITHOUT_ENDSTOP
+        500 > 3?Get_Error
+        600 > 3?Get_Error
+        heard 76, bad 0, foreign 0
+        """)
+
+
 def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
     talk = standing()
     talk.beat(8)

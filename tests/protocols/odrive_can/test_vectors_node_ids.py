@@ -84,7 +84,9 @@ def test_vectors_of_a_scan() -> None:
     for _ in range(2):
         talk.hear(DISCOVERED)
     talk.hear(CanFrame(0x7E6, bytes.fromhex("3f303373345f39")))
+    talk.hear(CanFrame(0xE6, bytes.fromhex("07303373345f36")))
     talk.beat(node=8)
+    talk.tell("Heartbeat", 0, extended=True, Axis_State=1)
     talk.tell("Heartbeat", 20, extended=True, Axis_State=1)
     talk.tell("Get_Encoder_Estimates", 21)
     talk.hear(CanFrame(0x2C1, b"\0\0\0\0\1\0"))
@@ -105,13 +107,16 @@ def test_vectors_of_a_scan() -> None:
         220 > 63?Address
         220 < Found odrive_can 3 61981553013552 left, firmware 0.6.10 False
         220 < Found odrive_can 63 63081064641328 has no node id yet False
+        220 < Found odrive_can 7 59782529758000  False
         820 > 63?Address
         1420 > 63?Address
         2020 < Found odrive_can 4 None right, firmware 0.6.10 False
         2020 < Found odrive_can 8 None heard, but it did not answer discovery: firmware 0.5.x? False
+        2020 < Found odrive_can 0 None heard, but it did not answer discovery: firmware 0.5.x?, extended
+            identifiers False
         2020 < Found odrive_can 20 None heard, but it did not answer discovery: firmware 0.5.x?, extended
             identifiers False
-        2020 < Done Scan can0 5 devices
+        2020 < Done Scan can0 7 devices
         2070 > 2 × 63?Address
         2070 < Found odrive_can 4 60882041385776 right, firmware 0.6.10 False (× 2)
         2670 > 2 × 63?Address
@@ -122,5 +127,5 @@ def test_vectors_of_a_scan() -> None:
         3870 < Found odrive_can 3 None left, firmware 0.6.10 False
         3870 < Found odrive_can 8 None heard, but it did not answer discovery: firmware 0.5.x? False
         3870 < Done Scan can0 3 devices
-        heard 870, bad 0, foreign 40
+        heard 871, bad 0, foreign 41
         """)

@@ -342,6 +342,14 @@ def test_vectors_of_what_is_not_finite_are_no_messages(value: float) -> None:
             encode(3, message)
 
 
+@pytest.mark.parametrize("cmd", [0x01, 0x09, 0x14])
+def test_vectors_of_frames_that_are_too_short_or_too_long(cmd: int) -> None:
+    fewest = 7 if cmd == 0x01 else 8
+    for count in range(11):
+        told = decode_from_device(CanFrame(0x60 | cmd, bytes(count)))
+        assert (told is not None) == (fewest <= count <= 8)
+
+
 def test_vectors_of_questions() -> None:
     assert decode_to_device(CanFrame(0x77, remote=True)) == Ask(0x17)
     assert decode_to_device(CanFrame(0x77)) == Ask(0x17)

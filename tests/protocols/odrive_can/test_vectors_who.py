@@ -135,6 +135,19 @@ def test_vectors_of_heartbeats_with_extended_identifiers_that_contradict_each_ot
         """)
 
 
+def test_vectors_of_a_heartbeat_that_is_read_before_the_line_is_known() -> None:
+    talk = Talk([device(poll_ms=0)], every=0)
+    talk.tell("Heartbeat", Axis_State=1, Procedure_Result=3)
+    talk.line = "0.5"
+    talk.tell("Heartbeat", Axis_State=1, Axis_Error=0x40, Motor_Error_Flag=1, Trajectory_Done_Flag=1)
+    talk.is_as_told("""
+        0 < State left ready IDLE, DISARMED, asking for its firmware
+        0 < Fault left 64 MISSING_INPUT no valid set-point check what is sent, and which input mode is set
+        0 < State left fault IDLE, asking for its firmware
+        heard 2, bad 0, foreign 0
+        """)
+
+
 def test_vectors_of_a_device_that_is_not_what_the_robot_file_says() -> None:
     talk = Talk([device(poll_ms=0, firmware="0.6")], "0.5", every=0)
     talk.beat(1, 0x40, Motor_Error_Flag=1)
@@ -431,6 +444,7 @@ def test_vectors_of_heartbeats_that_we_asked_for() -> None:
         ((0.0, 0.04), 10, 0),
         ((0.0, -1.0), 100, 9),
         ((0.0, -1.0), 249, 9),
+        ((0.0, -1.0), 250, 9),
         ((0.0, -1.0), 251, 0),
         ((0.0, 1.0, 2.0, 3.0), 10, 0),
         ((0.0, 1.0, 1.0), 10, 25),
