@@ -26,7 +26,7 @@ from protocols.odrive_can.codec import (
 )
 from protocols.odrive_can.dialect import beat_of
 from protocols.odrive_can.faults import DUPLICATE_NODE
-from protocols.odrive_can.messages import Address, Beacon
+from protocols.odrive_can.messages import Address, AxisState, Beacon
 from protocols.odrive_can.node import Node
 from protocols.odrive_can.requests import Pending
 from protocols.plugin import Device, Range, Tally
@@ -299,7 +299,11 @@ class OdriveDriver:
 
     def _begin(self, now: Nanos, request: Request, node: Node) -> Pending | Refused:
         others = [other for other in self.nodes.values() if other is not node and other.dialect.boards]
-        running = [other.name for other in others if other.claimed or other.armed]
+        running = [
+            other.name
+            for other in others
+            if other.claimed or other.armed or other.state == AxisState.CLOSED_LOOP_CONTROL
+        ]
         if isinstance(request, Reboot) and node.dialect.boards and running:
             said = (
                 f"it restarts its whole board, and {running[0]}, which is armed, may be on it: say idle first"

@@ -393,6 +393,23 @@ def test_a_restart_is_refused_while_any_axis_that_may_be_on_the_board_is_armed()
     assert [state.mode for state in of(State, bench.events)].count(Mode.OFFLINE) == 2
 
 
+def test_a_restart_is_refused_while_somebody_else_runs_the_other_axis() -> None:
+    bench = board()
+    other = bench.twins[1]
+    for message in (SetControllerMode(ControlMode.VELOCITY, 1), CLOSED):
+        other.receive(bench.now, encode(2, message))
+    bench.run(300)
+    assert not bench.driver.nodes[2].claimed
+    (end,) = ends(bench.ask(Reboot("left"), 300))
+    assert isinstance(end, Refused)
+    assert "right, which is armed" in end.reason
+    assert modes(bench.events)[-1] == "armed"
+    other.receive(bench.now, encode(2, SetAxisState(AxisState.IDLE)))
+    bench.run(300)
+    (end,) = ends(bench.ask(Reboot("left"), 3000))
+    assert isinstance(end, Done)
+
+
 def said_all(bench: Bench) -> list[AnyMessage]:
     return bench.said(1, line="0.5") + bench.said(2, line="0.5")
 

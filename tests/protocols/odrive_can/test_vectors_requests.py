@@ -387,8 +387,9 @@ def test_vectors_of_requests_to_the_axes_of_a_board() -> None:
         430 < Feedback position=0.0628319 velocity=0
         430 < Done Zero axis3
         500 < State axis4 armed CLOSED_LOOP_CONTROL
+        550 < Refused Reboot axis3 it restarts its whole board, and axis4, which is armed, may be on it: say
+            idle first
         550 < Refused Reboot axis4 it is armed, and would drop its load: say idle first
-        550 > 3:Reboot
         600 < State axis4 ready IDLE
         650 > 3:Reboot | 4:0x02
         700 < Parameter axis3 Axis_State 1
@@ -414,7 +415,7 @@ def test_vectors_of_requests_to_the_axes_of_a_board() -> None:
         1380 > 3?Get_Encoder_Estimates
         1390 > 3?0x0 | 3?Heartbeat
         1400 < State axis3 initialising IDLE, asking for its firmware
-        1400 < Done Reboot axis3 it has restarted (× 2)
+        1400 < Done Reboot axis3 it has restarted
         1400…1480/10 > 3?Get_Encoder_Estimates
         1490 > 3?0x0 | 3?Get_Encoder_Estimates | 3?Get_Bus_Voltage_Current
         1500…1580/10 > 3?Get_Encoder_Estimates
@@ -446,4 +447,36 @@ def test_vectors_of_requests_to_the_axes_of_a_board() -> None:
         2490 > 3?0x0 | 3?Get_Encoder_Estimates | 3?Get_Bus_Voltage_Current
         2500…2640/10 > 3?Get_Encoder_Estimates
         heard 403, bad 0, foreign 0
+        """)
+
+
+def test_vectors_of_a_restart_beside_an_axis_that_we_drive() -> None:
+    talk = standing05(4)
+    talk.run(20, Velocity("axis4", 0.0))
+    talk.ask(Reboot("axis3"))
+    talk.run(180, Idle("axis4"))
+    talk.ask(Reboot("axis3"))
+    talk.run(20)
+    talk.ask(Reboot("axis3"))
+    talk.is_as_told("""
+        0 < State axis3 initialising IDLE, asking for its firmware
+        0 < Feedback position=0 velocity=0
+        0 < State axis4 initialising IDLE, asking for its firmware
+        0 < Feedback position=0 velocity=0
+        0 > 3?0x0 | 3?Get_Bus_Voltage_Current | 4?0x0 | 4?Get_Bus_Voltage_Current
+        1 < Feedback voltage=24 (× 2)
+        100 > 3?0x0 | 3?Get_Bus_Voltage_Current | 4?0x0 | 4?Get_Bus_Voltage_Current
+        101 > 3?Get_Encoder_Estimates | 4?Get_Encoder_Estimates
+        200 < State axis3 ready IDLE
+        200 < State axis4 ready IDLE
+        300 > 4:Set_Controller_Mode 2 1 | 4:Set_Input_Vel 0 0 | 4:Set_Axis_State 8
+        320 < Refused Reboot axis3 it restarts its whole board, and axis4, which is armed, may be on it: say
+            idle first
+        320 > 4:Set_Axis_State 1
+        380 > 4:Set_Axis_State 1
+        440 > 4:Set_Axis_State 1
+        500 < Refused Reboot axis3 it restarts its whole board, and axis4, which is armed, may be on it: say
+            idle first
+        520 > 3:Reboot
+        heard 120, bad 0, foreign 0
         """)
