@@ -77,6 +77,8 @@ class Node:
         self.error_code = 0
         self.wants_error = False
         """It is in fault, and has not told why."""
+        self.emergency = False
+        """It told of a fault by EMCY, and no statusword came since."""
         self.fresh: dict[Key, Nanos] = {}
         """When each object came by itself last."""
         self.worth: dict[Key, Nanos] = {}
@@ -158,7 +160,7 @@ class Node:
         self.poll_at = 0
         self.beats.clear()
         self.nmt = self.status = self.power = self.operation = self.position = None
-        self.wants_error, self.error_code, self.wrong = False, 0, ""
+        self.wants_error, self.emergency, self.error_code, self.wrong = False, False, 0, ""
         self.told_faults.clear()
         self.outlet = Outlet()
         self.unarm()
@@ -199,7 +201,7 @@ class Node:
             if self.power not in FAULTY:
                 self.told_faults.clear()
             return []
-        self.error_code, self.wants_error = emcy.code, False
+        self.error_code, self.wants_error, self.emergency = emcy.code, False, True
         return self.complain(t, emcy.code)
 
     def hear_tpdo(self, t: Nanos, id_: int, data: bytes) -> list[Event] | None:
@@ -261,7 +263,8 @@ class Node:
 
     def _hear_status(self, t: Nanos, status: int) -> list[Event]:
         before, self.status = self.power, status
-        self.power = power = state_of(status)
+        self.power, self.emergency = state_of(status), False
+        power = self.power
         self.statuses += 1
         events: list[Event] = []
         if self.armed and power is not PowerState.OPERATION_ENABLED:

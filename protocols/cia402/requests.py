@@ -249,6 +249,10 @@ def _clear(pending: Pending, now: Nanos) -> tuple[list[Event], list[CanFrame]]:
     if node.power is None or node.offline:
         return [], []
     if node.power not in FAULTY:
+        if (
+            node.emergency
+        ):  # maybe a fault, maybe a warning: its statusword tells, and nothing drops till then
+            return [], []
         if pending.stage and node.urgent:
             return [], []
         node.clearing, node.estopped = False, False

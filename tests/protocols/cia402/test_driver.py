@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 from protocols.cia402 import objects as o
+from protocols.cia402.codec import Emcy, encode
 from protocols.cia402.complaints import DUPLICATE_NODE, NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED, WRONG_DEVICE
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.profile import Mode as Operation
-from protocols.cia402.profile import mode_bit
+from protocols.cia402.profile import PowerState, mode_bit
 from protocols.wire import BusState, CanFrame
 from protocols.words import (
     MILLISECOND,
@@ -386,6 +387,44 @@ def test_a_fault_that_was_there_before_is_told_from_603f() -> None:
     s.fresh()
     s.until(Mode.FAULT)
     assert [fault.code for fault in s.of(Fault)] == [0x3220]
+
+
+@pytest.mark.parametrize("stands", [False, True], ids=["goes", "stands"])
+@pytest.mark.parametrize("name", ["sync", "polled"])
+def test_a_fault_told_by_emcy_is_cleared_only_by_what_a_newer_statusword_says(
+    name: str, stands: bool
+) -> None:
+    s = stage(ALL[name])
+    s.until(Mode.ARMED, Hold(A))
+    s.twin.provoke(0x2310)
+    s.twin.axis.fault_stands = stands
+    while not s.of(Fault):
+        s.step(Hold(A))
+    assert s.node.power is PowerState.OPERATION_ENABLED  # as far as it has said
+    s.forget()
+    s.step(ClearFault(A), Idle(A))
+    assert not s.of(Done)
+    s.steps(3100, Idle(A))
+    if stands:
+        assert not s.of(Done)
+        assert "still in fault" in s.of(Refused)[0].reason
+        assert s.stage.armed[A] is Mode.FAULT
+    else:
+        assert [done.request for done in s.of(Done)] == ["ClearFault"]
+        assert s.twin.axis.state is not PowerState.FAULT
+        assert s.stage.armed[A] is Mode.READY
+
+
+def test_an_emergency_that_no_statusword_confirms_is_cleared_without_a_word_to_the_drive() -> None:
+    s = stage()
+    s.until(Mode.ARMED, Hold(A))
+    s.forget()
+    s.step(ClearFault(A), Hold(A), stray=[encode(Emcy(1, 0x2310, 1, bytes(5)))])
+    s.step(ClearFault(A), Hold(A))
+    s.steps(20, Hold(A))
+    assert len(s.of(Done)) == 2
+    assert s.twin.axis.state is PowerState.OPERATION_ENABLED
+    assert 0x80 not in [value for index, _, value in s.writes() if index == 0x6040]
 
 
 def test_a_fault_that_stands_is_refused_to_be_cleared_and_told_again() -> None:
