@@ -358,12 +358,77 @@ def objects(host: Host) -> None:
     host.write(0x6081, 0x41424344454647, 0, 8)
 
 
+def units(host: Host) -> None:
+    """Units written, then set-points in them; the objects that may be written only as they stand."""
+    host.enable(8)
+    host.node.nmt.send_command(1)
+    for index, sub, value in (
+        (0x608F, 1, 1000),
+        (0x608F, 2, 3),
+        (0x6091, 1, 5),
+        (0x6091, 2, 2),
+        (0x6092, 1, 720),
+        (0x6092, 2, 7),
+        (0x6076, 0, 2500),
+        (0x6075, 0, 900),
+        (0x608F, 1, 0),
+    ):
+        host.write(index, value, sub)
+        for mode, target in ((8, 0x607A), (9, 0x60FF), (10, 0x6071)):
+            host.write(0x6060, mode)
+            host.write(target, 333)
+    for value in (0x80, 0x4000_0080, 0x81, 0x80):
+        host.write(0x1005, value)
+        host.read(0x1005)
+
+
+def pieces(host: Host) -> None:
+    """Transfers in segments: whole, with a wrong toggle bit, without a beginning, broken off."""
+    say = host.network.sent.append
+
+    def raw(text: str) -> None:
+        say(CanFrame(0x600 + NODE, bytes.fromhex(text)))
+
+    start, first, second = "4008100000000000", "6000000000000000", "7000000000000000"
+    host.read(0x1008)
+    for told in (
+        (start, first, first, second),
+        (start, second, first),
+        (start, first, second, second, first),
+        (first, second),
+        (start, "8008100000000405", first),
+        (start, start, first, second, first),
+        (start, "4000100000000000", first),
+    ):
+        for text in told:
+            raw(text)
+    begin, one, two, last = "2181600008000000", "0001020304050607", "1D08000000000000", "1108000000000000"
+    host.write(0x6081, 1234, 0, 8)
+    for told in (
+        (begin, one, one),
+        (begin, one, two),
+        (begin, two, one),
+        (begin, one, last, two),
+        (one, two),
+        (begin, "8081600000000405", one),
+        (begin, first, one, two),
+        ("2181600004000000", "0701020304000000"),
+        ("2081600000000000", "0701020304000000"),
+        ("2181600005000000", "0701020304000000"),
+    ):
+        for text in told:
+            raw(text)
+        host.read(0x6081)
+
+
 HOSTS = {
     "host, pp": pp,
     "host, modes": modes,
     "host, power": power,
     "host, pdos": pdos,
     "host, objects": objects,
+    "host, units": units,
+    "host, pieces": pieces,
 }
 
 

@@ -80,6 +80,13 @@ def _lacks(*indices: int) -> Callable[[Any], None]:
     return act
 
 
+def _named(name: bytes) -> Callable[[Any], None]:
+    def act(firmware: Any) -> None:
+        firmware.slave.node.data_store.setdefault(0x1008, {})[0] = name
+
+    return act
+
+
 def _all(*acts: Callable[[Any], None]) -> Callable[[Any], None]:
     def act(firmware: Any) -> None:
         for each in acts:
@@ -302,6 +309,61 @@ SCRIPTS: dict[str, Script] = {
         MOVES,
         {-1: _put((0x1800, 1), 0x40000182)},
         length=520,
+    ),
+    "a fault, cleared before the statusword tells it": Script(
+        {},
+        ((150, 321, [Hold(M)]), (321, 322, [ClearFault(M)]), (322, 440, [Hold(M)])),
+        {321: _fault},
+        length=440,
+    ),
+    "a fault, cleared before it is asked": Script(
+        {"feedback": "sdo"},
+        ((150, 321, [Hold(M)]), (321, 322, [ClearFault(M)]), (322, 440, [Hold(M)])),
+        {321: _fault},
+        length=440,
+    ),
+    "a fault while it is disarmed": Script(
+        {}, ((150, 400, [Hold(M)]), (400, 520, [Idle(M)])), {401: _fault}, length=520
+    ),
+    "a fault while it is disarmed, asked": Script(
+        {"feedback": "sdo"}, ((150, 400, [Hold(M)]), (400, 520, [Idle(M)])), {401: _fault}, length=520
+    ),
+    "cleared again and again, unanswered": Script(
+        {"sdo_timeout_ms": 700},
+        ((150, 300, [Hold(M)]), (350, 351, [ClearFault(M)]), (600, 601, [ClearFault(M)])),
+        {320: _all(_fault, _set("stubborn", 9)), 349: _set("mute", True), 1800: _set("mute", False)},
+        length=3700,
+    ),
+    "stopped while it is cleared": Script(
+        {"feedback": "sdo"},
+        (
+            (150, 300, [Hold(M)]),
+            (350, 351, [ClearFault(M)]),
+            (352, 353, [Estop(M)]),
+            (353, 400, [Idle(M)]),
+            (400, 401, [ClearFault(M)]),
+        ),
+        {320: _all(_fault, _set("stubborn", 2))},
+        length=1000,
+    ),
+    "without a name, looked for": Script({}, ((124, 125, [Scan("can0")]),), {-1: _lacks(0x1008)}, length=700),
+    "a name of a fixed length, looked for": Script(
+        {}, ((124, 125, [Scan("can0")]),), {-1: _named(b" drive 7 \0\0\0")}, length=700
+    ),
+    "looked for twice": Script(
+        {}, ((60, 61, [Scan("can0")]), (70, 71, [Scan("can0")]), (700, 701, [Scan("can0")])), length=1400
+    ),
+    "the mode does not come": Script(
+        {"state_timeout_ms": 120},
+        ((150, 320, [Hold(M)]), (320, 500, [Velocity(M, 1.0)]), (500, 520, [Idle(M)])),
+        {319: _set("deaf", True)},
+        length=520,
+    ),
+    "stopped, and armed again": Script(
+        {},
+        ((150, 300, [Hold(M)]), (300, 301, [Idle(M)]), (301, 500, [Hold(M)])),
+        {300: lambda f: f.nmt(2)},
+        length=500,
     ),
     "still in fault": Script(
         {"feedback_ms": 50, "feedback": "sdo"},

@@ -19,6 +19,7 @@ from protocols.cia402 import (
     mapping,
     objects,
     pdo,
+    plugin,
     profile,
     sdo,
     startup,
@@ -30,6 +31,7 @@ from protocols.cia402.mapping import Pdo
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import Entry
 from protocols.cia402.profile import Demand, PowerState
+from protocols.plugin import Device
 from protocols.wire import CanFrame
 from tests.protocols.cia402.vectors import VECTORS
 
@@ -446,6 +448,33 @@ def _tried(way: object, value: float) -> str:
         return str(error)
 
 
+DISAGREEING: tuple[dict[str, Any], ...] = (
+    {},
+    {"sync_ms": 5},
+    {"host_id": 3},
+    {"watchdog_ms": 700},
+    {"feedback": "event"},
+    {"feedback": "sdo", "sync_ms": 7, "host_id": 5},
+    {"mapping": "keep", "modes": "profile"},
+)
+
+
+def agreements() -> Iterator[str]:
+    """Drives of one bus: what must be the same for all, and what of an identifier taken twice."""
+    for one in DISAGREEING:
+        for other in DISAGREEING:
+            for addresses in ((1, 2, 3), (5, 2, 5), (1, 127, 3)):
+                devices = [
+                    Device(name, address, Options(**options), Settings())
+                    for name, address, options in zip("abc", addresses, (one, other, {}), strict=True)
+                ]
+                try:
+                    plugin.driver(devices)
+                    yield "agreed"
+                except ValueError as error:
+                    yield str(error)
+
+
 TABLES = {
     "table, messages": messages,
     "table, transfers": transfers,
@@ -455,4 +484,5 @@ TABLES = {
     "table, packings": packings,
     "table, mappings": mappings,
     "table, units": counted,
+    "table, agreements": agreements,
 }
