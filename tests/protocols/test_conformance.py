@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
@@ -20,6 +22,8 @@ from tests.protocols.broken_all import BROKEN
 
 INSTALLED, UNLOADABLE = load_all()
 NAMES = [clause.name for clause in CLAUSES]
+OURS = {"cia402", "moteus", "odrive_can", "plain"}
+PAGE = (Path(__file__).parents[2] / "docs" / "contract.md").read_text("utf-8")
 
 
 def clauses(names: Sequence[str]) -> list[Clause]:
@@ -32,11 +36,19 @@ def test_every_installed_plugin_keeps_the_contract(plugin: Plugin) -> None:
     print(table(results))
     assert [result.clause for result in results] == NAMES
     assert not [result for result in results if result.outcome == "failed"], table(results)
+    if plugin.name in OURS:
+        assert table(results) in PAGE, f"docs/contract.md shows another table of {plugin.name}"
+
+
+def test_the_page_tells_of_every_clause() -> None:
+    told = re.findall(r"^\| `(\w+)` \| [^|]+ \| [^|]+ \|$", PAGE, re.M)
+    assert sorted(told) == sorted(NAMES)
+    assert f"{len(BROKEN)} of them" in PAGE
 
 
 def test_every_built_in_plugin_is_installed() -> None:
     assert not UNLOADABLE
-    assert {plugin.name for plugin in INSTALLED} >= {"plain", "odrive_can"}
+    assert {plugin.name for plugin in INSTALLED} >= OURS
 
 
 @pytest.mark.parametrize(("plugin", "finders"), BROKEN, ids=[plugin.name for plugin, _ in BROKEN])
