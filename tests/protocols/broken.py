@@ -171,6 +171,21 @@ class EarRaises(PlainEar):
         return super().hear(t, wire)
 
 
+class EarFillsUp(PlainEar):
+    """The ear keeps what it does not understand, and has room for twenty."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self._kept: list[CanFrame] = []
+
+    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+        if isinstance(wire, CanFrame):
+            self._kept.append(wire)
+            if len(self._kept) > 20:
+                raise OverflowError("no room")
+        return super().hear(t, wire)
+
+
 class CountsTwice(PlainDriver):
     """A message with a wrong CRC is counted as bad, and its bytes once more as noise."""
 
@@ -483,7 +498,8 @@ BROKEN: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(NamesTheOther), ("measurements", "jump", "disarm", "watchdog", "blind", "faults", "attach")),
     (_driver(SingleRanges, sensors), ("measurements",)),
     (_driver(Raises), ("bytes", "streams", "finite")),
-    (_ear(EarRaises), ("bytes",)),
+    (_ear(EarRaises), ("bytes", "obeyed")),
+    (_ear(EarFillsUp), ("bytes",)),
     (_driver(CountsTwice), ("counts",)),
     (_driver(BelievesBadBytes), ("counts",)),
     (_driver(LosesTheNext), ("counts", "streams")),
