@@ -39,7 +39,8 @@ def _block(plugin: Plugin, score: Score | None) -> list[str]:
     lines += _row("commands", _commands(specs))
     mixed = len({spec.kind for spec in specs}) > 1
     lines += _row("feedback", _each(_of(spec, _feedback(spec), mixed) for spec in specs))
-    lines += _row("watchdog", _each(_of(spec, _watchdog(spec.watchdog), mixed) for spec in specs))
+    first = {spec.kind: spec for spec in reversed(specs)}.values()  # an option may acknowledge that it is off
+    lines += _row("watchdog", _each(_of(spec, _watchdog(spec.watchdog), mixed) for spec in first))
     lines += _row("trust", plugin.trust)
     return lines + _row("mutants", str(score) if score else "never tried")
 
