@@ -51,8 +51,24 @@ def check_devices(
     for (_, first), (at, second) in combinations(parts, 2):
         if first.bus == second.bus:
             _check_pair(first, at, second, mistakes)
+    _check_together([part for _, part in parts], mistakes)
     for name, motor in motors.items():
         _check_motor(("motors", name), motor, period, mistakes)
+
+
+def _check_together(parts: Sequence[Part], mistakes: Mistakes) -> None:
+    """What one driver says of its devices on a bus together: options that are the bus's own must agree."""
+    groups: dict[tuple[str, str], list[Part]] = {}
+    for part in parts:
+        groups.setdefault((part.bus, part.plugin.name), []).append(part)
+    for (bus, language), group in groups.items():
+        devices = [part.device for part in group]
+        if len({device.address for device in devices}) < len(devices):
+            continue  # told already, one by one
+        try:
+            group[0].plugin.driver(devices)
+        except ValueError as error:
+            mistakes.add(("buses", bus), f"{language}: {error}")
 
 
 def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:

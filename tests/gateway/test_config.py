@@ -437,6 +437,16 @@ def test_all_of_them_at_once_in_the_order_of_the_file() -> None:
     ]
 
 
+def test_what_a_driver_says_of_its_devices_together_is_a_mistake_like_any_other() -> None:
+    text = shipped.find("robots", "diffbot_cia402").read_text("utf-8")
+    text = text.replace("sync_ms = 10", "sync_ms = 20", 1).replace("gear = 8.0", "gear = 0.0", 1)
+    mistakes = told(text)
+    assert len(mistakes) == 2
+    assert any("motors.left.gear: " in one for one in mistakes)
+    said = "buses.can0: cia402: sync_ms must be the same for all drives of one bus: it is 20 for left and 10"
+    assert any(said in one for one in mistakes)
+
+
 def test_a_mistake_in_a_default_is_told_once_where_it_stands() -> None:
     text = changed("gear = 8.0", "gear = 0", BENCH)
     number = line_of(text, "gear = 0")
@@ -496,6 +506,11 @@ class NoOptions:
     """Nothing to be set."""
 
 
+def speechless(_: object) -> Any:
+    """The driver of a stranger: none of these tests lets it speak."""
+    return None
+
+
 def stranger(**changes: Any) -> Plugin:
     """A language of somebody else's: the built-in one's contract with some changes."""
     odrive = plugin.load("odrive_can")
@@ -504,7 +519,9 @@ def stranger(**changes: Any) -> Plugin:
     def spec(device: Device) -> Spec:
         return dataclasses.replace(odrive.spec(dataclasses.replace(left, address=device.address)), **changes)
 
-    return dataclasses.replace(odrive, name="stranger", options=NoOptions, settings=NoOptions, spec=spec)
+    return dataclasses.replace(
+        odrive, name="stranger", options=NoOptions, settings=NoOptions, spec=spec, driver=speechless
+    )
 
 
 def with_stranger(text: str, **changes: Any) -> list[str]:
