@@ -67,8 +67,13 @@ def _check_together(parts: Sequence[Part], mistakes: Mistakes) -> None:
             continue  # told already, one by one
         try:
             group[0].plugin.driver(devices)
-        except ValueError as error:
-            mistakes.add(("buses", bus), f"{language}: {error}")
+        except Exception as error:  # noqa: BLE001 -- a third party's driver may raise anything
+            kind = (
+                ""
+                if isinstance(error, ValueError)
+                else f" is broken: its driver raises {type(error).__name__}"
+            )
+            mistakes.add(("buses", bus), f"{language}{kind}: {error}")
 
 
 def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:

@@ -447,6 +447,15 @@ def test_what_a_driver_says_of_its_devices_together_is_a_mistake_like_any_other(
     assert any(said in one for one in mistakes)
 
 
+def test_a_driver_that_raises_is_named_with_what_it_raises() -> None:
+    def driver(_: object) -> Any:
+        raise RuntimeError("boom")
+
+    broken = dataclasses.replace(plugin.load("odrive_can"), driver=driver)
+    (mistake,) = told(BENCH, lambda name: broken if name == "odrive_can" else plugin.load(name))
+    assert "buses.can0: odrive_can is broken: its driver raises RuntimeError: boom" in mistake
+
+
 def test_a_mistake_in_a_default_is_told_once_where_it_stands() -> None:
     text = changed("gear = 8.0", "gear = 0", BENCH)
     number = line_of(text, "gear = 0")
