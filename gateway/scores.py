@@ -1,7 +1,8 @@
 """How much of a device language its tests hold: the stored result of its mutation testing, as figures.
 
 A result stands in fixtures/mutation/NAME.json, made by `./go prove`: of the many small changes of codec,
-driver and ear, how many the contract and the language's tests of vectors notice (what these rest on: docs/contract.md).
+driver and ear, how many the contract and the language's tests of vectors notice. What these rest on stands
+in docs/contract.md.
 """
 
 from __future__ import annotations
