@@ -27,7 +27,7 @@ SEED = 7
 def recorded(tmp_path: Path) -> Path:
     """40 ticks in four chunks."""
     path = tmp_path / "a.mcap"
-    little.record(path, 40)
+    little.record_in_chunks(path, 40)
     return path
 
 

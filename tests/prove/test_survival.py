@@ -32,7 +32,7 @@ def test_two_hundred_kills_lose_at_most_100_ms(tmp_path: Path) -> None:
 
 def test_a_cut_at_every_byte_gives_back_all_whole_ticks_before_it(tmp_path: Path) -> None:
     path, cut, out = tmp_path / "a.mcap", tmp_path / "cut.mcap", tmp_path / "out.mcap"
-    little.record(path, 40)
+    little.record_in_chunks(path, 40)
     whole, parts = path.read_bytes(), chunks(path)
     step = 64
 
