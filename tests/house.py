@@ -51,7 +51,13 @@ OUTSIDE = {"protocols": {"msgpack"}, "brain": {"numpy", "filterpy"}}
 STEP = ("gateway.gateway", "gateway.joint", "gateway.tick")
 """The modules of the gateway that are the step itself."""
 
-CONTRACT = ("protocols.words", "protocols.wire", "protocols.plugin", "protocols.vectors")
+CONTRACT = (
+    "protocols.words",
+    "protocols.wire",
+    "protocols.plugin",
+    "protocols.vectors",
+    "protocols.answers",
+)
 """What a device language may import of ours, beside its own folder."""
 
 SHARED = (*CONTRACT, "protocols.conformance")

@@ -1,0 +1,85 @@
+"""What drivers of most languages answer in the same way: commands that must not reach a wire, and requests.
+
+Rules. No language, wire or clock in here. A driver need not use it: the contract asks for what is answered,
+not for how.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+from protocols.plugin import Range
+from protocols.words import Command, Done, Nanos, Refused, Request
+
+SMALLEST = 2.0**-126
+"""The smallest normal float32. What lies below it is as good as zero."""
+
+
+def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
+    """Why the numbers of a command must not reach a wire; "" if they may.
+
+    `ranges` as in `Spec`. A number that has no range there must be zero."""
+    kind = type(command).__name__
+    for name in command.__slots__:
+        value = getattr(command, name)
+        if isinstance(value, str):
+            continue
+        if not isfinite(value):
+            return f"{name} is {value}"
+        allowed = ranges.get(f"{kind}.{name}")
+        if allowed is None:
+            if abs(value) >= SMALLEST:
+                return f"the device has no {name} for {kind}"
+        elif not allowed.low <= value <= allowed.high:
+            return f"{name} {value:.6g} lies outside {allowed.low:.6g} … {allowed.high:.6g}"
+    return ""
+
+
+class Refusals:
+    """Commands come anew every tick: what is refused for the same reason as before is not told again."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, str] = {}
+        """By motor, the reason for which its last command was refused."""
+
+    def hear(self, now: Nanos, command: Command, reason: str) -> list[Refused]:
+        """What is to be told of a command; `reason`: why it is refused, "" if it is not."""
+        told = self._told.pop(command.motor, "")
+        if not reason:
+            return []
+        self._told[command.motor] = reason
+        return [] if told == reason else [refusal(now, command, reason)]
+
+
+@dataclass(slots=True)
+class UnderWay:
+    """A request that waits for a device. Languages add what they wait for."""
+
+    request: Request
+    name: str
+    """Of the motor, or of the bus if all on it are asked."""
+    began: Nanos
+    deadline: Nanos
+    next: Nanos
+    """When there is something to do about it."""
+
+    def done(self, t: Nanos, detail: str = "") -> Done:
+        """It was carried out."""
+        return Done(t, type(self.request).__name__, self.name, detail)
+
+    def refuse(self, t: Nanos, reason: str) -> Refused:
+        """It was not."""
+        return Refused(t, type(self.request).__name__, self.name, reason)
+
+
+def subject(word: Command | Request) -> str:
+    """The motor that a word is about, or the bus."""
+    name: str = getattr(word, "motor", "") or getattr(word, "bus", "")
+    return name
+
+
+def refusal(t: Nanos, word: Command | Request, reason: str) -> Refused:
+    """A word that is not even begun."""
+    return Refused(t, type(word).__name__, subject(word), reason)
