@@ -8,8 +8,8 @@ what a command takes, `requests` what is asked; this file deals out the frames.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isfinite
 
+from protocols.answers import Refusals, out_of_range, refusal
 from protocols.cia402 import jobs, motion, requests, sdo
 from protocols.cia402 import objects as o
 from protocols.cia402.client import DOUBLED, Outcome, Purpose
@@ -52,8 +52,6 @@ PROTOCOL = "cia402"
 WAITING = 32
 """Requests under way at once."""
 PDO_IDS = range(0x180, SDO_TX_BASE)
-SMALLEST = 2.0**-126
-"""Less than the smallest normal binary32 is nothing."""
 
 
 class Cia402Driver:
@@ -76,7 +74,7 @@ class Cia402Driver:
         self._token = 0
         self._events: list[Event] = []
         """What happened outside `send`, to be told by the next one."""
-        self._refused: dict[str, str] = {}
+        self._refusals = Refusals()
 
     # -- hearing ------------------------------------------------------------------------------
 
@@ -283,36 +281,15 @@ class Cia402Driver:
 
     def _command(self, now: Nanos, command: Command, at_sync: bool, events: list[Event]) -> list[CanFrame]:
         node = self._by_name.get(command.motor)
-        if node is None:
-            reason = "no such motor on this bus"
-        else:
-            reason = self._wrong(command) or motion.possible(node, command)
-        if node is None or reason:
-            if self._refused.get(command.motor) != reason:
-                events.append(Refused(now, type(command).__name__, command.motor, reason))
-            self._refused[command.motor] = reason
-            return []
-        self._refused.pop(command.motor, None)
-        return motion.say(node, now, command, at_sync)
+        reason = "no such motor on this bus" if node is None else self._impossible(node, command)
+        events += self._refusals.hear(now, command, reason)
+        return [] if node is None or reason else motion.say(node, now, command, at_sync)
 
-    def _wrong(self, command: Command) -> str:
+    def _impossible(self, node: Node, command: Command) -> str:
         """Why a command must not reach the wire; "" if it may."""
         if isinstance(command, Impedance):
             return "the profile has no impedance control"
-        kind, ranges = type(command).__name__, self._ranges[command.motor]
-        for name in command.__slots__:
-            value = getattr(command, name)
-            if isinstance(value, str):
-                continue
-            if not isfinite(value):
-                return f"{name} is {value}"
-            allowed = ranges.get(f"{kind}.{name}")
-            if allowed is None:
-                if abs(value) >= SMALLEST:
-                    return f"the drive has no {name} for {kind}"
-            elif not allowed.low <= value <= allowed.high:
-                return f"{name} {value:.6g} lies outside {allowed.low:.6g} … {allowed.high:.6g}"
-        return ""
+        return out_of_range(command, self._ranges[node.name]) or motion.possible(node, command)
 
     # -- requests -----------------------------------------------------------------------------
 
@@ -322,9 +299,9 @@ class Cia402Driver:
         if isinstance(request, Scan):
             return self._begin_scan(now, request)
         if len(self._pending) >= WAITING:
-            begun = requests.refuse(now, request, "too many requests are under way")
+            begun = refusal(now, request, "too many requests are under way")
         elif node is None:
-            begun = requests.refuse(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
+            begun = refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
         else:
             self._token += 1
             begun = requests.begin(now, request, node, self._token, node.holding)
@@ -352,7 +329,7 @@ class Cia402Driver:
 
     def _begin_scan(self, now: Nanos, request: Scan) -> list[Event]:
         if self._scan is not None:
-            return [requests.refuse(now, request, "a scan is under way")]
+            return [refusal(now, request, "a scan is under way")]
         self._scan = Scanner(request.bus, tuple(self.nodes), now)
         return []
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from protocols.answers import UnderWay, refusal
 from protocols.cia402 import motion, objects, startup
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Outcome, Purpose
@@ -23,7 +24,6 @@ from protocols.wire import CanFrame
 from protocols.words import (
     MILLISECOND,
     ClearFault,
-    Done,
     Estop,
     Event,
     Hold,
@@ -54,36 +54,19 @@ PDO_PARAMETERS = range(o.RPDO_COMMUNICATION, 0x1C00)
 
 
 @dataclass(slots=True)
-class Pending:
+class Pending(UnderWay):
     """A request to one device."""
 
     token: int
-    request: Request
+    """Its own: what the device answers to it bears it."""
     node: Node
-    began: Nanos
-    deadline: Nanos
-    next: Nanos
     key: Key | None = None
     stage: int = 0
-
-    def done(self, t: Nanos, detail: str = "") -> Done:
-        """It was carried out."""
-        return Done(t, type(self.request).__name__, self.node.name, detail)
-
-    def refuse(self, t: Nanos, reason: str) -> Refused:
-        """It was not."""
-        return Refused(t, type(self.request).__name__, self.node.name, reason)
-
-
-def refuse(t: Nanos, request: Request, reason: str) -> Refused:
-    """A request that is not even begun."""
-    name: str = getattr(request, "motor", "") or getattr(request, "bus", "")
-    return Refused(t, type(request).__name__, name, reason)
 
 
 def begin(now: Nanos, request: Request, node: Node, token: int, holding: bool) -> Pending | Refused:
     """Begin a request. `holding`: the last command to the device was Hold."""
-    pending = Pending(token, request, node, now, now + ANSWER, now)
+    pending = Pending(request, node.name, now, now + ANSWER, now, token, node)
     running = node.claimed or node.power in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
     match request:
         case ClearFault():
@@ -101,24 +84,24 @@ def begin(now: Nanos, request: Request, node: Node, token: int, holding: bool) -
         case WriteParameter(_, parameter, value):
             return _write(now, pending, parameter, value)
         case Reboot() if running:
-            return refuse(now, request, "it is armed, and would drop its load: say idle first")
+            return refusal(now, request, "it is armed, and would drop its load: say idle first")
         case Reboot():
             pending.deadline = now + REBOOT
         case Home() | Zero():
             return _home(now, pending, holding)
         case _:
-            return refuse(now, request, f"cia402 has no {type(request).__name__}")
+            return refusal(now, request, f"cia402 has no {type(request).__name__}")
     return pending
 
 
 def _home(now: Nanos, pending: Pending, holding: bool) -> Pending | Refused:
     node, request = pending.node, pending.request
     if node.known is None or not supports(node.known.modes, Mode.HM):
-        return refuse(now, request, "it has no homing mode (object 6502), or is not known yet")
+        return refusal(now, request, "it has no homing mode (object 6502), or is not known yet")
     if not node.armed or not holding:
-        return refuse(now, request, f"it must be armed and hold: say {Hold.__name__.lower()} first")
+        return refusal(now, request, f"it must be armed and hold: say {Hold.__name__.lower()} first")
     if node.homing is not None:
-        return refuse(now, request, "homing is under way")
+        return refusal(now, request, "homing is under way")
     pending.deadline = now + node.options.home_timeout_ms * MILLISECOND + ANSWER
     if isinstance(request, Zero):
         pending.key = o.HOMING_METHOD
@@ -131,7 +114,7 @@ def _home(now: Nanos, pending: Pending, holding: bool) -> Pending | Refused:
 def _read(now: Nanos, pending: Pending, parameter: str) -> Pending | Refused:
     key = _key(parameter)
     if key is None:
-        return refuse(now, pending.request, _unknown(parameter))
+        return refusal(now, pending.request, _unknown(parameter))
     pending.key = key
     pending.node.questions.append(Job(Purpose.ASKED, key, None, pending.token))
     return pending
@@ -140,18 +123,18 @@ def _read(now: Nanos, pending: Pending, parameter: str) -> Pending | Refused:
 def _write(now: Nanos, pending: Pending, parameter: str, value: float) -> Pending | Refused:
     key, node = _key(parameter), pending.node
     if key is None:
-        return refuse(now, pending.request, _unknown(parameter))
+        return refusal(now, pending.request, _unknown(parameter))
     known = OBJECTS.get(key)
     if known is None or known.type is Type.TEXT:
-        return refuse(now, pending.request, f"the type of {objects.title(key)} is not known: not written")
+        return refusal(now, pending.request, f"the type of {objects.title(key)} is not known: not written")
     if key in OURS or key[0] in PDO_PARAMETERS:
-        return refuse(now, pending.request, f"{known.name} is the driver's own: commands set it")
+        return refusal(now, pending.request, f"{known.name} is the driver's own: commands set it")
     if not math.isfinite(value) or value != int(value):
-        return refuse(now, pending.request, f"{value} is not a whole number")
+        return refusal(now, pending.request, f"{value} is not a whole number")
     try:
         data = to_bytes(known.type, int(value))
     except ValueError as error:
-        return refuse(now, pending.request, str(error))
+        return refusal(now, pending.request, str(error))
     pending.key = key
     node.questions.append(Job(Purpose.ASKED, key, data, pending.token))
     return pending
