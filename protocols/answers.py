@@ -6,9 +6,10 @@ not for how.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
+from typing import Generic, TypeVar
 
 from protocols.plugin import Range
 from protocols.words import Command, Done, Nanos, Refused, Request
@@ -72,6 +73,52 @@ class UnderWay:
     def refuse(self, t: Nanos, reason: str) -> Refused:
         """It was not."""
         return Refused(t, type(self.request).__name__, self.name, reason)
+
+
+Kind = TypeVar("Kind", bound=UnderWay)
+
+
+class Waiting(Generic[Kind]):
+    """The requests of one driver that are under way, in the order in which they were begun."""
+
+    MOST = 32
+
+    def __init__(self) -> None:
+        self._all: list[Kind] = []
+
+    def __iter__(self) -> Iterator[Kind]:
+        """Those that are under way now; they may end meanwhile."""
+        return iter(tuple(self._all))
+
+    def full(self) -> str:
+        """Why no other can be begun; "" if one can."""
+        return "too many requests are under way" if len(self._all) >= self.MOST else ""
+
+    def add(self, begun: Kind | Refused) -> list[Refused]:
+        """One more, if it was begun at all; else what is to be told."""
+        if isinstance(begun, Refused):
+            return [begun]
+        self._all.append(begun)
+        return []
+
+    def end(self, ended: Kind) -> None:
+        """It has its answer."""
+        self._all = [each for each in self._all if each is not ended]
+
+    def late(self, now: Nanos) -> list[Kind]:
+        """Those whose deadline has passed: they wait no longer."""
+        late = [each for each in self._all if now >= each.deadline]
+        self._all = [each for each in self._all if now < each.deadline]
+        return late
+
+    def drop(self, t: Nanos, reason: str) -> list[Refused]:
+        """None can be answered any more."""
+        dropped, self._all = self._all, []
+        return [each.refuse(t, reason) for each in dropped]
+
+    def due(self) -> list[Nanos]:
+        """When there is something to do about each of them."""
+        return [min(each.next, each.deadline) for each in self._all]
 
 
 def subject(word: Command | Request) -> str:

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from math import isfinite
 
+from protocols.answers import Refusals, Waiting, out_of_range, refusal, subject
 from protocols.moteus import requests
 from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, Told, command_id, decode, framed
 from protocols.moteus.faults import HELD_TWICE
@@ -37,8 +37,7 @@ from protocols.words import (
 )
 
 PROTOCOL = "moteus"
-WAITING = 32
-"""Requests under way at once."""
+NO_IMPEDANCE = "the device's gains are scaled, not set: it has no impedance in N·m/rad"
 UUIDS = (Register.UUID1, Register.UUID2, Register.UUID3, Register.UUID4)
 
 
@@ -51,11 +50,11 @@ class MoteusDriver:
         self.nodes = {node.tells_at: node for node in nodes}
         self._by_name = {node.name: node for node in nodes}
         self._ranges = ranges
-        self._pending: list[Pending] = []
+        self._waiting: Waiting[Pending] = Waiting()
+        self._refusals = Refusals()
         self._events: list[Event] = []
         """What happened outside `send`, to be told by the next one."""
         self._told_double: dict[int, bool] = {}
-        self._refused: dict[str, str] = {}
         options = (device.options for device in devices)
         self._hosts = sorted({(o.host_id, o.can_prefix) for o in options if isinstance(o, Options)})
         """As whom we ask all: (our id, prefix)."""
@@ -84,10 +83,10 @@ class MoteusDriver:
         if uuid is not None:
             events += self._seen(t, node, uuid)
         events += self._discovered(t, node.address, told)
-        for pending in [p for p in self._pending if p.node is node]:
-            ended = requests.hear(pending, t, told)
+        for pending in self._waiting:
+            ended = requests.hear(pending, t, told) if pending.node is node else []
             if ended:
-                self._pending.remove(pending)
+                self._waiting.end(pending)
                 events += ended
         return events
 
@@ -102,7 +101,7 @@ class MoteusDriver:
         return self._discovered(t, frame.id >> 8 & 0x7F, told)
 
     def _searching(self) -> bool:
-        return any(p.node is None for p in self._pending)
+        return any(pending.node is None for pending in self._waiting)
 
     def _discovered(self, t: Nanos, address: int, told: Told) -> list[Event]:
         """An answer to discovery: with a UUID, or with the complaint that it has none."""
@@ -112,11 +111,11 @@ class MoteusDriver:
         if not uuid and not any(error.register in UUIDS for error in told.errors):
             return []
         events: list[Event] = []
-        for pending in [p for p in self._pending if p.node is None]:
+        for pending in self._waiting:
             if isinstance(pending.request, Scan):
                 events += self._found(t, pending, address, uuid)
             elif uuid and pending.request == SetId(pending.name, serial_of(uuid), address):
-                self._pending.remove(pending)
+                self._waiting.end(pending)
                 said = f"not saved yet: write {requests.SAVE} 1 to keep it after power-off"
                 events.append(pending.done(t, said))
         return events
@@ -162,8 +161,7 @@ class MoteusDriver:
         for node in self.nodes.values():
             node.forget()
         if state is not BusState.BACK:
-            self._events += [p.refuse(t, f"the bus is {state}") for p in self._pending]
-            self._pending.clear()
+            self._events += self._waiting.drop(t, f"the bus is {state}")
 
     # -- saying -------------------------------------------------------------------------------
 
@@ -176,7 +174,7 @@ class MoteusDriver:
                 for node in self.nodes.values():
                     node.claimed = True
             elif not isinstance(word, Command):
-                events += self._ask_for(now, word)
+                events += self._waiting.add(self._begin(now, word))
         wires += self._resend(now, events)
         for word in words:
             if isinstance(word, Command):
@@ -190,63 +188,41 @@ class MoteusDriver:
     def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Wire]:
         node = self._by_name.get(command.motor)
         reason = self._wrong(command) if node is not None else "no such motor on this bus"
+        events += self._refusals.hear(now, command, reason)
         if node is None or reason:
-            if self._refused.get(command.motor) != reason:
-                events.append(Refused(now, type(command).__name__, command.motor, reason))
-            self._refused[command.motor] = reason
             return []
-        self._refused.pop(command.motor, None)
         told, said = node.say(now, command)
         events += told
         return [framed(node.asks_at, data) for data in said]
 
     def _wrong(self, command: Command) -> str:
         """Why a command must not reach the wire; "" if it may."""
-        if isinstance(command, Impedance):
-            return "the device's gains are scaled, not set: it has no impedance in N·m/rad"
-        kind = type(command).__name__
-        for name in command.__slots__:
-            value = getattr(command, name)
-            if isinstance(value, str):
-                continue
-            if not isfinite(value):
-                return f"{name} is {value}"
-            allowed = self._ranges[f"{kind}.{name}"]
-            if not allowed.low <= value <= allowed.high:
-                return f"{name} {value:.6g} lies outside {allowed.low:.6g} … {allowed.high:.6g}"
-        return ""
+        return NO_IMPEDANCE if isinstance(command, Impedance) else out_of_range(command, self._ranges)
 
-    def _ask_for(self, now: Nanos, request: Request) -> list[Event]:
-        begun: Pending | Refused
-        node = self._by_name.get(getattr(request, "motor", ""))
-        if len(self._pending) >= WAITING:
-            begun = requests.refuse(now, request, "too many requests are under way")
-        elif isinstance(request, Scan):
-            begun = requests.scan(now, request)
-        elif isinstance(request, SetId):
+    def _begin(self, now: Nanos, request: Request) -> Pending | Refused:
+        if full := self._waiting.full():
+            return refusal(now, request, full)
+        if isinstance(request, Scan):
+            return requests.scan(now, request)
+        if isinstance(request, SetId):
             holders = {n.address: set(map(serial_of, n.uuids)) for n in self.nodes.values()}
-            begun = requests.set_id(now, request, list(self.nodes.values()), holders)
-        elif node is None:
-            begun = requests.refuse(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
-        else:
-            if isinstance(request, ClearFault):
-                self._told_double.pop(node.address, None)
-                node.uuids.clear()
-                node.identify_at = now
-            begun = requests.begin(now, request, node)
-        if isinstance(begun, Refused):
-            return [begun]
-        self._pending.append(begun)
-        return []
+            return requests.set_id(now, request, list(self.nodes.values()), holders)
+        node = self._by_name.get(subject(request))
+        if node is None:
+            return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
+        if isinstance(request, ClearFault):
+            self._told_double.pop(node.address, None)
+            node.uuids.clear()
+            node.identify_at = now
+        return requests.begin(now, request, node)
 
     def _resend(self, now: Nanos, events: list[Event]) -> list[Wire]:
         wires: list[Wire] = []
-        for pending in list(self._pending):
-            if now >= pending.deadline:
-                self._pending.remove(pending)
-                ended = isinstance(pending.request, Scan)
-                events += [self._end_scan(now, pending)] if ended else requests.give_up(pending, now)
-            elif now >= pending.next:
+        for pending in self._waiting.late(now):
+            ended = isinstance(pending.request, Scan)
+            events += [self._end_scan(now, pending)] if ended else requests.give_up(pending, now)
+        for pending in self._waiting:
+            if now >= pending.next:
                 pending.next = now + pending.again
                 pending.sent += 1
                 for data in requests.data_of(pending, now):
@@ -266,8 +242,7 @@ class MoteusDriver:
     def due(self) -> Nanos | None:
         """When `send` next has something to do by itself."""
         times = [node.due() for node in self.nodes.values()]
-        times += [min(pending.next, pending.deadline) for pending in self._pending]
-        return min(times, default=None)
+        return min(times + self._waiting.due(), default=None)
 
 
 def _uuid(values: Mapping[int, float | None]) -> bytes | None:

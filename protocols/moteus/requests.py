@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import isfinite
 
+from protocols.answers import UnderWay, refusal
 from protocols.moteus.codec import F32, FLOAT_MAX, INT32, READ_ERROR, WRITE_ERROR, Error, Told
 from protocols.moteus.ear import NOT_WRITEABLE
 from protocols.moteus.faults import complaint_of
@@ -21,7 +22,6 @@ from protocols.moteus.registers import LATCHED, NAMES, SCALES, Mode, Register
 from protocols.words import (
     MILLISECOND,
     ClearFault,
-    Done,
     Event,
     Nanos,
     Parameter,
@@ -56,43 +56,23 @@ REFUSED = {
 
 
 @dataclass(slots=True)
-class Pending:
+class Pending(UnderWay):
     """A request under way."""
 
-    request: Request
-    name: str
     node: Node | None
+    """None: all on the bus are asked."""
     data: tuple[bytes, ...]
-    """Of frames to the device, or to all if `node` is None."""
-    deadline: Nanos
-    again: Nanos
+    """Of the frames that are sent."""
+    again: Nanos = RESEND
     """Sent again so long after it was last sent."""
-    next: Nanos
-    began: Nanos
     register: int = -1
     """Which register it is about."""
     sent: int = 0
     taken: bool = False
     """The device has said that it arrived."""
+    reads: float | None = None
+    """What a register holds in which something else was written."""
     found: dict[tuple[int, bytes], str] = field(default_factory=dict)
-
-    def title(self) -> str:
-        """The request's name."""
-        return type(self.request).__name__
-
-    def done(self, t: Nanos, detail: str = "") -> Done:
-        """It was carried out."""
-        return Done(t, self.title(), self.name, detail)
-
-    def refuse(self, t: Nanos, reason: str) -> Refused:
-        """It was not."""
-        return Refused(t, self.title(), self.name, reason)
-
-
-def refuse(t: Nanos, request: Request, reason: str) -> Refused:
-    """A request that is not even begun."""
-    name: str = getattr(request, "motor", "") or getattr(request, "bus", "")
-    return Refused(t, type(request).__name__, name, reason)
 
 
 def begin(now: Nanos, request: Request, node: Node) -> Pending | Refused:
@@ -100,9 +80,9 @@ def begin(now: Nanos, request: Request, node: Node) -> Pending | Refused:
     running = node.claimed or node.mode not in (None, Mode.STOPPED, *LATCHED)
     match request:
         case ClearFault():
-            return Pending(request, node.name, node, (), now + ANSWER, RESEND, now, now)
+            return _pending(now, request, node, ())
         case Zero() if running:
-            return refuse(now, request, "it is armed, and would jump: say idle first")
+            return refusal(now, request, "it is armed, and would jump: say idle first")
         case Zero():
             exact = Register.SET_OUTPUT_EXACT  # read back, for the answer that this frame arrived
             return _pending(now, request, node, (set_register(exact, 0.0) + _asks(exact),), exact)
@@ -110,15 +90,15 @@ def begin(now: Nanos, request: Request, node: Node) -> Pending | Refused:
             return _read(now, request, node, parameter)
         case WriteParameter(_, parameter, value):
             if running and parameter == SAVE:
-                return refuse(now, request, "it is armed: say idle first")
+                return refusal(now, request, "it is armed: say idle first")
             return _write(now, request, node, parameter, value)
-    return refuse(now, request, f"a moteus has no {type(request).__name__} on its bus")
+    return refusal(now, request, f"a moteus has no {type(request).__name__} on its bus")
 
 
 def _pending(
     now: Nanos, request: Request, node: Node, data: tuple[bytes, ...], register: int = -1
 ) -> Pending:
-    return Pending(request, node.name, node, data, now + ANSWER, RESEND, now, now, register)
+    return Pending(request, node.name, now, now + ANSWER, now, node, data, register=register)
 
 
 def register_of(parameter: str) -> int | None:
@@ -135,7 +115,7 @@ def register_of(parameter: str) -> int | None:
 
 def _unknown(now: Nanos, request: Request, parameter: str) -> Refused:
     said = f"no register {parameter!r}: give its number (0x058), or one of {', '.join(NAMES)}"
-    return refuse(now, request, said)
+    return refusal(now, request, said)
 
 
 def _asks(register: int) -> bytes:
@@ -153,21 +133,21 @@ def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending |
 def _write(now: Nanos, request: Request, node: Node, parameter: str, value: float) -> Pending | Refused:
     if parameter == SAVE:
         if value != 1:
-            return refuse(now, request, f"{SAVE} takes 1")
+            return refusal(now, request, f"{SAVE} takes 1")
         return _pending(now, request, node, (console("conf write") + _asks(Register.MULTIPLEX_ID),), 0x110)
     register = register_of(parameter)
     if register is None:
         return _unknown(now, request, parameter)
     if not (isfinite(value) and abs(value) <= FLOAT_MAX):
-        return refuse(now, request, f"{value} is no finite number of 32 bits")
+        return refusal(now, request, f"{value} is no finite number of 32 bits")
     if register in REFUSED:
-        return refuse(now, request, REFUSED[register])
+        return refusal(now, request, REFUSED[register])
     if any(register in commanded for commanded in COMMANDED):
-        return refuse(now, request, "that register is what commands are for")
+        return refusal(now, request, "that register is what commands are for")
     if Register.UUID_MASK1 <= register <= Register.UUID_MASK4:
-        return refuse(now, request, "a mask of UUIDs is no parameter")
+        return refusal(now, request, "a mask of UUIDs is no parameter")
     if register in _MOVING and (node.claimed or node.mode not in (Mode.STOPPED, *LATCHED)):
-        return refuse(now, request, "it is armed, and would jump: say idle first")
+        return refusal(now, request, "it is armed, and would jump: say idle first")
     return _pending(now, request, node, (set_register(register, value) + _asks(register),), register)
 
 
@@ -182,26 +162,26 @@ _MOVING = (
 def scan(now: Nanos, request: Scan) -> Pending:
     """Discovery: a question to all."""
     end = now + SCAN_STEP * SCAN_STEPS
-    return Pending(request, request.bus, None, (DISCOVER,), end, SCAN_STEP, now, now)
+    return Pending(request, request.bus, now, end, now, None, (DISCOVER,), SCAN_STEP)
 
 
 def set_id(now: Nanos, request: SetId, nodes: list[Node], holders: dict[int, set[int]]) -> Pending | Refused:
     """Give the device with a serial number an id, and ask it who it is. `holders`: serial numbers by id."""
     if not 1 <= request.address <= ADDRESS_MAX:
-        return refuse(now, request, f"{request.address} is not an id: 1 to {ADDRESS_MAX}")
+        return refusal(now, request, f"{request.address} is not an id: 1 to {ADDRESS_MAX}")
     if not 0 < request.serial < 1 << 8 * SERIAL_BYTES:
-        return refuse(now, request, f"{request.serial} is no serial number of 64 bits")
+        return refusal(now, request, f"{request.serial} is no serial number of 64 bits")
     others = sorted(holders.get(request.address, set()) - {request.serial})
     if others:
         said = f"id {request.address} is held by serial number {others[0]:016X}"
-        return refuse(now, request, said)
+        return refusal(now, request, said)
     for node in nodes:
         mine = request.serial in map(serial_of, node.uuids) or node.address == request.address
         if mine and (node.claimed or node.mode not in (None, Mode.STOPPED, *LATCHED)):
-            return refuse(now, request, f"{node.name} is armed: say idle first")
+            return refusal(now, request, f"{node.name} is armed: say idle first")
     uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
     data = (masked(uuid, console(f"conf set id.id {request.address}")), masked(uuid, DISCOVER))
-    return Pending(request, request.bus, None, data, now + ASSIGN, ASSIGN_AGAIN, now, now)
+    return Pending(request, request.bus, now, now + ASSIGN, now, None, data, ASSIGN_AGAIN)
 
 
 def data_of(pending: Pending, now: Nanos) -> tuple[bytes, ...]:

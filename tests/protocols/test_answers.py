@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from protocols.answers import SMALLEST, Refusals, UnderWay, out_of_range, refusal, subject
+from protocols.answers import SMALLEST, Refusals, UnderWay, Waiting, out_of_range, refusal, subject
 from protocols.plugin import Range
 from protocols.words import Command, Done, Hold, Position, Refused, Request, Scan, Velocity, Zero
 
@@ -45,6 +45,42 @@ def test_a_request_under_way_ends_by_its_own_name() -> None:
     waiting = UnderWay(Zero("m"), "m", 1, 9, 5)
     assert waiting.done(7, "at 0") == Done(7, "Zero", "m", "at 0")
     assert waiting.refuse(9, "no answer") == Refused(9, "Zero", "m", "no answer")
+
+
+def test_requests_wait_in_order_until_they_end_or_their_deadline_passes() -> None:
+    waiting: Waiting[UnderWay] = Waiting()
+    first, second = UnderWay(Zero("a"), "a", 0, 10, 4), UnderWay(Zero("a"), "a", 0, 7, 9)
+    assert waiting.due() == []
+    assert waiting.add(first) == waiting.add(second) == []
+    assert waiting.due() == [4, 7]
+    assert waiting.late(6) == []
+    assert [each.deadline for each in waiting] == [10, 7]
+    assert waiting.late(7) == [second]
+    for each in waiting:
+        waiting.end(each)
+    assert list(waiting) == []
+
+
+def test_the_one_that_ends_is_that_one_and_not_its_equal() -> None:
+    waiting: Waiting[UnderWay] = Waiting()
+    first, second = (UnderWay(Zero("a"), "a", 0, 10, 4) for _ in range(2))
+    waiting.add(first)
+    waiting.add(second)
+    waiting.end(second)
+    assert [each is first for each in waiting] == [True]
+
+
+def test_what_is_not_begun_does_not_wait_and_what_waits_has_a_limit() -> None:
+    waiting: Waiting[UnderWay] = Waiting()
+    no = refusal(3, Zero("a"), "not now")
+    assert waiting.add(no) == [no]
+    assert list(waiting) == []
+    for _ in range(Waiting.MOST):
+        assert waiting.full() == ""
+        waiting.add(UnderWay(Scan("can0"), "can0", 0, 10, 4))
+    assert waiting.full() == "too many requests are under way"
+    assert waiting.drop(5, "the bus is off") == [Refused(5, "Scan", "can0", "the bus is off")] * Waiting.MOST
+    assert waiting.full() == ""
 
 
 @pytest.mark.parametrize(("word", "name"), [(Zero("m"), "m"), (Scan("can0"), "can0"), (Hold("h"), "h")])

@@ -229,7 +229,7 @@ def test_every_request_ends(request_: Request, within: int) -> None:
     bench.to_device = lambda _: False
     told = of(Refused, bench.ask(request_, within + 10))
     assert [r.request for r in told] == [type(request_).__name__]
-    assert bench.driver._pending == []
+    assert list(bench.driver._waiting) == []
 
 
 def test_a_zero_that_does_not_become_zero_is_refused() -> None:
