@@ -8,8 +8,8 @@ a request under way; this file deals out the frames.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
 
+from protocols.answers import Refusals, Waiting, out_of_range, refusal, subject
 from protocols.odrive_can import requests
 from protocols.odrive_can.codec import (
     BROADCAST,
@@ -49,10 +49,9 @@ from protocols.words import (
 )
 
 PROTOCOL = "odrive_can"
+NO_IMPEDANCE = "the device has no impedance control"
 ROLL_CALL = 5 * SECOND
 """Who holds which node id is asked so often, to notice an id held twice."""
-WAITING = 32
-"""Requests under way at once."""
 
 
 class OdriveDriver:
@@ -64,13 +63,13 @@ class OdriveDriver:
         self.nodes = {node.address: node for node in nodes}
         self._by_name = {node.name: node for node in self.nodes.values()}
         self._ranges = ranges
-        self._pending: list[Pending] = []
+        self._waiting: Waiting[Pending] = Waiting()
+        self._refusals = Refusals()
         self._events: list[Event] = []
         """What happened outside `send`, to be told by the next one."""
         self._serials: dict[int, dict[int, Nanos]] = {}
         """Serial numbers heard per node id, and when."""
         self._told_double: dict[int, bool] = {}
-        self._refused: dict[str, str] = {}
         self._written: dict[str, dict[str, float]] = {}
         self._roll_call: Nanos = 0
         # An axis of 0.5.x would take a remote frame of Address for Set_Axis_Node_ID, were its node id 63.
@@ -110,10 +109,10 @@ class OdriveDriver:
         events = node.hear(t, message)
         if beat_of(message) is not None or node.two:
             events += self._contradiction(t, node)
-        for pending in [p for p in self._pending if p.node is node]:
-            ended = requests.hear(pending, t, message)
+        for pending in self._waiting:
+            ended = requests.hear(pending, t, message) if pending.node is node else []
             if ended:
-                self._pending.remove(pending)
+                self._waiting.end(pending)
                 events += ended
         return events
 
@@ -121,7 +120,7 @@ class OdriveDriver:
         """During a scan a heartbeat of an unknown node counts as found: 0.5.x answers no discovery."""
         if frame.id & 0x1F != cmd_of(Beacon) or decode_from_device(frame, "") is None:
             return
-        for pending in self._pending:
+        for pending in self._waiting:
             if isinstance(pending.request, Scan):
                 pending.found.setdefault((address, None), f"heartbeat heard {t}")
 
@@ -138,14 +137,14 @@ class OdriveDriver:
             self.nodes[message.node].heard_at = t
             self.nodes[message.node].identity.hear_roll_call()
         events: list[Event] = self._double(t, message.node, sorted(held)) if len(held) > 1 else []
-        for pending in list(self._pending):
+        for pending in self._waiting:
             if isinstance(pending.request, Scan):
                 events += self._found(t, pending, message)
             elif isinstance(pending.request, SetId) and (message.serial, message.node) == (
                 pending.request.serial,
                 pending.request.address,
             ):
-                self._pending.remove(pending)
+                self._waiting.end(pending)
                 detail = f"not saved yet: write {requests.SAVE} 1 to keep it after power-off"
                 events.append(pending.done(t, detail))
         return events
@@ -218,8 +217,7 @@ class OdriveDriver:
             node.forget()
         self._roll_call = t
         if state is not BusState.BACK:
-            self._events += [p.refuse(t, f"the bus is {state}") for p in self._pending]
-            self._pending.clear()
+            self._events += self._waiting.drop(t, f"the bus is {state}")
 
     # -- saying -------------------------------------------------------------------------------
 
@@ -232,7 +230,7 @@ class OdriveDriver:
                 for node in self.nodes.values():
                     node.claimed = True
             elif not isinstance(word, Command):
-                events += self._ask_for(now, word)
+                events += self._waiting.add(self._begin(now, word))
         wires += self._resend(now, events)
         for word in words:
             if isinstance(word, Command):
@@ -249,79 +247,54 @@ class OdriveDriver:
     def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Wire]:
         node = self._by_name.get(command.motor)
         reason = self._wrong(command) if node is not None else "no such motor on this bus"
+        events += self._refusals.hear(now, command, reason)
         if node is None or reason:
-            if self._refused.get(command.motor) != reason:
-                events.append(Refused(now, type(command).__name__, command.motor, reason))
-            self._refused[command.motor] = reason
             return []
-        self._refused.pop(command.motor, None)
         return [encode(node.address, message) for message in node.say(now, command)]
 
     def _wrong(self, command: Command) -> str:
         """Why a command must not reach the wire; "" if it may."""
-        if isinstance(command, Impedance):
-            return "the device has no impedance control"
-        kind = type(command).__name__
-        for name in command.__slots__:
-            value = getattr(command, name)
-            if isinstance(value, str):
-                continue
-            if not isfinite(value):
-                return f"{name} is {value}"
-            allowed = self._ranges[f"{kind}.{name}"]
-            if not allowed.low <= value <= allowed.high:
-                return f"{name} {value:.6g} lies outside {allowed.low:.6g} … {allowed.high:.6g}"
-        return ""
+        return NO_IMPEDANCE if isinstance(command, Impedance) else out_of_range(command, self._ranges)
 
-    def _ask_for(self, now: Nanos, request: Request) -> list[Event]:
-        begun: Pending | Refused
-        if len(self._pending) >= WAITING:
-            begun = requests.refuse(now, request, "too many requests are under way")
-        elif isinstance(request, Scan):
-            begun = requests.scan(now, request, self._discovery)
-        elif isinstance(request, SetId) and not self._discovery:
-            said = "firmware 0.5.x tells no serial numbers over CAN: set the node id with the vendor's tool"
-            begun = requests.refuse(now, request, said)
-        elif isinstance(request, SetId):
-            begun = requests.set_id(now, request, list(self.nodes.values()), self._serials)
-        else:
-            node = self._by_name.get(getattr(request, "motor", ""))
-            if node is None:
-                begun = requests.refuse(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
-            else:
-                begun = self._begin(now, request, node)
-                if isinstance(request, ClearFault):
-                    self._told_double.pop(node.address, None)
-        if isinstance(begun, Refused):
-            return [begun]
-        self._pending.append(begun)
-        return []
-
-    def _begin(self, now: Nanos, request: Request, node: Node) -> Pending | Refused:
-        others = [other for other in self.nodes.values() if other is not node and other.dialect.boards]
-        running = [
-            other.name
-            for other in others
-            if other.claimed or other.armed or other.state == AxisState.CLOSED_LOOP_CONTROL
-        ]
+    def _begin(self, now: Nanos, request: Request) -> Pending | Refused:
+        if full := self._waiting.full():
+            return refusal(now, request, full)
+        if isinstance(request, Scan):
+            return requests.scan(now, request, self._discovery)
+        if isinstance(request, SetId):
+            return self._begin_set_id(now, request)
+        node = self._by_name.get(subject(request))
+        if node is None:
+            return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
+        if isinstance(request, ClearFault):
+            self._told_double.pop(node.address, None)
+        running = self._running_beside(node)
         if isinstance(request, Reboot) and node.dialect.boards and running:
-            said = (
-                f"it restarts its whole board, and {running[0]}, which is armed, may be on it: say idle first"
-            )
-            return requests.refuse(now, request, said)
+            said = f"it restarts its whole board, and {running}, which is armed, may be on it: say idle first"
+            return refusal(now, request, said)
         return requests.begin(now, request, node, self._written.setdefault(node.name, {}))
+
+    def _begin_set_id(self, now: Nanos, request: SetId) -> Pending | Refused:
+        if self._discovery:
+            return requests.set_id(now, request, list(self.nodes.values()), self._serials)
+        said = "firmware 0.5.x tells no serial numbers over CAN: set the node id with the vendor's tool"
+        return refusal(now, request, said)
+
+    def _running_beside(self, node: Node) -> str:
+        """A device of a firmware whose boards have two axes, other than this one, that is armed; or ""."""
+        for other in self.nodes.values():
+            armed = other.claimed or other.armed or other.state == AxisState.CLOSED_LOOP_CONTROL
+            if other is not node and other.dialect.boards and armed:
+                return other.name
+        return ""
 
     def _resend(self, now: Nanos, events: list[Event]) -> list[Wire]:
         wires: list[Wire] = []
-        for pending in list(self._pending):
-            if now >= pending.deadline:
-                self._pending.remove(pending)
-                events += (
-                    self._end_scan(now, pending)
-                    if isinstance(pending.request, Scan)
-                    else [requests.give_up(pending, now)]
-                )
-            elif now >= pending.next:
+        for pending in self._waiting.late(now):
+            ended = isinstance(pending.request, Scan)
+            events += self._end_scan(now, pending) if ended else [requests.give_up(pending, now)]
+        for pending in self._waiting:
+            if now >= pending.next:
                 frames = requests.frames_of(pending)
                 pending.next = now + pending.again
                 pending.sent += len(frames)
@@ -350,6 +323,4 @@ class OdriveDriver:
     def due(self) -> Nanos | None:
         """When `send` next has something to do by itself."""
         times = [node.due() for node in self.nodes.values()]
-        times += [min(pending.next, pending.deadline) for pending in self._pending]
-        times.append(self._roll_call)
-        return min(times)
+        return min([*times, *self._waiting.due(), self._roll_call])

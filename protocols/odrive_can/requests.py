@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from protocols.answers import UnderWay, refusal
 from protocols.odrive_can.codec import BROADCAST, MAX_NODE, TABLES, AnyMessage, ask, cmd_of, encode
 from protocols.odrive_can.dialect import beat_of
 from protocols.odrive_can.faults import names
@@ -31,7 +32,6 @@ from protocols.wire import CanFrame
 from protocols.words import (
     MILLISECOND,
     ClearFault,
-    Done,
     Event,
     Nanos,
     Parameter,
@@ -72,40 +72,18 @@ SAVE = "save_configuration"
 
 
 @dataclass(slots=True)
-class Pending:
+class Pending(UnderWay):
     """A request under way."""
 
-    request: Request
-    name: str
     node: Node | None
+    """None: all on the bus are asked."""
     frames: tuple[CanFrame, ...]
-    deadline: Nanos
     again: Nanos
-    """Sent again so long after it was last sent; 0: never."""
-    next: Nanos
-    began: Nanos
+    """Sent again so long after it was last sent."""
     sent: int = 0
     stage: int = 0
     beat_at: Nanos = 0
     found: dict[tuple[int, int | None], str] = field(default_factory=dict)
-
-    def title(self) -> str:
-        """The request's name."""
-        return type(self.request).__name__
-
-    def done(self, t: Nanos, detail: str = "") -> Done:
-        """It was carried out."""
-        return Done(t, self.title(), self.name, detail)
-
-    def refuse(self, t: Nanos, reason: str) -> Refused:
-        """It was not."""
-        return Refused(t, self.title(), self.name, reason)
-
-
-def refuse(t: Nanos, request: Request, reason: str) -> Refused:
-    """A request that is not even begun."""
-    name: str = getattr(request, "motor", "") or getattr(request, "bus", "")
-    return Refused(t, type(request).__name__, name, reason)
 
 
 def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -> Pending | Refused:
@@ -115,40 +93,42 @@ def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -
     match request:
         case ClearFault():  # its frame follows as soon as the firmware line is known
             node.cleared()
-            return Pending(request, node.name, node, (), now + ANSWER, RESEND, now, now)
+            return Pending(request, node.name, now, now + ANSWER, now, node, (), RESEND)
         case EstopWord():
             return _pending(now, request, node, Estop(), ANSWER, RESEND)
         case _ if node.identity.wrong or not node.identity.line:
-            return refuse(now, request, "its firmware is not known, or not what the robot file says")
+            return refusal(now, request, "its firmware is not known, or not what the robot file says")
         case ReadParameter(_, parameter):
             return _read(now, request, node, parameter)
         case Zero() if running:
-            return refuse(now, request, "it is armed, and would jump: say idle first")
+            return refusal(now, request, "it is armed, and would jump: say idle first")
         case Zero():
             return _pending(now, request, node, dialect.zero, ANSWER, RESEND)
         case RebootWord() | WriteParameter(_, "save_configuration") if running:
-            return refuse(now, request, "it is armed, and would drop its load: say idle first")
+            return refusal(now, request, "it is armed, and would drop its load: say idle first")
         case RebootWord():
             return _pending(now, request, node, dialect.reboot, REBOOT, REBOOT_RESEND)
         case WriteParameter(_, "save_configuration", value):
             if value != 1:
-                return refuse(now, request, f"{SAVE} takes 1")
+                return refusal(now, request, f"{SAVE} takes 1")
             return _pending(now, request, node, dialect.save, REBOOT, REBOOT_RESEND)
         case WriteParameter(_, parameter, value):
             message = _write(now, request, parameter, value, written)
             if isinstance(message, Refused):
                 return message
             return _pending(now, request, node, message, ANSWER, RESEND)
-    return refuse(now, request, f"odrive_can has no {type(request).__name__}")
+    return refusal(now, request, f"odrive_can has no {type(request).__name__}")
 
 
 def _pending(
     now: Nanos, request: Request, node: Node, message: AnyMessage | None, limit: Nanos, again: Nanos
 ) -> Pending | Refused:
     if message is None:
-        return refuse(now, request, f"{node.identity.title()} cannot do this over CAN: use the vendor's tool")
+        return refusal(
+            now, request, f"{node.identity.title()} cannot do this over CAN: use the vendor's tool"
+        )
     frames = (encode(node.address, message),)
-    return Pending(request, node.name, node, frames, now + limit, again, now, now)
+    return Pending(request, node.name, now, now + limit, now, node, frames, again)
 
 
 def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | Refused:
@@ -156,11 +136,11 @@ def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending |
     readable = node.dialect.readable
     if parameter not in readable:
         known = ", ".join(readable)
-        return refuse(now, request, f"CANSimple does not tell {parameter!r}; it tells {known}")
+        return refusal(now, request, f"CANSimple does not tell {parameter!r}; it tells {known}")
     kind = readable[parameter][0]
     askable = cmd_of(kind) in TABLES[node.dialect.line].askable
     frames = (ask(node.address, kind),) if askable else ()
-    return Pending(request, node.name, node, frames, now + ANSWER, RESEND, now, now)
+    return Pending(request, node.name, now, now + ANSWER, now, node, frames, RESEND)
 
 
 def frames_of(pending: Pending) -> tuple[CanFrame, ...]:
@@ -179,14 +159,14 @@ def _write(
     row = next((row for row in WRITABLE if parameter in row[1]), None)
     if row is None:
         known = ", ".join([name for _, pair in WRITABLE for name in pair] + [SAVE])
-        return refuse(now, request, f"CANSimple cannot set {parameter!r}; it can set {known}")
+        return refusal(now, request, f"CANSimple cannot set {parameter!r}; it can set {known}")
     if not (math.isfinite(value) and value >= 0):
-        return refuse(now, request, f"{value} is not a finite number of at least 0")
+        return refusal(now, request, f"{value} is not a finite number of at least 0")
     message, names_ = row
     written[parameter] = value
     missing = [name for name in names_ if name not in written]
     if missing:
-        return refuse(
+        return refusal(
             now,
             request,
             f"{message.__name__} sets {' and '.join(names_)} together, and the device does not tell them"
@@ -200,7 +180,7 @@ def scan(now: Nanos, request: Scan, discovery: bool) -> Pending:
     """Discovery: remote frames on the broadcast node (unless every device is known to be 0.5.x, which has
     none), and heartbeats heard meanwhile."""
     frames = (ask(BROADCAST, Address),) if discovery else ()
-    return Pending(request, request.bus, None, frames, now + SCAN_STEP * SCAN_STEPS, SCAN_STEP, now, now)
+    return Pending(request, request.bus, now, now + SCAN_STEP * SCAN_STEPS, now, None, frames, SCAN_STEP)
 
 
 def set_id(
@@ -208,18 +188,18 @@ def set_id(
 ) -> Pending | Refused:
     """Give the device with a serial number a node id, and ask who is who."""
     if not 0 <= request.address <= MAX_NODE:
-        return refuse(now, request, f"{request.address} is not a node id: 0 to {MAX_NODE}")
+        return refusal(now, request, f"{request.address} is not a node id: 0 to {MAX_NODE}")
     if not 0 < request.serial < 1 << 48:
-        return refuse(now, request, f"{request.serial} is not a serial number of 48 bits")
+        return refusal(now, request, f"{request.serial} is not a serial number of 48 bits")
     holders = [serial for serial in serials.get(request.address, {}) if serial != request.serial]
     if holders:
-        return refuse(now, request, f"node id {request.address} is held by serial number {holders[0]:012X}")
+        return refusal(now, request, f"node id {request.address} is held by serial number {holders[0]:012X}")
     for node in nodes:
         mine = request.serial in serials.get(node.address, {}) or node.address == request.address
         if mine and (node.claimed or node.state == AxisState.CLOSED_LOOP_CONTROL):
-            return refuse(now, request, f"{node.name} is armed: say idle first")
+            return refusal(now, request, f"{node.name} is armed: say idle first")
     frames = (encode(BROADCAST, Address(request.address, request.serial)), ask(BROADCAST, Address))
-    return Pending(request, request.bus, None, frames, now + ASSIGN, RESEND * 2, now, now)
+    return Pending(request, request.bus, now, now + ASSIGN, now, None, frames, RESEND * 2)
 
 
 def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
