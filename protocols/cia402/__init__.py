@@ -150,8 +150,14 @@ def spec(device: Device) -> Spec:
         holds_unattended=not enabled,
         stop_clears_faults=False,
         faults=FAULTS,
-        overhears=((SDO_TX_BASE, 0x780), (HEARTBEAT_BASE, 0x780)),
+        overhears=_overhears(options),
     )
+
+
+def _overhears(options: Options) -> tuple[tuple[int, int], ...]:
+    """Answers to a scan, heartbeats; and SYNC of another producer, where this host says it."""
+    own_sync = options.feedback == "sync" and options.sync_ms
+    return ((SDO_TX_BASE, 0x780), (HEARTBEAT_BASE, 0x780), *([(SYNC_ID, 0x1FFF_FFFF)] if own_sync else []))
 
 
 def _feedback_ms(options: Options) -> int:

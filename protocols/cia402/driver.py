@@ -18,8 +18,10 @@ from protocols.cia402.codec import (
     HEARTBEAT_BASE,
     NODE_MASK,
     SDO_TX_BASE,
+    SYNC_ID,
     Emcy,
     Heartbeat,
+    Sync,
     decode,
     is_classic,
     sdo_rx_id,
@@ -28,7 +30,7 @@ from protocols.cia402.complaints import DUPLICATE_NODE, NOT_ARMED, NOT_CONFIGURE
 from protocols.cia402.node import Node
 from protocols.cia402.requests import Pending
 from protocols.cia402.scanning import Scanner, describe
-from protocols.cia402.sync import Pulse, agree
+from protocols.cia402.sync import DISTURBED, Pulse, agree
 from protocols.plugin import Device, Range, Tally
 from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (
@@ -114,7 +116,9 @@ class Cia402Driver:
         return self._counted(None)
 
     def _overhear(self, t: Nanos, function: int, address: int, wire: CanFrame) -> list[Event]:
-        """A node that is not in the robot file: only a scan listens to it."""
+        """A node that is not in the robot file: only a scan listens to it. Node 0 is nobody: SYNC."""
+        if wire.id == SYNC_ID and isinstance(decode(wire), Sync):
+            return self._hear_sync(t)
         answer = sdo.decode_answer(wire.data) if function == SDO_TX_BASE and self._scan is not None else None
         if answer is not None and self._scan is not None and self._scan.hear(t, address, answer):
             self.tally.heard += 1
@@ -131,6 +135,14 @@ class Cia402Driver:
         outcome = node.client.hear(answer)
         events = self._ended(t, node, outcome) if outcome is not None else []
         return events + self._double(t, node)
+
+    def _hear_sync(self, t: Nanos) -> list[Event]:
+        """Another producer's: expected where we are none, else told once."""
+        if not self.pulse.period:
+            self.tally.foreign += 1
+            return []
+        told, self.pulse.disturbed = self.pulse.disturbed, True
+        return self._counted([] if told else [Found(t, PROTOCOL, 0, detail=DISTURBED, twice=True)])
 
     # -- SDO transfers that ended -----------------------------------------------------------------
 
@@ -220,6 +232,7 @@ class Cia402Driver:
             return
         for node in self._all:
             node.forget()
+        self.pulse.disturbed = False
         if state is not BusState.BACK:
             self._events += [p.refuse(t, f"the bus is {state}") for p in self._pending]
             self._pending.clear()

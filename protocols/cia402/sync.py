@@ -1,7 +1,8 @@
 """What one host does for all devices of a bus: SYNC, and its own heartbeat.
 
 Rules. SYNC has one producer a bus: us with `sync_ms`, somebody else with 0; all devices must agree. It goes
-while a device that we command needs it, at absolute times; a missed one is left out. The heartbeat feeds the
+while a device that we command needs it, at absolute times; a missed one is left out. Another producer beside
+us is told of once, and stops nothing: which of the two is right, a person must say. The heartbeat feeds the
 watchdogs of all devices that expect it at once: it goes only in a step in which each of them was commanded.
 """
 
@@ -16,6 +17,12 @@ from protocols.cia402.options import WATCHDOG_SHARE
 from protocols.plugin import Device
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, Nanos
+
+DISTURBED = (
+    "SYNC, 0x080, comes from somebody else, too: synchronous set-points take effect at two beats, and drives"
+    " answer twice as often. Stop it there (a drive says SYNC with bit 30 of its object 1005), or leave it to"
+    " the other and set sync_ms = 0 here"
+)
 
 
 def agree(devices: Sequence[Device]) -> None:
@@ -54,6 +61,8 @@ class Pulse:
     missed: bool = False
     """The last SYNC went without set-points."""
     beat_next: Nanos | None = None
+    disturbed: bool = False
+    """That somebody else says SYNC, too, has been told."""
 
     def due_now(self, now: Nanos) -> bool:
         """Whether set-points that take effect with SYNC should go now."""

@@ -46,7 +46,7 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
-from tests.protocols.cia402.driver_stage import Stage, device, driver_of, stage
+from tests.protocols.cia402.driver_stage import Stage, stage
 
 A = "alpha"
 PROFILE = Options(modes="profile")
@@ -674,17 +674,6 @@ def test_a_bus_that_vanished_ends_requests_and_forgets(state: BusState) -> None:
 # -- construction and refusal ---------------------------------------------------------------------------
 
 
-def test_devices_of_a_bus_must_agree_on_sync_and_host() -> None:
-    one, two = device("left", 1), device("right", 2, Options(sync_ms=20))
-    with pytest.raises(ValueError, match=r"sync_ms .* 10 for left and 20 for right"):
-        driver_of(one, two)
-    with pytest.raises(ValueError, match=r"host_id .* 127 for left and 100 for right"):
-        driver_of(one, device("right", 2, Options(host_id=100)))
-    with pytest.raises(ValueError, match="node id"):
-        driver_of(one, device("right", 127))
-    driver_of(one, device("right", 2, Options(feedback="event", sync_ms=20)))
-
-
 @pytest.mark.parametrize(
     "command",
     [
@@ -723,7 +712,8 @@ def test_every_frame_is_counted_once() -> None:
         (CanFrame(0x481, bytes(6)), "heard"),
         (CanFrame(0x201, bytes(8)), "foreign"),
         (CanFrame(0x601, bytes(8)), "foreign"),
-        (CanFrame(0x080, b""), "foreign"),
+        (CanFrame(0x080, b""), "heard"),
+        (CanFrame(0x080, b"\1\2"), "foreign"),
         (CanFrame(0x585, bytes(8)), "foreign"),
         (CanFrame(0x581, bytes(8), extended=True), "foreign"),
         (CanFrame(0x581, b"", remote=True), "foreign"),
