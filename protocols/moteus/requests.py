@@ -1,18 +1,19 @@
 """Requests that wait for a device: what is sent, what counts as carried out, when it is given up.
 
 Rules. Every request ends in Done or Refused within its deadline, whatever the device does. A request that is
-impossible is refused at once with the reason. What is written is read back in the same frame, so that its
-answer says whether it was taken. Nothing that drops a load or moves a running shaft is said to a device that
-is armed. An id is given by the device's console, to the one whose UUID begins with the serial number.
+impossible is refused at once with the reason. What is written is read back in the same frame: the answer to
+it tells this register alone, and must hold what was written. Nothing that drops a load or moves a running
+shaft is said to a device that is armed. An id is given by the device's console, to the one whose UUID begins
+with the serial number.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isclose, isfinite
 
 from protocols.answers import UnderWay, refusal
-from protocols.moteus.codec import F32, FLOAT_MAX, INT32, READ_ERROR, WRITE_ERROR, Error, Told
+from protocols.moteus.codec import F32, FLOAT_MAX, FLOAT_TINY, INT32, READ_ERROR, WRITE_ERROR, Error, Told
 from protocols.moteus.ear import NOT_WRITEABLE
 from protocols.moteus.faults import complaint_of
 from protocols.moteus.messages import DISCOVER, ask, console, masked, set_register
@@ -45,6 +46,9 @@ ZERO_WITHIN = 0.01
 SAVE = "conf_write"
 """Written with 1, the device saves its configuration."""
 REGISTER_MAX = 0x7FFF
+
+BINARY32 = 2.0**-23
+"""A number and what a binary32 makes of it lie no further apart, relative to it."""
 
 COMMANDED = (range(0x010, 0x030), range(0x040, 0x049))
 """Registers that commands write."""
@@ -148,7 +152,7 @@ def _write(now: Nanos, request: Request, node: Node, parameter: str, value: floa
         return refusal(now, request, "a mask of UUIDs is no parameter")
     if register in _MOVING and (node.claimed or node.mode not in (Mode.STOPPED, *LATCHED)):
         return refusal(now, request, "it is armed, and would jump: say idle first")
-    return _pending(now, request, node, (set_register(register, value) + _asks(register),), register)
+    return _pending(now, request, node, (set_register(register, value) + ask(register, F32),), register)
 
 
 _MOVING = (
@@ -205,20 +209,21 @@ def hear(pending: Pending, t: Nanos, told: Told) -> list[Event]:
             return _hear_zero(pending, t, told)
         case ReadParameter(_, parameter):
             return _hear_read(pending, t, told, parameter)
-        case WriteParameter():
-            return _hear_written(pending, t, told)
+        case WriteParameter(_, parameter, value):
+            return _hear_written(pending, t, told, None if parameter == SAVE else value)
     return []
 
 
 def _hear_zero(pending: Pending, t: Nanos, told: Told) -> list[Event]:
     """Taken, as its answer says, and then measured: a position near zero alone may be from before."""
-    ended = _hear_written(pending, t, told)
-    pending.taken = pending.taken or bool(ended)
-    if ended and isinstance(ended[0], Refused):
-        return ended
+    if not_taken := _not_taken(told, pending.register):
+        return [pending.refuse(t, not_taken)]
+    if pending.register in _about(told):
+        pending.taken = True
+        return []
     position = told.values.get(Register.POSITION)
     near = position is not None and abs(position) < ZERO_WITHIN
-    return [pending.done(t)] if pending.taken and near and not ended else []
+    return [pending.done(t)] if pending.taken and near else []
 
 
 def _wrong(told: Told, code: int, register: int) -> Error | None:
@@ -236,13 +241,33 @@ def _hear_read(pending: Pending, t: Nanos, told: Told, parameter: str) -> list[E
     return [Parameter(pending.name, t, parameter, float(value))]
 
 
-def _hear_written(pending: Pending, t: Nanos, told: Told) -> list[Event]:
-    wrong = _wrong(told, WRITE_ERROR, pending.register)
-    if wrong:
-        why = "read only" if wrong.number == NOT_WRITEABLE else f"error {wrong.number}: no such register?"
-        return [pending.refuse(t, f"the device does not take it ({why})")]
-    answered = pending.register in told.values or _wrong(told, READ_ERROR, pending.register)
-    return [pending.done(t)] if answered else []
+def _about(told: Told) -> set[int]:
+    """The registers that an answer tells, or cannot tell."""
+    return {*told.values, *(error.register for error in told.errors)}
+
+
+def _not_taken(told: Told, register: int) -> str:
+    """Why a device does not take what was written; "" if it does not say so."""
+    wrong = _wrong(told, WRITE_ERROR, register)
+    if wrong is None:
+        return ""
+    why = "read only" if wrong.number == NOT_WRITEABLE else f"error {wrong.number}: no such register?"
+    return f"the device does not take it ({why})"
+
+
+def _hear_written(pending: Pending, t: Nanos, told: Told, value: float | None) -> list[Event]:
+    """`value`: what the register must hold then, if it can be read at all.
+
+    Many answers tell a register beside others, and may have been under way when it was written."""
+    if not_taken := _not_taken(told, pending.register):
+        return [pending.refuse(t, not_taken)]
+    if _about(told) != {pending.register}:
+        return []
+    reads = told.values.get(pending.register)
+    if value is None or reads is None or isclose(reads, value, rel_tol=BINARY32, abs_tol=FLOAT_TINY):
+        return [pending.done(t)]
+    pending.reads = reads
+    return []
 
 
 def give_up(pending: Pending, now: Nanos) -> list[Event]:
@@ -259,4 +284,7 @@ def give_up(pending: Pending, now: Nanos) -> list[Event]:
         return [pending.refuse(now, f"still in fault: {complaint_of(code).name}")]
     if isinstance(pending.request, Zero):
         return [pending.refuse(now, "its position did not become zero: is it turning?")]
+    if isinstance(pending.request, WriteParameter) and pending.reads is not None:
+        said = f"the device holds {pending.reads:.6g} there, not {pending.request.value:.6g}"
+        return [pending.refuse(now, said)]
     return [pending.refuse(now, "the device did not answer this")]

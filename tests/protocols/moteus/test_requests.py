@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.moteus.codec import decode, framed
+from protocols.moteus.codec import (
+    F32,
+    INT16,
+    READ_ERROR,
+    REPLY,
+    WRITE_ERROR,
+    Error,
+    Values,
+    decode,
+    encode,
+    framed,
+)
 from protocols.moteus.messages import DISCOVER
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.registers import Register
@@ -14,6 +25,7 @@ from protocols.words import (
     ClearFault,
     Done,
     Estop,
+    Event,
     Found,
     Hold,
     Home,
@@ -201,6 +213,78 @@ def test_an_output_is_set_and_the_configuration_saved() -> None:
     assert bench.twin.servo.position == pytest.approx(1.5, abs=1e-3)
     assert len(of(Done, bench.ask(WriteParameter("left", "conf_write", 1.0), 50))) == 1
     assert "console: conf write" in bench.said()
+
+
+# Which answer is the one to a write: a frame of its register alone. The others may have been under way.
+
+ORDINARY = encode(Values(REPLY, Register.MODE, INT16, (0, 0, 0, 0))) + encode(
+    Values(REPLY, Register.MOTOR_TEMPERATURE, INT16, (250, 1, 0, 240, 250, 0))
+)
+"""An answer as the ordinary cycle has them: home state 0, fault 0."""
+GPIO = 0x05C
+"""A register that can be written and read (AUX1 GPIO command)."""
+
+
+def reads(register: int, value: float) -> bytes:
+    """What a device answers that was asked for one register."""
+    return encode(Values(REPLY, register, F32, (value,)))
+
+
+def answered(bench: Bench, *data: bytes) -> list[list[Event]]:
+    """What is told of each of the device's frames; the device itself is not asked."""
+    node = bench.node
+    return [list(bench.driver.receive(bench.now, framed(node.tells_at, each))) for each in data]
+
+
+def writing(name: str, value: float) -> Bench:
+    """A write that was sent to a device which does not answer by itself."""
+    bench = ready()
+    bench.to_device = lambda _: False
+    assert of(Refused, bench.ask(WriteParameter("left", name, value))) == []
+    return bench
+
+
+def test_an_answer_that_was_under_way_does_not_end_a_write() -> None:
+    """It holds the register, and its value is from before; the device then refuses the write."""
+    bench = writing("home_state", 2.0)
+    told = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, 2)))
+    assert [of(Done, each) + of(Refused, each) for each in told[:2]] == [[], []]
+    assert of(Refused, told[2])[0].reason == "the device does not take it (read only)"
+
+
+def test_an_answer_that_was_under_way_does_not_end_a_write_to_the_twin() -> None:
+    bench = ready(device(settings=Settings(reply_delay_us=15_000)))
+    told = bench.ask(WriteParameter("left", "position", 0.0), 60)
+    assert of(Done, told) == []
+    assert [r.reason for r in of(Refused, told)] == ["the device does not take it (read only)"]
+
+
+def test_a_write_is_done_when_the_device_holds_what_was_written() -> None:
+    bench = writing(hex(GPIO), 5.0)
+    told = answered(bench, ORDINARY, reads(GPIO, 4.0), reads(GPIO, 5.0), reads(GPIO, 5.0))
+    assert [of(Done, each) for each in told] == [[], [], [Done(bench.now, "WriteParameter", "left")], []]
+
+
+def test_a_write_after_which_the_device_holds_something_else_is_refused_with_both_values() -> None:
+    bench = writing(hex(GPIO), 5.0)
+    assert of(Done, answered(bench, reads(GPIO, 7.0))[0]) == []
+    bench.to_device = lambda frame: frame.data[:3] != b"\x0d\x5c\x00"
+    told = bench.run(700)
+    assert of(Done, told) == []
+    assert [r.reason for r in of(Refused, told)] == ["the device holds 7 there, not 5"]
+
+
+@pytest.mark.parametrize("value", [0.1, 1e-7, -123456.789, 3e38])
+def test_what_a_binary32_makes_of_a_number_is_what_was_written(value: float) -> None:
+    bench = writing(hex(GPIO), value)
+    assert len(of(Done, answered(bench, reads(GPIO, value))[0])) == 1
+
+
+def test_a_register_that_cannot_be_read_is_written_when_its_question_is_answered() -> None:
+    bench = writing("set_output_exact", 1.5)
+    unreadable = encode(Error(READ_ERROR, Register.SET_OUTPUT_EXACT, 1))
+    told = answered(bench, ORDINARY, unreadable)
+    assert [len(of(Done, each)) for each in told] == [0, 1]
 
 
 @pytest.mark.parametrize("name", ["conf_write", "set_output_nearest", "require_reindex"])

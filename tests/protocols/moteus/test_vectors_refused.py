@@ -96,7 +96,7 @@ def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
         (ReadParameter("left", "home_state"), "190c"),
         (ReadParameter("left", "uuid1"), "19d002"),
         (write("0x030", FLOAT_MAX), "0d30ffff7f7f" + "1d30"),
-        (write("0x00f", 0.0), "0d0f00000000" + "190f"),
+        (write("0x00f", 0.0), "0d0f00000000" + "1d0f"),
         (write("0x03f", -2.0), "0d3f000000c0" + "193f"),
         (write("0x049", 0.5), "0d490000003f" + "1949"),
         (write("0x153", 1.0), "0dd3020000803f" + "19d302"),
