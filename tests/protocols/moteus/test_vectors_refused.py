@@ -88,7 +88,7 @@ def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
 @pytest.mark.parametrize(
     ("request_", "data"),
     [
-        # a question for one register as binary32 (1D) or int32 (19); a write of one as binary32 (0D)
+        # a question for one register as binary32 (1D) or int32 (19); a write of one as binary32 (0D) and 1D
         (ReadParameter("left", "POWER"), "1d07"),
         (ReadParameter("left", "7"), "1d07"),
         (ReadParameter("left", "0x0"), "1900"),
@@ -97,14 +97,14 @@ def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
         (ReadParameter("left", "uuid1"), "19d002"),
         (write("0x030", FLOAT_MAX), "0d30ffff7f7f" + "1d30"),
         (write("0x00f", 0.0), "0d0f00000000" + "1d0f"),
-        (write("0x03f", -2.0), "0d3f000000c0" + "193f"),
-        (write("0x049", 0.5), "0d490000003f" + "1949"),
-        (write("0x153", 1.0), "0dd3020000803f" + "19d302"),
-        (write("0x158", 1.0), "0dd8020000803f" + "19d802"),
+        (write("0x03f", -2.0), "0d3f000000c0" + "1d3f"),
+        (write("0x049", 0.5), "0d490000003f" + "1d49"),
+        (write("0x153", 1.0), "0dd3020000803f" + "1dd302"),
+        (write("0x158", 1.0), "0dd8020000803f" + "1dd802"),
         (write("set_output_nearest", 0.0), "0db00200000000" + "1db002"),
         (write("set_output_exact", 1.5), "0db1020000c03f" + "1db102"),
-        (write("require_reindex", 1.0), "0db2020000803f" + "19b202"),
-        (write("recapture_position_velocity", 1.0), "0db3020000803f" + "19b302"),
+        (write("require_reindex", 1.0), "0db2020000803f" + "1db202"),
+        (write("recapture_position_velocity", 1.0), "0db3020000803f" + "1db302"),
         (write("conf_write", 1.0), "40010b636f6e662077726974650a" + "199002"),
         (Zero("left"), "0db10200000000" + "1db102"),
     ],
