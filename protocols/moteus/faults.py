@@ -2,7 +2,8 @@
 
 Sources: codes and names mjbots/moteus@db1a762 `docs/protocol/registers.md` (0x00f) and, for 49 and 50,
 `docs/reference/configuration.md`; the timeout `docs/troubleshooting/timeout-mode-11.md`. Codes 96 to 103 say
-what limits the output at the moment, while all is well: they are no faults. Codes from 0x100 on are ours.
+what limits the output at the moment, while all is well: they are no faults, and are told with the state.
+Codes from 0x100 on are ours.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@ place until the device tells that mode; only then do set-points follow. A veloci
 place too, until that was answered: the device's own set-point may stand anywhere. Since a stop clears
 faults, a device in fault or timeout is told none until ClearFault, also not for Idle: in fault it gives no
 torque, and in timeout it damps its shaft, as its owner configured. What has tripped is not commanded again
-before ClearFault, whoever stopped it. Whether it is armed is forgotten in silence and bus trouble; what was
-commanded is remembered, so that Idle still goes out.
+before ClearFault, whoever stopped it. What limits the output of an armed device is told with its state. Whether
+it is armed is forgotten in silence and bus trouble; what was commanded is remembered, so that Idle still goes
+out.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Mapping
 from math import tau
 
 from protocols.moteus.codec import FAST, FULL, Told, command_id, reply_id
-from protocols.moteus.faults import NOT_ARMED, TIMEOUT, complaint_of
+from protocols.moteus.faults import LIMITS, NOT_ARMED, TIMEOUT, complaint_of
 from protocols.moteus.messages import IDENTIFY, STOP, move, push
 from protocols.moteus.options import Options, limits_of
 from protocols.moteus.registers import LATCHED, RISING, Mode, Register, mode_name
@@ -48,6 +49,8 @@ IDENTIFY_EVERY = 5 * SECOND
 """Who holds an id is asked so often, to notice one that is held twice."""
 IDENTIFY_AGAIN = 100 * MILLISECOND
 """... and so often until it is known."""
+LIMITED = SECOND
+"""What limits the output is told for so long after it did."""
 ARMING = SECOND
 """A device that answers but is not in position control after so long is a fault."""
 
@@ -67,6 +70,8 @@ class Node:
         self.offline = False
         self.mode: int | None = None
         self.fault = 0
+        self.limited: dict[int, Nanos] = {}
+        """What limited its output of late (`LIMITS`), and when it was last told."""
         self.position: float | None = None
         """rev"""
         self.firmware: int | None = None
@@ -98,6 +103,7 @@ class Node:
         self.told_fault, self.steered, self.arming_since, self.anchor = None, None, None, None
         self.release_seen, self.release_next, self.identify_at = 0, 0, 0
         self.uuids.clear()
+        self.limited.clear()
 
     def resend(self) -> None:
         """Frames may have been lost on our side."""
@@ -118,7 +124,9 @@ class Node:
         self.mode = int(mode)
         self._anchored()
         self._confirm_release()
-        return events + self._complaint(t, known=Register.FAULT in values) + self._state(t)
+        events += self._complaint(t, known=Register.FAULT in values)
+        self._note_limit(t)
+        return events + self._state(t)
 
     def _anchored(self) -> None:
         if self.anchor is None or self.mode != Mode.POSITION:
@@ -126,6 +134,14 @@ class Node:
         self.anchor += 1
         if self.anchor >= ANCHORED:
             self.steered, self.anchor = Velocity, None
+
+    def _note_limit(self, t: Nanos) -> None:
+        """A limit is told until it was not active for `LIMITED`: it may come and go with every answer."""
+        self.limited = {code: at for code, at in self.limited.items() if t - at < LIMITED}
+        if self._mode_now() is not StateMode.ARMED:
+            self.limited.clear()
+        elif self.fault in LIMITS:
+            self.limited[self.fault] = t
 
     def _measured(self, t: Nanos, values: Mapping[int, float | None]) -> list[Event]:
         get = values.get
@@ -198,6 +214,8 @@ class Node:
 
     def _detail(self) -> str:
         detail = "" if self.mode is None else mode_name(self.mode)
+        if self.limited:
+            detail += f", limited by {' and '.join(LIMITS[code] for code in sorted(self.limited))}"
         return f"{detail}, not cleared yet" if self.tripped and self.mode not in LATCHED else detail
 
     # -- saying -------------------------------------------------------------------------------

@@ -378,6 +378,42 @@ def test_limits_that_are_active_are_no_faults() -> None:
     assert modes(events)[-1] == "armed"
 
 
+def test_what_limits_the_output_is_told_once_with_the_state_and_taken_back() -> None:
+    bench = ready(device(options=Options(max_torque=0.1)))
+    bench.shaft.held = True
+    details = [state.detail for state in of(State, bench.run(2000, Torque("left", 1.0)))]
+    assert details[-2:] == ["position", "position, limited by the commanded maximum torque"]
+    details = [state.detail for state in of(State, bench.run(2000, Torque("left", 0.05)))]
+    assert details == ["position"]
+    bench.run(50, Torque("left", 1.0))
+    assert of(State, bench.run(100, Idle("left")))[-1].detail == "stopped"
+
+
+def test_limits_that_come_and_go_with_every_answer_are_told_once() -> None:
+    bench = ready()
+    bench.run(100, Hold("left"))
+    told = list[State]()
+    for i in range(500):  # at 200 Hz: none, the current, none, the torque
+        frame = f"21000a2f01{'00000000' * 3}210f{(0, 99, 0, 102)[i % 4]:02x}"
+        events = bench.driver.receive(bench.now + i * 5_000_000, framed(reply_id(1), bytes.fromhex(frame)))
+        told += of(State, events)
+    assert [state.detail for state in told] == [
+        "position, limited by servo.max_current_A",
+        "position, limited by servo.max_current_A and the commanded maximum torque",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("mode", "said"), [(1, "fault"), (11, "timeout"), (0, "stopped"), (3, "calibrating")]
+)
+def test_a_limit_is_told_of_an_armed_device_only(mode: int, said: str) -> None:
+    bench = ready()
+    limited = "21000a2f01000000000000000000000000210f63"
+    bench.driver.receive(bench.now, framed(reply_id(1), bytes.fromhex(limited)))
+    frame = framed(reply_id(1), bytes.fromhex(limited.replace("0a", f"{mode:02x}", 1)))
+    assert of(State, bench.driver.receive(bench.now + 1, frame))[-1].detail == said
+
+
 def test_a_fault_outside_the_table_is_told_by_its_number() -> None:
     bench = ready()
     frame = framed(reply_id(1), bytes.fromhex("210001210f3f"))
