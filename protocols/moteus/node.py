@@ -5,9 +5,9 @@ place until the device tells that mode; only then do set-points follow. A veloci
 place too, until that was answered: the device's own set-point may stand anywhere. Since a stop clears
 faults, a device in fault or timeout is told none until ClearFault, also not for Idle: in fault it gives no
 torque, and in timeout it damps its shaft, as its owner configured. What has tripped is not commanded again
-before ClearFault, whoever stopped it. What limits the output of an armed device is told with its state. Whether
-it is armed is forgotten in silence and bus trouble; what was commanded is remembered, so that Idle still goes
-out.
+before ClearFault, whoever stopped it. What limits the output of an armed device is told with its state.
+Whether it is armed is forgotten in silence and bus trouble; what was commanded is remembered, so that Idle
+still goes out.
 """
 
 from __future__ import annotations
