@@ -39,19 +39,21 @@ def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
 
 
 class Refusals:
-    """Commands come anew every tick: what is refused for the same reason as before is not told again."""
+    """Commands come anew every tick: one that is refused for the same reason as before is not told again.
+
+    A request comes once, and is told whenever it is refused."""
 
     def __init__(self) -> None:
         self._told: dict[str, str] = {}
         """By motor, the reason for which its last command was refused."""
 
-    def hear(self, now: Nanos, command: Command, reason: str) -> list[Refused]:
-        """What is to be told of a command; `reason`: why it is refused, "" if it is not."""
-        told = self._told.pop(command.motor, "")
-        if not reason:
-            return []
-        self._told[command.motor] = reason
-        return [] if told == reason else [refusal(now, command, reason)]
+    def hear(self, now: Nanos, word: Command | Request, reason: str) -> list[Refused]:
+        """What is to be told of a word; `reason`: why it is refused, "" if it is not."""
+        told = ""
+        if isinstance(word, Command):
+            told = self._told.pop(word.motor, "")
+            self._told |= {word.motor: reason} if reason else {}
+        return [] if reason == told or not reason else [refusal(now, word, reason)]
 
 
 @dataclass(slots=True)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
+from protocols.answers import Refusals
 from protocols.plain import line
 from protocols.plugin import Device, Tally
 from protocols.wire import BusState, Wire
@@ -37,7 +38,6 @@ from protocols.words import (
     SetId,
     State,
     Stop,
-    Word,
 )
 
 ANSWER: Nanos = 200 * MILLISECOND
@@ -81,6 +81,7 @@ class PlainDriver:
         self._stream = line.Stream()
         self._seats = {d.address: _Seat(d.name, d.options.kind == "motor") for d in devices}
         self._addresses = {d.name: d.address for d in devices}
+        self._refusals = Refusals()
         self._line: list[tuple[Nanos, Scan | SetId]] = []
         """Requests to the whole line: when they end."""
         self._serials: dict[int, int] = {}
@@ -114,14 +115,9 @@ class PlainDriver:
                 for seat in self._seats.values():
                     seat.claimed = seat.motor
                 continue
-            try:
-                address = self._address(word)
-                wire = line.message(address, word)
-            except ValueError as error:
-                events.append(Refused(now, type(word).__name__, _about(word), str(error)))
-                continue
-            if self._say(now, address, word):
-                wires.append(wire)
+            wire, reason = self._message(now, word)
+            events += self._refusals.hear(now, word, reason)
+            wires += wire
         return events + self._impatient(now), wires
 
     def due(self) -> Nanos | None:
@@ -134,6 +130,15 @@ class PlainDriver:
         return min(moments, default=None)
 
     # -- down ------------------------------------------------------------------------------------------
+
+    def _message(self, now: Nanos, word: Command | Request) -> tuple[list[Wire], str]:
+        """What goes out for a word, and why it is refused, "" if it is not."""
+        try:
+            address = self._address(word)
+            wire = line.message(address, word)
+        except ValueError as error:
+            return [], str(error)
+        return [wire] if self._say(now, address, word) else [], ""
 
     def _address(self, word: Command | Request) -> int:
         """The address that a word goes to. ValueError: it can go to none."""
@@ -229,8 +234,3 @@ class PlainDriver:
                 events.append(Done(word.t, "SetId", asked.bus, f"{asked.serial} is now at {asked.address}"))
                 break
         return events
-
-
-def _about(word: Word) -> str:
-    """The motor or bus that a word is about."""
-    return getattr(word, "motor", getattr(word, "bus", ""))

@@ -41,6 +41,13 @@ def test_a_refusal_is_told_when_its_reason_is_new_and_once_for_each_motor() -> N
     ]  # fmt: skip
 
 
+def test_a_request_is_refused_as_often_as_it_comes_and_changes_nothing_for_commands() -> None:
+    refusals = Refusals()
+    words: list[Command | Request] = [Hold("m"), Zero("m"), Zero("m"), Hold("m")]
+    assert [len(refusals.hear(0, word, "a")) for word in words] == [1, 1, 1, 0]
+    assert refusals.hear(0, Zero("m"), "") == refusals.hear(0, Hold("m"), "a") == []
+
+
 def test_a_request_under_way_ends_by_its_own_name() -> None:
     waiting = UnderWay(Zero("m"), "m", 1, 9, 5)
     assert waiting.done(7, "at 0") == Done(7, "Zero", "m", "at 0")

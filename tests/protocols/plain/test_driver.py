@@ -183,6 +183,13 @@ def test_refused_at_once_and_nothing_goes_out(word: Command | Request, reason: s
     assert sent(stage, Idle("m")) == []  # it has not been claimed either
 
 
+def test_a_command_that_is_refused_anew_is_told_once_until_one_was_not() -> None:
+    stage = bench()
+    said = [Velocity("m", 1e9), Velocity("m", 1e9), Velocity("m", 1.0), Velocity("m", 1e9)]
+    assert [len(stage.driver.send(T, [word])[0]) for word in said] == [1, 0, 0, 1]
+    assert [len(stage.driver.send(T, [Home("m")])[0]) for _ in range(2)] == [1, 1]
+
+
 def test_an_operators_stop_lets_idle_through_to_a_motor_that_was_not_claimed() -> None:
     stage = bench()
     assert sent(stage, Idle("m")) == []
