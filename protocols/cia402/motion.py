@@ -33,7 +33,9 @@ LATE = 500 * MILLISECOND
 PLACED = 2
 """Rounds of set-points that stand before a device is enabled."""
 HANDSHAKE = 250 * MILLISECOND
-"""A set-point of PP that was not acknowledged by then is given again."""
+"""A set-point of PP that was not acknowledged by then is given again, the newest, by a new rise of bit 4."""
+LOWERED = 50 * MILLISECOND
+"""So long bit 4 stays low before that: time enough for a write by SDO."""
 HOMED = 3
 """Statuswords after the start of homing before one is believed."""
 
@@ -244,7 +246,9 @@ def _hand(node: Node, now: Nanos, values: Values) -> int:
     """PP: the handshake, with the target that it is about."""
     acknowledged = bool((node.status or 0) & Status.SETPOINT_ACKNOWLEDGED)
     if node.handing and not acknowledged and now > node.handed_at + HANDSHAKE:
-        node.handing, node.setpoint = False, None
+        node.handing, node.setpoint, node.lowered_until = False, None, now + LOWERED
+    if now < node.lowered_until:
+        return int(Demand.ENABLE_OPERATION | Control.CHANGE_IMMEDIATELY)
     before = node.handing
     target = values[o.TARGET_POSITION]
     control, given, node.handing = arming.handshake(acknowledged, node.handing, target, node.setpoint)

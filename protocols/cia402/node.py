@@ -123,6 +123,8 @@ class Node:
         self.handing = False
         """PP: the new set-point bit is set."""
         self.handed_at: Nanos = 0
+        self.lowered_until: Nanos = -NEVER
+        """PP: till then the new set-point bit is low, so that it can rise."""
         self.start_next: Nanos = 0
         self.starts = 0
         self.insist: Demand | None = None
