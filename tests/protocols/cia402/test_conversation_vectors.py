@@ -1,38 +1,360 @@
-"""Conversations of independent bytes, as they were kept: our driver, and what ear and twin lean on, in them.
+"""Conversations of vectors: a drive comes up, is read, configured, armed, steered in each mode, and let go.
 
-See `conversations` for what they are. That package canopen still says what was kept is tested last.
+The drive counts 16384 increments a turn (608F), has no gear (6091) and no feed (6092), and 1 N·m (6076):
+an increment is τ/16384 rad, a per mille of torque 1 mN·m. It stands at 4096: a quarter turn, 1.5708 rad.
 """
 
 from __future__ import annotations
 
-import pytest
+from protocols.words import ClearFault, Hold, Idle, Position, Stop, Torque, Velocity
+from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.firmware import Drive
 
-from tests.protocols.cia402.conversation_ends import HOSTS, recorded
-from tests.protocols.cia402.conversations import SCRIPTS, again, frame_of, kept, obeyed
-from tests.protocols.cia402.tables import TABLES
+CONFIGURED = """
+        write 1400:01 = 80000202
+        write 1400:02 = 1
+        write 1600 = 0
+        write 1600:01 = 60400010
+        write 1600:02 = 60600008
+        write 1600:03 = 607A0020
+        write 1600 = 3
+        write 1400:01 = 00000202
+        write 1401:01 = 80000302
+        write 1401:02 = 1
+        write 1601 = 0
+        write 1601:01 = 60FF0020
+        write 1601:02 = 60710010
+        write 1601:03 = 60B20010
+        write 1601 = 3
+        write 1401:01 = 00000302
+        write 1402:01 = 80000402
+        write 1402:02 = 1
+        write 1602 = 0
+        write 1602:01 = 60B10020
+        write 1602 = 1
+        write 1402:01 = 00000402
+        write 1800:01 = C0000182
+        write 1800:02 = 1
+        write 1A00 = 0
+        write 1A00:01 = 60410010
+        write 1A00:02 = 60610008
+        write 1A00:03 = 60640020
+        write 1A00 = 3
+        write 1800:01 = 40000182
+        write 1801:01 = C0000282
+        write 1801:02 = 1
+        write 1A01 = 0
+        write 1A01:01 = 606C0020
+        write 1A01:02 = 60770010
+        write 1A01:03 = 603F0010
+        write 1A01 = 3
+        write 1801:01 = 40000282
+        write 1802:01 = C0000382
+        write 1802:02 = 10
+        write 1A02 = 0
+        write 1A02:01 = 60780010
+        write 1A02:02 = 60790020
+        write 1A02 = 2
+        write 1802:01 = 40000382
+        write 1016:01 = 007F01F4"""
+"""The PDOs of the README, each in the order of `PdoMap.save()`; 1016: node 127 (7F), 500 ms (1F4)."""
 
-KEPT = kept()
+
+def test_vectors_of_a_drive_that_comes_up_and_is_only_asked() -> None:
+    talk = Talk()
+    talk.chapter(
+        100,
+        told="""
+        < State initialising SWITCH ON DISABLED*
+        40..60 < State ready SWITCH ON DISABLED
+        reads 1000 1008 1017 1018:01 1018:02 1018:03 1018:04 603F 605A 6075 6076 608F:01 608F:02 6091:01 \
+6091:02 6092:01 6092:02 60B1 60B2 6502 on 1400:01 1401:01 1402:01 1403:01 1800:01 1801:01 1802:01 1803:01
+        asks 6041 6061 6064 606C 6077 6078 6079
+        measures position=1.5708 velocity=0 torque=0 current=0 voltage=48
+        """,
+    )
+    talk.drive.put(0x6064, -8192)  # half a turn back: -π
+    talk.drive.put(0x606C, 16384)  # a turn a second: τ
+    talk.drive.put(0x6077, -250)  # ‰ of 1 N·m
+    talk.drive.put(0x6078, 300)  # ‰ of 5 A (6075)
+    talk.drive.put(0x6079, 23_500)  # mV
+    talk.chapter(
+        250,
+        Idle("m"),  # what nobody armed is not told to disarm
+        told="""
+        asks 6041 6061 6064 606C 6077 6078 6079
+        measures position=-3.1416 velocity=6.2832 torque=-0.25 current=1.5 voltage=23.5
+        """,
+    )
 
 
-@pytest.mark.parametrize("name", sorted(SCRIPTS))
-def test_the_driver_in_a_conversation_of_vectors(name: str) -> None:
-    assert again(SCRIPTS[name], KEPT[name]) == KEPT[name]
+def test_vectors_of_the_first_command_configure_start_and_arm_where_the_shaft_stands() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.chapter(
+        300,
+        Hold("m"),
+        told=f"""{CONFIGURED}
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo3 60B1=0 …
+        rpdo1 6040=0006 6060=8 607A=4096 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=4096 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=4096 /10
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync /10
+        beat 127 OPERATIONAL /125..130
+        measures position=1.5708 velocity=0 torque=0 current=0 voltage=48
+        """,
+    )
+    assert [talk.drive.get(0x1600), talk.drive.get(0x1A00, 3)] == [3, 0x60640020]
 
 
-@pytest.mark.parametrize("name", sorted(name for name in KEPT if name.startswith("host, ")))
-def test_vectors_of_a_host_are_obeyed(name: str) -> None:
-    frames = [frame_of(line.split(" | ")[0]) for line in KEPT[name]]
-    assert obeyed(frames, name) == KEPT[name]
+def armed(talk: Talk, *words: Hold | Velocity | Torque | Position) -> Talk:
+    """Up, and armed by these words."""
+    talk.chapter(100)
+    talk.chapter(300, *(words or (Hold("m"),)))
+    assert talk.drive.state == "OPERATION ENABLED", talk.transcript(300)
+    return talk
 
 
-@pytest.mark.parametrize("name", sorted(TABLES))
-def test_tables_of_vectors(name: str) -> None:
-    assert list(TABLES[name]()) == KEPT[name]
+def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
+    talk = armed(Talk())
+    talk.chapter(
+        100,
+        # -0.5·16384/τ = -1303.8; 0.25·16384/τ = 651.9; 0.125 N·m = 125 ‰
+        Position("m", -0.5, 0.25, 0.125),
+        told="""
+        rpdo2 60FF=0 6071=0 60B2=125 …
+        rpdo3 60B1=652 …
+        rpdo1 6040=000F 6060=8 607A=-1304 /10
+        sync /10
+        beat ?
+        """,
+    )
+    talk.chapter(
+        100,
+        Velocity("m", -1.5, -0.06),  # -1.5·16384/τ = -3911.4
+        told="""
+        rpdo2 60FF=-3911 6071=0 60B2=-60 /10
+        rpdo3 60B1=0 …
+        rpdo1 6040=000F 6060=9 607A=* …
+        < State armed OPERATION ENABLED, cyclic synchronous velocity
+        sync /10
+        beat ?
+        """,
+    )
+    talk.chapter(
+        100,
+        Torque("m", 0.25),
+        told="""
+        rpdo2 60FF=0 6071=250 60B2=0 /10
+        rpdo1 6040=000F 6060=10 607A=* …
+        < State armed OPERATION ENABLED, cyclic synchronous torque
+        still rpdo3 60B1=0 …
+        sync /10
+        beat ?
+        """,
+    )
+    talk.drive.put(0x6064, 5000)  # it has turned meanwhile, and is to stay there
+    talk.chapter(10, Torque("m", 0.25))
+    talk.chapter(
+        100,
+        Hold("m"),
+        told="""
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo1 6040=000F 6060=8 607A=5000 /10
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync /10
+        beat ?
+        """,
+    )
+    talk.drive.put(0x6064, 5100)  # pushed away: it holds where it was told to
+    talk.chapter(
+        100,
+        Hold("m"),
+        told="""
+        still rpdo1 6040=000F 6060=8 607A=5000 /10
+        sync /10
+        beat ?
+        measures position=1.9558 velocity=0 torque=0
+        """,
+    )
+    talk.chapter(
+        200,
+        Idle("m"),
+        told="""
+        0 rpdo1 6040=0006 6060=8 607A=5100
+        < State ready READY TO SWITCH ON
+        write 1016:01 = 00000000
+        sync /10 until 10..50
+        beat ?
+        """,
+    )
+    talk.chapter(400, Idle("m"), told="asks 6041 6061 6064 606C 6077 6078 6079")
+    assert talk.drive.state == "READY TO SWITCH ON"
 
 
-def test_the_package_says_all_of_them_still() -> None:
-    now = recorded()
-    assert list(now) == list(KEPT)
-    for name, lines in now.items():
-        assert lines == KEPT[name], name
-    assert {name.rpartition(", ")[0] for name in KEPT if name.startswith("host, ")} == set(HOSTS)
+def test_vectors_of_arming_by_the_state_that_is_shown() -> None:
+    for state, rest in (
+        ("SWITCH ON DISABLED", ["0006", "0007", "000F"]),
+        ("READY TO SWITCH ON", ["0007", "000F"]),
+        ("SWITCHED ON", ["0007", "000F"]),  # 07 does nothing there, till mode and set-point stand
+    ):
+        drive = Drive()
+        drive.stand(state, 1)  # in another mode till now
+        talk = Talk(drive)
+        talk.chapter(100)
+        before = len(talk.wires)
+        talk.chapter(300, Hold("m"))
+        said = [wire.data for _, wire in talk.wires[before:] if wire.id == 0x202]
+        assert [word for word in rest if bytes.fromhex(word)[::-1] in [data[:2] for data in said]] == rest
+        assert {data[:2] for data in said} == {bytes.fromhex(word)[::-1] for word in rest}, state
+        assert {data[2:] for data in said} == {b"\x08\x00\x10\x00\x00"}  # CSP, 4096: nothing else, ever
+        assert drive.state == "OPERATION ENABLED"
+
+
+def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
+    drive = Drive()
+    talk = Talk(drive)
+    talk.chapter(100)
+    drive.modes_late = True
+    talk.chapter(250, Velocity("m", 1.0))
+    talk.chapter(
+        150,
+        Velocity("m", 1.0),
+        told="""
+        still rpdo1 6040=0007 6060=9 607A=4096 /100
+        still rpdo2 60FF=0 6071=0 60B2=0 /10
+        still rpdo3 60B1=0 /100
+        sync /10
+        beat ?
+        """,
+    )
+    drive.modes_late = False
+    talk.chapter(
+        150,
+        Velocity("m", 1.0),  # 16384/τ = 2607.6
+        told="""
+        rpdo1 6040=000F 6060=9 607A=4096 …
+        < State armed OPERATION ENABLED, cyclic synchronous velocity
+        rpdo2 60FF=2608 6071=0 60B2=0 /10
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped() -> None:
+    drive = Drive()
+    drive.map(0x1400, 0x202, 255, 0x60400010, 0x60600008, 0x607A0020)
+    drive.map(0x1401, 0x302, 255, 0x60FF0020, 0x60710010)
+    drive.map(0x1800, 0x40000182, 255, 0x60410010, 0x60610008, 0x60640020, timer=10)
+    drive.stand("OPERATION ENABLED", 8)
+    drive.nmt(1)
+    talk = Talk(drive, feedback="event")
+    talk.chapter(
+        200,
+        Idle("m"),
+        told="""
+        < State initialising OPERATION ENABLED, *
+        < State initialising OPERATION ENABLED, cyclic synchronous position, *
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        """,
+    )
+    talk.chapter(
+        100,
+        Hold("m"),  # no NMT, no mapping, no 06 or 07: it goes on in its mode
+        told="""
+        write 1016:01 = 007F01F4
+        rpdo2 60FF=0 6071=0 …
+        rpdo1 6040=000F 6060=8 607A=4096 …
+        beat 127 OPERATIONAL …
+        """,
+    )
+    again = Drive()
+    again.stand("OPERATION ENABLED", 9)
+    talk = Talk(again)
+    talk.chapter(100)
+    talk.chapter(
+        100,
+        Stop(),  # an operator's stop reaches what somebody else has armed
+        Idle("m"),
+        told="""
+        0..10 write 6040 = 0006 …
+        < State ready READY TO SWITCH ON
+        """,
+    )
+
+
+def test_vectors_of_a_drive_that_does_not_disarm() -> None:
+    talk = armed(Talk())
+    talk.drive.deaf = True
+    talk.chapter(
+        800,
+        Idle("m"),
+        told="""
+        0 rpdo1 6040=0006 6060=8 607A=4096 /50 until 450..500
+        50 write 6040 = 0006 /50 until 450..500
+        500 rpdo1 6040=0000 6060=8 607A=4096 /50
+        500 write 6040 = 0000 /50
+        sync /10
+        beat ?
+        """,
+    )
+    talk.drive.deaf = False
+    talk.chapter(
+        200,
+        Idle("m"),
+        told="""
+        write 6040 = 0000 …
+        < State ready SWITCH ON DISABLED
+        write 1016:01 = 00000000
+        sync ?
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_drive_that_does_not_arm() -> None:
+    drive = Drive()
+    drive.deaf = True
+    talk = Talk(drive, state_timeout_ms=150)
+    talk.chapter(100)
+    talk.chapter(100, Hold("m"))
+    talk.chapter(
+        300,
+        Hold("m"),
+        told="""
+        still rpdo1 6040=0006 6060=8 607A=4096 /10 until 80..160
+        80..170 < Fault 10001 operation not enabled
+        sync ?
+        beat ?
+        """,
+    )
+    drive.deaf = False
+    talk.chapter(  # it obeys what it was told last; nothing is tried by itself
+        200,
+        Hold("m"),
+        told="""
+        < State ready READY TO SWITCH ON
+        sync ?
+        beat ?
+        """,
+    )
+    talk.chapter(
+        200,
+        ClearFault("m"),
+        Hold("m"),
+        told="""
+        < Done ClearFault m
+        rpdo1 6040=0007 6060=8 607A=4096 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=4096 /10
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync ?
+        beat ?
+        """,
+    )

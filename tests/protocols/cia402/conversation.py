@@ -1,0 +1,330 @@
+"""A conversation of vectors: drives of package canopen (`firmware`), our driver, and what a person expects.
+
+Rules. What the driver says is read with canopen's dictionary, constants and PDO maps; our codec has no part
+in it. Virtual time in ms. A conversation has chapters; a chapter is so many ms with the same words, and what
+is to be said and told in it, in this order:
+
+    12..20 write 6060 = 9       SDO download; only between 12 and 20 ms after the chapter's beginning
+    rpdo1 6040=000F 607A=-5 …   said again, as often as may be; "×3": said so often; "/10": every 10 ms
+    rpdo1 6040=0006 /50 until 400..460      the last time then; else it goes on to the chapter's end
+    nmt OPERATIONAL 2           with the node's number
+    < Fault 2310 *              an event; "*" stands for anything
+
+The same said again of the same object (or the same RPDO) is one line, where it was said first. These have no
+place in the order: SYNC and our heartbeat ("sync ?": whatever); and, compared only where they are given, what
+an RPDO goes on saying as before the chapter ("still rpdo1 …"), uploads ("reads"; "asks" for what is asked for
+as feedback), and what is measured last ("measures").
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any
+
+from canopen.nmt import NMT_COMMANDS, NMT_STATES
+from canopen.objectdictionary import ODVariable
+from canopen.sdo import constants as sdo
+
+from protocols.cia402 import plugin
+from protocols.cia402.options import Options, Settings
+from protocols.plugin import Device, Driver
+from protocols.wire import BusState, CanFrame
+from protocols.words import MILLISECOND, Command, Event, Feedback, Found, Request
+from tests.protocols.cia402.firmware import Drive
+from tests.protocols.cia402.stack import dictionary
+
+BEGIN = 1_000_000
+"""ms: the clock's zero lies anywhere."""
+FEEDBACK = ("6041", "6061", "6064", "606C", "6077", "6078", "6079")
+HEX = (0x6040, 0x6041, 0x1016)
+"""Objects of bits."""
+NMT = {number: name for name, number in reversed(NMT_COMMANDS.items())}
+DICTIONARY = dictionary(1)
+SUMMED = ("still", "reads", "asks", "sync", "beat", "measures")
+
+
+# -- what the driver says, read with canopen ----------------------------------------------------------------
+
+
+def title(index: int, sub: int) -> str:
+    """An object's number: 6041, 608F:01."""
+    return f"{index:04X}:{sub:02X}" if sub else f"{index:04X}"
+
+
+def number(index: int, sub: int, data: bytes) -> str:
+    """A value, as canopen's dictionary has it."""
+    found = DICTIONARY.indices.get(index)
+    variable = found if found is None or isinstance(found, ODVariable) else found[sub]
+    value = int.from_bytes(data, "little") if variable is None else int(variable.decode_raw(data))
+    bits = index in HEX or (0x1400 <= index < 0x1C00 and len(data) == 4)
+    return f"{value:0{2 * len(data)}X}" if bits else str(value)
+
+
+def _sdo(data: bytes) -> str:
+    command, index, sub = sdo.SDO_STRUCT.unpack_from(data)
+    name = title(index, sub)
+    match command & 0xE0:
+        case sdo.REQUEST_UPLOAD if data[4:] == bytes(4):
+            return f"read {name}"
+        case sdo.REQUEST_SEGMENT_UPLOAD:
+            return "read on"
+        case sdo.REQUEST_DOWNLOAD if command & sdo.EXPEDITED:
+            size = 4 - (command >> 2 & 3) if command & sdo.SIZE_SPECIFIED else 4
+            return f"write {name} = {number(index, sub, data[4 : 4 + size])}"
+    return f"sdo {data.hex()}"
+
+
+def meaning(frame: CanFrame, drives: Sequence[Drive]) -> tuple[str, str]:
+    """(what it is about, what it says): what is about the same replaces what was said before."""
+    function, node = frame.id & ~0x7F, frame.id & 0x7F
+    own = "" if [node] == [drive.node for drive in drives] else f"{node}: "
+    if frame.id == 0 and len(frame.data) == 2:
+        return "nmt", f"nmt {NMT[frame.data[0]]} {frame.data[1]}"
+    if frame.id == 0x80 and not frame.data:
+        return "sync", "sync"
+    if function == 0x700 and len(frame.data) == 1:
+        return "beat", f"beat {node} {NMT_STATES[frame.data[0]]}"
+    if function == 0x600 and len(frame.data) == 8:
+        said = _sdo(frame.data)
+        return f"{own}{said.partition(' =')[0]}", own + said
+    for drive in drives:
+        pdo = drive.rpdo(frame.id)
+        if pdo is not None and len(frame.data) == sum(len(v.get_data()) for v in pdo.map):
+            at, said = 0, f"{own}rpdo{(frame.id >> 8) - 1}"
+            for variable in pdo.map:
+                size = len(variable.get_data())
+                told = number(variable.index, variable.subindex, frame.data[at : at + size])
+                said, at = f"{said} {title(variable.index, variable.subindex)}={told}", at + size
+            return said.partition(" 6")[0], said
+    return str(frame), str(frame)
+
+
+# -- the transcript ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class Run:
+    """The same, said at these times [ms of the chapter]."""
+
+    text: str
+    times: list[int]
+
+    def said(self, end: int) -> str:
+        """As a person would write it down."""
+        gaps = sorted(self.gaps())
+        if not gaps:
+            return f"{self.times[0]} {self.text}"
+        step = f"/{gaps[0]}" if gaps[0] == gaps[-1] else f"/{gaps[0]}..{gaps[-1]}"
+        until = f" until {self.times[-1]}" if self.ended(end) else ""
+        return f"{self.times[0]} {self.text} {step} ×{len(self.times)}{until}"
+
+    def gaps(self) -> list[int]:
+        """Between one time and the next."""
+        return [late - soon for soon, late in pairwise(self.times)]
+
+    def ended(self, end: int) -> bool:
+        """Whether it was to be said once more before the chapter's end."""
+        return bool(self.gaps()) and self.times[-1] + max(self.gaps()) < end
+
+
+_LINE = re.compile(
+    r"(?:(?P<first>\d+)(?:\.\.(?P<last>\d+))? )?(?P<text>.*?)"
+    r"(?: (?P<any>…)| /(?P<low>\d+)(?:\.\.(?P<high>\d+))?| ×(?P<count>\d+))?"
+    r"(?: until (?P<end>\d+)(?:\.\.(?P<ends>\d+))?)?"
+)
+
+
+_READ = re.compile(r"(?P<own>(?:\d+:)?) ?read (?P<name>\S+)")
+
+
+def _within(value: int, low: str | None, high: str | None) -> bool:
+    return low is None or int(low) <= value <= int(high or low)
+
+
+def fits(line: str, run: Run, end: int) -> bool:
+    """Whether a line of the expectation is about this."""
+    found = _LINE.fullmatch(line)
+    if found is None:
+        return False
+    wanted = ".*".join(re.escape(part) for part in found["text"].split("*"))
+    if not re.fullmatch(wanted, run.text) or not _within(run.times[0], found["first"], found["last"]):
+        return False
+    if found["low"] and not all(_within(gap, found["low"], found["high"]) for gap in run.gaps()):
+        return False
+    if found["count"] and len(run.times) != int(found["count"]):
+        return False
+    if not (found["any"] or found["low"] or found["count"]) and len(run.times) > 1:
+        return False
+    if found["end"]:
+        return _within(run.times[-1], found["end"], found["ends"])
+    return bool(found["any"] or found["count"]) or not run.ended(end)
+
+
+# -- the conversation ---------------------------------------------------------------------------------------
+
+
+class Talk:
+    """Our driver on a bus with drives."""
+
+    def __init__(self, *drives: Drive, names: Sequence[str] = ("m", "n", "p"), **options: Any) -> None:
+        self.drives = drives or (Drive(),)
+        devices = [
+            Device(name, drive.node, Options(**options), Settings())
+            for name, drive in zip(names, self.drives, strict=False)
+        ]
+        self.driver: Driver = plugin.driver(devices)
+        self.every = 10
+        """ms between calls of `send`, besides those that are due."""
+        self.now = BEGIN
+        self.wires: list[tuple[int, CanFrame]] = []
+        """Everything that the driver has said, with its time since the beginning."""
+        self.events: list[Event] = []
+        self._runs: list[Run] = []
+        self._latest: dict[str, Run] = {}
+        self._asked: set[str] = set()
+        self._read: set[str] = set()
+        self._measured: dict[str, str] = {}
+        self._began = self.now
+        self._before: dict[str, str] = {}
+        """What each RPDO said last before this chapter."""
+
+    @property
+    def drive(self) -> Drive:
+        """The first drive."""
+        return self.drives[0]
+
+    def chapter(self, ms: int, *words: Command | Request, told: str | None = None) -> None:
+        """So many ms. Commands are said in each step, requests in the first one."""
+        self._before |= {about: run.text for about, run in self._latest.items() if "rpdo" in about}
+        self._runs, self._latest, self._began = [], {}, self.now
+        self._asked, self._read, self._measured = set(), set(), {}
+        requests = [word for word in words if not isinstance(word, Command)]
+        commands = [word for word in words if isinstance(word, Command)]
+        for at in range(ms):
+            self._millisecond([*requests, *commands] if at == 0 else commands, at == 0)
+        if told is not None:
+            self._compare(textwrap.dedent(told).strip("\n").split("\n"), ms)
+
+    def bus(self, state: BusState) -> None:
+        """The bus changes."""
+        self.driver.bus(self.now * MILLISECOND, state)
+
+    def hear(self, *frames: CanFrame) -> None:
+        """These stand on the bus now, whoever said them."""
+        for frame in frames:
+            self._told(self.driver.receive(self.now * MILLISECOND, frame))
+
+    def _millisecond(self, words: Sequence[Command | Request], first: bool) -> None:
+        at = self.now * MILLISECOND
+        for drive in self.drives:
+            self.hear(*drive.speak(self.now - BEGIN))
+        due = self.driver.due()
+        if first or self.now % self.every == 0 or (due is not None and due <= at):
+            events, wires = self.driver.send(at, words)
+            self._told(events)
+            for wire in wires:
+                assert isinstance(wire, CanFrame)
+                self._said(wire)
+        self.now += 1
+
+    def _said(self, wire: CanFrame) -> None:
+        self.wires.append((self.now - BEGIN, wire))
+        about, text = meaning(wire, self.drives)
+        for drive in self.drives:
+            drive.hear(wire)
+        read = _READ.fullmatch(text)
+        if read is None:
+            self._note(about, text)
+        elif read["name"] in FEEDBACK:
+            self._asked.add(read["own"] + read["name"])
+        else:
+            self._read.add(read["own"] + read["name"])
+
+    def _told(self, events: Iterable[Event]) -> None:
+        for event in events:
+            self.events.append(event)
+            assert event.t == self.now * MILLISECOND, event
+            if isinstance(event, Feedback):
+                own = f"{event.motor}." if len(self.drives) > 1 else ""
+                told = [(f.name, getattr(event, f.name)) for f in fields(event)[2:]]
+                self._measured |= {
+                    f"{own}{name}": f"{value:.5g}" for name, value in told if value is not None
+                }
+            else:
+                self._note("", f"< {_event(event, len(self.drives) > 1)}")
+
+    def _note(self, about: str, text: str) -> None:
+        run = self._latest.get(about)
+        if run is None or run.text != text or not about:
+            run = self._latest[about] = Run(text, [])
+            self._runs.append(run)
+        run.times.append(self.now - self._began)
+
+    def _ordered(self) -> list[Run]:
+        """What has its place in the order: not what an RPDO goes on saying."""
+        told: set[str] = set()
+        runs = []
+        for run in self._runs:
+            about = run.text.partition(" 6")[0]
+            if run.text.split()[0] not in SUMMED and (about in told or run.text != self._before.get(about)):
+                runs.append(run)
+            told.add(about)
+        return runs
+
+    # -- comparing ----------------------------------------------------------------------------------
+
+    def transcript(self, end: int) -> list[str]:
+        """The chapter as a person would write it down."""
+        summed = [("reads", self._read), ("asks", self._asked)]
+        lines = [f"{name} {' '.join(sorted(told))}" for name, told in summed if told]
+        measured = " ".join(f"{name}={value}" for name, value in sorted(self._measured.items()))
+        return [
+            *(run.said(end) for run in self._runs),
+            *lines,
+            *([f"measures {measured}"] if measured else []),
+        ]
+
+    def _compare(self, wanted: Sequence[str], end: int) -> None:
+        got = "\n".join(self.transcript(end))
+        orderly = [line for line in wanted if line and line.split()[0] not in SUMMED]
+        runs = self._ordered()
+        for line, run in zip(orderly, runs, strict=False):
+            assert fits(line, run, end), f"{line!r} is not {run.said(end)!r}\n{got}"
+        rest = orderly[len(runs) :] or [run.said(end) for run in runs[len(orderly) :]]
+        assert len(orderly) == len(runs), f"{len(orderly)} lines, and {len(runs)}: {rest}\n{got}"
+        still = [run for run in self._runs if run not in runs]
+        for line in [line.removeprefix("still ") for line in wanted if line.startswith("still ")]:
+            assert any(fits(line, run, end) for run in still), f"not still {line!r}\n{got}"
+        for name in ("sync", "beat"):
+            lines = [line for line in wanted if line.split()[:1] == [name]]
+            if lines == [f"{name} ?"]:
+                continue
+            told = [run for run in self._runs if run.text.split()[0] == name]
+            agree = len(lines) == len(told) and all(map(fits, lines, told, [end] * len(told)))
+            assert agree, f"{lines} is not {[run.said(end) for run in told]}\n{got}"
+        for line in wanted:
+            name, _, rest_of = line.partition(" ")
+            known = {"reads": self._read, "asks": self._asked}.get(name)
+            assert known is None or known == set(rest_of.split()), f"{line}\n{got}"
+            for part in rest_of.split() if name == "measures" else ():
+                field_, _, value = part.partition("=")
+                assert self._measured.get(field_) == value, f"{part}\n{got}"
+
+
+def _event(event: Event, several: bool) -> str:
+    """An event in short: its kind and its values, without the time and the texts for people."""
+    left = ("t", "cause", "cure", "protocol") + (() if several else ("motor",))
+    values = [(f.name, getattr(event, f.name)) for f in fields(event) if f.name not in left]
+    said = [type(event).__name__]
+    for name, value in values:
+        if name == "twice" and isinstance(event, Found):
+            said += ["twice"] if value else []
+        elif name == "code":
+            said.append(f"{value:04X}")
+        else:
+            said.append(f"{value:g}" if isinstance(value, float) else str(value))
+    return " ".join(part for part in said if part)
