@@ -10,8 +10,8 @@ import signal
 import subprocess
 import sys
 import termios
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import reduce
 
@@ -287,6 +287,16 @@ def test_no_other_motor_is_told_anything() -> None:
     assert bench.turned("right") == 0.0
 
 
+@contextmanager
+def hangup(handler: signal.Handlers) -> Iterator[None]:
+    """A terminal's end is met so while inside, whether the tests run under nohup or not."""
+    before = signal.signal(signal.SIGHUP, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.parametrize("end", [b"q", None, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_whatever_ends_it_in_the_middle_of_a_motion_the_safe_word_goes_out(
     end: bytes | signal.Signals | None,
@@ -298,7 +308,7 @@ def test_whatever_ends_it_in_the_middle_of_a_motion_the_safe_word_goes_out(
         bench = Bench([*keys, (9.0, b"q")])
         number = end
         bench.at[SECOND] = lambda: os.kill(os.getpid(), number)
-    with signals(lambda name: setattr(bench.made, "leaving", name)):
+    with hangup(signal.SIG_DFL), signals(lambda name: setattr(bench.made, "leaving", name)):
         bench.drive()
     assert bench.clock.now() < 2 * SECOND
     assert isinstance(bench.obeyed()[-1][1], Idle)
@@ -509,9 +519,5 @@ def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it() -> None:
 
 
 def test_under_nohup_the_end_of_the_terminal_is_no_reason_to_leave() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with signals(lambda _: None):
-            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    with hangup(signal.SIG_IGN), signals(lambda _: None):
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
