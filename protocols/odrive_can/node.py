@@ -319,6 +319,8 @@ class Node:
 
     def _steer(self, mode: ControlMode, target: Input) -> list[AnyMessage]:
         self.claimed = True
+        # One that is taken over may fall before its next heartbeat: that is a fall, too.
+        self.armed = self.armed or self.beats[-1][0] > self.state_sent
         if self.mode == mode:
             return [target]
         # The set-point stands before the mode changes, so that no stale input is obeyed in between;

@@ -216,7 +216,9 @@ def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
         case Zero() if isinstance(message, GetEncoderEstimates) and abs(message.position) < ZERO_WITHIN:
             return [pending.done(t)]
         case RebootWord() | WriteParameter(_, "save_configuration") if beat is not None:
-            return _hear_reboot(pending, t, up=not beat.error & node.dialect.initializing)
+            # Whoever restarts is asked anew what it is, and its bits mean nothing before.
+            up = bool(node.identity.line) and not beat.error & node.dialect.initializing
+            return _hear_reboot(pending, t, node, up)
         case WriteParameter() if beat is not None and pending.frames:
             return [pending.done(t, "sent; the device does not confirm it")]
         case ReadParameter(_, parameter):
@@ -225,15 +227,16 @@ def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
 
 
 def _board(node: Node) -> str:
-    return "and of every axis of its board" if node.dialect.boards else ""
+    return "and every axis of its board" if node.dialect.boards else ""
 
 
-def _hear_reboot(pending: Pending, t: Nanos, up: bool) -> list[Event]:
+def _hear_reboot(pending: Pending, t: Nanos, node: Node, up: bool) -> list[Event]:
     gap = t - (pending.beat_at or pending.began)
     pending.beat_at = t
     if not up or gap >= REBOOT_GAP:
         pending.stage = 1
-    return [pending.done(t, "it has restarted")] if pending.stage and up else []
+    detail = ", ".join(filter(None, ("it has restarted", _board(node))))
+    return [pending.done(t, detail)] if pending.stage and up else []
 
 
 def _hear_parameter(
