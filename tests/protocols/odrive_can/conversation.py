@@ -57,7 +57,7 @@ def meaning(wire: CanFrame, line: str = "0.6") -> str:
     if wire.remote:
         return f"{node}?{message.name[6:] if message else hex(cmd)}"
     if message is None or cmd == ADDRESS:
-        return f"{node}:{cmd:#04x} {wire.data.hex()}"
+        return f"{node}:{cmd:#04x} {wire.data.hex()}".rstrip()
     values = message.decode(wire.data, decode_choices=False)
     return " ".join([f"{node}:{message.name[6:]}", *(f"{value:g}" for value in values.values())])
 
