@@ -142,7 +142,8 @@ class Spec:
     wrong bit. Where they are damaged the contract is silent, and a driver must not lean on them."""
     overhears: tuple[tuple[int, int], ...] = ()
     """What the driver understands of any device, named in the robot file or not (answers to a scan,
-    devices with an address that is held twice): CAN ids as (id, mask), whose masked bits are these."""
+    devices with an address that is held twice), or of a second host: CAN ids as (id, mask), whose masked bits
+    are these."""
     extended: frozenset[int] | None = None
     """Those of its ids that are 29-bit ones. None: those above 0x7FF, which can be nothing else."""
     listens: tuple[tuple[int, int], ...] = ()

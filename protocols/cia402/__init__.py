@@ -155,7 +155,7 @@ def spec(device: Device) -> Spec:
 
 
 def _overhears(options: Options) -> tuple[tuple[int, int], ...]:
-    """Answers to a scan, heartbeats; and SYNC of another producer, where this host says it."""
+    """Answers to a scan, heartbeats; and, where this host says SYNC, that of another producer."""
     own_sync = options.feedback == "sync" and options.sync_ms
     return ((SDO_TX_BASE, 0x780), (HEARTBEAT_BASE, 0x780), *([(SYNC_ID, 0x1FFF_FFFF)] if own_sync else []))
 

@@ -137,8 +137,8 @@ class Cia402Driver:
         return events + self._double(t, node)
 
     def _hear_sync(self, t: Nanos) -> list[Event]:
-        """Another producer's: expected where we are none, else told once."""
-        if not self.pulse.period:
+        """Another producer's: nobody's business while we are none, else told once."""
+        if self.pulse.next is None:
             self.tally.foreign += 1
             return []
         told, self.pulse.disturbed = self.pulse.disturbed, True

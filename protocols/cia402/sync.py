@@ -1,8 +1,8 @@
 """What one host does for all devices of a bus: SYNC, and its own heartbeat.
 
 Rules. SYNC has one producer a bus: us with `sync_ms`, somebody else with 0; all devices must agree. It goes
-while a device that we command needs it, at absolute times; a missed one is left out. Another producer beside
-us is told of once, and stops nothing: which of the two is right, a person must say. The heartbeat feeds the
+while a device that we command needs it, at absolute times; a missed one is left out. Another producer at that
+time is told of once, and stops nothing: which of the two is right, a person must say. The heartbeat feeds the
 watchdogs of all devices that expect it at once: it goes only in a step in which each of them was commanded.
 """
 

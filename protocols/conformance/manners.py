@@ -20,14 +20,17 @@ LOOK = 800
 
 
 def strangers_change_nothing(case: Case) -> Verdict:
-    """Another device with its own host, unknown ids and other kinds of wire are counted, and no more."""
+    """Another device with its own host, unknown ids and other kinds of wire are counted, and no more.
+
+    What the spec overhears is left out of what that host says: of a second host a driver may tell."""
     spec, sends, expects = case.spec, case.sends, case.expects
     alone, crowded, stranger = case.start(), case.start(), case.stranger()
     counter = case.stranger().driver
     odd, count = _odd(case), 0
     for at, words in enumerate(play.script(spec, NAMES)):
         theirs = stranger.step(_theirs(words))
-        can = [*theirs.down, *theirs.up] if spec.bus != "serial" else []
+        host = [wire for wire in theirs.down if not _overheard(spec, wire)]
+        can = [*host, *theirs.up] if spec.bus != "serial" else []
         extra = [odd[at % len(odd)]] if at % 5 == 0 else []
         up = [w for w in can or theirs.up if not (isinstance(w, CanFrame) and w.id in expects)]
         down = [w for w in can or theirs.down if not (isinstance(w, CanFrame) and w.id in sends)]
@@ -45,6 +48,10 @@ def strangers_change_nothing(case: Case) -> Verdict:
         text = f"(heard, bad, foreign) is {base} alone, {tally} with {count} foreign wires besides"
         return Failure(text, tuple(odd[:2]))
     return None
+
+
+def _overheard(spec: Spec, wire: Wire) -> bool:
+    return isinstance(wire, CanFrame) and any(wire.id & mask == bits for bits, mask in spec.overhears)
 
 
 def _theirs(words: Sequence[Command | Request]) -> list[Command | Request]:

@@ -1,16 +1,19 @@
-"""SYNC has one producer a bus: the devices agree on who it is, and another one is told of once."""
+"""SYNC has one producer a bus: the devices agree on who it is, and another one beside us is told of once."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from protocols.cia402 import plugin
 from protocols.cia402.options import Options
+from protocols.conformance import CLAUSES, check
+from protocols.plugin import Tally
 from protocols.wire import BusState, CanFrame
-from protocols.words import MILLISECOND, Event, Fault, Found, Hold, Mode, Velocity
-from tests.protocols.cia402.driver_stage import Stage, device, driver_of, ms, stage
+from protocols.words import MILLISECOND, Event, Fault, Found, Hold, Idle, Mode, Velocity
+from tests.protocols.cia402.driver_stage import Stage, device, driver_of, stage
 
 A = "alpha"
 SYNC = CanFrame(0x080)
@@ -19,11 +22,19 @@ THEIRS = (Options(sync_ms=0), Options(feedback="event"), Options(feedback="sdo")
 """With these the driver says no SYNC."""
 
 
-def heard(options: Options, *frames: CanFrame) -> tuple[list[Event], tuple[int, int, int]]:
-    """What a driver tells of these frames, and how it counts them: heard, bad, foreign."""
-    driver = driver_of(device(options=options))
-    events = [event for at, frame in enumerate(frames) for event in driver.receive(ms(at), frame)]
-    return events, (driver.tally.heard, driver.tally.bad, driver.tally.foreign)
+def armed(options: Options = OURS) -> Stage:
+    """Alpha, commanded."""
+    s = stage(options)
+    s.until(Mode.READY)
+    s.until(Mode.ARMED, Hold(A))
+    return s
+
+
+def heard(s: Stage, *frames: CanFrame) -> tuple[list[Event], tuple[int, int, int]]:
+    """What the driver tells of these frames, and how it counts them: heard, bad, foreign."""
+    tally = s.driver.tally = Tally()
+    events = [event for frame in frames for event in s.driver.receive(s.stage.now, frame)]
+    return events, (tally.heard, tally.bad, tally.foreign)
 
 
 def syncs(s: Stage) -> list[CanFrame]:
@@ -41,25 +52,58 @@ def test_devices_of_a_bus_must_agree_on_sync_and_host() -> None:
     driver_of(one, device("right", 2, Options(feedback="event", sync_ms=20)))
 
 
+def test_ours_goes_every_period_and_drives_say_none() -> None:
+    s = stage(Options(sync_ms=5))
+    s.until(Mode.READY)
+    assert not syncs(s)
+    s.until(Mode.ARMED, Hold(A))
+    times = []
+    for _ in range(100):
+        said = s.step(Hold(A))
+        times += [said.now for wire in said.down if wire == SYNC]
+    assert {b - a for a, b in pairwise(times)} == {5 * MILLISECOND}
+    assert not [frame for frame in s.up if frame.id == SYNC.id]
+    assert not s.of(Found)
+
+
+# -- another producer -----------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("frame", [SYNC, CanFrame(0x080, b"\x07")], ids=["plain", "with a counter"])
 def test_another_producer_is_told_of_once_with_what_to_do(frame: CanFrame) -> None:
-    events, tally = heard(OURS, frame, SYNC, frame)
+    s = armed()
+    events, tally = heard(s, frame, SYNC, frame)
     (found,) = events
     assert isinstance(found, Found)
-    assert (found.t, found.protocol, found.address, found.serial, found.twice) == (
-        ms(0),
-        "cia402",
-        0,
-        None,
-        True,
-    )
+    assert (found.t, found.protocol, found.address, found.serial) == (s.stage.now, "cia402", 0, None)
+    assert found.twice
     assert all(said in found.detail for said in ("SYNC", "0x080", "1005", "sync_ms = 0"))
     assert tally == (3, 0, 0)
 
 
 @pytest.mark.parametrize("options", THEIRS, ids=["sync_ms = 0", "event", "sdo"])
 def test_a_producer_is_nobodys_business_where_we_are_none(options: Options) -> None:
-    assert heard(options, SYNC, SYNC) == ([], (0, 0, 2))
+    s = stage(options)
+    s.until(Mode.READY)
+    s.steps(200, Hold(A))
+    assert not syncs(s)
+    assert heard(s, SYNC, SYNC) == ([], (0, 0, 2))
+
+
+def test_a_producer_is_nobodys_business_until_we_are_one_and_after() -> None:
+    s = stage()
+    s.until(Mode.READY)
+    assert heard(s, SYNC, SYNC) == ([], (0, 0, 2))
+    s.forget()
+    while not s.of(Found):
+        s.step(Hold(A), stray=[SYNC])
+    assert len(syncs(s)) in (1, 2)
+    for _ in range(200):
+        s.step(Hold(A), stray=[SYNC])
+    assert len(s.of(Found)) == 1
+    s.until(Mode.READY, Idle(A))
+    s.steps(700, Idle(A))
+    assert heard(s, SYNC) == ([], (0, 0, 1))
 
 
 @pytest.mark.parametrize(
@@ -75,51 +119,46 @@ def test_a_producer_is_nobodys_business_where_we_are_none(options: Options) -> N
     ids=str,
 )
 def test_what_is_no_sync_is_foreign(frame: CanFrame) -> None:
-    assert heard(OURS, frame) == ([], (0, 0, 1))
+    assert heard(armed(), frame) == ([], (0, 0, 1))
 
 
 @pytest.mark.parametrize("state", [BusState.GONE, BusState.OFF])
 def test_it_is_told_again_after_the_bus_was_gone(state: BusState) -> None:
-    driver = driver_of(device())
-    assert len(driver.receive(ms(0), SYNC)) == 1
-    driver.bus(ms(1), BusState.PASSIVE)
-    driver.bus(ms(2), BusState.UP)
-    assert not driver.receive(ms(3), SYNC)
-    driver.bus(ms(4), state)
-    driver.bus(ms(5), BusState.BACK)
-    assert len(driver.receive(ms(6), SYNC)) == 1
+    s = armed()
+    assert len(heard(s, SYNC)[0]) == 1
+    for passing in (BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP):
+        s.driver.bus(s.stage.now, passing)
+    assert heard(s, SYNC) == ([], (1, 0, 0))
+    s.driver.bus(s.stage.now, state)
+    s.driver.bus(s.stage.now, BusState.BACK)
+    s.forget()
+    s.steps(1000, Hold(A))
+    assert syncs(s)
+    assert len(heard(s, SYNC)[0]) == 1
 
 
 def test_it_stops_nobody() -> None:
-    s = stage()
-    s.until(Mode.READY)
-    s.until(Mode.ARMED, Velocity(A, 2.0))
+    s = armed()
+    s.steps(500, Velocity(A, 2.0))
     s.forget()
     for at in range(300):
         s.step(Velocity(A, 2.0), stray=[SYNC] if at % 7 == 0 else [])
     assert [type(event) for event in s.events] == [Found]
+    assert not s.of(Fault)
     assert s.stage.armed[A] is Mode.ARMED
     assert s.stage.shafts[A].velocity == pytest.approx(2.0, abs=0.05)
     assert len(syncs(s)) == 30
 
 
-def test_ours_goes_every_period_and_drives_say_none() -> None:
-    s = stage(Options(sync_ms=5))
-    s.until(Mode.READY)
-    assert not syncs(s)
-    s.until(Mode.ARMED, Hold(A))
-    s.forget()
-    times = []
-    for _ in range(100):
-        said = s.step(Hold(A))
-        times += [said.now for wire in said.down if wire == SYNC]
-    assert {b - a for a, b in pairwise(times)} == {5 * MILLISECOND}
-    assert not [frame for frame in s.up if frame.id == SYNC.id]
-    assert not s.of(Found)
-    assert not s.of(Fault)
-
-
 @pytest.mark.parametrize(("options", "let_in"), [(OURS, True), *((options, False) for options in THEIRS)])
-def test_a_bus_that_hears_only_what_concerns_it_lets_sync_in(options: Options, let_in: bool) -> None:
+def test_a_bus_that_hears_only_what_concerns_it_lets_sync_in(options: Options, *, let_in: bool) -> None:
     overhears = plugin.spec(device(options=options)).overhears
-    assert any(number == 0x080 and mask == 0x1FFF_FFFF for number, mask in overhears) is let_in
+    assert any(number == SYNC.id and mask == 0x1FFF_FFFF for number, mask in overhears) is let_in
+
+
+def test_the_contract_wants_it_declared() -> None:
+    clauses = [clause for clause in CLAUSES if clause.name == "strangers"]
+    silent = replace(plugin, spec=lambda device: replace(plugin.spec(device), overhears=()))
+    (result,) = check(silent, clauses=clauses)
+    assert result.outcome == "failed"
+    assert "SYNC" in result.text
