@@ -259,8 +259,8 @@ def _hand(node: Node, now: Nanos, values: Values) -> int:
 
 
 def _send(node: Node, now: Nanos, values: Values, moving: Key) -> list[CanFrame]:
-    node.values = values
-    return node.outlet.frames(now, values, moving)
+    node.values = {key: value for key, value in values.items() if key not in node.absent}
+    return node.outlet.frames(now, node.values, moving)
 
 
 # -- disarming -------------------------------------------------------------------------------------------
