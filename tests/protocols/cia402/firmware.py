@@ -98,6 +98,14 @@ class Drive:
             own.names.pop(own.indices.pop(index).name, None)
             self.local.data_store.pop(index, None)
 
+    def own(self, index: int, sub: int) -> None:
+        """It has an object of its maker's, a byte."""
+        made = canopen.objectdictionary.ODRecord(f"maker's {index:04X}", index)
+        byte = canopen.objectdictionary.ODVariable(f"byte {sub}", index, sub)
+        byte.data_type, byte.default = canopen.objectdictionary.datatypes.UNSIGNED8, 0
+        made.add_member(byte)
+        self.local.object_dictionary.add_object(made)
+
     def refuse(self, index: int, code: int, value: int | None = None) -> None:
         """It refuses to have this object written (with this value)."""
         self.refused[index, value] = code
@@ -186,14 +194,15 @@ class Drive:
         beat = self.get(0x1017)
         if beat and ms % beat == beat // 2:
             self.slave.network.sent += [CanFrame(i, bytes(d)) for i, d in self.slave.network.cyclic.items()]
-        said: list[CanFrame] = []
-        for frame in self.slave.said():
-            if frame.id == 0x580 + self.node:
-                self.delayed += [(ms + self.late, frame)] * (0 if self.mute else self.copies)
-            else:
-                said.append(frame)
-        said += [frame for at, frame in self.delayed if at <= ms]
+        said = [frame for at, frame in self.delayed if at <= ms]
         self.delayed = [(at, frame) for at, frame in self.delayed if at > ms]
+        for frame in self.slave.said():
+            if frame.id != 0x580 + self.node:
+                said.append(frame)
+            elif self.late:
+                self.delayed.append((ms + self.late, frame))
+            else:
+                said += [frame] * (0 if self.mute else self.copies)
         more, self.extra = self.extra, []
         return said + more
 

@@ -1,0 +1,526 @@
+"""Conversations of vectors: how set-points go and feedback comes: by PDOs written, found, or not to be had.
+
+Flags of a COB-ID: 8… the PDO does not exist, 4… no remote frames. An inhibit time (subindex 3) counts 100 µs,
+an event timer (subindex 5) ms.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from protocols.words import ClearFault, Hold, Idle, Position, Velocity
+from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.firmware import Drive
+from tests.protocols.cia402.test_conversation_vectors import armed
+
+RPDO1 = (0x60400010, 0x60600008, 0x607A0020)
+RPDO2 = (0x60FF0020, 0x60710010)
+TPDO1 = (0x60410010, 0x60610008, 0x60640020)
+ARMED = """
+        rpdo1 6040=0006 6060=8 607A=4096 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=4096 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=4096 …
+        < State armed OPERATION ENABLED, cyclic synchronous position"""
+WRITTEN_FOR_SYNC = """
+        write 1800:01 = C0000182
+        write 1800:02 = 1
+        write 1A00 = 0
+        write 1A00:01 = 60410010
+        write 1A00:02 = 60610008
+        write 1A00:03 = 60640020
+        write 1A00 = 3
+        write 1800:01 = 40000182
+        write 1801:01 = C0000282
+        write 1801:02 = 1
+        write 1A01 = 0
+        write 1A01:01 = 606C0020
+        write 1A01:02 = 60770010
+        write 1A01:03 = 603F0010
+        write 1A01 = 3
+        write 1801:01 = 40000282
+        write 1802:01 = C0000382
+        write 1802:02 = 10
+        write 1A02 = 0
+        write 1A02:01 = 60780010
+        write 1A02:02 = 60790020
+        write 1A02 = 2
+        write 1802:01 = 40000382"""
+
+
+def with_pdos(kind: int, timer: int = 0) -> Drive:
+    """A drive that comes with PDOs that tell and steer all that is needed."""
+    drive = Drive()
+    drive.map(0x1400, 0x202, kind, *RPDO1)
+    drive.map(0x1401, 0x302, kind, *RPDO2)
+    drive.map(0x1800, 0x40000182, kind, *TPDO1, timer=timer)
+    return drive
+
+
+def test_vectors_of_feedback_by_an_event_timer() -> None:
+    drive = Drive()
+    drive.put(0x1017, 0)  # it has no heartbeat
+    talk = Talk(drive, feedback="event", feedback_ms=20, heartbeat_ms=50, watchdog_ms=400, host_id=99)
+    talk.chapter(100)
+    talk.chapter(
+        300,
+        Hold("m"),
+        told=f"""
+        write 1017 = 50
+        write 1400:01 = 80000202
+        write 1400:02 = 255
+        write 1600 = 0
+        write 1600:01 = 60400010
+        write 1600:02 = 60600008
+        write 1600:03 = 607A0020
+        write 1600 = 3
+        write 1400:01 = 00000202
+        write 1401:01 = 80000302
+        write 1401:02 = 255
+        write 1601 = 0
+        write 1601:01 = 60FF0020
+        write 1601:02 = 60710010
+        write 1601:03 = 60B20010
+        write 1601 = 3
+        write 1401:01 = 00000302
+        write 1402:01 = 80000402
+        write 1402:02 = 255
+        write 1602 = 0
+        write 1602:01 = 60B10020
+        write 1602 = 1
+        write 1402:01 = 00000402
+        write 1800:01 = C0000182
+        write 1800:02 = 255
+        write 1800:03 = 200
+        write 1800:05 = 20
+        write 1A00 = 0
+        write 1A00:01 = 60410010
+        write 1A00:02 = 60610008
+        write 1A00:03 = 60640020
+        write 1A00 = 3
+        write 1800:01 = 40000182
+        write 1801:01 = C0000282
+        write 1801:02 = 255
+        write 1801:03 = 200
+        write 1801:05 = 20
+        write 1A01 = 0
+        write 1A01:01 = 606C0020
+        write 1A01:02 = 60770010
+        write 1A01:03 = 603F0010
+        write 1A01 = 3
+        write 1801:01 = 40000282
+        write 1802:01 = C0000382
+        write 1802:02 = 255
+        write 1802:03 = 2000
+        write 1802:05 = 200
+        write 1A02 = 0
+        write 1A02:01 = 60780010
+        write 1A02:02 = 60790020
+        write 1A02 = 2
+        write 1802:01 = 40000382
+        write 1016:01 = 00630190
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo3 60B1=0 …{ARMED}
+        beat 99 OPERATIONAL /100..110
+        """,
+    )
+    talk.drive.put(0x6064, 0)
+    talk.drive.put(0x606C, 16384)
+    talk.chapter(
+        40,
+        Hold("m"),
+        told="""
+        still rpdo1 6040=000F 6060=8 607A=4096 /10
+        beat ?
+        measures position=0 velocity=6.2832
+        """,
+    )
+
+
+def test_vectors_of_feedback_that_is_asked_for() -> None:
+    talk = Talk(feedback="sdo")
+    talk.chapter(100)
+    before = len(talk.wires)
+    talk.chapter(
+        1000,
+        Idle("m"),
+        told="reads 1018:04\nasks 6041 6061 6064 606C 6077 6078 6079",
+    )
+    said = [wire.data[1:3] for _, wire in talk.wires[before:]]
+    assert {wire.id for _, wire in talk.wires} == {0x602}
+    asked = {title: said.count(bytes.fromhex(title)[::-1]) for title in ("6064", "606C", "6041", "6077")}
+    # each 10 ms; the state at least a tenth as often
+    assert 95 <= asked["6064"] <= 101 and 95 <= asked["606C"] <= 101, asked
+    assert 10 <= asked["6041"] <= 101 and 10 <= asked["6077"] <= 101, asked
+    assert 530 <= 2 * len(said) <= 600, "about 560 frames a second, answers included"
+    talk.chapter(
+        200,
+        Hold("m"),
+        told=f"""
+        write 1400:01 = 80000202
+        write 1400:02 = 255
+        write 1600 = 0
+        write 1600:01 = 60400010
+        write 1600:02 = 60600008
+        write 1600:03 = 607A0020
+        write 1600 = 3
+        write 1400:01 = 00000202
+        write 1401:01 = 80000302
+        write 1401:02 = 255
+        write 1601 = 0
+        write 1601:01 = 60FF0020
+        write 1601:02 = 60710010
+        write 1601:03 = 60B20010
+        write 1601 = 3
+        write 1401:01 = 00000302
+        write 1402:01 = 80000402
+        write 1402:02 = 255
+        write 1602 = 0
+        write 1602:01 = 60B10020
+        write 1602 = 1
+        write 1402:01 = 00000402
+        write 1016:01 = 007F01F4
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo3 60B1=0 …{ARMED}
+        beat 127 OPERATIONAL …
+        """,
+    )
+
+
+def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
+    talk = Talk(feedback="sdo", mapping="keep", watchdog_ms=0)
+    talk.chapter(100)
+    talk.chapter(
+        200,
+        Hold("m"),
+        told="""
+        nmt OPERATIONAL 2
+        write 607A = 4096 …
+        write 6060 = 8
+        write 6040 = 0006
+        < State ready READY TO SWITCH ON
+        write 6040 = 0007
+        < State ready SWITCHED ON
+        write 6040 = 000F
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        """,
+    )
+    talk.chapter(
+        150,
+        Velocity("m", 1.0, 0.1),  # 16384/τ = 2607.6; 100 ‰
+        told="""
+        write 60B2 = 100
+        write 60FF = 2608 /20..30
+        write 6060 = 9
+        < State armed OPERATION ENABLED, cyclic synchronous velocity
+        """,
+    )
+    talk.chapter(
+        150,
+        Position("m", 0.5, -1.0),  # 0.5·16384/τ = 1303.8
+        told="""
+        write 60B1 = -2608
+        write 60B2 = 0
+        write 607A = 1304 /20..30
+        write 6060 = 8
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        """,
+    )
+    talk.chapter(
+        150,
+        Idle("m"),
+        told="""
+        0 write 6040 = 0006
+        < State ready READY TO SWITCH ON
+        """,
+    )
+
+
+@pytest.mark.parametrize("kind, options", [(1, {}), (255, {"feedback": "event"})])
+def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -> None:
+    talk = Talk(with_pdos(kind, 10 if kind == 255 else 0), **options)
+    talk.chapter(150)
+    synced = "sync /10" if kind == 1 else ""
+    talk.chapter(
+        200,
+        Hold("m"),
+        told=f"""
+        write 1016:01 = 007F01F4
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 …{ARMED}
+        {synced}
+        beat 127 OPERATIONAL …
+        """,
+    )
+    talk.chapter(250, Hold("m"), told=f"{synced}\nbeat ?\nasks 606C 6077 6078 6079")
+    talk.chapter(
+        50,
+        Position("m", 1.0, 1.0),  # 60B1 stands in no PDO: by SDO
+        told=f"""
+        rpdo1 6040=000F 6060=8 607A=2608 /1..10
+        write 60B1 = 2608
+        {synced}
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_pdos_that_wait_for_a_sync_that_is_nobody_s() -> None:
+    drive = with_pdos(1)
+    talk = Talk(drive, feedback="event")  # SYNC is not said here: neither end of them is of use
+    talk.chapter(150)
+    talk.chapter(300, Hold("m"))
+    assert [drive.get(index, 2) for index in (0x1400, 0x1401, 0x1800, 0x1801)] == [255] * 4
+    assert drive.state == "OPERATION ENABLED"
+
+
+def test_vectors_of_pdos_that_tell_too_seldom() -> None:
+    talk = Talk(with_pdos(255, 5000))
+    talk.chapter(150)
+    talk.chapter(
+        250,
+        Hold("m"),  # what steers stays as it is
+        told=f"""{WRITTEN_FOR_SYNC}
+        write 1016:01 = 007F01F4
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 …{ARMED}
+        sync /10
+        beat 127 OPERATIONAL …
+        """,
+    )
+
+
+def test_vectors_of_pdos_that_steer_too_little() -> None:
+    drive = with_pdos(1)
+    drive.map(0x1401, 0x302, 1, 0x60FF0020)  # no torque
+    talk = Talk(drive)
+    talk.chapter(150)
+    talk.chapter(
+        250,
+        Hold("m"),  # RPDO1 and what tells stay as they are
+        told=f"""
+        write 1401:01 = 80000302
+        write 1401:02 = 1
+        write 1601 = 0
+        write 1601:01 = 60FF0020
+        write 1601:02 = 60710010
+        write 1601:03 = 60B20010
+        write 1601 = 3
+        write 1401:01 = 00000302
+        write 1402:01 = 80000402
+        write 1402:02 = 1
+        write 1602 = 0
+        write 1602:01 = 60B10020
+        write 1602 = 1
+        write 1402:01 = 00000402
+        write 1016:01 = 007F01F4
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo3 60B1=0 …{ARMED}
+        sync /10
+        beat 127 OPERATIONAL …
+        """,
+    )
+
+
+@pytest.mark.parametrize(
+    "index, cob, kind, entries",
+    [
+        (0x1400, 0x80000202, 1, RPDO1),  # does not exist
+        (0x1400, 0x203, 1, RPDO1),  # another drive's identifier
+        (0x1400, 0x202, 1, (*RPDO1, 0x20000108)),  # who knows what this is to be filled with
+        (0x1400, 0x202, 1, (0x60400010, 0x60600008)),  # no target position
+        (0x1800, 0x80000182, 1, TPDO1),
+        (0x1800, 0x40000182, 1, (0x60410010, 0x60610008)),  # no position
+        (0x1800, 0x40000182, 1, (0x60640020,)),  # no statusword
+        (0x1800, 0x40000182, 0, TPDO1),  # on a change only
+        (0x1800, 0x40000182, 20, TPDO1),  # with every 20th SYNC: 200 ms
+    ],
+)
+def test_vectors_of_pdos_that_are_written_anew(
+    index: int, cob: int, kind: int, entries: tuple[int, ...]
+) -> None:
+    drive = with_pdos(1)
+    drive.map(index, cob, kind, *entries)
+    talk = Talk(drive)
+    talk.chapter(150)
+    talk.chapter(300, Hold("m"))
+    wanted = RPDO1 if index == 0x1400 else TPDO1
+    assert [drive.get(index + 0x200, sub) for sub in range(1, 4)] == list(wanted)
+    assert drive.get(index + 0x200) == 3
+    assert drive.get(index, 1) & 0x8000_07FF == (0x202 if index == 0x1400 else 0x182)
+    assert drive.get(index, 2) == 1
+    assert drive.state == "OPERATION ENABLED"
+
+
+@pytest.mark.parametrize(
+    "index, kind, entries",
+    [
+        (0x1400, 1, (*RPDO1, 0x00050008)),  # 5 is a dummy: it takes room
+        (0x1400, 255, RPDO1),  # at once, not with SYNC
+        (0x1800, 1, (*TPDO1, 0x20000108)),  # more is told than is asked for
+        (0x1800, 2, TPDO1),  # with every second SYNC
+    ],
+)
+def test_vectors_of_odd_pdos_that_do_well(index: int, kind: int, entries: tuple[int, ...]) -> None:
+    drive = with_pdos(1)
+    drive.map(index, 0x202 if index == 0x1400 else 0x40000182, kind, *entries)
+    if entries[-1] == 0x20000108:
+        drive.own(0x2000, 1)
+    talk = Talk(drive)
+    talk.chapter(150)
+    before = len(talk.wires)
+    talk.chapter(300, Hold("m"))
+    said = [wire.data for _, wire in talk.wires[before:] if wire.id == 0x602 and wire.data[0] != 0x40]
+    assert [data[1:4].hex() for data in said] == ["161001"], "1016:01 alone"
+    assert drive.state == "OPERATION ENABLED"
+    drive.put(0x6064, 0)
+    dummy = "202#0F00080010000000 /10\n" if len(entries) == 4 and index == 0x1400 else ""
+    talk.chapter(100, Hold("m"), told=f"{dummy}sync /10\nbeat ?\nmeasures position=0")
+
+
+def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
+    drive = Drive()
+    drive.lack(0x60B1, 0x60B2, 0x6079)
+    talk = Talk(drive)
+    talk.chapter(100)
+    talk.chapter(250, Hold("m"))
+    assert [drive.get(0x1601), drive.get(0x1602), drive.get(0x1A02)] == [2, 0, 1]
+    talk.chapter(
+        50,
+        Position("m", 1.0, 0.5),
+        told="""
+        0 < Refused Position m it has no object 60B1 *
+        sync /10
+        beat ?
+        """,
+    )
+    talk.chapter(
+        50,
+        Velocity("m", 1.0, 0.5),
+        told="""
+        0 < Refused Velocity m it has no object 60B2 *
+        sync /10
+        beat ?
+        """,
+    )
+    talk.chapter(
+        50,
+        Position("m", 1.0),
+        told="""
+        rpdo1 6040=000F 6060=8 607A=2608 /2..10
+        sync /10
+        beat ?
+        """,
+    )
+    drive = Drive()
+    drive.lack(0x60B1, 0x60B2)
+    talk = Talk(drive, feedback="sdo", mapping="keep", watchdog_ms=0)
+    talk.chapter(100)
+    talk.chapter(
+        200,
+        Hold("m"),
+        told="""
+        nmt OPERATIONAL 2
+        write 607A = 4096 …
+        write 6060 = 8
+        write 6040 = 0006
+        < State ready READY TO SWITCH ON
+        write 6040 = 0007
+        < State ready SWITCHED ON
+        write 6040 = 000F
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        """,
+    )
+
+
+def test_vectors_of_pdos_that_may_not_be_written() -> None:
+    drive = Drive()
+    for index in (0x1400, 0x1801):
+        drive.refuse(index, 0x06010002)
+    talk = Talk(drive)
+    talk.chapter(100)
+    talk.chapter(
+        350,
+        Hold("m"),
+        told="""
+        write 1400:01 = 80000202
+        write 1401:01 = 80000302
+        write 1401:02 = 1
+        write 1601 = 0
+        write 1601:01 = 60FF0020
+        write 1601:02 = 60710010
+        write 1601:03 = 60B20010
+        write 1601 = 3
+        write 1401:01 = 00000302
+        write 1402:01 = 80000402
+        write 1402:02 = 1
+        write 1602 = 0
+        write 1602:01 = 60B10020
+        write 1602 = 1
+        write 1402:01 = 00000402
+        write 1800:01 = C0000182
+        write 1800:02 = 1
+        write 1A00 = 0
+        write 1A00:01 = 60410010
+        write 1A00:02 = 60610008
+        write 1A00:03 = 60640020
+        write 1A00 = 3
+        write 1800:01 = 40000182
+        write 1801:01 = C0000282
+        write 1802:01 = C0000382
+        write 1802:02 = 10
+        write 1A02 = 0
+        write 1A02:01 = 60780010
+        write 1A02:02 = 60790020
+        write 1A02 = 2
+        write 1802:01 = 40000382
+        write 1016:01 = 007F01F4
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo3 60B1=0 …
+        write 607A = 4096 …
+        write 6060 = 8
+        write 6040 = 0006
+        < State ready READY TO SWITCH ON
+        write 6040 = 0007
+        < State ready SWITCHED ON
+        write 6040 = 000F
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync /10
+        beat 127 OPERATIONAL …
+        """,
+    )
+
+
+def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
+    drive = with_pdos(1)
+    drive.refuse(0x1016, 0x06010002)
+    talk = Talk(drive)
+    talk.chapter(150)
+    talk.chapter(
+        200,
+        Hold("m"),
+        told="""
+        write 1016:01 = 007F01F4
+        < Fault 10005 not configured
+        """,
+    )
+    drive.refused.clear()
+    talk.chapter(
+        200,
+        ClearFault("m"),
+        Hold("m"),
+        told=f"""
+        < Done ClearFault m
+        write 1016:01 = 007F01F4
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 …{ARMED}
+        sync /10
+        beat 127 OPERATIONAL …
+        """,
+    )
+    assert armed(Talk(Drive(5), watchdog_ms=0)).drive.get(0x1016, 1) == 0
