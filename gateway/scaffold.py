@@ -27,6 +27,7 @@ PACKAGE = (
     "driver.py",
     "ear.py",
     "faults.py",
+    "framing.py",
     "twin.py",
     "README.md",
     "vectors.json",
@@ -100,13 +101,14 @@ def _taken(name: str) -> str:
 
 def contents(name: str, bus: Bus) -> dict[str, str]:
     """What is to be written, by path in the folder."""
-    codec = "codec_serial.py" if bus == "serial" else "codec.py"
-    texts = {f"{name}/{file}": _read(codec if file == "codec.py" else file) for file in PACKAGE}
-    path = f"{name}/codec.py"
-    texts[path] = _put(texts[path], 'NAME = "blank"', f'NAME = "{name}"')
+    texts = {f"{name}/{file}": _read(file) for file in PACKAGE}
+    codec, framing = f"{name}/codec.py", f"{name}/framing.py"
+    texts[codec] = _put(texts[codec], 'NAME = "blank"', f'NAME = "{name}"')
+    if bus == "serial":
+        texts[framing] = _read("framing_serial.py")
     if bus == "canfd":
-        texts[path] = _put(texts[path], '"serial"] = "can"', '"serial"] = "canfd"')
-        texts[path] = _put(texts[path], "FD = False", "FD = True")
+        texts[framing] = _put(texts[framing], '"serial"] = "can"', '"serial"] = "canfd"')
+        texts[framing] = _put(texts[framing], "FD = False", "FD = True")
     texts[f"{name}/README.md"] = _renamed(texts[f"{name}/README.md"], name)
     texts[f"{name}/py.typed"] = ""
     project = _put(_read("project.toml"), "motor-gateway-blank", f"motor-gateway-{name.replace('_', '-')}")

@@ -2,21 +2,21 @@
 
 This plugin is whole and keeps the contract, but for one thing: the device that it speaks to is invented.
 It obeys a velocity and tells its state, velocity and position. Put the real device in its place, file by
-file: `codec` first, then `twin`, `ear`, `driver`, and the `spec` below. Each place to fill in is marked, with
-the clause of `gateway protocols check` that tells whether it is right.
+file: `codec` and `framing` first, then `twin`, `ear`, `driver`, and the `spec` below. Each place to fill in
+is marked, with the clause of `gateway protocols check` that tells whether it is right.
 """
 
 from __future__ import annotations
 
-from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.plugin import Device, FeedbackKind, Plugin, Spec, Watchdog
 from protocols.wire import Wire
 from protocols.words import MILLISECOND, ClearFault, Idle, Velocity
 
-from . import codec
 from .codec import NAME, STATUS_PERIOD
-from .driver import OFFLINE, MotorDriver, Options
-from .ear import MotorEar
+from .driver import OFFLINE, RANGES, MotorDriver, Options
+from .ear import MotorEar, messages
 from .faults import FAULTS
+from .framing import BUS, COMMAND, MAX_ADDRESS, STATUS, ids
 from .twin import MotorTwin, Settings
 
 
@@ -30,30 +30,26 @@ def read_only(_wire: Wire) -> bool:
 
 def spec(device: Device) -> Spec:
     """The contract of one device. Raises ValueError for an address that it cannot have."""
-    if not 1 <= device.address <= codec.MAX_ADDRESS:
-        raise ValueError(f"a {NAME} has an address of 1 … {codec.MAX_ADDRESS}, not {device.address}")
+    if not 1 <= device.address <= MAX_ADDRESS:
+        raise ValueError(f"a {NAME} has an address of 1 … {MAX_ADDRESS}, not {device.address}")
     settings: Settings = device.settings
     patience = round(settings.watchdog_ms * MILLISECOND)
     return Spec(
-        bus=codec.BUS,
+        bus=BUS,
         kind="motor",
         # FILL IN (clause "declared"): CAN ids, all of them; none on a serial line.
-        sends=codec.ids(codec.COMMAND, device.address),
-        expects=codec.ids(codec.STATUS, device.address),
+        sends=ids(COMMAND, device.address),
+        expects=ids(STATUS, device.address),
         read_only=read_only,
         # FILL IN (clause "measurements"): polled or cyclic, and how often.
         feedback=FeedbackKind.CYCLIC,
         feedback_period=STATUS_PERIOD,
         # FILL IN (clause "blind"): well over the period, well under what would be dangerous.
         offline_after=OFFLINE,
-        # FILL IN (clauses "commands", "measurements", "finite"): what it takes and tells, and how finely.
+        # FILL IN (clause "commands"): what it takes.
         commands=frozenset({Idle, Velocity}),
         requests=frozenset({ClearFault}),
-        ranges={
-            "Velocity.velocity": Range(-codec.MAX_SPEED, codec.MAX_SPEED, codec.TINY, 2.0**-24),
-            "Feedback.velocity": Range(-codec.MAX_TOLD, codec.MAX_TOLD, codec.VELOCITY_UNIT / 2),
-            "Feedback.position": Range(-codec.MAX_TURNED, codec.MAX_TURNED, codec.TINY, 2.0**-24),
-        },
+        ranges=RANGES,
         # FILL IN (clause "watchdog"): what it does when its host falls silent, and after how long.
         watchdog=Watchdog(patience if patience else None, enabled=patience > 0),
         holds_unattended=False,
@@ -73,6 +69,6 @@ plugin = Plugin(
     driver=MotorDriver,
     ear=MotorEar,
     twin=MotorTwin,
-    messages=codec.messages,
+    messages=messages,
     vectors=(__name__, "vectors.json"),
 )

@@ -10,11 +10,11 @@ FILL IN what the real device needs to be armed, polled and asked. The clauses "u
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocols.plugin import Device, Tally
+from protocols.answers import Refusals, out_of_range, subject
+from protocols.plugin import Device, Range, Tally
 from protocols.wire import BusState, Wire
 from protocols.words import (
     MILLISECOND,
@@ -39,11 +39,18 @@ from protocols.words import (
 from . import codec
 from .codec import NAME, DeviceMode, Order
 from .faults import FAULTS
+from .framing import COMMAND, STATUS, Reader, message
 
 ANSWER: Nanos = 200 * MILLISECOND
 """How long the device may take to answer a request."""
 OFFLINE: Nanos = 100 * MILLISECOND
 """Silence after which a device is called offline."""
+RANGES = {
+    "Velocity.velocity": Range(-codec.MAX_SPEED, codec.MAX_SPEED, codec.TINY, 2.0**-24),
+    "Feedback.velocity": Range(-codec.MAX_TOLD, codec.MAX_TOLD, codec.VELOCITY_UNIT / 2),
+    "Feedback.position": Range(-codec.MAX_TURNED, codec.MAX_TURNED, codec.TINY, 2.0**-24),
+}
+"""FILL IN what it can be told and tells, and how finely. The clauses "commands" and "measurements" tell."""
 MODES = {
     DeviceMode.READY: Mode.READY,
     DeviceMode.RUNNING: Mode.ARMED,
@@ -84,7 +91,8 @@ class MotorDriver:
         self._seats = {device.address: _Seat(device.name, device.address) for device in devices}
         self._names = {seat.name: seat for seat in self._seats.values()}
         self.tally = Tally()
-        self._reader = codec.Reader(codec.STATUS, tuple(self._seats), self.tally)
+        self._refusals = Refusals()
+        self._reader = Reader(STATUS, tuple(self._seats), self.tally)
 
     def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
         """What the wire says of our devices."""
@@ -114,11 +122,9 @@ class MotorDriver:
                 for seat in self._seats.values():
                     seat.claimed = True
                 continue
-            try:
-                wires += self._say(now, word)
-            except ValueError as error:
-                about = getattr(word, "motor", getattr(word, "bus", ""))
-                events.append(Refused(now, type(word).__name__, about, str(error)))
+            reason = self._wrong(word)
+            events += self._refusals.hear(now, word, reason)
+            wires += [] if reason else self._say(now, word)
         return events + self._impatient(now), wires
 
     def due(self) -> Nanos | None:
@@ -130,24 +136,25 @@ class MotorDriver:
 
     # -- down ------------------------------------------------------------------------------------------
 
+    def _wrong(self, word: Command | Request) -> str:
+        """Why a word must not, or cannot, reach the wire; "" if it may."""
+        if subject(word) not in self._names:
+            return "no such device here"
+        if isinstance(word, Idle | Velocity):
+            return out_of_range(word, RANGES)
+        return "" if isinstance(word, ClearFault) else "the device cannot do that"
+
     def _say(self, now: Nanos, word: Command | Request) -> list[Wire]:
-        """What this word puts on the wire. ValueError with a sentence: it must not, or cannot."""
-        seat = self._names.get(getattr(word, "motor", ""))
-        if seat is None:
-            raise ValueError("no such device here")
-        match word:
-            case Idle():
-                return [codec.command(seat.address, Order.STOP)] if seat.claimed else []
-            case Velocity():
-                if not (math.isfinite(word.velocity) and abs(word.velocity) <= codec.MAX_SPEED):
-                    raise ValueError(f"{word.velocity!r} rad/s is not in ±{codec.MAX_SPEED:g}")
-                seat.claimed = True
-                return [codec.command(seat.address, Order.RUN, word.velocity)]
-            case ClearFault():
-                seat.clearing = now + ANSWER
-                return [codec.command(seat.address, Order.CLEAR)]
-            case _:
-                raise ValueError("the device cannot do that")
+        """What a word that may reach the wire puts there."""
+        seat = self._names[subject(word)]
+        if isinstance(word, Idle) and not seat.claimed:
+            return []
+        order = codec.command(Order.STOP)
+        if isinstance(word, Velocity):
+            seat.claimed, order = True, codec.command(Order.RUN, word.velocity)
+        elif isinstance(word, ClearFault):
+            seat.clearing, order = now + ANSWER, codec.command(Order.CLEAR)
+        return [message(COMMAND, seat.address, order)]
 
     def _impatient(self, now: Nanos) -> list[Event]:
         """What the time has to say: no answer, or silence."""

@@ -16,6 +16,7 @@ from protocols.words import ClearFault, Command, Idle, Nanos, Request, Velocity
 
 from . import codec
 from .codec import Order
+from .framing import COMMAND, MAX_ADDRESS, Reader
 
 
 class MotorEar:
@@ -23,7 +24,7 @@ class MotorEar:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._names = {device.address: device.name for device in devices}
-        self._reader = codec.Reader(codec.COMMAND, tuple(self._names))
+        self._reader = Reader(COMMAND, tuple(self._names))
 
     def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:  # noqa: ARG002 -- nothing here ages
         """The words in this wire."""
@@ -33,6 +34,13 @@ class MotorEar:
             if read is not None:
                 words.append(_word(self._names[address], *read))
         return words
+
+
+def messages(wire: Wire) -> Sequence[str]:
+    """The names of the messages to a device in this wire."""
+    reader = Reader(COMMAND, range(1, MAX_ADDRESS + 1))
+    found = [codec.read_command(payload) for _, payload in reader.read(wire)]
+    return [read[0].name.lower() for read in found if read]
 
 
 def _word(name: str, order: Order, velocity: float) -> Command | Request:

@@ -31,6 +31,7 @@ from . import codec
 from .codec import STATUS_PERIOD, DeviceMode, Status
 from .ear import MotorEar
 from .faults import FAULTS
+from .framing import STATUS, message
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +148,7 @@ class MotorTwin:
             return []
         self._next += STATUS_PERIOD * ((now - self._next) // STATUS_PERIOD + 1)
         told = Status(self._mode, self._fault, self._velocity, self._position)
-        return [codec.status(self._address, told)]
+        return [message(STATUS, self._address, codec.status(told))]
 
 
 def _cut(value: float, limit: float) -> float:

@@ -9,11 +9,25 @@ import struct
 import pytest
 
 from gateway import template
-from gateway.template import codec, codec_serial
+from gateway.template import codec, framing, framing_serial
 from protocols.conformance import check, table
 from protocols.plugin import Device, Tally
 from protocols.wire import CanFrame, Wire
-from protocols.words import MILLISECOND, SECOND, Fault, Feedback, Found, Mode, State, Velocity
+from protocols.words import (
+    MILLISECOND,
+    SECOND,
+    Command,
+    Fault,
+    Feedback,
+    Found,
+    Hold,
+    Mode,
+    Request,
+    Scan,
+    State,
+    Velocity,
+    Zero,
+)
 
 
 @pytest.mark.parametrize("seed", [3])
@@ -32,19 +46,26 @@ def sealed(body: bytes) -> bytes:
     return body + struct.pack("<H", binascii.crc_hqx(body, 0))
 
 
-def test_frames() -> None:
-    assert codec.command(5, codec.Order.RUN, 2.5) == CanFrame(0x105, RUN)
+def test_payloads() -> None:
+    assert codec.command(codec.Order.RUN, 2.5) == RUN
+    assert codec.read_command(RUN) == (codec.Order.RUN, 2.5)
     status = codec.Status(codec.DeviceMode.RUNNING, 0, -2.5, 7.5)
-    assert codec.status(5, status) == CanFrame(0x205, TOLD)
-    assert codec.Reader(codec.STATUS, [5]).read(CanFrame(0x205, TOLD)) == [(5, TOLD)]
+    assert codec.status(status) == TOLD
     assert codec.read_status(TOLD) == status
+    assert {len(RUN), len(TOLD)} == {codec.SIZE}
+
+
+def test_frames() -> None:
+    assert framing.message(framing.COMMAND, 5, RUN) == CanFrame(0x105, RUN)
+    assert framing.message(framing.STATUS, 5, TOLD) == CanFrame(0x205, TOLD)
+    assert framing.Reader(framing.STATUS, [5]).read(CanFrame(0x205, TOLD)) == [(5, TOLD)]
 
 
 def test_messages_on_a_stream() -> None:
-    assert codec_serial.command(5, codec_serial.Order.RUN, 2.5) == sealed(b"\xa5\x01\x05" + RUN)
+    assert framing_serial.message(framing_serial.COMMAND, 5, RUN) == sealed(b"\xa5\x01\x05" + RUN)
     message = sealed(b"\xa5\x02\x05" + TOLD)
     tally = Tally()
-    reader = codec_serial.Reader(codec_serial.STATUS, [5], tally)
+    reader = framing_serial.Reader(framing_serial.STATUS, [5], tally)
     stream = b"\xa5" + message + b"xy" + message[:-1] + b"\0" + sealed(b"\xa5\x02\x06" + TOLD) + message
     found = [each for at in range(len(stream)) for each in reader.read(stream[at : at + 1])]
     assert found == [(5, TOLD), (5, TOLD)]
@@ -61,6 +82,13 @@ def test_what_no_device_can_have_said_is_no_status(payload: tuple[int, int, int,
     assert codec.read_status(struct.pack("<BBhf", *payload)) is None
 
 
+def said(mode: codec.DeviceMode, *rest: float) -> Wire:
+    fault, velocity, position = rest
+    return framing.message(
+        framing.STATUS, 1, codec.status(codec.Status(mode, int(fault), velocity, position))
+    )
+
+
 # -- what the driver tells -----------------------------------------------------------------------------
 
 
@@ -70,7 +98,7 @@ def told(*wires: Wire) -> list[object]:
 
 
 def test_a_status_in_words() -> None:
-    tripped = codec.status(1, codec.Status(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0))
+    tripped = said(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
     state, fault, feedback = told(tripped)
     assert state == State("m", 0, Mode.FAULT, "fault")
     assert isinstance(fault, Fault)
@@ -80,7 +108,7 @@ def test_a_status_in_words() -> None:
 
 @pytest.mark.parametrize(("devices", "found"), [(1, 0), (2, 1)])
 def test_two_devices_at_one_address_are_noticed_by_how_often_they_speak(devices: int, found: int) -> None:
-    wire = codec.status(1, codec.Status(codec.DeviceMode.READY, 0, 0.0, 0.0))
+    wire = said(codec.DeviceMode.READY, 0, 0.0, 0.0)
     driver = template.plugin.driver([Device("m", 1, template.plugin.options(), template.plugin.settings())])
     times = range(0, SECOND + 1, codec.STATUS_PERIOD)
     events = [e for t in times for _ in range(devices) for e in driver.receive(t, wire)]
@@ -88,9 +116,34 @@ def test_two_devices_at_one_address_are_noticed_by_how_often_they_speak(devices:
     assert len(twice) == found
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, 100.0001])
-def test_what_must_not_be_said_is_refused_with_a_sentence(value: float) -> None:
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        (math.nan, "velocity is nan"),
+        (math.inf, "velocity is inf"),
+        (100.0001, "velocity 100 lies outside -100 … 100"),
+    ],
+)
+def test_what_must_not_be_said_is_refused_with_a_sentence_and_once(value: float, reason: str) -> None:
     driver = template.plugin.driver([Device("m", 1, template.plugin.options(), template.plugin.settings())])
     (refused,), wires = driver.send(0, [Velocity("m", value)])
-    assert "is not in ±100" in getattr(refused, "reason", "")
+    assert getattr(refused, "reason", "") == reason
+    assert not wires
+    assert driver.send(1, [Velocity("m", value)]) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("word", "reason"),
+    [
+        (Velocity("x", 1.0), "no such device here"),
+        (Scan("bus"), "no such device here"),
+        (Hold("m"), "the device cannot do that"),
+        (Zero("m"), "the device cannot do that"),
+        (Velocity("m", 1.0, 0.5), "the device has no torque for Velocity"),
+    ],
+)
+def test_what_it_cannot_do_is_refused(word: Command | Request, reason: str) -> None:
+    driver = template.plugin.driver([Device("m", 1, template.plugin.options(), template.plugin.settings())])
+    (refused,), wires = driver.send(0, [word])
+    assert getattr(refused, "reason", "") == reason
     assert not wires
