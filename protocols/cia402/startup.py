@@ -22,7 +22,14 @@ from protocols.cia402.units import Units
 
 PROFILE = 402
 """The lower 16 bits of object 1000."""
-FIRST: tuple[Key, ...] = (o.DEVICE_TYPE, *units.READ, o.SUPPORTED_MODES, o.STATUSWORD, o.MODE_DISPLAY)
+FIRST: tuple[Key, ...] = (
+    o.DEVICE_TYPE,
+    *units.READ,
+    o.SUPPORTED_MODES,
+    o.STATUSWORD,
+    o.POSITION,
+    o.MODE_DISPLAY,
+)
 """With these, feedback can be told."""
 THEN: tuple[Key, ...] = (
     o.VENDOR_ID,
