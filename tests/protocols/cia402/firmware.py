@@ -79,7 +79,9 @@ class Drive:
         return found if isinstance(found, canopen.objectdictionary.ODVariable) else found[sub]
 
     def put(self, index: int, value: int, sub: int = 0) -> None:
-        """Put a value into its dictionary."""
+        """Put a value into its dictionary, if it has the object."""
+        if index not in self.local.object_dictionary:
+            return
         data = self._variable(index, sub).encode_raw(value)
         self.local.data_store.setdefault(index, {})[sub] = data
 

@@ -152,8 +152,8 @@ def test_vectors_of_feedback_that_is_asked_for() -> None:
     assert {wire.id for _, wire in talk.wires} == {0x602}
     asked = {title: said.count(bytes.fromhex(title)[::-1]) for title in ("6064", "606C", "6041", "6077")}
     # each 10 ms; the state at least a tenth as often
-    assert 95 <= asked["6064"] <= 101 and 95 <= asked["606C"] <= 101, asked
-    assert 10 <= asked["6041"] <= 101 and 10 <= asked["6077"] <= 101, asked
+    assert all(95 <= asked[title] <= 101 for title in ("6064", "606C")), asked
+    assert all(10 <= asked[title] <= 101 for title in ("6041", "6077")), asked
     assert 530 <= 2 * len(said) <= 600, "about 560 frames a second, answers included"
     talk.chapter(
         200,
@@ -239,7 +239,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     )
 
 
-@pytest.mark.parametrize("kind, options", [(1, {}), (255, {"feedback": "event"})])
+@pytest.mark.parametrize(("kind", "options"), [(1, {}), (255, {"feedback": "event"})])
 def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -> None:
     talk = Talk(with_pdos(kind, 10 if kind == 255 else 0), **options)
     talk.chapter(150)
@@ -327,7 +327,7 @@ def test_vectors_of_pdos_that_steer_too_little() -> None:
 
 
 @pytest.mark.parametrize(
-    "index, cob, kind, entries",
+    ("index", "cob", "kind", "entries"),
     [
         (0x1400, 0x80000202, 1, RPDO1),  # does not exist
         (0x1400, 0x203, 1, RPDO1),  # another drive's identifier
@@ -357,7 +357,7 @@ def test_vectors_of_pdos_that_are_written_anew(
 
 
 @pytest.mark.parametrize(
-    "index, kind, entries",
+    ("index", "kind", "entries"),
     [
         (0x1400, 1, (*RPDO1, 0x00050008)),  # 5 is a dummy: it takes room
         (0x1400, 255, RPDO1),  # at once, not with SYNC
