@@ -10,11 +10,11 @@ firmware line is `dialect`'s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from protocols.odrive_can.asking import NEVER, OTHER, VERSION, Asking
 from protocols.odrive_can.codec import EXTENDED, AnyMessage, cmd_of, radians
+from protocols.odrive_can.complaints import Complaints
 from protocols.odrive_can.dialect import DIALECTS, Beat, Dialect, beat_of
 from protocols.odrive_can.faults import (
     NOT_ARMED,
@@ -22,12 +22,9 @@ from protocols.odrive_can.faults import (
     RESULTS,
     WRONG_FIRMWARE,
     Result,
-    bits,
     result_name,
     state_name,
-    text_of,
 )
-from protocols.odrive_can.faults05 import BASE_SHIFT
 from protocols.odrive_can.identify import Identity
 from protocols.odrive_can.inputs import Input, setpoint, standstill
 from protocols.odrive_can.messages import (
@@ -71,8 +68,6 @@ RELEASE_AGAIN = 50 * MILLISECOND
 CONFIRMED = 2
 ARM_ATTEMPTS = 5
 """After so many tries without closed loop it is a fault."""
-REASON_ATTEMPTS = 5
-"""An error word that is not told in so many tries is not waited for."""
 WAITING = (Result.SUCCESS, Result.BUSY, Result.CANCELLED, Result.DISARMED)
 """Results that may be left over from before the request: no verdict on it."""
 
@@ -111,10 +106,7 @@ class Node:
         self.release_next: Nanos = 0
         self.release_seen = 0
         self.told: tuple[Mode, str] | None = None
-        self.told_faults: set[int] = set()
-        """Codes of error bits that are told, and still there."""
-        self.wanted: dict[int, int] = {}
-        """Error words that are waited for, by command, and how often they were asked for."""
+        self.complaints = Complaints(name)
         self.places = Places()
         self.two = False
         """Its estimates contradict each other: there are two of it."""
@@ -135,7 +127,7 @@ class Node:
         self.state, self.position, self.hold, self.told = None, None, None, None
         self.armed, self.mode, self._line_heard = False, None, ""
         self.attempts, self.arm_next, self.beats_since_arming, self.release_seen = 0, 0, 0, 0
-        self.wanted.clear()
+        self.complaints.wanted.clear()
         self.beats.clear()
 
     def resend(self) -> None:
@@ -164,9 +156,9 @@ class Node:
                 known = [value for value in (fet, motor) if value is not None]
                 return [Feedback(self.name, t, temperature=max(known))] if known else []
             case GetError(active, reason):
-                return self._hear_errors(t, active, reason)
+                return self.complaints.hear_errors(t, self.dialect, active, reason)
             case GetMotorError() | GetEncoderError() | GetControllerError() | GetSensorlessError():
-                return self._hear_part(t, cmd_of(type(message)), message.errors)
+                return self.complaints.hear_part(t, self.dialect, cmd_of(type(message)), message.errors)
             case GetVersion():
                 return self._identified(t, self.identity.hear_version(message))
         beat = beat_of(message)
@@ -176,7 +168,7 @@ class Node:
         """The firmware line may be known now: what was heard before is to be heard again in its language."""
         if self.dialect.line != self._line_heard:
             self._line_heard, self.state = self.dialect.line, None
-            self.wanted.clear()
+            self.complaints.wanted.clear()
         if wrong is None:
             return []
         fault = Fault(self.name, t, WRONG_FIRMWARE, wrong.name, wrong.cause, wrong.cure)
@@ -192,14 +184,10 @@ class Node:
         fell = self.armed and not closed
         if fell:
             self.armed, self.mode, self.hold = False, None, None
-            self.wanted |= dict.fromkeys(dialect.reasons, 0)
         elif closed and self.claimed and not self.releasing:
             self.armed, self.attempts, self.beats_since_arming = True, 0, 0
-        self.wanted |= {cmd: 0 for cmd in beat.parts if cmd not in before.parts}
         self._confirm_release(closed=closed)
-        errors = beat.error & ~dialect.initializing if dialect.axis else 0  # else nobody knows what they mean
-        events = self._new_faults(t, errors, dialect.axis, dialect.base)
-        self._forget_faults(dialect, beat)
+        events = self.complaints.hear_beat(t, dialect, before, beat, fell=fell)
         events += self._judge_arming(t, closed=closed)
         return events + self._tell_state(t, fell=fell)
 
@@ -208,36 +196,6 @@ class Node:
         if self.release_seen >= CONFIRMED:
             self.claimed = self.releasing = False
             self.release_seen = 0
-
-    def _new_faults(
-        self, t: Nanos, errors: int, texts: Mapping[int, Complaint], base: int = 0, prefix: str = ""
-    ) -> list[Event]:
-        fresh = [bit for bit in bits(errors) if base + bit not in self.told_faults]
-        self.told_faults |= {base + bit for bit in fresh}
-        said = [(bit, text_of(bit, texts)) for bit in fresh]
-        return [Fault(self.name, t, base + bit, x.name, prefix + x.cause, x.cure) for bit, x in said]
-
-    def _forget_faults(self, dialect: Dialect, beat: Beat) -> None:
-        """What is gone is told anew when it comes again."""
-        words = {dialect.parts[cmd][0] for cmd in beat.parts}
-        axis = {dialect.base + bit for bit in bits(beat.error)}
-        self.told_faults = {
-            code for code in self.told_faults if code in axis or code >> BASE_SHIFT << BASE_SHIFT in words
-        }
-
-    def _hear_errors(self, t: Nanos, active: int, reason: int) -> list[Event]:
-        """Get_Error: the disarm reason counts only where we saw it disarm; an old one is history."""
-        dialect = self.dialect
-        events = self._new_faults(t, active & ~dialect.initializing, dialect.axis, dialect.base)
-        if self.wanted.pop(cmd_of(GetError), None) is not None:
-            reason &= ~dialect.initializing
-            events += self._new_faults(t, reason, dialect.axis, dialect.base, "it disarmed the axis: ")
-        return events
-
-    def _hear_part(self, t: Nanos, cmd: int, errors: int) -> list[Event]:
-        self.wanted.pop(cmd, None)
-        base, texts = self.dialect.parts[cmd]
-        return self._new_faults(t, errors, texts, base)
 
     def _judge_arming(self, t: Nanos, closed: bool) -> list[Event]:
         if closed or not self.attempts or self.refused or self.releasing:
@@ -313,7 +271,7 @@ class Node:
             return "its position is not known yet"
         if self.faulty():
             return "it is in fault"
-        if self.wanted:  # arming again might wipe it
+        if self.complaints.wanted:  # arming again might wipe it
             return "why it disarmed is not known yet"
         return "it would not arm" if self.refused else ""
 
@@ -357,12 +315,12 @@ class Node:
         """An operator clears the device's faults: it may arm again, and is asked again what it is."""
         self.refused, self.attempts, self.beats_since_arming = False, 0, 0
         self.two, self.places = False, Places()
-        self.wanted.clear()
+        self.complaints.wanted.clear()
         self.identity.cleared()
 
     def tell_again(self) -> None:
         """Faults that stay are told again, with all their words."""
-        self.told_faults.clear()
+        self.complaints.told.clear()
         self.beat = replace(self.beat, parts=())
 
     # -- by itself ----------------------------------------------------------------------------
@@ -379,13 +337,11 @@ class Node:
         asks: list[int] = []
         if now >= self._ask_at():
             alive = self._alive()
-            asks = [cmd for at, cmd in self.asking.plan(self.identity, self.wanted, alive) if at <= now]
+            plan = self.asking.plan(self.identity, self.complaints.wanted, alive)
+            asks = [cmd for at, cmd in plan if at <= now]
         for cmd in asks:
             self.asking.ask(now, cmd)
-            if cmd in self.wanted:
-                self.wanted[cmd] += 1
-        if self.wanted:
-            self.wanted = {cmd: count for cmd, count in self.wanted.items() if count < REASON_ATTEMPTS}
+        self.complaints.asked(asks)
         if VERSION in asks:
             events += self._identified(now, self.identity.ask(beating=self.state is not None))
             asks += [OTHER] if not self.identity.line and self.state is not None else []
@@ -395,11 +351,11 @@ class Node:
         """When `tend` next has something to do that cannot wait for a step."""
         if self.started is None:
             return 0
-        pressing = self.asking.pressing(self.identity, self.wanted, self._alive())
+        pressing = self.asking.pressing(self.identity, self.complaints.wanted, self._alive())
         return pressing if self.offline else min(pressing, self._offline_at())
 
     def _ask_at(self) -> Nanos:
-        return self.asking.due(self.identity, self.wanted, self._alive())
+        return self.asking.due(self.identity, self.complaints.wanted, self._alive())
 
     def _alive(self) -> bool:
         return not self.offline and self.state is not None
