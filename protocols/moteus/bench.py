@@ -14,8 +14,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from protocols.moteus.codec import FAST, Told, command_id, decode, framed
+from protocols.moteus.codec import command_id, framed
 from protocols.moteus.messages import STOP, Limits, move, push
+from protocols.moteus.told import FAST, Told, decode
 
 RIVAL = ("moteus", "moteus", "the vendor's package")
 ADDRESS = 5

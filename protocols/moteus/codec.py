@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -113,10 +112,15 @@ def framed(identifier: int, data: bytes) -> CanFrame:
 # -- numbers -----------------------------------------------------------------------------------------
 
 
+def normal(value: float) -> float:
+    """Next to nothing is nothing: a negative zero and denormals are 0.0."""
+    return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
+
+
 def single(value: float) -> float:
     """A finite number that a binary32 holds; ValueError for what is not finite."""
     if -FLOAT_MAX <= value <= FLOAT_MAX:
-        return _normal(value)
+        return normal(value)
     if not math.isfinite(value):
         raise ValueError(f"{value} is not finite: it never reaches the wire")
     return math.copysign(FLOAT_MAX, value)
@@ -258,89 +262,3 @@ def _values(reader: _Reader, out: list[Subframe], code: int, resolution: int, co
     finally:  # what stands before the flaw is obeyed
         if raw:
             out.append(Values(code, start, resolution, tuple(raw)))
-
-
-# -- what a device tells -----------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """One frame of a device: its registers, what it could not do, and what its console says."""
-
-    values: Mapping[int, float | None]
-    errors: tuple[Error, ...] = ()
-    console: bytes = b""
-
-
-def decode(data: bytes) -> Told | None:
-    """What a device's frame tells; None if it is ill-formed, or is none of a device's."""
-    if len(data) not in SOUND:
-        return None
-    known = SHAPES.get(len(data))
-    if known is not None:
-        values = known(data)
-        if values is not None:
-            return Told(values)
-    subframes, sound = parse(data)
-    return _told(subframes) if sound else None
-
-
-def _told(subframes: list[Subframe]) -> Told | None:
-    values: dict[int, float | None] = {}
-    errors: list[Error] = []
-    console = b""
-    for subframe in subframes:
-        match subframe:
-            case Values(code, start, resolution, raw) if code == REPLY:
-                if resolution == F32 and not all(math.isfinite(x) or math.isnan(x) for x in raw):
-                    return None
-                for i, value in enumerate(raw):
-                    values[start + i] = quantity(start + i, resolution, value)
-            case Error():
-                errors.append(subframe)
-            case Stream(code, _, piece) if code == FROM_DEVICE:
-                console += piece
-            case _:
-                return None
-    return Told(values, tuple(errors), console)
-
-
-# The two questions that are asked all the time have answers of a known shape: the same, without a loop.
-
-FAST = bytes.fromhex("11001f01110f")
-"""Mode as int8, position, velocity, torque as binary32, fault as int8: 20 bytes of answer."""
-FULL = bytes.fromhex("11001c040114060a")
-"""And the current, motor's temperature, trajectory, home state, voltage, temperature, fault as int16."""
-_FAST = struct.Struct("<2sb2sfff2sb")
-_FULL = struct.Struct("<2sb3sffff3shhhhhh11s")
-_PADDING = b"\x50" * 11
-
-
-def _fast(data: bytes) -> dict[int, float | None] | None:
-    a, mode, b, position, velocity, torque, c, fault = _FAST.unpack(data)
-    if a != b"\x21\x00" or b != b"\x2f\x01" or c != b"\x21\x0f" or mode == -128 or fault == -128:
-        return None
-    if not math.isfinite(position + velocity + torque):
-        return None
-    return {0: mode, 1: _normal(position), 2: _normal(velocity), 3: _normal(torque), 0x0F: fault}
-
-
-def _normal(value: float) -> float:
-    """Next to nothing is nothing."""
-    return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
-
-
-def _full(data: bytes) -> dict[int, float | None] | None:
-    a, mode, b, position, velocity, torque, current, c, *rest, padding = _FULL.unpack(data)
-    if a != b"\x21\x00" or b != b"\x2c\x04\x01" or c != b"\x24\x06\x0a" or padding != _PADDING:
-        return None
-    if mode == -128 or not math.isfinite(position + velocity + torque + current):
-        return None
-    floats = (position, velocity, torque, current)
-    told: dict[int, float | None] = {0: mode}
-    told |= {1 + i: _normal(value) for i, value in enumerate(floats)}
-    return told | {0x0A + i: quantity(0x0A + i, INT16, value) for i, value in enumerate(rest)}
-
-
-SHAPES = {20: _fast, 48: _full}
-"""By length of the frame."""

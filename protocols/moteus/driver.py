@@ -13,12 +13,13 @@ from collections.abc import Mapping, Sequence
 
 from protocols.answers import Refusals, Waiting, out_of_range, refusal, subject
 from protocols.moteus import requests
-from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, Told, command_id, decode, framed
+from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, command_id, framed
 from protocols.moteus.faults import HELD_TWICE
 from protocols.moteus.node import IDENTIFY_EVERY, Node
 from protocols.moteus.options import Options, serial_of
 from protocols.moteus.registers import Register
 from protocols.moteus.requests import Pending
+from protocols.moteus.told import Told, decode
 from protocols.plugin import Device, Range, Tally
 from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (

@@ -15,11 +15,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import tau
 
-from protocols.moteus.codec import FAST, FULL, Told, command_id, reply_id
+from protocols.moteus.codec import command_id, reply_id
 from protocols.moteus.faults import LIMITS, NOT_ARMED, TIMEOUT, complaint_of
 from protocols.moteus.messages import IDENTIFY, STOP, move, push
 from protocols.moteus.options import Options, limits_of
 from protocols.moteus.registers import LATCHED, RISING, Mode, Register, mode_name
+from protocols.moteus.told import FAST, FULL, Told
 from protocols.words import (
     MILLISECOND,
     SECOND,

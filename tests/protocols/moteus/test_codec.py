@@ -17,8 +17,6 @@ from moteus import protocol as theirs
 from protocols.moteus import plugin
 from protocols.moteus.codec import (
     F32,
-    FAST,
-    FULL,
     INT8,
     INT16,
     INT32,
@@ -36,7 +34,6 @@ from protocols.moteus.codec import (
     Subframe,
     Values,
     command_id,
-    decode,
     encode,
     framed,
     head,
@@ -61,6 +58,7 @@ from protocols.moteus.messages import (
     written,
 )
 from protocols.moteus.registers import NAMES, SCALES, Mode, Register, mode_name, scale_of
+from protocols.moteus.told import FAST, FULL, decode
 from protocols.vectors import Vector, vectors_of
 from protocols.wire import CanFrame
 from tests.protocols.moteus.from_package import UUID, entries

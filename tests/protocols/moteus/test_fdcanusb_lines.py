@@ -6,8 +6,9 @@ import json
 from importlib.resources import files
 
 from gateway.buses.fdcanusb import OK, Adapter, heard_of, sealed, unsealed
-from protocols.moteus.codec import decode, framed, parse
+from protocols.moteus.codec import framed, parse
 from protocols.moteus.messages import names
+from protocols.moteus.told import decode
 
 LINES = {
     entry["name"]: bytes.fromhex(entry["data"])

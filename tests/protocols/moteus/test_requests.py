@@ -4,21 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.moteus.codec import (
-    F32,
-    INT16,
-    READ_ERROR,
-    REPLY,
-    WRITE_ERROR,
-    Error,
-    Values,
-    decode,
-    encode,
-    framed,
-)
+from protocols.moteus.codec import F32, INT16, READ_ERROR, REPLY, WRITE_ERROR, Error, Values, encode, framed
 from protocols.moteus.messages import DISCOVER
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.registers import Register
+from protocols.moteus.told import decode
 from protocols.moteus.twin import MoteusTwin
 from protocols.words import (
     MILLISECOND,

@@ -9,7 +9,6 @@ import pytest
 
 from protocols.moteus.codec import (
     F32,
-    FAST,
     INT8,
     INT16,
     INT32,
@@ -19,7 +18,6 @@ from protocols.moteus.codec import (
     Raw,
     Values,
     command_id,
-    decode,
     encode,
     framed,
     reply_id,
@@ -29,6 +27,7 @@ from protocols.moteus.faults import FAULTS, TIMEOUT
 from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.registers import Mode, Register
+from protocols.moteus.told import FAST, decode
 from protocols.moteus.twin import MoteusTwin
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, Feedback

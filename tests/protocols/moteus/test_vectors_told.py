@@ -7,9 +7,10 @@ from math import tau
 
 import pytest
 
-from protocols.moteus.codec import decode, single
+from protocols.moteus.codec import single
 from protocols.moteus.faults import FAULTS
 from protocols.moteus.options import Options
+from protocols.moteus.told import decode
 from protocols.wire import CanFrame, Wire
 from protocols.words import (
     MILLISECOND,
