@@ -3,8 +3,7 @@
 Rules. One call of `step` is one turn of the loop, whatever its `dt`. Units are the firmware's: rev, rev/s,
 N·m, A, s. Everything the loops know of the shaft comes through `measure`, quantised as an encoder would. No
 wire and no word in here. Sources: modes and their transitions, watchdog, limit codes mjbots/moteus@1f4a195
-`fw/bldc_servo.cc`, `fw/bldc_servo_control.h`; trajectories `docs/reference/configuration.md`
-(servo.default_velocity_limit). Supply and heat are models of ours (README, "the twin").
+`fw/bldc_servo.cc`, `fw/bldc_servo_control.h`. Supply and heat are models of ours (README, "the twin").
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from collections.abc import Mapping
 
 from protocols.moteus.options import Settings, torque_constant
 from protocols.moteus.registers import LATCHED, RISING, Mode, Register
+from protocols.moteus.setpoint import Setpoint, limits_of, or_else
 
 FET_RESISTANCE = 0.01
 """Ω of the power stage, for its heat."""
@@ -53,13 +53,7 @@ class Servo:
         self.shaft = 0.0
         self.position = 0.0
         self.velocity = 0.0
-        self.control_position: float | None = None
-        self.control_velocity = 0.0
-        self.fresh: float | None = None
-        """A position that was commanded and is still to be taken."""
-        self.goal: float | None = None
-        """Where a limited trajectory leads; None: nowhere, it keeps its velocity."""
-        self.trajectory_done = True
+        self.setpoint = Setpoint()
         self.integral = 0.0
         self.error = 0.0
         self.velocity_error = 0.0
@@ -91,7 +85,7 @@ class Servo:
     def recapture(self) -> None:
         """The set-point becomes what is measured (register 0x133)."""
         if self.mode == Mode.POSITION:
-            self.control_position, self.control_velocity, self.integral = self.position, self.velocity, 0.0
+            self.setpoint.position, self.setpoint.velocity, self.integral = self.position, self.velocity, 0.0
 
     def take(self, mode: int, command: Mapping[int, float]) -> None:
         """A command arrived; it feeds the watchdog, and counts from the next turn of the loop on."""
@@ -100,10 +94,7 @@ class Servo:
         timeout = command[Register.COMMAND_TIMEOUT]
         timeout = self.settings.default_timeout_s if timeout == 0.0 else timeout
         self.timeout = None if math.isnan(timeout) else max(0.0, timeout)
-        position = command[Register.COMMAND_POSITION]
-        self.fresh = None if math.isnan(position) else position
-        if not math.isnan(position):
-            self.goal = position
+        self.setpoint.take(command[Register.COMMAND_POSITION])
 
     def trip(self, code: int) -> None:
         """A fault: no torque until a stop."""
@@ -154,8 +145,8 @@ class Servo:
         self._clear()
 
     def _clear(self) -> None:
-        self.integral, self.control_position, self.control_velocity = 0.0, None, 0.0
-        self.error = self.velocity_error = 0.0
+        self.setpoint.clear()
+        self.integral = self.error = self.velocity_error = 0.0
         self.terms = (0.0, 0.0, 0.0)
 
     def _outside(self) -> bool:
@@ -191,7 +182,7 @@ class Servo:
             case Mode.STAY_WITHIN:
                 return self._stay(dt)
             case Mode.CURRENT:
-                return _or(self.command[Register.COMMAND_Q_CURRENT], 0.0) * self.kt
+                return or_else(self.command[Register.COMMAND_Q_CURRENT], 0.0) * self.kt
             case Mode.VOLTAGE_DQ:
                 return self._voltage() * self.kt
             case Mode.ZERO_VELOCITY:
@@ -206,90 +197,25 @@ class Servo:
         if self._deprecated():
             self.trip(45)
             return 0.0
-        self._follow(dt)
-        return self._bounded_by(
-            self._pid(dt, self.control_position, self.control_velocity),
-            self.command[Register.COMMAND_POSITION_MAX_TORQUE],
-        )
+        self.setpoint.follow(dt, self.settings, self.command, self.position, self.velocity)
+        return self._bounded_by(self._pid(dt), self.command[Register.COMMAND_POSITION_MAX_TORQUE])
 
     def _deprecated(self) -> bool:
         stop = self.command[Register.COMMAND_STOP_POSITION]
-        return not math.isnan(stop) and any(limit is not None for limit in self._trajectory_limits())
+        return not math.isnan(stop) and limits_of(self.settings, self.command) != (None, None)
 
-    def _trajectory_limits(self) -> tuple[float | None, float | None]:
-        """Of velocity and acceleration; None: none. A negative one in a command switches it off."""
-        s = self.settings
-        pairs = (
-            (self.command[Register.COMMAND_VELOCITY_LIMIT], s.default_velocity_limit),
-            (self.command[Register.COMMAND_ACCEL_LIMIT], s.default_accel_limit),
-        )
-        chosen = [default if math.isnan(said) else said for said, default in pairs]
-        fastest, hardest = (None if math.isnan(x) or x < 0 else x for x in chosen)
-        return fastest, hardest
-
-    def _follow(self, dt: float) -> None:
-        """The set-point moves: at once where nothing limits it, else along a trajectory."""
-        fastest, hardest = self._trajectory_limits()
-        wanted = _or(self.command[Register.COMMAND_VELOCITY], 0.0)
-        begun = self.control_position is None
-        at = self.position if self.control_position is None else self.control_position
-        if fastest is None and hardest is None:
-            at = at if self.fresh is None else self.fresh
-            self.control_velocity, self.trajectory_done = wanted, True
-            self.control_position = self._stopped_at(at + wanted * dt)
-        else:
-            self.control_velocity = self.velocity if begun else self.control_velocity
-            self.control_position = at
-            self._trajectory(dt, wanted, fastest, hardest)
-        self.fresh = None
-        s = self.settings
-        low, high = s.position_min, s.position_max
-        if not self.command[Register.COMMAND_IGNORE_POSITION_BOUNDS]:
-            self.control_position = _between(self.control_position, low, high)
-
-    def _stopped_at(self, at: float) -> float:
-        stop = self.command[Register.COMMAND_STOP_POSITION]
-        if math.isnan(stop) or self.control_velocity == 0.0:
-            return at
-        reached = (at - stop) * self.control_velocity >= 0.0
-        self.control_velocity = 0.0 if reached else self.control_velocity
-        return stop if reached else at
-
-    def _trajectory(self, dt: float, wanted: float, fastest: float | None, hardest: float | None) -> None:
-        """Towards x = goal + wanted·t, or to a velocity where no position was commanded; step by step."""
-        at = self.control_position or 0.0
-        goal = None if math.isnan(self.command[Register.COMMAND_POSITION]) else self.goal
-        aim = wanted
-        if goal is not None:
-            self.goal = goal + wanted * dt
-            way = self.goal - at
-            room = abs(way) / dt if hardest is None else math.sqrt(2.0 * hardest * abs(way))
-            aim = wanted + math.copysign(min(room, abs(way) / dt), way)
-        if fastest is not None:
-            aim = max(-fastest, min(fastest, aim))
-        change = aim - self.control_velocity
-        if hardest is not None:
-            change = max(-hardest * dt, min(hardest * dt, change))
-        self.control_velocity += change
-        self.control_position = at + self.control_velocity * dt
-        done = abs(self.control_velocity - wanted) <= (hardest or math.inf) * dt
-        if goal is not None:
-            done = done and abs((self.goal or 0.0) - self.control_position) <= abs(change) * dt + 1e-6
-            if done:
-                self.control_position, self.control_velocity = self.goal, wanted
-        self.trajectory_done = done
-
-    def _pid(self, dt: float, position: float | None, velocity: float) -> float:
-        """The position loop; also the feed-forward."""
+    def _pid(self, dt: float) -> float:
+        """The position loop around the set-point; also the feed-forward."""
+        position, velocity = self.setpoint.position, self.setpoint.velocity
         s, get = self.settings, self.command.__getitem__
-        kp = _or(get(Register.COMMAND_KP_SCALE), 1.0)
-        kd = min(_or(get(Register.COMMAND_KD_SCALE), 1.0), max(kp, 0.0))
+        kp = or_else(get(Register.COMMAND_KP_SCALE), 1.0)
+        kd = min(or_else(get(Register.COMMAND_KD_SCALE), 1.0), max(kp, 0.0))
         self.error = 0.0 if position is None else position - self.position
         self.velocity_error = velocity - self.velocity
-        most = s.ilimit * _or(get(Register.COMMAND_ILIMIT_SCALE), 1.0)
+        most = s.ilimit * or_else(get(Register.COMMAND_ILIMIT_SCALE), 1.0)
         self.integral = max(-most, min(most, self.integral + s.ki * self.error * dt))
         self.terms = (s.kp * kp * self.error, self.integral, s.kd * kd * self.velocity_error)
-        return sum(self.terms) + _or(get(Register.COMMAND_FEEDFORWARD_TORQUE), 0.0)
+        return sum(self.terms) + or_else(get(Register.COMMAND_FEEDFORWARD_TORQUE), 0.0)
 
     def _bounded_by(self, torque: float, most: float) -> float:
         if math.isnan(most) or abs(torque) <= abs(most):
@@ -301,15 +227,15 @@ class Servo:
         low = self.command[Register.COMMAND_WITHIN_LOWER_BOUND]
         high = self.command[Register.COMMAND_WITHIN_UPPER_BOUND]
         if self.position < low or self.position > high:
-            self.control_position = low if self.position < low else high
-            torque = self._pid(dt, self.control_position, 0.0)
+            self.setpoint.position, self.setpoint.velocity = low if self.position < low else high, 0.0
+            torque = self._pid(dt)
         else:
             self._clear()
-            torque = _or(self.command[Register.COMMAND_FEEDFORWARD_TORQUE], 0.0)
+            torque = or_else(self.command[Register.COMMAND_FEEDFORWARD_TORQUE], 0.0)
         return self._bounded_by(torque, self.command[Register.COMMAND_POSITION_MAX_TORQUE])
 
     def _damp(self) -> float:
-        return -self.settings.kd * _or(self.command[Register.COMMAND_KD_SCALE], 1.0) * self.velocity
+        return -self.settings.kd * or_else(self.command[Register.COMMAND_KD_SCALE], 1.0) * self.velocity
 
     def _short(self) -> float:
         """Brake: the phases are shorted through their resistance."""
@@ -318,7 +244,7 @@ class Servo:
     def _voltage(self) -> float:
         """A that a voltage on the q axis drives against the motor's own."""
         back = self.kt * math.tau * self.velocity
-        return (_or(self.command[Register.VOLTAGEDQ_Q], 0.0) - back) / self.settings.phase_resistance
+        return (or_else(self.command[Register.VOLTAGEDQ_Q], 0.0) - back) / self.settings.phase_resistance
 
     def _abandoned(self, dt: float) -> float:
         """What servo.timeout_mode says, with its own limit of torque."""
@@ -330,16 +256,9 @@ class Servo:
         if s.timeout_mode == Mode.BRAKE:
             return self._short()
         if s.timeout_mode == Mode.POSITION:
-            return self._come_to_rest(dt)
+            self.setpoint.come_to_rest(dt, s.default_accel_limit, self.position)
+            return self._pid(dt)
         return 0.0
-
-    def _come_to_rest(self, dt: float) -> float:
-        hardest = self.settings.default_accel_limit
-        change = abs(self.control_velocity) if math.isnan(hardest) else hardest * dt
-        at = self.position if self.control_position is None else self.control_position
-        self.control_velocity -= math.copysign(min(change, abs(self.control_velocity)), self.control_velocity)
-        self.control_position = at + self.control_velocity * dt
-        return self._pid(dt, self.control_position, self.control_velocity)
 
     # -- current ----------------------------------------------------------------------------------
 
@@ -389,18 +308,6 @@ class Servo:
     def told(self) -> int:
         """The fault register: the fault, or which limit is active."""
         return self.fault if self.mode == Mode.FAULT else self.limit
-
-
-def _or(value: float, other: float) -> float:
-    """A register that may be "not given"."""
-    return other if math.isnan(value) else value
-
-
-def _between(value: float, low: float, high: float) -> float:
-    """Within bounds, where there are some."""
-    if value < low:
-        return low
-    return high if value > high else value
 
 
 def _lag(dt: float, bandwidth: float) -> float:

@@ -249,7 +249,7 @@ _TELLS: dict[int, Callable[[MoteusTwin], float]] = {
     Register.ABS_POSITION: lambda twin: twin.servo.shaft,
     Register.POWER: lambda twin: twin.servo.power,
     Register.MOTOR_TEMPERATURE: lambda _: 0.0,
-    Register.TRAJECTORY_COMPLETE: lambda twin: float(twin.servo.trajectory_done),
+    Register.TRAJECTORY_COMPLETE: lambda twin: float(twin.servo.setpoint.done),
     Register.HOME_STATE: lambda twin: twin.servo.homed,
     Register.VOLTAGE: lambda twin: twin.servo.bus_voltage,
     Register.TEMPERATURE: lambda twin: twin.servo.temperature,
@@ -260,9 +260,9 @@ _TELLS: dict[int, Callable[[MoteusTwin], float]] = {
     Register.POSITION_FEEDFORWARD: lambda twin: twin.servo.command[Register.COMMAND_FEEDFORWARD_TORQUE],
     Register.POSITION_COMMAND: lambda twin: twin.servo.control_torque,
     Register.CONTROL_POSITION: lambda twin: (
-        math.nan if twin.servo.control_position is None else twin.servo.control_position
+        math.nan if twin.servo.setpoint.position is None else twin.servo.setpoint.position
     ),
-    Register.CONTROL_VELOCITY: lambda twin: twin.servo.control_velocity,
+    Register.CONTROL_VELOCITY: lambda twin: twin.servo.setpoint.velocity,
     Register.CONTROL_TORQUE: lambda twin: twin.servo.control_torque,
     Register.POSITION_ERROR: lambda twin: twin.servo.error,
     Register.VELOCITY_ERROR: lambda twin: twin.servo.velocity_error,

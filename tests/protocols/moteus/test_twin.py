@@ -276,13 +276,13 @@ def test_a_trajectory_keeps_its_limits_and_says_when_it_is_done() -> None:
 
 def _velocity_of(rig: Rig) -> float:
     rig.run(1)
-    return rig.twin.servo.control_velocity
+    return rig.twin.servo.setpoint.velocity
 
 
 def test_configured_limits_hold_unless_a_command_switches_them_off() -> None:
     rig = Rig(Settings(default_velocity_limit=0.5))
     rig.say(move(5.0, 0.0, 0.0, LIMITS), milliseconds=200)
-    assert rig.twin.servo.control_velocity == pytest.approx(0.5)
+    assert rig.twin.servo.setpoint.velocity == pytest.approx(0.5)
     rig.say(mode(Mode.POSITION, write(0x20, 5.0), write(0x27, 10.0, -1.0)), milliseconds=5)
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(5.0)
 
@@ -290,9 +290,9 @@ def test_configured_limits_hold_unless_a_command_switches_them_off() -> None:
 def test_a_trajectory_to_a_velocity() -> None:
     rig = Rig()
     rig.say(move(None, 1.0, 0.0, Limits(10.0, None, None, 2.0)), milliseconds=250)
-    assert 0.4 < rig.twin.servo.control_velocity < 0.6
+    assert 0.4 < rig.twin.servo.setpoint.velocity < 0.6
     rig.run(1000)
-    assert rig.twin.servo.control_velocity == pytest.approx(1.0)
+    assert rig.twin.servo.setpoint.velocity == pytest.approx(1.0)
 
 
 def test_a_stop_position_ends_a_velocity_and_does_not_go_with_limits() -> None:
