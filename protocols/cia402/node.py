@@ -167,6 +167,7 @@ class Node:
         self.outlet = Outlet()
         self.unarm()
         self.setup, self.writing, self.watched, self.configured = None, (), False, False
+        self.values = {}
         self.urgent.clear()
         self.questions.clear()
         self.starts, self.start_next = 0, 0

@@ -243,7 +243,7 @@ def _clear(pending: Pending, now: Nanos) -> tuple[list[Event], list[CanFrame]]:
         if node.insist is Demand.QUICK_STOP:
             node.insist = None
         return [*node.tell(now), pending.done(now)], []
-    if now < pending.next:
+    if now < pending.next or now >= pending.deadline:
         return [], []
     pending.next, pending.stage = now + CLEAR_AGAIN, pending.stage + 1
     words = (Demand.DISABLE_VOLTAGE, Demand.FAULT_RESET)
