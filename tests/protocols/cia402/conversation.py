@@ -275,6 +275,10 @@ class Talk:
             told.add(about)
         return runs
 
+    def runs(self) -> list[Run]:
+        """What has been said and told in this chapter."""
+        return list(self._runs)
+
     # -- comparing ----------------------------------------------------------------------------------
 
     def transcript(self, end: int) -> list[str]:

@@ -57,6 +57,8 @@ class Drive:
         self.late = 0
         """Its SDO answers come so many ms later."""
         self.acknowledges, self.homes = True, "attained"
+        self.starts = 0
+        """So many NMT commands are lost."""
         self.resets = 1
         """So many fault resets it takes."""
         self.refused: dict[tuple[int, int | None], int] = {}
@@ -175,6 +177,9 @@ class Drive:
             return
         if frame.id == 0 and frame.data[0] in (0x81, 0x82) and frame.data[1] in (0, self.node):
             self.restart()
+            return
+        if frame.id == 0 and self.starts:
+            self.starts -= 1
             return
         self.slave.receive(frame)
         self._hear_pdo(frame)

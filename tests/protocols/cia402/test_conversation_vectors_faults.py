@@ -1,0 +1,474 @@
+"""Conversations of vectors: faults, how they are cleared, quick stops, restarts, silence, NMT, the watchdog."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from canopen.emcy import EmcyError
+
+from protocols.words import ClearFault, Estop, Fault, Hold, Idle, Stop, Velocity
+from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.firmware import Drive
+from tests.protocols.cia402.test_conversation_vectors import CONFIGURED, armed
+
+AGAIN = """
+        rpdo1 6040=0006 6060=8 607A=4096 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=4096 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=4096 …
+        < State armed OPERATION ENABLED, cyclic synchronous position"""
+
+
+def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
+    talk = armed(Talk())
+    talk.drive.trip(0x2310)
+    talk.chapter(
+        200,
+        Hold("m"),  # nothing is said to it till somebody clears it
+        told="""
+        0..1 < Fault 2310 continuous over current on the output
+        0..20 < State fault FAULT
+        still rpdo1 6040=000F 6060=8 607A=4096 …
+        sync /10
+        beat 127 OPERATIONAL …
+        """,
+    )
+    talk.chapter(50, Hold("m"), told="sync ?\nbeat ?")
+    talk.chapter(
+        200,
+        ClearFault("m"),
+        Hold("m"),
+        told=f"""
+        write 6040 = 0000
+        write 6040 = 0080
+        < State ready SWITCH ON DISABLED
+        < Done ClearFault m{AGAIN}
+        sync /10
+        beat ?
+        """,
+    )
+    talk.drive.trip(0x2310)  # again is another one
+    talk.chapter(50, Hold("m"), told="< Fault 2310 *\n< State fault FAULT\nsync ?\nbeat ?")
+
+
+def test_vectors_of_a_fault_without_emcy() -> None:
+    talk = armed(Talk())
+    talk.drive.trip(0x7305, emcy=False)
+    talk.chapter(
+        100,
+        Hold("m"),  # 603F comes with TPDO2
+        told="""
+        < State fault FAULT
+        < Fault 7305 incremental sensor 1
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_fault_that_is_asked_for() -> None:
+    talk = armed(Talk(feedback="sdo"), Velocity("m", 1.0))
+    talk.drive.trip(0x3220, emcy=False)
+    talk.chapter(
+        200,
+        Velocity("m", 1.0),
+        told="""
+        0..40 < State fault FAULT
+        0..60 < Fault 3220 DC link under voltage
+        beat ?
+        reads 603F
+        """,
+    )
+    talk.chapter(
+        200,
+        ClearFault("m"),
+        Velocity("m", 1.0),
+        told="""
+        write 6040 = 0000
+        write 6040 = 0080
+        < State ready SWITCH ON DISABLED
+        < Done ClearFault m
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo1 6040=0006 6060=9 607A=4096 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=9 607A=4096 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=9 607A=4096 …
+        < State armed OPERATION ENABLED, cyclic synchronous velocity
+        rpdo2 60FF=2608 6071=0 60B2=0 …
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_fault_found_at_the_start() -> None:
+    drive = Drive()
+    drive.trip(0x8611, emcy=False)
+    talk = Talk(drive)
+    talk.chapter(
+        150,
+        Idle("m"),
+        told="""
+        < State initialising FAULT*
+        < Fault 8611 following error
+        < State fault FAULT
+        """,
+    )
+    talk.chapter(100, Hold("m"), told="")
+    talk.chapter(
+        100,
+        ClearFault("m"),
+        Idle("m"),
+        told="""
+        write 6040 = 0000
+        write 6040 = 0080
+        < State ready SWITCH ON DISABLED
+        < Done ClearFault m
+        """,
+    )
+
+
+@pytest.mark.parametrize("stubborn", [2, 99])
+def test_vectors_of_a_fault_that_does_not_go(stubborn: int) -> None:
+    talk = armed(Talk(feedback="event"))
+    talk.drive.trip(0x4310)
+    talk.drive.resets = stubborn
+    talk.chapter(100, Idle("m"))
+    end = """
+        500..530 < State ready SWITCH ON DISABLED
+        500..530 < Done ClearFault m"""
+    if stubborn > 2:
+        end = """
+        3000..3010 < Fault 4310 excess temperature drive
+        3000..3010 < Refused ClearFault m still in fault: error code 0x4310"""
+    # the same value is one line, where it was said first: 0000, 0080, and so again half a second later
+    talk.chapter(3200, ClearFault("m"), Idle("m"))
+    said = [
+        (at, w.data[4]) for at, w in talk.wires[-4000:] if w.id == 0x602 and w.data[:3] == b"\x2b\x40\x60"
+    ]
+    begun = said[0][0]
+    times = 2 if stubborn == 2 else 6
+    assert [value for _, value in said] == [0x00, 0x80] * times
+    assert [round((at - begun) / 250) for at, value in said if value == 0x80] == [2 * n for n in range(times)]
+    wanted = [line.split(maxsplit=1) for line in end.strip().splitlines()]
+    told = [run for run in talk.runs() if run.text.startswith("< ")]
+    for (window, text), run in zip(wanted, told, strict=True):
+        low, high = map(int, window.split(".."))
+        assert run.text == text
+        assert low <= run.times[0] <= high, run
+
+
+def test_vectors_of_a_fault_cleared_before_its_statusword_tells_it() -> None:
+    talk = armed(Talk())
+    talk.drive.trip(0x2320)
+    talk.chapter(
+        150,
+        ClearFault("m"),
+        Hold("m"),
+        told=f"""
+        0..1 < Fault 2320 short circuit or earth leakage on the output
+        < State fault FAULT
+        write 6040 = 0000
+        write 6040 = 0080
+        < State ready SWITCH ON DISABLED
+        < Done ClearFault m{AGAIN}
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_warning_that_comes_goes_and_comes_again() -> None:
+    talk = armed(Talk())
+    for _ in range(2):
+        talk.drive.say_emcy(0x4210)
+        talk.chapter(
+            50,
+            Hold("m"),
+            told="""
+            0 < Fault 4210 excess temperature device
+            still rpdo1 6040=000F 6060=8 607A=4096 /10
+            sync /10
+            beat ?
+            """,
+        )
+        talk.drive.say_emcy(0x4210)
+        talk.chapter(50, Hold("m"), told="sync /10\nbeat ?")
+        talk.drive.say_emcy(0)
+        talk.chapter(50, Hold("m"), told="sync /10\nbeat ?")
+
+
+@pytest.mark.parametrize("family", range(16))
+def test_vectors_of_codes_told_by_their_family_as_the_package_calls_it(family: int) -> None:
+    code = family << 12 | 0x00A7
+    wanted = EmcyError(code, 0, b"", 0.0).get_desc().lower()
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive.say_emcy(code)
+    talk.chapter(20)
+    (fault,) = [event for event in talk.events if isinstance(event, Fault)]
+    assert fault.code == code
+    assert fault.name.endswith(f"({code:#06x})")
+    assert "manual" in fault.cure
+    if wanted and family:  # 0x00A7 is "error reset or no error" there
+        assert fault.name.startswith(wanted), (fault.name, wanted)
+    elif family:
+        assert fault.name.startswith("unknown")
+
+
+def test_vectors_of_an_emergency_stop_and_its_end() -> None:
+    talk = armed(Talk())
+    talk.chapter(
+        100,
+        Estop("m"),
+        Hold("m"),
+        told="""
+        0 < Fault 10004 quick stop
+        < State fault OPERATION ENABLED, cyclic synchronous position
+        rpdo1 6040=0002 6060=8 607A=4096 …
+        < State fault QUICK STOP ACTIVE
+        < Done Estop m *
+        20..50 < State fault SWITCH ON DISABLED
+        sync /10
+        beat ?
+        """,
+    )
+    talk.chapter(100, Hold("m"), told="sync /10\nbeat ?")
+    talk.chapter(
+        150,
+        ClearFault("m"),
+        Hold("m"),
+        told=f"""
+        < State ready SWITCH ON DISABLED
+        < Done ClearFault m{AGAIN}
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_an_emergency_stop_that_holds_is_left_without_dropping_the_load() -> None:
+    drive = Drive()
+    drive.put(0x605A, 6)
+    talk = armed(Talk(drive))
+    talk.chapter(100, Estop("m"), Hold("m"))
+    assert drive.state == "QUICK STOP ACTIVE"
+    drive.put(0x6064, 4000)
+    talk.chapter(30, Hold("m"), told="sync /10\nbeat ?")
+    talk.chapter(
+        150,
+        ClearFault("m"),
+        Hold("m"),
+        told="""
+        < State ready QUICK STOP ACTIVE
+        < Done ClearFault m
+        rpdo1 6040=0002 6060=8 607A=4000 …
+        rpdo1 6040=000F 6060=8 607A=4000 /10
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_an_emergency_stop_by_sdo_said_till_it_is_obeyed() -> None:
+    talk = armed(Talk(feedback="sdo", mapping="keep", watchdog_ms=0))
+    talk.drive.deaf = True
+    talk.chapter(
+        200,
+        Estop("m"),
+        Hold("m"),
+        told="""
+        0 < Fault 10004 quick stop
+        0 < State fault *
+        write 6040 = 0002 /50
+        """,
+    )
+    talk.drive.deaf = False
+    talk.chapter(
+        100,
+        Hold("m"),
+        told="""
+        write 6040 = 0002
+        < State fault QUICK STOP ACTIVE
+        < Done Estop m *
+        < State fault SWITCH ON DISABLED
+        """,
+    )
+
+
+@pytest.mark.parametrize("holds", [True, False])
+def test_vectors_of_a_quick_stop_that_somebody_else_has_said(holds: bool) -> None:
+    drive = Drive()
+    drive.put(0x605A, 6 if holds else 2)
+    drive.stand("QUICK STOP ACTIVE", 8)
+    drive.since = 10**9  # it still slows down
+    talk = Talk(drive, watchdog_ms=0)
+    talk.chapter(100, Idle("m"), told="< State initialising *\n< State ready QUICK STOP ACTIVE")
+    before = len(talk.wires)
+    talk.chapter(200, Hold("m"))
+    words = [w.data[0] for _, w in talk.wires[before:] if w.id == 0x202]
+    order = list(dict.fromkeys(words))
+    assert order == ([0x02, 0x0F] if holds else [0x00, 0x06, 0x07, 0x0F])
+    assert drive.state == "OPERATION ENABLED"
+
+
+def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
+    talk = armed(Talk())
+    talk.drive.restart()
+    talk.drive.put(0x6064, 5000)
+    talk.chapter(
+        350,
+        Hold("m"),
+        told=f"""
+        0 < State initialising restarted
+        < State initialising SWITCH ON DISABLED*
+        < State ready SWITCH ON DISABLED
+        {CONFIGURED.strip()}
+        nmt OPERATIONAL 2
+        rpdo1 6040=0006 6060=8 607A=5000 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=5000 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=5000 …
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync ?
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_silence_and_of_coming_back() -> None:
+    talk = armed(Talk(offline_ms=300))
+    talk.drive.dead = True
+    talk.chapter(
+        1000,
+        Hold("m"),
+        told="""
+        280..310 < State offline nothing heard
+        still rpdo1 6040=000F 6060=8 607A=4096 /10 until 280..310
+        sync ?
+        beat ?
+        """,
+    )
+    talk.chapter(500, Hold("m"), told="reads 1000")
+    talk.drive.dead = False
+    talk.chapter(
+        400,
+        Idle("m"),
+        told="""
+        0 write 6040 = 0006 …
+        < State initialising READY TO SWITCH ON*
+        < State ready READY TO SWITCH ON
+        """,
+    )
+
+
+def test_vectors_of_a_drive_that_never_answers() -> None:
+    drive = Drive()
+    drive.dead = True
+    talk = Talk(drive, sdo_timeout_ms=50)
+    talk.chapter(400, Hold("m"), told="reads 1000")
+    talk.chapter(700, Hold("m"), told="95..110 < State offline nothing heard\nreads 1000")
+    times = [at for at, _ in talk.wires]
+    assert {b - a for a, b in pairwise(times)} == {50}
+
+
+def test_vectors_of_an_nmt_state_that_somebody_else_changes() -> None:
+    talk = armed(Talk())
+    for command in (2, 0x80):  # stop; enter pre-operational: both end its PDOs
+        talk.drive.nmt(command)
+        talk.chapter(
+            250,
+            Hold("m"),
+            told="""
+            0..110 nmt OPERATIONAL 2
+            still rpdo1 6040=000F 6060=8 607A=4096 …
+            sync /10
+            beat 127 OPERATIONAL …
+            """,
+        )
+
+
+def test_vectors_of_a_start_that_is_not_obeyed() -> None:
+    talk = Talk(feedback="sdo", watchdog_ms=0)
+    talk.chapter(100)
+    talk.drive.starts = 4
+    talk.chapter(400, Hold("m"))
+    starts = [at for at, wire in talk.wires if wire.id == 0]
+    assert [b - a for a, b in pairwise(starts)] == [100, 100, 100]
+    assert talk.drive.state == "SWITCH ON DISABLED"
+
+
+def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it_stands_then() -> None:
+    talk = armed(Talk())
+    talk.drive.stand("SWITCH ON DISABLED", 8)
+    talk.drive.put(0x6064, 5000)
+    talk.chapter(
+        150,
+        Hold("m"),
+        told="""
+        < State ready SWITCH ON DISABLED
+        rpdo1 6040=0006 6060=8 607A=5000 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=5000 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=5000 …
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        still rpdo2 60FF=0 6071=0 60B2=0 …
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_brain_that_falls_silent() -> None:
+    talk = armed(Talk())
+    talk.chapter(300, told="sync ?")  # neither set-points nor heartbeat: the drive's own watchdog is to trip
+    talk.chapter(
+        150,
+        Hold("m"),
+        told="""
+        still rpdo1 6040=000F 6060=8 607A=4096 …
+        sync /10
+        beat 127 OPERATIONAL …
+        """,
+    )
+
+
+def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
+    for options in ({}, {"feedback": "sdo"}):
+        talk = armed(Talk(**options))
+        talk.chapter(1, Idle("m"))
+        talk.drive.trip(0x3210)
+        talk.chapter(
+            150,
+            Idle("m"),
+            told="""
+            < Fault 3210 DC link over voltage
+            < State fault FAULT
+            write 1016:01 = 00000000
+            sync ?
+            beat ?
+            """,
+        )
+
+
+def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
+    drive = Drive()
+    drive.put(0x605A, 6)
+    drive.stand("QUICK STOP ACTIVE", 8)
+    talk = Talk(drive)
+    talk.chapter(100)
+    talk.chapter(
+        700,
+        Stop(),
+        Idle("m"),  # 06 does not lead out of a quick stop, 00 does
+        told="""
+        0..10 write 6040 = 0006 /50 until 450..500
+        500..510 write 6040 = 0000 …
+        < State ready SWITCH ON DISABLED
+        """,
+    )
