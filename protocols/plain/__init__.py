@@ -11,7 +11,8 @@ from typing import get_args
 from protocols.plain import line
 from protocols.plain.driver import OFFLINE, Options, PlainDriver
 from protocols.plain.ear import PlainEar
-from protocols.plain.twin import COMPLAINTS, Settings, twin
+from protocols.plain.settings import COMPLAINTS, Settings
+from protocols.plain.twin import twin
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.wire import Wire
 from protocols.words import COMMANDS, MILLISECOND, Command, ReadParameter, Request, Scan

@@ -1,22 +1,23 @@
-"""The device's end of a plain line: a sensor, and the firmware of a small motor controller.
+"""The device's end of a plain line: the firmware of a small motor controller (`sensor` has the sensors).
 
 Rules. A device obeys whole messages to its address, or to everyone (Scan, SetId), whose numbers lie
-within `line.LIMITS`; all else it does not hear. A sensor tells what the world shows it at once. A motor
-is armed by any command but Idle, and its watchdog is fed by commands alone. A fault disarms, is told
-with every State, and goes only by ClearFault or Reboot. README.md holds the table of behaviours.
+within `line.LIMITS`; all else it does not hear. A motor is armed by any command but Idle, and its
+watchdog is fed by commands alone. A fault disarms, is told with every State, and goes only by ClearFault
+or Reboot. README.md holds the table of behaviours.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Any
 
 from protocols.plain import line
 from protocols.plain.ear import PlainEar
-from protocols.plugin import Complaint, Device, Twin
+from protocols.plain.sensor import PlainSensor, messages_of, to_all
+from protocols.plain.settings import COMPLAINTS, WRITABLE, Settings
+from protocols.plugin import Device, Twin
 from protocols.wire import Wire
 from protocols.words import (
     MILLISECOND,
@@ -27,13 +28,9 @@ from protocols.words import (
     Event,
     Fault,
     Feedback,
-    Fix,
-    Found,
     Hold,
     Idle,
     Impedance,
-    Imu,
-    LaserScan,
     Mode,
     Nanos,
     Parameter,
@@ -41,9 +38,6 @@ from protocols.words import (
     ReadParameter,
     Reboot,
     Refused,
-    Request,
-    Scan,
-    SetId,
     State,
     Torque,
     Velocity,
@@ -54,86 +48,6 @@ from protocols.words import (
 
 BOOT: Nanos = 50 * MILLISECOND
 """From Reboot to ready."""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What is configured on a plain device. All but `serial` can be read and written while it runs."""
-
-    serial: int = 0
-    """Serial number, told to Scan."""
-    watchdog_ms: float = 100.0
-    """Silence of the host after which an armed motor faults; 0 is never."""
-    feedback_ms: float = 5.0
-    """Period of Feedback."""
-    state_ms: float = 100.0
-    """Period of State, which is told at every change too."""
-    position_gain: float = 1.0
-    """N·m/rad"""
-    position_damping: float = 0.05
-    """N·m·s/rad"""
-    velocity_gain: float = 0.05
-    """N·m·s/rad"""
-    velocity_integral: float = 0.5
-    """N·m/rad"""
-    torque_limit: float = 2.0
-    """N·m; whatever is commanded is cut to it"""
-    torque_constant: float = 0.1
-    """N·m/A"""
-    supply: float = 24.0
-    """V"""
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not math.isfinite(value) or value < 0:
-                raise ValueError(f"{f.name} must be zero or more, not {value}")
-        for name in ("feedback_ms", "state_ms", "torque_constant"):
-            if getattr(self, name) < 1e-3:
-                raise ValueError(f"{name} must be more than zero, not {getattr(self, name)}")
-
-
-COMPLAINTS = {
-    1: Complaint(
-        "watchdog expired", "no command came within watchdog_ms", "find why the host fell silent, then clear"
-    ),
-    2: Complaint("emergency stop", "asked for by the host", "clear when it is safe"),
-}
-"""What a motor may complain of, by code."""
-
-WRITABLE = tuple(f.name for f in fields(Settings) if f.name != "serial")
-
-
-class PlainSensor:
-    """A lidar, an inertial sensor or a satellite receiver."""
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._ear = PlainEar([device])
-        self._answers: list[Event] = []
-
-    def receive(self, t: Nanos, wire: Wire) -> None:
-        """Answer Scan and SetId."""
-        for word in self._ear.hear(t, wire):
-            device = _line(self._device, word, t, self._answers)
-            if device is not self._device:
-                self._device = device
-                self._ear.follow(device)
-
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
-        """Tell what the world shows to this sensor, each measurement at once."""
-        shown = [w for w in truth if isinstance(w, Imu | LaserScan | Fix) and w.sensor == self._device.name]
-        said = [*self._answers, *shown]
-        self._answers = []
-        return [], _messages(self._device, now, said)
-
-    def due(self) -> Nanos | None:
-        """A sensor speaks when the world shows it something."""
-        return None
-
-    def provoke(self, code: int) -> None:
-        """A sensor has no faults."""
-        raise ValueError(f"a plain sensor has no fault {code}")
 
 
 class PlainMotor:
@@ -174,7 +88,7 @@ class PlainMotor:
             elif isinstance(word, line.MotorRequest):
                 self._answer(t, word)
             else:
-                device = _line(self._device, word, t, self._answers)
+                device = to_all(self._device, word, t, self._answers)
                 if device is not self._device:
                     self._device = device
                 self._ear.follow(device)
@@ -192,7 +106,7 @@ class PlainMotor:
         self._torque = self._loop(dt) if self._mode == Mode.ARMED else 0.0
         said = [*self._answers, *self._cyclic(now)]
         self._answers = []
-        return [Torque(self._device.name, self._torque)], _messages(self._device, now, said)
+        return [Torque(self._device.name, self._torque)], messages_of(self._device, now, said)
 
     def due(self) -> Nanos | None:
         """When it next tells its state or feedback, trips its watchdog, or is ready again."""
@@ -345,26 +259,6 @@ class PlainMotor:
 def twin(device: Device, _seed: int = 0) -> Twin:
     """The device behind a plain address. Nothing in it is random: noise is the world's."""
     return PlainMotor(device) if device.options.kind == "motor" else PlainSensor(device)
-
-
-def _line(device: Device, word: Command | Request, t: Nanos, answers: list[Event]) -> Device:
-    """Answer what the whole line was asked; the device as it is afterwards."""
-    serial = device.settings.serial
-    if isinstance(word, SetId) and word.serial == serial and 1 <= word.address <= 0xFF:
-        device = replace(device, address=word.address)
-    elif not isinstance(word, Scan):
-        return device
-    answers.append(Found(t, line.NAME, device.address, serial, device.options.kind))
-    return device
-
-
-def _messages(device: Device, now: Nanos, said: Sequence[Event]) -> list[bytes]:
-    """The words as messages. What no message can hold (not finite, too long) is not told."""
-    messages = []
-    for word in said:
-        with contextlib.suppress(ValueError):
-            messages.append(line.message(device.address, word, now))
-    return messages
 
 
 def _measured(shaft: Feedback) -> bool:

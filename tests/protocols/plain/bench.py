@@ -8,7 +8,7 @@ from typing import Any
 from protocols.conformance.rehearsal import Rehearsal, Said, Shaft
 from protocols.plain import plugin
 from protocols.plain.driver import Options
-from protocols.plain.twin import Settings
+from protocols.plain.settings import Settings
 from protocols.plugin import Device
 from protocols.words import Command, Event, Request
 

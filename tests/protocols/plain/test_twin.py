@@ -10,7 +10,8 @@ import pytest
 
 from protocols.conformance.rehearsal import Rehearsal, sights
 from protocols.plain import line, plugin
-from protocols.plain.twin import BOOT, COMPLAINTS, Settings
+from protocols.plain.settings import COMPLAINTS, Settings
+from protocols.plain.twin import BOOT
 from protocols.wire import CanFrame
 from protocols.words import (
     MILLISECOND,

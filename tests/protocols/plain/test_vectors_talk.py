@@ -13,7 +13,7 @@ import pytest
 
 from protocols.plain.driver import Options, PlainDriver
 from protocols.plain.ear import PlainEar
-from protocols.plain.twin import Settings
+from protocols.plain.settings import Settings
 from protocols.plugin import Device, Tally
 from protocols.wire import BusState, CanFrame, Wire
 from protocols.words import (
