@@ -305,7 +305,8 @@ def test_vectors_of_every_bit_of_a_part_of_0_5(message: str, number: int, bit: i
     known = {value: word for value, word in words.items() if 0 < value < 1 << 32}  # the DBC has 32 bits
     talk = standing05()
     talk.answer(f"Get_{message}", **{message: sum(known)})
-    talk.beat(1, bit, **({f"{part}_Error_Flag": 1} if part != "Sensorless" else {}))
+    flag = {f"{part}_Error_Flag": 1} if part != "Sensorless" else {}
+    talk.tell("Heartbeat", 3, False, Axis_State=1, Axis_Error=bit, **flag)
     talk.run(10)
     told = [f"Fault axis3 {(number << 48) + value:#x} {part.lower()} {word}" for value, word in known.items()]
     assert faults(talk)[1:] == told
