@@ -42,7 +42,7 @@ BEGIN = 1_000_000
 FEEDBACK = ("6041", "6061", "6064", "606C", "6077", "6078", "6079")
 HEX = (0x6040, 0x6041, 0x1016)
 """Objects of bits."""
-NMT = {number: name for name, number in reversed(NMT_COMMANDS.items())}
+NMT = {number: name for name, number in NMT_COMMANDS.items()}
 DICTIONARY = dictionary(1)
 SUMMED = ("still", "reads", "asks", "sync", "beat", "measures")
 

@@ -175,11 +175,11 @@ class Drive:
         """A frame of the host."""
         if self.dead or frame.id == 0x700 + self.node:
             return
-        if frame.id == 0 and frame.data[0] in (0x81, 0x82) and frame.data[1] in (0, self.node):
-            self.restart()
-            return
         if frame.id == 0 and self.starts:
             self.starts -= 1
+            return
+        if frame.id == 0 and frame.data[0] in (0x81, 0x82) and frame.data[1] in (0, self.node):
+            self.restart()
             return
         self.slave.receive(frame)
         self._hear_pdo(frame)

@@ -1,0 +1,305 @@
+"""Conversations of vectors: the bus, looking for devices, and several drives on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from protocols.cia402 import plugin
+from protocols.cia402.options import Options, Settings
+from protocols.plugin import Device
+from protocols.wire import BusState, CanFrame
+from protocols.words import Event, Found, Hold, Home, Idle, ReadParameter, Scan, Velocity
+from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.firmware import Drive
+from tests.protocols.cia402.test_conversation_vectors import armed
+
+
+@pytest.mark.parametrize("state", [BusState.GONE, BusState.OFF])
+def test_vectors_of_a_bus_that_is_gone_and_back(state: BusState) -> None:
+    talk = armed(Talk())
+    talk.chapter(1, ReadParameter("m", "6081"), Scan("can0"), Home("m"), Hold("m"))
+    talk.bus(state)
+    talk.drive.dead = True
+    talk.chapter(
+        100,
+        Hold("m"),
+        told=f"""
+        0 < Refused ReadParameter m the bus is {state}
+        0 < Refused Home m the bus is {state}
+        0 < Refused Scan can0 the bus is {state}
+        """,
+    )
+    talk.bus(BusState.BACK)
+    talk.drive.dead = False
+    talk.chapter(350, Hold("m"))
+    assert talk.drive.state == "OPERATION ENABLED"
+    assert talk.drive.get(0x6060) == 8, "nobody homes any longer"
+
+
+def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_said() -> None:
+    talk = armed(Talk(), Velocity("m", 1.0))
+    talk.bus(BusState.BACK)
+    talk.drive.put(0x6064, 5000)
+    talk.chapter(
+        40,
+        Velocity("m", 1.0),
+        told="""
+        < State initialising *
+        < State initialising *
+        sync ?
+        beat ?
+        """,
+    )
+    talk.chapter(
+        160,
+        Velocity("m", 1.0),  # it runs still, in the mode that is wanted: it is steered again
+        told="""
+        < State armed OPERATION ENABLED, cyclic synchronous velocity
+        write 1016:01 = 007F01F4
+        rpdo1 6040=000F 6060=9 607A=5000 …
+        still rpdo2 60FF=2608 6071=0 60B2=0 /10
+        sync ?
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_full_queue_what_may_be_lost_is_said_again() -> None:
+    talk = armed(Talk(), Velocity("m", 1.0))
+    talk.chapter(30, Velocity("m", 1.0))
+    talk.bus(BusState.FULL)
+    mark = len(talk.wires)
+    talk.chapter(15, Velocity("m", 1.0))
+    assert {wire.id for _, wire in talk.wires[mark:]} >= {0x202, 0x302, 0x402}
+
+
+@pytest.mark.parametrize("state", [BusState.UP, BusState.PASSIVE])
+def test_vectors_of_a_bus_that_goes_on(state: BusState) -> None:
+    talk = armed(Talk())
+    talk.bus(state)
+    talk.chapter(50, Hold("m"), told="still rpdo1 6040=000F 6060=8 607A=4096 /10\nsync /10\nbeat ?")
+
+
+# -- looking for devices --------------------------------------------------------------------------------
+
+
+def _asked(talk: Talk, mark: int) -> list[tuple[int, str]]:
+    return [(wire.id - 0x600, wire.data[1:4].hex()) for _, wire in talk.wires[mark:] if wire.id != 0x602]
+
+
+def _found(events: Sequence[Event]) -> list[tuple[int, int | None, bool, str]]:
+    return [(e.address, e.serial, e.twice, e.detail) for e in events if isinstance(e, Found)]
+
+
+def test_vectors_of_a_scan_of_an_empty_bus() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    mark = len(talk.wires)
+    talk.chapter(900, Scan("can0"))
+    assert _asked(talk, mark) == [(node, "001000") for node in range(1, 128) if node != 2], "1000, of each"
+    at = {wire.id: at for at, wire in talk.wires[mark:] if wire.id != 0x602}
+    assert max(at.values()) - min(at.values()) < 500
+    assert _found(talk.events) == [
+        (2, 4711, False, "m, twin402, device profile 402, vendor 0x0, product 0x192")
+    ]
+    done = [run for run in talk.runs() if run.text.startswith("< Done")]
+    assert [run.text for run in done] == ["< Done Scan can0 1 devices"]
+    assert 400 <= done[0].times[0] <= 600, "half a second"
+
+
+class Stranger(Drive):
+    """A drive that nobody has in the robot file: it hears all, and answers what is for it."""
+
+    def __init__(self, node: int, serial: int, copies: int = 1) -> None:
+        super().__init__(node)
+        self.put(0x1018, serial, 4)
+        self.put(0x1018, 0x29C, 1)
+        self.put(0x1018, 0x1234, 2)
+        self.copies = copies
+
+
+def with_strangers(talk: Talk, strangers: Sequence[Drive], ms: int, *words: Scan) -> None:
+    """So many ms beside them."""
+    for at in range(ms):
+        mark = len(talk.wires)
+        talk.chapter(1, *(words if at == 0 else ()))
+        for _, wire in talk.wires[mark:]:
+            for stranger in strangers:
+                if wire.id == 0x600 + stranger.node:
+                    stranger.hear(wire)
+        for stranger in strangers:
+            talk.drive.extra += stranger.speak(at)
+
+
+def test_vectors_of_a_scan_that_finds_strangers() -> None:
+    one, two, silent, poor = Stranger(5, 77), Stranger(7, 78, copies=2), Stranger(9, 79), Stranger(126, 80)
+    silent.dead = True
+    poor.lack(0x1018)
+    talk = Talk()
+    talk.chapter(100)
+    mark = len(talk.wires)
+    with_strangers(talk, (one, two, silent, poor), 900, Scan("can0"))
+    known = "device profile 402, vendor 0x29c, product 0x1234"
+    assert _found(talk.events)[1:] == [
+        (5, 77, False, known),
+        (7, 78, True, known),
+        (126, None, False, "device profile 402"),
+    ]
+    asked = _asked(talk, mark)
+    assert [key for node, key in asked if node == 5] == ["001000", "181001", "181002", "181004"]
+    talk.hear(CanFrame(0x585, bytes.fromhex("4300100092010200")))  # nobody looks any longer
+    foreign = talk.driver.tally.foreign
+    talk.hear(CanFrame(0x585, bytes.fromhex("4300100092010200")))
+    assert talk.driver.tally.foreign == foreign + 1
+
+
+def test_vectors_of_two_scans_at_once() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.chapter(50, Scan("can0"))
+    talk.chapter(1, Scan("can0"))
+    assert any(str(run.text) == "< Refused Scan can0 a scan is under way" for run in talk.runs())
+    talk.chapter(900)
+    talk.chapter(900, Scan("can0"))
+    assert [type(event).__name__ for event in talk.events].count("Done") == 2
+
+
+def test_vectors_of_a_scan_says_of_its_own_drive_that_it_is_held_twice() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive.copies = 2
+    talk.chapter(100)
+    talk.drive.copies = 1
+    talk.chapter(900, Scan("can0"))
+    assert [twice for _, _, twice, _ in _found(talk.events)] == [True, True]
+    talk.drive.dead = True
+    talk.chapter(600)
+    before = len(talk.events)
+    talk.chapter(900, Scan("can0"))
+    assert _found(talk.events[before:]) == [], "it is gone"
+
+
+# -- several drives ----------------------------------------------------------------------------------------
+
+
+def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
+    left, right = Drive(2), Drive(3)
+    right.put(0x6064, -4096)
+    talk = Talk(left, right)
+    talk.chapter(100)
+    talk.chapter(400, Velocity("m", 1.0), Velocity("n", -1.0))
+    assert [left.state, right.state] == ["OPERATION ENABLED"] * 2
+    talk.chapter(
+        300,
+        Velocity("m", 1.0),
+        Velocity("n", -2.0),
+        told="""
+        3: rpdo2 60FF=-5215 6071=0 60B2=0 /10
+        still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
+        still 3: rpdo1 6040=000F 6060=9 607A=-4096 …
+        sync /10
+        beat 127 OPERATIONAL /125..130
+        measures m.position=1.5708 n.position=-1.5708
+        """,
+    )
+    talk.chapter(
+        200,
+        Velocity("m", 1.0),  # the other is not commanded: the host's heartbeat stops for both
+        told="""
+        still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
+        sync /10
+        """,
+    )
+    talk.chapter(
+        100,
+        Velocity("m", 1.0),
+        Idle("n"),  # once it is let go, the other's is fed again
+        told="""
+        3: rpdo2 60FF=0 6071=0 60B2=0
+        3: rpdo1 6040=0006 6060=9 607A=-4096
+        < State n ready READY TO SWITCH ON
+        3: write 1016:01 = 00000000
+        sync /10
+        beat ?
+        """,
+    )
+    talk.chapter(200, Velocity("m", 1.0), told="sync /10\nbeat 127 OPERATIONAL /125..130")
+    right.trip(0x2310)
+    talk.chapter(
+        50,
+        Velocity("m", 1.0),
+        Idle("n"),
+        told="""
+        0 < Fault n 2310 continuous over current on the output
+        < State n fault FAULT
+        still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_drives_with_different_watchdogs_share_the_faster_heartbeat() -> None:
+    left, right = Drive(2), Drive(3)
+    devices = [
+        Device("m", 2, Options(watchdog_ms=400), Settings()),
+        Device("n", 3, Options(watchdog_ms=200), Settings()),
+    ]
+    talk = Talk(left, right)
+    talk.driver = plugin.driver(devices)
+    talk.chapter(100)
+    talk.chapter(300, Hold("m"), Hold("n"))
+    talk.chapter(300, Hold("m"), Hold("n"), told="sync /10\nbeat 127 OPERATIONAL /50..60")
+    assert [left.get(0x1016, 1), right.get(0x1016, 1)] == [0x7F0190, 0x7F00C8]
+
+
+def test_vectors_of_a_bus_whose_sync_is_somebody_else_s() -> None:
+    talk = Talk(sync_ms=0)
+    talk.chapter(100)
+    talk.chapter(150, Hold("m"), told=None)
+    assert not [wire for _, wire in talk.wires if wire.id == 0x80]
+    sync = CanFrame(0x80)
+    for _ in range(30):
+        talk.drive.hear(sync)
+        talk.hear(sync)
+        talk.chapter(10, Hold("m"))
+    assert talk.drive.state == "OPERATION ENABLED"
+    assert not [event for event in talk.events if isinstance(event, Found)]
+
+
+def test_vectors_of_a_second_producer_of_sync_told_once() -> None:
+    talk = armed(Talk())
+    for _ in range(3):
+        talk.hear(CanFrame(0x80))
+        talk.chapter(10, Hold("m"))
+    assert [(each.address, each.twice) for each in talk.events if isinstance(each, Found)] == [(0, True)]
+
+
+DIFFERENT = [
+    ({"sync_ms": 5}, "sync_ms"),
+    ({"host_id": 99}, "host"),
+    ({"feedback": "event", "sync_ms": 5}, ""),
+    ({"watchdog_ms": 100}, ""),
+    ({"host_id": 3, "watchdog_ms": 0}, "host"),
+]
+
+
+@pytest.mark.parametrize(("options", "wrong"), DIFFERENT)
+def test_vectors_of_drives_that_do_not_agree_on_their_bus(options: dict[str, object], wrong: str) -> None:
+    devices = [
+        Device("m", 2, Options(), Settings()),
+        Device("n", 3, Options(**options), Settings()),  # type: ignore[arg-type]  # by name
+    ]
+    if wrong:
+        with pytest.raises(ValueError, match=wrong):
+            plugin.driver(devices)
+    else:
+        plugin.driver(devices)
+
+
+@pytest.mark.parametrize("watchdog", [0, 500])
+def test_vectors_of_a_host_id_that_a_drive_has(watchdog: int) -> None:
+    with pytest.raises(ValueError, match="host"):
+        Talk(Drive(127), watchdog_ms=watchdog)

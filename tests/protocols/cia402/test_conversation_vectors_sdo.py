@@ -1,0 +1,364 @@
+"""Conversations of vectors: SDO answers lost, late, doubled, refused, cut; and what a person asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import pytest
+
+from protocols.wire import CanFrame
+from protocols.words import (
+    ClearFault,
+    Found,
+    Hold,
+    Idle,
+    ReadParameter,
+    Reboot,
+    Request,
+    Velocity,
+    WriteParameter,
+)
+from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.firmware import Drive
+from tests.protocols.cia402.test_conversation_vectors import armed
+from tests.protocols.cia402.vectors import VECTORS
+
+
+def test_vectors_of_answers_that_are_lost() -> None:
+    talk = Talk(sdo_timeout_ms=30)
+    talk.chapter(20)
+    talk.drive.mute = True
+    before = len(talk.wires)
+    talk.chapter(300)
+    times = [at for at, _ in talk.wires[before:]]
+    asked = [wire.data[1:4].hex() for _, wire in talk.wires[before:]]
+    assert {late - soon for soon, late in pairwise(times[1:])} == {30}
+    assert len(set(asked)) > 1, "given up after three, and something else is asked"
+    assert max(asked.count(key) for key in set(asked[:8])) >= 2, "repeated"
+    talk.drive.mute = False
+    talk.chapter(150)
+    assert "< State ready SWITCH ON DISABLED" in talk.transcript(150)[0], talk.transcript(150)
+
+
+def test_vectors_of_a_write_that_is_not_answered_all_of_it_again() -> None:
+    talk = Talk(sdo_timeout_ms=30)
+    talk.chapter(100)
+    talk.chapter(10, Hold("m"))
+    talk.drive.mute = True
+    talk.chapter(250, Hold("m"))  # three times 30 ms, for a question and for a write
+    talk.drive.mute = False
+    talk.chapter(300, Hold("m"))
+    assert talk.drive.state == "OPERATION ENABLED"
+    written = [
+        wire.data for _, wire in talk.wires if wire.id == 0x602 and wire.data[:4] == b"\x23\x00\x14\x01"
+    ]
+    assert [bool(data[7] & 0x80) for data in written] == [True, False] * 2, "begun anew with the first PDO"
+
+
+def test_vectors_of_answers_that_come_late() -> None:
+    drive = Drive()
+    drive.late = 15
+    talk = Talk(drive, feedback_ms=20)
+    talk.chapter(
+        1200,
+        told="""
+        < State initialising asking it what it is
+        < State initialising SWITCH ON DISABLED*
+        < State ready SWITCH ON DISABLED
+        asks 6041 6061 6064 606C 6077 6078 6079
+        measures position=1.5708 velocity=0 torque=0 current=0 voltage=48
+        """,
+    )
+    assert not [event for event in talk.events if isinstance(event, Found)]
+
+
+def test_vectors_of_answers_that_come_after_the_question_was_repeated() -> None:
+    drive = Drive()
+    drive.late = 40
+    talk = Talk(drive, sdo_timeout_ms=30, feedback_ms=100)
+    talk.chapter(4000)
+    assert not [event for event in talk.events if isinstance(event, Found)], "one late device is not two"
+    assert talk.drive.get(0x6064) == 4096
+    assert any("State ready" in str(run) for run in talk.runs()) or len(talk.events) > 10
+
+
+def test_vectors_of_every_question_answered_twice() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive.copies = 2
+    talk.chapter(
+        100,
+        Idle("m"),
+        told="""
+        0..50 < Found 2 4711 node id 2 is held twice: * twice
+        < Fault 10002 node id is held twice
+        """,
+    )
+    talk.chapter(1200, Idle("m"), told="reads 1018:04")  # told once
+    talk.drive.copies = 1
+    talk.chapter(100, ClearFault("m"), Idle("m"), told="< Done ClearFault m")
+    talk.chapter(1200, Idle("m"), told="reads 1018:04")
+    talk.drive.copies = 2
+    talk.chapter(100, Idle("m"), told="< Found *\n< Fault 10002 *")
+
+
+def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
+    talk = Talk(feedback_ms=50)
+    talk.chapter(900)
+    talk.hear(CanFrame(0x582, bytes.fromhex("4318100405000000")))  # nobody asked: it changes nothing
+    talk.chapter(50, told="")
+    talk.drive.put(0x1018, 99, 4)
+    talk.chapter(
+        1200,
+        told="""
+        0..1060 < State initialising another device answers
+        < State initialising asking it what it is
+        < State initialising SWITCH ON DISABLED*
+        < State ready SWITCH ON DISABLED
+        """,
+    )
+    other = Drive()
+    other.put(0x1018, 77, 4)
+    other.restart()
+    for _ in range(1100):  # it hears the same questions, and is a bit later
+        mark = len(talk.wires)
+        talk.chapter(1)
+        for _, wire in talk.wires[mark:]:
+            if wire.id == 0x602 and wire.data[:4] == b"\x40\x18\x10\x04":
+                other.slave.said()
+                other.slave.receive(wire)
+                talk.drive.extra += [frame for frame in other.slave.said() if frame.id == 0x582]
+    found = [event for event in talk.events if isinstance(event, Found)]
+    assert [(each.address, each.twice) for each in found] == [(2, True)]
+
+
+def test_vectors_of_heartbeats_that_contradict_each_other() -> None:
+    beats = {state: CanFrame(0x702, bytes((state,))) for state in (5, 127)}
+    talk = Talk()
+    talk.chapter(60)
+    talk.hear(beats[5], beats[127], beats[127])  # it was stopped: no contradiction
+    talk.chapter(20, told="")
+    talk.hear(beats[5], beats[127], beats[5])
+    talk.chapter(0)
+    found = [event for event in talk.events if isinstance(event, Found)]
+    assert [(each.address, each.serial, each.twice) for each in found] == [(2, 4711, True)]
+
+
+# fmt: off
+ASKED: list[tuple[Request, Sequence[str]]] = [
+    (ReadParameter("m", "6081"),                  ["< Parameter 6081 100000", "< Done ReadParameter m *"]),
+    (ReadParameter("m", "0x608F:01"),             ["< Parameter 0x608F:01 16384", "< Done *"]),
+    (ReadParameter("m", "Profile velocity"),      ["< Parameter Profile velocity 100000", "< Done *"]),
+    (ReadParameter("m", "605a"),                  ["< Parameter 605a 2", "< Done *"]),
+    (ReadParameter("m", "1008"),                  ["< Done ReadParameter m twin402"]),  # 7 bytes: in segments
+    (ReadParameter("m", "5FFF"),                  ["< Refused ReadParameter m * (SDO abort 0x06020000)"]),
+    (ReadParameter("m", "1018:09"),               ["< Refused ReadParameter m * (SDO abort 0x06090011)"]),
+    (ReadParameter("m", "nonsense"),              ["0 < Refused ReadParameter m 'nonsense' is no object*"]),
+    (ReadParameter("m", "608F:1234"),             ["0 < Refused ReadParameter m '608F:1234' is no object*"]),
+    (WriteParameter("m", "6081", 12345.0),        ["write 6081 = 12345", "< Done WriteParameter m"]),
+    (WriteParameter("m", "605A", -2.0),           ["write 605A = -2", "< Done *", "< State initialising *"]),
+    (WriteParameter("m", "6098", 37.0),           ["write 6098 = 37", "< Done WriteParameter m"]),
+    (WriteParameter("m", "Torque slope", 5.0),    ["write 6087 = 5", "< Done WriteParameter m"]),
+    (WriteParameter("m", "6041", 1.0),            ["write 6041 = 0001", "< Refused * (* 0x06010002)"]),
+    (WriteParameter("m", "6081", 0.5),            ["0 < Refused WriteParameter m 0.5 is not a whole number"]),
+    (WriteParameter("m", "6081", float("nan")),   ["0 < Refused WriteParameter m nan is not a whole number"]),
+    (WriteParameter("m", "6081", -1.0),           ["0 < Refused WriteParameter m -1 *"]),
+    (WriteParameter("m", "6098", 128.0),          ["0 < Refused WriteParameter m 128 *"]),
+    (WriteParameter("m", "2000", 1.0),            ["0 < Refused WriteParameter m * not known*"]),
+    (WriteParameter("m", "1008", 1.0),            ["0 < Refused WriteParameter m * not known*"]),
+    (WriteParameter("m", "6040", 6.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "6060", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "607A", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "60FF", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "6071", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "60B1", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "1016:01", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "1400:01", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
+    (WriteParameter("m", "1A03:08", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("request_", "told"), ASKED)
+def test_vectors_of_parameters(request_: Request, told: Sequence[str]) -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.chapter(30, request_, told="\n".join(told))
+
+
+def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
+    drive = Drive()
+    drive.own(0x2000, 1)
+    talk = Talk(drive)
+    talk.chapter(100)
+    drive.local.data_store[0x2000] = {1: b"\xfe"}
+    talk.chapter(
+        30,
+        ReadParameter("m", "2000:01"),
+        told="< Parameter 2000:01 254\n< Done ReadParameter m of unknown type*",
+    )
+    drive.local.data_store[0x2000] = {1: bytes(9)}
+    talk.chapter(
+        30, ReadParameter("m", "2000:01"), told="< Refused ReadParameter m * is no number of its type"
+    )
+
+
+def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.chapter(
+        100,
+        WriteParameter("m", "608F:01", 8192.0),
+        Idle("m"),
+        told="""
+        write 608F:01 = 8192
+        < Done WriteParameter m
+        < State initialising SWITCH ON DISABLED*
+        < State ready SWITCH ON DISABLED
+        measures position=3.1416
+        """,
+    )
+
+
+def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
+    talk = armed(Talk(sdo_timeout_ms=50))
+    talk.chapter(
+        50,
+        ReadParameter("m", "6502"),
+        WriteParameter("m", "6083", 7.0),
+        Hold("m"),
+        told="""
+        < Parameter 6502 941
+        < Done ReadParameter m
+        write 6083 = 7
+        < Done WriteParameter m
+        sync /10
+        beat ?
+        """,
+    )
+    talk.drive.mute = True
+    talk.chapter(
+        400,
+        ReadParameter("m", "6502"),
+        Hold("m"),
+        told="""
+        100..310 < Refused ReadParameter m no answer of the device
+        still rpdo1 6040=000F 6060=8 607A=4096 /10
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_too_many_requests() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.chapter(100, *[ReadParameter("m", "6064") for _ in range(40)])
+    names = [type(event).__name__ for event in talk.events]
+    assert (names.count("Parameter"), names.count("Done"), names.count("Refused")) == (32, 32, 8)
+
+
+def test_vectors_of_a_reboot() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.chapter(
+        150,
+        Reboot("m"),
+        Idle("m"),
+        told="""
+        0 nmt RESET 2
+        < State initialising restarted
+        < Done Reboot m *
+        < State initialising SWITCH ON DISABLED*
+        < State ready SWITCH ON DISABLED
+        """,
+    )
+    talk = armed(Talk())
+    talk.chapter(20, Reboot("m"), Hold("m"), told="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?")
+    talk.chapter(200, Idle("m"))
+    talk.drive.starts = 99  # NMT is lost
+    talk.chapter(
+        8200,
+        Reboot("m"),
+        Idle("m"),
+        told="""
+        nmt RESET 2 /2000 until 6000..8000
+        8000..8010 < Refused Reboot m it showed no sign of a restart
+        """,
+    )
+    drive = Drive()
+    drive.stand("OPERATION ENABLED", 8)
+    talk = Talk(drive)
+    talk.chapter(100)
+    talk.chapter(20, Reboot("m"), Idle("m"), told="0 < Refused Reboot m it is armed*")
+
+
+def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive.dead = True
+    talk.chapter(600, told="400..510 < State offline nothing heard")
+    talk.chapter(
+        8200,
+        Reboot("m"),
+        ClearFault("m"),
+        told="""
+        0 nmt RESET 2 /2000 until 6000..8000
+        3000..3010 < Refused ClearFault m no answer of the device
+        8000..8010 < Refused Reboot m no answer of the device
+        """,
+    )
+
+
+def test_vectors_of_segments_that_another_host_broke_off() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive.mute = True
+    talk.chapter(1, ReadParameter("m", "1008"))
+    while talk.wires[-1][1].data[:4] != b"\x40\x08\x10\x00":
+        talk.drive.mute = False
+        talk.chapter(1)
+        talk.drive.mute = True
+    talk.drive.slave.said()
+    start = CanFrame(0x582, bytes.fromhex("4108100007000000"))
+    talk.hear(start)
+    talk.chapter(1)
+    assert talk.wires[-1][1].data[0] == 0x60, "the first segment is asked for"
+    talk.drive.slave.said()
+    talk.hear(CanFrame(0x582, bytes.fromhex("8041600000000008")))  # of somebody's upload of 6041
+    talk.drive.mute = False
+    talk.chapter(20, told="< Done ReadParameter m twin402\nreads 1008 on")
+
+
+def test_vectors_of_segments_that_come_twice() -> None:
+    talk = Talk(feedback_ms=1000)
+    talk.chapter(100)
+    talk.drive.copies = 2
+    talk.chapter(20, ReadParameter("m", "1008"))
+    assert [event for event in talk.events if "twin402" in str(event)]
+
+
+def test_vectors_of_noise_change_nothing() -> None:
+    """Every independent vector from the drive's side, cut and lengthened, beside what the drive says."""
+    noise: dict[CanFrame, None] = {}
+    for vector in VECTORS:
+        wire = vector.wire
+        assert isinstance(wire, CanFrame)
+        if 0x580 <= wire.id < 0x600 or wire.id >= 0x700:
+            for data in (wire.data[:-1], wire.data + b"\x05", b""):
+                noise[CanFrame(wire.id, data)] = None
+        noise[CanFrame(wire.id & 0x780 | 0x21, wire.data)] = None  # another node's
+        noise[CanFrame(wire.id, wire.data, extended=True)] = None
+        noise[CanFrame(wire.id, wire.data, fd=True)] = None
+    quiet, loud = armed(Talk(), Velocity("m", 1.0)), armed(Talk(), Velocity("m", 1.0))
+    beginning = loud.driver.tally.heard, loud.driver.tally.foreign + loud.driver.tally.bad
+    own = quiet.driver.tally.heard
+    loud.drive.extra = [frame for frame in noise if frame.id != 0x80]
+    for talk in (quiet, loud):
+        talk.chapter(100, Velocity("m", 1.0))
+    assert loud.wires == quiet.wires
+    assert loud.events == quiet.events
+    assert loud.driver.tally.heard - beginning[0] == quiet.driver.tally.heard - own
+    told = loud.driver.tally.foreign + loud.driver.tally.bad - beginning[1]
+    assert told == len([frame for frame in noise if frame.id != 0x80])
