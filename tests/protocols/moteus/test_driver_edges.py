@@ -27,7 +27,8 @@ from protocols.words import (
     Torque,
     Velocity,
 )
-from tests.protocols.moteus.helpers import device, of
+from tests.protocols.helpers import of
+from tests.protocols.moteus.helpers import device
 
 STANDS = "2100{:02x}2f01" + "00000000" * 3 + "210f00"
 """At 0 rev, in a mode."""

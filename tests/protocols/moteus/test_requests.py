@@ -30,7 +30,8 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
-from tests.protocols.moteus.helpers import Bench, Shaft, device, of, ready, rev
+from tests.protocols.helpers import of
+from tests.protocols.moteus.helpers import Bench, device, free_shaft, ready, rev
 
 UUID = "0123456789abcdeffedcba9876543210"
 
@@ -41,7 +42,7 @@ def with_stranger(address: int = 9, settings: Settings | None = None) -> Bench:
     other = device("stranger", address, settings)
     bench.devices = [*bench.devices, other]
     bench.twins.append(MoteusTwin(other, 5))
-    bench.shafts.append(Shaft())
+    bench.shafts.append(free_shaft())
     bench.run(10)
     return bench
 

@@ -31,7 +31,7 @@ from protocols.moteus.told import FAST, decode
 from protocols.moteus.twin import MoteusTwin
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, Feedback
-from tests.protocols.moteus.helpers import Shaft, device, rev, subframes
+from tests.protocols.moteus.helpers import device, free_shaft, rev, subframes
 
 LIMITS = Limits(10.0)
 
@@ -46,7 +46,7 @@ class Rig:
     def __init__(self, settings: Settings | None = None, address: int = 1, seed: int = 0) -> None:
         self.device = device("left", address, settings)
         self.twin = MoteusTwin(self.device, seed)
-        self.shaft = Shaft()
+        self.shaft = free_shaft()
         self.now = 1_000_000 * MILLISECOND
         self.run(1)
 

@@ -31,8 +31,9 @@ from protocols.words import (
     Torque,
     Velocity,
 )
+from tests.protocols.helpers import of
 from tests.protocols.moteus.from_package import UUID
-from tests.protocols.moteus.helpers import device, of, rev
+from tests.protocols.moteus.helpers import device, rev
 
 VECTORS = {vector.name: vector.wire for vector in vectors_of(plugin)}
 LIMITED = Options(max_torque=1.5, velocity_limit=4.0 * tau, acceleration_limit=20.0 * tau)

@@ -25,7 +25,7 @@ from protocols.moteus.options import Settings
 from protocols.moteus.twin import MoteusTwin
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, Feedback
-from tests.protocols.moteus.helpers import Shaft, device, rev
+from tests.protocols.moteus.helpers import device, free_shaft, rev
 
 CHANNEL = "moteus-vendor"
 UUIDS = ("0123456789abcdeffedcba9876543210", "0123456789abcdef0011223344556677")
@@ -68,7 +68,7 @@ class Bus:
     def __init__(self) -> None:
         self.bus = can.Bus(interface="virtual", channel=CHANNEL, fd=True)
         self.now = 1_000_000 * MILLISECOND
-        self.shafts = [Shaft(), Shaft()]
+        self.shafts = [free_shaft(), free_shaft()]
         self.twins = [
             MoteusTwin(
                 device(f"m{address}", address, Settings(uuid=uuid, default_timeout_s=TIMEOUT)), address

@@ -40,7 +40,8 @@ from protocols.words import (
     Torque,
     Velocity,
 )
-from tests.protocols.odrive_can.helpers import Bench, device, of, ready
+from tests.protocols.helpers import of
+from tests.protocols.odrive_can.helpers import Bench, device, ready
 
 
 def test_1_nan_never_becomes_motion() -> None:

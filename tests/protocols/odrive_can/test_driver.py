@@ -48,7 +48,8 @@ from protocols.words import (
     Torque,
     Velocity,
 )
-from tests.protocols.odrive_can.helpers import Bench, device, modes, of, ready
+from tests.protocols.helpers import modes, of
+from tests.protocols.odrive_can.helpers import Bench, device, ready
 
 CLOSED, IDLE = SetAxisState(AxisState.CLOSED_LOOP_CONTROL), SetAxisState(AxisState.IDLE)
 

@@ -72,7 +72,8 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
-from tests.protocols.odrive_can.helpers import Bench, device, modes, of
+from tests.protocols.helpers import modes, of
+from tests.protocols.odrive_can.helpers import Bench, device
 
 CLOSED = SetAxisState(AxisState.CLOSED_LOOP_CONTROL)
 
@@ -403,7 +404,7 @@ def test_a_restart_is_refused_while_somebody_else_runs_the_other_axis() -> None:
     (end,) = ends(bench.ask(Reboot("left"), 300))
     assert isinstance(end, Refused)
     assert "right, which is armed" in end.reason
-    assert modes(bench.events)[-1] == "armed"
+    assert modes(bench.events, "right")[-1] == "armed"
     other.receive(bench.now, encode(2, SetAxisState(AxisState.IDLE)))
     bench.run(300)
     (end,) = ends(bench.ask(Reboot("left"), 3000))

@@ -18,7 +18,8 @@ from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
 from protocols.wire import CanFrame
 from protocols.words import MILLISECOND, ClearFault, Done, Fault, Feedback, Mode, State, Velocity
-from tests.protocols.odrive_can.helpers import Bench, device, modes, of
+from tests.protocols.helpers import modes, of
+from tests.protocols.odrive_can.helpers import Bench, device
 
 Expected = Literal["auto", "0.5", "0.6"]
 NEWEST = {"0.5": "0.5.6", "0.6": "0.6.10"}

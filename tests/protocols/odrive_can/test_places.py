@@ -13,7 +13,8 @@ from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
 from protocols.words import MILLISECOND, ClearFault, Fault, Found, Nanos
-from tests.protocols.odrive_can.helpers import Shaft, device, of, ready
+from tests.protocols.helpers import Shaft, of
+from tests.protocols.odrive_can.helpers import device, ready
 
 Told = list[tuple[Nanos, float, float]]
 
@@ -81,7 +82,7 @@ def test_two_devices_with_one_serial_number_are_noticed_by_their_places(
     bench = ready(device(options=options))
     bench.devices = [*bench.devices, device(options=options)]
     bench.twins.append(kind(device(options=options), 7))
-    bench.shafts.append(Shaft(position=3.0))
+    bench.shafts.append(Shaft(inertia=1e-4, friction=1e-4, position=3.0))
     events = bench.run(400)
     assert [(found.address, found.twice) for found in of(Found, events)] == [(1, True)]
     assert [fault.code for fault in of(Fault, events)] == [DUPLICATE_NODE]

@@ -12,7 +12,8 @@ from protocols.odrive_can.faults05 import COMPLAINTS05
 from protocols.odrive_can.options import Options
 from protocols.plugin import Complaint
 from protocols.words import ClearFault, Fault, Idle, Velocity
-from tests.protocols.odrive_can.helpers import Bench, device, of, ready
+from tests.protocols.helpers import of
+from tests.protocols.odrive_can.helpers import Bench, device, ready
 
 
 def armed(options: Options) -> Bench:

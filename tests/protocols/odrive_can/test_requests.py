@@ -49,7 +49,8 @@ from protocols.words import (
 from protocols.words import (
     Reboot as RebootWord,
 )
-from tests.protocols.odrive_can.helpers import device, of, ready
+from tests.protocols.helpers import of
+from tests.protocols.odrive_can.helpers import device, ready
 
 SERIAL = 0x385F_3473_3301
 ALL: tuple[Request, ...] = (

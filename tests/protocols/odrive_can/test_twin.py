@@ -52,7 +52,7 @@ from protocols.odrive_can.options import Settings
 from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import CanFrame, Wire
 from protocols.words import MILLISECOND, Event, Feedback, Nanos
-from tests.protocols.odrive_can.helpers import Shaft, device
+from tests.protocols.odrive_can.helpers import device, free_shaft
 
 CLOSED, IDLE = SetAxisState(AxisState.CLOSED_LOOP_CONTROL), SetAxisState(AxisState.IDLE)
 
@@ -62,7 +62,7 @@ class Stand:
 
     def __init__(self, settings: Settings | None = None, seed: int = 0) -> None:
         self.twin = Twin06(device(settings=settings), seed)
-        self.shaft = Shaft()
+        self.shaft = free_shaft()
         self.now: Nanos = 0
         self.frames: list[tuple[Nanos, CanFrame]] = []
 

@@ -48,7 +48,7 @@ from protocols.odrive_can.twin05 import Twin05
 from protocols.wire import CanFrame, Wire
 from protocols.words import MILLISECOND, ClearFault, Feedback, Nanos
 from protocols.words import Reboot as RebootWord
-from tests.protocols.odrive_can.helpers import Shaft, device
+from tests.protocols.odrive_can.helpers import device, free_shaft
 
 CLOSED, IDLE = SetAxisState(AxisState.CLOSED_LOOP_CONTROL), SetAxisState(AxisState.IDLE)
 V05 = Options(firmware="0.5")
@@ -62,7 +62,7 @@ class Stand:
         assert isinstance(twin, Twin05)
         self.twin = twin
         self.node = twin.axis.node
-        self.shaft = Shaft()
+        self.shaft = free_shaft()
         self.now: Nanos = 0
         self.frames: list[tuple[Nanos, CanFrame]] = []
 

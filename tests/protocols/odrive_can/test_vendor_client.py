@@ -23,7 +23,7 @@ from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin06 import Twin06
 from protocols.wire import CanFrame
 from protocols.words import Feedback
-from tests.protocols.odrive_can.helpers import Shaft, device
+from tests.protocols.odrive_can.helpers import device, free_shaft
 
 NODE = 3
 
@@ -78,7 +78,7 @@ class Bench(Generic[TwinKind]):
     def __init__(self, channel: str, twin: TwinKind) -> None:
         self.bus = can.Bus(interface="virtual", channel=channel)
         self.twin = twin
-        self.shaft = Shaft()
+        self.shaft = free_shaft()
         self.behind = time.monotonic_ns()
 
     async def pump(self) -> None:
