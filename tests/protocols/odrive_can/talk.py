@@ -69,6 +69,8 @@ class Talk:
     devices: Sequence[Device]
     line: str = "0.6"
     """In which what the driver says is read, and what devices say is written."""
+    others: dict[int, str] = field(default_factory=dict)
+    """By node, where it is another one."""
     every: int = 10
     """ms between calls of `send`, besides those that are due; 0: only those."""
     shown: frozenset[str] = frozenset()
@@ -133,7 +135,11 @@ class Talk:
 
     def tell(self, name: str, node: int = 3, extended: bool = False, **signals: float) -> None:
         """A device says this now, once."""
-        self.hear(frame(name, self.line, node, extended, **signals))
+        self.hear(frame(name, self.line_of(node), node, extended, **signals))
+
+    def line_of(self, node: int) -> str:
+        """In which a node is spoken with."""
+        return self.others.get(node, self.line)
 
     def hear(self, *wires: CanFrame) -> None:
         """These frames come now."""
@@ -184,7 +190,7 @@ class Talk:
         for wire in wires:
             assert isinstance(wire, CanFrame)
             assert wire.remote or self._claimed, "something other than a question, unasked"
-            text = meaning(wire, self.line)
+            text = meaning(wire, self.line_of(wire.id >> 5))
             assert self._clearing or "Clear_Errors" not in text, "errors are cleared unasked"
             if not wire.remote or self._asked(text, wire):
                 said.append(text)
@@ -199,7 +205,7 @@ class Talk:
         assert name != "Address" or (node == 63 and not wire.extended), "an axis of 0.5.x would obey it"
         self.questions.setdefault(f"{node}?{name}", []).append(self.now)
         if (name, node) in self.answers:
-            line = "0.6" if name == "Get_Version" else self.line
+            line = "0.6" if name == "Get_Version" else self.line_of(node)
             self._coming.append(frame(name, line, node, wire.extended, **self.answers[name, node]))
         return name not in ROUTINE or name in self.shown
 

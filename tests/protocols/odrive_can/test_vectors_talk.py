@@ -7,10 +7,13 @@ the README ("What it does", "Units") and the docstrings of `options` and `node`.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from protocols.wire import BusState
+import pytest
+
+from protocols.wire import BusState, CanFrame
 from protocols.words import ClearFault, Hold, Idle, Impedance, Position, Stop, Torque, Velocity
-from tests.protocols.odrive_can.conversation import device
+from tests.protocols.odrive_can.conversation import device, frame
 from tests.protocols.odrive_can.talk import Talk, standing
 
 ROUND = math.tau
@@ -398,3 +401,41 @@ def test_vectors_of_a_bus_that_was_off_while_a_device_arms() -> None:
         100 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
         110…120 > 3:Set_Input_Vel 0 0
     """)
+
+
+def test_vectors_of_frames_that_are_not_for_us() -> None:
+    talk = standing()
+    estimates = frame("Get_Encoder_Estimates", Pos_Estimate=1.0)
+    for wire in (
+        replace(estimates, id=0x89),  # node 4
+        replace(estimates, extended=True),
+        replace(estimates, fd=True),
+        CanFrame(estimates.id, remote=True),
+        CanFrame(estimates.id),  # a question, too
+        frame("Set_Input_Vel", Input_Vel=1.0),  # of another host
+    ):
+        talk.hear(wire)
+    talk.tells("", foreign=6)
+
+
+@pytest.mark.parametrize(
+    "wire",
+    [
+        CanFrame(0x69, bytes(7)),
+        CanFrame(0x61, bytes(6)),
+        frame("Get_Encoder_Estimates", Pos_Estimate=math.nan),
+        frame("Get_Encoder_Estimates", Vel_Estimate=math.inf),
+        frame("Get_Iq", Iq_Measured=-math.inf),
+        frame("Get_Torques", Torque_Estimate=math.nan),
+    ],
+)
+def test_vectors_of_frames_that_are_bad(wire: CanFrame) -> None:
+    """They change nothing, and do not count as a sign of life."""
+    talk = standing()
+    talk.hear(wire)
+    talk.tells("", bad=1)
+    talk.mute()
+    talk.run(100)
+    talk.hear(wire)
+    talk.run(200)
+    talk.tells("240 < State left offline: nothing heard", bad=1)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from protocols.wire import CanFrame
-from protocols.words import ClearFault, Idle, Velocity
+from protocols.words import ClearFault, Idle, Velocity, Zero
 from tests.protocols.odrive_can.conversation import device, frame
 from tests.protocols.odrive_can.talk import Talk, standing
 
@@ -194,6 +194,33 @@ def test_vectors_of_a_device_of_0_6_that_is_replaced_by_0_5_while_it_is_off() ->
         300 < State left initialising: IDLE, asking for its firmware
         300-401 < left voltage 24
         800-900 < State left ready: IDLE
+    """)
+
+
+def test_vectors_of_both_lines_on_one_bus() -> None:
+    """The same words, each in its own language."""
+    talk = Talk([device(poll_ms=0), device("axis", 4, poll_ms=0)], others={4: "0.5"})
+    talk.up()
+    talk.up05(4)
+    talk.run(600)
+    talk.stage()
+    talk.ask(Zero("left"), Zero("axis"), ClearFault("left"), ClearFault("axis"))
+    talk.run(10)
+    talk.tells("""
+        0 > 3:Set_Absolute_Position 0 | 4:Set_Linear_Count 0 | 3:Clear_Errors 0 | 4:Clear_Errors
+        0 < Done ClearFault left:*
+        0 < Done Zero left:*
+        0 < Done ClearFault axis: and every axis of its board
+        0 < Done Zero axis:*
+    """)
+    talk.beat(1, 0x1000)
+    talk.beat(1, 0x1000, node=4)
+    talk.run(10)
+    talk.tells("""
+        0 < Fault left 0x1000 CURRENT_LIMIT_VIOLATION: *
+        0 < State left fault: IDLE
+        0 < Fault axis 0x5000000001000 MIN_ENDSTOP_PRESSED: *
+        0 < State axis fault: IDLE
     """)
 
 
