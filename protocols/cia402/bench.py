@@ -18,6 +18,7 @@ from protocols.cia402 import sdo
 from protocols.cia402.codec import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.cia402.pdo import mapping, packing
+from protocols.cia402.transfer import Transfer
 from protocols.wire import CanFrame
 
 RIVAL = ("canopen", "canopen", "canopen's PdoMap and SDO client")
@@ -136,20 +137,20 @@ def _upload(known: Known) -> Callable[[], object]:
 
 
 def _our_download() -> CanFrame:
-    transfer = sdo.Transfer(*o.TARGET_VELOCITY, to_bytes(OBJECTS[o.TARGET_VELOCITY].type, -1000))
+    transfer = Transfer(*o.TARGET_VELOCITY, to_bytes(OBJECTS[o.TARGET_VELOCITY].type, -1000))
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(transfer.first()))
     _hear(transfer, _DOWNLOADED)
     return frame
 
 
 def _our_upload() -> tuple[CanFrame, int | None]:
-    transfer = sdo.Transfer(*o.POSITION)
+    transfer = Transfer(*o.POSITION)
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(transfer.first()))
     _hear(transfer, _UPLOADED)
     return frame, from_bytes(OBJECTS[o.POSITION].type, transfer.value)
 
 
-def _hear(transfer: sdo.Transfer, frame: CanFrame) -> None:
+def _hear(transfer: Transfer, frame: CanFrame) -> None:
     answer = sdo.decode_answer(frame.data)
     if answer is None or transfer.hear(answer) is not None or not transfer.done:
         raise ValueError(f"{frame} does not end the transfer")

@@ -14,6 +14,7 @@ from enum import IntEnum
 
 from protocols.cia402 import sdo
 from protocols.cia402.objects import Key
+from protocols.cia402.transfer import Transfer
 from protocols.words import Nanos
 
 TRIES = 3
@@ -75,7 +76,7 @@ class Client:
 
     timeout: Nanos
     job: Job | None = None
-    transfer: sdo.Transfer | None = None
+    transfer: Transfer | None = None
     next: sdo.Request | None = None
     """To be sent at once."""
     last: sdo.Answer | None = None
@@ -93,7 +94,7 @@ class Client:
 
     def begin(self, job: Job) -> None:
         """Begin a job, in the place of what is under way."""
-        self.job, self.transfer = job, sdo.Transfer(*job.key, job.data)
+        self.job, self.transfer = job, Transfer(*job.key, job.data)
         self.next, self.tries = self.transfer.first(), 1
 
     def drop(self) -> None:
@@ -124,7 +125,7 @@ class Client:
             self._hear_again(answer)
         return None
 
-    def _overtaken(self, transfer: sdo.Transfer, answer: sdo.Answer) -> bool:
+    def _overtaken(self, transfer: Transfer, answer: sdo.Answer) -> bool:
         """Whether another host's request took the place of our segments (a device serves one at a time), and
         they can be asked for anew. The refusal of a segment names the object of that request."""
         if transfer.expecting is None or not isinstance(answer, sdo.Abort) or self.tries >= TRIES:

@@ -29,6 +29,7 @@ from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.cia402.options import Options, Settings, units_of_settings
 from protocols.cia402.pdo import Packing, mapping, packing, word_of
 from protocols.cia402.profile import Mode, PowerState, state_of
+from protocols.cia402.transfer import Transfer
 from protocols.cia402.twin import Cia402Twin
 from protocols.plugin import Device
 from protocols.wire import CanFrame
@@ -117,7 +118,7 @@ class Bench:
                 return sdo.decode_answer(frame.data)
         return None
 
-    def transfer(self, transfer: sdo.Transfer) -> sdo.Transfer:
+    def transfer(self, transfer: Transfer) -> Transfer:
         """A whole SDO transfer."""
         request: sdo.Request | None = transfer.first()
         while request is not None:
@@ -128,7 +129,7 @@ class Bench:
 
     def read(self, key: Key) -> int:
         """An object's value."""
-        got = self.transfer(sdo.Transfer(*key))
+        got = self.transfer(Transfer(*key))
         assert got.abort is None, sdo.abort_text(got.abort or 0)
         value = from_bytes(OBJECTS[key].type, got.value)
         assert value is not None
@@ -136,7 +137,7 @@ class Bench:
 
     def write(self, key: Key, value: int) -> int:
         """Write an object; the abort code, or 0."""
-        return self.transfer(sdo.Transfer(*key, to_bytes(OBJECTS[key].type, value))).abort or 0
+        return self.transfer(Transfer(*key, to_bytes(OBJECTS[key].type, value))).abort or 0
 
     def put(self, key: Key, value: int) -> None:
         """Write an object that must be taken."""

@@ -42,6 +42,7 @@ from protocols.cia402.profile import (
     state_of,
     supports,
 )
+from protocols.cia402.transfer import Transfer
 from protocols.cia402.units import Units, units_of
 from protocols.vectors import Vector
 from protocols.wire import CanFrame, Wire
@@ -133,7 +134,7 @@ def test_pdo_vectors() -> None:
 # -- SDO -----------------------------------------------------------------------------------------------
 
 
-def serve(data: bytes, transfer: sdo.Transfer, twice: bool = False) -> bytes:
+def serve(data: bytes, transfer: Transfer, twice: bool = False) -> bytes:
     """A server in a few lines: what it holds after the transfer. `twice`: every answer comes twice."""
     taken, left = b"", data
     request: sdo.Request | None = transfer.first()
@@ -167,17 +168,17 @@ def serve(data: bytes, transfer: sdo.Transfer, twice: bool = False) -> bytes:
 @pytest.mark.parametrize("twice", [False, True])
 def test_a_transfer_of_any_length(length: int, twice: bool) -> None:
     data = np.random.Generator(np.random.PCG64(SEED + length)).bytes(length)
-    reading = sdo.Transfer(0x1008, 0)
+    reading = Transfer(0x1008, 0)
     serve(data, reading, twice)
     assert (reading.value, reading.abort) == (data, None)
-    writing = sdo.Transfer(0x1008, 0, data)
+    writing = Transfer(0x1008, 0, data)
     assert serve(data, writing, twice) == data
     assert writing.done
     assert writing.abort is None
 
 
 def test_a_transfer_takes_only_answers_to_itself() -> None:
-    transfer = sdo.Transfer(0x6064, 0)
+    transfer = Transfer(0x6064, 0)
     transfer.first()
     for answer in (
         sdo.Uploaded(0x6063, 0, b"\0\0\0\0"),
@@ -196,7 +197,7 @@ def test_a_transfer_takes_only_answers_to_itself() -> None:
 
 
 def test_a_segmented_value_of_another_length_than_was_said_is_refused() -> None:
-    transfer = sdo.Transfer(0x1008, 0)
+    transfer = Transfer(0x1008, 0)
     transfer.first()
     transfer.hear(sdo.UploadStart(0x1008, 0, 9))
     transfer.hear(sdo.UploadedSegment(False, b"seven", True))

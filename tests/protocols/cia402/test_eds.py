@@ -13,6 +13,7 @@ import protocols.cia402
 from protocols.cia402 import sdo
 from protocols.cia402.eds import eds
 from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
+from protocols.cia402.transfer import Transfer
 from tests.protocols.cia402.bench import NODE, Bench
 
 FILE = Path(protocols.cia402.__file__).parent / "twin.eds"
@@ -48,12 +49,12 @@ def bench() -> Bench:
 def test_the_twin_answers_as_its_data_sheet_says(bench: Bench, key: Key) -> None:
     told, row = variables()[key], OBJECTS[key]
     assert (told.data_type, told.access_type, told.pdo_mappable) == (row.type.code, row.access, row.mappable)
-    read = bench.transfer(sdo.Transfer(*key))
+    read = bench.transfer(Transfer(*key))
     assert read.abort is None
     if row.type is Type.TEXT:
         assert read.value.decode("ascii") == told.default
         return
     value = from_bytes(row.type, read.value)
     assert key in LIVE or value == told.default
-    written = bench.transfer(sdo.Transfer(*key, read.value))
+    written = bench.transfer(Transfer(*key, read.value))
     assert (written.abort == sdo.READ_ONLY) is (row.access != "rw")
