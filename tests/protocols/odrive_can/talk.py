@@ -12,6 +12,7 @@ Questions that come by the clock (`ROUTINE`) stand in no transcript; how often t
 * before a command or a request, nothing but questions goes out;
 * a remote frame only ever asks for what devices tell;
 * errors are cleared only after a ClearFault;
+* who has just been called is not due again and again at the same moment;
 * a fault has a cause and a cure; every frame is counted once.
 """
 
@@ -93,7 +94,7 @@ class Talk:
         self._coming: list[CanFrame] = []
         self._came = 0
         self._counted = (0, 0)
-        self._claimed = self._clearing = False
+        self._claimed = self._clearing = self._pressing = False
 
     # -- the devices ---------------------------------------------------------------------------
 
@@ -185,6 +186,10 @@ class Talk:
         self._claimed = self._claimed or any(not isinstance(word, Idle) for word in words)
         self._clearing = self._clearing or any(isinstance(word, ClearFault) for word in words)
         events, wires = self.driver.send(self.now * MILLISECOND, words)
+        due = self.driver.due()
+        pressing = due is not None and due <= self.now * MILLISECOND
+        assert not (pressing and self._pressing), "it has just been called, and wants to be again and again"
+        self._pressing = pressing
         self._told(events)
         said = []
         for wire in wires:

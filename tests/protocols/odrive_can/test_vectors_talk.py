@@ -317,6 +317,28 @@ def test_vectors_of_a_device_that_falls_while_it_runs() -> None:
     talk.tells("0 < Fault left 0x2000000 ESTOP_REQUESTED: *")  # it was gone, and came again
 
 
+def test_vectors_of_one_that_falls_and_is_let_go() -> None:
+    """As a joint does that heard of a fault: Idle goes out at once, and the reason is asked for as well."""
+    talk = standing()
+    talk.beat(8)
+    talk.run(100, Velocity("left", 0.0))
+    talk.stage()
+    talk.answer("Get_Error", Disarm_Reason=0x1000000)
+    talk.beat(1, Procedure_Result=3)
+    talk.run(200, Idle("left"))
+    # Idle does not wipe the reason: arming would.
+    talk.tells("""
+        0 < State left ready: IDLE, DISARMED, left closed loop by itself
+        0 > 3:Set_Axis_State 1 | 3?Get_Error
+        1 < Fault left 0x1000000 WATCHDOG_TIMER_EXPIRED: it disarmed the axis: *
+        50 > 3:Set_Axis_State 1
+        100 < State left ready: IDLE, DISARMED
+        100…150/50 > 3:Set_Axis_State 1
+    """)
+    talk.run(100, Idle("left"))
+    talk.tells("")  # heard to be idle at 100 and 200
+
+
 def test_vectors_of_states_that_are_neither_idle_nor_closed_loop() -> None:
     talk = standing()
     talk.beat(9, Procedure_Result=1)
