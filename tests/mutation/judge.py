@@ -65,8 +65,7 @@ def judged_by(language: Language) -> str:
     mutated = set(mutated_modules(language).values())
     own = [path for path in _sources(language.package) if path not in mutated]
     tests = _sources(language.tests) if language.tests else []
-    kept = _sources(language.tests, "*.txt") if language.tests else []  # conversations of vectors
-    told = [*(path for path in tests if "vector" in path.read_text("utf-8")), *kept]
+    told = [path for path in tests if "vector" in path.read_text("utf-8")]
     parts = [*room.glob("*.py"), *kit, *own, *told]
     texts = [path.read_text("utf-8") for path in sorted(set(parts))]
     vectors = language.plugin().vectors
@@ -75,9 +74,9 @@ def judged_by(language: Language) -> str:
     return digest(*texts, *(language.clauses or ()))
 
 
-def _sources(package: str, names: str = "*.py") -> list[Path]:
+def _sources(package: str) -> list[Path]:
     module = importlib.import_module(package)
-    return sorted(path for folder in module.__path__ for path in Path(folder).rglob(names))
+    return sorted(path for folder in module.__path__ for path in Path(folder).rglob("*.py"))
 
 
 def _clause(clause: Clause, case: Case) -> str:
