@@ -1,7 +1,7 @@
 """The client of package odrive-can 2.1.0 drives our twin over a python-can bus.
 
-One of the few tests on the wall clock (`vendor` says why). Every public call of the client is listed; a new one
-fails the test.
+One of the few tests on the wall clock (`vendor` says why). Every public call of the client is listed; a new
+one fails the test.
 """
 
 from __future__ import annotations
