@@ -158,6 +158,15 @@ def test_vectors_of_a_version_that_is_known() -> None:
     assert since(talk, "3?Get_Version") == [asked + 5000, asked + 10_000]
 
 
+def test_vectors_of_what_both_lines_answer_alike() -> None:
+    """Asked for with the version until the line is known, and polled from then on."""
+    talk = Talk([device(poll_ms=0)], "0.5")
+    talk.up05()
+    talk.run(1000)
+    asked = [0, 100, 200, 300, 400]
+    assert since(talk, "3?Get_Bus_Voltage_Current") == since(talk, "3?Get_Version") == asked
+
+
 def test_vectors_of_a_bus_with_0_5_only_that_is_not_asked_who_is_who() -> None:
     """An axis with node id 63 would take it for Set_Axis_Node_ID."""
     talk = standing05(4)

@@ -172,6 +172,45 @@ def test_vectors_of_commands_that_must_not_reach_the_wire() -> None:
     talk.tells("0 < Refused Velocity left: velocity is inf")  # it was good in between
 
 
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (Velocity("left", 1000 * ROUND), "Set_Input_Vel 1000 0"),
+        (Velocity("left", -1000.1 * ROUND), ""),
+        (Velocity("left", 0.0, -1000.0), "Set_Input_Vel 0 -1000"),
+        (Velocity("left", 0.0, 1000.1), ""),
+        (Torque("left", -1000.0), "Set_Input_Torque -1000"),
+        (Torque("left", 1000.1), ""),
+        (Position("left", -1e6 * ROUND), "Set_Input_Pos -1e+06 0 0"),
+        (Position("left", 1.001e6 * ROUND), ""),
+        (Position("left", 0.0, 32.767 * ROUND, -32.767), "Set_Input_Pos 0 32.767 -32.767"),
+        (Position("left", 0.0, 0.0, 32.768), ""),
+        (Position("left", 0.0, 0.0006 * ROUND, -0.0006), "Set_Input_Pos 0 0.001 -0.001"),  # thousandths
+    ],
+)
+def test_vectors_of_commands_at_the_edges_of_what_the_wire_carries(
+    command: Velocity | Torque | Position, said: str
+) -> None:
+    talk = standing()
+    talk.beat(8)
+    talk.run(20, command)
+    talk.run(10, Idle("left"))
+    name = type(command).__name__
+    if not said:
+        talk.tells(f"""
+            0 < State left armed: CLOSED_LOOP_CONTROL
+            0 < Refused {name} left: *lies outside*
+        """)
+        return
+    mode = {"Torque": 1, "Velocity": 2, "Position": 3}[name]
+    talk.tells(f"""
+        0 < State left armed: CLOSED_LOOP_CONTROL
+        0 > 3:{said} | 3:Set_Controller_Mode {mode} 1 | 3:{said}
+        10 > 3:{said}
+        20 > 3:Set_Axis_State 1
+    """)
+
+
 def test_vectors_of_a_device_that_runs_already() -> None:
     """Taken over without dropping its load: no state is asked for, and Hold means where it is."""
     talk = standing()
