@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from protocols.answers import Refusals, out_of_range, refusal
-from protocols.cia402 import jobs, motion, requests, sdo
+from protocols.cia402 import configuring, jobs, motion, requests, sdo
 from protocols.cia402 import objects as o
 from protocols.cia402.client import DOUBLED, Outcome, Purpose
 from protocols.cia402.codec import (
@@ -172,7 +172,7 @@ class Cia402Driver:
             node.setup, node.writing, node.configured = None, (), False
             return []
         key = outcome.job.key
-        if motion.wrote(node, outcome.job, outcome.abort) or node.insist is not None:
+        if configuring.wrote(node, outcome.job, outcome.abort) or node.insist is not None:
             return []
         node.refused, node.setup = True, None
         said = f"{o.title(key)}: {sdo.abort_text(outcome.abort or 0)}"

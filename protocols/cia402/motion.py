@@ -1,22 +1,20 @@
-"""What a command takes: configuring a device, starting it, arming it, steering it, disarming it.
+"""What a command takes: starting a device, arming it, steering it, disarming it.
 
 Rules. Functions on a `Node`; they return frames, or leave jobs for its SDO client. Nothing but uploads goes
-to a device before it is commanded. Set-points go out only in answer to a command of the same step. The first
-set-point of a sequence is where the shaft is measured to be. Disarming and quick stops are repeated until the
-statusword shows them, commanded or not.
+to a device before it is commanded, and no set-point before it is configured. Set-points go out only in answer
+to a command of the same step. The first set-point of a sequence is where the shaft is measured to be.
+Disarming and quick stops are repeated until the statusword shows them, commanded or not.
 """
 
 from __future__ import annotations
 
-from protocols.cia402 import arming, mapping
+from protocols.cia402 import arming, configuring, homing
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Purpose
 from protocols.cia402.codec import Nmt, NmtCommand, NmtState, encode
-from protocols.cia402.mapping import Pdo
-from protocols.cia402.node import CONFIRMED, FAULTY, Homing, Node
+from protocols.cia402.node import CONFIRMED, FAULTY, Node
 from protocols.cia402.objects import OBJECTS, Key, to_bytes
-from protocols.cia402.profile import Control, Demand, PowerState, Status, homing_of
-from protocols.cia402.profile import Homing as Outcome
+from protocols.cia402.profile import Control, Demand, PowerState, Status
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.setpoint import TARGET_OF, Values, mode_for, standstill, values_of
 from protocols.cia402.startup import Known, mode_name
@@ -36,8 +34,6 @@ HANDSHAKE = 250 * MILLISECOND
 """A set-point of PP that was not acknowledged by then is given again, the newest, by a new rise of bit 4."""
 LOWERED = 50 * MILLISECOND
 """So long bit 4 stays low before that: time enough for a write by SDO."""
-HOMED = 3
-"""Statuswords after the start of homing before one is believed."""
 
 
 def possible(node: Node, command: Command) -> str:
@@ -72,7 +68,7 @@ def say(node: Node, now: Nanos, command: Command, at_sync: bool) -> list[CanFram
         node.values = {}
         return []
     node.claimed = True
-    if not configured(node):
+    if not configuring.configured(node):
         return []
     said = _start(node, now) if not started(node) else []
     if node.outlet.synchronous and not at_sync:
@@ -80,102 +76,7 @@ def say(node: Node, now: Nanos, command: Command, at_sync: bool) -> list[CanFram
     return said + _steer(node, now, node.known, command)
 
 
-# -- configuring -----------------------------------------------------------------------------------------
-
-
-def configured(node: Node) -> bool:
-    """Whether all is written that comes before arming; plans it at first."""
-    if node.setup is None:
-        node.setup = _plan(node)
-    if node.setup or (node.client.job is not None and node.client.job.purpose is Purpose.SETUP):
-        return False
-    if not node.configured:
-        _adopt(node)
-        node.configured = True
-    return True
-
-
-def _plan(node: Node) -> list[Job]:
-    options, jobs = node.options, list[Job]()
-
-    def write(key: Key, value: int) -> None:
-        jobs.append(Job(Purpose.SETUP, key, to_bytes(OBJECTS[key].type, value)))
-
-    if options.heartbeat_ms and not node.read.get(o.PRODUCER_HEARTBEAT):
-        write(o.PRODUCER_HEARTBEAT, options.heartbeat_ms)
-    node.writing = _unfitting(node) if options.mapping == "auto" else ()
-    for pdo in node.writing:
-        before = node.read.get((mapping.FIRST[pdo.way][0] + pdo.number - 1, o.COB_ID), 0)
-        jobs += [Job(Purpose.SETUP, key, data) for key, data in mapping.writes(pdo, before)]
-    if options.watchdog_ms:
-        write(o.CONSUMER_HEARTBEAT, options.host_id << 16 | options.watchdog_ms)
-    return jobs
-
-
-def _unfitting(node: Node) -> tuple[Pdo, ...]:
-    """The PDOs that must be written anew."""
-    known, options = node.known, node.options
-    if known is None:
-        return ()
-    synced = options.feedback == "sync"
-    sync = options.sync_ms * MILLISECOND
-    wanted = mapping.wanted(node.address, options, synced, node.absent)
-    if mapping.commands_fit(node.usable("to"), targets_of(known, options.modes)):
-        wanted = [pdo for pdo in wanted if pdo.way == "from"]
-    # Where somebody else produces SYNC, nobody here knows its period: once in ten periods must do.
-    most = 10 * max(sync, options.feedback_ms * MILLISECOND)
-    if mapping.feedback_fits(node.usable("from"), sync or options.feedback_ms * MILLISECOND, most):
-        wanted = [pdo for pdo in wanted if pdo.way == "to"]
-    have = {(pdo.way, pdo.number): pdo for pdo in known.pdos}
-    there = [p for p in wanted if (p.way, p.number) in have]
-    return tuple(p for p in there if not mapping.same(have[p.way, p.number], p))
-
-
-def targets_of(known: Known, prefer: str) -> set[Key]:
-    """The set-points of the modes that would be used."""
-    cyclic = (Operation.CSP, Operation.CSV, Operation.CST)
-    profile = (Operation.PP, Operation.PV, Operation.PT)
-    first, second = (cyclic, profile) if prefer == "cyclic" else (profile, cyclic)
-    used = [known.mode(*pair) for pair in zip(first, second, strict=True)]
-    return {TARGET_OF[mode] for mode in used if mode is not None}
-
-
-def _adopt(node: Node) -> None:
-    """The PDOs are as they were written: speak and listen by them."""
-    if node.known is None:
-        return
-    pdos = {(pdo.way, pdo.number): pdo for pdo in node.known.pdos}
-    pdos |= {(pdo.way, pdo.number): pdo for pdo in node.writing}
-    node.known = Known(node.known.units, node.known.modes, node.known.serial, tuple(pdos.values()))
-    node.writing = ()
-    node.listen(node.known.pdos)
-    told = {key: node.read[key] for key in (o.VELOCITY_OFFSET, o.TORQUE_OFFSET) if key in node.read}
-    node.outlet.configure(node.usable("to"))
-    node.outlet.told |= told
-
-
-def wrote(node: Node, job: Job, abort: int | None) -> bool:
-    """A job of the setup has ended; False if it may not have failed.
-
-    A PDO that the device does not let us write stays disabled: what it held goes by SDO."""
-    key = job.key
-    if abort is None:
-        if key == o.CONSUMER_HEARTBEAT:
-            node.watched = any(job.data or b"")
-        return True
-    if key[1] == o.INHIBIT and o.TPDO_COMMUNICATION <= key[0] < o.TPDO_MAPPING:
-        return True
-    failed = [p for p in node.writing if key[0] in (i + p.number - 1 for i in mapping.FIRST[p.way])]
-    if not failed:
-        return key == o.PRODUCER_HEARTBEAT
-    (pdo,) = failed
-    node.writing = tuple(p for p in node.writing if p is not pdo)
-    indices = [first + pdo.number - 1 for first in mapping.FIRST[pdo.way]]
-    node.setup = [job for job in node.setup or [] if job.key[0] not in indices]
-    if node.known is not None:
-        gone = tuple(p for p in node.known.pdos if (p.way, p.number) != (pdo.way, pdo.number))
-        node.known = Known(node.known.units, node.known.modes, node.known.serial, gone)
-    return True
+# -- starting ------------------------------------------------------------------------------------------------
 
 
 def started(node: Node) -> bool:
@@ -196,7 +97,7 @@ def _start(node: Node, now: Nanos) -> list[CanFrame]:
 
 def _steer(node: Node, now: Nanos, known: Known, command: Command) -> list[CanFrame]:
     if node.homing is not None:
-        return _send(node, now, _home(node, now, node.homing), o.CONTROLWORD)
+        return _send(node, now, homing.set_points(node, now, node.homing), o.CONTROLWORD)
     operation = mode_for(command, known, node.options.modes)
     power, position = node.power, node.position
     if operation is None or position is None or power is None:
@@ -326,47 +227,3 @@ def stuck(node: Node, now: Nanos) -> str:
     power = "nothing" if node.power is None else node.power.value
     shown = "no mode" if node.operation is None else mode_name(node.operation)
     return f"it stayed in {power} with {shown} shown"
-
-
-# -- homing ----------------------------------------------------------------------------------------------
-
-
-def begin_homing(node: Node, now: Nanos, token: int, *, zero: bool) -> None:
-    """Home, or call the present position zero; the device is armed, and holds."""
-    node.homing = Homing(token, now, zero=zero)
-
-
-def _home(node: Node, now: Nanos, homing: Homing) -> Values:
-    control = int(Demand.ENABLE_OPERATION)
-    if node.has_mode(Operation.HM):
-        if homing.started is None:
-            homing.started, homing.seen = now, node.statuses
-        control |= Control.START_HOMING
-    values = standstill(node.position or 0)
-    return values | {o.CONTROLWORD: control, o.MODE: int(Operation.HM)}
-
-
-def homed(node: Node, now: Nanos) -> tuple[bool, str] | None:
-    """Whether homing has ended: (well, or not; why). None while it goes on."""
-    homing = node.homing
-    if homing is None:
-        return None
-    if node.power is not PowerState.OPERATION_ENABLED:
-        return False, "it was disarmed meanwhile"
-    if now >= homing.since + node.options.home_timeout_ms * MILLISECOND:
-        return False, "it did not end in time"
-    if homing.started is None or node.statuses < homing.seen + HOMED or node.status is None:
-        return None
-    match homing_of(node.status):
-        case Outcome.DONE:
-            return True, "home is found" if not homing.zero else "the present position is zero"
-        case Outcome.ERROR_MOVING | Outcome.ERROR_STOPPED:
-            return False, "it reports a homing error (bit 13 of its statusword)"
-    return None
-
-
-def end_homing(node: Node) -> None:
-    """Back to holding, where the shaft is measured from now on."""
-    node.homing, node.hold, node.position, node.rounds = None, None, None, 0
-    node.asked.pop(o.POSITION, None)
-    node.poll_at = 0

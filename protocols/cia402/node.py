@@ -408,12 +408,10 @@ class Node:
 class Homing:
     """A homing procedure under way: the request's token, and how far it is."""
 
-    __slots__ = ("restore", "seen", "since", "started", "token", "zero")
+    __slots__ = ("seen", "since", "started", "token", "zero")
 
     def __init__(self, token: int, since: Nanos, *, zero: bool) -> None:
         self.token, self.since, self.zero = token, since, zero
         self.started: Nanos | None = None
         self.seen = 0
         """Statuswords heard when it was started."""
-        self.restore: int | None = None
-        """The homing method that the device had, if we changed it."""

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from protocols.answers import UnderWay, refusal
-from protocols.cia402 import motion, objects, startup
+from protocols.cia402 import homing, objects, startup
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Outcome, Purpose
 from protocols.cia402.codec import Nmt, NmtCommand, encode
@@ -107,7 +107,7 @@ def _home(now: Nanos, pending: Pending, holding: bool) -> Pending | Refused:
         pending.key = o.HOMING_METHOD
         node.questions.append(Job(Purpose.ASKED, o.HOMING_METHOD, None, pending.token))
     else:
-        motion.begin_homing(node, now, pending.token, zero=False)
+        homing.begin(node, now, pending.token, zero=False)
     return pending
 
 
@@ -193,7 +193,7 @@ def _hear_zero(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
         pending.stage = 0
         node.homing_method = before
     elif outcome.abort is None:
-        motion.begin_homing(node, t, pending.token, zero=True)
+        homing.begin(node, t, pending.token, zero=True)
         return []
     else:
         pending.stage += 1
@@ -261,12 +261,12 @@ def _homed(pending: Pending, now: Nanos) -> list[Event]:
         return []
     if isinstance(pending.request, Zero):
         pending.stage = -1
-    found = motion.homed(node, now)
+    found = homing.outcome(node, now)
     if found is None:
         return []
     well, why = found
     late = not well and now >= node.homing.since + node.options.home_timeout_ms * MILLISECOND
-    motion.end_homing(node)
+    homing.end(node)
     if isinstance(pending.request, Zero) and node.homing_method is not None:
         restore = to_bytes(Type.I8, node.homing_method)
         node.questions.append(Job(Purpose.ASKED, o.HOMING_METHOD, restore))

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from protocols.cia402 import arming, mapping, motion
+from protocols.cia402 import arming, configuring, mapping
 from protocols.cia402 import objects as o
 from protocols.cia402.client import DOUBLED, TRIES, Client, Job, Purpose
 from protocols.cia402.mapping import Pdo
@@ -98,7 +98,7 @@ def test_modes_are_those_preferred_or_the_other_ones(command: Command, cyclic: M
 
 def test_hold_without_a_position_mode_is_standing_still() -> None:
     assert mode_for(Hold("m"), known(mode_bit(Mode.CSV)), "cyclic") is Mode.CSV
-    assert motion.targets_of(known(mode_bit(Mode.CSV)), "cyclic") == {o.TARGET_VELOCITY}
+    assert configuring.targets_of(known(mode_bit(Mode.CSV)), "cyclic") == {o.TARGET_VELOCITY}
 
 
 def test_feed_forward_is_left_out_of_profile_modes() -> None:
