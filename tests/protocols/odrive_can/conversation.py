@@ -60,3 +60,14 @@ def device(name: str = "left", address: int = 3, **options: Any) -> Device:
 SERIAL = 0x385F34733330
 DISCOVERED = CanFrame(0x66, bytes.fromhex("03303373345f3800"))
 """Vector address_reply06."""
+
+
+def address(node: int, serial: int) -> CanFrame:
+    """An answer to the roll call, as vector address_reply06 has it."""
+    return CanFrame(node << 5 | ADDRESS, bytes([node]) + serial.to_bytes(6, "little") + b"\0")
+
+
+def names_of(line: str, message: str, signal: str) -> dict[int, str]:
+    """The values of a signal, or the bits of an error word, as the DBC names them."""
+    choices = next(s for s in MESSAGES[line][message].signals if s.name == signal).choices or {}
+    return {int(value): str(name) for value, name in choices.items()}

@@ -18,6 +18,7 @@ Questions that come by the clock (`ROUTINE`) stand in no transcript; how often t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from itertools import groupby
@@ -61,6 +62,8 @@ TOLD_BY_DEVICES = ROUTINE | {
     *("Get_Error", "Get_Powers", "Get_Motor_Error", "Get_Encoder_Error", "Get_Sensorless_Error"),
     *("Get_Controller_Error", "Get_Encoder_Count", "Get_Sensorless_Estimates"),
 }
+ROUND = math.tau
+"""rad of a turn: what the wire has as 1."""
 
 
 @dataclass

@@ -1,8 +1,8 @@
 """Conversations of vectors: what devices are asked for by the clock, and how often.
 
-What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6; how often is derived by hand
-from the README ("Settings on the device", "What it does": the roll call) and the docstrings of `options` and
-`asking`. Spans in ms. See `talk`.
+What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6; how often is derived by
+hand from the README ("Settings on the device", "What it does": the roll call) and the docstrings of
+`options` and `asking`. Spans in ms. See `talk`.
 """
 
 from __future__ import annotations
@@ -118,7 +118,9 @@ def test_vectors_of_heartbeats_that_do_not_come_by_themselves() -> None:
 
 
 def test_vectors_of_heartbeats_of_0_5_that_cannot_be_asked_for() -> None:
-    talk = standing05()
+    talk = Talk([device(poll_ms=50, firmware="0.5")], "0.5")
+    talk.up05()
+    talk.run(300)
     talk.cycle(0, "Heartbeat")
     talk.stage()
     talk.run(1000)

@@ -9,16 +9,9 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.words import ClearFault, Hold, Idle, Torque, Velocity
-from tests.protocols.odrive_can.conversation import MESSAGES
+from protocols.words import ClearFault, Idle, Velocity
+from tests.protocols.odrive_can.conversation import names_of
 from tests.protocols.odrive_can.talk import Talk, standing, standing05
-from tests.protocols.odrive_can.test_vectors_talk import ROUND
-
-
-def words_of(line: str, message: str, signal: str) -> dict[int, str]:
-    """The values of a signal, or the bits of an error word, as the DBC names them."""
-    choices = next(s for s in MESSAGES[line][message].signals if s.name == signal).choices or {}
-    return {int(value): str(name) for value, name in choices.items()}
 
 
 def faults(talk: Talk) -> list[str]:
@@ -113,175 +106,13 @@ def test_vectors_of_an_axis_of_0_5_whose_invalid_state_is_taken_back() -> None:
     """)
 
 
-def test_vectors_of_two_axes_of_0_5_that_are_armed_and_let_go() -> None:
-    talk = standing05(4)
-    words = (Velocity("axis3", ROUND), Torque("axis4", 1.0))
-    talk.run(50, *words)
-    talk.beat(8)
-    talk.beat(8, node=4)
-    talk.run(50, *words)
-    talk.tells("""
-        0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
-            | 4:Set_Controller_Mode 1 1 | 4:Set_Input_Torque 0 | 4:Set_Axis_State 8
-        10…40 > 3:Set_Input_Vel 0 0 | 4:Set_Input_Torque 0
-        50 < State axis3 armed: CLOSED_LOOP_CONTROL
-        50 < State axis4 armed: CLOSED_LOOP_CONTROL
-        50…90 > 3:Set_Input_Vel 1 0 | 4:Set_Input_Torque 1
-    """)
-    talk.beat(1, node=4)
-    talk.run(200, *words)
-    # It tells no reason, so none is asked for; only a fresh sequence arms it, arm_retry_ms after the last.
-    talk.tells("""
-        0 < State axis4 ready: IDLE, left closed loop by itself
-        0 > 3:Set_Input_Vel 1 0 | 4:Set_Controller_Mode 1 1 | 4:Set_Input_Torque 0
-        10…90 > 3:Set_Input_Vel 1 0 | 4:Set_Input_Torque 0
-        100 < State axis4 ready: IDLE
-        100…140 > 3:Set_Input_Vel 1 0 | 4:Set_Input_Torque 0
-        150 > 3:Set_Input_Vel 1 0 | 4:Set_Input_Torque 0 | 4:Set_Axis_State 8
-        160…190 > 3:Set_Input_Vel 1 0 | 4:Set_Input_Torque 0
-    """)
-    talk.run(100, Idle("axis3"), Idle("axis4"))
-    talk.beat(1)
-    talk.run(200, Idle("axis3"), Idle("axis4"))
-    # Axis 4 is heard to be idle at 100 and 200, axis 3 too.
-    talk.tells("""
-        0…50/50 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1
-        100 < State axis3 ready: IDLE
-        100…150/50 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1
-    """)
-
-
-# -- verdicts on an arming --------------------------------------------------------------------------------
-
-LEFT_OVER = {"SUCCESS", "BUSY", "CANCELLED", "DISARMED"}
-"""What may be left over from an earlier request is no verdict on this one."""
-
-
-@pytest.mark.parametrize("result", range(17))
-def test_vectors_of_results_that_are_verdicts(result: int) -> None:
-    talk = standing(arm_retry_ms=1000)
-    talk.run(10, Hold("left"))
-    talk.stage()
-    talk.beat(1, Procedure_Result=result)
-    talk.run(150, Hold("left"))
-    name = words_of("0.6", "Heartbeat", "Procedure_Result").get(result, "procedure result 16")
-    state = f"0 < State left ready: IDLE, {name}" if result > 1 else ""
-    verdict = [
-        "0…90 > 3:Set_Input_Pos 0 0 0",
-        f"100 < Fault left {(1 << 32) + result:#x} {name}: *",
-    ]
-    no_verdict = result == 16 or name in LEFT_OVER
-    talk.tells("\n".join([state, *(["0…140 > 3:Set_Input_Pos 0 0 0"] if no_verdict else verdict)]))
-
-
-def test_vectors_of_arming_again_after_a_clearing() -> None:
-    talk = standing(arm_retry_ms=100)
-    talk.beat(1, Procedure_Result=14)
-    talk.run(300, Hold("left"))
-    talk.tells("""
-        0 < State left ready: IDLE, NOT_CALIBRATED
-        0 > 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
-        10…90 > 3:Set_Input_Pos 0 0 0
-        100 > 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
-        110…190 > 3:Set_Input_Pos 0 0 0
-        200 < Fault left 0x10000000e NOT_CALIBRATED: *
-    """)
-    talk.ask(ClearFault("left"))
-    talk.run(300, Hold("left"))
-    talk.tells("""
-        0 > 3:Clear_Errors 0
-        0 < Done ClearFault left:*
-        0 > 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
-        10…90 > 3:Set_Input_Pos 0 0 0
-        100 > 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
-        110…190 > 3:Set_Input_Pos 0 0 0
-        200 < Fault left 0x10000000e NOT_CALIBRATED: *
-    """)
-
-
-def test_vectors_of_a_result_that_is_no_verdict_since_it_armed() -> None:
-    talk = standing()
-    talk.run(20, Velocity("left", 0.0))
-    talk.beat(8)
-    talk.run(100, Velocity("left", 0.0))
-    talk.stage()
-    talk.beat(1, Procedure_Result=12)
-    talk.run(350)
-    talk.tells("""
-        0 < State left ready: IDLE, HOMING_WITHOUT_ENDSTOP, left closed loop by itself
-        0 > 3?Get_Error
-        100 < State left ready: IDLE, HOMING_WITHOUT_ENDSTOP
-        100…300/100 > 3?Get_Error
-    """)
-
-
-# -- restarts ---------------------------------------------------------------------------------------------
-
-
-def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
-    talk = standing()
-    talk.beat(8)
-    talk.run(50, Velocity("left", ROUND))
-    talk.stage()
-    talk.beat(1, 1)
-    talk.run(200, Velocity("left", ROUND))
-    talk.beat(1)
-    talk.run(100, Velocity("left", ROUND))
-    talk.beat(8)
-    talk.run(100, Velocity("left", ROUND))
-    talk.tells("""
-        0 < State left initialising: IDLE, asking for its firmware
-        100 < State left initialising: IDLE
-        200 < State left ready: IDLE
-        200 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
-        210…290 > 3:Set_Input_Vel 0 0
-        300 < State left armed: CLOSED_LOOP_CONTROL
-        300…390 > 3:Set_Input_Vel 1 0
-    """)
-
-
-def test_vectors_of_one_that_is_silent_in_the_midst_of_motion() -> None:
-    talk = standing()
-    talk.beat(8)
-    talk.run(100, Velocity("left", ROUND))
-    talk.stage()
-    talk.mute()
-    talk.run(300, Velocity("left", ROUND))
-    talk.up(state=8)
-    talk.run(200, Velocity("left", ROUND))
-    # Heard last at -10. What it is is asked anew, every 100 ms; then it is taken over.
-    talk.tells("""
-        0…230 > 3:Set_Input_Vel 1 0
-        240 < State left offline: nothing heard
-        240 > 3:Set_Input_Vel 1 0
-        300 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
-        400 < State left armed: CLOSED_LOOP_CONTROL
-        400 > 3:Set_Input_Vel 1 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 1 0
-        410…490 > 3:Set_Input_Vel 1 0
-    """)
-    talk.run(50, Idle("left"))
-    talk.mute()
-    talk.run(300, Idle("left"))
-    talk.up()
-    talk.run(300, Idle("left"))
-    # Idle goes out to what was ours, heard or not, until two heartbeats confirm it: at 350 and 450.
-    talk.tells("""
-        0…250/50 > 3:Set_Axis_State 1
-        290 < State left offline: nothing heard
-        300 > 3:Set_Axis_State 1
-        350 < State left initialising: IDLE, asking for its firmware
-        350…400/50 > 3:Set_Axis_State 1
-        450 < State left ready: IDLE
-    """)
-
-
 # -- the vendor's words -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("line", "base"), [("0.6", 0), ("0.5", 5 << 48)])
 def test_vectors_of_every_bit_of_a_heartbeat(line: str, base: int) -> None:
     talk, name = (standing(), "left") if line == "0.6" else (standing05(), "axis3")
-    for bit, word in words_of(line, "Heartbeat", "Axis_Error").items():
+    for bit, word in names_of(line, "Heartbeat", "Axis_Error").items():
         talk.stage()
         talk.beat(1, bit)
         talk.run(100)
@@ -301,7 +132,7 @@ def test_vectors_of_every_bit_of_a_heartbeat(line: str, base: int) -> None:
 )
 def test_vectors_of_every_bit_of_a_part_of_0_5(message: str, number: int, bit: int) -> None:
     part = message.split("_")[0]
-    words = words_of("0.5", f"Get_{message}", message)
+    words = names_of("0.5", f"Get_{message}", message)
     known = {value: word for value, word in words.items() if 0 < value < 1 << 32}  # the DBC has 32 bits
     talk = standing05()
     talk.answer(f"Get_{message}", **{message: sum(known)})
@@ -315,7 +146,7 @@ def test_vectors_of_every_bit_of_a_part_of_0_5(message: str, number: int, bit: i
 @pytest.mark.parametrize("line", ["0.5", "0.6"])
 def test_vectors_of_every_state(line: str) -> None:
     talk, name = (standing(), "left") if line == "0.6" else (standing05(), "axis3")
-    for state, word in words_of(line, "Heartbeat", "Axis_State").items():
+    for state, word in names_of(line, "Heartbeat", "Axis_State").items():
         if word == "SENSORLESS_CONTROL":  # not in ODriveEnums.h any more
             continue
         talk.stage()

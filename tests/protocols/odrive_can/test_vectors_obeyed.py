@@ -1,8 +1,9 @@
 """What ODrives obey, from vectors: frames, and the words of whoever obeys them.
 
-What vouches: frames are cantools' with the DBCs 0.6.10 and 0.5.6 (node ids given out, short frames and edges
-of numbers: bytes by hand, with `struct`); the words are derived by hand from odriverobotics/ODrive@f9b5419
-`can_simple.cpp`, `axis.cpp`, `controller.cpp`, and the README's tables of both twins.
+What vouches: frames are cantools' with the DBCs 0.6.10 and 0.5.6 (node ids given out, short frames and
+edges of numbers: bytes by hand, with `struct`); the words are derived by hand from
+odriverobotics/ODrive@f9b5419 `can_simple.cpp`, `axis.cpp`, `controller.cpp`, and the README's tables of
+both twins.
 """
 
 from __future__ import annotations
@@ -197,6 +198,18 @@ def test_vectors_of_a_board_with_two_axes() -> None:
     assert listener.hear(0, frame("Clear_Errors", "0.5", 4)) == []
     assert listener.hear(0, frame("Clear_Errors", "0.5", 7)) == [ClearFault("left"), ClearFault("right")]
     assert listener.hear(0, frame("Clear_Errors", "0.5", 0x3F)) == []
+
+
+def test_vectors_of_a_board_as_it_comes() -> None:
+    """Node ids 0 and 1."""
+    options = Options(firmware="0.5")
+    pairs = (("left", 0, 1), ("right", 1, 0))
+    listener = OdriveEar(
+        [Device(name, node, options, Settings(node + 1, other_axis=other)) for name, node, other in pairs]
+    )
+    for node in (0, 1):
+        both = [ClearFault("left"), ClearFault("right")]
+        assert listener.hear(0, frame("Clear_Errors", "0.5", node)) == both
 
 
 def test_vectors_of_extended_identifiers() -> None:

@@ -1,8 +1,8 @@
 """Conversations of vectors: parameters that are read and written by the vendor's names.
 
 What vouches: bytes, names, and which message has which name are cantools' with the DBCs 0.6.10 and 0.5.6;
-what is expected is derived by hand from the README ("What it does": requests, "What it cannot do") and the
-docstrings of `requests`. See `talk`.
+what is expected is derived by hand from the README ("What it does": requests, "What it cannot do") and
+the docstrings of `requests`. See `talk`.
 """
 
 from __future__ import annotations

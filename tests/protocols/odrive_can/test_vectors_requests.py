@@ -1,8 +1,9 @@
 """Conversations of vectors: requests that are carried out, refused, asked too often, and never answered.
 
-What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6; what is expected is derived by
-hand from the README ("Two firmware lines", "What it does": who is refused what, and after which silence) and
-the docstrings of `requests`. How often an unanswered frame is said again is our own choice. See `talk`.
+What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6; what is expected is derived
+by hand from the README ("Two firmware lines", "What it does": who is refused what, and after which
+silence) and the docstrings of `requests`. How often an unanswered frame is said again is our own choice.
+See `talk`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from protocols.words import (
     ClearFault,
     Estop,
     Home,
-    Idle,
     ReadParameter,
     Reboot,
     Release,
@@ -24,7 +24,7 @@ from protocols.words import (
     Zero,
 )
 from tests.protocols.odrive_can.conversation import DISCOVERED, SERIAL, device
-from tests.protocols.odrive_can.talk import Talk, standing, standing05
+from tests.protocols.odrive_can.talk import Talk, standing
 
 
 def test_vectors_of_a_zero() -> None:
@@ -265,107 +265,3 @@ def test_vectors_of_a_restart_beside_a_device_of_0_6_that_runs() -> None:
     talk.stage()
     talk.ask(Reboot("left"))
     talk.tells("0 > 3:Reboot 0")
-
-
-# -- axes of 0.5.x ---------------------------------------------------------------------------------------
-
-
-def test_vectors_of_what_0_5_cannot_do_over_can() -> None:
-    talk = standing05()
-    talk.ask(SetId("can0", SERIAL, 5), WriteParameter("axis3", "save_configuration", 1.0))
-    talk.tells("""
-        0 < Refused SetId can0: firmware 0.5.x tells no serial numbers over CAN*
-        0 < Refused WriteParameter axis3: firmware 0.5.x cannot do this over CAN*
-    """)
-
-
-def test_vectors_of_clearing_and_zeroing_an_axis_of_0_5() -> None:
-    talk = standing05(4)
-    talk.beat(1, 0x800)
-    talk.run(100)
-    talk.ask(ClearFault("axis4"))
-    talk.run(10)
-    talk.beat()
-    talk.ask(Zero("axis3"))
-    talk.run(10)
-    # A clearing reaches the whole board, and says so.
-    talk.tells("""
-        0 < Fault axis3 0x5000000000800 WATCHDOG_TIMER_EXPIRED: *
-        0 < State axis3 fault: IDLE
-        100 > 4:Clear_Errors
-        100 < Done ClearFault axis4: and every axis of its board
-        110 > 3:Set_Linear_Count 0
-        110 < State axis3 ready: IDLE
-        110 < Done Zero axis3:*
-    """)
-
-
-def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
-    talk = standing05(4)
-    talk.beat(8, node=4)
-    talk.run(50)
-    talk.ask(Reboot("axis3"), Reboot("axis4"))
-    talk.beat(node=4)
-    talk.run(50)
-    talk.tells("""
-        0 < State axis4 armed: CLOSED_LOOP_CONTROL
-        50 < Refused Reboot axis3: *axis4, which is armed*
-        50 < Refused Reboot axis4: it is armed*
-        50 < State axis4 ready: IDLE
-    """)
-    talk.ask(Reboot("axis3"))
-    talk.mute(3)
-    talk.mute(4)
-    talk.run(500)
-    talk.up05(3)
-    talk.up05(4)
-    talk.run(300)
-    # 0.5.x restarts without a word: its silence shows it. Done when it can be asked for something again.
-    talk.tells("""
-        0 > 3:Reboot
-        240 < State axis3 offline: nothing heard
-        240 < State axis4 offline: nothing heard
-        500 < State axis3 initialising: IDLE, asking for its firmware
-        500 < State axis4 initialising: IDLE, asking for its firmware
-        600-800 < State axis3 ready: IDLE
-        600-800 < Done Reboot axis3: it has restarted, and every axis of its board
-        600-800 < State axis4 ready: IDLE
-    """)
-
-
-def test_vectors_of_a_restart_beside_an_axis_that_we_drive() -> None:
-    talk = standing05(4)
-    talk.run(20, Velocity("axis4", 0.0))
-    talk.ask(Reboot("axis3"))
-    talk.tells("""
-        0 > 4:Set_Controller_Mode 2 1 | 4:Set_Input_Vel 0 0 | 4:Set_Axis_State 8
-        10 > 4:Set_Input_Vel 0 0
-        20 < Refused Reboot axis3: *axis4, which is armed*
-    """)
-    talk.run(200, Idle("axis4"))
-    talk.ask(Reboot("axis3"))
-    # Heartbeats at 80 and 180 say that it is idle.
-    talk.tells("""
-        0…150/50 > 4:Set_Axis_State 1
-        200 > 3:Reboot
-    """)
-
-
-def test_vectors_of_an_estop_and_a_question_of_0_5() -> None:
-    talk = standing05()
-    talk.ask(Estop("axis3"), ReadParameter("axis3", "Axis_State"))
-    talk.beat(1, 0x1000)
-    talk.run(100)
-    talk.beat(1, 0x5000)
-    talk.run(100)
-    # Estop is not in the DBC of 0.5.x. A heartbeat cannot be asked for there, and comes by itself.
-    talk.tells("""
-        0 > 3:0x02
-        0 < Fault axis3 0x5000000001000 MIN_ENDSTOP_PRESSED: *
-        0 < State axis3 fault: IDLE
-        0 < Parameter axis3 Axis_State 1
-        0 < Done ReadParameter axis3:*
-        100 < Fault axis3 0x5000000004000 ESTOP_REQUESTED: *
-        100 < Done Estop axis3: it stays in fault until cleared
-    """)
-    assert "3?Heartbeat" not in talk.questions

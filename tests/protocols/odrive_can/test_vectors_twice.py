@@ -1,0 +1,192 @@
+"""Conversations of vectors: two devices hold one node id.
+
+What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6, answers to the roll call
+are as vector address_reply06 has them; what is expected is derived by hand from the README ("What it
+does": a node id that is held twice) and the docstrings of `places` and `driver`. See `talk`.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from protocols.words import (
+    ClearFault,
+    Idle,
+    Velocity,
+)
+from tests.protocols.odrive_can.conversation import address, device, frame
+from tests.protocols.odrive_can.talk import Talk, standing
+
+
+def test_vectors_of_two_that_answer_the_roll_call() -> None:
+    talk = standing()
+    for serial in (10, 11, 10, 11):
+        talk.hear(address(3, serial))
+    twice = """
+        0 < Found 3 00000000000A twice: node id 3 is held twice: by 00000000000A and 00000000000B
+        0 < Found 3 00000000000B twice: node id 3 is held twice: by 00000000000A and 00000000000B
+        0 < Fault left 0x200000000 node id 3 is held twice: *00000000000A and 00000000000B
+    """
+    talk.tells(twice)
+    # Of others it is found, and no motor's fault; who has no node id yet is not alone with that.
+    for serial in (12, 13):
+        talk.hear(address(7, serial), address(63, serial + 2))
+    talk.tells("""
+        0 < Found 7 00000000000C twice: *
+        0 < Found 7 00000000000D twice: *
+    """)
+    talk.ask(ClearFault("left"))
+    talk.run(10)
+    talk.tells("""
+        0 > 3:Clear_Errors 0
+        0 < Done ClearFault left:*
+    """)
+    talk.hear(address(3, 11))
+    talk.tells(twice)
+
+
+def test_vectors_of_one_that_was_replaced_and_of_one_that_moved() -> None:
+    """A serial number counts for two roll calls, and at the node id where it was heard last."""
+    talk = Talk([device(poll_ms=0), device("right", 4, poll_ms=0)])
+    talk.up()
+    talk.up(4)
+    talk.run(200)
+    talk.stage()
+    talk.hear(address(3, 10))
+    talk.run(10_001)
+    talk.hear(address(3, 11), address(4, 11), address(3, 12))
+    talk.tells("")
+    talk.run(10_000)
+    talk.hear(address(4, 13))
+    talk.tells("""
+        10000 < Found 4 00000000000B twice: node id 4 is held twice: by 00000000000B and 00000000000D
+        10000 < Found 4 00000000000D twice: node id 4 is held twice: by 00000000000B and 00000000000D
+        10000 < Fault right 0x200000000 node id 4 is held twice: *00000000000B and 00000000000D
+    """)
+
+
+@pytest.mark.parametrize(
+    ("beats", "twice"),
+    [
+        (((8, 0), (1, 0), (8, 0), (1, 0)), True),
+        (((1, 0), (1, 2), (1, 0), (1, 2)), True),
+        (((1, 0), (1, 0), (1, 0), (1, 0)), False),
+        (((8, 0), (1, 0), (8, 0), (8, 0)), False),
+        (((8, 0), (1, 0), (1, 0), (1, 0)), False),
+        (((8, 0), (1, 0), (8, 0), (9, 0)), False),
+        (((8, 0), (1, 0), (9, 0), (1, 0)), False),
+        (((8, 0), (1, 0), (8, 0)), False),
+        (((1, 0), (8, 0), (1, 0), (8, 0), (1, 0), (8, 0)), True),
+    ],
+)
+def test_vectors_of_heartbeats_that_contradict_each_other(
+    beats: tuple[tuple[int, int], ...], twice: bool
+) -> None:
+    """The fourth shows it; it is told once, and the roll is called at once."""
+    talk = Talk([device(poll_ms=0)])
+    talk.hear(frame("Get_Version", Fw_Version_Minor=6))
+    for state, error in beats:
+        talk.tell("Heartbeat", Axis_State=state, Axis_Error=error << 8)
+        talk.run(50)
+    told = [str(line) for line in talk.lines if "held twice" in line.text or "Found" in line.text]
+    why = "its heartbeats contradict each other in turn"
+    assert (
+        told
+        == [
+            f"150 < Found 3 ? twice: {why}",
+            f"150 < Fault left 0x200000000 node id 3 is held twice: {why}",
+        ]
+        * twice
+    )
+    assert talk.questions["63?Address"] == [0, *[150] * twice]
+
+
+def test_vectors_of_heartbeats_with_extended_identifiers_that_contradict_each_other() -> None:
+    talk = Talk([device(poll_ms=0, firmware="0.5", is_extended=True)], "0.5")
+    for state in (8, 1, 8, 1):
+        talk.tell("Heartbeat", extended=True, Axis_State=state)
+        talk.run(50)
+    talk.tells("""
+        0 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
+        50 < State left initialising: IDLE, asking for its firmware
+        100 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
+        150 < State left initialising: IDLE, asking for its firmware
+        150 < Found 3 ? twice: its heartbeats contradict each other in turn
+        150 < Fault left 0x200000000 node id 3 is held twice: its heartbeats contradict each other in turn
+    """)
+
+
+def test_vectors_of_heartbeats_that_we_asked_for() -> None:
+    """What we had it do in between is no contradiction."""
+    talk = standing(arm_retry_ms=50)
+    for state in (8, 1, 8, 1):
+        talk.run(20, Velocity("left", 0.0))
+        talk.beat(state)
+        talk.run(80, Velocity("left", 0.0))
+        talk.tell("Get_Error")
+    for state in (8, 1, 8, 1):
+        talk.tell("Heartbeat", Axis_State=state)
+        talk.run(20, Idle("left"))
+    assert not [line for line in talk.lines if "held twice" in line.text]
+
+
+@pytest.mark.parametrize(
+    ("places", "every", "twice"),
+    [
+        ((0.0, 1.0), 10, 9),
+        ((0.0, 0.06), 10, 9),
+        ((0.0, 0.04), 10, 0),
+        ((0.0, -1.0), 100, 9),
+        ((0.0, -1.0), 249, 9),
+        ((0.0, -1.0), 250, 9),
+        ((0.0, -1.0), 251, 0),
+        ((0.0, 1.0, 2.0, 3.0), 10, 0),
+        ((0.0, 1.0, 1.0), 10, 25),
+        ((0.0, 1.0, 0.5), 10, 0),
+    ],
+)
+def test_vectors_of_places_that_contradict_each_other(
+    places: tuple[float, ...], every: int, twice: int
+) -> None:
+    """`twice`: the estimate from which on it is known, counted from 0: the eighth leap back in two seconds.
+
+    The first that can be one is the third estimate, number 2. After 500 ms a shaft may be anywhere."""
+    talk = Talk([device(poll_ms=0, feedback_ms=100, offline_ms=1000)])
+    talk.version()
+    talk.beat()
+    talk.run(10)
+    told: list[int] = []
+    for at in range(40):
+        talk.tell("Get_Encoder_Estimates", Pos_Estimate=places[at % len(places)])
+        talk.run(every)
+        if not told and any("positions contradict" in line.text for line in talk.lines):
+            told.append(at)
+    assert told == [twice] * bool(twice)
+    assert sum(line.text.startswith("Fault") for line in talk.lines) == bool(twice)
+
+
+@pytest.mark.parametrize(("velocity", "twice"), [(24.0, True), (26.0, False)])
+def test_vectors_of_a_shaft_that_turns_so_fast_that_it_may_be_anywhere(velocity: float, twice: bool) -> None:
+    """There and back 0.55 turns in 10 ms: 0.05 turns, and twice the velocity that it tells."""
+    talk = standing()
+    talk.cycle(0, "Get_Encoder_Estimates")
+    for at in range(30):
+        talk.tell("Get_Encoder_Estimates", Pos_Estimate=0.55 * (at % 2), Vel_Estimate=velocity)
+        talk.run(10)
+    assert any("contradict" in line.text for line in talk.lines) == twice
+
+
+def test_vectors_of_places_that_are_told_again_after_a_clearing() -> None:
+    talk = standing()
+    talk.cycle(0, "Get_Encoder_Estimates")
+    told = []
+    for at in range(40):
+        if at == 20:
+            talk.ask(ClearFault("left"))
+        talk.tell("Get_Encoder_Estimates", Pos_Estimate=at % 2)
+        talk.run(10)
+        told += [at for line in talk.lines if "Fault" in line.text and "held twice" in line.text]
+        talk.stage()
+    # The eighth leap back is the tenth estimate here; after the clearing they are counted anew.
+    assert len(told) == 2
+    assert told[0] < 20 <= told[1]
