@@ -57,5 +57,4 @@ def outcome(node: Node, now: Nanos) -> tuple[bool, str] | None:
 def end(node: Node) -> None:
     """Back to holding, where the shaft is measured from now on."""
     node.homing, node.hold, node.position, node.rounds = None, None, None, 0
-    node.asked.pop(o.POSITION, None)
-    node.poll_at = 0
+    node.polls.again(o.POSITION)

@@ -13,6 +13,7 @@ from protocols.cia402.client import Client, Job
 from protocols.cia402.codec import Emcy, Heartbeat, NmtState
 from protocols.cia402.complaints import FINDINGS, WRONG_DEVICE
 from protocols.cia402.faults import complaint
+from protocols.cia402.feedback import NEVER, Polls, feedback
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.objects import Key
 from protocols.cia402.options import Options
@@ -23,9 +24,8 @@ from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.setpoint import Values
 from protocols.cia402.startup import Known
 from protocols.cia402.units import Units
-from protocols.words import MILLISECOND, Event, Fault, Feedback, Mode, Nanos, State
+from protocols.words import MILLISECOND, Event, Fault, Mode, Nanos, State
 
-NEVER: Nanos = 1 << 62
 GENERIC_ERROR = 0x1000
 FAULTY = (PowerState.FAULT, PowerState.FAULT_REACTION)
 ENERGISED = (
@@ -35,9 +35,6 @@ ENERGISED = (
     PowerState.FAULT_REACTION,
 )
 """States that Idle must bring to an end."""
-MISSED = 3
-"""A TPDO that did not come for so many of its periods is no longer waited for."""
-SPARE = 10 * MILLISECOND
 CONFIRMED = 2
 """So many statuswords must say that a device is disarmed."""
 
@@ -49,6 +46,7 @@ class Node:
         self.name, self.address, self.options = name, address, options
         self.client = Client(options.sdo_timeout_ms * MILLISECOND)
         self.outlet = Outlet()
+        self.polls = Polls(options.feedback_ms * MILLISECOND)
         # what was read
         self.read: dict[Key, int] = {}
         self.absent: set[Key] = set()
@@ -79,16 +77,6 @@ class Node:
         """It is in fault, and has not told why."""
         self.emergency = False
         """It told of a fault by EMCY, and no statusword came since."""
-        self.fresh: dict[Key, Nanos] = {}
-        """When each object came by itself last."""
-        self.worth: dict[Key, Nanos] = {}
-        """For how long what a TPDO told of an object is good, where its period is known."""
-        self.asked: dict[Key, Nanos] = {}
-        """When each object was last polled."""
-        self.poll_at: Nanos = 0
-        """When the next question is due, or later."""
-        self.poll_pressing = (False, False, False)
-        """What that was planned with."""
         self.told: tuple[Mode, str] | None = None
         self.told_faults: set[int] = set()
         self.roll_call: Nanos = 0
@@ -156,10 +144,7 @@ class Node:
         self.absent.clear()
         self.title = self.known = self.units = self.told = None
         self.listening.clear()
-        self.fresh.clear()
-        self.asked.clear()
-        self.worth.clear()
-        self.poll_at = 0
+        self.polls.forget()
         self.beats.clear()
         self.nmt = self.status = self.power = self.operation = self.position = None
         self.wants_error, self.emergency, self.error_code, self.wrong = False, False, 0, ""
@@ -219,8 +204,7 @@ class Node:
             return None
         self.heard(t)
         self.nmt = NmtState.OPERATIONAL
-        for key in keys:
-            self.fresh[key] = t
+        self.polls.came(t, keys)
         return self.take(t, dict(zip(keys, values, strict=True)))
 
     def take(self, t: Nanos, values: Values) -> list[Event]:
@@ -234,28 +218,8 @@ class Node:
             events += self._hear_status(t, values[o.STATUSWORD])
         if o.POSITION in values:
             self.position, self.position_at = values[o.POSITION], t
-        feedback = self._feedback(t, values)
-        return [*events, feedback] if feedback is not None else events
-
-    def _feedback(self, t: Nanos, values: Values) -> Feedback | None:
-        units = self.units
-        if units is None:
-            return None
-        get = values.get
-        position, velocity, torque = get(o.POSITION), get(o.VELOCITY), get(o.TORQUE)
-        current, voltage = get(o.CURRENT), get(o.DC_VOLTAGE)
-        rated, amperes = units.rated_torque > 0.0, units.rated_current > 0.0
-        made = Feedback(
-            self.name,
-            t,
-            None if position is None else units.position(position),
-            None if velocity is None else units.velocity(velocity),
-            None if torque is None or not rated else units.torque(torque),
-            None if current is None or not amperes else units.current(current),
-            None if voltage is None else voltage / 1000.0,
-        )
-        measured = (made.position, made.velocity, made.torque, made.current, made.voltage)
-        return made if any(value is not None for value in measured) else None
+        measured = feedback(self.name, t, values, self.units) if self.units is not None else None
+        return [*events, measured] if measured is not None else events
 
     def _hear_error(self, t: Nanos, code: int) -> list[Event]:
         self.error_code = code
@@ -365,12 +329,7 @@ class Node:
             for pdo in pdos
             if pdo.way == "from" and pdo.enabled and pdo.entries
         }
-        self.worth = {}
-        for keys, _, period in self.listening.values():
-            if period is not None:
-                good = MISSED * period + SPARE
-                self.worth |= {key: min(good, self.worth.get(key, good)) for key in keys}
-        self.poll_at = 0
+        self.polls.expect((keys, period) for keys, _, period in self.listening.values())
 
     def usable(self, way: mapping.Way) -> list[Pdo]:
         """Its PDOs that can be worked with as they are."""
