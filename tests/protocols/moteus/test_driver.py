@@ -416,6 +416,17 @@ def test_a_limit_is_told_of_an_armed_device_only(mode: int, said: str) -> None:
     assert of(State, bench.driver.receive(bench.now + 1, frame))[-1].detail == said
 
 
+def test_a_limit_from_before_the_bus_was_lost_is_not_told() -> None:
+    bench = ready()
+    armed = f"21000a2f01{'00000000' * 3}210f"
+    limited, free = (framed(reply_id(1), bytes.fromhex(armed + code)) for code in ("63", "00"))
+    (state,) = of(State, bench.driver.receive(bench.now, limited))
+    assert state.detail == "position, limited by servo.max_current_A"
+    bench.driver.bus(bench.now + 1, BusState.BACK)
+    (state,) = of(State, bench.driver.receive(bench.now + 2, free))
+    assert state.detail == "position"
+
+
 def test_a_fault_outside_the_table_is_told_by_its_number() -> None:
     bench = ready()
     frame = framed(reply_id(1), bytes.fromhex("210001210f3f"))

@@ -278,6 +278,12 @@ def test_a_register_that_cannot_be_read_is_written_when_its_question_is_answered
     assert [len(of(Done, each)) for each in told] == [0, 1]
 
 
+def test_the_configuration_is_saved_whatever_id_the_device_tells() -> None:
+    bench = writing("conf_write", 1.0)
+    told = answered(bench, ORDINARY, reads(Register.MULTIPLEX_ID, 5.0))
+    assert [len(of(Done, each)) for each in told] == [0, 1]
+
+
 @pytest.mark.parametrize("name", ["conf_write", "set_output_nearest", "require_reindex"])
 def test_what_moves_or_stops_a_running_device_is_not_written(name: str) -> None:
     bench = ready()

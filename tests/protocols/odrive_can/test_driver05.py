@@ -394,6 +394,14 @@ def test_a_restart_is_refused_while_any_axis_that_may_be_on_the_board_is_armed()
     assert [state.mode for state in of(State, bench.events)].count(Mode.OFFLINE) == 2
 
 
+def test_an_axis_that_is_armed_itself_is_told_so() -> None:
+    bench = board()
+    bench.run(500, Hold("left"), Idle("right"))
+    (end,) = ends(bench.ask(Reboot("left"), 300))
+    assert isinstance(end, Refused)
+    assert end.reason == "it is armed, and would drop its load: say idle first"
+
+
 def test_a_restart_is_refused_while_somebody_else_runs_the_other_axis() -> None:
     bench = board()
     other = bench.twins[1]
