@@ -207,7 +207,7 @@ class Node:
         if self.beat.result not in WAITING and known is not None:
             self.refused = True
             return [Fault(self.name, t, PROCEDURE + self.beat.result, known.name, known.cause, known.cure)]
-        if self.attempts < ARM_ATTEMPTS or self.beats_since_arming < ARM_ATTEMPTS:
+        if self.attempts < ARM_ATTEMPTS or self.beats_since_arming < ARM_ATTEMPTS or t < self.arm_next:
             return []
         self.refused = True
         said = f"it stayed in {state_name(self.beat.state, AxisState)} with {result_name(self.beat.result)}"
@@ -292,7 +292,7 @@ class Node:
             said.append(SetControllerMode(mode, InputMode.PASSTHROUGH))
             self.mode, self.claimed = mode, True
         said.append(standstill(mode, self.position or 0.0))
-        if now >= self.arm_next:
+        if now >= self.arm_next and self.attempts < ARM_ATTEMPTS:  # the last try has its time, too
             said.append(SetAxisState(AxisState.CLOSED_LOOP_CONTROL))
             self.arm_next = now + self.options.arm_retry_ms * MILLISECOND
             self.state_sent = now

@@ -118,7 +118,7 @@ def test_vectors_of_a_device_that_does_not_care() -> None:
     talk = standing(arm_retry_ms=200)
     talk.beat(1, Procedure_Result=2)
     talk.run(1300, Torque("left", 1.0))
-    # CANCELLED may be left from an earlier request: no verdict. Five tries, then it is told.
+    # CANCELLED may be left from an earlier request: no verdict. Five tries, each with its time, then a fault.
     talk.tells("""
         0 < State left ready: IDLE, CANCELLED
         0 > 3:Set_Controller_Mode 1 1 | 3:Set_Input_Torque 0 | 3:Set_Axis_State 8
@@ -130,8 +130,8 @@ def test_vectors_of_a_device_that_does_not_care() -> None:
         600 > 3:Set_Input_Torque 0 | 3:Set_Axis_State 8
         610…790 > 3:Set_Input_Torque 0
         800 > 3:Set_Input_Torque 0 | 3:Set_Axis_State 8
-        810…890-990 > 3:Set_Input_Torque 0
-        900-1000 < Fault left 0x400000000 did not arm in 5 tries: it stayed in IDLE with CANCELLED
+        810…990 > 3:Set_Input_Torque 0
+        1000 < Fault left 0x400000000 did not arm in 5 tries: it stayed in IDLE with CANCELLED
     """)
     talk.ask(ClearFault("left"))
     talk.run(100, Torque("left", 1.0))
@@ -141,6 +141,30 @@ def test_vectors_of_a_device_that_does_not_care() -> None:
         0 > 3:Set_Input_Torque 0 | 3:Set_Axis_State 8
         10…90 > 3:Set_Input_Torque 0
     """)
+
+
+def test_vectors_of_a_device_that_obeys_the_last_try() -> None:
+    talk = standing(arm_retry_ms=200)
+    talk.run(900, Torque("left", 1.0))
+    talk.stage()
+    talk.run(90, Torque("left", 1.0))
+    talk.beat(8)
+    talk.run(20, Torque("left", 1.0))
+    # The fifth was at -100.
+    talk.tells("""
+        0…80 > 3:Set_Input_Torque 0
+        90 < State left armed: CLOSED_LOOP_CONTROL
+        90…100 > 3:Set_Input_Torque 1
+    """)
+
+
+def test_vectors_of_tries_that_are_quicker_than_heartbeats() -> None:
+    """Five heartbeats at least: who tries every 50 ms gives it as much time."""
+    talk = standing(arm_retry_ms=50)
+    talk.run(600, Torque("left", 1.0))
+    asked = [line for line in talk.lines if "Set_Axis_State" in line.text]
+    assert [line.first for line in asked] == [0, 50, 100, 150, 200]
+    assert [line.first for line in talk.lines if line.text.startswith("Fault")] == [500]
 
 
 LEFT_OVER = {"SUCCESS", "BUSY", "CANCELLED", "DISARMED"}
@@ -185,6 +209,27 @@ def test_vectors_of_arming_again_after_a_clearing() -> None:
         10…90 > 3:Set_Input_Pos 0 0 0
         100 > 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
         110…190 > 3:Set_Input_Pos 0 0 0
+        200 < Fault left 0x10000000e NOT_CALIBRATED: *
+    """)
+
+
+def test_vectors_of_a_verdict_on_the_second_arming() -> None:
+    """It runs, falls, and would not arm again: the first heartbeat after the request may still be old."""
+    talk = standing()
+    talk.answer("Get_Error")
+    talk.run(20, Hold("left"))
+    talk.beat(8)
+    talk.run(280, Hold("left"))
+    talk.stage()
+    talk.beat(1, Procedure_Result=14)
+    talk.run(210, Hold("left"))
+    talk.tells("""
+        0 < State left ready: IDLE, NOT_CALIBRATED, left closed loop by itself
+        0 > 3?Get_Error
+        10 > 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
+        20…90 > 3:Set_Input_Pos 0 0 0
+        100 < State left ready: IDLE, NOT_CALIBRATED
+        100…190 > 3:Set_Input_Pos 0 0 0
         200 < Fault left 0x10000000e NOT_CALIBRATED: *
     """)
 
