@@ -18,6 +18,8 @@ from typing import TypeAlias
 
 from protocols.wire import CanFrame, Wire
 
+PROTOCOL = "cia402"
+"""The language's name."""
 MAX_NODE = 127
 """Node ids are 1 to 127; 0 is every node in an NMT command."""
 NODE_MASK = 0x7F

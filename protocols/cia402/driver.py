@@ -1,8 +1,9 @@
 """The driver: our end of CANopen CiA 402, for all such drives of one bus.
 
 Rules. No clock, no bus: time and frames are arguments, what is to be sent is returned. `receive` never raises
-and never learns from a host's frames (ours or another's). `Node` holds what is known of one device, `motion`
-what a command takes, `requests` what is asked; this file deals out the frames.
+and learns nothing of a device from a host's frames (ours or another's). `Node` holds what is known of one
+device, `motion` what a command takes, `requests` what is asked, `holders` who else has its node id; this file
+deals out the frames.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from protocols.answers import Refusals, out_of_range, refusal
-from protocols.cia402 import configuring, jobs, motion, requests, sdo
+from protocols.cia402 import configuring, holders, jobs, motion, requests, sdo
 from protocols.cia402 import objects as o
-from protocols.cia402.client import DOUBLED, Outcome, Purpose
+from protocols.cia402.client import Outcome, Purpose
 from protocols.cia402.codec import (
     EMCY_BASE,
     HEARTBEAT_BASE,
     NODE_MASK,
+    PROTOCOL,
     SDO_TX_BASE,
     SYNC_ID,
     Emcy,
@@ -26,7 +28,7 @@ from protocols.cia402.codec import (
     is_classic,
     sdo_rx_id,
 )
-from protocols.cia402.complaints import DUPLICATE_NODE, NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED
+from protocols.cia402.complaints import NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED
 from protocols.cia402.node import Node
 from protocols.cia402.requests import Pending
 from protocols.cia402.scanning import Scanner, describe
@@ -50,7 +52,6 @@ from protocols.words import (
     Stop,
 )
 
-PROTOCOL = "cia402"
 WAITING = 32
 """Requests under way at once."""
 PDO_IDS = range(0x180, SDO_TX_BASE)
@@ -110,7 +111,7 @@ class Cia402Driver:
         match decode(wire):
             case Heartbeat() as beat:
                 events = node.hear_beat(t, beat)
-                return self._counted([*events, *self._contradiction(t, node)])
+                return self._counted([*events, *holders.contradiction(t, node)])
             case Emcy() as emcy:
                 return self._counted(node.hear_emcy(t, emcy))
         return self._counted(None)
@@ -134,7 +135,7 @@ class Cia402Driver:
         node.heard(t)
         outcome = node.client.hear(answer)
         events = self._ended(t, node, outcome) if outcome is not None else []
-        return events + self._double(t, node)
+        return events + holders.answered_twice(t, node)
 
     def _hear_sync(self, t: Nanos) -> list[Event]:
         """Another producer's: nobody's business while we are none, else told once."""
@@ -164,7 +165,7 @@ class Cia402Driver:
             case Purpose.ASKED:
                 return self._answered(t, job.token, outcome)
             case Purpose.ROLL_CALL if abort is None:
-                return self._hear_roll_call(t, node, outcome)
+                return holders.hear_serial(t, node, outcome)
         return []
 
     def _wrote(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
@@ -185,41 +186,6 @@ class Cia402Driver:
                 self._pending.remove(pending)
             return events
         return []
-
-    # -- who holds which node id --------------------------------------------------------------------
-
-    def _hear_roll_call(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
-        """Another serial number: another device stands there now, of which nothing is known."""
-        known = node.known.serial if node.known is not None else None
-        said = int.from_bytes(outcome.value, "little")
-        if outcome.job.key == o.SERIAL_NUMBER and known is not None and said != known:
-            node.forget()
-            node.heard(t)
-            return node.tell(t, "another device answers")
-        return []
-
-    def _double(self, t: Nanos, node: Node) -> list[Event]:
-        if node.client.repeated or node.client.doubled:
-            node.roll_call = min(node.roll_call, t)
-        if node.client.doubled < DOUBLED:
-            return []
-        return self._held_twice(t, node, "every question is answered twice (by two devices, or to two hosts)")
-
-    def _contradiction(self, t: Nanos, node: Node) -> list[Event]:
-        """Heartbeats that say A B A B come from two devices."""
-        said = node.beats
-        if len(said) < 4 or said[0] != said[2] or said[1] != said[3] or said[0] == said[1]:
-            return []
-        return self._held_twice(t, node, "its heartbeats contradict each other in turn")
-
-    def _held_twice(self, t: Nanos, node: Node, cause: str) -> list[Event]:
-        if node.doubled:
-            return []
-        node.doubled = True
-        serial = node.known.serial if node.known is not None else None
-        detail = f"node id {node.address} is held twice: {cause}"
-        found = Found(t, PROTOCOL, node.address, serial, detail, twice=True)
-        return [found, *node.complain(t, DUPLICATE_NODE, cause)]
 
     # -- the bus ------------------------------------------------------------------------------
 
