@@ -140,6 +140,21 @@ def test_vectors_of_a_parameter_whose_answer_is_lost() -> None:
     """)
 
 
+def test_vectors_of_a_parameter_of_one_that_restarts_meanwhile() -> None:
+    """What it is, and so what it tells, is not known then."""
+    talk = standing()
+    talk.ask(ReadParameter("left", "Disarm_Reason"))
+    talk.beat(1, 1)
+    talk.run(650)
+    talk.tells("""
+        0 > 3?Get_Error
+        0 < State left initialising: IDLE, asking for its firmware
+        100 < State left initialising: IDLE
+        100-150…480-599/100-150 > 3?Get_Error
+        600 < Refused ReadParameter left: the device did not react
+    """)
+
+
 PAIRS = [
     ("Set_Limits", "Velocity_Limit", "Current_Limit"),
     ("Set_Traj_Accel_Limits", "Traj_Accel_Limit", "Traj_Decel_Limit"),
