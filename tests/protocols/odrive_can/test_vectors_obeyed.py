@@ -18,7 +18,7 @@ import pytest
 from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode
 from protocols.odrive_can.ear import OdriveEar
 from protocols.odrive_can.layout import FLOAT_MAX
-from protocols.odrive_can.messages import Ask, GetEncoderEstimates, SetInputPos, SetInputVel
+from protocols.odrive_can.messages import Address, Ask, GetEncoderEstimates, SetInputPos, SetInputVel
 from protocols.odrive_can.messages05 import AskAdcVoltage
 from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
@@ -366,6 +366,15 @@ def test_vectors_of_frames_that_are_too_short_or_too_long(cmd: int) -> None:
     for count in range(11):
         told = decode_from_device(CanFrame(0x60 | cmd, bytes(count)))
         assert (told is not None) == (fewest <= count <= 8)
+
+
+@pytest.mark.parametrize(("last", "connection"), [("", None), ("00", 0), ("07", 7)])
+def test_vectors_of_a_connection_that_is_told_or_not(last: str, connection: int | None) -> None:
+    """Firmware before 0.6.11 leaves the byte out (ODriveArduino@f52eef5 `src/can_simple_messages.hpp`)."""
+    told = CanFrame(0x66, bytes.fromhex("03303373345f38" + last))
+    assert decode_from_device(told) == Address(3, SERIAL, connection)
+    given_out = CanFrame(0x7E6, told.data)
+    assert decode_to_device(given_out) == Address(3, SERIAL, connection)
 
 
 def test_vectors_of_questions() -> None:
