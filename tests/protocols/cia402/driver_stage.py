@@ -14,6 +14,12 @@ from protocols.plugin import Device
 from protocols.wire import CanFrame, Wire
 from protocols.words import Command, Event, Feedback, Mode, Nanos, Request
 
+PROFILE = Options(modes="profile")
+BY_SDO = Options(mapping="keep")
+EVENT = Options(feedback="event")
+POLLED = Options(feedback="sdo")
+ALL = {"sync": Options(), "event": EVENT, "polled": POLLED, "keep": BY_SDO, "profile": PROFILE}
+
 
 @dataclass(slots=True)
 class Stage:
@@ -80,6 +86,10 @@ class Stage:
     def of(self, kind: type[Any]) -> list[Any]:
         """The events of a kind."""
         return [event for event in self.events if isinstance(event, kind)]
+
+    def said(self, id_: int) -> list[bytes]:
+        """The data of the frames that the driver said with this identifier."""
+        return [frame.data for frame in self.down if frame.id == id_]
 
     def writes(self, node: int = 1) -> list[tuple[int, int, int]]:
         """(index, subindex, value) of every SDO download to a node."""
