@@ -183,6 +183,8 @@ class Talk:
         self.wires: list[tuple[int, CanFrame]] = []
         """Everything that the driver has said, with its time since the beginning."""
         self.events: list[Event] = []
+        self.frames = 0
+        """How many frames the driver has heard."""
         self._runs: list[Run] = []
         self._latest: dict[str, Run] = {}
         self._asked: set[str] = set()
@@ -216,6 +218,7 @@ class Talk:
     def hear(self, *frames: CanFrame) -> None:
         """These stand on the bus now, whoever said them."""
         for frame in frames:
+            self.frames += 1
             self._told(self.driver.receive(self.now * MILLISECOND, frame))
 
     def _millisecond(self, words: Sequence[Command | Request], first: bool) -> None:

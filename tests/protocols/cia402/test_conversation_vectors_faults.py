@@ -1,4 +1,4 @@
-"""Conversations of vectors: faults, how they are cleared, quick stops, restarts, silence, NMT, the watchdog."""
+"""Conversations of vectors: faults and their end, quick stops, restarts, silence, NMT, the watchdog."""
 
 from __future__ import annotations
 
@@ -216,6 +216,26 @@ def test_vectors_of_codes_told_by_their_family_as_the_package_calls_it(family: i
         assert fault.name.startswith(wanted), (fault.name, wanted)
     elif family:
         assert fault.name.startswith("unknown")
+
+
+# fmt: off
+CLASSES = [  # the classes of CiA 301 and CiA 402 that are finer than families
+    (0x2111, "current, device input side"), (0x2211, "current inside the device"),
+    (0x23A7, "current, device output side"), (0x31A7, "mains voltage"), (0x32A7, "DC link voltage"),
+    (0x33A7, "output voltage"), (0x41A7, "ambient temperature"), (0x42A7, "device temperature"),
+    (0x43A7, "drive temperature"), (0x61A7, "internal software"), (0x63A7, "data record"),
+    (0x73A7, "additional modules: sensor"), (0x81A7, "monitoring: communication"),
+    (0x86A7, "monitoring: positioning"),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("code", "name"), CLASSES)
+def test_vectors_of_codes_told_by_their_class(code: int, name: str) -> None:
+    talk = Talk()
+    talk.chapter(60)
+    talk.drive.say_emcy(code)
+    talk.chapter(10, told=f"< Fault {code:04X} {name} ({code:#06x})")
 
 
 def test_vectors_of_an_emergency_stop_and_its_end() -> None:

@@ -301,6 +301,9 @@ def test_vectors_of_calling_the_present_position_zero() -> None:
         """,
         )
         assert drive.get(0x6098) == 17, method
+        drive.put(0x6098, 33)
+        talk.chapter(150, Home("m"), Hold("m"))  # by what is set there
+        assert drive.get(0x6098) == 33
 
 
 def test_vectors_of_drives_that_cannot_home() -> None:
