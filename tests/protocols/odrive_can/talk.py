@@ -32,19 +32,13 @@ from protocols.words import (
     MILLISECOND,
     ClearFault,
     Command,
-    Done,
     Event,
-    Fault,
     Feedback,
-    Found,
     Idle,
-    Parameter,
-    Refused,
     Request,
-    State,
 )
 from tests.protocols.odrive_can.conversation import device, frame, meaning
-from tests.protocols.odrive_can.transcript import Line, difference, expectation
+from tests.protocols.odrive_can.transcript import Line, difference, expectation, told
 
 ROUTINE = frozenset(
     {
@@ -262,31 +256,6 @@ class Talk:
         self.lines.clear()
         self.began, self._going_on, self._paused = self.now, None, False
         self._counted = (self.driver.tally.bad, self.driver.tally.foreign)
-
-
-def told(event: Event) -> str:
-    """An event in a line."""
-    match event:
-        case Feedback(motor):
-            values = [(f.name, getattr(event, f.name)) for f in fields(event)[2:]]
-            return f"{motor} " + ", ".join(f"{name} {value:g}" for name, value in values if value is not None)
-        case State(motor, _, mode, detail):
-            return f"State {motor} {mode}: {detail}"
-        case Fault(motor, _, code, name, cause, cure):
-            assert cause, name
-            assert cure, name
-            return f"Fault {motor} {code:#x} {name}: {cause}"
-        case Found(_, protocol, address, serial, detail, twice):
-            assert protocol == "odrive_can"
-            number = "?" if serial is None else f"{serial:012X}"
-            return f"Found {address} {number}{' twice' if twice else ''}: {detail}"
-        case Done(_, request, name, detail):
-            return f"Done {request} {name}: {detail}"
-        case Refused(_, request, name, reason):
-            return f"Refused {request} {name}: {reason}"
-        case Parameter(motor, _, parameter, value):
-            return f"Parameter {motor} {parameter} {value:g}"
-    raise TypeError(event)
 
 
 def standing(**options: Any) -> Talk:

@@ -18,7 +18,9 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+
+from protocols.words import Done, Event, Fault, Feedback, Found, Parameter, Refused, State
 
 TIME = r"\d+(?:-\d+)?"
 LINE = re.compile(
@@ -93,3 +95,28 @@ def difference(lines: Sequence[Line], wanted: Sequence[str]) -> str:
             whole = "\n".join(map(str, lines))
             return f"line {at + 1} is\n{said or 'nothing'}\nand should be\n{meant}\nin\n{whole}"
     return ""
+
+
+def told(event: Event) -> str:
+    """An event in a line."""
+    match event:
+        case Feedback(motor):
+            values = [(f.name, getattr(event, f.name)) for f in fields(event)[2:]]
+            return f"{motor} " + ", ".join(f"{name} {value:g}" for name, value in values if value is not None)
+        case State(motor, _, mode, detail):
+            return f"State {motor} {mode}: {detail}"
+        case Fault(motor, _, code, name, cause, cure):
+            assert cause, name
+            assert cure, name
+            return f"Fault {motor} {code:#x} {name}: {cause}"
+        case Found(_, protocol, address, serial, detail, twice):
+            assert protocol == "odrive_can"
+            number = "?" if serial is None else f"{serial:012X}"
+            return f"Found {address} {number}{' twice' if twice else ''}: {detail}"
+        case Done(_, request, name, detail):
+            return f"Done {request} {name}: {detail}"
+        case Refused(_, request, name, reason):
+            return f"Refused {request} {name}: {reason}"
+        case Parameter(motor, _, parameter, value):
+            return f"Parameter {motor} {parameter} {value:g}"
+    raise TypeError(event)
