@@ -222,6 +222,6 @@ def test_the_sound_ones_are_all_loaded() -> None:
 @pytest.mark.usefixtures("here")
 def test_a_spec_that_raises_later_is_a_mistake_in_the_robot_file(monkeypatch: pytest.MonkeyPatch) -> None:
     plugin = load(NAME)
-    monkeypatch.setattr(f"{NAME}.codec.ids", None)
+    monkeypatch.setattr(f"{NAME}.ids", None)
     with pytest.raises(ConfigError, match=f"protocol '{NAME}' is broken: its spec raises TypeError"):
         config.loads(ROBOT, find=lambda name: plugin if name == NAME else load(name))
