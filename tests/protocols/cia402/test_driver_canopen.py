@@ -24,6 +24,7 @@ from protocols.words import (
     Command,
     Done,
     Event,
+    Fault,
     Feedback,
     Hold,
     Idle,
@@ -34,10 +35,13 @@ from protocols.words import (
     Request,
     Scan,
     State,
+    Torque,
+    Velocity,
     WriteParameter,
 )
 from tests.protocols.cia402 import driver_vectors
 from tests.protocols.cia402.driver_stage import device, driver_of
+from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import Slave
 
 NODE = 5
@@ -209,6 +213,40 @@ def test_scan_finds_a_slave_that_is_in_no_robot_file() -> None:
     assert [(f.address, f.detail) for f in found] == [  # type: ignore[union-attr]
         (NODE, "device profile 402, vendor 0x0, product 0x192")
     ]
+
+
+# -- steering -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "options",
+    [Options(modes="profile"), Options(modes="profile", feedback="sdo", mapping="keep")],
+    ids=["by RPDO", "by SDO"],
+)
+@pytest.mark.parametrize(
+    ("command", "mode", "velocity", "torque"),
+    [
+        (Velocity("m", -2.0), 3, -5215, 0),  # 16384 / 2π · 2 = 5215.2
+        (Velocity("m", 0.5), 3, 1304, 0),  # 1303.8
+        (Torque("m", 0.05), 4, 0, 50),  # ‰ of 1 N·m
+        (Torque("m", -0.25), 4, 0, -250),
+    ],
+)
+def test_velocity_and_torque_of_the_profile_modes_stand_in_an_independent_dictionary(
+    options: Options, command: Command, mode: int, velocity: int, torque: int
+) -> None:
+    drive, driver, events = Drive(NODE), driver_of(device("m", NODE, options)), list[Event]()
+    for at in range(900):
+        for frame in drive.speak(at):
+            events += driver.receive(START + at * STEP, frame)
+        told, wires = driver.send(START + at * STEP, [command] if at >= 200 else [])
+        events += told
+        for wire in wires:
+            assert isinstance(wire, CanFrame)
+            drive.hear(wire)
+    assert drive.state == "OPERATION ENABLED"
+    assert (drive.get(0x6060), drive.get(0x60FF), drive.get(0x6071)) == (mode, velocity, torque)
+    assert not [event for event in events if isinstance(event, Fault | Refused)]
 
 
 # -- SDO, segment by segment ----------------------------------------------------------------------------
