@@ -91,6 +91,26 @@ def test_vectors_of_two_axes_of_0_5_that_are_armed_and_let_go() -> None:
     """)
 
 
+def test_vectors_of_one_that_is_let_go_and_wanted_again_at_once() -> None:
+    """Its last heartbeat is from before Idle; that it obeyed Idle is no fall."""
+    talk = standing()
+    talk.beat(8)
+    talk.run(50, Velocity("left", ROUND))
+    talk.stage()
+    talk.run(10, Idle("left"))
+    talk.run(40, Velocity("left", ROUND))
+    talk.beat(1)
+    talk.run(20, Velocity("left", ROUND))
+    talk.tells("""
+        0 > 3:Set_Axis_State 1
+        10 > 3:Set_Input_Vel 1 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 1 0
+        20…40 > 3:Set_Input_Vel 1 0
+        50 < State left ready: IDLE
+        50 > 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
+        60 > 3:Set_Input_Vel 0 0
+    """)
+
+
 def test_vectors_of_a_device_that_refuses_to_arm() -> None:
     talk = standing(arm_retry_ms=200)
     talk.run(50, Hold("left"))

@@ -333,3 +333,29 @@ def test_vectors_of_an_axis_with_extended_identifiers() -> None:
         20 < Done ClearFault axis: and every axis of its board
         20 > x196612:Set_Axis_State 1
     """)
+
+
+def test_vectors_of_one_node_id_in_both_formats() -> None:
+    """They are two nodes, and do not hear each other's frames."""
+    talk = Talk(
+        [
+            device("standard", firmware="0.5", poll_ms=0),
+            device("extended", firmware="0.5", poll_ms=0, is_extended=True),
+        ],
+        "0.5",
+    )
+    for _ in range(2):
+        for extended in (False, True):
+            talk.tell("Heartbeat", extended=extended, Axis_State=1)
+            talk.tell("Get_Encoder_Estimates", extended=extended, Pos_Estimate=0.5 * extended)
+        talk.run(100)
+        talk.tell("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
+    # Only the standard one has answered, twice as asked.
+    talk.stage()
+    talk.tell("Heartbeat", Axis_State=1)
+    talk.tell("Heartbeat", extended=True, Axis_State=1)
+    talk.run(10, Velocity("standard", 0.0), Velocity("extended", 0.0))
+    talk.tells("""
+        0 < State standard ready: IDLE
+        0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
+    """)
