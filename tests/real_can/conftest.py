@@ -87,15 +87,6 @@ def wire(bitrate: int) -> Iterator[tuple[str, str]]:
             yield name, name
 
 
-WIRES = [
-    pytest.param(0, id="vcan0"),
-    *(
-        pytest.param(rate, id=f"{rate // 1000}k", marks=pytest.mark.controllers)
-        for rate in (500_000, 1_000_000)
-    ),
-]
-
-
 @pytest.fixture
 def vcan() -> Iterator[Callable[[], str]]:
     """A maker of new virtual CAN interfaces, for one test."""

@@ -9,6 +9,8 @@ die() { say "$*"; poweroff -f; }
 
 mount -t proc proc /proc
 mount -t devtmpfs dev /dev
+told=$(sed -n 's/.*tsc_early_khz=\([0-9]*\)000\>.*/\1/p' /proc/cmdline)
+grep -q "^cpu MHz.*: $told\." /proc/cpuinfo || die "this kernel does not believe how fast it is ($told MHz)"
 for module in $(cat /modules/order); do
     insmod "/modules/$module" || die "cannot insert $module"
 done

@@ -1,9 +1,12 @@
 """`gateway run` and `gateway twin`, two processes on a real CAN: a goal, the recording, what others see.
 
-Over ODrive on each wire; over CiA 402, moteus, and the three on one CAN FD bus, on a virtual one."""
+The shipped robots of each language, and of three on one CAN FD bus, on a virtual wire; a rover on a wire
+between two controllers."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,37 +15,39 @@ import pytest
 from gateway.recording import read
 from protocols.wire import CanFrame, Packet
 from tests.real_can.candump import Seen, candump, in_order, parse
-from tests.real_can.conftest import WIRES, wire
+from tests.real_can.conftest import wire
+from tests.real_can.pair import SHIPPED, Pair, on_the_wire, rover
 from tests.real_can.programs import Program
-from tests.real_can.rover import rover
 
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """Which robot drives, on which wire, and what it says."""
+    """Which robot drives, and what its frames are."""
 
     name: str
-    bitrate: int
-    """Of the wire; 0 on a virtual one."""
     kinds: frozenset[bool]
     """Of the frames that go out: True is CAN FD."""
     ids: int
     """So many ids, at least, are ours alone."""
+    bitrate: int = 0
+    """Of the wire; 0 on a virtual one."""
     then: tuple[tuple[str, str], ...] = ()
     """What is asked when it has arrived, and what is said to that."""
 
 
-ROVERS = [
-    pytest.param(
-        Robot("rover", int(str(wired.values[0])), frozenset({False}), 4), id=wired.id, marks=wired.marks
-    )
-    for wired in WIRES
+CLASSIC, FD = frozenset({False}), frozenset({True})
+ROBOTS = [
+    Robot("diffbot", CLASSIC, 4),
+    Robot("diffbot_cia402", CLASSIC, 4),
+    Robot("diffbot_moteus", FD, 2),
+    Robot("diffbot_mixed", CLASSIC | FD, 6, then=(("velocity mast 1", "mast: armed"),)),
+    pytest.param(Robot("rover", CLASSIC, 4, 500_000), marks=pytest.mark.controllers),
+    pytest.param(Robot("rover", CLASSIC, 4, 1_000_000), marks=pytest.mark.controllers),
 ]
-LANGUAGES = [
-    Robot("rover_cia402", 0, frozenset({False}), 4),
-    Robot("rover_moteus", 0, frozenset({True}), 2),
-    Robot("rover_mixed", 0, frozenset({False, True}), 6, (("velocity arm 1", "arm: armed"),)),
-]
+
+
+def title(robot: Robot) -> str:
+    return f"{robot.name}-{robot.bitrate // 1000}k" if robot.bitrate else f"{robot.name}-vcan0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +62,26 @@ class Drive:
     """By candump, on our end."""
 
 
-@pytest.fixture(scope="module", params=[*ROVERS, *(pytest.param(one, id=one.name) for one in LANGUAGES)])
+@contextmanager
+def driving(folder: Path, robot: Robot, ends: tuple[str, str], *words: str) -> Iterator[Pair]:
+    if robot.bitrate:
+        with rover(folder, robot.bitrate, ends, *words) as pair:
+            yield pair
+    else:
+        with on_the_wire(folder, SHIPPED / f"{robot.name}.toml", ends, *words) as pair:
+            yield pair
+
+
+@pytest.fixture(scope="module", params=ROBOTS, ids=title)
 def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Drive:
     robot: Robot = request.param
     folder = tmp_path_factory.mktemp("drive")
     recording, log = folder / "drive.mcap", folder / "candump.log"
-    asked = ("--goal", "0.4,0", "--record", str(recording))
+    asked = ("--goal", "0.4,0.1", "--record", str(recording))
     with (
         wire(robot.bitrate) as ends,
         candump(ends[0], log),
-        rover(folder, robot.bitrate, ends, *asked, name=robot.name) as (run, twin),
+        driving(folder, robot, ends, *asked) as (run, twin),
     ):
         run.until("goal 1 reached", patience=60.0)
         for line, seen in robot.then:

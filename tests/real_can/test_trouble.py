@@ -15,7 +15,7 @@ import pytest
 from protocols.wire import CanFrame
 from tests.real_can.candump import candump, parse
 from tests.real_can.conftest import ip, wire
-from tests.real_can.rover import rover
+from tests.real_can.pair import rover
 
 AXIS_STATE, VELOCITY, IDLE = 0x07, 0x0D, 1
 """Messages of an ODrive (Set_Axis_State, Set_Input_Vel), and the state that lets go."""
