@@ -4,8 +4,9 @@ Rules. `Axis` is what one device remembers of what it was told; the twin's firmw
 object, so ear and twin cannot disagree on what is obeyed. Writing the mode begins a command: all other
 command registers fall back to their defaults, and without it they change nothing that is obeyed. A frame for
 one UUID is skipped by the others from the mask on; an ear that was not told a device's UUID takes it for that
-device's. The ear knows neither faults nor timeouts: it takes a mode as granted. Source: mjbots/moteus@1f4a195
-`fw/moteus_controller.cc` (Write), `docs/protocol/registers.md` (UUID mask, defaults).
+device's. The ear knows neither faults nor timeouts, but for the one fault that is in the command itself: it
+takes a mode as granted. Source: mjbots/moteus@1f4a195 `fw/moteus_controller.cc` (Write),
+`docs/protocol/registers.md` (UUID mask, defaults, fault 45).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, nan, tau
+from math import isfinite, isnan, nan, tau
 
 from protocols.moteus.codec import (
     BROADCAST,
@@ -130,7 +131,7 @@ class Axis:
             case Mode.STOPPED:
                 return (Idle(self.motor),)
             case Mode.POSITION:
-                return (self._position(push),)
+                return (Idle(self.motor) if self._trips() else self._position(push),)
             case Mode.CURRENT:
                 return (Torque(self.motor, _finite(get(Register.COMMAND_Q_CURRENT)) * self.kt),)
             case Mode.ZERO_VELOCITY | Mode.BRAKE:
@@ -138,6 +139,12 @@ class Axis:
             case Mode.STAY_WITHIN:  # inside its bounds it gives nothing but this
                 return (Torque(self.motor, push),)
         return (WriteParameter(self.motor, "mode", float(self.mode)),)
+
+    def _trips(self) -> bool:
+        """Whether a stop position is commanded together with a limit: fault 45, and no torque."""
+        get = self.command.__getitem__
+        limits = (get(Register.COMMAND_VELOCITY_LIMIT), get(Register.COMMAND_ACCEL_LIMIT))
+        return not isnan(get(Register.COMMAND_STOP_POSITION)) and any(limit >= 0.0 for limit in limits)
 
     def _position(self, push: float) -> Command:
         get = self.command.__getitem__

@@ -54,6 +54,13 @@ def mode(value: Mode, *rest: bytes) -> bytes:
         (push(7.0, 0.25, Limits(0.1, 1.0, 2.0, 3.0)), [Torque("left", 0.25)]),
         (mode(Mode.POSITION), [Position("left", 0.0, 0.0, 0.0)]),
         (mode(Mode.POSITION, write(0x20, None), write(0x23, 0.0)), [Velocity("left", 0.0, 0.0)]),
+        # a stop position and a limit together: fault 45, no torque; a negative limit is none
+        (mode(Mode.POSITION, write(0x20, 0.5), write(0x26, 0.25), write(0x28, 1.0)), [Idle("left")]),
+        (mode(Mode.POSITION, write(0x20, 0.5), write(0x26, 0.25), write(0x29, 0.0)), [Idle("left")]),
+        (
+            mode(Mode.POSITION, write(0x20, 0.5), write(0x26, 0.25), write(0x28, -1.0)),
+            [Position("left", rev(0.5), 0.0, 0.0)],
+        ),
         (mode(Mode.CURRENT, write(0x1C, 2.0)), [Torque("left", 2.0 * KT)]),
         (mode(Mode.BRAKE), [Velocity("left", 0.0)]),
         (mode(Mode.ZERO_VELOCITY), [Velocity("left", 0.0)]),
