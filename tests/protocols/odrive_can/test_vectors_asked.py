@@ -188,3 +188,24 @@ def test_vectors_of_questions_while_it_is_driven() -> None:
         20…380 > 3:Set_Input_Vel 0 0
     """)
     assert {at % 20 for at in since(talk, "3?Get_Iq")} <= {0}
+
+
+def test_vectors_of_what_one_motor_costs() -> None:
+    """At 200 steps a second: a set-point at every step, and four questions at 5 Hz."""
+    talk = Talk([device()], every=5)
+    talk.up(state=8)
+    talk.run(300, Velocity("left", 0.0))
+    talk.stage()
+    talk.run(1000, Velocity("left", 0.0))
+    assert [(line.text, line.said) for line in talk.lines] == [("3:Set_Input_Vel 0 0", 200)]
+    assert sum(len(since(talk, question)) for question in talk.questions) == 20
+
+
+def test_vectors_of_a_watchdog_of_0_5_that_is_fed_while_idle() -> None:
+    """It runs while idle too, and any frame to the axis feeds it: one in 100 ms, and a step."""
+    talk = Talk([device(firmware="0.5")], "0.5")
+    talk.up05()
+    talk.answer("Get_Iq", Iq_Measured=0.0)
+    talk.run(5300)
+    asked = sorted(at for question in talk.questions for at in talk.questions[question] if at >= 300)
+    assert max(later - earlier for earlier, later in pairwise(asked)) <= 110
