@@ -172,6 +172,7 @@ OBEYED: dict[str, Lines] = {
         ("map 1 1 6040 6060 607A", "*"), ("map 2 255 60FF 6071", "*"), ("map 3 0 60B1", "*"),
         ("rpdo1 6 8 0", ""), ("sync", ""), ("rpdo1 7 8 0", ""), ("sync", ""),
         ("rpdo1 15 8 4096", ""),  # with SYNC
+        ("raw 080#0000",  ""),  # that is none
         ("sync",          "Position 1.5708 0 0"),
         ("sync",          ""),
         ("rpdo1 15 8 100", ""), ("rpdo1 15 8 8192", ""),  # the last one counts
@@ -192,6 +193,9 @@ OBEYED: dict[str, Lines] = {
         ("rpdo1 0 9 0", ""),
         ("sync",          "Idle"),
         ("map 2 253 60FF", "*"),  # no such transmission type: the one before
+        ("map 2 255", "*"), ("rpdo1 6 9 0", ""), ("sync", ""), ("rpdo1 15 9 0", ""),
+        ("sync",          "Velocity -6.2832 0"),
+        ("raw 302#0000000000000000", ""),  # nothing is mapped any longer
     ],
     "PDOs are configured while they are disabled": [
         ("1400:01 = 514",        "WriteParameter 1400:01 514"),  # 0x202

@@ -104,7 +104,12 @@ def test_vectors_of_a_drive_that_shortens_its_answers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"), [(b" drive 7 \0\0\0", "m, drive 7, "), (b"x", "m, x, "), (None, "m, device profile")]
+    ("name", "told"),
+    [
+        (b" drive 7 \0\0\0", "m, drive 7, "),
+        (b"caf\xe9 9", "m, caf\N{REPLACEMENT CHARACTER} 9, "),
+        (None, "m, device profile"),
+    ],
 )
 def test_vectors_of_a_name(name: bytes | None, told: str) -> None:
     drive = Drive()
