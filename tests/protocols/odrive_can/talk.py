@@ -36,6 +36,7 @@ from protocols.words import (
     Feedback,
     Idle,
     Request,
+    Velocity,
 )
 from tests.protocols.odrive_can.conversation import device, frame, meaning
 from tests.protocols.odrive_can.transcript import Line, difference, expectation, told
@@ -263,6 +264,15 @@ def standing(**options: Any) -> Talk:
     talk = Talk([device(poll_ms=0, **options)])
     talk.up()
     talk.run(200)
+    talk.stage()
+    return talk
+
+
+def running() -> Talk:
+    """One that is driven with a turn a second, and was last heard to be in closed loop before that."""
+    talk = standing()
+    talk.beat(8)
+    talk.run(100, Velocity("left", ROUND))
     talk.stage()
     return talk
 

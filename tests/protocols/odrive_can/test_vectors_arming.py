@@ -18,7 +18,7 @@ from protocols.words import (
     Velocity,
 )
 from tests.protocols.odrive_can.conversation import names_of
-from tests.protocols.odrive_can.talk import ROUND, standing, standing05
+from tests.protocols.odrive_can.talk import ROUND, running, standing, standing05
 
 
 def test_vectors_of_a_position_to_a_device_that_stands_elsewhere() -> None:
@@ -93,10 +93,7 @@ def test_vectors_of_two_axes_of_0_5_that_are_armed_and_let_go() -> None:
 
 def test_vectors_of_one_that_is_let_go_and_wanted_again_at_once() -> None:
     """Its last heartbeat is from before Idle; that it obeyed Idle is no fall."""
-    talk = standing()
-    talk.beat(8)
-    talk.run(50, Velocity("left", ROUND))
-    talk.stage()
+    talk = running()
     talk.run(10, Idle("left"))
     talk.run(40, Velocity("left", ROUND))
     talk.beat(1)

@@ -15,18 +15,11 @@ from protocols.words import (
     Velocity,
 )
 from tests.protocols.odrive_can.conversation import device
-from tests.protocols.odrive_can.talk import ROUND, Talk, standing
+from tests.protocols.odrive_can.talk import ROUND, Talk, running, standing
 
 
 def test_vectors_of_a_device_that_falls_while_it_runs() -> None:
-    talk = standing()
-    talk.beat(8)
-    talk.run(100, Velocity("left", 0.0))
-    talk.tells("""
-        0 < State left armed: CLOSED_LOOP_CONTROL
-        0 > 3:Set_Input_Vel 0 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0
-        10…90 > 3:Set_Input_Vel 0 0
-    """)
+    talk = running()
     talk.beat(1, Procedure_Result=3)
     talk.run(150, Velocity("left", 0.0))
     # Told, and only a question: arming again might wipe the reason.
@@ -72,10 +65,7 @@ def test_vectors_of_a_device_that_falls_while_it_runs() -> None:
 
 def test_vectors_of_one_that_falls_and_is_let_go() -> None:
     """As a joint does that heard of a fault: Idle goes out at once, and the reason is asked for as well."""
-    talk = standing()
-    talk.beat(8)
-    talk.run(100, Velocity("left", 0.0))
-    talk.stage()
+    talk = running()
     talk.answer("Get_Error", Disarm_Reason=0x1000000)
     talk.beat(1, Procedure_Result=3)
     talk.run(200, Idle("left"))
@@ -93,10 +83,7 @@ def test_vectors_of_one_that_falls_and_is_let_go() -> None:
 
 
 def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
-    talk = standing()
-    talk.beat(8)
-    talk.run(50, Velocity("left", ROUND))
-    talk.stage()
+    talk = running()
     talk.beat(1, 1)
     talk.run(200, Velocity("left", ROUND))
     talk.beat(1)
@@ -115,10 +102,7 @@ def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
 
 
 def test_vectors_of_one_that_is_silent_in_the_midst_of_motion() -> None:
-    talk = standing()
-    talk.beat(8)
-    talk.run(100, Velocity("left", ROUND))
-    talk.stage()
+    talk = running()
     talk.mute()
     talk.run(300, Velocity("left", ROUND))
     talk.up(state=8)
