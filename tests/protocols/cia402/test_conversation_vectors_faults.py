@@ -492,3 +492,47 @@ def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
         < State ready SWITCH ON DISABLED
         """,
     )
+
+
+def test_vectors_of_an_emergency_stop_of_a_drive_that_somebody_else_runs() -> None:
+    drive = Drive()
+    drive.stand("OPERATION ENABLED", 9)
+    talk = Talk(drive)
+    talk.chapter(100)
+    talk.chapter(
+        100,
+        Estop("m"),
+        told="""
+        0 < Fault 10004 quick stop
+        0 < State fault OPERATION ENABLED*
+        write 6040 = 0002
+        < State fault QUICK STOP ACTIVE
+        < Done Estop m *
+        < State fault SWITCH ON DISABLED
+        """,
+    )
+    talk.chapter(100, Hold("m"), told="")
+    talk.chapter(100, ClearFault("m"), told="< State ready SWITCH ON DISABLED\n< Done ClearFault m")
+
+
+def test_vectors_of_a_drive_that_is_no_longer_asked_to_hold_after_a_fault() -> None:
+    talk = armed(Talk(), Velocity("m", 1.0))
+    talk.drive.trip(0x8611)
+    talk.chapter(100, Velocity("m", 1.0))
+    talk.drive.put(0x6064, 4200)  # it has run out
+    talk.chapter(
+        150,
+        ClearFault("m"),
+        Idle("m"),  # cleared, and let go: 06 stands in its RPDO
+        told="""
+        rpdo2 60FF=0 6071=0 60B2=0
+        rpdo1 6040=0006 6060=9 607A=*
+        write 6040 = 0000
+        write 6040 = 0080
+        < State ready READY TO SWITCH ON
+        < Done ClearFault m
+        write 1016:01 = 00000000
+        sync ?
+        beat ?
+        """,
+    )

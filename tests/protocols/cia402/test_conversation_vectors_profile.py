@@ -368,3 +368,48 @@ def test_vectors_of_arming_in_profile_modes_is_let_go_like_any_other() -> None:
         beat ?
         """,
     )
+
+
+def test_vectors_of_a_zero_that_fails_leaves_the_homing_method_as_it_was() -> None:
+    drive = Drive()
+    drive.put(0x6098, 33)
+    drive.homes = "failed"
+    talk = armed(Talk(drive))
+    talk.chapter(
+        150,
+        Zero("m"),
+        Hold("m"),
+        told="""
+        write 6098 = 37
+        rpdo1 6040=000F 6060=6 607A=4096 …
+        < State armed OPERATION ENABLED, homing
+        rpdo1 6040=001F 6060=6 607A=4096 …
+        < Refused Zero m it reports a homing error*
+        write 6098 = 33
+        rpdo1 6040=000F 6060=8 607A=4096 …
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_restart_in_the_middle_of_homing() -> None:
+    drive = Drive()
+    drive.homes = "never"
+    talk = armed(Talk(drive))
+    talk.chapter(50, Home("m"), Hold("m"))
+    drive.restart()
+    talk.chapter(
+        20,
+        Idle("m"),
+        told="""
+        0 < State initialising restarted
+        < State initialising asking it what it is
+        0 < Refused Home m it was disarmed*
+        write 6040 = 0006 …
+        < State initialising *
+        sync ?
+        beat ?
+        """,
+    )
