@@ -103,6 +103,19 @@ def meaning(frame: CanFrame, drives: Sequence[Drive]) -> tuple[str, str]:
     return str(frame), str(frame)
 
 
+def configured(index: int, cob: int, kind: int, *entries: int, timer: int = 0) -> str:
+    """The lines of a PDO that is written: in the order of `PdoMap.save()` of the package.
+
+    The event timer [ms] of a TPDO comes with an inhibit time as long, which counts 100 µs."""
+    mapped = index + 0x200
+    lines = [f"write {index:04X}:01 = {cob | 1 << 31:08X}", f"write {index:04X}:02 = {kind}"]
+    lines += [f"write {index:04X}:03 = {10 * timer}", f"write {index:04X}:05 = {timer}"] if timer else []
+    lines.append(f"write {mapped:04X} = 0")
+    lines += [f"write {mapped:04X}:{sub:02X} = {entry:08X}" for sub, entry in enumerate(entries, 1)]
+    lines += [f"write {mapped:04X} = {len(entries)}", f"write {index:04X}:01 = {cob:08X}"]
+    return "\n        ".join(lines)
+
+
 # -- the transcript ---------------------------------------------------------------------------------------
 
 

@@ -7,57 +7,29 @@ an increment is τ/16384 rad, a per mille of torque 1 mN·m. It stands at 4096: 
 from __future__ import annotations
 
 from protocols.words import ClearFault, Hold, Idle, Position, Stop, Torque, Velocity
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import Talk, configured
 from tests.protocols.cia402.firmware import Drive
 
-CONFIGURED = """
-        write 1400:01 = 80000202
-        write 1400:02 = 1
-        write 1600 = 0
-        write 1600:01 = 60400010
-        write 1600:02 = 60600008
-        write 1600:03 = 607A0020
-        write 1600 = 3
-        write 1400:01 = 00000202
-        write 1401:01 = 80000302
-        write 1401:02 = 1
-        write 1601 = 0
-        write 1601:01 = 60FF0020
-        write 1601:02 = 60710010
-        write 1601:03 = 60B20010
-        write 1601 = 3
-        write 1401:01 = 00000302
-        write 1402:01 = 80000402
-        write 1402:02 = 1
-        write 1602 = 0
-        write 1602:01 = 60B10020
-        write 1602 = 1
-        write 1402:01 = 00000402
-        write 1800:01 = C0000182
-        write 1800:02 = 1
-        write 1A00 = 0
-        write 1A00:01 = 60410010
-        write 1A00:02 = 60610008
-        write 1A00:03 = 60640020
-        write 1A00 = 3
-        write 1800:01 = 40000182
-        write 1801:01 = C0000282
-        write 1801:02 = 1
-        write 1A01 = 0
-        write 1A01:01 = 606C0020
-        write 1A01:02 = 60770010
-        write 1A01:03 = 603F0010
-        write 1A01 = 3
-        write 1801:01 = 40000282
-        write 1802:01 = C0000382
-        write 1802:02 = 10
-        write 1A02 = 0
-        write 1A02:01 = 60780010
-        write 1A02:02 = 60790020
-        write 1A02 = 2
-        write 1802:01 = 40000382
-        write 1016:01 = 007F01F4"""
-"""The PDOs of the README, each in the order of `PdoMap.save()`; 1016: node 127 (7F), 500 ms (1F4)."""
+RPDO1 = (0x60400010, 0x60600008, 0x607A0020)
+RPDO2 = (0x60FF0020, 0x60710010, 0x60B20010)
+RPDO3 = (0x60B10020,)
+TPDO1 = (0x60410010, 0x60610008, 0x60640020)
+TPDO2 = (0x606C0020, 0x60770010, 0x603F0010)
+TPDO3 = (0x60780010, 0x60790020)
+"""What stands in the PDOs that the driver writes, by the README: index, subindex, bits."""
+CONFIGURED = "\n        ".join(
+    (
+        "",
+        configured(0x1400, 0x202, 1, *RPDO1),
+        configured(0x1401, 0x302, 1, *RPDO2),
+        configured(0x1402, 0x402, 1, *RPDO3),
+        configured(0x1800, 0x40000182, 1, *TPDO1),
+        configured(0x1801, 0x40000282, 1, *TPDO2),
+        configured(0x1802, 0x40000382, 10, *TPDO3),
+        "write 1016:01 = 007F01F4",
+    )
+)
+"""All of them with SYNC, the last with every tenth; 1016: node 127 (7F), 500 ms (1F4)."""
 
 
 def test_vectors_of_a_drive_that_comes_up_and_is_only_asked() -> None:

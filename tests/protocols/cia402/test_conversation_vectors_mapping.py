@@ -9,13 +9,12 @@ from __future__ import annotations
 import pytest
 
 from protocols.words import ClearFault, Hold, Idle, Position, Velocity
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import Talk, configured
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import armed
+from tests.protocols.cia402.test_conversation_vectors import RPDO1, RPDO2, RPDO3, TPDO1, TPDO2, TPDO3, armed
 
-RPDO1 = (0x60400010, 0x60600008, 0x607A0020)
-RPDO2 = (0x60FF0020, 0x60710010)
-TPDO1 = (0x60410010, 0x60610008, 0x60640020)
+SHORT = (0x60FF0020, 0x60710010)
+"""RPDO2 without the torque offset."""
 ARMED = """
         rpdo1 6040=0006 6060=8 607A=4096 …
         < State ready READY TO SWITCH ON
@@ -23,37 +22,17 @@ ARMED = """
         < State ready SWITCHED ON
         rpdo1 6040=000F 6060=8 607A=4096 …
         < State armed OPERATION ENABLED, cyclic synchronous position"""
-WRITTEN_FOR_SYNC = """
-        write 1800:01 = C0000182
-        write 1800:02 = 1
-        write 1A00 = 0
-        write 1A00:01 = 60410010
-        write 1A00:02 = 60610008
-        write 1A00:03 = 60640020
-        write 1A00 = 3
-        write 1800:01 = 40000182
-        write 1801:01 = C0000282
-        write 1801:02 = 1
-        write 1A01 = 0
-        write 1A01:01 = 606C0020
-        write 1A01:02 = 60770010
-        write 1A01:03 = 603F0010
-        write 1A01 = 3
-        write 1801:01 = 40000282
-        write 1802:01 = C0000382
-        write 1802:02 = 10
-        write 1A02 = 0
-        write 1A02:01 = 60780010
-        write 1A02:02 = 60790020
-        write 1A02 = 2
-        write 1802:01 = 40000382"""
+WRITTEN_FOR_SYNC = f"""
+        {configured(0x1800, 0x40000182, 1, *TPDO1)}
+        {configured(0x1801, 0x40000282, 1, *TPDO2)}
+        {configured(0x1802, 0x40000382, 10, *TPDO3)}"""
 
 
 def with_pdos(kind: int, timer: int = 0) -> Drive:
     """A drive that comes with PDOs that tell and steer all that is needed."""
     drive = Drive()
     drive.map(0x1400, 0x202, kind, *RPDO1)
-    drive.map(0x1401, 0x302, kind, *RPDO2)
+    drive.map(0x1401, 0x302, kind, *SHORT)
     drive.map(0x1800, 0x40000182, kind, *TPDO1, timer=timer)
     return drive
 
@@ -68,57 +47,12 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
         Hold("m"),
         told=f"""
         write 1017 = 50
-        write 1400:01 = 80000202
-        write 1400:02 = 255
-        write 1600 = 0
-        write 1600:01 = 60400010
-        write 1600:02 = 60600008
-        write 1600:03 = 607A0020
-        write 1600 = 3
-        write 1400:01 = 00000202
-        write 1401:01 = 80000302
-        write 1401:02 = 255
-        write 1601 = 0
-        write 1601:01 = 60FF0020
-        write 1601:02 = 60710010
-        write 1601:03 = 60B20010
-        write 1601 = 3
-        write 1401:01 = 00000302
-        write 1402:01 = 80000402
-        write 1402:02 = 255
-        write 1602 = 0
-        write 1602:01 = 60B10020
-        write 1602 = 1
-        write 1402:01 = 00000402
-        write 1800:01 = C0000182
-        write 1800:02 = 255
-        write 1800:03 = 200
-        write 1800:05 = 20
-        write 1A00 = 0
-        write 1A00:01 = 60410010
-        write 1A00:02 = 60610008
-        write 1A00:03 = 60640020
-        write 1A00 = 3
-        write 1800:01 = 40000182
-        write 1801:01 = C0000282
-        write 1801:02 = 255
-        write 1801:03 = 200
-        write 1801:05 = 20
-        write 1A01 = 0
-        write 1A01:01 = 606C0020
-        write 1A01:02 = 60770010
-        write 1A01:03 = 603F0010
-        write 1A01 = 3
-        write 1801:01 = 40000282
-        write 1802:01 = C0000382
-        write 1802:02 = 255
-        write 1802:03 = 2000
-        write 1802:05 = 200
-        write 1A02 = 0
-        write 1A02:01 = 60780010
-        write 1A02:02 = 60790020
-        write 1A02 = 2
-        write 1802:01 = 40000382
+        {configured(0x1400, 0x202, 255, *RPDO1)}
+        {configured(0x1401, 0x302, 255, *RPDO2)}
+        {configured(0x1402, 0x402, 255, *RPDO3)}
+        {configured(0x1800, 0x40000182, 255, *TPDO1, timer=20)}
+        {configured(0x1801, 0x40000282, 255, *TPDO2, timer=20)}
+        {configured(0x1802, 0x40000382, 255, *TPDO3, timer=200)}
         write 1016:01 = 00630190
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 60B2=0 …
@@ -159,28 +93,9 @@ def test_vectors_of_feedback_that_is_asked_for() -> None:
         200,
         Hold("m"),
         told=f"""
-        write 1400:01 = 80000202
-        write 1400:02 = 255
-        write 1600 = 0
-        write 1600:01 = 60400010
-        write 1600:02 = 60600008
-        write 1600:03 = 607A0020
-        write 1600 = 3
-        write 1400:01 = 00000202
-        write 1401:01 = 80000302
-        write 1401:02 = 255
-        write 1601 = 0
-        write 1601:01 = 60FF0020
-        write 1601:02 = 60710010
-        write 1601:03 = 60B20010
-        write 1601 = 3
-        write 1401:01 = 00000302
-        write 1402:01 = 80000402
-        write 1402:02 = 255
-        write 1602 = 0
-        write 1602:01 = 60B10020
-        write 1602 = 1
-        write 1402:01 = 00000402
+        {configured(0x1400, 0x202, 255, *RPDO1)}
+        {configured(0x1401, 0x302, 255, *RPDO2)}
+        {configured(0x1402, 0x402, 255, *RPDO3)}
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 60B2=0 …
@@ -302,20 +217,8 @@ def test_vectors_of_pdos_that_steer_too_little() -> None:
         250,
         Hold("m"),  # RPDO1 and what tells stay as they are
         told=f"""
-        write 1401:01 = 80000302
-        write 1401:02 = 1
-        write 1601 = 0
-        write 1601:01 = 60FF0020
-        write 1601:02 = 60710010
-        write 1601:03 = 60B20010
-        write 1601 = 3
-        write 1401:01 = 00000302
-        write 1402:01 = 80000402
-        write 1402:02 = 1
-        write 1602 = 0
-        write 1602:01 = 60B10020
-        write 1602 = 1
-        write 1402:01 = 00000402
+        {configured(0x1401, 0x302, 1, *RPDO2)}
+        {configured(0x1402, 0x402, 1, *RPDO3)}
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 60B2=0 …
@@ -446,38 +349,13 @@ def test_vectors_of_pdos_that_may_not_be_written() -> None:
     talk.chapter(
         350,
         Hold("m"),
-        told="""
+        told=f"""
         write 1400:01 = 80000202
-        write 1401:01 = 80000302
-        write 1401:02 = 1
-        write 1601 = 0
-        write 1601:01 = 60FF0020
-        write 1601:02 = 60710010
-        write 1601:03 = 60B20010
-        write 1601 = 3
-        write 1401:01 = 00000302
-        write 1402:01 = 80000402
-        write 1402:02 = 1
-        write 1602 = 0
-        write 1602:01 = 60B10020
-        write 1602 = 1
-        write 1402:01 = 00000402
-        write 1800:01 = C0000182
-        write 1800:02 = 1
-        write 1A00 = 0
-        write 1A00:01 = 60410010
-        write 1A00:02 = 60610008
-        write 1A00:03 = 60640020
-        write 1A00 = 3
-        write 1800:01 = 40000182
+        {configured(0x1401, 0x302, 1, *RPDO2)}
+        {configured(0x1402, 0x402, 1, *RPDO3)}
+        {configured(0x1800, 0x40000182, 1, *TPDO1)}
         write 1801:01 = C0000282
-        write 1802:01 = C0000382
-        write 1802:02 = 10
-        write 1A02 = 0
-        write 1A02:01 = 60780010
-        write 1A02:02 = 60790020
-        write 1A02 = 2
-        write 1802:01 = 40000382
+        {configured(0x1802, 0x40000382, 10, *TPDO3)}
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 60B2=0 …
