@@ -1,0 +1,141 @@
+"""Conversations of vectors with a host that calls the driver when it says that it is due, and never else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from protocols.words import ClearFault, Estop, Hold, Idle, ReadParameter, Reboot, Scan, Velocity
+from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.firmware import Drive
+from tests.protocols.cia402.test_conversation_vectors import CONFIGURED
+
+NEVER = 10**12
+
+
+def lazy(drive: Drive | None = None, **options: Any) -> Talk:
+    """Nobody calls but when it is due, and at the beginning of a chapter."""
+    talk = Talk(drive or Drive(), **options)
+    talk.every = NEVER
+    return talk
+
+
+def test_vectors_of_coming_up_and_falling_silent_when_due() -> None:
+    talk = lazy()
+    talk.chapter(
+        300,
+        told="""
+        < State initialising SWITCH ON DISABLED*
+        40..60 < State ready SWITCH ON DISABLED
+        asks 6041 6061 6064 606C 6077 6078 6079
+        measures position=1.5708 velocity=0 torque=0 current=0 voltage=48
+        """,
+    )
+    talk.drive.put(0x6064, 0)
+    talk.chapter(25, told="measures position=0")
+    talk.chapter(1000, told="reads 1018:04")
+    talk.drive.dead = True
+    talk.chapter(700, told="480..505 < State offline nothing heard")
+    talk.drive.dead = False
+    talk.chapter(300, told="< State initialising *\n< State initialising *\n< State ready SWITCH ON DISABLED")
+
+
+def test_vectors_of_arming_when_due() -> None:
+    talk = lazy()
+    talk.chapter(100)
+    talk.chapter(
+        300,
+        Hold("m"),
+        told=f"""{CONFIGURED}
+        nmt OPERATIONAL 2
+        rpdo2 60FF=0 6071=0 60B2=0 …
+        rpdo3 60B1=0 …
+        rpdo1 6040=0006 6060=8 607A=4096 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=4096 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=4096 /10
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync /10
+        beat 127 OPERATIONAL /125..135
+        """,
+    )
+    talk.chapter(
+        100,
+        Idle("m"),
+        told="""
+        0 rpdo1 6040=0006 6060=8 607A=4096
+        < State ready READY TO SWITCH ON
+        write 1016:01 = 00000000
+        sync ?
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_drive_that_does_not_disarm_when_due() -> None:
+    talk = lazy(feedback="sdo", mapping="keep", watchdog_ms=0)
+    talk.chapter(100)
+    talk.chapter(300, Velocity("m", 1.0))
+    assert talk.drive.state == "OPERATION ENABLED"
+    talk.drive.deaf = True
+    talk.chapter(
+        700,
+        Idle("m"),
+        told="""
+        write 6040 = 0006 /50 until 440..460
+        500..505 write 6040 = 0000 /50
+        """,
+    )
+
+
+def test_vectors_of_a_drive_that_does_not_arm_when_due() -> None:
+    drive = Drive()
+    drive.deaf = True
+    talk = lazy(drive, state_timeout_ms=200, feedback="sdo", mapping="keep", watchdog_ms=0)
+    talk.chapter(100)
+    talk.chapter(
+        300,
+        Hold("m"),
+        told="""
+        nmt OPERATIONAL 2
+        write 607A = 4096 …
+        write 6060 = 8
+        write 6040 = 0006
+        200..230 < Fault 10001 operation not enabled
+        """,
+    )
+
+
+def test_vectors_of_requests_when_due() -> None:
+    talk = lazy()
+    talk.chapter(100)
+    talk.chapter(20, ReadParameter("m", "6502"), told="< Parameter 6502 941\n< Done ReadParameter m")
+    talk.chapter(900, Scan("can0"))
+    (done,) = [run for run in talk.runs() if run.text.startswith("< Done Scan")]
+    assert 400 <= done.times[0] <= 600
+    talk.drive.trip(0x2310)
+    talk.drive.resets = 2
+    talk.chapter(50)
+    talk.chapter(700, ClearFault("m"))
+    (done,) = [run for run in talk.runs() if run.text.startswith("< Done ClearFault")]
+    assert 500 <= done.times[0] <= 530, "the second reset"
+    told = "0 < Fault 10004 *\n0 < State fault *\nwrite 6040 = 0002\n< Done Estop m *"
+    talk.chapter(200, Estop("m"), told=told)  # it gives no torque
+    talk.drive.dead = True
+    talk.chapter(2500, ReadParameter("m", "6502"))
+    (refused,) = [run for run in talk.runs() if run.text.startswith("< Refused ReadParameter")]
+    assert refused.times[0] <= 2005
+
+
+def test_vectors_of_a_reboot_that_is_not_seen_when_due() -> None:
+    talk = lazy()
+    talk.chapter(100)
+    talk.drive.starts = 99
+    talk.chapter(
+        8100,
+        Reboot("m"),
+        told="""
+        0 nmt RESET 2 /2000 until 6000..8000
+        8000..8001 < Refused Reboot m it showed no sign of a restart
+        """,
+    )
