@@ -308,8 +308,8 @@ def test_vectors_of_heartbeats_that_no_line_would_send(data: str, mode: str) -> 
 # -- extended identifiers ---------------------------------------------------------------------------------
 
 
-def test_vectors_of_an_axis_with_extended_identifiers() -> None:
-    node = 0x30004
+@pytest.mark.parametrize("node", [0, 0x30004, 0xFFFFFF])
+def test_vectors_of_an_axis_with_extended_identifiers(node: int) -> None:
     talk = Talk([device("axis", node, firmware="0.5", is_extended=True, poll_ms=0)], "0.5")
     talk.up05(node, extended=True)
     talk.run(200)
@@ -325,13 +325,13 @@ def test_vectors_of_an_axis_with_extended_identifiers() -> None:
     talk.ask(ClearFault("axis"))
     talk.beat(node=node, extended=True)
     talk.run(10, Idle("axis"))
-    talk.tells("""
+    talk.tells(f"""
         0 < State axis ready: IDLE
-        0 > x196612:Set_Controller_Mode 2 1 | x196612:Set_Input_Vel 0 0 | x196612:Set_Axis_State 8
-        10 > x196612:Set_Input_Vel 0 0
-        20 > x196612:Clear_Errors
+        0 > x{node}:Set_Controller_Mode 2 1 | x{node}:Set_Input_Vel 0 0 | x{node}:Set_Axis_State 8
+        10 > x{node}:Set_Input_Vel 0 0
+        20 > x{node}:Clear_Errors
         20 < Done ClearFault axis: and every axis of its board
-        20 > x196612:Set_Axis_State 1
+        20 > x{node}:Set_Axis_State 1
     """)
 
 
