@@ -84,6 +84,8 @@ ACTIONS = (
     Register.REQUIRE_REINDEX,
     Register.RECAPTURE_POSITION_VELOCITY,
 )
+CONTROL = (Register.COMMAND_KP_SCALE, Register.COMMAND_KD_SCALE, Register.COMMAND_ILIMIT_SCALE)
+"""All of them are scaled to zero for a torque alone: an integrator that is left on goes on pushing."""
 NOT_COMMANDED = (*(Mode.FAULT, Mode.ENABLING, Mode.CALIBRATING, Mode.CALIBRATION_COMPLETE), Mode.TIMEOUT)
 """Modes that the device enters by itself only."""
 ZEROING = 1e-9
@@ -149,7 +151,7 @@ class Axis:
     def _position(self, push: float) -> Command:
         get = self.command.__getitem__
         position, velocity = get(Register.COMMAND_POSITION), _finite(get(Register.COMMAND_VELOCITY))
-        if get(Register.COMMAND_KP_SCALE) == 0.0 and get(Register.COMMAND_KD_SCALE) == 0.0:
+        if not any(get(register) for register in CONTROL):
             return Torque(self.motor, push)
         if isfinite(position):
             return Position(self.motor, position * tau, velocity * tau, push)

