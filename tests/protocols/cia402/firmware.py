@@ -54,6 +54,8 @@ class Drive:
         """It does not change its mode yet."""
         self.copies = 1
         """So often each SDO answer stands on the bus."""
+        self.doubles = 0
+        """So many answers more stand there twice."""
         self.late = 0
         """Its SDO answers come so many ms later."""
         self.acknowledges, self.homes = True, "attained"
@@ -209,7 +211,8 @@ class Drive:
             elif self.late:
                 self.delayed.append((ms + self.late, frame))
             else:
-                said += [frame] * (0 if self.mute else self.copies)
+                said += [frame] * (0 if self.mute else 2 if self.doubles else self.copies)
+                self.doubles = max(self.doubles - 1, 0)
         more, self.extra = self.extra, []
         return said + more
 

@@ -154,13 +154,13 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
         measures position=1.9558 velocity=0 torque=0
         """,
     )
-    talk.chapter(
+    talk.chapter(  # with each SYNC, every 10 ms, comes a statusword: two must say so
         200,
         Idle("m"),
         told="""
         0 rpdo1 6040=0006 6060=8 607A=5100
         < State ready READY TO SWITCH ON
-        write 1016:01 = 00000000
+        15..27 write 1016:01 = 00000000
         sync /10 until 10..50
         beat ?
         """,
@@ -326,6 +326,23 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
         < State ready SWITCHED ON
         rpdo1 6040=000F 6060=8 607A=4096 /10
         < State armed OPERATION ENABLED, cyclic synchronous position
+        sync ?
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_letting_go_of_a_drive_that_hears_no_pdos() -> None:
+    talk = armed(Talk())
+    talk.drive.nmt(0x80)  # somebody else says pre-operational, and its heartbeat tells
+    talk.chapter(110)
+    talk.chapter(
+        100,
+        Idle("m"),
+        told="""
+        0 write 6040 = 0006
+        < State ready READY TO SWITCH ON
+        write 1016:01 = 00000000
         sync ?
         beat ?
         """,

@@ -536,3 +536,21 @@ def test_vectors_of_a_drive_that_is_no_longer_asked_to_hold_after_a_fault() -> N
         beat ?
         """,
     )
+
+
+def test_vectors_of_a_fault_cleared_before_the_state_is_known() -> None:
+    drive = Drive()
+    drive.trip(0x8611, emcy=False)
+    talk = Talk(drive)
+    talk.chapter(
+        150,
+        ClearFault("m"),
+        told="""
+        < State initialising FAULT*
+        write 6040 = 0000
+        write 6040 = 0080
+        < State initialising SWITCH ON DISABLED*
+        < Done ClearFault m
+        < State ready SWITCH ON DISABLED
+        """,
+    )

@@ -157,7 +157,16 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
 @pytest.mark.parametrize(("kind", "options"), [(1, {}), (255, {"feedback": "event"})])
 def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -> None:
     talk = Talk(with_pdos(kind, 10 if kind == 255 else 0), **options)
-    talk.chapter(150)
+    talk.chapter(
+        150,  # of a PDO that exists: identifier, type, its timer if it tells, and what is mapped
+        told="""
+        < *
+        < State ready SWITCH ON DISABLED
+        reads 1000 1008 1017 1018:01 1018:02 1018:03 1018:04 603F 605A 6075 6076 608F:01 608F:02 6091:01 \
+6091:02 6092:01 6092:02 60B1 60B2 6502 on 1400:01 1400:02 1600 1600:01 1600:02 1600:03 1401:01 1401:02 1601 \
+1601:01 1601:02 1402:01 1403:01 1800:01 1800:02 1800:05 1A00 1A00:01 1A00:02 1A00:03 1801:01 1802:01 1803:01
+        """,
+    )
     synced = "sync /10" if kind == 1 else ""
     talk.chapter(
         200,
@@ -227,6 +236,17 @@ def test_vectors_of_pdos_that_steer_too_little() -> None:
         beat 127 OPERATIONAL …
         """,
     )
+
+
+def test_vectors_of_pdos_that_lack_a_set_point_of_the_other_family() -> None:
+    drive = with_pdos(1)
+    drive.put(0x6502, 0x005)  # PP and PV alone
+    drive.map(0x1401, 0x80000302, 1)
+    talk = armed(Talk(drive))
+    assert drive.get(0x6061) == 1
+    assert drive.get(0x1601, 1) == 0x60FF0020
+    talk.chapter(50, Velocity("m", 1.0))
+    assert (drive.get(0x6061), drive.get(0x60FF)) == (3, 2608)
 
 
 @pytest.mark.parametrize(

@@ -292,6 +292,7 @@ class Host:
         with contextlib.suppress(canopen.SdoAbortedError, canopen.SdoCommunicationError):
             self._say(*line.split())
         told = []
+        assert {getattr(word, "motor", "") for word in self.words} <= {"m"}
         for word in self.words:
             text = _short(word)
             if text != self.last or not isinstance(word, Command):

@@ -277,7 +277,7 @@ def test_vectors_of_homing_that_is_left() -> None:
 def test_vectors_of_calling_the_present_position_zero() -> None:
     for refused, method in ((None, 37), (37, 35)):
         drive = Drive()
-        drive.put(0x6098, 17)
+        drive.put(0x6098, -3)  # one of the maker's own
         if refused:
             drive.refuse(0x6098, 0x06090030, refused)
         talk = armed(Talk(drive))
@@ -292,7 +292,7 @@ def test_vectors_of_calling_the_present_position_zero() -> None:
         < State armed OPERATION ENABLED, homing
         rpdo1 6040=001F 6060=6 607A=4096 …
         < Done Zero m *
-        write 6098 = 17
+        write 6098 = -3
         rpdo1 6040=000F 6060=8 607A=0 …
         < State armed OPERATION ENABLED, cyclic synchronous position
         sync /10
@@ -300,7 +300,7 @@ def test_vectors_of_calling_the_present_position_zero() -> None:
         reads 6098
         """,
         )
-        assert drive.get(0x6098) == 17, method
+        assert drive.get(0x6098) == -3, method
         drive.put(0x6098, 33)
         talk.chapter(150, Home("m"), Hold("m"))  # by what is set there
         assert drive.get(0x6098) == 33

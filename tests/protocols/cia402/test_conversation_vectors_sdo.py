@@ -103,6 +103,15 @@ def test_vectors_of_every_question_answered_twice() -> None:
     talk.chapter(100, Idle("m"), told="< Found *\n< Fault 10002 *")
 
 
+@pytest.mark.parametrize(("questions", "twice"), [(2, False), (3, True)])
+def test_vectors_of_three_questions_in_a_row_answered_twice(questions: int, twice: bool) -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive.doubles = questions
+    talk.chapter(100)
+    assert [event.twice for event in talk.events if isinstance(event, Found)] == [True] * twice
+
+
 def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
     talk = Talk(feedback_ms=50)
     talk.chapter(900)
@@ -161,6 +170,7 @@ ASKED: list[tuple[Request, Sequence[str]]] = [
     (WriteParameter("m", "6098", 37.0),           ["write 6098 = 37", "< Done WriteParameter m"]),
     (WriteParameter("m", "Torque slope", 5.0),    ["write 6087 = 5", "< Done WriteParameter m"]),
     (WriteParameter("m", "6041", 1.0),            ["write 6041 = 0001", "< Refused * (* 0x06010002)"]),
+    (WriteParameter("m", "nonsense", 1.0),        ["0 < Refused WriteParameter m 'nonsense' is no object*"]),
     (WriteParameter("m", "6081", 0.5),            ["0 < Refused WriteParameter m 0.5 is not a whole number"]),
     (WriteParameter("m", "6081", float("nan")),   ["0 < Refused WriteParameter m nan is not a whole number"]),
     (WriteParameter("m", "6081", -1.0),           ["0 < Refused WriteParameter m -1 *"]),
@@ -202,6 +212,13 @@ def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
     talk.chapter(
         30, ReadParameter("m", "2000:01"), told="< Refused ReadParameter m * is no number of its type"
     )
+
+
+def test_vectors_of_parameters_below_zero() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive.put(0x607C, -5)
+    talk.chapter(30, ReadParameter("m", "607C"), told="< Parameter 607C -5\n< Done ReadParameter m position")
 
 
 def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
