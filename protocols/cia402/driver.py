@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from protocols.answers import Refusals, out_of_range, refusal
+from protocols.answers import Refusals, Waiting, out_of_range, refusal
 from protocols.cia402 import configuring, holders, jobs, motion, requests, sdo
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Outcome, Purpose
@@ -52,8 +52,6 @@ from protocols.words import (
     Stop,
 )
 
-WAITING = 32
-"""Requests under way at once."""
 PDO_IDS = range(0x180, SDO_TX_BASE)
 
 
@@ -72,7 +70,7 @@ class Cia402Driver:
         synced = [node.options for node in nodes if node.options.feedback == "sync"]
         host = nodes[0].options.host_id if nodes else 0
         self.pulse = Pulse(synced[0].sync_ms * MILLISECOND if synced else 0, host)
-        self._pending: list[Pending] = []
+        self._waiting: Waiting[Pending] = Waiting()
         self._scan: Scanner | None = None
         self._token = 0
         self._events: list[Event] = []
@@ -180,11 +178,12 @@ class Cia402Driver:
         return node.complain(t, NOT_CONFIGURED, said)
 
     def _answered(self, t: Nanos, token: int, outcome: Outcome) -> list[Event]:
-        for pending in [p for p in self._pending if p.token == token]:
-            events = requests.hear(pending, t, outcome)
-            if events:
-                self._pending.remove(pending)
-            return events
+        for pending in self._waiting:
+            if pending.token == token:
+                events = requests.hear(pending, t, outcome)
+                if events:
+                    self._waiting.end(pending)
+                return events
         return []
 
     # -- the bus ------------------------------------------------------------------------------
@@ -200,8 +199,7 @@ class Cia402Driver:
             node.forget()
         self.pulse.disturbed = False
         if state is not BusState.BACK:
-            self._events += [p.refuse(t, f"the bus is {state}") for p in self._pending]
-            self._pending.clear()
+            self._events += self._waiting.drop(t, f"the bus is {state}")
             if self._scan is not None:
                 self._events.append(Refused(t, Scan.__name__, self._scan.bus, f"the bus is {state}"))
                 self._scan = None
@@ -277,28 +275,26 @@ class Cia402Driver:
         begun: Pending | Refused
         if isinstance(request, Scan):
             return self._begin_scan(now, request)
-        if len(self._pending) >= WAITING:
-            begun = refusal(now, request, "too many requests are under way")
+        if full := self._waiting.full():
+            begun = refusal(now, request, full)
         elif node is None:
             begun = refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
         else:
             self._token += 1
             begun = requests.begin(now, request, node, self._token, node.holding)
-        if isinstance(begun, Refused):
-            return [begun]
-        self._pending.append(begun)
-        if isinstance(request, Estop):
+        refused = self._waiting.add(begun)
+        if isinstance(begun, Pending) and isinstance(request, Estop):
             return begun.node.complain(now, QUICK_STOPPED)
-        return []
+        return [*refused]
 
     def _tend_requests(self, now: Nanos, events: list[Event]) -> list[Wire]:
         wires: list[Wire] = []
-        for pending in list(self._pending):
+        for pending in self._waiting:
             ended, frames = requests.tend(pending, now)
             events += ended
             wires += frames
             if ended:
-                self._pending.remove(pending)
+                self._waiting.end(pending)
         if self._scan is not None:
             wires += self._scan.say(now)
             if self._scan.over(now):
@@ -328,7 +324,7 @@ class Cia402Driver:
     def due(self) -> Nanos | None:
         """When `send` next has something to do by itself."""
         times = [self._due_of(node) for node in self._all]
-        times += [min(pending.deadline, pending.next) for pending in self._pending]
+        times += self._waiting.due()
         times += [self._scan.due()] if self._scan is not None else []
         times += [self.pulse.next] if self.pulse.next is not None else []
         return min(times) if times else None
