@@ -31,6 +31,15 @@ CONFIGURED = "\n        ".join(
 )
 """All of them with SYNC, the last with every tenth; 1016: node 127 (7F), 500 ms (1F4)."""
 
+AGAIN = """
+        rpdo1 6040=0006 6060=8 607A=4096 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=4096 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=4096 …
+        < State armed OPERATION ENABLED, cyclic synchronous position"""
+"""An arming of a drive that stands at 4096, whose other RPDOs say what they said before."""
+
 
 def test_vectors_of_a_drive_that_comes_up_and_is_only_asked() -> None:
     talk = Talk()

@@ -1,24 +1,14 @@
-"""Conversations of vectors: faults and their end, quick stops, restarts, silence, NMT, the watchdog."""
+"""Conversations of vectors: faults, how they are told, and how they end."""
 
 from __future__ import annotations
-
-from itertools import pairwise
 
 import pytest
 from canopen.emcy import EmcyError
 
-from protocols.words import ClearFault, Estop, Fault, Hold, Idle, Stop, Velocity
+from protocols.words import ClearFault, Fault, Hold, Idle, Velocity
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import CONFIGURED, armed
-
-AGAIN = """
-        rpdo1 6040=0006 6060=8 607A=4096 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=4096 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=4096 …
-        < State armed OPERATION ENABLED, cyclic synchronous position"""
+from tests.protocols.cia402.test_conversation_vectors import AGAIN, RPDO1, armed
 
 
 def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
@@ -238,226 +228,6 @@ def test_vectors_of_codes_told_by_their_class(code: int, name: str) -> None:
     talk.chapter(10, told=f"< Fault {code:04X} {name} ({code:#06x})")
 
 
-def test_vectors_of_an_emergency_stop_and_its_end() -> None:
-    talk = armed(Talk())
-    talk.chapter(
-        100,
-        Estop("m"),
-        Hold("m"),
-        told="""
-        0 < Fault 10004 quick stop
-        < State fault OPERATION ENABLED, cyclic synchronous position
-        rpdo1 6040=0002 6060=8 607A=4096 …
-        < State fault QUICK STOP ACTIVE
-        < Done Estop m *
-        20..50 < State fault SWITCH ON DISABLED
-        sync /10
-        beat ?
-        """,
-    )
-    talk.chapter(100, Hold("m"), told="sync /10\nbeat ?")
-    talk.chapter(
-        150,
-        ClearFault("m"),
-        Hold("m"),
-        told=f"""
-        < State ready SWITCH ON DISABLED
-        < Done ClearFault m{AGAIN}
-        sync /10
-        beat ?
-        """,
-    )
-
-
-def test_vectors_of_an_emergency_stop_that_holds_is_left_without_dropping_the_load() -> None:
-    drive = Drive()
-    drive.put(0x605A, 6)
-    talk = armed(Talk(drive))
-    talk.chapter(100, Estop("m"), Hold("m"))
-    assert drive.state == "QUICK STOP ACTIVE"
-    drive.put(0x6064, 4000)
-    talk.chapter(30, Hold("m"), told="sync /10\nbeat ?")
-    talk.chapter(
-        150,
-        ClearFault("m"),
-        Hold("m"),
-        told="""
-        < State ready QUICK STOP ACTIVE
-        < Done ClearFault m
-        rpdo1 6040=0002 6060=8 607A=4000 …
-        rpdo1 6040=000F 6060=8 607A=4000 /10
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
-        """,
-    )
-
-
-def test_vectors_of_an_emergency_stop_by_sdo_said_till_it_is_obeyed() -> None:
-    talk = armed(Talk(feedback="sdo", mapping="keep", watchdog_ms=0))
-    talk.drive.deaf = True
-    talk.chapter(
-        200,
-        Estop("m"),
-        Hold("m"),
-        told="""
-        0 < Fault 10004 quick stop
-        0 < State fault *
-        write 6040 = 0002 /50
-        """,
-    )
-    talk.drive.deaf = False
-    talk.chapter(
-        100,
-        Hold("m"),
-        told="""
-        write 6040 = 0002
-        < State fault QUICK STOP ACTIVE
-        < Done Estop m *
-        < State fault SWITCH ON DISABLED
-        """,
-    )
-
-
-@pytest.mark.parametrize("holds", [True, False])
-def test_vectors_of_a_quick_stop_that_somebody_else_has_said(holds: bool) -> None:
-    drive = Drive()
-    drive.put(0x605A, 6 if holds else 2)
-    drive.stand("QUICK STOP ACTIVE", 8)
-    drive.since = 10**9  # it still slows down
-    talk = Talk(drive, watchdog_ms=0)
-    talk.chapter(100, Idle("m"), told="< State initialising *\n< State ready QUICK STOP ACTIVE")
-    before = len(talk.wires)
-    talk.chapter(200, Hold("m"))
-    words = [w.data[0] for _, w in talk.wires[before:] if w.id == 0x202]
-    order = list(dict.fromkeys(words))
-    assert order == ([0x02, 0x0F] if holds else [0x00, 0x06, 0x07, 0x0F])
-    assert drive.state == "OPERATION ENABLED"
-
-
-def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
-    talk = armed(Talk())
-    talk.drive.restart()
-    talk.drive.put(0x6064, 5000)
-    talk.chapter(
-        350,
-        Hold("m"),
-        told=f"""
-        0 < State initialising restarted
-        < State initialising SWITCH ON DISABLED*
-        < State ready SWITCH ON DISABLED
-        {CONFIGURED.strip()}
-        nmt OPERATIONAL 2
-        rpdo1 6040=0006 6060=8 607A=5000 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=5000 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=5000 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync ?
-        beat ?
-        """,
-    )
-
-
-def test_vectors_of_silence_and_of_coming_back() -> None:
-    talk = armed(Talk(offline_ms=300))
-    talk.drive.dead = True
-    talk.chapter(
-        1000,
-        Hold("m"),
-        told="""
-        280..310 < State offline nothing heard
-        still rpdo1 6040=000F 6060=8 607A=4096 /10 until 280..310
-        sync ?
-        beat ?
-        """,
-    )
-    talk.chapter(500, Hold("m"), told="reads 1000")
-    talk.drive.dead = False
-    talk.chapter(
-        400,
-        Idle("m"),
-        told="""
-        0 write 6040 = 0006 …
-        < State initialising READY TO SWITCH ON*
-        < State ready READY TO SWITCH ON
-        """,
-    )
-
-
-def test_vectors_of_a_drive_that_never_answers() -> None:
-    drive = Drive()
-    drive.dead = True
-    talk = Talk(drive, sdo_timeout_ms=50)
-    talk.chapter(400, Hold("m"), told="reads 1000")
-    talk.chapter(700, Hold("m"), told="95..110 < State offline nothing heard\nreads 1000")
-    times = [at for at, _ in talk.wires]
-    assert {b - a for a, b in pairwise(times)} == {50}
-
-
-def test_vectors_of_an_nmt_state_that_somebody_else_changes() -> None:
-    talk = armed(Talk())
-    for command in (2, 0x80):  # stop; enter pre-operational: both end its PDOs
-        talk.drive.nmt(command)
-        talk.chapter(
-            250,
-            Hold("m"),
-            told="""
-            0..110 nmt OPERATIONAL 2
-            still rpdo1 6040=000F 6060=8 607A=4096 …
-            sync /10
-            beat 127 OPERATIONAL …
-            """,
-        )
-
-
-def test_vectors_of_a_start_that_is_not_obeyed() -> None:
-    talk = Talk(feedback="sdo", watchdog_ms=0)
-    talk.chapter(100)
-    talk.drive.starts = 4
-    talk.chapter(400, Hold("m"))
-    starts = [at for at, wire in talk.wires if wire.id == 0]
-    assert [b - a for a, b in pairwise(starts)] == [100, 100, 100]
-    assert talk.drive.state == "SWITCH ON DISABLED"
-
-
-def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it_stands_then() -> None:
-    talk = armed(Talk())
-    talk.drive.stand("SWITCH ON DISABLED", 8)
-    talk.drive.put(0x6064, 5000)
-    talk.chapter(
-        150,
-        Hold("m"),
-        told="""
-        < State ready SWITCH ON DISABLED
-        rpdo1 6040=0006 6060=8 607A=5000 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=5000 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=5000 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        still rpdo2 60FF=0 6071=0 60B2=0 …
-        sync /10
-        beat ?
-        """,
-    )
-
-
-def test_vectors_of_a_brain_that_falls_silent() -> None:
-    talk = armed(Talk())
-    talk.chapter(300, told="sync ?")  # neither set-points nor heartbeat: the drive's own watchdog is to trip
-    talk.chapter(
-        150,
-        Hold("m"),
-        told="""
-        still rpdo1 6040=000F 6060=8 607A=4096 …
-        sync /10
-        beat 127 OPERATIONAL …
-        """,
-    )
-
-
 def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
     for options in ({}, {"feedback": "sdo"}):
         talk = armed(Talk(**options))
@@ -474,45 +244,6 @@ def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
             beat ?
             """,
         )
-
-
-def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
-    drive = Drive()
-    drive.put(0x605A, 6)
-    drive.stand("QUICK STOP ACTIVE", 8)
-    talk = Talk(drive)
-    talk.chapter(100)
-    talk.chapter(
-        700,
-        Stop(),
-        Idle("m"),  # 06 does not lead out of a quick stop, 00 does
-        told="""
-        0..10 write 6040 = 0006 /50 until 450..500
-        500..510 write 6040 = 0000 …
-        < State ready SWITCH ON DISABLED
-        """,
-    )
-
-
-def test_vectors_of_an_emergency_stop_of_a_drive_that_somebody_else_runs() -> None:
-    drive = Drive()
-    drive.stand("OPERATION ENABLED", 9)
-    talk = Talk(drive)
-    talk.chapter(100)
-    talk.chapter(
-        100,
-        Estop("m"),
-        told="""
-        0 < Fault 10004 quick stop
-        0 < State fault OPERATION ENABLED*
-        write 6040 = 0002
-        < State fault QUICK STOP ACTIVE
-        < Done Estop m *
-        < State fault SWITCH ON DISABLED
-        """,
-    )
-    talk.chapter(100, Hold("m"), told="")
-    talk.chapter(100, ClearFault("m"), told="< State ready SWITCH ON DISABLED\n< Done ClearFault m")
 
 
 def test_vectors_of_a_drive_that_is_no_longer_asked_to_hold_after_a_fault() -> None:
@@ -554,3 +285,15 @@ def test_vectors_of_a_fault_cleared_before_the_state_is_known() -> None:
         < State ready SWITCH ON DISABLED
         """,
     )
+
+
+def test_vectors_of_a_fault_whose_code_comes_with_the_statusword() -> None:
+    drive = Drive()
+    drive.map(0x1400, 0x202, 1, *RPDO1)
+    drive.map(0x1401, 0x302, 1, 0x60FF0020, 0x60710010)
+    drive.map(0x1800, 0x40000182, 1, 0x60410010, 0x603F0010, 0x60640020)
+    talk = armed(Talk(drive))
+    drive.trip(0, emcy=False)
+    talk.chapter(30, Hold("m"), told="< State fault FAULT\nsync /10\nbeat ?")
+    drive.put(0x603F, 0x7305)  # a bit later it knows why
+    talk.chapter(30, Hold("m"), told="< Fault 7305 incremental sensor 1\nsync /10\nbeat ?")

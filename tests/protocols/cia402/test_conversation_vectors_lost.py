@@ -1,0 +1,133 @@
+"""Conversations of vectors: restarts, silence, NMT that somebody else says, a brain that falls silent."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from protocols.words import Hold, Idle
+from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.firmware import Drive
+from tests.protocols.cia402.test_conversation_vectors import CONFIGURED, armed
+
+
+def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
+    talk = armed(Talk())
+    talk.drive.restart()
+    talk.drive.put(0x6064, 5000)
+    talk.chapter(
+        350,
+        Hold("m"),
+        told=f"""
+        0 < State initialising restarted
+        < State initialising SWITCH ON DISABLED*
+        < State ready SWITCH ON DISABLED
+        {CONFIGURED.strip()}
+        nmt OPERATIONAL 2
+        rpdo1 6040=0006 6060=8 607A=5000 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=5000 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=5000 …
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        sync ?
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_silence_and_of_coming_back() -> None:
+    talk = armed(Talk(offline_ms=300))
+    talk.drive.dead = True
+    talk.chapter(
+        1000,
+        Hold("m"),
+        told="""
+        280..310 < State offline nothing heard
+        still rpdo1 6040=000F 6060=8 607A=4096 /10 until 280..310
+        sync ?
+        beat ?
+        """,
+    )
+    talk.chapter(500, Hold("m"), told="reads 1000")
+    talk.drive.dead = False
+    talk.chapter(
+        400,
+        Idle("m"),
+        told="""
+        0 write 6040 = 0006 …
+        < State initialising READY TO SWITCH ON*
+        < State ready READY TO SWITCH ON
+        """,
+    )
+
+
+def test_vectors_of_a_drive_that_never_answers() -> None:
+    drive = Drive()
+    drive.dead = True
+    talk = Talk(drive, sdo_timeout_ms=50)
+    talk.chapter(400, Hold("m"), told="reads 1000")
+    talk.chapter(700, Hold("m"), told="95..110 < State offline nothing heard\nreads 1000")
+    times = [at for at, _ in talk.wires]
+    assert {b - a for a, b in pairwise(times)} == {50}
+
+
+def test_vectors_of_an_nmt_state_that_somebody_else_changes() -> None:
+    talk = armed(Talk())
+    for command in (2, 0x80):  # stop; enter pre-operational: both end its PDOs
+        talk.drive.nmt(command)
+        talk.chapter(
+            250,
+            Hold("m"),
+            told="""
+            0..110 nmt OPERATIONAL 2
+            still rpdo1 6040=000F 6060=8 607A=4096 …
+            sync /10
+            beat 127 OPERATIONAL …
+            """,
+        )
+
+
+def test_vectors_of_a_start_that_is_not_obeyed() -> None:
+    talk = Talk(feedback="sdo", watchdog_ms=0)
+    talk.chapter(100)
+    talk.drive.starts = 4
+    talk.chapter(400, Hold("m"))
+    starts = [at for at, wire in talk.wires if wire.id == 0]
+    assert [b - a for a, b in pairwise(starts)] == [100, 100, 100]
+    assert talk.drive.state == "SWITCH ON DISABLED"
+
+
+def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it_stands_then() -> None:
+    talk = armed(Talk())
+    talk.drive.stand("SWITCH ON DISABLED", 8)
+    talk.drive.put(0x6064, 5000)
+    talk.chapter(
+        150,
+        Hold("m"),
+        told="""
+        < State ready SWITCH ON DISABLED
+        rpdo1 6040=0006 6060=8 607A=5000 …
+        < State ready READY TO SWITCH ON
+        rpdo1 6040=0007 6060=8 607A=5000 …
+        < State ready SWITCHED ON
+        rpdo1 6040=000F 6060=8 607A=5000 …
+        < State armed OPERATION ENABLED, cyclic synchronous position
+        still rpdo2 60FF=0 6071=0 60B2=0 …
+        sync /10
+        beat ?
+        """,
+    )
+
+
+def test_vectors_of_a_brain_that_falls_silent() -> None:
+    talk = armed(Talk())
+    talk.chapter(300, told="sync ?")  # neither set-points nor heartbeat: the drive's own watchdog is to trip
+    talk.chapter(
+        150,
+        Hold("m"),
+        told="""
+        still rpdo1 6040=000F 6060=8 607A=4096 …
+        sync /10
+        beat 127 OPERATIONAL …
+        """,
+    )
