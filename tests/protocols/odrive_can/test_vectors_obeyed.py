@@ -228,6 +228,22 @@ def test_vectors_of_extended_identifiers() -> None:
     assert listener.hear(0, frame("Clear_Errors", "0.5", 3, extended=True)) == []
 
 
+def test_vectors_of_both_lines_on_one_bus() -> None:
+    """Each hears what is for its node, in its own language."""
+    new, old = Options(firmware="0.6"), Options(firmware="0.5")
+    listener = OdriveEar(
+        [
+            Device("new", 3, new, Settings(3)),
+            Device("old", 4, old, Settings(4)),
+            Device("newer", 5, new, Settings(5)),
+        ]
+    )
+    for name, node, line in (("new", 3, "0.6"), ("old", 4, "0.5"), ("newer", 5, "0.6")):
+        assert listener.hear(0, frame("Clear_Errors", line, node)) == [ClearFault(name)]
+    assert listener.hear(0, frame("Set_Linear_Count", "0.5", 4)) == [Zero("old")]
+    assert listener.hear(0, frame("Set_Absolute_Position", "0.6", 3)) == [Zero("new")]
+
+
 def given(serial: int, node: int, to: int = 0x3F) -> CanFrame:
     """A node id given out, as vector assign_node_id_5 has it."""
     return CanFrame(to << 5 | 6, bytes([node]) + serial.to_bytes(6, "little"))

@@ -193,6 +193,22 @@ def test_vectors_of_a_device_that_runs_already() -> None:
     """)
 
 
+def test_vectors_of_one_whose_version_comes_before_its_first_heartbeat() -> None:
+    talk = Talk([device(poll_ms=0)])
+    talk.version()
+    talk.place(0.5)
+    talk.run(50, Hold("left"))
+    talk.beat(8)
+    talk.run(50, Hold("left"))
+    # From its first heartbeat on it is known, and driven.
+    talk.tells("""
+        0 < left position 3.14159, velocity 0
+        50 < State left armed: CLOSED_LOOP_CONTROL
+        50 > 3:Set_Input_Pos 0.5 0 0 | 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0.5 0 0
+        60…90 > 3:Set_Input_Pos 0.5 0 0
+    """)
+
+
 def test_vectors_of_a_stop_that_reaches_what_somebody_else_has_armed() -> None:
     talk = Talk([device(poll_ms=0), device("right", 4, poll_ms=0)])
     talk.up(state=8)
