@@ -7,7 +7,7 @@ import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 from canopen.profiles.p402 import State402
 
-from protocols.cia402 import sdo
+from protocols.cia402 import faults, sdo
 from protocols.cia402.transfer import Transfer
 from protocols.wire import CanFrame
 from protocols.words import Found, Hold, Position, Scan, State, Torque, Velocity
@@ -219,3 +219,16 @@ def test_vectors_of_abort_codes_as_the_package_knows_them() -> None:
     for code in canopen.SdoAbortedError.CODES:
         assert "unknown" not in sdo.abort_text(code), hex(code)
     assert "unknown" in sdo.abort_text(1)
+
+
+# fmt: off
+REGISTERS = [  # object 1001 by CiA 301: bit 0 any, 1 current, 2 voltage, 3 temperature, 4 communication, 7 maker
+    (0x0000, 0x00), (0x1000, 0x01), (0x2310, 0x03), (0x3210, 0x05), (0x4310, 0x09), (0x7305, 0x01),
+    (0x8130, 0x11), (0x8250, 0x11), (0x8611, 0x01), (0xFF01, 0x81),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("code", "register"), REGISTERS)
+def test_vectors_of_the_error_register(code: int, register: int) -> None:
+    assert faults.register_of(code) == register
