@@ -6,7 +6,7 @@ an increment is τ/16384 rad, a per mille of torque 1 mN·m. It stands at 4096: 
 
 from __future__ import annotations
 
-from protocols.words import ClearFault, Hold, Idle, Position, Stop, Torque, Velocity
+from protocols.words import ClearFault, Fault, Hold, Idle, Position, Stop, Torque, Velocity
 from tests.protocols.cia402.conversation import Talk, configured
 from tests.protocols.cia402.firmware import Drive
 
@@ -315,6 +315,9 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
         beat ?
         """,
     )
+    (fault,) = [event for event in talk.events if isinstance(event, Fault)]
+    assert "SWITCH ON DISABLED" in fault.cause
+    assert "no mode" in fault.cause
     drive.deaf = False
     talk.chapter(  # it obeys what it was told last; nothing is tried by itself
         200,

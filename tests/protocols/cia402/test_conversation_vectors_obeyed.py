@@ -135,6 +135,7 @@ OBEYED: dict[str, Lines] = {
         ("6007 = 2", "WriteParameter 6007 2"), ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
         ("nmt 130",       "Idle; WriteParameter NMT state 127"),
         ("6040 = 15",     ""),
+        *UP, ("6040 = 15", "Velocity 0 0"),  # no fault: SWITCH ON DISABLED
     ],
     "a lost connection: quick stop": [
         ("6007 = 3", "WriteParameter 6007 3"), ("605A = 5", "WriteParameter 605A 5"),

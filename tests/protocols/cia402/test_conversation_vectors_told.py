@@ -103,6 +103,14 @@ def test_vectors_of_a_drive_that_shortens_its_answers() -> None:
     assert "position" not in talk.transcript(150)[-1]
 
 
+def test_vectors_of_a_statusword_of_a_wrong_length_it_tells_nothing() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.drive._show = lambda: None  # type: ignore[method-assign]  # as above
+    talk.drive.put_bytes(0x6041, b"\x37")
+    talk.chapter(100, told="asks 6041 6061 6064 606C 6077")
+
+
 @pytest.mark.parametrize(
     ("name", "told"),
     [
@@ -222,7 +230,7 @@ def test_vectors_of_abort_codes_as_the_package_knows_them() -> None:
 
 
 # fmt: off
-REGISTERS = [  # object 1001 by CiA 301: bit 0 any, 1 current, 2 voltage, 3 temperature, 4 communication, 7 maker
+REGISTERS = [  # 1001 by CiA 301: bit 0 any, 1 current, 2 voltage, 3 temperature, 4 communication, 7 maker's
     (0x0000, 0x00), (0x1000, 0x01), (0x2310, 0x03), (0x3210, 0x05), (0x4310, 0x09), (0x7305, 0x01),
     (0x8130, 0x11), (0x8250, 0x11), (0x8611, 0x01), (0xFF01, 0x81),
 ]
