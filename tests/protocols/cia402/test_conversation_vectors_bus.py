@@ -21,6 +21,7 @@ def test_vectors_of_a_bus_that_is_gone_and_back(state: BusState) -> None:
     talk = armed(Talk())
     talk.chapter(1, ReadParameter("m", "6081"), Scan("can0"), Home("m"), Hold("m"))
     talk.bus(state)
+    talk.bus(BusState.GONE)  # told again, or more of it: nothing is lost, or told twice
     talk.drive.dead = True
     talk.chapter(
         100,

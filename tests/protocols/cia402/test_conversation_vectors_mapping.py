@@ -283,15 +283,17 @@ def test_vectors_of_pdos_that_are_written_anew(
     ("index", "kind", "entries"),
     [
         (0x1400, 1, (*RPDO1, 0x00050008)),  # 5 is a dummy: it takes room
+        (0x1400, 1, (*RPDO1, 0x00050004)),  # half a byte of it
         (0x1400, 255, RPDO1),  # at once, not with SYNC
         (0x1800, 1, (*TPDO1, 0x20000108)),  # more is told than is asked for
+        (0x1800, 1, (*TPDO1, 0x20000104)),  # half a byte
         (0x1800, 2, TPDO1),  # with every second SYNC
     ],
 )
 def test_vectors_of_odd_pdos_that_do_well(index: int, kind: int, entries: tuple[int, ...]) -> None:
     drive = with_pdos(1)
     drive.map(index, 0x202 if index == 0x1400 else 0x40000182, kind, *entries)
-    if entries[-1] == 0x20000108:
+    if entries[-1] >> 16 == 0x2000:
         drive.own(0x2000, 1)
     talk = Talk(drive)
     talk.chapter(150)
@@ -300,9 +302,9 @@ def test_vectors_of_odd_pdos_that_do_well(index: int, kind: int, entries: tuple[
     said = [wire.data for _, wire in talk.wires[before:] if wire.id == 0x602 and wire.data[0] != 0x40]
     assert [data[1:4].hex() for data in said] == ["161001"], "1016:01 alone"
     assert drive.state == "OPERATION ENABLED"
-    drive.put(0x6064, 0)
+    drive.put(0x6064, -8192)
     dummy = "202#0F00080010000000 /10\n" if len(entries) == 4 and index == 0x1400 else ""
-    talk.chapter(100, Hold("m"), told=f"{dummy}sync /10\nbeat ?\nmeasures position=0")
+    talk.chapter(100, Hold("m"), told=f"{dummy}sync /10\nbeat ?\nmeasures position=-3.1416")
 
 
 def test_vectors_of_a_drive_without_offsets_and_supply() -> None:

@@ -180,7 +180,9 @@ OBEYED: dict[str, Lines] = {
         ("sync",          "Position 3.1416 0 0"),
         ("rpdo3 16384",   ""),
         ("sync",          "Position 3.1416 6.2832 0"),
-        ("rpdo3 0", ""), ("sync", "Position 3.1416 0 0"), ("rpdo1 15 9 0", ""),
+        ("rpdo3 0", ""), ("nmt 1", ""),  # it is operational: what waits goes on waiting
+        ("sync",          "Position 3.1416 0 0"),
+        ("rpdo1 15 9 0",  ""),
         ("sync",          "Velocity 0 0"),
         ("rpdo2 -16384 0", "Velocity -6.2832 0"),  # at once
         ("raw 202#0F00",  ""), ("sync", ""),  # too short
@@ -457,6 +459,7 @@ PIECES = {
     "download, no size told": ["2081600000000000", "0701020304000000", "4081600000000000"],
     "download, the toggle bit wrong": ["2181600008000000", "1001020304050607"],
     "download of a read only object": ["2F41600001000000"],
+    "block download": ["C681600004000000"],
     "expedited, no size told": ["2281600039300000", "4081600000000000"],
 }
 
