@@ -23,7 +23,6 @@ import pytest
 from gateway import config
 from gateway.buses.twin import open_world
 from gateway.clock import SimulatedClock
-from gateway.commands import status_text
 from gateway.gateway import Gateway
 from gateway.recording import Recorder, RecordingError, read, writer
 from gateway.recording.salvage import is_whole
@@ -295,6 +294,7 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     code = """
 from gateway.recording import RecordingError
 from gateway.recording.sheet import Sheet
+from gateway.status import status_text
 from gateway.views import Views
 views = Views()
 views.prepare()
