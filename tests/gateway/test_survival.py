@@ -28,6 +28,7 @@ from gateway.recording import Recorder, RecordingError, read, writer
 from gateway.recording.salvage import is_whole
 from gateway.run import live
 from gateway.session import session
+from gateway.status import status_text
 from protocols.words import SECOND, Velocity
 from tests.gateway import kills, little, rig
 from tests.gateway.test_recording import child, drained
