@@ -216,21 +216,23 @@ class Axis:
         if is_synchronous(self.dictionary.values[index, o.TRANSMISSION]):
             self.latched[index] = values
             return ()
-        return self._take(index, values)
+        return self._obey(self._take(index, values))
 
     def _hear_sync(self) -> Words:
         if self.nmt is not NmtState.OPERATIONAL:
             return ()
         self.signals.append(Signal.SYNC)
         latched, self.latched = self.latched, {}
-        return [word for index in sorted(latched) for word in self._take(index, latched[index])]
+        # Synchronous RPDOs act together, at the SYNC (CiA 301 "transmission type").
+        return self._obey([key for index in sorted(latched) for key in self._take(index, latched[index])])
 
-    def _take(self, index: int, values: tuple[int, ...]) -> Words:
+    def _take(self, index: int, values: tuple[int, ...]) -> list[Key]:
+        """The values of an RPDO into the dictionary; the objects that took them."""
         packing = self.dictionary.active(index)
         if packing is None:
-            return ()
+            return []
         pairs = [(entry.key, value) for entry, value in zip(packing.entries, values, strict=True)]
-        return self._obey([key for key, value in pairs if self.dictionary.take(key, value)])
+        return [key for key, value in pairs if self.dictionary.take(key, value)]
 
     # -- obeying ------------------------------------------------------------------------------
 

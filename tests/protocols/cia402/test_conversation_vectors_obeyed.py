@@ -180,6 +180,10 @@ OBEYED: dict[str, Lines] = {
         ("sync",          "Position 3.1416 0 0"),
         ("rpdo3 16384",   ""),
         ("sync",          "Position 3.1416 6.2832 0"),
+        ("rpdo1 15 8 4096", ""), ("rpdo3 -16384", ""),  # they act together, at the SYNC
+        ("sync",          "Position 1.5708 -6.2832 0"),
+        ("rpdo1 15 8 8192", ""),
+        ("sync",          "Position 3.1416 -6.2832 0"),
         ("rpdo3 0", ""), ("nmt 1", ""),  # it is operational: what waits goes on waiting
         ("sync",          "Position 3.1416 0 0"),
         ("rpdo1 15 9 0",  ""),
