@@ -263,6 +263,7 @@ class Talk:
     def _told(self, events: Iterable[Event]) -> None:
         for event in events:
             self.events.append(event)
+            assert getattr(event, "protocol", "cia402") == "cia402", event
             assert event.t == self.now * MILLISECOND, event
             if isinstance(event, Feedback):
                 own = f"{event.motor}." if len(self.drives) > 1 else ""

@@ -56,6 +56,8 @@ class Drive:
         """So often each SDO answer stands on the bus."""
         self.doubles = 0
         """So many answers more stand there twice."""
+        self.unsized = False
+        """Its expedited answers of four bytes do not tell their size (CiA 301: s = 0, and n means nothing)."""
         self.late = 0
         """Its SDO answers come so many ms later."""
         self.acknowledges, self.homes = True, "attained"
@@ -206,6 +208,8 @@ class Drive:
         said = [frame for at, frame in self.delayed if at <= ms]
         self.delayed = [(at, frame) for at, frame in self.delayed if at > ms]
         for frame in self.slave.said():
+            if self.unsized and frame.id == 0x580 + self.node and frame.data[0] == 0x43:
+                frame = CanFrame(frame.id, b"\x4e" + frame.data[1:])
             if frame.id != 0x580 + self.node:
                 said.append(frame)
             elif self.late:

@@ -156,6 +156,18 @@ def test_vectors_of_a_scan_that_finds_strangers() -> None:
     assert talk.driver.tally.foreign == foreign + 1
 
 
+def test_vectors_of_an_answer_that_no_scan_asked_for() -> None:
+    talk = Talk()
+    talk.chapter(100)
+    talk.chapter(200, Scan("can0"))
+    counts = []
+    for answer in ("4318100405000000", "4300100092010200", "4318100405000000", "4318100192010000"):
+        before = talk.driver.tally.foreign
+        talk.hear(CanFrame(0x585, bytes.fromhex(answer)))
+        counts.append(talk.driver.tally.foreign - before)
+    assert counts == [1, 0, 1, 0], "a serial number; the device type, asked for; and the vendor, asked next"
+
+
 def test_vectors_of_two_scans_at_once() -> None:
     talk = Talk()
     talk.chapter(100)

@@ -97,6 +97,23 @@ def test_vectors_of_a_start_that_is_not_obeyed() -> None:
     assert talk.drive.state == "SWITCH ON DISABLED"
 
 
+def test_vectors_of_letting_go_where_the_position_is_zero() -> None:
+    drive = Drive()
+    drive.put(0x6064, 0)
+    talk = armed(Talk(drive))
+    talk.chapter(
+        30,
+        Idle("m"),
+        told="""
+        rpdo1 6040=0006 6060=8 607A=0
+        < State ready READY TO SWITCH ON
+        write 1016:01 = 00000000
+        sync ?
+        beat ?
+        """,
+    )
+
+
 def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it_stands_then() -> None:
     talk = armed(Talk())
     talk.drive.stand("SWITCH ON DISABLED", 8)

@@ -159,6 +159,7 @@ ASKED: list[tuple[Request, Sequence[str]]] = [
     (ReadParameter("m", "6081"),                  ["< Parameter 6081 100000", "< Done ReadParameter m *"]),
     (ReadParameter("m", "0x608F:01"),             ["< Parameter 0x608F:01 16384", "< Done *"]),
     (ReadParameter("m", "Profile velocity"),      ["< Parameter Profile velocity 100000", "< Done *"]),
+    (ReadParameter("m", "608Fsub1"),              ["< Parameter 608Fsub1 16384", "< Done *"]),
     (ReadParameter("m", "605a"),                  ["< Parameter 605a 2", "< Done *"]),
     (ReadParameter("m", "1008"),                  ["< Done ReadParameter m twin402"]),  # 7 bytes: in segments
     (ReadParameter("m", "5FFF"),                  ["< Refused ReadParameter m * (SDO abort 0x06020000)"]),
@@ -212,6 +213,14 @@ def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
     talk.chapter(
         30, ReadParameter("m", "2000:01"), told="< Refused ReadParameter m * is no number of its type"
     )
+
+
+def test_vectors_of_answers_that_do_not_tell_their_size() -> None:
+    talk = Talk()
+    talk.drive.unsized = True
+    talk.drive.put(0x6064, 70_000)  # 26.8447 rad
+    talk.chapter(100, told="< *\n< State ready *\nmeasures position=26.845 voltage=48")
+    talk.chapter(30, ReadParameter("m", "6081"), told="< Parameter 6081 100000\n< Done *")
 
 
 def test_vectors_of_parameters_below_zero() -> None:

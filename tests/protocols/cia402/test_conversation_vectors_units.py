@@ -121,6 +121,7 @@ def test_vectors_of_a_drive_without_rated_current_and_torque() -> None:
 UNFIT: list[tuple[Callable[[Drive], None], str]] = [
     (lambda d: d.lack(0x608F),            "units"),
     (lambda d: d.put(0x608F, 0, 1),       "units"),
+    (lambda d: d.put(0x608F, 0, 2),       "units"),
     (lambda d: d.put(0x1000, 0x00020191), "401"),  # an I/O module
     (lambda d: d.lack(0x1000),            "402"),
     (lambda d: d.lack(0x6041),            "6041"),
