@@ -57,7 +57,7 @@ class Drive:
         self.doubles = 0
         """So many answers more stand there twice."""
         self.unsized = False
-        """Its expedited answers of four bytes do not tell their size (CiA 301: s = 0, and n means nothing)."""
+        """Its expedited answers of four bytes do not tell their size (CiA 301: s = 0; n means nothing)."""
         self.late = 0
         """Its SDO answers come so many ms later."""
         self.acknowledges, self.homes = True, "attained"
