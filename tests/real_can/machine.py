@@ -47,7 +47,7 @@ SPEED = 8
 kernel is told that it counts so many in a nanosecond. So a second inside is longer, and a robot of 200 Hz
 finds a processor about as fast as the host's."""
 TIME_LIMIT = 1800.0
-"""Seconds of the host from switching on to powering off: four times what it takes on an idle one."""
+"""Seconds of the host from switching on to powering off: five times what it takes on an idle one."""
 
 
 class Missing(Exception):
