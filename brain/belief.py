@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
-from protocols.words import Goal, Nanos
+from protocols.messages import Goal, Nanos
 
 Floats = npt.NDArray[np.float64]
 

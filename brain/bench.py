@@ -12,7 +12,7 @@ from brain.condition import Condition
 from brain.joint_targets import JointTargets
 from brain.planning.mission import Remark
 from brain.settings import BrainSettings
-from protocols.words import Command, Drive, Event, Goal, Nanos
+from protocols.messages import Command, Drive, Event, Goal, Nanos
 
 
 class Bench:

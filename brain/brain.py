@@ -20,7 +20,7 @@ from brain.health import HealthSettings
 from brain.perception.mount import Mount
 from brain.planning.mission import Remark
 from brain.settings import BrainSettings, changed
-from protocols.words import Command, Drive, Event, Goal, Nanos
+from protocols.messages import Command, Drive, Event, Goal, Nanos
 
 __all__ = ["Brain", "BrainSettings", "HealthSettings"]
 

@@ -25,7 +25,7 @@ from brain.perception.perception import Perception
 from brain.planning.mission import Mission, Remark
 from brain.planning.planner import Toward
 from brain.settings import BrainSettings
-from protocols.words import (
+from protocols.messages import (
     MILLISECOND,
     SECOND,
     Command,

@@ -15,18 +15,7 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from math import isfinite
 
-from protocols.words import (
-    MILLISECOND,
-    SECOND,
-    Event,
-    Feedback,
-    Fix,
-    Imu,
-    LaserScan,
-    Mode,
-    Nanos,
-    State,
-)
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
 
 @dataclass(frozen=True, slots=True)

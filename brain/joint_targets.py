@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from brain.condition import Condition
 from brain.control.joints import Targets
 from brain.health import WELL, Health, HealthSettings, Level
-from protocols.words import Command, Event, Idle, Nanos
+from protocols.messages import Command, Event, Idle, Nanos
 
 
 class JointTargets:

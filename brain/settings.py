@@ -18,7 +18,7 @@ from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
 from brain.perception.perception import PerceptionSettings
 from brain.planning.survey import PlannerSettings
-from protocols.words import MILLISECOND
+from protocols.messages import MILLISECOND
 
 
 @dataclass(frozen=True, slots=True)

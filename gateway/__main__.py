@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
     options = parser().parse_args(arguments)
     _log(options.verbose - options.quiet)
-    from gateway import commands
+    from gateway.cli import commands
 
     command = {
         "demo": commands.demo,

@@ -22,8 +22,8 @@ from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
 from typing import Any, Literal, Protocol
 
-from protocols.wire import BusState, Wire
-from protocols.words import Command, Event, Nanos, Request, Torque
+from protocols.frames import BusState, Wire
+from protocols.messages import Command, Event, Nanos, Request, Torque
 
 GROUP = "motor_gateway.protocols"
 OURS = "motor-gateway"
@@ -236,7 +236,7 @@ class Plugin:
     """The names, in the vendor's words, of the messages to a device that a wire holds; () if none.
     Messages of one name differ in their values only: an independent vector of it speaks for all."""
     vectors: tuple[str, str] | None = None
-    """Bytes from an independent source: a package and the path of a JSON file in it (protocols.vectors).
+    """Bytes from an independent source: a package and the path of a JSON file in it (protocols.reference_vectors).
     None: there are none, and then the contract accepts no message that moves a motor."""
 
 

@@ -10,28 +10,28 @@ import ast
 import sys
 from collections.abc import Iterator
 
-RECORDINGS = ("gateway.recording", "gateway.views", "gateway.bags")
+RECORDINGS = ("gateway.recording", "gateway.rosbag")
 OWN_THREAD = ("gateway.recording", "gateway.operator")
 
 ONLY: dict[str, tuple[str, ...]] = {
     "asyncio": (),
     "can": ("gateway.buses",),
     "concurrent": (),
-    "filterpy": ("brain.perception.ekf", "gateway.bench.rivals"),
-    "matplotlib": ("gateway.picture",),
+    "filterpy": ("brain.perception.ekf", "benchmarks"),
+    "matplotlib": ("gateway.cli.picture",),
     "lz4": RECORDINGS,
     "mcap": RECORDINGS,
-    "mujoco": ("gateway.world",),
+    "mujoco": ("gateway.sim",),
     "multiprocessing": (),
     "queue": OWN_THREAD,
     "random": (),
     "rosbags": RECORDINGS,
     "secrets": (),
     "serial": ("gateway.buses",),
-    "signal": ("gateway.run",),
+    "signal": ("gateway.runtime.loop",),
     "socket": ("gateway.buses", "gateway.operator"),
     "threading": OWN_THREAD,
-    "time": ("gateway.clock",),
+    "time": ("gateway.core.clock",),
     "uuid": (),
 }
 """Outside modules, and the only places that may import them. Ruff's banned-api tells why (pyproject.toml)."""
@@ -48,15 +48,16 @@ INPUT_OUTPUT = frozenset({
 OUTSIDE = {"protocols": {"msgpack"}, "brain": {"numpy", "filterpy"}}
 """What a room may import beside the standard library and the rooms below it."""
 
-STEP = ("gateway.gateway", "gateway.joint", "gateway.tick")
+STEP = ("gateway.core.step", "gateway.core.joint", "gateway.core.tick")
 """The modules of the gateway that are the step itself."""
 
 CONTRACT = (
-    "protocols.words",
-    "protocols.wire",
+    "protocols.messages",
+    "protocols.frames",
     "protocols.plugin",
-    "protocols.vectors",
-    "protocols.answers",
+    "protocols.reference_vectors",
+    "protocols.request_queue",
+    "protocols.message_codec",
 )
 """What a device language may import of ours, beside its own folder."""
 
@@ -115,7 +116,7 @@ def _broken(module: str, name: str) -> Iterator[str]:
             yield f"{room} lies below {top}"
     if (room in OUTSIDE or within(module, *STEP)) and top in INPUT_OUTPUT:
         yield "no clock, bus, thread or file below the loop"
-    if room == "brain" and top == "protocols" and not within(name, "protocols.words"):
+    if room == "brain" and top == "protocols" and not within(name, "protocols.messages"):
         yield "the brain knows the words alone"
     yield from _broken_by_language(module, name)
 

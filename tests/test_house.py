@@ -49,25 +49,25 @@ def test_every_source_keeps_the_rules() -> None:
 
 
 BREAKS = [
-    ("brain.brain", "import time", "only in gateway.clock"),
-    ("gateway.run", "from time import monotonic_ns", "only in gateway.clock"),
-    ("gateway.run", "def f():\n    import time", "only in gateway.clock"),
-    ("gateway.clock2", "import time", "only in gateway.clock"),
-    ("gateway.run", "importlib.import_module('time')", "only in gateway.clock"),
-    ("gateway.run", "__import__('time')", "only in gateway.clock"),
+    ("brain.brain", "import time", "only in gateway.core.clock"),
+    ("gateway.runtime.loop", "from time import monotonic_ns", "only in gateway.core.clock"),
+    ("gateway.runtime.loop", "def f():\n    import time", "only in gateway.core.clock"),
+    ("gateway.clock2", "import time", "only in gateway.core.clock"),
+    ("gateway.runtime.loop", "importlib.import_module('time')", "only in gateway.core.clock"),
+    ("gateway.runtime.loop", "__import__('time')", "only in gateway.core.clock"),
     ("protocols.plain.driver", "import can", "only in gateway.buses"),
-    ("gateway.run", "from serial.tools import list_ports", "only in gateway.buses"),
-    ("gateway.run", "import random", "no place at all"),
+    ("gateway.runtime.loop", "from serial.tools import list_ports", "only in gateway.buses"),
+    ("gateway.runtime.loop", "import random", "no place at all"),
     ("protocols.plain.twin", "import numpy", "protocols imports no numpy"),
     ("brain.planning.astar", "import scipy.ndimage", "brain imports no scipy"),
     ("brain.perception.grid", "import filterpy.kalman", "only in brain.perception.ekf"),
-    ("brain.brain", "from gateway.joint import Joint", "brain lies below gateway"),
-    ("protocols.words", "import brain", "protocols lies below brain"),
+    ("brain.brain", "from gateway.core.joint import Joint", "brain lies below gateway"),
+    ("protocols.messages", "import brain", "protocols lies below brain"),
     ("protocols.plain", "from brain import belief", "protocols lies below brain"),
     ("protocols.plain.driver", "import socket", "below the loop"),
     ("brain.belief", "from pathlib import Path", "below the loop"),
-    ("gateway.joint", "import logging", "below the loop"),
-    ("gateway.gateway", "import os.path", "below the loop"),
+    ("gateway.core.joint", "import logging", "below the loop"),
+    ("gateway.core.step", "import os.path", "below the loop"),
     ("brain.brain", "from protocols.plugin import Spec", "the words alone"),
     ("brain.brain", "from protocols import wire", "the words alone"),
     ("protocols.foo.driver", "from protocols.plain import codec", "and its own folder"),
@@ -81,15 +81,18 @@ BREAKS = [
     ("protocols.foo.codec", "import protocols.foo.twin", "only in their codec"),
 ]
 KEEPS = [
-    ("gateway.clock", "import time"),
-    ("gateway.buses.can", "import can\nfrom gateway.clock import Clock"),
+    ("gateway.core.clock", "import time"),
+    ("gateway.buses.can", "import can\nfrom gateway.core.clock import Clock"),
     ("brain.perception.ekf", "from filterpy.kalman import ExtendedKalmanFilter\nimport numpy as np"),
-    ("brain.brain", "from protocols.words import Nanos\nfrom brain import belief\nimport math"),
-    ("protocols.foo.driver", "from .codec import pack\nfrom protocols.words import Nanos\nimport struct"),
+    ("brain.brain", "from protocols.messages import Nanos\nfrom brain import belief\nimport math"),
+    ("protocols.foo.driver", "from .codec import pack\nfrom protocols.messages import Nanos\nimport struct"),
     ("protocols.foo.driver", "from protocols.foo import codec\nfrom protocols import plugin"),
     ("protocols.foo.twin", "from protocols.foo.servo import Servo"),
     ("protocols.conformance.state", "from protocols.plugin import load\nfrom .case import Case"),
-    ("gateway.journal", "from protocols.plain.codec import pack\nfrom brain.belief import Belief\nimport os"),
+    (
+        "gateway.recording.tick_codec",
+        "from protocols.message_codec import pack\nfrom brain.belief import Belief\nimport os",
+    ),
     ("gateway.timing", "import timeit"),
 ]
 
@@ -133,13 +136,17 @@ def test_ruff_bans_the_same_and_says_why() -> None:
 
 
 LAYERS = [
-    ("brain/belief.py", "import gateway.joint", "gateway over brain over protocols"),
-    ("protocols/wire.py", "import brain.belief", "gateway over brain over protocols"),
+    ("brain/belief.py", "import gateway.core.joint", "gateway over brain over protocols"),
+    ("protocols/frames.py", "import brain.belief", "gateway over brain over protocols"),
     ("brain/belief.py", "import protocols.plugin", "the brain knows the words"),
     ("protocols/plain/driver.py", "import protocols.plain.twin", "driver and twin meet only in their codec"),
-    ("protocols/words.py", "import protocols.plugin", "no import cycles"),
-    ("gateway/joint.py", "import gateway.clock", "the step knows no clock, bus, world or file"),
-    ("gateway/tick.py", "import gateway.buses.twin", "the step knows no clock, bus, world or file"),
+    ("protocols/messages.py", "import protocols.plugin", "no import cycles"),
+    ("gateway/core/joint.py", "import gateway.core.clock", "the step knows no clock, bus, world or file"),
+    (
+        "gateway/core/tick.py",
+        "import gateway.buses.virtual.bus",
+        "the step knows no clock, bus, world or file",
+    ),
 ]
 
 
@@ -291,6 +298,6 @@ def test_a_private_place_is_found(text: str) -> None:
     assert private(text)
 
 
-@pytest.mark.parametrize("text", ["gateway/world/files.py", "~/root/x", "http://www.apache.org/", "a/tmp/"])
+@pytest.mark.parametrize("text", ["gateway/sim/files.py", "~/root/x", "http://www.apache.org/", "a/tmp/"])
 def test_a_public_place_is_no_private_one(text: str) -> None:
     assert not private(text)

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from numpy.random import PCG64, Generator
 
-from gateway.scores import mutation_score
+from gateway.cli.scores import mutation_score
 from tests.mutation import store
 from tests.mutation.campaign import changed
 from tests.mutation.languages import installed_language, ours

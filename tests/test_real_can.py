@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 from tests.real_can import __main__ as command
 from tests.real_can import machine
 from tests.real_can.candump import in_order, parse

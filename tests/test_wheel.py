@@ -137,7 +137,7 @@ print(json.dumps([places, str(here.locate_file("gateway"))]))
 
 
 def test_nothing_of_the_checkout_is_seen_there(installed: Installed) -> None:
-    done = installed.run("python", "-c", WHERE, *PACKAGES, "protocols.odrive_can", "gateway.world")
+    done = installed.run("python", "-c", WHERE, *PACKAGES, "protocols.odrive_can", "gateway.sim")
     assert done.returncode == 0, done.stderr
     places, distribution = json.loads(done.stdout)
     inside = installed.root / "lib"

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from difflib import get_close_matches
 
-from protocols.words import Command, Idle
+from protocols.messages import Command, Idle
 
 
 class Targets:

@@ -17,7 +17,7 @@ from brain.belief import Pose
 from brain.bodies.differential import wrap
 from brain.control.profile import REST, Twist
 from brain.planning.line import Line, Point
-from protocols.words import MILLISECOND, SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from brain.perception.consistency import Nis
 from brain.perception.filter_settings import CHI_SQUARE, EkfSettings
 from brain.perception.measurement import Measurement, Verdict
 from brain.perception.motion import POSE, SIZE, SLIP, YAW, X, jacobian, move, process_noise
-from protocols.words import Nanos, seconds
+from protocols.messages import Nanos, seconds
 
 
 @dataclass(frozen=True, slots=True)

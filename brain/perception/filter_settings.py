@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from protocols.words import MILLISECOND, Nanos
+from protocols.messages import MILLISECOND, Nanos
 
 CHI_SQUARE: dict[float, tuple[float, float, float]] = {
     0.95: (3.841459, 5.991465, 7.814728),

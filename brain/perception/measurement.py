@@ -12,7 +12,7 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.perception.motion import BIAS, POSE, SIZE, YAW, V, W
-from protocols.words import Nanos
+from protocols.messages import Nanos
 
 
 class Verdict(StrEnum):

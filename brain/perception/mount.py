@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
-from protocols.words import LaserScan
+from protocols.messages import LaserScan
 
 Vector = tuple[float, float, float]
 Bools = npt.NDArray[np.bool_]

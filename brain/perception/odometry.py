@@ -15,7 +15,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from brain.bodies.differential import Differential
-from protocols.words import MILLISECOND, Feedback, Nanos, seconds
+from protocols.messages import MILLISECOND, Feedback, Nanos, seconds
 
 LONGEST = 256
 """How many reports of one wheel wait for the other."""

@@ -28,7 +28,7 @@ from brain.perception.motion import BIAS, POSE, SLIP, YAW, V, W, X, Y
 from brain.perception.mount import Mount, Sweep, sweep
 from brain.perception.odometry import Odometry, OdometrySettings, Travel
 from brain.perception.scan_match import MatchSettings, match, misfits
-from protocols.words import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos, seconds
+from protocols.messages import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos, seconds
 
 
 @dataclass(frozen=True, slots=True)

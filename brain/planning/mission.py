@@ -19,7 +19,7 @@ from brain.planning.costmap import BLOCKED, Costmap, Map, build, origin
 from brain.planning.line import Line, Point
 from brain.planning.planner import NoPath, Path, Planning, Toward
 from brain.planning.survey import PlannerSettings, survey
-from protocols.words import SECOND, Drive, Goal, Nanos, seconds
+from protocols.messages import SECOND, Drive, Goal, Nanos, seconds
 
 Level: TypeAlias = Literal["info", "warning", "error"]
 Remark: TypeAlias = tuple[Level, str]

@@ -13,7 +13,7 @@ import numpy as np
 
 from brain.planning.costmap import Costmap, Map, Mask, build, origin
 from brain.planning.line import Point
-from protocols.words import MILLISECOND, SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from protocols.wire import BusState, Packet, Wire
-from protocols.words import Nanos
+from protocols.frames import BusState, Packet, Wire
+from protocols.messages import Nanos
 
 
 class Bus(Protocol):

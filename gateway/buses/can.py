@@ -19,13 +19,13 @@ import can
 from gateway.buses import Bus, BusError
 from gateway.buses.can_errors import CanError, state_of
 from gateway.buses.can_open import open_interface
-from gateway.buses.socketcan import open_socketcan
+from gateway.buses.socketcan.bus import open_socketcan
 from gateway.buses.stamps import Stamps
 from gateway.buses.states import Outbox, States
-from gateway.clock import Clock, WallClock
-from gateway.robot import BusSettings
-from protocols.wire import BusState, CanFrame, Packet, Wire
-from protocols.words import SECOND, Nanos
+from gateway.core.clock import Clock, WallClock
+from gateway.core.robot import BusSettings
+from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.messages import SECOND, Nanos
 
 MOST_READ = 1024
 """Frames taken in by one read: more than a full bus of 1 Mbit/s carries in 0.1 s."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from protocols.wire import BusState
+from protocols.frames import BusState
 
 
 @dataclass(frozen=True, slots=True)

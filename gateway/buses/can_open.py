@@ -12,11 +12,11 @@ import can
 from can.typechecking import CanFilter
 
 from gateway.buses import BusError
-from gateway.buses.fdcanusb_client import FdcanusbInterface
-from gateway.buses.link import Link
-from gateway.buses.slcan_client import SlcanInterface
-from gateway.mistakes import unknown
-from gateway.robot import TWIN, BusSettings
+from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
+from gateway.buses.adapters.slcan_client import SlcanInterface
+from gateway.buses.socketcan.link import Link
+from gateway.config.errors import unknown
+from gateway.core.robot import TWIN, BusSettings
 
 NET = Path("/sys/class/net")
 ARPHRD_CAN = "280"

@@ -18,10 +18,10 @@ import serial
 from serial.tools.list_ports import comports
 
 from gateway.buses import BusError
-from gateway.clock import Clock
-from gateway.robot import BusSettings
-from protocols.wire import BusState, Packet, Wire
-from protocols.words import SECOND, Nanos
+from gateway.core.clock import Clock
+from gateway.core.robot import BusSettings
+from protocols.frames import BusState, Packet, Wire
+from protocols.messages import SECOND, Nanos
 
 MOST_READ = 65536
 """Bytes taken in by one read."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from itertools import product
 
-from protocols.words import MILLISECOND, SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 LATE = 20 * MILLISECOND
 """So long may a stamped frame take from the interrupt to the socket, on a loaded machine."""

@@ -8,8 +8,8 @@ too short for each tick's frames is told once and not at every tick.
 
 from __future__ import annotations
 
-from protocols.wire import BusState, CanFrame
-from protocols.words import MILLISECOND, Nanos
+from protocols.frames import BusState, CanFrame
+from protocols.messages import MILLISECOND, Nanos
 
 CALM = 500 * MILLISECOND
 """A jam is over when nothing has had to wait for so long."""

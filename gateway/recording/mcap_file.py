@@ -34,7 +34,7 @@ from gateway.recording.opcode import (
     SCHEMA,
     STATISTICS,
 )
-from protocols.words import Nanos
+from protocols.messages import Nanos
 
 if TYPE_CHECKING:
     from mcap.records import McapRecord

@@ -10,13 +10,12 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from gateway import journal
-from gateway.journal import JournalError
-from gateway.recording import opcode
+from gateway.core.tick import Tick
+from gateway.recording import opcode, tick_codec
 from gateway.recording.layout import FACTS, FORMAT, MAGIC, METADATA, ROBOT_FILE, RecordingError, digest
-from gateway.recording.scan import MESSAGE_HEAD, Damage, Record, records
-from gateway.tick import Tick
-from gateway.views import View
+from gateway.recording.mcap_records import MESSAGE_HEAD, Damage, Record, records
+from gateway.recording.ros_views import View
+from gateway.recording.tick_codec import JournalError
 
 if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Header, Metadata, Schema
@@ -153,7 +152,7 @@ def _promised(path: Path) -> int | None:
     if summary is None or summary.statistics is None:
         return None
     counts = summary.statistics.channel_message_counts
-    return sum(counts.get(c.id, 0) for c in summary.channels.values() if c.topic == journal.TOPIC)
+    return sum(counts.get(c.id, 0) for c in summary.channels.values() if c.topic == tick_codec.TOPIC)
 
 
 def _records(path: Path, whole: bool) -> Iterator[Record]:
@@ -173,8 +172,8 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
 
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
-    seals = journal.UNSEALED
-    entry: journal.Entry | None = None
+    seals = tick_codec.UNSEALED
+    entry: tick_codec.Entry | None = None
     views: list[View] = []
     for record in _records(path, whole):
         if record.opcode == opcode.SCHEMA:
@@ -187,7 +186,7 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
             number, _sequence, _log, published = MESSAGE_HEAD.unpack_from(record.content)
             topic, type_ = channels.get(number, ("", ""))
             data = record.content[MESSAGE_HEAD.size :]
-            if topic != journal.TOPIC:
+            if topic != tick_codec.TOPIC:
                 views.append(View(topic, type_, published, data))
                 continue
             if entry is not None:
@@ -198,9 +197,11 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
         yield Step(entry.tick, tuple(views), entry.damage(), whole)
 
 
-def _entry(path: Path, data: bytes, seals: journal.Seals, last: journal.Entry | None) -> journal.Entry:
+def _entry(
+    path: Path, data: bytes, seals: tick_codec.Seals, last: tick_codec.Entry | None
+) -> tick_codec.Entry:
     try:
-        return journal.decode(data, seals)
+        return tick_codec.decode(data, seals)
     except JournalError as error:
         where = f"after tick {last.tick.number}" if last else "at its first tick"
         raise RecordingError(f"{path}: damaged {where}: {error}") from error

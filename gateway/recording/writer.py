@@ -24,11 +24,11 @@ from typing import Self
 
 from brain.belief import Belief
 from brain.perception.mount import Mount
-from gateway import machine
-from gateway.recording.sheet import Sheet
-from gateway.tick import Tick
-from gateway.views import Views
-from protocols.words import MILLISECOND, Nanos
+from gateway.core.tick import Tick
+from gateway.recording import environment
+from gateway.recording.ros_views import Views
+from gateway.recording.tick_writer import Sheet
+from protocols.messages import MILLISECOND, Nanos
 
 log = logging.getLogger("gateway")
 
@@ -64,7 +64,7 @@ class Recorder:
         self._gap = 0
         """Ticks refused since the queue was full; 0 if it is not."""
         self._depth = depth
-        self._sheet = Sheet(path, robot_text, {**machine.facts(), **facts}, Views(mounts))
+        self._sheet = Sheet(path, robot_text, {**environment.facts(), **facts}, Views(mounts))
         self._waiting: deque[tuple[Tick, Belief, dict[str, int]]] = deque()
         """What was handed over. Both ends of a deque may be used by two threads at once."""
         self._woken: Nanos = 0

@@ -34,16 +34,15 @@ from protocols.cia402.codec import (
     sdo_tx_id,
     tpdo_id,
 )
+from protocols.cia402.decoder import Cia402Ear
 from protocols.cia402.driver import Cia402Driver
-from protocols.cia402.ear import Cia402Ear
 from protocols.cia402.faults import FAULTS
 from protocols.cia402.objects import PDO_NUMBERS, Type
 from protocols.cia402.options import Options, Settings, units_of_settings
 from protocols.cia402.profile import Mode, supports
 from protocols.cia402.twin import Cia402Twin
-from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -60,6 +59,7 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 
 WATCHDOG_NOTE = (
     "the drive is not told to watch this host's heartbeat, and its settings name none: if this host or its"
@@ -236,5 +236,5 @@ plugin = Plugin(
     ear=Cia402Ear,
     twin=Cia402Twin,
     messages=messages,
-    vectors=("fixtures", "vectors/cia402.json"),
+    vectors=("gateway.fixtures", "vectors/cia402.json"),
 )

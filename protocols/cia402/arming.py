@@ -9,8 +9,8 @@ Source: CiA 402-2 "finite state automaton"; package canopen 2.4.1 `profiles/p402
 
 from __future__ import annotations
 
-from protocols.cia402.machine import HOLDING_QUICK_STOPS
 from protocols.cia402.profile import Control, Demand, PowerState
+from protocols.cia402.state_machine import HOLDING_QUICK_STOPS
 
 UP: dict[PowerState, Demand] = {
     PowerState.SWITCH_ON_DISABLED: Demand.SHUTDOWN,

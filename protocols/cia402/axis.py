@@ -31,16 +31,15 @@ from protocols.cia402.codec import (
     sdo_rx_id,
 )
 from protocols.cia402.dictionary import Dictionary
-from protocols.cia402.machine import HOLDING_QUICK_STOPS, obey
 from protocols.cia402.objects import TARGETS, Key, title
 from protocols.cia402.options import Settings
 from protocols.cia402.pdo import DISABLED, is_synchronous
 from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_of
 from protocols.cia402.server import Server
+from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, obey
 from protocols.cia402.units import READ, Units, units_of
-from protocols.plugin import Device
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Estop,
@@ -54,6 +53,7 @@ from protocols.words import (
     Velocity,
     WriteParameter,
 )
+from protocols.plugin import Device
 
 Words = Sequence[Command | Request]
 MODES = {int(mode): mode for mode in Mode}

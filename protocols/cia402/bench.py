@@ -19,7 +19,7 @@ from protocols.cia402.codec import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.cia402.pdo import mapping, packing
 from protocols.cia402.transfer import Transfer
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 
 RIVAL = ("canopen", "canopen", "canopen's PdoMap and SDO client")
 NODE = 3

@@ -15,7 +15,7 @@ from enum import IntEnum
 from protocols.cia402 import sdo
 from protocols.cia402.objects import Key
 from protocols.cia402.transfer import Transfer
-from protocols.words import Nanos
+from protocols.messages import Nanos
 
 TRIES = 3
 """So often a transfer is begun before it is given up."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TypeAlias
 
-from protocols.wire import CanFrame, Wire
+from protocols.frames import CanFrame, Wire
 
 PROTOCOL = "cia402"
 """The language's name."""

@@ -17,7 +17,7 @@ from protocols.cia402.objects import OBJECTS, Key, to_bytes
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.setpoint import TARGET_OF
 from protocols.cia402.startup import Known
-from protocols.words import MILLISECOND
+from protocols.messages import MILLISECOND
 
 
 def configured(node: Node) -> bool:

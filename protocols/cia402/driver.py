@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from protocols.answers import Refusals, Waiting, out_of_range, refusal
 from protocols.cia402 import configuring, holders, jobs, motion, requests, sdo
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Outcome, Purpose
@@ -28,14 +27,13 @@ from protocols.cia402.codec import (
     is_classic,
     sdo_rx_id,
 )
-from protocols.cia402.complaints import NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED
+from protocols.cia402.fault_reports import NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED
 from protocols.cia402.node import Node
 from protocols.cia402.requests import Pending
 from protocols.cia402.scanning import Scanner, describe
 from protocols.cia402.sync import DISTURBED, Pulse, agree
-from protocols.plugin import Device, Range, Tally
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     Command,
     Done,
@@ -51,6 +49,8 @@ from protocols.words import (
     State,
     Stop,
 )
+from protocols.plugin import Device, Range, Tally
+from protocols.request_queue import Refusals, Waiting, out_of_range, refusal
 
 PDO_IDS = range(0x180, SDO_TX_BASE)
 

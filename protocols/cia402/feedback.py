@@ -15,7 +15,7 @@ from typing import NamedTuple
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import Key
 from protocols.cia402.units import Units
-from protocols.words import MILLISECOND, Feedback, Nanos
+from protocols.messages import MILLISECOND, Feedback, Nanos
 
 NEVER: Nanos = 1 << 62
 ASKED: tuple[tuple[Key, int], ...] = (

@@ -10,9 +10,9 @@ from __future__ import annotations
 from protocols.cia402 import objects as o
 from protocols.cia402.client import DOUBLED, Outcome
 from protocols.cia402.codec import PROTOCOL
-from protocols.cia402.complaints import DUPLICATE_NODE
+from protocols.cia402.fault_reports import DUPLICATE_NODE
 from protocols.cia402.node import Node
-from protocols.words import Event, Found, Nanos
+from protocols.messages import Event, Found, Nanos
 
 
 def hear_serial(t: Nanos, node: Node, outcome: Outcome) -> list[Event]:

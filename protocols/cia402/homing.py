@@ -14,7 +14,7 @@ from protocols.cia402.profile import Control, Demand, PowerState, homing_of
 from protocols.cia402.profile import Homing as Outcome
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.setpoint import Values, standstill
-from protocols.words import MILLISECOND, Nanos
+from protocols.messages import MILLISECOND, Nanos
 
 HOMED = 3
 """Statuswords after the start of homing before one is believed."""

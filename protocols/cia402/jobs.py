@@ -12,7 +12,7 @@ from protocols.cia402.client import Job, Purpose
 from protocols.cia402.feedback import NEVER, Reasons
 from protocols.cia402.node import Node
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
-from protocols.words import MILLISECOND, SECOND, Nanos
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 ROLL_CALL = SECOND
 """A device's serial number is read again so often: to notice another one in its place, or two."""

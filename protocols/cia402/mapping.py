@@ -18,7 +18,7 @@ from protocols.cia402.codec import rpdo_id, tpdo_id
 from protocols.cia402.objects import OBJECTS, Key, to_bytes
 from protocols.cia402.options import Options
 from protocols.cia402.pdo import DISABLED, EVENT, MOST_BITS, Entry, entry, entry_of, is_synchronous, word_of
-from protocols.words import MILLISECOND, Nanos
+from protocols.messages import MILLISECOND, Nanos
 
 Way = Literal["to", "from"]
 """To the device (RPDO), or from it (TPDO)."""

@@ -18,8 +18,8 @@ from protocols.cia402.profile import Control, Demand, PowerState, Status
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.setpoint import TARGET_OF, Values, mode_for, standstill, values_of
 from protocols.cia402.startup import Known, mode_name
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Command, Hold, Idle, Nanos
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Command, Hold, Idle, Nanos
 
 START_AGAIN = 100 * MILLISECOND
 """NMT start is repeated so often until the device says that it is operational."""

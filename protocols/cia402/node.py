@@ -11,20 +11,20 @@ from protocols.cia402 import mapping, startup
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Client, Job
 from protocols.cia402.codec import Emcy, Heartbeat, NmtState
-from protocols.cia402.complaints import FINDINGS, WRONG_DEVICE
+from protocols.cia402.fault_reports import FINDINGS, WRONG_DEVICE
 from protocols.cia402.faults import complaint
 from protocols.cia402.feedback import NEVER, Polls, feedback
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.objects import Key
 from protocols.cia402.options import Options
-from protocols.cia402.outlet import Outlet
 from protocols.cia402.pdo import Packing, packing
 from protocols.cia402.profile import Demand, PowerState, state_of
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.setpoint import Values
+from protocols.cia402.setpoint_writer import Outlet
 from protocols.cia402.startup import Known
 from protocols.cia402.units import Units
-from protocols.words import MILLISECOND, Event, Fault, Mode, Nanos, State
+from protocols.messages import MILLISECOND, Event, Fault, Mode, Nanos, State
 
 GENERIC_ERROR = 0x1000
 FAULTY = (PowerState.FAULT, PowerState.FAULT_REACTION)

@@ -10,18 +10,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from protocols.answers import UnderWay, refusal
 from protocols.cia402 import homing, objects, startup
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Outcome, Purpose
 from protocols.cia402.codec import Nmt, NmtCommand, encode
-from protocols.cia402.complaints import HOMING_FAILED
+from protocols.cia402.fault_reports import HOMING_FAILED
 from protocols.cia402.node import FAULTY, Node
 from protocols.cia402.objects import OBJECTS, Key, Type, to_bytes
 from protocols.cia402.profile import Demand, Mode, PowerState, supports
 from protocols.cia402.sdo import NO_OBJECT, abort_text
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.frames import CanFrame
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Estop,
@@ -37,6 +36,7 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.request_queue import UnderWay, refusal
 
 ANSWER = 2000 * MILLISECOND
 CLEAR = 3000 * MILLISECOND

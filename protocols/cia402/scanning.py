@@ -16,8 +16,8 @@ from protocols.cia402 import objects as o
 from protocols.cia402 import sdo
 from protocols.cia402.codec import MAX_NODE, sdo_rx_id
 from protocols.cia402.objects import Key
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Nanos
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Nanos
 
 BURST = 8
 """Node ids that are asked at once."""

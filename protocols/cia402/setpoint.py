@@ -14,7 +14,7 @@ from protocols.cia402.objects import Key
 from protocols.cia402.profile import CYCLIC, Mode
 from protocols.cia402.startup import Known
 from protocols.cia402.units import Units
-from protocols.words import Command, Hold, Position, Torque, Velocity
+from protocols.messages import Command, Hold, Position, Torque, Velocity
 
 Values: TypeAlias = dict[Key, int]
 POSITION_MODES = (Mode.CSP, Mode.PP)

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from protocols.cia402.codec import Heartbeat, NmtState, Sync, encode
 from protocols.cia402.node import Node
 from protocols.cia402.options import WATCHDOG_SHARE
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Nanos
 from protocols.plugin import Device
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Nanos
 
 DISTURBED = (
     "SYNC, 0x080, comes from somebody else, too: synchronous set-points take effect at two beats, and drives"

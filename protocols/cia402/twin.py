@@ -20,10 +20,10 @@ from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, NO_ERROR, RPDO_TIMEO
 from protocols.cia402.objects import Type
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import STATE_BITS, Mode, PowerState, Status
-from protocols.cia402.telling import Tpdo, tpdos
+from protocols.cia402.tpdo_scheduler import Tpdo, tpdos
+from protocols.frames import CanFrame, Wire
+from protocols.messages import MILLISECOND, Event, Feedback, Nanos, Torque, seconds
 from protocols.plugin import Device
-from protocols.wire import CanFrame, Wire
-from protocols.words import MILLISECOND, Event, Feedback, Nanos, Torque, seconds
 
 FAULTY = (PowerState.FAULT, PowerState.FAULT_REACTION)
 LOST_STATES = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}

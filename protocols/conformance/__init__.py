@@ -19,32 +19,32 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.conformance.answers import requests_are_answered
+from protocols.conformance.bench import ADDRESSES
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown, variants
 from protocols.conformance.checksums import bad_checksums_change_nothing
-from protocols.conformance.complaints import faults_latch
 from protocols.conformance.dropped import dropped_is_said_again
-from protocols.conformance.manners import (
+from protocols.conformance.duplicates import held_twice_is_noticed
+from protocols.conformance.faults import faults_latch
+from protocols.conformance.normal import only_normal_numbers
+from protocols.conformance.obeyed import ear_and_twin_agree
+from protocols.conformance.passivity import (
     nothing_non_finite,
     only_declared_wires,
     strangers_change_nothing,
     unclaimed_is_read_only,
 )
-from protocols.conformance.normal import only_normal_numbers
-from protocols.conformance.obeyed import ear_and_twin_agree
-from protocols.conformance.rehearsal import ADDRESSES
+from protocols.conformance.reference_vectors import motion_is_vouched_for
 from protocols.conformance.replies import one_stalls_no_other
+from protocols.conformance.roundtrip import commands_survive, measurements_survive
 from protocols.conformance.safety import begins_where_it_is, idle_disarms
 from protocols.conformance.silence import silence_blinds
 from protocols.conformance.state import copies_go_on, same_in_same_out
-from protocols.conformance.survival import commands_survive, measurements_survive
 from protocols.conformance.takeover import load_is_kept, scan_only_looks
 from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
-from protocols.conformance.twice import held_twice_is_noticed
-from protocols.conformance.vouched import motion_is_vouched_for
 from protocols.conformance.watchdog import silence_trips
+from protocols.frames import Wire
+from protocols.messages import Word
 from protocols.plugin import Plugin
-from protocols.wire import Wire
-from protocols.words import Word
 
 __all__ = ["CLAUSES", "Clause", "Outcome", "Result", "check", "table", "variants"]
 

@@ -3,7 +3,7 @@
 Rules. Asked are the requests that the spec lists, of alpha, then of alpha and beta at once, and those that it
 does not list, which must be refused; at last all at once of an alpha that has fallen silent, by a host that
 calls its driver only when that is due: what nobody answers is given up. Parameters have the names that the
-ear hears in the plugin's vectors. A word is whole if each of its fields is of the kind that `protocols.words`
+ear hears in the plugin's vectors. A word is whole if each of its fields is of the kind that `protocols.messages`
 declares, if it is about a device that there is, and if its time has come.
 """
 
@@ -16,14 +16,12 @@ from enum import Enum
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from protocols.conformance import rehearsal as play
+from protocols.conformance import bench as play
+from protocols.conformance.bench import NAMES, START, Rehearsal, Said
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
-from protocols.conformance.rehearsal import NAMES, START, Rehearsal, Said
-from protocols.conformance.trouble import scene
-from protocols.plugin import Device
-from protocols.vectors import vectors_of
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.conformance.fault_injection import scene
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Done,
@@ -42,6 +40,8 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.plugin import Device
+from protocols.reference_vectors import vectors_of
 
 ALPHA = NAMES[0]
 KNOWN = 1200

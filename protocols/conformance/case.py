@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, fields
 from itertools import zip_longest
 from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
-from protocols.conformance import rehearsal as play
-from protocols.conformance.dice import Dice
-from protocols.conformance.rehearsal import NAMES, START, STEP, STRANGER, Rehearsal, Said
+from protocols.conformance import bench as play
+from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Rehearsal, Said
+from protocols.conformance.random import Dice
+from protocols.frames import Wire
+from protocols.messages import Idle, Word
 from protocols.plugin import Device, Plugin, Spec, Tally
-from protocols.wire import Wire
-from protocols.words import Idle, Word
 
 T = TypeVar("T")
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from protocols.conformance import bench as play
 from protocols.conformance import noise
-from protocols.conformance import rehearsal as play
+from protocols.conformance.bench import NAMES, Rehearsal
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name, difference
-from protocols.conformance.rehearsal import NAMES, Rehearsal
-from protocols.words import Command, Idle, Request
+from protocols.messages import Command, Idle, Request
 
 KINDS = 12
 """Different messages of each direction that are damaged."""

@@ -6,12 +6,12 @@ and of Idle is dropped on our side of the bus. Afterwards the device must obey w
 
 from __future__ import annotations
 
+from protocols.conformance.bench import ARMING, NAMES, Said
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
-from protocols.conformance.rehearsal import ARMING, NAMES, Said
-from protocols.conformance.survival import obeyed
-from protocols.conformance.trouble import Scene, kinds_of, resting, scene, some
-from protocols.wire import BusState
-from protocols.words import Command, Idle
+from protocols.conformance.fault_injection import Scene, kinds_of, resting, scene, some
+from protocols.conformance.roundtrip import obeyed
+from protocols.frames import BusState
+from protocols.messages import Command, Idle
 
 ALPHA = NAMES[0]
 DROPPED = (1, 2, 5, 12)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from protocols.conformance import rehearsal as play
+from protocols.conformance import bench as play
 from protocols.conformance.case import Case
-from protocols.conformance.dice import Dice
+from protocols.conformance.random import Dice
+from protocols.frames import CanFrame, Wire
 from protocols.plugin import Spec
-from protocols.wire import CanFrame, Wire
 
 STRANGE = tuple(
     bytes.fromhex(number)

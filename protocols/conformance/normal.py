@@ -14,13 +14,13 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from itertools import chain, pairwise
 from typing import Any
 
+from protocols.conformance import bench as play
 from protocols.conformance import noise
-from protocols.conformance import rehearsal as play
+from protocols.conformance.bench import NAMES
 from protocols.conformance.case import Case, Failure, Verdict, by_name
-from protocols.conformance.rehearsal import NAMES
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import Command, Event, Feedback, Idle, Nanos, Request, Word
 from protocols.plugin import Driver, Spec, Tally
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import Command, Event, Feedback, Idle, Nanos, Request, Word
 
 SMALLEST = 2.0**-126
 """The smallest normal binary32."""

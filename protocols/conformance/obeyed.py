@@ -16,14 +16,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from protocols.conformance import bench as play
 from protocols.conformance import noise
-from protocols.conformance import rehearsal as play
+from protocols.conformance.bench import NAMES, STEP, Rehearsal
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
-from protocols.conformance.rehearsal import NAMES, STEP, Rehearsal
-from protocols.conformance.trouble import kinds_of, liveliest, resting
-from protocols.plugin import Driver, Ear, Twin
-from protocols.wire import Wire
-from protocols.words import (
+from protocols.conformance.fault_injection import kinds_of, liveliest, resting
+from protocols.frames import Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Estop,
@@ -43,6 +42,7 @@ from protocols.words import (
     Velocity,
     Zero,
 )
+from protocols.plugin import Driver, Ear, Twin
 
 PLACE = 0.75
 """rad where every shaft stands."""

@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from protocols.conformance import rehearsal as play
+from protocols.conformance import bench as play
+from protocols.conformance.bench import ARMING, NAMES, STEP, Rehearsal, Said
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
-from protocols.conformance.dice import Dice
-from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Rehearsal, Said
-from protocols.plugin import Twin
-from protocols.wire import Wire
-from protocols.words import (
+from protocols.conformance.random import Dice
+from protocols.frames import Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Done,
@@ -32,6 +31,7 @@ from protocols.words import (
     Request,
     Torque,
 )
+from protocols.plugin import Twin
 
 ALPHA, BETA = NAMES
 LASTS = 600

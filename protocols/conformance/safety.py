@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
 
+from protocols.conformance.bench import ARMING, NAMES, STEP, Said
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
-from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Said
-from protocols.conformance.trouble import (
+from protocols.conformance.fault_injection import (
     STILL,
     Scene,
     Words,
@@ -28,8 +28,7 @@ from protocols.conformance.trouble import (
     takeover,
     torque_of,
 )
-from protocols.plugin import Spec
-from protocols.words import (
+from protocols.messages import (
     ClearFault,
     Command,
     Hold,
@@ -45,6 +44,7 @@ from protocols.words import (
     Velocity,
     Zero,
 )
+from protocols.plugin import Spec
 
 Way: TypeAlias = Callable[[Case, Spec], Failure | None]
 """A way out of some state; what is wrong with it."""

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from functools import partial
 
 from protocols.conformance.answers import broken
+from protocols.conformance.bench import ARMING, NAMES, STEP, Said
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
-from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Said
-from protocols.conformance.trouble import (
+from protocols.conformance.fault_injection import (
     SLACK,
     Scene,
     Words,
@@ -23,8 +23,8 @@ from protocols.conformance.trouble import (
     slack,
     some,
 )
+from protocols.messages import MILLISECOND, Command, Feedback, Idle, Mode, Nanos
 from protocols.plugin import FeedbackKind
-from protocols.words import MILLISECOND, Command, Feedback, Idle, Mode, Nanos
 
 ALPHA, BETA = NAMES
 BACK = 2000

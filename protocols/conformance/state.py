@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from protocols.conformance import rehearsal as play
+from protocols.conformance import bench as play
+from protocols.conformance.bench import NAMES, Rehearsal
 from protocols.conformance.case import Case, Failure, Verdict, difference
-from protocols.conformance.dice import Dice
-from protocols.conformance.rehearsal import NAMES, Rehearsal
+from protocols.conformance.random import Dice
+from protocols.frames import BusState, Wire
+from protocols.messages import Command, Event, Nanos, Request, Torque
 from protocols.plugin import Driver, Ear, Tally, Twin
-from protocols.wire import BusState, Wire
-from protocols.words import Command, Event, Nanos, Request, Torque
 
 OFTEN, SELDOM = 6, 25
 """One call in so many is made on a copy: ..."""

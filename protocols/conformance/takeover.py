@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from protocols.conformance.bench import ARMING, NAMES, Said
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
-from protocols.conformance.manners import harmless
-from protocols.conformance.rehearsal import ARMING, NAMES, Said
-from protocols.conformance.trouble import (
+from protocols.conformance.fault_injection import (
     SLACK,
     STILL,
     Scene,
@@ -24,19 +23,9 @@ from protocols.conformance.trouble import (
     takeover,
     torque_of,
 )
+from protocols.conformance.passivity import harmless
+from protocols.messages import Command, Done, Found, Hold, Idle, Mode, Position, Reboot, Refused, Scan
 from protocols.plugin import Spec
-from protocols.words import (
-    Command,
-    Done,
-    Found,
-    Hold,
-    Idle,
-    Mode,
-    Position,
-    Reboot,
-    Refused,
-    Scan,
-)
 
 ALPHA, BETA = NAMES
 PLACE = 0.7

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 
+from protocols.conformance import bench as play
 from protocols.conformance import noise
-from protocols.conformance import rehearsal as play
+from protocols.conformance.bench import NAMES, START, Rehearsal
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, counts
-from protocols.conformance.dice import Dice
-from protocols.conformance.rehearsal import NAMES, START, Rehearsal
-from protocols.wire import CanFrame, Wire
-from protocols.words import Command, Event, Feedback, Request
+from protocols.conformance.random import Dice
+from protocols.frames import CanFrame, Wire
+from protocols.messages import Command, Event, Feedback, Request
 
 Poke = Callable[[Rehearsal, Wire], object]
 Fed = tuple[list[Event], tuple[int, int, int]]

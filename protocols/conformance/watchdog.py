@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from protocols.conformance.bench import ARMING, NAMES, STEP, Said
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
-from protocols.conformance.rehearsal import ARMING, NAMES, STEP, Said
-from protocols.conformance.trouble import (
+from protocols.conformance.fault_injection import (
     Scene,
     kinds_of,
     liveliest,
@@ -24,8 +24,8 @@ from protocols.conformance.trouble import (
     some,
     torque_of,
 )
+from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Mode
 from protocols.plugin import Device, Spec, Watchdog
-from protocols.words import MILLISECOND, SECOND, ClearFault, Command, Idle, Mode
 
 ALPHA, BETA = NAMES
 TOLD = 1000

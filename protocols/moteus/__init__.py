@@ -10,16 +10,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from protocols.moteus.codec import BROADCAST, REPLY_BIT, Ask, command_id, parse, reply_id
-from protocols.moteus.driver import MoteusDriver
-from protocols.moteus.ear import MoteusEar
-from protocols.moteus.faults import FAULTS
-from protocols.moteus.messages import names
-from protocols.moteus.options import ADDRESS_MAX, Options, Settings
-from protocols.moteus.twin import MoteusTwin
-from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Hold,
@@ -33,6 +25,14 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.moteus.codec import BROADCAST, REPLY_BIT, Ask, command_id, parse, reply_id
+from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.driver import MoteusDriver
+from protocols.moteus.faults import FAULTS
+from protocols.moteus.messages import names
+from protocols.moteus.options import ADDRESS_MAX, Options, Settings
+from protocols.moteus.twin import MoteusTwin
+from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 
 BINARY32 = 2.0**-24
 """Largest relative error of rounding to binary32."""
@@ -140,5 +140,5 @@ plugin = Plugin(
     ear=MoteusEar,
     twin=MoteusTwin,
     messages=names,
-    vectors=("fixtures", "vectors/moteus.json"),
+    vectors=("gateway.fixtures", "vectors/moteus.json"),
 )

@@ -16,7 +16,7 @@ from typing import Any
 
 from protocols.moteus.codec import command_id, framed
 from protocols.moteus.messages import STOP, Limits, move, push
-from protocols.moteus.told import FAST, Told, decode
+from protocols.moteus.reply import FAST, Told, decode
 
 RIVAL = ("moteus", "moteus", "the vendor's package")
 ADDRESS = 5

@@ -15,8 +15,8 @@ import struct
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from protocols.frames import CanFrame
 from protocols.moteus.registers import scale_of
-from protocols.wire import CanFrame
 
 INT8, INT16, INT32, F32 = range(4)
 SIZES = (1, 2, 4, 4)

@@ -11,18 +11,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 
-from protocols.answers import Refusals, Waiting, out_of_range, refusal, subject
-from protocols.moteus import requests
-from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, command_id, framed
-from protocols.moteus.faults import HELD_TWICE
-from protocols.moteus.node import IDENTIFY_EVERY, Node
-from protocols.moteus.options import Options, serial_of
-from protocols.moteus.registers import Register
-from protocols.moteus.requests import Pending
-from protocols.moteus.told import Told, decode
-from protocols.plugin import Device, Range, Tally
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Event,
@@ -36,6 +26,16 @@ from protocols.words import (
     SetId,
     Stop,
 )
+from protocols.moteus import requests
+from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, command_id, framed
+from protocols.moteus.faults import HELD_TWICE
+from protocols.moteus.node import IDENTIFY_EVERY, Node
+from protocols.moteus.options import Options, serial_of
+from protocols.moteus.registers import Register
+from protocols.moteus.reply import Told, decode
+from protocols.moteus.requests import Pending
+from protocols.plugin import Device, Range, Tally
+from protocols.request_queue import Refusals, Waiting, out_of_range, refusal, subject
 
 PROTOCOL = "moteus"
 NO_IMPEDANCE = "the device's gains are scaled, not set: it has no impedance in N·m/rad"

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 
+from protocols.frames import CanFrame, Wire
 from protocols.moteus.codec import (
     F32,
     INT32,
@@ -31,7 +32,6 @@ from protocols.moteus.codec import (
     write,
 )
 from protocols.moteus.registers import Mode, Register, mode_name
-from protocols.wire import CanFrame, Wire
 
 STOP = bytes.fromhex("010000")
 DISCOVER = bytes.fromhex("1804d00211d802")

@@ -15,13 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import tau
 
-from protocols.moteus.codec import command_id, reply_id
-from protocols.moteus.faults import LIMITS, NOT_ARMED, TIMEOUT, complaint_of
-from protocols.moteus.messages import IDENTIFY, STOP, move, push
-from protocols.moteus.options import Options, limits_of
-from protocols.moteus.registers import LATCHED, RISING, Mode, Register, mode_name
-from protocols.moteus.told import FAST, FULL, Told
-from protocols.words import (
+from protocols.messages import (
     MILLISECOND,
     SECOND,
     Command,
@@ -36,7 +30,13 @@ from protocols.words import (
     Torque,
     Velocity,
 )
-from protocols.words import Mode as StateMode
+from protocols.messages import Mode as StateMode
+from protocols.moteus.codec import command_id, reply_id
+from protocols.moteus.faults import LIMITS, NOT_ARMED, TIMEOUT, complaint_of
+from protocols.moteus.messages import IDENTIFY, STOP, move, push
+from protocols.moteus.options import Options, limits_of
+from protocols.moteus.registers import LATCHED, RISING, Mode, Register, mode_name
+from protocols.moteus.reply import FAST, FULL, Told
 
 NEVER: Nanos = 1 << 62
 RELEASE_AGAIN = 20 * MILLISECOND

@@ -12,16 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import isclose, isfinite
 
-from protocols.answers import UnderWay, refusal
-from protocols.moteus.codec import F32, FLOAT_MAX, FLOAT_TINY, INT32, READ_ERROR, WRITE_ERROR, Error
-from protocols.moteus.ear import NOT_WRITEABLE
-from protocols.moteus.faults import complaint_of
-from protocols.moteus.messages import DISCOVER, ask, console, masked, set_register
-from protocols.moteus.node import Node
-from protocols.moteus.options import ADDRESS_MAX, SERIAL_BYTES, serial_of
-from protocols.moteus.registers import LATCHED, NAMES, SCALES, Mode, Register
-from protocols.moteus.told import Told
-from protocols.words import (
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Event,
@@ -35,6 +26,15 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.moteus.codec import F32, FLOAT_MAX, FLOAT_TINY, INT32, READ_ERROR, WRITE_ERROR, Error
+from protocols.moteus.decoder import NOT_WRITEABLE
+from protocols.moteus.faults import complaint_of
+from protocols.moteus.messages import DISCOVER, ask, console, masked, set_register
+from protocols.moteus.node import Node
+from protocols.moteus.options import ADDRESS_MAX, SERIAL_BYTES, serial_of
+from protocols.moteus.registers import LATCHED, NAMES, SCALES, Mode, Register
+from protocols.moteus.reply import Told
+from protocols.request_queue import UnderWay, refusal
 
 ANSWER = 600 * MILLISECOND
 RESEND = 60 * MILLISECOND

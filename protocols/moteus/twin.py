@@ -13,6 +13,8 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 
+from protocols.frames import CanFrame, Wire
+from protocols.messages import SECOND, Event, Feedback, Nanos, Torque, seconds
 from protocols.moteus.codec import (
     F32,
     FROM_DEVICE,
@@ -35,14 +37,12 @@ from protocols.moteus.codec import (
     raw_of,
     reply_id,
 )
-from protocols.moteus.ear import DEFAULTS, SHADOWS, UNKNOWN, addressed, axis_of, effective, for_another
+from protocols.moteus.decoder import DEFAULTS, SHADOWS, UNKNOWN, addressed, axis_of, effective, for_another
 from protocols.moteus.faults import FAULTS, TIMEOUT
 from protocols.moteus.options import Settings, firmware_number, uuid_of
 from protocols.moteus.registers import Mode, Register
 from protocols.moteus.servo import WATCHED, Servo
 from protocols.plugin import Device
-from protocols.wire import CanFrame, Wire
-from protocols.words import SECOND, Event, Feedback, Nanos, Torque, seconds
 
 MOST = 64
 """Bytes of an answer: what does not fit is left out."""

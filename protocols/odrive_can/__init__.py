@@ -11,29 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from protocols.odrive_can.codec import (
-    BROADCAST,
-    MAX_EXTENDED_NODE,
-    MAX_NODE,
-    TABLES,
-    cmd_of,
-    frame_id,
-)
-from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.ear import OdriveEar
-from protocols.odrive_can.faults import COMPLAINTS06
-from protocols.odrive_can.faults05 import COMPLAINTS05
-from protocols.odrive_can.layout import FEED_FORWARD_MAX
-from protocols.odrive_can.messages import Address, EnterDfuMode, GetVersion, Heartbeat, RxSdo
-from protocols.odrive_can.messages05 import AskAdcVoltage, SetAxisNodeId, StartAnticogging
-from protocols.odrive_can.naming import messages_in
-from protocols.odrive_can.options import Options, Settings, line_of
-from protocols.odrive_can.twin import OdriveTwin
-from protocols.odrive_can.twin05 import Twin05
-from protocols.odrive_can.twin06 import Twin06
-from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     SECOND,
     ClearFault,
@@ -50,6 +29,20 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.odrive_can.codec import BROADCAST, MAX_EXTENDED_NODE, MAX_NODE, TABLES, cmd_of, frame_id
+from protocols.odrive_can.decoder import OdriveEar
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.odrive_can.faults import COMPLAINTS06
+from protocols.odrive_can.faults05 import COMPLAINTS05
+from protocols.odrive_can.layout import FEED_FORWARD_MAX
+from protocols.odrive_can.message_names import messages_in
+from protocols.odrive_can.messages import Address, EnterDfuMode, GetVersion, Heartbeat, RxSdo
+from protocols.odrive_can.messages05 import AskAdcVoltage, SetAxisNodeId, StartAnticogging
+from protocols.odrive_can.options import Options, Settings, line_of
+from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin05 import Twin05
+from protocols.odrive_can.twin06 import Twin06
+from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 
 BINARY32 = 2.0**-24
 """Largest relative error of rounding to binary32."""
@@ -206,5 +199,5 @@ plugin = Plugin(
     ear=OdriveEar,
     twin=twin,
     messages=messages_in,
-    vectors=("fixtures", "vectors/odrive_can.json"),
+    vectors=("gateway.fixtures", "vectors/odrive_can.json"),
 )

@@ -16,9 +16,9 @@ from dataclasses import astuple, dataclass, field
 from importlib.resources import files
 from typing import Any
 
+from protocols.frames import CanFrame
 from protocols.odrive_can.codec import decode_from_device, encode
 from protocols.odrive_can.messages import SetInputPos, SetInputVel
-from protocols.wire import CanFrame
 
 RIVAL = ("cantools", "cantools", "cantools on the vendor's DBC")
 DBC = ("odrive_can", "dbc/odrive-cansimple-0.6.10.dbc")

@@ -20,12 +20,12 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+from protocols.frames import CanFrame
 from protocols.odrive_can import messages as m
 from protocols.odrive_can import messages05 as m05
 from protocols.odrive_can.layout import Layout, layout
 from protocols.odrive_can.messages import Address, Ask, Message
 from protocols.odrive_can.messages05 import Message05
-from protocols.wire import CanFrame
 
 AnyMessage: TypeAlias = Message | Message05
 

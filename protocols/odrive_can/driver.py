@@ -9,7 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from protocols.answers import Refusals, Waiting, out_of_range, refusal, subject
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
+    SECOND,
+    ClearFault,
+    Command,
+    Event,
+    Fault,
+    Found,
+    Impedance,
+    Nanos,
+    Reboot,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    Stop,
+)
 from protocols.odrive_can import requests
 from protocols.odrive_can.codec import (
     BROADCAST,
@@ -30,23 +46,7 @@ from protocols.odrive_can.messages import Address, AxisState, Beacon
 from protocols.odrive_can.node import Node
 from protocols.odrive_can.requests import Pending
 from protocols.plugin import Device, Range, Tally
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
-    SECOND,
-    ClearFault,
-    Command,
-    Event,
-    Fault,
-    Found,
-    Impedance,
-    Nanos,
-    Reboot,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    Stop,
-)
+from protocols.request_queue import Refusals, Waiting, out_of_range, refusal, subject
 
 PROTOCOL = "odrive_can"
 NO_IMPEDANCE = "the device has no impedance control"

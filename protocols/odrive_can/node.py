@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from protocols.odrive_can.asking import NEVER, OTHER, VERSION, Asking
+from protocols.messages import MILLISECOND, Command, Event, Fault, Feedback, Hold, Idle, Mode, Nanos, State
 from protocols.odrive_can.codec import EXTENDED, AnyMessage, cmd_of, radians
-from protocols.odrive_can.complaints import Complaints
 from protocols.odrive_can.dialect import DIALECTS, Beat, Dialect, beat_of
+from protocols.odrive_can.fault_reports import Complaints
 from protocols.odrive_can.faults import (
     NOT_ARMED,
     PROCEDURE,
@@ -26,7 +26,6 @@ from protocols.odrive_can.faults import (
     state_name,
 )
 from protocols.odrive_can.identify import Identity
-from protocols.odrive_can.inputs import Input, setpoint, standstill
 from protocols.odrive_can.messages import (
     AxisState,
     ControlMode,
@@ -49,19 +48,9 @@ from protocols.odrive_can.messages05 import (
 )
 from protocols.odrive_can.options import Options
 from protocols.odrive_can.places import Places
+from protocols.odrive_can.polling import NEVER, OTHER, VERSION, Asking
+from protocols.odrive_can.setpoints import Input, setpoint, standstill
 from protocols.plugin import Complaint
-from protocols.words import (
-    MILLISECOND,
-    Command,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Mode,
-    Nanos,
-    State,
-)
 
 RELEASE_AGAIN = 50 * MILLISECOND
 """Set_Axis_State IDLE is repeated so often until two heartbeats have confirmed it."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from protocols.words import MILLISECOND, SECOND, Nanos, seconds
+from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 APART = 0.05
 """turns: less than this may be vibration."""

@@ -11,7 +11,23 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from protocols.answers import UnderWay, refusal
+from protocols.frames import CanFrame
+from protocols.messages import (
+    MILLISECOND,
+    ClearFault,
+    Event,
+    Nanos,
+    Parameter,
+    ReadParameter,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    WriteParameter,
+    Zero,
+)
+from protocols.messages import Estop as EstopWord
+from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can.codec import BROADCAST, MAX_NODE, TABLES, AnyMessage, ask, cmd_of, encode
 from protocols.odrive_can.dialect import beat_of
 from protocols.odrive_can.faults import names
@@ -28,23 +44,7 @@ from protocols.odrive_can.messages import (
     SetVelGains,
 )
 from protocols.odrive_can.node import Node
-from protocols.wire import CanFrame
-from protocols.words import (
-    MILLISECOND,
-    ClearFault,
-    Event,
-    Nanos,
-    Parameter,
-    ReadParameter,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    WriteParameter,
-    Zero,
-)
-from protocols.words import Estop as EstopWord
-from protocols.words import Reboot as RebootWord
+from protocols.request_queue import UnderWay, refusal
 
 ANSWER = 600 * MILLISECOND
 RESEND = 120 * MILLISECOND

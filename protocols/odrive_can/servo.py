@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from protocols.odrive_can.ear import Axis
+from protocols.odrive_can.decoder import Axis
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.messages import ControlMode, InputMode
 from protocols.odrive_can.options import Settings

@@ -11,8 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from protocols.frames import CanFrame, Wire
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Nanos, Torque, seconds
 from protocols.odrive_can.codec import BROADCAST, AnyMessage, decode_to_device, encode, node_of, turns
-from protocols.odrive_can.ear import Axis, axis_of
+from protocols.odrive_can.decoder import Axis, axis_of
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.messages import (
     Ask,
@@ -26,8 +28,6 @@ from protocols.odrive_can.messages import (
 from protocols.odrive_can.options import Settings
 from protocols.odrive_can.servo import Gains, Servo
 from protocols.plugin import Device
-from protocols.wire import CanFrame, Wire
-from protocols.words import MILLISECOND, SECOND, Event, Feedback, Nanos, Torque, seconds
 
 NEVER: Nanos = 1 << 62
 

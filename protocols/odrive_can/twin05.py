@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from protocols.messages import Nanos
 from protocols.odrive_can.codec import AnyMessage, cmd_of
-from protocols.odrive_can.ear import addressed, hear, obey
+from protocols.odrive_can.decoder import addressed, hear, obey
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import (
     AXIS_BASE,
@@ -51,7 +52,6 @@ from protocols.odrive_can.options import node_of_device
 from protocols.odrive_can.servo import gains_of
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.plugin import Device
-from protocols.words import Nanos
 
 GPIO_COUNT = 17
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from protocols.messages import MILLISECOND, Nanos
 from protocols.odrive_can.codec import BROADCAST, AnyMessage, cmd_of
-from protocols.odrive_can.ear import addressed, assign, obey
+from protocols.odrive_can.decoder import addressed, assign, obey
 from protocols.odrive_can.faults import COMPLAINTS06, Error, Result
 from protocols.odrive_can.messages import (
     Address,
@@ -37,7 +38,6 @@ from protocols.odrive_can.options import Settings, firmware_of
 from protocols.odrive_can.servo import Gains, gains_of
 from protocols.odrive_can.twin import NEVER, OdriveTwin
 from protocols.plugin import Device
-from protocols.words import MILLISECOND, Nanos
 
 PROTOCOL_VERSION = 2
 FEEDS = (SetInputPos, SetInputVel, SetInputTorque, SetAxisState)

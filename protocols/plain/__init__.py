@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from typing import get_args
 
-from protocols.plain import line
+from protocols.frames import Wire
+from protocols.messages import COMMANDS, MILLISECOND, Command, ReadParameter, Request, Scan
+from protocols.plain import codec
+from protocols.plain.decoder import PlainEar
 from protocols.plain.driver import OFFLINE, Options, PlainDriver
-from protocols.plain.ear import PlainEar
 from protocols.plain.settings import COMPLAINTS, Settings
 from protocols.plain.twin import twin
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.wire import Wire
-from protocols.words import COMMANDS, MILLISECOND, Command, ReadParameter, Request, Scan
 
 MEASUREMENTS = ("Imu", "LaserScan", "Fix")
 SENSOR_PERIOD = 100 * MILLISECOND
@@ -24,8 +24,8 @@ SENSOR_PERIOD = 100 * MILLISECOND
 
 def messages(wire: Wire) -> tuple[str, ...]:
     """The kinds of the words that whole messages to a device hold."""
-    bodies = line.Stream().feed(wire) if isinstance(wire, bytes) else []
-    said = [line.read(body, 0, "") for body in bodies]
+    bodies = codec.Stream().feed(wire) if isinstance(wire, bytes) else []
+    said = [codec.read(body, 0, "") for body in bodies]
     return tuple(type(word).__name__ for word in said if isinstance(word, Command | Request))
 
 
@@ -33,10 +33,10 @@ def read_only(wire: Wire) -> bool:
     """Whether these bytes are whole messages that only ask: Scan, ReadParameter."""
     if not isinstance(wire, bytes):
         return False
-    stream = line.Stream()
+    stream = codec.Stream()
     bodies = stream.feed(wire)
-    whole = sum(len(line.frame(body)) for body in bodies) == len(wire)
-    asked = [line.read(body, 0, "") for body in bodies]
+    whole = sum(len(codec.frame(body)) for body in bodies) == len(wire)
+    asked = [codec.read(body, 0, "") for body in bodies]
     return whole and all(isinstance(word, Scan | ReadParameter) for word in asked)
 
 
@@ -46,8 +46,8 @@ def spec(device: Device) -> Spec:
         raise ValueError(f"a plain device has an address of 1 … 255, not {device.address}")
     motor = device.options.kind == "motor"
     settings: Settings = device.settings
-    shared: frozenset[type[Request]] = frozenset(get_args(line.LineRequest))
-    own: frozenset[type[Request]] = frozenset(get_args(line.MotorRequest))
+    shared: frozenset[type[Request]] = frozenset(get_args(codec.LineRequest))
+    own: frozenset[type[Request]] = frozenset(get_args(codec.MotorRequest))
     commands: frozenset[type[Command]] = frozenset(COMMANDS)
     patience = round(settings.watchdog_ms * MILLISECOND)
     return Spec(
@@ -71,16 +71,16 @@ def spec(device: Device) -> Spec:
 
 def _ranges(motor: bool) -> dict[str, Range]:
     """Everything is float64 on the wire: nothing is rounded but what is next to nothing."""
-    measured = {name: name.partition(".")[0] in MEASUREMENTS for name in line.LIMITS}
+    measured = {name: name.partition(".")[0] in MEASUREMENTS for name in codec.LIMITS}
     return {
-        name: Range(low, high, line.TINY)
-        for name, (low, high) in line.LIMITS.items()
+        name: Range(low, high, codec.TINY)
+        for name, (low, high) in codec.LIMITS.items()
         if measured[name] != motor
     }
 
 
 plugin = Plugin(
-    name=line.NAME,
+    name=codec.NAME,
     title="our own words in bytes on a serial line: sensors and motors without a wire of their own",
     trust="defined here; the bytes of fixtures/vectors/plain.json are made with msgpack and zlib alone",
     options=Options,
@@ -90,5 +90,5 @@ plugin = Plugin(
     ear=PlainEar,
     twin=twin,
     messages=messages,
-    vectors=("fixtures", "vectors/plain.json"),
+    vectors=("gateway.fixtures", "vectors/plain.json"),
 )

@@ -13,11 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
-from protocols.answers import Refusals
-from protocols.plain import line
-from protocols.plugin import Device, Tally
-from protocols.wire import BusState, Wire
-from protocols.words import (
+from protocols.frames import BusState, Wire
+from protocols.messages import (
     MILLISECOND,
     Command,
     Done,
@@ -39,6 +36,9 @@ from protocols.words import (
     State,
     Stop,
 )
+from protocols.plain import codec
+from protocols.plugin import Device, Tally
+from protocols.request_queue import Refusals
 
 ANSWER: Nanos = 200 * MILLISECOND
 """How long a device may take to answer a request, and how long a scan listens."""
@@ -78,7 +78,7 @@ class PlainDriver:
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.tally = Tally()
-        self._stream = line.Stream()
+        self._stream = codec.Stream()
         self._seats = {d.address: _Seat(d.name, d.options.kind == "motor") for d in devices}
         self._addresses = {d.name: d.address for d in devices}
         self._refusals = Refusals()
@@ -135,16 +135,16 @@ class PlainDriver:
         """What goes out for a word, and why it is refused, "" if it is not."""
         try:
             address = self._address(word)
-            wire = line.message(address, word)
+            wire = codec.message(address, word)
         except ValueError as error:
             return [], str(error)
         return [wire] if self._say(now, address, word) else [], ""
 
     def _address(self, word: Command | Request) -> int:
         """The address that a word goes to. ValueError: it can go to none."""
-        if isinstance(word, line.LineRequest):
-            return line.EVERYONE
-        if not isinstance(word, Command | line.MotorRequest):
+        if isinstance(word, codec.LineRequest):
+            return codec.EVERYONE
+        if not isinstance(word, Command | codec.MotorRequest):
             raise ValueError("a plain device cannot do that")  # noqa: TRY004 -- a right word, wrong device
         address = self._addresses.get(word.motor)
         if address is None or not self._seats[address].motor:
@@ -153,14 +153,14 @@ class PlainDriver:
 
     def _say(self, now: Nanos, address: int, word: Command | Request) -> bool:
         """Whether this word goes out; and remember that it did."""
-        if isinstance(word, line.LineRequest):
+        if isinstance(word, codec.LineRequest):
             self._line.append((now + ANSWER, word))
             self._serials = {} if isinstance(word, Scan) else self._serials
             return True
         seat = self._seats[address]
         if isinstance(word, Idle):
             return seat.claimed
-        if isinstance(word, line.MotorRequest):
+        if isinstance(word, codec.MotorRequest):
             seat.asked[type(word).__name__] = now + ANSWER
         else:
             seat.claimed = True
@@ -190,8 +190,8 @@ class PlainDriver:
 
     def _hear(self, t: Nanos, body: bytes) -> Sequence[Event]:
         seat = self._seats.get(body[0])
-        word = line.read(body, t, seat.name if seat else "")
-        if isinstance(word, Found) and word.protocol == line.NAME and word.address == body[0]:
+        word = codec.read(body, t, seat.name if seat else "")
+        if isinstance(word, Found) and word.protocol == codec.NAME and word.address == body[0]:
             self.tally.heard += 1
             return self._found(word)
         # A command on the way up is somebody's echo (RS-485), a stranger's message is not for us.

@@ -10,11 +10,11 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 
-from protocols.plain import line
-from protocols.plain.ear import PlainEar
+from protocols.frames import Wire
+from protocols.messages import Command, Event, Fix, Found, Imu, LaserScan, Nanos, Request, Scan, SetId, Torque
+from protocols.plain import codec
+from protocols.plain.decoder import PlainEar
 from protocols.plugin import Device
-from protocols.wire import Wire
-from protocols.words import Command, Event, Fix, Found, Imu, LaserScan, Nanos, Request, Scan, SetId, Torque
 
 
 class PlainSensor:
@@ -56,7 +56,7 @@ def to_all(device: Device, word: Command | Request, t: Nanos, answers: list[Even
         device = replace(device, address=word.address)
     elif not isinstance(word, Scan):
         return device
-    answers.append(Found(t, line.NAME, device.address, serial, device.options.kind))
+    answers.append(Found(t, codec.NAME, device.address, serial, device.options.kind))
     return device
 
 
@@ -65,5 +65,5 @@ def messages_of(device: Device, now: Nanos, said: Sequence[Event]) -> list[bytes
     messages = []
     for word in said:
         with contextlib.suppress(ValueError):
-            messages.append(line.message(device.address, word, now))
+            messages.append(codec.message(device.address, word, now))
     return messages

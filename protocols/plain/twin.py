@@ -13,13 +13,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from protocols.plain import line
-from protocols.plain.ear import PlainEar
-from protocols.plain.sensor import PlainSensor, messages_of, to_all
-from protocols.plain.settings import COMPLAINTS, WRITABLE, Settings
-from protocols.plugin import Device, Twin
-from protocols.wire import Wire
-from protocols.words import (
+from protocols.frames import Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -45,6 +40,11 @@ from protocols.words import (
     Zero,
     seconds,
 )
+from protocols.plain import codec
+from protocols.plain.decoder import PlainEar
+from protocols.plain.sensor import PlainSensor, messages_of, to_all
+from protocols.plain.settings import COMPLAINTS, WRITABLE, Settings
+from protocols.plugin import Device, Twin
 
 BOOT: Nanos = 50 * MILLISECOND
 """From Reboot to ready."""
@@ -85,7 +85,7 @@ class PlainMotor:
         for word in self._ear.hear(t, wire):
             if isinstance(word, Command):
                 self._obey(t, word)
-            elif isinstance(word, line.MotorRequest):
+            elif isinstance(word, codec.MotorRequest):
                 self._answer(t, word)
             else:
                 device = to_all(self._device, word, t, self._answers)
@@ -163,7 +163,7 @@ class PlainMotor:
 
     # -- requests --------------------------------------------------------------------------------------
 
-    def _answer(self, t: Nanos, word: line.MotorRequest) -> None:
+    def _answer(self, t: Nanos, word: codec.MotorRequest) -> None:
         """Do what is asked; say that it is done, or why not."""
         name, request = self._device.name, type(word).__name__
         refused = ""

@@ -17,7 +17,7 @@ from brain.perception.grid import GridSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import PerceptionSettings
 from brain.planning.costmap import Costmap
-from protocols.words import (
+from protocols.messages import (
     MILLISECOND,
     SECOND,
     Command,

@@ -20,7 +20,7 @@ from brain.brain import Brain, BrainSettings
 from brain.driving import Driving
 from brain.perception.grid import GridSettings
 from brain.perception.perception import PerceptionSettings
-from protocols.words import (
+from protocols.messages import (
     MILLISECOND,
     Command,
     Drive,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from brain.health import Health, HealthSettings, Level
-from protocols.words import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
 
 SETTINGS = HealthSettings()
 MS = MILLISECOND

@@ -10,7 +10,7 @@ from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
 from brain.perception.mount import Mount
 from brain.settings import changed, keys
-from protocols.words import MILLISECOND, Goal, Nanos
+from protocols.messages import MILLISECOND, Goal, Nanos
 from tests.brain.helpers import BODY, MOUNTS, TIMEOUTS, Office, Trip
 
 SETTINGS = BrainSettings("differential", BODY)

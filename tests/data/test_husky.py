@@ -13,19 +13,20 @@ from pathlib import Path
 import pytest
 
 from brain.perception.mount import Mount
-from gateway import config, shipped
+from gateway import config
 from gateway.__main__ import main
-from gateway.bags import Bag, read
-from gateway.config import Robot
-from gateway.foreign import Verdict, judge
-from protocols.words import SECOND, Imu
+from gateway.config import resources
+from gateway.core.robot import Robot
+from gateway.rosbag import Bag, read
+from gateway.rosbag.evaluate import Verdict, judge
+from protocols.messages import SECOND, Imu
 
 BAG = "husky/husky.bag"
 
 
 @pytest.fixture(scope="module")
 def husky() -> Robot:
-    return config.load(shipped.find("robots", "husky"))
+    return config.load(resources.find("robots", "husky"))
 
 
 @pytest.fixture(scope="module")

@@ -15,17 +15,18 @@ from pathlib import Path
 
 import pytest
 
-from gateway import config, shipped
+from gateway import config
 from gateway.__main__ import main
-from gateway.bags import read
-from gateway.foreign import judge
-from protocols.words import Imu
+from gateway.config import resources
+from gateway.rosbag import read
+from gateway.rosbag.evaluate import judge
+from protocols.messages import Imu
 
 BAG = "jackal/jackal.bag"
 
 
 def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> None:
-    robot = config.load(shipped.find("robots", "jackal"))
+    robot = config.load(resources.find("robots", "jackal"))
     body = robot.brain.differential
     assert body is not None
     bag = read(recording(BAG), robot.bag, body)

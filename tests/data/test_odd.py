@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from gateway.__main__ import main
-from gateway.bags import BagError, is_foreign, read
-from gateway.foreign import judge
-from gateway.topics import BagTopics
+from gateway.core.robot import BagTopics
+from gateway.rosbag import BagError, is_foreign, read
+from gateway.rosbag.evaluate import judge
 from tests.gateway.bag_helpers import ROBOT, rover
 
 DAMAGED = "odd/laser_scan_matcher_demo.bag"

@@ -18,8 +18,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from brain.belief import Pose
 from brain.bodies.differential import arc
-from gateway.config import Robot, loads
-from protocols.words import MILLISECOND, SECOND, Nanos
+from gateway.config import loads
+from gateway.core.robot import Robot
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
 KINDS: tuple[Kind, ...] = ("ros1", "mcap", "sqlite3")

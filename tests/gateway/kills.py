@@ -13,13 +13,13 @@ from mcap.stream_reader import StreamReader
 from numpy.random import PCG64, Generator
 from rosbags.highlevel import AnyReader
 
-from gateway import config, journal
-from gateway.gateway import Gateway, ear_of
-from gateway.judge import compare
-from gateway.recording import read
-from gateway.recording.salvage import salvage
-from gateway.robot import Robot
-from protocols.words import MILLISECOND, Nanos
+from gateway import config
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway, ear_of
+from gateway.recording import read, tick_codec
+from gateway.recording.recover import salvage
+from gateway.replay.compare import compare
+from protocols.messages import MILLISECOND, Nanos
 from tests.gateway.witness import Runs
 
 PROMISE: Nanos = 100 * MILLISECOND
@@ -81,7 +81,7 @@ def raw_ticks(path: Path) -> list[bytes]:
             for record in StreamReader(file, record_size_limit=path.stat().st_size).records:
                 if isinstance(record, Channel):
                     topics[record.id] = record.topic
-                elif isinstance(record, Message) and topics[record.channel_id] == journal.TOPIC:
+                elif isinstance(record, Message) and topics[record.channel_id] == tick_codec.TOPIC:
                     ticks.append(record.data)
         except (McapError, ValueError, RuntimeError):  # where it was cut
             pass
@@ -92,11 +92,11 @@ def read_by_rosbags(path: Path, *, opened: bool = True) -> list[bytes]:
     """Every tick in a file, as bytes; with `opened`, every message of every topic is looked into."""
     ticks: list[bytes] = []
     with AnyReader([path]) as reader:
-        assert {c.topic for c in reader.connections} >= {journal.TOPIC, "/diagnostics"}
+        assert {c.topic for c in reader.connections} >= {tick_codec.TOPIC, "/diagnostics"}
         for connection, _, raw in reader.messages():
             message: Any = reader.deserialize(raw, connection.msgtype) if opened else raw
             assert message is not None
-            if connection.topic == journal.TOPIC:
+            if connection.topic == tick_codec.TOPIC:
                 ticks.append(bytes(raw))
     return ticks
 

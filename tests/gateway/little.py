@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 
 from brain.belief import Belief, BrainState, Estimate, MapView, Pose
 from brain.perception.mount import Mount
+from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import Recorder
-from gateway.recording.sheet import Sheet
-from gateway.tick import Inputs, Note, Outputs, Tick
-from gateway.views import Views
-from protocols.plain.codec import CODES
-from protocols.wire import BusState, CanFrame, Packet, Wire
-from protocols.words import (
+from gateway.recording.ros_views import Views
+from gateway.recording.tick_writer import Sheet
+from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.message_codec import CODES
+from protocols.messages import (
     MILLISECOND,
     Asked,
     Command,

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 
 from gateway import config
-from gateway.buses.twin import TwinWorld, open_world
-from gateway.clock import SimulatedClock
-from gateway.gateway import Gateway
-from gateway.robot import Robot
-from gateway.run import Account, live
-from gateway.tick import Note, Tick
-from protocols.words import SECOND, Asked, Command, Nanos
+from gateway.buses.virtual.bus import TwinWorld, open_world
+from gateway.core.clock import SimulatedClock
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway
+from gateway.core.tick import Note, Tick
+from gateway.runtime.loop import Account, live
+from protocols.messages import SECOND, Asked, Command, Nanos
 
 BENCH = """
 name = "rig"
@@ -96,7 +96,7 @@ def told(ticks: Sequence[Tick], *about: str) -> list[Note]:
 
 def said(rig: Rig, ticks: Sequence[Tick], bus: str = "can0") -> list[tuple[Nanos, Command]]:
     """What the devices of a bus would obey of what was sent, by an ear of their own language."""
-    from gateway.gateway import ear_of
+    from gateway.core.step import ear_of
 
     ear = ear_of(rig.robot, bus)
     return [

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from protocols.words import Nanos
+from protocols.messages import Nanos
 
 NOTHING = -1
 """What the board says before the first tick."""
@@ -55,12 +55,14 @@ class Board:
 
 def _serve() -> None:
     """One process at a time, for each line `ROBOT FILE BOARD TYPED` (separated by tabs)."""
-    from gateway import config, machine, session, shipped  # noqa: F401  # all that a run imports, once
-    from gateway.views import Views
+    from gateway import config  # all that a run imports, once
+    from gateway.config import resources
+    from gateway.recording import environment
+    from gateway.recording.ros_views import Views
 
-    config.load(shipped.find("robots", "bench"))
+    config.load(resources.find("robots", "bench"))
     Views().prepare()
-    machine.facts()
+    environment.facts()
     print("ready", flush=True)
     for line in sys.stdin:
         robot, file, board, typed = line.rstrip("\n").split("\t")

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from gateway.config import loads
-from gateway.robot import Robot
-from gateway.world.world import SceneFile, World, WorldFile, loads_world
-from protocols.words import Imu, LaserScan
+from gateway.core.robot import Robot
+from gateway.sim.world import SceneFile, World, WorldFile, loads_world
+from protocols.messages import Imu, LaserScan
 
 RADIUS, SEPARATION = 0.05, 0.22
 

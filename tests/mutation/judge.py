@@ -21,8 +21,8 @@ from typing import Any
 
 import protocols
 from protocols.conformance import CLAUSES, Clause, variants
+from protocols.conformance.bench import ADDRESSES
 from protocols.conformance.case import Case, Failure
-from protocols.conformance.rehearsal import ADDRESSES
 from tests.mutation.languages import Language, mutated_modules
 from tests.mutation.mutants import digest
 

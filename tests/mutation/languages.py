@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from protocols.conformance.rehearsal import ADDRESSES, NAMES, rehearse
+from protocols.conformance.bench import ADDRESSES, NAMES, rehearse
 from protocols.plugin import Plugin, installed
 
 

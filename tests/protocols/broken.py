@@ -12,16 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from protocols.odrive_can import RANGES
-from protocols.odrive_can import plugin as odrive
-from protocols.odrive_can.driver import OdriveDriver
-from protocols.plain import line, plugin
-from protocols.plain.driver import PlainDriver
-from protocols.plain.ear import PlainEar
-from protocols.plain.twin import PlainMotor
-from protocols.plugin import Device, Plugin
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Event,
@@ -36,6 +28,14 @@ from protocols.words import (
     Velocity,
     Word,
 )
+from protocols.odrive_can import RANGES
+from protocols.odrive_can import plugin as odrive
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.plain import codec, plugin
+from protocols.plain.decoder import PlainEar
+from protocols.plain.driver import PlainDriver
+from protocols.plain.twin import PlainMotor
+from protocols.plugin import Device, Plugin
 
 Sent = tuple[Sequence[Event], Sequence[Wire]]
 
@@ -93,8 +93,8 @@ class MixesUpMotors(PlainDriver):
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         events, wires = super().send(now, words)
         if len(words) == len(wires) == 2 and all(isinstance(w, Velocity) for w in words):
-            (one, other) = (line.Stream().feed(each)[0] for each in _bytes(wires))
-            wires = [line.frame(one[:1] + other[1:]), line.frame(other[:1] + one[1:])]
+            (one, other) = (codec.Stream().feed(each)[0] for each in _bytes(wires))
+            wires = [codec.frame(one[:1] + other[1:]), codec.frame(other[:1] + one[1:])]
         return events, wires
 
 
@@ -204,7 +204,7 @@ class BelievesBadBytes(PlainDriver):
         self._stream = _Credulous()
 
 
-class _Credulous(line.Stream):
+class _Credulous(codec.Stream):
     __slots__ = ()
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -266,11 +266,11 @@ class ObeysStrangers(PlainMotor):
     """The device does not look at the address."""
 
     def receive(self, t: Nanos, wire: Wire) -> None:
-        bodies = line.Stream().feed(wire) if isinstance(wire, bytes) else []
+        bodies = codec.Stream().feed(wire) if isinstance(wire, bytes) else []
         super().receive(t, wire)
         for body in bodies:
             if body[0] > 2:
-                super().receive(t, line.frame(bytes((self._device.address,)) + body[1:]))
+                super().receive(t, codec.frame(bytes((self._device.address,)) + body[1:]))
 
 
 class ClearsFaultsUnasked(PlainDriver):
@@ -339,7 +339,7 @@ class TellsNan(PlainDriver):
 class SharesState(PlainDriver):
     """Keeps what it has heard of the stream where all drivers keep it."""
 
-    shared = line.Stream()
+    shared = codec.Stream()
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from protocols.plain.driver import PlainDriver
-from protocols.plain.ear import PlainEar
-from protocols.plugin import Plugin
-from protocols.wire import Wire
-from protocols.words import (
+from protocols.frames import Wire
+from protocols.messages import (
     MILLISECOND,
     Command,
     Done,
@@ -22,6 +19,9 @@ from protocols.words import (
     State,
     WriteParameter,
 )
+from protocols.plain.decoder import PlainEar
+from protocols.plain.driver import PlainDriver
+from protocols.plugin import Plugin
 from tests.protocols.broken import Sent, motors
 
 

@@ -9,15 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from protocols.odrive_can import RANGES
-from protocols.odrive_can import plugin as odrive
-from protocols.odrive_can.driver import OdriveDriver
-from protocols.plain import line
-from protocols.plain.driver import PlainDriver
-from protocols.plain.twin import PlainMotor
-from protocols.plugin import Device, Plugin
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -36,6 +29,13 @@ from protocols.words import (
     Stop,
     WriteParameter,
 )
+from protocols.odrive_can import RANGES
+from protocols.odrive_can import plugin as odrive
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.plain import codec
+from protocols.plain.driver import PlainDriver
+from protocols.plain.twin import PlainMotor
+from protocols.plugin import Device, Plugin
 from tests.protocols.broken import Sent, motors
 
 Words = Sequence[Command | Request]
@@ -60,7 +60,7 @@ class Knowing(PlainDriver):
 
     def say(self, word: Command | Request) -> Wire:
         """A word to a device, past everything that a driver should think of."""
-        return line.message(self._addresses[getattr(word, "motor", "")], word)
+        return codec.message(self._addresses[getattr(word, "motor", "")], word)
 
     def claimed(self, name: str) -> bool:
         return self._seats[self._addresses[name]].claimed

@@ -10,19 +10,9 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 
-from protocols.odrive_can import RANGES
-from protocols.odrive_can import plugin as odrive
-from protocols.odrive_can.codec import cmd_of
-from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.messages import GetIq, SetAxisState
-from protocols.plain import line
-from protocols.plain.codec import KINDS, pack_fields
-from protocols.plain.driver import PlainDriver
-from protocols.plain.ear import PlainEar
-from protocols.plain.twin import PlainMotor
-from protocols.plugin import Device, Plugin
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.message_codec import KINDS, pack_fields
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -36,6 +26,16 @@ from protocols.words import (
     Torque,
     Velocity,
 )
+from protocols.odrive_can import RANGES
+from protocols.odrive_can import plugin as odrive
+from protocols.odrive_can.codec import cmd_of
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.odrive_can.messages import GetIq, SetAxisState
+from protocols.plain import codec
+from protocols.plain.decoder import PlainEar
+from protocols.plain.driver import PlainDriver
+from protocols.plain.twin import PlainMotor
+from protocols.plugin import Device, Plugin
 from tests.protocols.broken import Sent, motors
 
 Words = Sequence[Command | Request]
@@ -50,10 +50,12 @@ class SaysMinusZero(PlainDriver):
     def send(self, now: Nanos, words: Words) -> Sent:
         events, wires = super().send(now, words)
         exact = [
-            w for w in words if isinstance(w, Velocity) and abs(w.velocity) < line.TINY and w.torque == 0.0
+            w for w in words if isinstance(w, Velocity) and abs(w.velocity) < codec.TINY and w.torque == 0.0
         ]
         said = [
-            line.frame(bytes((self._addresses[w.motor],)) + pack_fields(KINDS[4], ("", w.velocity, w.torque)))
+            codec.frame(
+                bytes((self._addresses[w.motor],)) + pack_fields(KINDS[4], ("", w.velocity, w.torque))
+            )
             for w in exact
         ]
         return events, [*wires, *said]
@@ -84,7 +86,7 @@ class TellsDenormals(OdriveDriver):
 # -- checksums -----------------------------------------------------------------------------------------
 
 
-class _Lenient(line.Stream):
+class _Lenient(codec.Stream):
     """Does not look at one bit of a checksum."""
 
     __slots__ = ()
@@ -98,7 +100,7 @@ class _Lenient(line.Stream):
                 whole = held + bytes((byte,))
                 mended = whole[:-1] + bytes((byte ^ 0x02,))
                 crc = zlib.crc32(mended[6:-4])
-                if mended[:2] == line.SYNC and mended[-4:] == struct.pack("<I", crc):
+                if mended[:2] == codec.SYNC and mended[-4:] == struct.pack("<I", crc):
                     self.bad, self._held, self._skipping = bad, b"", False
                     bodies.append(mended[6:-4])
         return bodies

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Request, State
 from protocols.plugin import Device, Driver, Twin
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Command, Event, Feedback, Nanos, Request, State
 
 DriverKind = TypeVar("DriverKind", bound=Driver)
 TwinKind = TypeVar("TwinKind", bound=Twin)

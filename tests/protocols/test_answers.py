@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from protocols.answers import SMALLEST, Refusals, UnderWay, Waiting, out_of_range, refusal, subject
+from protocols.messages import Command, Done, Hold, Position, Refused, Request, Scan, Velocity, Zero
 from protocols.plugin import Range
-from protocols.words import Command, Done, Hold, Position, Refused, Request, Scan, Velocity, Zero
+from protocols.request_queue import SMALLEST, Refusals, UnderWay, Waiting, out_of_range, refusal, subject
 
 RANGES = {"Velocity.velocity": Range(-10.0, 20.0, 0.0)}
 

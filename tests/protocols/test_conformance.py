@@ -11,12 +11,12 @@ from typing import Any, Literal
 import pytest
 
 from protocols.conformance import CLAUSES, Clause, Result, check, table, variants
+from protocols.conformance.bench import Rehearsal, Shaft, close, finite, rehearse, shortest
 from protocols.conformance.case import Case, Failure, Inapplicable
-from protocols.conformance.dice import Dice
-from protocols.conformance.rehearsal import Rehearsal, Shaft, close, finite, rehearse, shortest
+from protocols.conformance.random import Dice
+from protocols.frames import CanFrame, Wire
+from protocols.messages import Feedback, LaserScan, Velocity
 from protocols.plugin import Plugin, Range, load_all
-from protocols.wire import CanFrame, Wire
-from protocols.words import Feedback, LaserScan, Velocity
 from tests.protocols.broken import HoldsAGenerator, motors, sensors
 from tests.protocols.broken_all import BROKEN
 

@@ -7,15 +7,13 @@ from dataclasses import replace
 import pytest
 
 from protocols.conformance import variants
+from protocols.conformance.bench import ADDRESSES
 from protocols.conformance.case import Case
-from protocols.conformance.rehearsal import ADDRESSES
+from protocols.conformance.fault_injection import Scene, resting, scene, some, takeover, torque_of
 from protocols.conformance.safety import _leads_away
-from protocols.conformance.trouble import Scene, resting, scene, some, takeover, torque_of
 from protocols.conformance.watchdog import _dog, _watched, silence_trips
-from protocols.odrive_can import plugin as odrive
-from protocols.plain import plugin as plain
-from protocols.wire import BusState
-from protocols.words import (
+from protocols.frames import BusState
+from protocols.messages import (
     ClearFault,
     Command,
     Hold,
@@ -29,6 +27,8 @@ from protocols.words import (
     Velocity,
     Zero,
 )
+from protocols.odrive_can import plugin as odrive
+from protocols.plain import plugin as plain
 from tests.protocols.broken import motors
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from protocols.wire import BusState, CanFrame, Packet, Wire
+from protocols.frames import BusState, CanFrame, Packet, Wire
 
 # candump's own notation: id in three or eight digits, # or ##flags, data in upper case, R for a request
 # (linux-can/can-utils `lib.h`, sprint_canframe and parse_canframe).

@@ -8,17 +8,16 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from protocols.conformance import CLAUSES, Result, check
+from protocols.conformance.bench import STEP, fewest, within
 from protocols.conformance.case import Case
-from protocols.conformance.dice import Dice
+from protocols.conformance.duplicates import Pair
 from protocols.conformance.normal import normal
 from protocols.conformance.obeyed import _push
-from protocols.conformance.rehearsal import STEP, fewest, within
+from protocols.conformance.random import Dice
+from protocols.conformance.reference_vectors import SOURCE
 from protocols.conformance.replies import TROUBLES, Mishap
-from protocols.conformance.twice import Pair
-from protocols.conformance.vouched import SOURCE
-from protocols.plugin import Plugin, Range
-from protocols.wire import Wire
-from protocols.words import (
+from protocols.frames import Wire
+from protocols.messages import (
     Command,
     Event,
     Feedback,
@@ -30,6 +29,7 @@ from protocols.words import (
     Torque,
     Velocity,
 )
+from protocols.plugin import Plugin, Range
 from tests.protocols.broken import motors
 from tests.protocols.broken_wire import BROKEN_WIRE
 

@@ -8,8 +8,8 @@ from typing import Any, get_args
 
 import pytest
 
-from protocols import words
-from protocols.words import COMMANDS, SECOND, Command, Feedback, Mode, Velocity, Word, seconds
+from protocols import messages
+from protocols.messages import COMMANDS, SECOND, Command, Feedback, Mode, Velocity, Word, seconds
 from tests.protocols.plain.samples import VECTORS, word_of
 
 KINDS: tuple[Any, ...] = get_args(Word)
@@ -62,7 +62,7 @@ def test_feed_forward_is_zero_unless_given() -> None:
 
 
 def test_no_default_hides_a_measurement() -> None:
-    for kind in (words.Imu, words.LaserScan, words.Fix, words.Feedback, words.Parameter):
+    for kind in (messages.Imu, messages.LaserScan, messages.Fix, messages.Feedback, messages.Parameter):
         for f in fields(kind):
             assert f.default is None or f.default is MISSING, (kind, f.name)
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from gateway import machine
+from gateway.recording import environment
 
 FOLDER = Path(__file__).parent.parent.parent / ".prove"
 
@@ -26,7 +26,7 @@ class Campaign:
         self.count = count
         self.done: dict[int, Any] = {}
         asked = os.environ.get("PROVE_SEED")
-        sources = machine.sources()
+        sources = environment.sources()
         head, lines = self._read()
         same = head.get("sources") == sources and asked in (None, str(head.get("seed")))
         if same and len(lines) < count:

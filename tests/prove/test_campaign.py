@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway import machine
+from gateway.recording import environment
 from tests.prove.campaign import Campaign
 
 
@@ -44,12 +44,12 @@ def test_it_begins_anew_when_a_source_has_changed_or_a_seed_is_asked_for(
             raise KeyboardInterrupt
         return 0
 
-    monkeypatch.setattr(machine, "sources", lambda: "old")
+    monkeypatch.setattr(environment, "sources", lambda: "old")
     first = Campaign("a", 5, tmp_path)
     with pytest.raises(KeyboardInterrupt):
         first.run(one)
     assert Campaign("a", 5, tmp_path).done == {0: 0}
-    monkeypatch.setattr(machine, "sources", lambda: "new")
+    monkeypatch.setattr(environment, "sources", lambda: "new")
     assert Campaign("a", 5, tmp_path).done == {}
     monkeypatch.setenv("PROVE_SEED", "42")
     assert Campaign("a", 5, tmp_path).seed == 42

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from gateway.scores import Score, mutation_score, score_of
+from gateway.cli.scores import Score, mutation_score, score_of
 from tests.mutation import store
 from tests.mutation.campaign import changed
 from tests.mutation.languages import Language, installed_language, mutated_modules

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.scores import mutation_score
+from gateway.cli.scores import mutation_score
 from tests.mutation import store
 from tests.mutation.languages import ours
 

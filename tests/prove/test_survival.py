@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from gateway.recording import RecordingError
-from gateway.recording.salvage import salvage
+from gateway.recording.recover import salvage
 from tests.gateway import kills, little
 from tests.gateway.kills import Outcome, raw_ticks
-from tests.gateway.test_recover import chunks
+from tests.gateway.recording.test_recover import chunks
 from tests.gateway.witness import Runs
 from tests.prove.campaign import Campaign
 

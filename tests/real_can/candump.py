@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 
 LINE = re.compile(r"\((\d+\.\d+)\) (\S+) ([0-9A-F]+)#(R|#[0-9A-F])?([0-9A-F]*)")
 """A line of `candump -L`: (seconds) interface ID#DATA; ID#R and perhaps the length asked for; of CAN FD ID##F

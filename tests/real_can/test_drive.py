@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from gateway.recording import read
-from protocols.wire import CanFrame, Packet
+from protocols.frames import CanFrame, Packet
 from tests.real_can.candump import Seen, candump, in_order, parse
 from tests.real_can.conftest import wire
 from tests.real_can.pair import SHIPPED, Pair, on_the_wire, rover

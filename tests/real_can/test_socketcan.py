@@ -11,13 +11,13 @@ import pytest
 
 from gateway.buses import Bus, BusError
 from gateway.buses.can import open_can
-from gateway.buses.link import Device
-from gateway.buses.socketcan import OFTEN, PATIENCE, SocketcanBus
+from gateway.buses.socketcan.bus import OFTEN, PATIENCE, SocketcanBus
+from gateway.buses.socketcan.link import Device
 from gateway.buses.states import CALM
-from gateway.clock import WallClock
-from gateway.robot import BusSettings
-from protocols.wire import BusState, CanFrame, Packet
-from protocols.words import MILLISECOND, SECOND
+from gateway.core.clock import WallClock
+from gateway.core.robot import BusSettings
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import MILLISECOND, SECOND
 from tests.real_can.conftest import ip
 
 CLOCK = WallClock()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 from tests.real_can.candump import candump, parse
 from tests.real_can.conftest import ip, wire
 from tests.real_can.pair import rover

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from brain.control.joints import Targets
-from protocols.words import Hold, Idle, Position, Torque, Velocity
+from protocols.messages import Hold, Idle, Position, Torque, Velocity
 
 
 def test_idle_until_asked_and_kept_until_told_otherwise() -> None:

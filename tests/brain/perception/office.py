@@ -16,7 +16,7 @@ from brain.bodies.differential import Differential, arc, wrap
 from brain.perception.mount import Mount
 from brain.perception.odometry import OdometrySettings
 from brain.perception.perception import Perception, PerceptionSettings
-from protocols.words import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos
+from protocols.messages import MILLISECOND, Event, Feedback, Imu, LaserScan, Nanos
 
 BODY = Differential("left", "right", 0.05, 0.22, 0.24, 0.6, 2.0, 1.0, 4.0)
 MOUNTS = {"imu": Mount(0.02, 0.01, 0.08, yaw=math.pi / 2), "lidar": Mount(0.08, 0.0, 0.15, yaw=0.3)}

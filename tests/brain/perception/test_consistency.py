@@ -11,7 +11,7 @@ from brain.perception.consistency import Nis
 from brain.perception.ekf import Ekf
 from brain.perception.filter_settings import EkfSettings
 from brain.perception.measurement import Verdict, gyro, wheels
-from protocols.words import MILLISECOND
+from protocols.messages import MILLISECOND
 
 
 def driven(told: float, really: float, seed: int, readings: int = 2000) -> Ekf:

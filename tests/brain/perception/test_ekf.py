@@ -15,7 +15,7 @@ from brain.perception.ekf import Ekf
 from brain.perception.filter_settings import CHI_SQUARE, EkfSettings
 from brain.perception.measurement import Measurement, Verdict, gyro, located, resting, wheels
 from brain.perception.motion import BIAS, POSE, SIZE, SLIP, YAW, V, W, X, jacobian, move, process_noise
-from protocols.words import MILLISECOND, SECOND, Nanos, seconds
+from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 MS = MILLISECOND
 WHEEL_NOISE = np.diag([0.01**2, 0.05**2])

@@ -7,7 +7,7 @@ import pytest
 from brain.belief import Pose
 from brain.perception.grid import FIRST, Grid, GridSettings, _inflated
 from brain.perception.mount import Mount, Sweep, place, sweep
-from protocols.words import LaserScan
+from protocols.messages import LaserScan
 from tests.brain.perception.office import MOUNTS, OFFICE, box, scan_at
 
 SMALL = GridSettings(resolution=0.1, width=10.0, height=8.0)

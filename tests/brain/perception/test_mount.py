@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from brain.belief import Pose
 from brain.perception.mount import Mount, place, sweep
-from protocols.words import LaserScan
+from protocols.messages import LaserScan
 from tests.brain.perception.office import OFFICE, scan_at
 
 angles = st.floats(-3.2, 3.2)

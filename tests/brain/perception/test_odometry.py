@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from brain.perception.odometry import LONGEST, Odometry, OdometrySettings, Travel
-from protocols.words import MILLISECOND, SECOND, Feedback, Nanos
+from protocols.messages import MILLISECOND, SECOND, Feedback, Nanos
 from tests.brain.perception.office import BODY
 
 MS = MILLISECOND

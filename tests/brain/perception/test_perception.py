@@ -10,17 +10,7 @@ from brain.belief import Pose
 from brain.perception.mount import Mount
 from brain.perception.odometry import Travel
 from brain.perception.perception import Perception, PerceptionSettings, WheelSettings, wheel_noise
-from protocols.words import (
-    MILLISECOND,
-    SECOND,
-    Event,
-    Feedback,
-    Imu,
-    LaserScan,
-    Mode,
-    Nanos,
-    State,
-)
+from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Imu, LaserScan, Mode, Nanos, State
 from tests.brain.perception.office import BODY, MOUNTS, OFFICE, SETTINGS, TOUR, Drive, Rover, drive, scan_at
 
 MS = MILLISECOND

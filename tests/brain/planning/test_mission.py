@@ -9,7 +9,7 @@ from brain.planning.line import Line, Point
 from brain.planning.mission import Mission
 from brain.planning.planner import Path, Toward
 from brain.planning.survey import PlannerSettings
-from protocols.words import MILLISECOND, SECOND, Drive, Goal, Nanos
+from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Nanos
 from tests.brain.planning.test_planner import RADIUS, Paper, two_rooms
 
 

@@ -31,9 +31,9 @@ from protocols.cia402.pdo import Packing, mapping, packing, word_of
 from protocols.cia402.profile import Mode, PowerState, state_of
 from protocols.cia402.transfer import Transfer
 from protocols.cia402.twin import Cia402Twin
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Feedback, Nanos, seconds
 from protocols.plugin import Device
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Feedback, Nanos, seconds
 
 NODE = 5
 HOST = 127

@@ -31,9 +31,9 @@ from canopen.sdo import constants as sdo
 
 from protocols.cia402 import plugin
 from protocols.cia402.options import Options, Settings
+from protocols.frames import BusState, CanFrame
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Found, Request
 from protocols.plugin import Device, Driver
-from protocols.wire import BusState, CanFrame
-from protocols.words import MILLISECOND, Command, Event, Feedback, Found, Request
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import dictionary
 

@@ -9,10 +9,10 @@ from typing import Any
 from protocols.cia402 import plugin, sdo
 from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.options import Options, Settings
-from protocols.conformance.rehearsal import NAMES, START, STEP, Rehearsal, Said, rehearse
+from protocols.conformance.bench import NAMES, START, STEP, Rehearsal, Said, rehearse
+from protocols.frames import CanFrame, Wire
+from protocols.messages import Command, Event, Feedback, Mode, Nanos, Request
 from protocols.plugin import Device
-from protocols.wire import CanFrame, Wire
-from protocols.words import Command, Event, Feedback, Mode, Nanos, Request
 
 PROFILE = Options(modes="profile")
 BY_SDO = Options(mapping="keep")

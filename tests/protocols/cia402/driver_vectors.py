@@ -16,7 +16,7 @@ from protocols.cia402.mapping import Pdo
 from protocols.cia402.objects import OBJECTS, Key
 from protocols.cia402.options import Options
 from protocols.cia402.pdo import EVENT, word_of
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 from tests.protocols.cia402.stack import PACKAGE, Joined, master
 
 NODE = 2

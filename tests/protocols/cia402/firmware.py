@@ -14,7 +14,7 @@ from typing import Any
 import canopen
 from canopen.profiles.p402 import OperationMode, State402
 
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 from tests.protocols.cia402.stack import Slave
 
 WORDS = {name: value | 0x210 for name, (_, value) in State402.SW_MASK.items()}

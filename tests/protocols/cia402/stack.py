@@ -16,7 +16,7 @@ from typing import Any
 import canopen
 
 import protocols.cia402
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 
 EDS = str(Path(protocols.cia402.__file__).parent / "twin.eds")
 PACKAGE = "canopen 2.4.1"

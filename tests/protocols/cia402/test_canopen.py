@@ -23,7 +23,7 @@ import protocols.cia402
 from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
 from tests.protocols.cia402.bench import NODE, Bench
 
 EDS = str(Path(protocols.cia402.__file__).parent / "twin.eds")

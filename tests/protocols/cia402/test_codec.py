@@ -44,8 +44,8 @@ from protocols.cia402.profile import (
 )
 from protocols.cia402.transfer import Transfer
 from protocols.cia402.units import Units, units_of
-from protocols.vectors import Vector
-from protocols.wire import CanFrame, Wire
+from protocols.frames import CanFrame, Wire
+from protocols.reference_vectors import Vector
 from tests.protocols.cia402.vectors import VECTORS
 
 SEED = 20261121

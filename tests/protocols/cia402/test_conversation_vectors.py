@@ -6,7 +6,7 @@ an increment is τ/16384 rad, a per mille of torque 1 mN·m. It stands at 4096: 
 
 from __future__ import annotations
 
-from protocols.words import ClearFault, Fault, Hold, Idle, Position, Stop, Torque, Velocity
+from protocols.messages import ClearFault, Fault, Hold, Idle, Position, Stop, Torque, Velocity
 from tests.protocols.cia402.conversation import Talk, configured
 from tests.protocols.cia402.firmware import Drive
 

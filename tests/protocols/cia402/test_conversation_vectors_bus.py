@@ -8,9 +8,9 @@ import pytest
 
 from protocols.cia402 import plugin
 from protocols.cia402.options import Options, Settings
+from protocols.frames import BusState, CanFrame
+from protocols.messages import Event, Found, Hold, Home, Idle, ReadParameter, Scan, Velocity
 from protocols.plugin import Device
-from protocols.wire import BusState, CanFrame
-from protocols.words import Event, Found, Hold, Home, Idle, ReadParameter, Scan, Velocity
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import armed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from protocols.words import ClearFault, Estop, Hold, Idle, ReadParameter, Reboot, Scan, Velocity
+from protocols.messages import ClearFault, Estop, Hold, Idle, ReadParameter, Reboot, Scan, Velocity
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import CONFIGURED

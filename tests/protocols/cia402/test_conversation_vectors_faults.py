@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from canopen.emcy import EmcyError
 
-from protocols.words import ClearFault, Fault, Hold, Idle, Velocity
+from protocols.messages import ClearFault, Fault, Hold, Idle, Velocity
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import AGAIN, RPDO1, armed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from protocols.words import Hold, Idle
+from protocols.messages import Hold, Idle
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import CONFIGURED, armed

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.words import ClearFault, Hold, Idle, Position, Velocity
+from protocols.messages import ClearFault, Hold, Idle, Position, Velocity
 from tests.protocols.cia402.conversation import Talk, configured
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import RPDO1, RPDO2, RPDO3, TPDO1, TPDO2, TPDO3, armed

@@ -18,9 +18,9 @@ import pytest
 from protocols.cia402 import plugin, sdo
 from protocols.cia402.axis import Axis
 from protocols.cia402.options import Options, Settings
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Command, Request
 from protocols.plugin import Device
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Command, Request
 from tests.protocols.cia402.stack import Joined, Slave, dictionary
 from tests.protocols.cia402.vectors import VECTORS
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from protocols.words import ClearFault, Hold, Home, Idle, Position, Torque, Velocity, Zero
+from protocols.messages import ClearFault, Hold, Home, Idle, Position, Torque, Velocity, Zero
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import armed

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import pytest
 
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.frames import CanFrame
+from protocols.messages import (
     ClearFault,
     Found,
     Hold,

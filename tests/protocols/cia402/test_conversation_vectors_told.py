@@ -9,8 +9,8 @@ from canopen.profiles.p402 import State402
 
 from protocols.cia402 import faults, sdo
 from protocols.cia402.transfer import Transfer
-from protocols.wire import CanFrame
-from protocols.words import Found, Hold, Position, Scan, State, Torque, Velocity
+from protocols.frames import CanFrame
+from protocols.messages import Found, Hold, Position, Scan, State, Torque, Velocity
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import Slave

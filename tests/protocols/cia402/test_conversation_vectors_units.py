@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from protocols.words import (
+from protocols.messages import (
     ClearFault,
     Command,
     Fault,

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from protocols.cia402 import objects as o
-from protocols.cia402.complaints import NOT_ARMED, NOT_CONFIGURED, WRONG_DEVICE
+from protocols.cia402.fault_reports import NOT_ARMED, NOT_CONFIGURED, WRONG_DEVICE
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.profile import mode_bit
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.frames import CanFrame
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,

@@ -18,9 +18,9 @@ from protocols.cia402.mapping import Pdo
 from protocols.cia402.options import Options
 from protocols.cia402.pdo import word_of
 from protocols.cia402.profile import PowerState
-from protocols.conformance.rehearsal import START, STEP
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.conformance.bench import START, STEP
+from protocols.frames import CanFrame
+from protocols.messages import (
     Command,
     Done,
     Event,

@@ -11,7 +11,6 @@ from protocols.cia402 import objects as o
 from protocols.cia402.client import DOUBLED, TRIES, Client, Job, Purpose
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.options import Options
-from protocols.cia402.outlet import REFRESH, Outlet
 from protocols.cia402.pdo import DISABLED, entry_of
 from protocols.cia402.pdo import mapping as entries
 from protocols.cia402.profile import Demand, Mode, PowerState, mode_bit
@@ -28,9 +27,10 @@ from protocols.cia402.sdo import (
     UploadStart,
 )
 from protocols.cia402.setpoint import Values, mode_for, standstill, values_of
+from protocols.cia402.setpoint_writer import REFRESH, Outlet
 from protocols.cia402.startup import Known, units_from, value_of
 from protocols.cia402.units import Units
-from protocols.words import MILLISECOND, Command, Hold, Idle, Position, Torque, Velocity
+from protocols.messages import MILLISECOND, Command, Hold, Idle, Position, Torque, Velocity
 from tests.protocols.cia402.driver_vectors import pdos
 from tests.protocols.cia402.vectors import VECTORS
 

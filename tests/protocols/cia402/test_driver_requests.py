@@ -7,10 +7,10 @@ import math
 import pytest
 
 from protocols.cia402 import objects as o
-from protocols.cia402.complaints import QUICK_STOPPED
+from protocols.cia402.fault_reports import QUICK_STOPPED
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.profile import Mode as Operation
-from protocols.words import (
+from protocols.messages import (
     ClearFault,
     Done,
     Estop,

@@ -10,9 +10,9 @@ import pytest
 from protocols.cia402 import plugin
 from protocols.cia402.options import Options
 from protocols.conformance import CLAUSES, check
+from protocols.frames import BusState, CanFrame
+from protocols.messages import MILLISECOND, Event, Fault, Found, Hold, Idle, Mode, Velocity
 from protocols.plugin import Tally
-from protocols.wire import BusState, CanFrame
-from protocols.words import MILLISECOND, Event, Fault, Found, Hold, Idle, Mode, Velocity
 from tests.protocols.cia402.driver_stage import Stage, device, driver_of, stage
 
 A = "alpha"

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from protocols.cia402.codec import Emcy, encode
-from protocols.cia402.complaints import DUPLICATE_NODE
+from protocols.cia402.fault_reports import DUPLICATE_NODE
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST
 from protocols.cia402.options import Options
 from protocols.cia402.profile import PowerState
-from protocols.wire import BusState
-from protocols.words import (
+from protocols.frames import BusState
+from protocols.messages import (
     ClearFault,
     Done,
     Fault,

@@ -10,14 +10,13 @@ import pytest
 from protocols.cia402 import messages, plugin, read_only, sdo, spec
 from protocols.cia402 import objects as o
 from protocols.cia402.codec import Heartbeat, Nmt, NmtCommand, NmtState, Sync, encode, rpdo_id, sdo_rx_id
-from protocols.cia402.ear import Cia402Ear
+from protocols.cia402.decoder import Cia402Ear
 from protocols.cia402.objects import OBJECTS, Key, to_bytes
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import mapping, packing
 from protocols.cia402.profile import Mode
-from protocols.plugin import Device
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Estop,
@@ -31,6 +30,7 @@ from protocols.words import (
     Velocity,
     WriteParameter,
 )
+from protocols.plugin import Device
 from tests.protocols.cia402.bench import NODE, Bench, device
 
 SEED = 20261121

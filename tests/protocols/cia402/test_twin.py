@@ -11,13 +11,13 @@ from protocols.cia402 import objects as o
 from protocols.cia402 import sdo
 from protocols.cia402.codec import NmtCommand, NmtState, heartbeat_id, rpdo_id, sdo_rx_id, sdo_tx_id
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, OVERCURRENT, RPDO_TIMEOUT, register_of
-from protocols.cia402.machine import TRANSITIONS
 from protocols.cia402.objects import Key
 from protocols.cia402.options import Settings
 from protocols.cia402.pdo import Entry, word_of
 from protocols.cia402.profile import Demand, Mode, PowerState
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Feedback
+from protocols.cia402.state_machine import TRANSITIONS
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Feedback
 from tests.protocols.cia402.bench import HOST, NODE, Bench
 
 SEED = 20261121

@@ -13,8 +13,8 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from protocols.vectors import Vector
-from protocols.wire import CanFrame
+from protocols.frames import CanFrame
+from protocols.reference_vectors import Vector
 from tests.protocols.cia402.stack import Joined, Slave, dictionary
 from tests.protocols.cia402.vectors import VECTORS
 

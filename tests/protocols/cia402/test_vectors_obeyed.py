@@ -9,14 +9,13 @@ import math
 
 from protocols.cia402 import objects as o
 from protocols.cia402.codec import NmtState, decode
-from protocols.cia402.ear import Cia402Ear
+from protocols.cia402.decoder import Cia402Ear
 from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import entry_of
 from protocols.cia402.twin import Cia402Twin
-from protocols.plugin import Device
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     Command,
     Estop,
@@ -28,6 +27,7 @@ from protocols.words import (
     Velocity,
     WriteParameter,
 )
+from protocols.plugin import Device
 from tests.protocols.cia402.vectors import VECTORS
 
 BY_NAME = {vector.name: vector for vector in VECTORS}

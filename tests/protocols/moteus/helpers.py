@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import tau
 
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Nanos
 from protocols.moteus import RANGES
 from protocols.moteus.codec import Subframe, parse
 from protocols.moteus.driver import MoteusDriver
@@ -13,8 +15,6 @@ from protocols.moteus.node import Node
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Nanos
 from tests.protocols.helpers import CanBench, Shaft
 
 

@@ -14,6 +14,7 @@ import pytest
 from moteus import multiplex as mp
 from moteus import protocol as theirs
 
+from protocols.frames import CanFrame
 from protocols.moteus import plugin
 from protocols.moteus.codec import (
     F32,
@@ -58,9 +59,8 @@ from protocols.moteus.messages import (
     written,
 )
 from protocols.moteus.registers import NAMES, SCALES, Mode, Register, mode_name, scale_of
-from protocols.moteus.told import FAST, FULL, decode
-from protocols.vectors import Vector, vectors_of
-from protocols.wire import CanFrame
+from protocols.moteus.reply import FAST, FULL, decode
+from protocols.reference_vectors import Vector, vectors_of
 from tests.protocols.moteus.from_package import UUID, entries
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
@@ -104,7 +104,7 @@ def test_what_we_say_is_the_package_s_vector(name: str) -> None:
 
 
 def test_the_vectors_of_the_package_are_made_again() -> None:
-    stored = json.loads((files("fixtures") / "vectors/moteus.json").read_text("utf-8"))
+    stored = json.loads((files("gateway.fixtures") / "vectors/moteus.json").read_text("utf-8"))
     again = {entry["name"]: entry for entry in entries()}
     assert {entry["name"]: entry for entry in stored if entry["name"] in again} == again
 

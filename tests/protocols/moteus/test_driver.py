@@ -7,15 +7,8 @@ from math import inf, nan, tau
 
 import pytest
 
-from protocols.moteus.codec import READ_ERROR, Error, Values, encode, framed, reply_id
-from protocols.moteus.faults import FAULTS, HELD_TWICE, NOT_ARMED, TIMEOUT
-from protocols.moteus.messages import IDENTIFY
-from protocols.moteus.options import Options, Settings
-from protocols.moteus.registers import Mode, Register
-from protocols.moteus.told import FAST, FULL
-from protocols.moteus.twin import MoteusTwin
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -33,6 +26,13 @@ from protocols.words import (
     Torque,
     Velocity,
 )
+from protocols.moteus.codec import READ_ERROR, Error, Values, encode, framed, reply_id
+from protocols.moteus.faults import FAULTS, HELD_TWICE, NOT_ARMED, TIMEOUT
+from protocols.moteus.messages import IDENTIFY
+from protocols.moteus.options import Options, Settings
+from protocols.moteus.registers import Mode, Register
+from protocols.moteus.reply import FAST, FULL
+from protocols.moteus.twin import MoteusTwin
 from tests.protocols.helpers import modes, of
 from tests.protocols.moteus.helpers import Bench, device, ready, rev, subframes
 

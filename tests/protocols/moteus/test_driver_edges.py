@@ -6,14 +6,8 @@ from math import tau
 
 import pytest
 
-from protocols.moteus import RANGES
-from protocols.moteus.codec import framed, parse
-from protocols.moteus.driver import MoteusDriver
-from protocols.moteus.messages import written
-from protocols.moteus.options import Options
-from protocols.moteus.registers import Mode, Register
-from protocols.wire import BusState, CanFrame
-from protocols.words import (
+from protocols.frames import BusState, CanFrame
+from protocols.messages import (
     MILLISECOND,
     Command,
     Event,
@@ -27,6 +21,12 @@ from protocols.words import (
     Torque,
     Velocity,
 )
+from protocols.moteus import RANGES
+from protocols.moteus.codec import framed, parse
+from protocols.moteus.driver import MoteusDriver
+from protocols.moteus.messages import written
+from protocols.moteus.options import Options
+from protocols.moteus.registers import Mode, Register
 from tests.protocols.helpers import of
 from tests.protocols.moteus.helpers import device
 

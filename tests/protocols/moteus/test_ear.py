@@ -7,16 +7,8 @@ from math import tau
 import numpy as np
 import pytest
 
-from protocols.moteus import plugin
-from protocols.moteus.codec import F32, INT8, REPLY, Ask, Values, command_id, encode, framed, write
-from protocols.moteus.ear import MoteusEar
-from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
-from protocols.moteus.options import Options, Settings, serial_of
-from protocols.moteus.registers import Mode, Register
-from protocols.moteus.twin import MoteusTwin
-from protocols.vectors import vectors_of
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.frames import CanFrame
+from protocols.messages import (
     MILLISECOND,
     Command,
     Feedback,
@@ -29,6 +21,14 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.moteus import plugin
+from protocols.moteus.codec import F32, INT8, REPLY, Ask, Values, command_id, encode, framed, write
+from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
+from protocols.moteus.options import Options, Settings, serial_of
+from protocols.moteus.registers import Mode, Register
+from protocols.moteus.twin import MoteusTwin
+from protocols.reference_vectors import vectors_of
 from tests.protocols.moteus.helpers import device, rev
 
 UUID = "0123456789abcdeffedcba9876543210"

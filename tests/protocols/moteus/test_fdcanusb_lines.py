@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from importlib.resources import files
 
-from gateway.buses.fdcanusb import OK, Adapter, heard_of, sealed, unsealed
+from gateway.buses.adapters.fdcanusb import OK, Adapter, heard_of, sealed, unsealed
 from protocols.moteus.codec import framed, parse
 from protocols.moteus.messages import names
-from protocols.moteus.told import decode
+from protocols.moteus.reply import decode
 
 LINES = {
     entry["name"]: bytes.fromhex(entry["data"])
-    for entry in json.loads((files("fixtures") / "vectors/fdcanusb.json").read_text("utf-8"))
+    for entry in json.loads((files("gateway.fixtures") / "vectors/fdcanusb.json").read_text("utf-8"))
 }
 
 

@@ -10,17 +10,17 @@ from typing import Any
 import moteus
 import pytest
 
-from gateway.bench.codec import theirs
+from benchmarks.codec import theirs
+from protocols.frames import CanFrame
+from protocols.messages import Estop, Hold, Idle, Impedance, Position, Reboot, Torque, Velocity
 from protocols.moteus import bench, driver, plugin, spec
 from protocols.moteus.codec import command_id, framed
 from protocols.moteus.faults import FAULTS, LIMITS, complaint_of
 from protocols.moteus.messages import DISCOVER, IDENTIFY, STOP, Limits, ask, console, masked, move
 from protocols.moteus.options import Options, Settings, limits_of
 from protocols.moteus.registers import Register
-from protocols.moteus.told import FAST, FULL
+from protocols.moteus.reply import FAST, FULL
 from protocols.plugin import Device, load
-from protocols.wire import CanFrame
-from protocols.words import Estop, Hold, Idle, Impedance, Position, Reboot, Torque, Velocity
 from tests.protocols.moteus.helpers import device, ready
 
 

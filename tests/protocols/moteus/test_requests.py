@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.moteus.codec import F32, INT16, READ_ERROR, REPLY, WRITE_ERROR, Error, Values, encode, framed
-from protocols.moteus.messages import DISCOVER
-from protocols.moteus.options import Options, Settings, serial_of
-from protocols.moteus.registers import Register
-from protocols.moteus.told import decode
-from protocols.moteus.twin import MoteusTwin
-from protocols.words import (
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Done,
@@ -30,6 +24,12 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.moteus.codec import F32, INT16, READ_ERROR, REPLY, WRITE_ERROR, Error, Values, encode, framed
+from protocols.moteus.messages import DISCOVER
+from protocols.moteus.options import Options, Settings, serial_of
+from protocols.moteus.registers import Register
+from protocols.moteus.reply import decode
+from protocols.moteus.twin import MoteusTwin
 from tests.protocols.helpers import of
 from tests.protocols.moteus.helpers import Bench, device, free_shaft, ready, rev
 

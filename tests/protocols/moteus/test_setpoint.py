@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from protocols.moteus.ear import DEFAULTS
+from protocols.moteus.decoder import DEFAULTS
 from protocols.moteus.options import Settings
 from protocols.moteus.registers import Register
 from protocols.moteus.setpoint import Setpoint, limits_of

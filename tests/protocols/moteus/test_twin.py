@@ -7,6 +7,8 @@ from math import isnan, nan, tau
 
 import pytest
 
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Feedback
 from protocols.moteus.codec import (
     F32,
     INT8,
@@ -27,10 +29,8 @@ from protocols.moteus.faults import FAULTS, TIMEOUT
 from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.registers import Mode, Register
-from protocols.moteus.told import FAST, decode
+from protocols.moteus.reply import FAST, decode
 from protocols.moteus.twin import MoteusTwin
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Feedback
 from tests.protocols.moteus.helpers import device, free_shaft, rev, subframes
 
 LIMITS = Limits(10.0)

@@ -7,13 +7,8 @@ from math import tau
 
 import pytest
 
-from protocols.moteus import RANGES, plugin
-from protocols.moteus.codec import framed, reply_id
-from protocols.moteus.driver import MoteusDriver
-from protocols.moteus.options import Options, serial_of
-from protocols.vectors import vectors_of
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -31,6 +26,11 @@ from protocols.words import (
     Torque,
     Velocity,
 )
+from protocols.moteus import RANGES, plugin
+from protocols.moteus.codec import framed, reply_id
+from protocols.moteus.driver import MoteusDriver
+from protocols.moteus.options import Options, serial_of
+from protocols.reference_vectors import vectors_of
 from tests.protocols.helpers import of
 from tests.protocols.moteus.from_package import UUID
 from tests.protocols.moteus.helpers import device, rev

@@ -6,14 +6,8 @@ from math import tau
 
 import pytest
 
-from protocols.moteus import plugin
-from protocols.moteus.ear import MoteusEar
-from protocols.moteus.faults import FAULTS
-from protocols.moteus.messages import names
-from protocols.moteus.options import Settings, serial_of
-from protocols.vectors import vectors_of
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Done,
@@ -38,6 +32,12 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.moteus import plugin
+from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.faults import FAULTS
+from protocols.moteus.messages import names
+from protocols.moteus.options import Settings, serial_of
+from protocols.reference_vectors import vectors_of
 from tests.protocols.moteus.from_package import UUID
 from tests.protocols.moteus.helpers import device
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.moteus import RANGES
-from protocols.moteus.codec import reply_id
-from protocols.moteus.driver import MoteusDriver
-from protocols.moteus.options import Options, serial_of
-from protocols.wire import BusState, CanFrame
-from protocols.words import (
+from protocols.frames import BusState, CanFrame
+from protocols.messages import (
     MILLISECOND,
     SECOND,
     Done,
@@ -24,6 +20,10 @@ from protocols.words import (
     SetId,
     State,
 )
+from protocols.moteus import RANGES
+from protocols.moteus.codec import reply_id
+from protocols.moteus.driver import MoteusDriver
+from protocols.moteus.options import Options, serial_of
 from tests.protocols.moteus.from_package import UUID
 from tests.protocols.moteus.helpers import device
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk

@@ -6,12 +6,8 @@ from math import tau
 
 import pytest
 
-from protocols.moteus.ear import MoteusEar
-from protocols.moteus.messages import names
-from protocols.moteus.options import Options, Settings, serial_of
-from protocols.moteus.twin import MoteusTwin
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     Command,
     Feedback,
@@ -24,6 +20,10 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.messages import names
+from protocols.moteus.options import Options, Settings, serial_of
+from protocols.moteus.twin import MoteusTwin
 from tests.protocols.moteus.from_package import UUID
 from tests.protocols.moteus.helpers import device
 

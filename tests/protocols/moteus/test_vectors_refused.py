@@ -6,9 +6,7 @@ from math import inf, nan, tau
 
 import pytest
 
-from protocols.moteus.codec import FLOAT_MAX
-from protocols.moteus.registers import NAMES
-from protocols.words import (
+from protocols.messages import (
     SECOND,
     ClearFault,
     Command,
@@ -31,6 +29,8 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.moteus.codec import FLOAT_MAX
+from protocols.moteus.registers import NAMES
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import talk, told
 

@@ -6,8 +6,8 @@ from math import tau
 
 import pytest
 
-from protocols.wire import BusState
-from protocols.words import (
+from protocols.frames import BusState
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,

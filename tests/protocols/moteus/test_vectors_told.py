@@ -7,12 +7,8 @@ from math import tau
 
 import pytest
 
-from protocols.moteus.codec import single
-from protocols.moteus.faults import FAULTS
-from protocols.moteus.options import Options
-from protocols.moteus.told import decode
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Done,
@@ -27,6 +23,10 @@ from protocols.words import (
     Velocity,
     Zero,
 )
+from protocols.moteus.codec import single
+from protocols.moteus.faults import FAULTS
+from protocols.moteus.options import Options
+from protocols.moteus.reply import decode
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import talk, told
 

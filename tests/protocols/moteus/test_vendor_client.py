@@ -21,10 +21,10 @@ from moteus.device_info import DeviceAddress
 from moteus.pythoncan_device import PythonCanDevice
 from moteus.transport import Transport
 
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Feedback
 from protocols.moteus.options import Settings
 from protocols.moteus.twin import MoteusTwin
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, Feedback
 from tests.protocols.moteus.helpers import device, free_shaft, rev
 
 CHANNEL = "moteus-vendor"

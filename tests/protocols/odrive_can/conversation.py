@@ -11,9 +11,9 @@ from typing import Any
 
 from odrive_can.utils import get_dbc
 
+from protocols.frames import CanFrame
 from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
-from protocols.wire import CanFrame
 
 DBCS = {"0.5": get_dbc("odrive-cansimple-0.5.6"), "0.6": get_dbc("odrive-cansimple-0.6.10")}
 MESSAGES: dict[str, dict[str, Any]] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from protocols.messages import Nanos
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import twin as made
 from protocols.odrive_can.codec import AnyMessage, decode_to_device, node_of
@@ -14,7 +15,6 @@ from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
 from protocols.plugin import Device
-from protocols.words import Nanos
 from tests.protocols.helpers import CanBench, Shaft
 
 

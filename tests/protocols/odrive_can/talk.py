@@ -24,20 +24,11 @@ from dataclasses import dataclass, field, fields
 from itertools import groupby
 from typing import Any
 
+from protocols.frames import BusState, CanFrame
+from protocols.messages import MILLISECOND, ClearFault, Command, Event, Feedback, Idle, Request, Velocity
 from protocols.odrive_can import RANGES
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.plugin import Device
-from protocols.wire import BusState, CanFrame
-from protocols.words import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Event,
-    Feedback,
-    Idle,
-    Request,
-    Velocity,
-)
 from tests.protocols.odrive_can.conversation import device, frame, meaning
 from tests.protocols.odrive_can.transcript import Line, difference, expectation, told
 

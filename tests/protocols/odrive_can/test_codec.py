@@ -14,6 +14,7 @@ from numpy.random import PCG64, Generator
 from odrive_can.odrive import ODriveCAN
 
 import fixtures
+from protocols.frames import CanFrame
 from protocols.odrive_can import codec, messages
 from protocols.odrive_can.codec import (
     BY_TYPE,
@@ -25,7 +26,6 @@ from protocols.odrive_can.codec import (
 )
 from protocols.odrive_can.layout import FLOAT_MAX, Layout
 from protocols.odrive_can.messages import Ask, Message
-from protocols.wire import CanFrame
 from tests.protocols.odrive_can.conversation import DBCS
 
 VECTORS: list[dict[str, Any]] = json.loads(

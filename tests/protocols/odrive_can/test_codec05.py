@@ -13,6 +13,7 @@ import pytest
 from numpy.random import PCG64, Generator
 from odrive_can.odrive import ODriveCAN
 
+from protocols.frames import CanFrame
 from protocols.odrive_can import messages, messages05
 from protocols.odrive_can.codec import (
     COMMON,
@@ -27,7 +28,6 @@ from protocols.odrive_can.codec import (
 )
 from protocols.odrive_can.layout import Layout
 from protocols.odrive_can.messages import Ask
-from protocols.wire import CanFrame
 from tests.protocols.odrive_can.conversation import DBCS
 from tests.protocols.odrive_can.test_codec import (
     MEANINGS,

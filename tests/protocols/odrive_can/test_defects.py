@@ -13,18 +13,8 @@ import math
 import pytest
 from numpy.random import PCG64, Generator
 
-from protocols.odrive_can.codec import TABLES, encode, radians, turns
-from protocols.odrive_can.faults import Error
-from protocols.odrive_can.messages import (
-    ClearErrors,
-    GetEncoderEstimates,
-    Heartbeat,
-    SetAxisState,
-    SetControllerMode,
-    SetInputPos,
-)
-from protocols.wire import BusState, CanFrame
-from protocols.words import (
+from protocols.frames import BusState, CanFrame
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -39,6 +29,16 @@ from protocols.words import (
     State,
     Torque,
     Velocity,
+)
+from protocols.odrive_can.codec import TABLES, encode, radians, turns
+from protocols.odrive_can.faults import Error
+from protocols.odrive_can.messages import (
+    ClearErrors,
+    GetEncoderEstimates,
+    Heartbeat,
+    SetAxisState,
+    SetControllerMode,
+    SetInputPos,
 )
 from tests.protocols.helpers import of
 from tests.protocols.odrive_can.helpers import Bench, device, ready

@@ -9,6 +9,25 @@ from collections.abc import Callable
 
 import pytest
 
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
+    MILLISECOND,
+    ClearFault,
+    Command,
+    Done,
+    Fault,
+    Feedback,
+    Found,
+    Hold,
+    Idle,
+    Impedance,
+    Mode,
+    Position,
+    Refused,
+    State,
+    Torque,
+    Velocity,
+)
 from protocols.odrive_can.codec import encode, turns
 from protocols.odrive_can.faults import DUPLICATE_NODE, NOT_ARMED, PROCEDURE, WRONG_FIRMWARE, Error, Result
 from protocols.odrive_can.messages import (
@@ -29,25 +48,6 @@ from protocols.odrive_can.messages import (
 )
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.twin06 import Twin06
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Done,
-    Fault,
-    Feedback,
-    Found,
-    Hold,
-    Idle,
-    Impedance,
-    Mode,
-    Position,
-    Refused,
-    State,
-    Torque,
-    Velocity,
-)
 from tests.protocols.helpers import modes, of
 from tests.protocols.odrive_can.helpers import Bench, device, ready
 

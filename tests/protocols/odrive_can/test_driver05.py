@@ -8,6 +8,33 @@ from enum import IntFlag
 
 import pytest
 
+from protocols.frames import CanFrame
+from protocols.messages import (
+    MILLISECOND,
+    ClearFault,
+    Done,
+    Estop,
+    Event,
+    Fault,
+    Feedback,
+    Found,
+    Hold,
+    Idle,
+    Mode,
+    Parameter,
+    Position,
+    ReadParameter,
+    Reboot,
+    Refused,
+    Request,
+    Scan,
+    SetId,
+    State,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
 from protocols.odrive_can import plugin
 from protocols.odrive_can.codec import AnyMessage, encode, radians
 from protocols.odrive_can.dialect import LINE05, READABLE05
@@ -45,33 +72,6 @@ from protocols.odrive_can.messages05 import (
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.requests import SAVE
 from protocols.plugin import Device
-from protocols.wire import CanFrame
-from protocols.words import (
-    MILLISECOND,
-    ClearFault,
-    Done,
-    Estop,
-    Event,
-    Fault,
-    Feedback,
-    Found,
-    Hold,
-    Idle,
-    Mode,
-    Parameter,
-    Position,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    State,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
 from tests.protocols.helpers import modes, of
 from tests.protocols.odrive_can.helpers import Bench, device
 

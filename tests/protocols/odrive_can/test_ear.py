@@ -7,8 +7,26 @@ import struct
 import pytest
 from numpy.random import PCG64, Generator
 
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
+    MILLISECOND,
+    ClearFault,
+    Command,
+    Hold,
+    Home,
+    Idle,
+    Position,
+    Request,
+    SetId,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+from protocols.messages import Estop as EstopWord
+from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can.codec import BROADCAST, encode, radians
-from protocols.odrive_can.ear import OdriveEar
+from protocols.odrive_can.decoder import OdriveEar
 from protocols.odrive_can.messages import (
     Address,
     ClearErrors,
@@ -32,24 +50,6 @@ from protocols.odrive_can.messages import (
 )
 from protocols.odrive_can.options import Settings
 from protocols.odrive_can.twin06 import Twin06
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Hold,
-    Home,
-    Idle,
-    Position,
-    Request,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
-from protocols.words import Estop as EstopWord
-from protocols.words import Reboot as RebootWord
 from tests.protocols.odrive_can.helpers import device
 
 CLOSED, IDLE = SetAxisState(8), SetAxisState(1)

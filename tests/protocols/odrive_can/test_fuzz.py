@@ -10,14 +10,8 @@ from typing import Literal
 import pytest
 from numpy.random import PCG64, Generator
 
-from protocols.odrive_can import RANGES
-from protocols.odrive_can import twin as made
-from protocols.odrive_can.codec import decode_to_device, encode
-from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.messages import SetAxisState, SetControllerMode
-from protocols.odrive_can.options import Options
-from protocols.wire import CanFrame, Wire
-from protocols.words import (
+from protocols.frames import CanFrame, Wire
+from protocols.messages import (
     MILLISECOND,
     Command,
     Event,
@@ -29,6 +23,12 @@ from protocols.words import (
     Velocity,
     WriteParameter,
 )
+from protocols.odrive_can import RANGES
+from protocols.odrive_can import twin as made
+from protocols.odrive_can.codec import decode_to_device, encode
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.odrive_can.messages import SetAxisState, SetControllerMode
+from protocols.odrive_can.options import Options
 from tests.protocols.odrive_can.helpers import device
 
 TURNS = 4000

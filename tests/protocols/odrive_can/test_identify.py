@@ -7,6 +7,8 @@ from typing import Literal
 
 import pytest
 
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, ClearFault, Done, Fault, Feedback, Mode, State, Velocity
 from protocols.odrive_can import plugin
 from protocols.odrive_can.codec import decode_from_device, encode
 from protocols.odrive_can.faults import WRONG_FIRMWARE, Error
@@ -16,8 +18,6 @@ from protocols.odrive_can.messages import Address, Beacon, GetVersion, Heartbeat
 from protocols.odrive_can.messages05 import Heartbeat05
 from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
-from protocols.wire import CanFrame
-from protocols.words import MILLISECOND, ClearFault, Done, Fault, Feedback, Mode, State, Velocity
 from tests.protocols.helpers import modes, of
 from tests.protocols.odrive_can.helpers import Bench, device
 

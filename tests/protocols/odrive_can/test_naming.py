@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from protocols.frames import CanFrame, Wire
 from protocols.odrive_can import plugin
 from protocols.odrive_can.codec import BROADCAST, LINE05, LINE06, encode, frame_id
-from protocols.odrive_can.naming import messages_in
-from protocols.vectors import vectors_of
-from protocols.wire import CanFrame, Wire
+from protocols.odrive_can.message_names import messages_in
+from protocols.reference_vectors import vectors_of
 
 MARKED = ("Reboot", "Clear_Errors")
 """Names that stand for another payload in each line."""

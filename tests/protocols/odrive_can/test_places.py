@@ -6,13 +6,13 @@ import math
 
 import pytest
 
+from protocols.messages import MILLISECOND, ClearFault, Fault, Found, Nanos
 from protocols.odrive_can.faults import DUPLICATE_NODE
 from protocols.odrive_can.options import Options
 from protocols.odrive_can.places import APART, LEAPS, Places
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
-from protocols.words import MILLISECOND, ClearFault, Fault, Found, Nanos
 from tests.protocols.helpers import Shaft, of
 from tests.protocols.odrive_can.helpers import device, ready
 

@@ -10,14 +10,8 @@ from typing import Any, Literal
 import pytest
 
 from protocols.conformance import CLAUSES, check, table, variants
-from protocols.odrive_can import WATCHDOG_NOTE, plugin, spec
-from protocols.odrive_can.codec import BROADCAST, TABLES, encode
-from protocols.odrive_can.dialect import DIALECTS
-from protocols.odrive_can.messages import SetAxisState, SetInputPos
-from protocols.odrive_can.options import Options, Settings, line_of
-from protocols.plugin import Device, load
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.frames import CanFrame
+from protocols.messages import (
     Hold,
     Idle,
     Impedance,
@@ -31,6 +25,12 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.odrive_can import WATCHDOG_NOTE, plugin, spec
+from protocols.odrive_can.codec import BROADCAST, TABLES, encode
+from protocols.odrive_can.dialect import DIALECTS
+from protocols.odrive_can.messages import SetAxisState, SetInputPos
+from protocols.odrive_can.options import Options, Settings, line_of
+from protocols.plugin import Device, load
 from tests.protocols.odrive_can.helpers import device, ready
 
 

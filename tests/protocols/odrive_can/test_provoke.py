@@ -6,12 +6,12 @@ import copy
 
 import pytest
 
+from protocols.messages import ClearFault, Fault, Idle, Velocity
 from protocols.odrive_can import spec
 from protocols.odrive_can.faults import COMPLAINTS06, DUPLICATE_NODE, PROCEDURE, Error
 from protocols.odrive_can.faults05 import COMPLAINTS05
 from protocols.odrive_can.options import Options
 from protocols.plugin import Complaint
-from protocols.words import ClearFault, Fault, Idle, Velocity
 from tests.protocols.helpers import of
 from tests.protocols.odrive_can.helpers import Bench, device, ready
 

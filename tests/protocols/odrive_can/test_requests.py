@@ -6,26 +6,8 @@ import math
 
 import pytest
 
-from protocols.odrive_can.codec import BROADCAST, encode, radians
-from protocols.odrive_can.dialect import READABLE06
-from protocols.odrive_can.faults import Error
-from protocols.odrive_can.messages import (
-    Address,
-    ClearErrors,
-    EnterDfuMode,
-    GetTemperature,
-    Heartbeat,
-    Message,
-    Reboot,
-    SetAbsolutePosition,
-    SetLimits,
-    SetPosGain,
-    SetVelGains,
-)
-from protocols.odrive_can.options import Settings
-from protocols.odrive_can.requests import SAVE, WRITABLE
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.frames import CanFrame
+from protocols.messages import (
     SECOND,
     ClearFault,
     Done,
@@ -46,9 +28,25 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
-from protocols.words import (
-    Reboot as RebootWord,
+from protocols.messages import Reboot as RebootWord
+from protocols.odrive_can.codec import BROADCAST, encode, radians
+from protocols.odrive_can.dialect import READABLE06
+from protocols.odrive_can.faults import Error
+from protocols.odrive_can.messages import (
+    Address,
+    ClearErrors,
+    EnterDfuMode,
+    GetTemperature,
+    Heartbeat,
+    Message,
+    Reboot,
+    SetAbsolutePosition,
+    SetLimits,
+    SetPosGain,
+    SetVelGains,
 )
+from protocols.odrive_can.options import Settings
+from protocols.odrive_can.requests import SAVE, WRITABLE
 from tests.protocols.helpers import of
 from tests.protocols.odrive_can.helpers import device, ready
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.words import Velocity
+from protocols.messages import Velocity
 from tests.protocols.odrive_can.talk import standing
 from tests.protocols.odrive_can.transcript import Line, difference, expectation
 

@@ -9,15 +9,9 @@ from itertools import pairwise
 
 import pytest
 
-from protocols.odrive_can.codec import (
-    BROADCAST,
-    TABLES,
-    cmd_of,
-    decode_from_device,
-    encode,
-    radians,
-    turns,
-)
+from protocols.frames import CanFrame, Wire
+from protocols.messages import MILLISECOND, Event, Feedback, Nanos
+from protocols.odrive_can.codec import BROADCAST, TABLES, cmd_of, decode_from_device, encode, radians, turns
 from protocols.odrive_can.faults import Error, Result
 from protocols.odrive_can.messages import (
     Address,
@@ -50,8 +44,6 @@ from protocols.odrive_can.messages import (
 )
 from protocols.odrive_can.options import Settings
 from protocols.odrive_can.twin06 import Twin06
-from protocols.wire import CanFrame, Wire
-from protocols.words import MILLISECOND, Event, Feedback, Nanos
 from tests.protocols.odrive_can.helpers import device, free_shaft
 
 CLOSED, IDLE = SetAxisState(AxisState.CLOSED_LOOP_CONTROL), SetAxisState(AxisState.IDLE)

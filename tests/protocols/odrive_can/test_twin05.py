@@ -6,6 +6,9 @@ from itertools import pairwise
 
 import pytest
 
+from protocols.frames import CanFrame, Wire
+from protocols.messages import MILLISECOND, ClearFault, Feedback, Nanos
+from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can import twin as made
 from protocols.odrive_can.codec import (
     EXTENDED,
@@ -16,7 +19,7 @@ from protocols.odrive_can.codec import (
     radians,
     turns,
 )
-from protocols.odrive_can.ear import OdriveEar
+from protocols.odrive_can.decoder import OdriveEar
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import AxisError, ControllerError, MotorError
 from protocols.odrive_can.messages import (
@@ -45,9 +48,6 @@ from protocols.odrive_can.messages05 import (
 )
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.twin05 import Twin05
-from protocols.wire import CanFrame, Wire
-from protocols.words import MILLISECOND, ClearFault, Feedback, Nanos
-from protocols.words import Reboot as RebootWord
 from tests.protocols.odrive_can.helpers import device, free_shaft
 
 CLOSED, IDLE = SetAxisState(AxisState.CLOSED_LOOP_CONTROL), SetAxisState(AxisState.IDLE)

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
+from protocols.frames import CanFrame
 from protocols.odrive_can import plugin
-from protocols.vectors import Vector, vectors_of
-from protocols.wire import CanFrame
+from protocols.reference_vectors import Vector, vectors_of
 from tests.protocols.odrive_can.conversation import DBCS
 
 VECTORS = vectors_of(plugin)

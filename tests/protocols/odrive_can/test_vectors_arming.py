@@ -9,14 +9,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.words import (
-    ClearFault,
-    Hold,
-    Idle,
-    Position,
-    Torque,
-    Velocity,
-)
+from protocols.messages import ClearFault, Hold, Idle, Position, Torque, Velocity
 from tests.protocols.odrive_can.conversation import names_of
 from tests.protocols.odrive_can.talk import ROUND, running, standing, standing05
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from protocols.words import Velocity
+from protocols.messages import Velocity
 from tests.protocols.odrive_can.conversation import device
 from tests.protocols.odrive_can.talk import Talk, standing, standing05
 

@@ -6,7 +6,7 @@ from the README ("Two firmware lines") and the docstrings of `requests`. See `ta
 
 from __future__ import annotations
 
-from protocols.words import (
+from protocols.messages import (
     ClearFault,
     Estop,
     Idle,

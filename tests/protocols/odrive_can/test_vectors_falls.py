@@ -7,13 +7,8 @@ loses). See `talk`.
 
 from __future__ import annotations
 
-from protocols.wire import BusState
-from protocols.words import (
-    ClearFault,
-    Hold,
-    Idle,
-    Velocity,
-)
+from protocols.frames import BusState
+from protocols.messages import ClearFault, Hold, Idle, Velocity
 from tests.protocols.odrive_can.conversation import device
 from tests.protocols.odrive_can.talk import ROUND, Talk, running, standing
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.words import ClearFault, Idle, Velocity
+from protocols.messages import ClearFault, Idle, Velocity
 from tests.protocols.odrive_can.conversation import names_of
 from tests.protocols.odrive_can.talk import Talk, standing, standing05
 

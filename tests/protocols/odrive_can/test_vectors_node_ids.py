@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.wire import CanFrame
-from protocols.words import Scan, SetId
+from protocols.frames import CanFrame
+from protocols.messages import Scan, SetId
 from tests.protocols.odrive_can.conversation import DISCOVERED, SERIAL, device
 from tests.protocols.odrive_can.talk import Talk, standing, standing05
 

@@ -15,15 +15,8 @@ from typing import Any
 
 import pytest
 
-from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode
-from protocols.odrive_can.ear import OdriveEar
-from protocols.odrive_can.layout import FLOAT_MAX
-from protocols.odrive_can.messages import Address, Ask, GetEncoderEstimates, SetInputPos, SetInputVel
-from protocols.odrive_can.messages05 import AskAdcVoltage
-from protocols.odrive_can.options import Options, Settings
-from protocols.plugin import Device
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.frames import CanFrame
+from protocols.messages import (
     ClearFault,
     Estop,
     Hold,
@@ -38,6 +31,13 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode
+from protocols.odrive_can.decoder import OdriveEar
+from protocols.odrive_can.layout import FLOAT_MAX
+from protocols.odrive_can.messages import Address, Ask, GetEncoderEstimates, SetInputPos, SetInputVel
+from protocols.odrive_can.messages05 import AskAdcVoltage
+from protocols.odrive_can.options import Options, Settings
+from protocols.plugin import Device
 from tests.protocols.odrive_can.conversation import frame
 
 SERIAL = 0x385F34733330

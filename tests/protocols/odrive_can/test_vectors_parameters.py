@@ -11,7 +11,7 @@ import math
 
 import pytest
 
-from protocols.words import ReadParameter, WriteParameter
+from protocols.messages import ReadParameter, WriteParameter
 from tests.protocols.odrive_can.conversation import MESSAGES
 from tests.protocols.odrive_can.talk import ROUTINE, Talk, standing, standing05
 

@@ -8,8 +8,8 @@ See `talk`.
 
 from __future__ import annotations
 
-from protocols.wire import BusState
-from protocols.words import (
+from protocols.frames import BusState
+from protocols.messages import (
     ClearFault,
     Estop,
     Home,

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import pytest
 
-from protocols.wire import BusState, CanFrame
-from protocols.words import Hold, Idle, Impedance, Position, Stop, Torque, Velocity
+from protocols.frames import BusState, CanFrame
+from protocols.messages import Hold, Idle, Impedance, Position, Stop, Torque, Velocity
 from tests.protocols.odrive_can.conversation import device, frame
 from tests.protocols.odrive_can.talk import ROUND, Talk, standing
 

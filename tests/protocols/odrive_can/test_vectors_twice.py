@@ -9,11 +9,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.words import (
-    ClearFault,
-    Idle,
-    Velocity,
-)
+from protocols.messages import ClearFault, Idle, Velocity
 from tests.protocols.odrive_can.conversation import address, device, frame
 from tests.protocols.odrive_can.talk import Talk, standing
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from protocols.wire import CanFrame
-from protocols.words import ClearFault, Idle, Velocity, Zero
+from protocols.frames import CanFrame
+from protocols.messages import ClearFault, Idle, Velocity, Zero
 from tests.protocols.odrive_can.conversation import address, device, frame
 from tests.protocols.odrive_can.talk import Talk, standing
 

@@ -20,7 +20,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from protocols.words import Done, Event, Fault, Feedback, Found, Parameter, Refused, State
+from protocols.messages import Done, Event, Fault, Feedback, Found, Parameter, Refused, State
 
 TIME = r"\d+(?:-\d+)?"
 LINE = re.compile(

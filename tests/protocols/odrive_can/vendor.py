@@ -16,11 +16,11 @@ import can
 import pytest
 from odrive_can.odrive import ODriveCAN
 
+from protocols.frames import CanFrame
+from protocols.messages import Feedback
 from protocols.odrive_can.codec import turns
 from protocols.odrive_can.options import Settings
 from protocols.odrive_can.twin import OdriveTwin
-from protocols.wire import CanFrame
-from protocols.words import Feedback
 from tests.protocols.odrive_can.helpers import free_shaft
 
 NODE = 3

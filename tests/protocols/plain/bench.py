@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from protocols.conformance.rehearsal import Rehearsal, Said, Shaft
+from protocols.conformance.bench import Rehearsal, Said, Shaft
+from protocols.messages import Command, Event, Request
 from protocols.plain import plugin
 from protocols.plain.driver import Options
 from protocols.plain.settings import Settings
 from protocols.plugin import Device
-from protocols.words import Command, Event, Request
 
 MOTOR = Options("motor")
 SENSOR = Options("sensor")

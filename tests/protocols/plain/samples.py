@@ -10,11 +10,11 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from hypothesis import strategies as st
 
-from protocols import words
-from protocols.plain.codec import CODES
-from protocols.words import Mode, Word
+from protocols import messages
+from protocols.message_codec import CODES
+from protocols.messages import Mode, Word
 
-VECTORS: dict[str, Any] = json.loads((files("fixtures") / "vectors" / "words.json").read_text("utf-8"))
+VECTORS: dict[str, Any] = json.loads((files("gateway.fixtures") / "vectors" / "words.json").read_text("utf-8"))
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 INTS = st.integers(-(2**63), 2**64 - 1)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
@@ -22,7 +22,7 @@ TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 def word_of(row: dict[str, Any]) -> Word:
     """The word that a row of the vectors names."""
-    kind = getattr(words, row["word"])
+    kind = getattr(messages, row["word"])
     values: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in row["fields"].items()
     }

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocols import words
-from protocols.plain.codec import CODES, pack, unpack
-from protocols.words import Feedback, LaserScan, Mode, SetId, State, Torque, Velocity, Word
+from protocols import messages
+from protocols.message_codec import CODES, pack, unpack
+from protocols.messages import Feedback, LaserScan, Mode, SetId, State, Torque, Velocity, Word
 from tests.protocols.plain.published import packed, ranges
 from tests.protocols.plain.samples import ANY_WORD, VECTORS, word_of
 
@@ -38,7 +38,7 @@ def test_vector_both_ways(row: dict[str, Any]) -> None:
 
 
 def test_every_word_has_a_code_and_a_vector() -> None:
-    every = {kind for alias in (words.Word,) for kind in get_args(alias)}
+    every = {kind for alias in (messages.Word,) for kind in get_args(alias)}
     assert set(CODES.values()) == every
     assert {row["word"] for row in PACKED} == {kind.__name__ for kind in every}
 
@@ -103,8 +103,8 @@ BAD: list[Any] = [
     LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (math.inf, -math.inf)),
     LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, [1.0]),  # type: ignore[arg-type]  # the same
     LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, ("1",)),  # type: ignore[arg-type]  # the same
-    words.Imu("i", 0, (0.0, 0.0), (0.0, 0.0, 0.0)),  # type: ignore[arg-type]  # the same
-    words.Imu("i", 0, (0.0, 0.0, math.nan), (0.0, 0.0, 0.0)),
+    messages.Imu("i", 0, (0.0, 0.0), (0.0, 0.0, 0.0)),  # type: ignore[arg-type]  # the same
+    messages.Imu("i", 0, (0.0, 0.0, math.nan), (0.0, 0.0, 0.0)),
     Mode.READY,
     None,
     ("Velocity", "m", 1.0),

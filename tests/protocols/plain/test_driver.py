@@ -5,12 +5,9 @@ from typing import Any
 
 import pytest
 
-from protocols.conformance.rehearsal import Rehearsal
-from protocols.plain import line, plugin
-from protocols.plain.driver import ANSWER, OFFLINE
-from protocols.plugin import Tally
-from protocols.wire import BusState, CanFrame
-from protocols.words import (
+from protocols.conformance.bench import Rehearsal
+from protocols.frames import BusState, CanFrame
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -41,6 +38,9 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.plain import codec, plugin
+from protocols.plain.driver import ANSWER, OFFLINE
+from protocols.plugin import Tally
 from tests.protocols.plain.bench import ask, bench, told
 
 T = 1_000_000_000
@@ -56,34 +56,34 @@ def heard(stage: Rehearsal, *messages: bytes, t: int = T) -> list[Any]:
 def test_measurements_are_stamped_with_the_packets_time_less_their_age() -> None:
     stage = bench(sensors=["imu"], motors=[])
     word = Imu("", 400, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))
-    assert heard(stage, line.message(101, word, now=1000)) == [
+    assert heard(stage, codec.message(101, word, now=1000)) == [
         Imu("imu", T - 600, word.angular_velocity, word.linear_acceleration)
     ]
 
 
 def test_each_address_has_its_own_name() -> None:
     stage = bench(motors=["left", "right"])
-    words = [line.message(address, Feedback("", 0, float(address))) for address in (2, 1)]
+    words = [codec.message(address, Feedback("", 0, float(address))) for address in (2, 1)]
     assert heard(stage, *words) == [Feedback("right", T, 2.0), Feedback("left", T, 1.0)]
 
 
 # Who says what, and how it is counted: heard, bad, foreign.
 COUNTED: list[tuple[str, bytes | CanFrame, tuple[int, int, int]]] = [
-    ("a motor's feedback", line.message(1, Feedback("", 0, 1.0)), (1, 0, 0)),
-    ("a sensor's scan", line.message(101, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (1, 0, 0)),
-    ("a motor's scan", line.message(1, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (0, 1, 0)),
-    ("a sensor's feedback", line.message(101, Feedback("", 0, 1.0)), (0, 1, 0)),
-    ("a stranger's feedback", line.message(77, Feedback("", 0, 1.0)), (0, 0, 1)),
-    ("rubbish from a motor", line.frame(b"\1rubbish"), (0, 1, 0)),
-    ("rubbish from a stranger", line.frame(b"\7rubbish"), (0, 0, 1)),
-    ("an address alone", line.frame(b"\1"), (0, 1, 0)),
-    ("an echo of our command", line.message(1, Velocity("", 1.0)), (0, 0, 1)),
-    ("an echo of our scan", line.message(0, Scan("")), (0, 0, 1)),
-    ("a stranger found", line.message(77, Found(0, "plain", 77, 5)), (1, 0, 0)),
-    ("one who says he is another", line.message(77, Found(0, "plain", 78, 5)), (0, 0, 1)),
-    ("our motor says it is another", line.message(1, Found(0, "plain", 78, 5)), (0, 1, 0)),
-    ("another language found", line.message(1, Found(0, "odrive_can", 1, 5)), (0, 1, 0)),
-    ("a wrong CRC", line.message(1, Feedback("", 0, 1.0))[:-1] + b"\0", (0, 1, 0)),
+    ("a motor's feedback", codec.message(1, Feedback("", 0, 1.0)), (1, 0, 0)),
+    ("a sensor's scan", codec.message(101, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (1, 0, 0)),
+    ("a motor's scan", codec.message(1, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (0, 1, 0)),
+    ("a sensor's feedback", codec.message(101, Feedback("", 0, 1.0)), (0, 1, 0)),
+    ("a stranger's feedback", codec.message(77, Feedback("", 0, 1.0)), (0, 0, 1)),
+    ("rubbish from a motor", codec.frame(b"\1rubbish"), (0, 1, 0)),
+    ("rubbish from a stranger", codec.frame(b"\7rubbish"), (0, 0, 1)),
+    ("an address alone", codec.frame(b"\1"), (0, 1, 0)),
+    ("an echo of our command", codec.message(1, Velocity("", 1.0)), (0, 0, 1)),
+    ("an echo of our scan", codec.message(0, Scan("")), (0, 0, 1)),
+    ("a stranger found", codec.message(77, Found(0, "plain", 77, 5)), (1, 0, 0)),
+    ("one who says he is another", codec.message(77, Found(0, "plain", 78, 5)), (0, 0, 1)),
+    ("our motor says it is another", codec.message(1, Found(0, "plain", 78, 5)), (0, 1, 0)),
+    ("another language found", codec.message(1, Found(0, "odrive_can", 1, 5)), (0, 1, 0)),
+    ("a wrong CRC", codec.message(1, Feedback("", 0, 1.0))[:-1] + b"\0", (0, 1, 0)),
     ("noise", b"noise", (0, 0, 1)),
     ("no bytes", b"", (0, 0, 0)),
     ("a CAN frame", CanFrame(1, b"\1"), (0, 0, 1)),
@@ -100,9 +100,9 @@ def test_counted(wire: bytes | CanFrame, tally: tuple[int, int, int]) -> None:
 
 def test_a_fault_is_told_once_until_it_is_gone() -> None:
     stage = bench()
-    fault = line.message(1, Fault("", 0, 4, "too hot"))
-    other = line.message(1, Fault("", 0, 5, "too cold"))
-    in_fault, ready = (line.message(1, State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
+    fault = codec.message(1, Fault("", 0, 4, "too hot"))
+    other = codec.message(1, Fault("", 0, 5, "too cold"))
+    in_fault, ready = (codec.message(1, State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
     assert heard(stage, fault, fault) == [Fault("m", T, 4, "too hot")]
     assert heard(stage, other, fault, in_fault, fault) == [
         Fault("m", T, 5, "too cold"),
@@ -113,7 +113,7 @@ def test_a_fault_is_told_once_until_it_is_gone() -> None:
 
 def test_a_line_that_was_away_loses_the_message_begun_and_tells_faults_again() -> None:
     stage = bench()
-    fault, feedback = line.message(1, Fault("", 0, 4, "too hot")), line.message(1, Feedback("", 0, 1.0))
+    fault, feedback = codec.message(1, Fault("", 0, 4, "too hot")), codec.message(1, Feedback("", 0, 1.0))
     heard(stage, fault, feedback[:10])
     stage.driver.bus(T, BusState.GONE)
     stage.driver.bus(T, BusState.BACK)
@@ -122,7 +122,7 @@ def test_a_line_that_was_away_loses_the_message_begun_and_tells_faults_again() -
 
 
 def test_a_full_queue_does_not_break_the_message_begun() -> None:
-    stage, feedback = bench(), line.message(1, Feedback("", 0, 1.0))
+    stage, feedback = bench(), codec.message(1, Feedback("", 0, 1.0))
     heard(stage, feedback[:10])
     stage.driver.bus(T, BusState.FULL)
     assert heard(stage, feedback[10:]) == [Feedback("m", T, 1.0)]
@@ -139,7 +139,7 @@ def test_idle_goes_only_to_whom_we_have_claimed() -> None:
     stage = bench(motors=["left", "right"])
     assert sent(stage, Idle("left"), Idle("right")) == []
     assert len(sent(stage, Velocity("left", 1.0), Idle("right"))) == 1
-    assert sent(stage, Idle("left"), Idle("right")) == [line.message(1, Idle(""))]
+    assert sent(stage, Idle("left"), Idle("right")) == [codec.message(1, Idle(""))]
 
 
 COMMANDS: list[Command] = [
@@ -153,8 +153,8 @@ COMMANDS: list[Command] = [
 @pytest.mark.parametrize("word", COMMANDS, ids=repr)
 def test_a_command_becomes_one_message(word: Command) -> None:
     stage = bench()
-    assert sent(stage, word) == [line.message(1, word)]
-    assert stage.ear.hear(T, line.message(1, word)) == [word]
+    assert sent(stage, word) == [codec.message(1, word)]
+    assert stage.ear.hear(T, codec.message(1, word)) == [word]
 
 
 REFUSED: list[tuple[Command | Request, str]] = [
@@ -194,7 +194,7 @@ def test_an_operators_stop_lets_idle_through_to_a_motor_that_was_not_claimed() -
     stage = bench()
     assert sent(stage, Idle("m")) == []
     assert sent(stage, Stop()) == []
-    assert sent(stage, Idle("m")) == [line.message(1, Idle("m"))]
+    assert sent(stage, Idle("m")) == [codec.message(1, Idle("m"))]
 
 
 REQUESTS: list[Request] = [
@@ -238,7 +238,7 @@ def test_silence_is_offline_once_and_speaking_ends_it() -> None:
     ]
     assert stage.driver.due() is None
     assert stage.driver.send(T + 2 * OFFLINE, ())[0] == []
-    heard(stage, line.message(1, Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
+    heard(stage, codec.message(1, Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
     assert stage.driver.send(T + 3 * OFFLINE - 1, ())[0] == []
     (again,) = stage.driver.send(T + 3 * OFFLINE, ())[0]
     assert again == State("m", T + 3 * OFFLINE, Mode.OFFLINE, "silent for 250 ms")
@@ -261,7 +261,7 @@ def test_scan_finds_motors_and_sensors_and_ends() -> None:
 
 def test_an_address_held_twice_is_told() -> None:
     stage = bench()
-    events = heard(stage, *(line.message(9, Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6)))
+    events = heard(stage, *(codec.message(9, Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6)))
     assert [event.detail for event in events] == [
         "motor",
         "motor; address 9 is also held by 5",
@@ -325,15 +325,15 @@ def test_an_address_out_of_range_is_an_error_of_configuration() -> None:
 
 
 READ_ONLY: list[tuple[bytes | CanFrame, bool]] = [
-    (line.message(0, Scan("")), True),
-    (line.message(1, ReadParameter("", "supply")), True),
-    (line.message(0, Scan("")) + line.message(1, ReadParameter("", "supply")), True),
-    (line.message(0, Scan("")) + line.message(1, Idle("")), False),
-    (line.message(1, Idle("")), False),
-    (line.message(1, ClearFault("")), False),
-    (line.message(0, SetId("", 1, 2)), False),
-    (line.message(0, Scan("")) + line.message(1, Idle(""))[:-1], False),
-    (line.message(0, Scan(""))[:-1], False),
+    (codec.message(0, Scan("")), True),
+    (codec.message(1, ReadParameter("", "supply")), True),
+    (codec.message(0, Scan("")) + codec.message(1, ReadParameter("", "supply")), True),
+    (codec.message(0, Scan("")) + codec.message(1, Idle("")), False),
+    (codec.message(1, Idle("")), False),
+    (codec.message(1, ClearFault("")), False),
+    (codec.message(0, SetId("", 1, 2)), False),
+    (codec.message(0, Scan("")) + codec.message(1, Idle(""))[:-1], False),
+    (codec.message(0, Scan(""))[:-1], False),
     (b"x", False),
     (CanFrame(1, remote=True), False),
 ]

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocols.plain import line, plugin
-from protocols.plain.codec import pack
-from protocols.plain.line import MAX_AGE, MAX_BODY, SYNC, Stream, frame, message, read
-from protocols.vectors import Vector, vectors_of
-from protocols.words import Done, Feedback, Imu, LaserScan, Torque, Velocity, Word, WriteParameter
+from protocols.message_codec import pack
+from protocols.messages import Done, Feedback, Imu, LaserScan, Torque, Velocity, Word, WriteParameter
+from protocols.plain import codec, plugin
+from protocols.plain.codec import MAX_AGE, MAX_BODY, SYNC, Stream, frame, message, read
+from protocols.reference_vectors import Vector, vectors_of
 from tests.protocols.plain.published import framed, packed, ranges, said
 from tests.protocols.plain.samples import VECTORS, word_of
 
@@ -203,9 +203,9 @@ def test_no_vector_has_an_address_that_is_none(address: int) -> None:
         message(address, Torque("m", 0.0))
 
 
-@pytest.mark.parametrize("name", sorted(line.LIMITS))
+@pytest.mark.parametrize("name", sorted(codec.LIMITS))
 def test_limits_hold_at_both_ends_of_vectors(name: str) -> None:
-    low, high = line.LIMITS[name]
+    low, high = codec.LIMITS[name]
     kind, _, field = name.partition(".")
     row = next(row for row in VECTORS["packed"][::-1] if row["word"] == kind and field in row["fields"])
     body_of = {value: _with(row, field, value) for value in (low, high, low - 1.0, high + 1.0)}

@@ -8,12 +8,9 @@ from typing import Any
 
 import pytest
 
-from protocols.conformance.rehearsal import Rehearsal, sights
-from protocols.plain import line, plugin
-from protocols.plain.settings import COMPLAINTS, Settings
-from protocols.plain.twin import BOOT
-from protocols.wire import CanFrame
-from protocols.words import (
+from protocols.conformance.bench import Rehearsal, sights
+from protocols.frames import CanFrame
+from protocols.messages import (
     MILLISECOND,
     ClearFault,
     Command,
@@ -37,6 +34,9 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.plain import codec, plugin
+from protocols.plain.settings import COMPLAINTS, Settings
+from protocols.plain.twin import BOOT
 from tests.protocols.plain.bench import ask, bench, told
 
 
@@ -119,7 +119,7 @@ def test_the_watchdog_is_exact_and_expired_before_a_late_command() -> None:
     for late, expected in ((0, Mode.ARMED), (1, Mode.FAULT)):
         stage = bench()
         stage.step([Torque("m", 0.5)])
-        stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, line.message(1, Torque("", 0.5)))
+        stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, codec.message(1, Torque("", 0.5)))
         assert mode(stage) == expected
 
 
@@ -244,7 +244,7 @@ def test_torque_is_cut_and_the_integral_does_not_wind_up(command: Command) -> No
 def test_a_shaft_that_was_never_measured_gets_no_torque() -> None:
     stage = bench()
     twin = stage.twins[0]
-    twin.receive(stage.now, line.message(1, Torque("", 1.0)))
+    twin.receive(stage.now, codec.message(1, Torque("", 1.0)))
     assert twin.step(stage.now, [])[0] == [Torque("m", 0.0)]
     for wrong in (Feedback("m", 0, math.nan, 0.0), Feedback("m", 0, 1.0), Feedback("x", 0, 1.0, 1.0)):
         assert twin.step(stage.now, [wrong])[0] == [Torque("m", 0.0)]
@@ -385,8 +385,8 @@ def test_what_is_no_fault_is_not_provoked() -> None:
 
 
 def test_messages_are_named_after_their_words() -> None:
-    two = line.message(1, Velocity("m", 1.0)) + line.message(2, Hold("m"))
+    two = codec.message(1, Velocity("m", 1.0)) + codec.message(2, Hold("m"))
     assert plugin.messages(two) == ("Velocity", "Hold")
     assert plugin.messages(two[:-1]) == ("Velocity",)
-    assert plugin.messages(line.message(1, Feedback("m", 0))) == ()
+    assert plugin.messages(codec.message(1, Feedback("m", 0))) == ()
     assert plugin.messages(CanFrame(1)) == ()

@@ -11,12 +11,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from protocols.plain.driver import Options, PlainDriver
-from protocols.plain.ear import PlainEar
-from protocols.plain.settings import Settings
-from protocols.plugin import Device, Tally
-from protocols.wire import BusState, CanFrame, Wire
-from protocols.words import (
+from protocols.frames import BusState, CanFrame, Wire
+from protocols.messages import (
     ClearFault,
     Command,
     Done,
@@ -49,6 +45,10 @@ from protocols.words import (
     WriteParameter,
     Zero,
 )
+from protocols.plain.decoder import PlainEar
+from protocols.plain.driver import Options, PlainDriver
+from protocols.plain.settings import Settings
+from protocols.plugin import Device, Tally
 from tests.protocols.plain.published import framed, ranges, said
 
 T = 1_000_000_000

@@ -1,0 +1,192 @@
+"""The adapter's end of Lawicel's ASCII protocol (slcan): what a CAN adapter hears and answers.
+
+Rules. Pure: bytes in, frames and answers out; no port, no clock. A line ends with CR; the answer is CR (with
+what was asked for in front of it) or BELL, and nothing else has happened. Nothing raises, on any bytes, cut
+anywhere. Sources: Lawicel CAN232 manual, version 3 (commands, answers, flags, timestamps, BTR of an SJA1000
+at 16 MHz); python-can 4.6.1 `can/interfaces/slcan.py` (FD frames d D b B and rates Y2 Y5, after the firmware
+of CANable 2.0). Wider than the manual, because python-can opens with `C S8 <empty> O O`: closing what is
+closed, opening what is open, and an empty line are no errors; without S the bus's own rate is used.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from gateway.buses.lengths import LENGTHS, padded
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Nanos
+
+OK, BELL, END = b"\r", b"\a", b"\r"
+LONGEST = 1 + 8 + 1 + 128
+"""Characters of the longest line: an extended FD frame."""
+RATES: dict[str, tuple[int, ...]] = {
+    "0": (10_000,),
+    "1": (20_000,),
+    "2": (50_000,),
+    "3": (100_000,),
+    "4": (125_000,),
+    "5": (250_000,),
+    "6": (500_000,),
+    "7": (750_000, 800_000),  # python-can's and Lawicel's
+    "8": (1_000_000,),
+    "9": (83_300, 83_333),  # python-can's
+}
+DATA_RATES = {"2": (2_000_000,), "5": (5_000_000,)}
+VERSION, SERIAL = b"V1001", b"NTWIN"
+HEX = re.compile(r"[0-9A-Fa-f]*")
+MINUTE = 60_000
+"""A timestamp is in ms and starts anew after a minute."""
+
+
+class Kind(NamedTuple):
+    """What the first letter of a frame's line says."""
+
+    extended: bool
+    remote: bool = False
+    fd: bool = False
+    brs: bool = False
+
+
+KINDS = {
+    "t": Kind(extended=False),
+    "T": Kind(extended=True),
+    "r": Kind(extended=False, remote=True),
+    "R": Kind(extended=True, remote=True),
+    "d": Kind(extended=False, fd=True),
+    "D": Kind(extended=True, fd=True),
+    "b": Kind(extended=False, fd=True, brs=True),
+    "B": Kind(extended=True, fd=True, brs=True),
+}
+LETTERS = {kind: letter for letter, kind in KINDS.items()}
+
+
+def line_of(frame: CanFrame) -> str:
+    """A frame as a line, without its end. Data that no length code fits are filled up with zeros."""
+    kind = Kind(frame.extended, frame.remote, frame.fd, frame.fd and frame.brs)
+    data = padded(frame).data
+    head = f"{frame.id:08X}" if frame.extended else f"{frame.id:03X}"
+    return f"{LETTERS[kind]}{head}{LENGTHS.index(len(data)):X}{data.hex().upper()}"
+
+
+def frame_of(line: str) -> CanFrame | None:
+    """The frame that a line says; None if it is none, or one that cannot be."""
+    kind = KINDS.get(line[:1])
+    digits = 8 if kind and kind.extended else 3
+    head, code, data = line[1 : 1 + digits], line[1 + digits : 2 + digits], line[2 + digits :]
+    if kind is None or not code or not HEX.fullmatch(line[1:]):
+        return None
+    number, length = int(head, 16), LENGTHS[int(code, 16)]
+    if number > (0x1FFFFFFF if kind.extended else 0x7FF) or (length > 8 and not kind.fd):
+        return None
+    if len(data) != (0 if kind.remote else 2 * length):
+        return None
+    return CanFrame(number, bytes.fromhex(data), *kind)
+
+
+def rate_of(btr: str) -> int | None:
+    """bit/s of the two bus timing registers of an SJA1000 at 16 MHz, as xxyy in hex."""
+    if len(btr) != 4 or not HEX.fullmatch(btr):
+        return None
+    first, second = bytes.fromhex(btr)
+    prescaler, one, two = (first & 0x3F) + 1, (second & 0xF) + 1, (second >> 4 & 0x7) + 1
+    return 8_000_000 // (prescaler * (1 + one + two))
+
+
+@dataclass(slots=True)
+class Adapter:
+    """One adapter on a bus of these rates; `data_bitrate` 0 is a bus of classic CAN."""
+
+    bitrate: int
+    data_bitrate: int = 0
+    open: bool = False
+    listen_only: bool = False
+    overrun: bool = False
+    """Frames were lost because the other end did not read; told by the next F."""
+    _rates: tuple[int, ...] = ()
+    """What was set with S or s: the bus's own rate if it is none of them, nothing passes."""
+    _data_rates: tuple[int, ...] = ()
+    _stamps: bool = False
+    _rest: bytearray = field(default_factory=bytearray)
+    _skipping: bool = False
+    """The line has become too long; its end will be answered with BELL."""
+
+    @property
+    def wrong_rate(self) -> bool:
+        """Whether it was set to another rate than the bus has: then it neither hears nor is heard."""
+        return bool(self._rates and self.bitrate not in self._rates) or bool(
+            self._data_rates and self.data_bitrate not in self._data_rates
+        )
+
+    def feed(self, data: bytes) -> tuple[list[CanFrame], bytes]:
+        """Bytes from the serial line: the frames that go onto the bus, and the answers."""
+        frames: list[CanFrame] = []
+        answers = bytearray()
+        *lines, rest = (self._rest + data).split(END)
+        for line in lines:
+            if self._skipping or len(line) > LONGEST:
+                answers += BELL
+            else:
+                answers += self._obey(line.decode("latin-1"), frames)
+            self._skipping = False
+        self._skipping = self._skipping or len(rest) > LONGEST
+        self._rest = bytearray() if self._skipping else bytearray(rest)
+        return frames, bytes(answers)
+
+    def tell(self, t: Nanos, frame: CanFrame) -> bytes:
+        """What the serial line gets of a frame on the bus; nothing if the adapter does not hear it."""
+        if not self.open or self.wrong_rate:
+            return b""
+        stamp = f"{t // MILLISECOND % MINUTE:04X}" if self._stamps else ""
+        return (line_of(frame) + stamp).encode() + END
+
+    def _obey(self, line: str, frames: list[CanFrame]) -> bytes:
+        letter, rest = line[:1], line[1:]
+        if letter in KINDS:
+            return self._transmit(line, frames)
+        match letter:
+            case "":
+                return OK
+            case "V" if not rest:
+                return VERSION + END
+            case "N" if not rest:
+                return SERIAL + END
+            case "O" | "L" if not rest:
+                self.open, self.listen_only = True, letter == "L"
+                return OK
+            case "C" if not rest:
+                self.open = False
+                return OK
+            case "F" if not rest and self.open:
+                return self._flags()
+        return OK if not self.open and self._configure(letter, rest) else BELL
+
+    def _transmit(self, line: str, frames: list[CanFrame]) -> bytes:
+        frame = frame_of(line)
+        deaf = not self.open or self.listen_only or self.wrong_rate
+        if deaf or frame is None or (frame.fd and not self.data_bitrate):
+            return BELL
+        frames.append(frame)
+        return (b"Z" if frame.extended else b"z") + END
+
+    def _configure(self, letter: str, rest: str) -> bool:
+        """Commands for a channel that is closed."""
+        match letter:
+            case "S" if rest in RATES:
+                self._rates = RATES[rest]
+            case "s" if rate := rate_of(rest):
+                self._rates = (rate,)
+            case "Y" if rest in DATA_RATES:
+                self._data_rates = DATA_RATES[rest]
+            case "Z" if rest in ("0", "1"):
+                self._stamps = rest == "1"
+            case _:
+                return False
+        return True
+
+    def _flags(self) -> bytes:
+        """Lawicel's status byte: bit 3 data overrun (told once), bit 5 error-passive, bit 7 bus error."""
+        flags = 0x08 * self.overrun | 0xA0 * self.wrong_rate
+        self.overrun = False
+        return f"F{flags:02X}".encode() + END

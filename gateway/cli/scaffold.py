@@ -1,0 +1,147 @@
+"""`gateway protocols new`: a small distribution with a plugin in it, whose places to fill in are marked.
+
+Rules. What is written is `gateway/template`, a plugin that is linted, typed and tested where it stands, under
+another name. Nothing is overwritten: a folder that is there already is refused, like a name that Python, an
+installed package or another protocol has, before anything is written.
+"""
+
+from __future__ import annotations
+
+import keyword
+import re
+import sys
+from dataclasses import dataclass
+from importlib.metadata import packages_distributions
+from importlib.resources import files
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from protocols import plugin
+
+Bus: TypeAlias = Literal["can", "canfd", "serial"]
+BUSES: tuple[Bus, ...] = ("can", "canfd", "serial")
+TEMPLATE = "gateway.cli.templates"
+PACKAGE = (
+    "__init__.py",
+    "codec.py",
+    "driver.py",
+    "ear.py",
+    "faults.py",
+    "framing.py",
+    "twin.py",
+    "README.md",
+    "vectors.json",
+)
+"""What stands in the plugin's own package; beside it come py.typed, pyproject.toml and the test."""
+OTHERS = ("protocols", "brain", "gateway", "fixtures", "tests", "test", "plugin", "blank")
+"""Names that a package of the gateway's, or of everybody's, has already."""
+
+
+class ScaffoldError(Exception):
+    """A plugin of this name cannot be written there: a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scaffold:
+    """What was written."""
+
+    name: str
+    folder: Path
+    files: tuple[Path, ...]
+
+
+def new(name: str, bus: Bus, into: Path) -> Scaffold:
+    """Write the folder `into/name`. Raises ScaffoldError if it must not be, or cannot be, written."""
+    check_name(name)
+    folder = into / name
+    if not into.is_dir():
+        raise ScaffoldError(f"{into} is not a folder; make it first, or say another one with --into")
+    if folder.exists() or folder.is_symlink():
+        raise ScaffoldError(
+            f"{folder} is there already: nothing was written; remove it, or take another name"
+        )
+    texts = contents(name, bus)
+    try:
+        for path, text in texts.items():
+            place = folder / path
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ScaffoldError(f"{folder} cannot be written: {error}") from error
+    return Scaffold(name, folder, tuple(folder / path for path in texts))
+
+
+def check_name(name: str) -> None:
+    """A name that can be a package, an entry point and a word in a robot file. Raises ScaffoldError."""
+    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or len(name) > 40:
+        hint = (
+            re.sub(r"_+", "_", re.sub(r"[^a-z0-9]+", "_", name.lower())).strip("_0123456789")[:40].strip("_")
+        )
+        near = f", such as {hint!r}" if hint and hint != name and not _taken(hint) else ""
+        raise ScaffoldError(
+            f"{name!r} is no name for a plugin: lower-case letters, digits and single underscores, beginning "
+            f"with a letter, 40 at most{near}"
+        )
+    if taken := _taken(name):
+        raise ScaffoldError(f"{name!r} {taken}; take another name, such as {name + '_motor'!r}")
+
+
+def _taken(name: str) -> str:
+    """Who has this name already, as the end of a sentence; "" if nobody has."""
+    if keyword.iskeyword(name) or keyword.issoftkeyword(name):
+        return "is a word of Python's"
+    if name in sys.stdlib_module_names or name in OTHERS:
+        return "is the name of a module that everybody has"
+    if name in {point.name for point in plugin.installed()}:
+        return "is the name of an installed protocol"
+    if owners := packages_distributions().get(name):
+        return f"is the name of an installed package ({', '.join(sorted(set(owners)))})"
+    return ""
+
+
+def contents(name: str, bus: Bus) -> dict[str, str]:
+    """What is to be written, by path in the folder."""
+    texts = {f"{name}/{file}": _read(file) for file in PACKAGE}
+    codec, framing = f"{name}/codec.py", f"{name}/framing.py"
+    texts[codec] = _put(texts[codec], 'NAME = "blank"', f'NAME = "{name}"')
+    if bus == "serial":
+        texts[framing] = _read("framing_serial.py")
+    if bus == "canfd":
+        texts[framing] = _put(texts[framing], '"serial"] = "can"', '"serial"] = "canfd"')
+        texts[framing] = _put(texts[framing], "FD = False", "FD = True")
+    texts[f"{name}/README.md"] = _renamed(texts[f"{name}/README.md"], name)
+    texts[f"{name}/py.typed"] = ""
+    project = _put(_read("project.toml"), "motor-gateway-blank", f"motor-gateway-{name.replace('_', '-')}")
+    texts["pyproject.toml"] = _renamed(project, name)
+    texts["tests/test_contract.py"] = _renamed(_read("test_contract.py"), name)
+    return texts
+
+
+def _read(file: str) -> str:
+    return (files(TEMPLATE) / file).read_text(encoding="utf-8")
+
+
+def _put(text: str, old: str, new: str) -> str:
+    """The text with its one `old` replaced; AssertionError if the template no longer has exactly one."""
+    if text.count(old) != 1:
+        raise AssertionError(f"the template has {old!r} {text.count(old)} times")
+    return text.replace(old, new)
+
+
+def _renamed(text: str, name: str) -> str:
+    return re.sub(r"\bblank\b", name, text)
+
+
+def next_steps(made: Scaffold) -> str:
+    """What to do with it now."""
+    return f"""\
+written: {made.folder}, a distribution of its own with a plugin for a device that is invented
+
+what to do now:
+  cd {made.folder}
+  python -m pip install --no-build-isolation --no-deps -e .
+                                  so that its entry point is found, and what you change at once
+  gateway protocols check {made.name}
+                                  the contract; one clause fails until vectors.json holds real bytes
+  grep -rn "FILL IN" .            the places where the device's own comes in, each with the clause that tells
+docs/adding-a-protocol.md takes a real motor that way, from its manual to a robot that drives"""

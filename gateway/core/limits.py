@@ -1,0 +1,131 @@
+"""Limits of a joint, and the set-points that keep them. At the output shaft, in SI.
+
+Rules. A set-point never jumps: it begins where the shaft is measured to be, and moves within the limits of
+velocity and acceleration. The end of travel counts for more than the limit of acceleration. Where it must be
+known how far the shaft has turned and it is not, nothing moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import copysign, sqrt
+
+from protocols.messages import Command, Feedback, Hold, Idle, Impedance, Position, Torque, Velocity
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """At the joint's output shaft; all magnitudes."""
+
+    velocity: float
+    """rad/s"""
+    acceleration: float
+    """rad/s²"""
+    torque: float
+    """N·m"""
+    position: tuple[float, float] | None = None
+    """rad, lowest and highest; None for a wheel"""
+
+    def inside(self, position: float) -> float:
+        """The nearest position within the range."""
+        if self.position is None:
+            return position
+        low, high = self.position
+        return max(low, min(high, position))
+
+    def torque_now(self, wanted: float, measured: Feedback) -> float:
+        """A torque within its limit that neither drives a shaft that is too fast nor one at its end."""
+        torque = clamp(wanted, self.torque)
+        velocity, position = measured.velocity, measured.position
+        if velocity is not None and abs(velocity) > self.velocity and velocity * torque > 0.0:
+            return 0.0
+        if self.position is not None and position is not None:
+            low, high = self.position
+            if (position >= high and torque > 0.0) or (position <= low and torque < 0.0):
+                return 0.0
+        return torque
+
+    def velocity_before_end(self, velocity: float, position: float) -> float:
+        """A velocity from which the way to the end of travel is enough to stop."""
+        if self.position is None:
+            return velocity
+        low, high = self.position
+        up = sqrt(2.0 * self.acceleration * max(0.0, high - position))
+        down = sqrt(2.0 * self.acceleration * max(0.0, position - low))
+        return max(-down, min(up, velocity))
+
+
+class Profile:
+    """The set-point of a joint that is under way. Its state is plain data."""
+
+    def __init__(self) -> None:
+        self._position: float | None = None
+        self._velocity: float | None = None
+
+    def forget(self) -> None:
+        """The next set-point begins where the shaft is measured to be."""
+        self._position = self._velocity = None
+
+    def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
+        """The command that may be said now, `dt` seconds after the one before."""
+        if isinstance(wanted, Idle | Hold):
+            self.forget()
+            return wanted
+        if measured.position is None and (limits.position is not None or isinstance(wanted, Position)):
+            self.forget()
+            return Idle(wanted.motor)
+        match wanted:
+            case Velocity():
+                return self._velocity_command(wanted, dt, measured, limits)
+            case Position():
+                return self._position_command(wanted, dt, measured, limits)
+            case Torque():
+                self.forget()
+                return Torque(wanted.motor, limits.torque_now(wanted.torque, measured))
+            case Impedance():
+                self.forget()
+                return replace(
+                    wanted,
+                    position=limits.inside(wanted.position),
+                    velocity=clamp(wanted.velocity, limits.velocity),
+                    torque=limits.torque_now(wanted.torque, measured),
+                )
+
+    def _velocity_command(self, wanted: Velocity, dt: float, measured: Feedback, limits: Limits) -> Velocity:
+        before = self._velocity
+        if before is None:
+            before = clamp(measured.velocity or 0.0, limits.velocity)
+        here = measured.position or 0.0
+        goal = limits.velocity_before_end(clamp(wanted.velocity, limits.velocity), here)
+        velocity = _toward(before, goal, limits.acceleration * dt)
+        velocity = limits.velocity_before_end(velocity, here)
+        self._position, self._velocity = None, velocity
+        return Velocity(wanted.motor, velocity, limits.torque_now(wanted.torque, measured))
+
+    def _position_command(self, wanted: Position, dt: float, measured: Feedback, limits: Limits) -> Position:
+        """A trapezoidal profile from where the joint is."""
+        if self._position is None or self._velocity is None:
+            self._position = measured.position or 0.0
+            self._velocity = clamp(measured.velocity or 0.0, limits.velocity)
+        rest = limits.inside(wanted.position) - self._position
+        # the highest speed from which the rest of the way, less this step's, is enough to stop
+        reach = 0.5 * limits.acceleration * dt
+        stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
+        speed = copysign(min(limits.velocity, stopping), rest)
+        velocity = _toward(self._velocity, speed, limits.acceleration * dt)
+        move = velocity * dt
+        if abs(move) >= abs(rest) and move * rest >= 0.0 and abs(velocity) <= 2.0 * limits.acceleration * dt:
+            move, velocity = rest, 0.0
+        self._position, self._velocity = self._position + move, velocity
+        ahead = velocity if velocity else clamp(wanted.velocity, limits.velocity) if rest == 0.0 else 0.0
+        torque = limits.torque_now(wanted.torque, measured)
+        return Position(wanted.motor, limits.inside(self._position), ahead, torque)
+
+
+def clamp(value: float, limit: float) -> float:
+    """The value within ± limit."""
+    return max(-limit, min(limit, value))
+
+
+def _toward(value: float, goal: float, step: float) -> float:
+    return value + clamp(goal - value, step)

@@ -1,0 +1,346 @@
+"""The gateway: `step(now, inputs) -> outputs` is everything the robot does.
+
+Rules. No clock, no bus, no thread, no file and no randomness in here or below: what a step does follows
+from the robot file and the inputs so far, hence a recording of the inputs repeats it to the byte. The way
+of one measurement in and one command out is the order of the lines of `step`. Every joint has exactly one
+command at every step. What goes to a wire goes through `_out`, and there only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from brain.belief import Belief
+from brain.brain import Brain
+from gateway.core.joint import Joint
+from gateway.core.tick import Inputs, Note, Outputs
+from protocols.frames import BusState, Packet, Wire
+from protocols.messages import (
+    Asked,
+    ClearFault,
+    Command,
+    Done,
+    Drive,
+    Estop,
+    Event,
+    Fault,
+    Feedback,
+    Found,
+    Goal,
+    Hold,
+    Home,
+    Idle,
+    Impedance,
+    Leave,
+    Mode,
+    Nanos,
+    Parameter,
+    Position,
+    ReadParameter,
+    Reboot,
+    Refused,
+    Release,
+    Request,
+    Scan,
+    Set,
+    SetId,
+    State,
+    Stop,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+from protocols.plugin import Device, Driver, Ear, Plugin, Tally
+
+if TYPE_CHECKING:
+    from gateway.core.robot import Motor, Robot, Sensor
+
+ALL = "all"
+"""The name by which a request means every motor."""
+
+
+OfMotor: TypeAlias = ClearFault | Estop | Zero | Home | ReadParameter | WriteParameter | Reboot
+"""The requests that are about one motor, or about all."""
+
+
+class Gateway:
+    """One robot: its drivers, its joints, its brain, and what a person has asked for."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.joints = {m.device.name: Joint(m.device.name, m.joint, m.spec) for m in robot.motors.values()}
+        self.brain = Brain(
+            robot.brain,
+            list(robot.motors),
+            {name: sensor.mount for name, sensor in robot.sensors.items()},
+            {name: motor.joint.feedback_timeout for name, motor in robot.motors.items()}
+            | {name: sensor.timeout for name, sensor in robot.sensors.items()},
+        )
+        self.stopped = ""
+        """Why an operator has stopped the robot; "" if nobody has."""
+        self._languages: list[str] = []
+        self._drivers: list[tuple[str, frozenset[str], Driver]] = []
+        """Bus, the names of its motors, driver: in the order of the robot file."""
+        for bus in robot.buses:
+            for plugin, devices in by_plugin(robot, bus):
+                motors = frozenset(d.name for d in devices if d.name in self.joints)
+                self._languages.append(plugin.name)
+                self._drivers.append((bus, motors, plugin.driver(devices)))
+        self._of_bus = {bus: [d for b, _, d in self._drivers if b == bus] for bus in robot.buses}
+        self._specs = {name: motor.spec for name, motor in robot.motors.items()}
+        self._requests: list[Request] = []
+        self._late: list[Event] = []
+        self._notes: list[Note] = []
+
+    # -- the step -----------------------------------------------------------------------------
+
+    def step(self, now: Nanos, inputs: Inputs) -> Outputs:
+        """Take in what has come, think, and give out what is to be said."""
+        for name, state in inputs.states:
+            self._bus(now, name, state)
+        heard = self._hear(self._late)
+        self._late = []
+        for packet in inputs.packets:
+            for driver in self._of_bus[packet.bus]:
+                heard += self._hear(driver.receive(packet.t, packet.wire))
+        tasks = self._ask(now, inputs.asked)
+        stopped = self.why_stopped()
+        said = {c.motor: c for c in self.brain.step(now, heard, tasks, stopped)}
+        self._notes += [Note(level, "brain", text) for level, text in self.brain.take_notes()]
+        words = {name: joint.allow(now, said.get(name), bool(stopped)) for name, joint in self.joints.items()}
+        self._tell_joints()
+        packets = self._send(now, words)
+        notes, self._notes = tuple(self._notes), []
+        return Outputs(tuple(packets), tuple(heard), notes)
+
+    def leave(self, now: Nanos) -> tuple[Packet, ...]:
+        """The safe word for every motor, without asking the brain: for the way out after an error."""
+        words = {name: joint.allow(now, None, stopped=True, last=True) for name, joint in self.joints.items()}
+        return tuple(self._send(now, words))
+
+    def due(self) -> Nanos | None:
+        """When a driver next has something to say by itself."""
+        moments = [due for _, _, driver in self._drivers if (due := driver.due()) is not None]
+        return min(moments) if moments else None
+
+    def belief(self) -> Belief:
+        """What the brain believes."""
+        return self.brain.belief()
+
+    def still_armed(self) -> list[str]:
+        """The motors that we commanded, that are to be disarmed, and that do not say that they are."""
+        return [
+            name
+            for name, joint in self.joints.items()
+            if joint.claimed and joint.mode is Mode.ARMED and joint.settings.safe != "hold"
+        ]
+
+    def why_stopped(self) -> str:
+        """Why the whole robot must not move; "" if it may."""
+        return self.stopped or self.in_fault()
+
+    def in_fault(self) -> str:
+        """The first fault that stops the whole robot, with its joint; "" if there is none."""
+        for name, joint in self.joints.items():
+            if joint.faults and joint.settings.on_fault == "stop":
+                fault = next(iter(joint.faults.values()))
+                return f"{name}: {fault.name}"
+        return ""
+
+    def tallies(self) -> list[tuple[str, str, Tally]]:
+        """What each driver has counted, with its bus and language. What is foreign to one of a bus's drivers
+        may be another's."""
+        return [
+            (bus, language, driver.tally)
+            for language, (bus, _, driver) in zip(self._languages, self._drivers, strict=True)
+        ]
+
+    # -- in -----------------------------------------------------------------------------------
+
+    def _bus(self, now: Nanos, name: str, state: BusState) -> None:
+        for driver in self._of_bus[name]:
+            driver.bus(now, state)
+        bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
+        self._notes.append(Note("error" if bad else "warning", name, _BUS_SENTENCES[state]))
+
+    def _hear(self, events: Iterable[Event]) -> list[Event]:
+        heard: list[Event] = []
+        for event in events:
+            if isinstance(event, Feedback | State | Fault):
+                joint = self.joints.get(event.motor)
+                if joint is None:
+                    continue
+                mode = joint.mode
+                passed = joint.hear(event)
+                if passed is None:
+                    self._notes.append(
+                        Note("warning", joint.name, f"a value of {event} is not finite: left out")
+                    )
+                    continue
+                if isinstance(event, State) and event.mode is not mode:
+                    detail = f" ({event.detail})" if event.detail else ""
+                    self._notes.append(Note(_LEVELS[event.mode], joint.name, f"{event.mode}{detail}"))
+                heard.append(passed)
+            else:
+                self._tell(event)
+                heard.append(event)
+        return heard
+
+    def _tell(self, event: Event) -> None:
+        match event:
+            case Done(_, request, name, detail):
+                if request == ClearFault.__name__ and name in self.joints:
+                    self.joints[name].clear()
+                self._notes.append(Note("info", name or "operator", f"{request}: done{_in_brackets(detail)}"))
+            case Refused(_, request, name, reason):
+                self._notes.append(Note("warning", name or "operator", f"{request}: refused: {reason}"))
+            case Parameter(motor, _, parameter, value):
+                self._notes.append(Note("info", motor, f"{parameter} = {value:g}"))
+            case Found(_, protocol, address, serial, detail, twice):
+                number = "" if serial is None else f", serial number {serial:X}"
+                text = f"{protocol} at address {address}{number}{_in_brackets(detail)}"
+                text += "; more than one device holds this address" if twice else ""
+                self._notes.append(Note("warning" if twice else "info", "scan", text))
+            case _:
+                pass
+
+    # -- what is asked ------------------------------------------------------------------------
+
+    def _ask(self, now: Nanos, asked: Sequence[Asked]) -> list[Goal | Drive | Command]:
+        tasks: list[Goal | Drive | Command] = []
+        for word in asked:
+            match word:
+                case Stop(reason):
+                    self.stopped = reason or "an operator said stop"
+                    self._notes.append(Note("warning", "operator", f"stopped: {self.stopped}"))
+                    self._requests.append(word)
+                case Leave(reason):
+                    self.stopped = self.stopped or reason
+                    self._notes.append(Note("info", "operator", f"leaving: {reason}"))
+                case Release():
+                    text = "released" if self.stopped else "nothing to release: no stop is in force"
+                    self.stopped = ""
+                    self._notes.append(Note("info", "operator", text))
+                case Set(key, value):
+                    self._set(key, value)
+                case Goal() | Drive() | Idle() | Hold() | Position() | Velocity() | Torque() | Impedance():
+                    tasks.append(word)
+                case Scan() | SetId():
+                    self._requests.append(word)
+                case _:
+                    self._request(now, word)
+        return tasks
+
+    def _set(self, key: str, value: float) -> None:
+        room, _, rest = key.partition(".")
+        if room in self.joints:
+            objection = self.joints[room].change(rest.removeprefix("limits."), value)
+        elif room == "brain":
+            objection = self.brain.set(rest, value)
+        else:
+            rooms = ", ".join(["brain", *self.joints])
+            objection = f"{key!r} begins with neither of {rooms}"
+        text = f"set {key}: refused: {objection}" if objection else f"{key} = {value:g}"
+        self._notes.append(Note("warning" if objection else "info", "operator", text))
+
+    def _request(self, now: Nanos, word: OfMotor) -> None:
+        kind = type(word).__name__
+        for motor in self.joints if word.motor == ALL else (word.motor,):
+            if motor not in self.joints:
+                known = ", ".join(self.joints)
+                self._late.append(
+                    Refused(now, kind, motor, f"there is no motor {motor!r}; there are {known}")
+                )
+            elif type(word) in self._specs[motor].requests:
+                self._requests.append(replace(word, motor=motor))
+            elif isinstance(word, ClearFault):
+                self._late.append(Done(now, kind, motor, "in the joint; the device has nothing to clear"))
+            else:
+                self._late.append(Refused(now, kind, motor, "its protocol cannot do this"))
+
+    # -- out ----------------------------------------------------------------------------------
+
+    def _tell_joints(self) -> None:
+        for name, joint in self.joints.items():
+            if joint.refused:
+                self._notes.append(Note("error", name, f"command refused: {joint.refused}"))
+                joint.refused = ""
+            for fault in joint.take_untold():
+                cause = f"; likely cause: {fault.cause}" if fault.cause else ""
+                cure = f"; {fault.cure}" if fault.cure else ""
+                self._notes.append(Note("error", name, f"fault: {fault.name}{cause}{cure}"))
+
+    def _send(self, now: Nanos, words: dict[str, Command]) -> list[Packet]:
+        requests, self._requests = self._requests, []
+        packets: list[Packet] = []
+        for bus, motors, driver in self._drivers:
+            mine: list[Command | Request] = [r for r in requests if _is_for(r, bus, motors)]
+            mine += [word for name, word in words.items() if name in motors]
+            events, wires = driver.send(now, mine)
+            self._late += events
+            packets += self._out(now, bus, wires)
+        return packets
+
+    def _out(self, now: Nanos, bus: str, wires: Sequence[Wire]) -> Iterable[Packet]:
+        """The one place through which everything passes on its way to a wire: a guard stands here."""
+        return [Packet(now, bus, wire) for wire in wires]
+
+
+class _Ears:
+    """The ears of all languages of a bus as one."""
+
+    def __init__(self, ears: Sequence[Ear]) -> None:
+        self._ears = ears
+
+    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+        """What any device on the bus would obey."""
+        return [word for ear in self._ears for word in ear.hear(t, wire)]
+
+
+def ear_of(robot: Robot, bus: str) -> Ear:
+    """What the devices on a bus would obey."""
+    return _Ears([plugin.ear(devices) for plugin, devices in by_plugin(robot, bus)])
+
+
+def _is_for(request: Request, bus: str, motors: frozenset[str]) -> bool:
+    if isinstance(request, Stop):
+        return bool(motors)
+    if isinstance(request, Scan | SetId):
+        return request.bus == bus
+    return getattr(request, "motor", "") in motors
+
+
+def _in_brackets(detail: str) -> str:
+    return f" ({detail})" if detail else ""
+
+
+_LEVELS: dict[Mode, Literal["info", "warning"]] = {
+    Mode.INITIALISING: "info",
+    Mode.READY: "info",
+    Mode.ARMED: "info",
+    Mode.FAULT: "warning",
+    Mode.OFFLINE: "warning",
+}
+
+
+def by_plugin(robot: Robot, bus: str) -> list[tuple[Plugin, list[Device]]]:
+    """The devices on a bus, gathered by language, in the order of the robot file."""
+    gathered: dict[str, tuple[Plugin, list[Device]]] = {}
+    parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]
+    for part in parts:
+        if part.bus == bus:
+            gathered.setdefault(part.plugin.name, (part.plugin, []))[1].append(part.device)
+    return list(gathered.values())
+
+
+_BUS_SENTENCES = {
+    BusState.UP: "is up",
+    BusState.PASSIVE: "is error-passive: check the wiring, the termination and the bit rate",
+    BusState.OFF: "is bus-off: nothing goes out; check the wiring, the termination and the bit rate",
+    BusState.FULL: "its transmit queue is full: older commands were dropped; is anything listening?",
+    BusState.GONE: "has vanished: the interface or port is gone",
+    BusState.BACK: "is back",
+}

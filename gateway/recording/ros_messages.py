@@ -1,0 +1,248 @@
+"""Our values as ROS 2 messages: one pure function per message, from what we know to what others can open.
+
+Here are the rare ones, made as objects for a general serialiser; those of every step are in `gateway.recording.ros_cdr`.
+
+Rules. Units and frames are those of REP-103 and REP-105: SI, x forward, y left, z up; "odom" is the world as
+the robot knows it, "base_link" the robot, and every sensor has a frame of its own name. A header's stamp is
+the time of the measurement or belief, not of the writing. What a message cannot say is left out, never made
+up. No value here raises: what does not fit a field is cut to its range.
+
+`Types` are the message classes by name, as a typestore has them; nothing here imports one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from brain.belief import MapView, Pose
+from brain.perception.mount import Mount
+from gateway.core.tick import Note
+from gateway.recording.ros_cdr import BASE, WORLD, clock, float32
+from protocols.messages import Fix, Goal, Nanos
+
+
+class Message(Protocol):
+    """An instance of one of the `Types`."""
+
+    @property
+    def __msgtype__(self) -> str:
+        """Its name: package/msg/Name."""
+        ...
+
+
+Types = Mapping[str, Callable[..., Message]]
+Floats = npt.NDArray[np.float64]
+
+_LOG_LEVELS = {"info": 20, "warning": 30, "error": 40}
+
+CAN_FRAME = "can_msgs/msg/Frame"
+CAN_FRAME_DEFINITION = """\
+std_msgs/Header header
+uint32 id
+bool is_rtr
+bool is_extended
+bool is_error
+uint8 dlc
+uint8[8] data
+"""
+"""ros-industrial/ros_canopen@e11f6c7, can_msgs/msg/Frame.msg."""
+
+FD_FRAME = "ros2_socketcan_msgs/msg/FdFrame"
+FD_FRAME_DEFINITION = """\
+std_msgs/Header header
+uint32 id
+bool is_extended
+bool is_error
+uint8 len
+uint8[<=64] data
+"""
+"""autowarefoundation/ros2_socketcan@ef82344, ros2_socketcan_msgs/msg/FdFrame.msg."""
+
+
+def stamp(types: Types, t: Nanos) -> Message:
+    """builtin_interfaces/Time; seconds are int32 there."""
+    seconds, rest = clock(t)
+    return types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
+
+
+def header(types: Types, t: Nanos, frame: str) -> Message:
+    """std_msgs/Header."""
+    return types["std_msgs/msg/Header"](stamp=stamp(types, t), frame_id=frame)
+
+
+# -- where the robot is ------------------------------------------------------------------------
+
+
+def mount_transforms(types: Types, t: Nanos, mounts: Mapping[str, Mount]) -> Message:
+    """tf2_msgs/TFMessage for /tf_static: how each sensor sits on base_link."""
+    return _transforms(
+        types,
+        [
+            _transform(
+                types,
+                t,
+                BASE,
+                name,
+                (mount.x, mount.y, mount.z),
+                quaternion(mount.yaw, mount.pitch, mount.roll),
+            )
+            for name, mount in mounts.items()
+        ],
+    )
+
+
+def _transforms(types: Types, transforms: list[Message]) -> Message:
+    return types["tf2_msgs/msg/TFMessage"](transforms=transforms)
+
+
+def _transform(
+    types: Types,
+    t: Nanos,
+    parent: str,
+    child: str,
+    at: tuple[float, float, float],
+    turned: tuple[float, float, float, float],
+) -> Message:
+    return types["geometry_msgs/msg/TransformStamped"](
+        header=header(types, t, parent),
+        child_frame_id=child,
+        transform=types["geometry_msgs/msg/Transform"](
+            translation=_vector(types, *at), rotation=_quaternion(types, turned)
+        ),
+    )
+
+
+def path(types: Types, t: Nanos, points: Sequence[tuple[float, float]]) -> Message:
+    """nav_msgs/Path in odom; each pose looks along the path to the next."""
+    yaws = [math.atan2(y2 - y1, x2 - x1) for (x1, y1), (x2, y2) in pairwise(points)]
+    yaws += yaws[-1:] or [0.0]
+    poses = [_pose_stamped(types, t, Pose(x, y, yaw)) for (x, y), yaw in zip(points, yaws, strict=False)]
+    return types["nav_msgs/msg/Path"](header=header(types, t, WORLD), poses=poses)
+
+
+def goal_pose(types: Types, t: Nanos, goal: Goal) -> Message:
+    """geometry_msgs/PoseStamped; a goal without a yaw looks along x."""
+    return _pose_stamped(types, t, Pose(goal.x, goal.y, goal.yaw or 0.0))
+
+
+def occupancy(types: Types, t: Nanos, view: MapView) -> Message:
+    """nav_msgs/OccupancyGrid: percent, row by row from the lower left; -1 (unknown) where log-odds are 0."""
+    rows, columns = view.log_odds.shape
+    percent = np.rint(50.0 + 50.0 * np.tanh(np.float32(0.5) * view.log_odds)).astype(np.int8)
+    percent[view.log_odds == 0.0] = -1
+    return types["nav_msgs/msg/OccupancyGrid"](
+        header=header(types, t, WORLD),
+        info=types["nav_msgs/msg/MapMetaData"](
+            map_load_time=stamp(types, t),
+            resolution=float32(view.resolution),
+            width=columns,
+            height=rows,
+            origin=_pose(types, Pose(view.origin_x, view.origin_y, 0.0)),
+        ),
+        data=percent.reshape(-1),
+    )
+
+
+# -- what the sensors and motors said ----------------------------------------------------------
+
+
+def fix(types: Types, event: Fix) -> Message:
+    """sensor_msgs/NavSatFix; an altitude that was not measured is NaN, as that message has it."""
+    covariance = np.zeros(9)
+    if event.variance is not None:
+        covariance[0] = covariance[4] = event.variance
+    return types["sensor_msgs/msg/NavSatFix"](
+        header=header(types, event.t, event.sensor),
+        status=types["sensor_msgs/msg/NavSatStatus"](status=0, service=1),
+        latitude=event.latitude,
+        longitude=event.longitude,
+        altitude=math.nan if event.altitude is None else event.altitude,
+        position_covariance=covariance,
+        position_covariance_type=0 if event.variance is None else 1,
+    )
+
+
+# -- how it is ---------------------------------------------------------------------------------
+
+
+def diagnostic_status(
+    types: Types, level: int, name: str, message: str, values: Mapping[str, str]
+) -> Message:
+    """diagnostic_msgs/DiagnosticStatus; level 0 OK, 1 WARN, 2 ERROR, 3 STALE."""
+    key_value = types["diagnostic_msgs/msg/KeyValue"]
+    return types["diagnostic_msgs/msg/DiagnosticStatus"](
+        level=level,
+        name=text(name),
+        message=text(message),
+        hardware_id="",
+        values=[key_value(key=text(key), value=text(value)) for key, value in values.items()],
+    )
+
+
+def diagnostics(types: Types, t: Nanos, statuses: list[Message]) -> Message:
+    """diagnostic_msgs/DiagnosticArray."""
+    return types["diagnostic_msgs/msg/DiagnosticArray"](header=header(types, t, ""), status=statuses)
+
+
+def log(types: Types, t: Nanos, note: Note) -> Message:
+    """rcl_interfaces/Log: what a log panel shows."""
+    return types["rcl_interfaces/msg/Log"](
+        stamp=stamp(types, t),
+        level=_LOG_LEVELS[note.level],
+        name=text(note.about),
+        msg=text(note.text),
+        file="",
+        function="",
+        line=0,
+    )
+
+
+# -- small ones --------------------------------------------------------------------------------
+
+
+def text(said: str) -> str:
+    """Fit for UTF-8: a lone surrogate (a stray byte on a terminal) becomes an escape."""
+    return said if said.isascii() else said.encode(errors="backslashreplace").decode()
+
+
+def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
+    """x, y, z, w of a turn about z."""
+    return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+
+
+def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:
+    """x, y, z, w of Rz(yaw) Ry(pitch) Rx(roll)."""
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def _vector(types: Types, x: float, y: float, z: float) -> Message:
+    return types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
+
+
+def _quaternion(types: Types, q: tuple[float, float, float, float]) -> Message:
+    return types["geometry_msgs/msg/Quaternion"](x=q[0], y=q[1], z=q[2], w=q[3])
+
+
+def _pose(types: Types, pose: Pose) -> Message:
+    return types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](x=pose.x, y=pose.y, z=0.0),
+        orientation=_quaternion(types, yaw_quaternion(pose.yaw)),
+    )
+
+
+def _pose_stamped(types: Types, t: Nanos, pose: Pose) -> Message:
+    return types["geometry_msgs/msg/PoseStamped"](header=header(types, t, WORLD), pose=_pose(types, pose))

@@ -1,0 +1,367 @@
+"""What a recording shows to others: each tick and the belief after it as ROS 2 messages, thinned out.
+
+Rules. Pure but for what was last sent: the same ticks and beliefs give the same messages, to the byte. The
+raw tick stands beside them, so nothing is lost by thinning: every frame and every reading of a sensor is
+shown, the belief at most 50 times a second, the map once, the diagnostics twice or when a state changes.
+
+| topic | type | when |
+|---|---|---|
+| /BUS/from_can_bus, /BUS/to_can_bus | can_msgs/Frame | each classic frame received, sent |
+| /BUS/from_can_bus_fd, /BUS/to_can_bus_fd | ros2_socketcan_msgs/FdFrame | each FD frame received, sent |
+| /scan, /imu/data, /fix | sensor_msgs | each reading; the header names the sensor |
+| /odom, /tf | nav_msgs/Odometry, tf2_msgs/TFMessage | a new estimate, at most 50 Hz |
+| /wheel_odom | nav_msgs/Odometry | beside /odom: the wheels alone |
+| /tf_static | tf2_msgs/TFMessage | once, in front: where the sensors sit |
+| /joint_states | sensor_msgs/JointState | new feedback, at most 50 Hz |
+| /map | nav_msgs/OccupancyGrid | a new version, at most 1 Hz |
+| /plan, /goal_pose | nav_msgs/Path, geometry_msgs/PoseStamped | on change |
+| /diagnostics | diagnostic_msgs/DiagnosticArray | 2 Hz, on a change of state, with every note |
+| /rosout | rcl_interfaces/Log | each note |
+
+Bytes of serial buses are in the raw tick only: ROS has no message for them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+from brain.belief import Belief, BrainState
+from brain.perception.mount import Mount
+from gateway.core.tick import Note, Tick
+from gateway.recording import ros_cdr, ros_messages
+from gateway.recording.ros_messages import Message
+from protocols.frames import CanFrame, Packet
+from protocols.messages import (
+    MILLISECOND,
+    SECOND,
+    Done,
+    Event,
+    Fault,
+    Feedback,
+    Fix,
+    Imu,
+    LaserScan,
+    Mode,
+    Nanos,
+    State,
+)
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+BELIEF_PERIOD = 20 * MILLISECOND
+MAP_PERIOD = SECOND
+DIAGNOSTICS_PERIOD = 500 * MILLISECOND
+
+UINT64 = 2**64 - 1
+SCAN, IMU = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Imu"
+ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+_BY_HAND = (ros_messages.CAN_FRAME, ros_messages.FD_FRAME, SCAN, IMU, ODOMETRY, TRANSFORMS, JOINT_STATE)
+_BY_SERIALISER = (
+    TRANSFORMS,
+    "nav_msgs/msg/OccupancyGrid",
+    "nav_msgs/msg/Path",
+    "geometry_msgs/msg/PoseStamped",
+    "sensor_msgs/msg/NavSatFix",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "rcl_interfaces/msg/Log",
+)
+
+_OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3
+_BRAIN_LEVELS = {
+    BrainState.INITIALISING: _WARN,
+    BrainState.READY: _OK,
+    BrainState.RUNNING: _OK,
+    BrainState.DEGRADED: _WARN,
+    BrainState.STOPPED: _ERROR,
+}
+_MODE_LEVELS = {
+    Mode.INITIALISING: _WARN,
+    Mode.READY: _OK,
+    Mode.ARMED: _OK,
+    Mode.FAULT: _ERROR,
+    Mode.OFFLINE: _STALE,
+}
+_NOTE_LEVELS = {"info": _OK, "warning": _WARN, "error": _ERROR}
+
+
+class View(NamedTuple):
+    """One ROS 2 message."""
+
+    topic: str
+    type: str
+    """"package/msg/Name"""
+    t: Nanos
+    """When what it shows was measured, believed or sent, cut to 64 bits without a sign as a file has them."""
+    data: bytes
+    """CDR"""
+
+
+def typestore() -> Typestore:
+    """ROS 2 Jazzy's message types, and the two for CAN frames that are not part of it."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(ros_messages.CAN_FRAME_DEFINITION, ros_messages.CAN_FRAME))
+    store.register(get_types_from_msg(ros_messages.FD_FRAME_DEFINITION, ros_messages.FD_FRAME))
+    return store
+
+
+@dataclass(slots=True)
+class _MotorSeen:
+    """What a motor last told, at its joint's output shaft."""
+
+    mode: Mode = Mode.INITIALISING
+    detail: str = ""
+    faults: dict[int, str] = field(default_factory=dict)
+    position: float | None = None
+    velocity: float | None = None
+    torque: float | None = None
+    current: float | None = None
+    voltage: float | None = None
+    temperature: float | None = None
+
+
+class Views:
+    """Turns ticks and beliefs into messages; remembers only what it last sent and what motors last told."""
+
+    def __init__(self, mounts: Mapping[str, Mount] | None = None) -> None:
+        self._mounts = dict(mounts or {})
+        self._store = typestore()
+        self._types: ros_messages.Types = self._store.types
+        self._definitions: dict[str, str] = {}
+        self._layouts = ros_cdr.Layouts()
+        self._topics: dict[tuple[str, str, bool], str] = {}
+        """Of frames, by bus, direction and whether they are FD."""
+        self._sent: dict[str, Nanos] = {}
+        """By topic, when it was last sent."""
+        self._shown: dict[str, object] = {}
+        """By topic, what was last shown: a message goes out when it is another."""
+        self._motors: dict[str, _MotorSeen] = {}
+        self._moved = False
+        """Whether feedback came since the last joint state."""
+
+    def messages(self, tick: Tick, belief: Belief) -> list[View]:
+        """What this tick shows, in a fixed order."""
+        views = self._mounting(tick.now)
+        views += [self._frame(p, "from", p.wire) for p in tick.inputs.packets if isinstance(p.wire, CanFrame)]
+        views += self._events(tick.outputs.events)
+        views += [self._frame(p, "to", p.wire) for p in tick.outputs.packets if isinstance(p.wire, CanFrame)]
+        views += self._believed(tick.now, belief)
+        views += self._wanted(tick.now, belief)
+        views += self._joints(tick.now)
+        views += [
+            self._view("/rosout", tick.now, ros_messages.log(self._types, tick.now, note))
+            for note in tick.outputs.notes
+        ]
+        views += self._health(tick, belief)
+        return views
+
+    def show_again(self) -> None:
+        """Forget what was shown, as after a gap in a recording: all that is now is shown anew."""
+        self._sent.clear()
+        self._shown.clear()
+
+    def definition(self, type_: str) -> str:
+        """The definition of a message type, with those of all types in it (ros2msg)."""
+        known = self._definitions.get(type_)
+        if known is None:
+            known = self._definitions[type_] = self._store.generate_msgdef(type_, ros_version=2)[0]
+        return known
+
+    def prepare(self) -> None:
+        """Do now what the first message of each type would cost: a tenth of a second, all in all."""
+        for type_ in (*_BY_HAND, *_BY_SERIALISER):
+            self.definition(type_)
+        for type_ in _BY_SERIALISER:
+            self._store.get_msgdef(type_)
+
+    def open(self, view: View) -> object:
+        """The message again, as an object with its fields."""
+        return self._store.deserialize_cdr(view.data, view.type)
+
+    # -- when -----------------------------------------------------------------------------------
+
+    def _due(self, topic: str, now: Nanos, period: Nanos) -> bool:
+        last = self._sent.get(topic)
+        if last is not None and now - last < period:
+            return False
+        self._sent[topic] = now
+        return True
+
+    def _is_new(self, topic: str, shown: object) -> bool:
+        if self._shown.get(topic) == shown:
+            return False
+        self._shown[topic] = shown
+        return True
+
+    def _view(self, topic: str, t: Nanos, message: Message) -> View:
+        type_ = message.__msgtype__
+        return View(
+            topic,
+            type_,
+            _stamp(t),
+            bytes(self._store.serialize_cdr(message, type_, little_endian=True)),
+        )
+
+    # -- what came in and went out ----------------------------------------------------------------
+
+    def _frame(self, packet: Packet, direction: str, frame: CanFrame) -> View:
+        key = packet.bus, direction, frame.fd
+        topic = self._topics.get(key)
+        if topic is None:
+            name = f"/{topic_name(packet.bus)}/{direction}_can_bus{'_fd' if frame.fd else ''}"
+            topic = self._topics[key] = name
+        if frame.fd:
+            data = ros_cdr.fd_frame(self._layouts, packet.t, packet.bus, frame)
+            return View(topic, ros_messages.FD_FRAME, _stamp(packet.t), data)
+        data = ros_cdr.can_frame(self._layouts, packet.t, packet.bus, frame)
+        return View(topic, ros_messages.CAN_FRAME, _stamp(packet.t), data)
+
+    def _events(self, events: Sequence[Event]) -> list[View]:
+        views: list[View] = []
+        for event in events:
+            match event:
+                case LaserScan():
+                    data = ros_cdr.laser_scan(self._layouts, event)
+                    views.append(View("/scan", SCAN, _stamp(event.t), data))
+                case Imu():
+                    data = ros_cdr.imu(self._layouts, event)
+                    views.append(View("/imu/data", IMU, _stamp(event.t), data))
+                case Fix():
+                    views.append(self._view("/fix", event.t, ros_messages.fix(self._types, event)))
+                case _:
+                    self._hear(event)
+        return views
+
+    def _hear(self, event: Event) -> None:
+        match event:
+            case Feedback():
+                seen = self._motor(event.motor)
+                for name in _MEASURED:
+                    if (value := getattr(event, name)) is not None:
+                        setattr(seen, name, value)
+                self._moved = True
+            case State(motor, _, mode, detail):
+                seen = self._motor(motor)
+                seen.mode, seen.detail = mode, detail
+            case Fault(motor, _, code, name):
+                self._motor(motor).faults[code] = name
+            case Done(_, "ClearFault", name) if name in self._motors:
+                self._motors[name].faults.clear()
+            case _:
+                pass
+
+    def _motor(self, name: str) -> _MotorSeen:
+        return self._motors.setdefault(name, _MotorSeen())
+
+    # -- what is believed and wanted --------------------------------------------------------------
+
+    def _mounting(self, now: Nanos) -> list[View]:
+        if not self._mounts or not self._is_new("/tf_static", True):
+            return []
+        return [self._view("/tf_static", now, ros_messages.mount_transforms(self._types, now, self._mounts))]
+
+    def _believed(self, now: Nanos, belief: Belief) -> list[View]:
+        views: list[View] = []
+        estimate = belief.estimate
+        if (
+            estimate is not None
+            and self._shown.get("/odom") != estimate.t
+            and self._due("/odom", now, BELIEF_PERIOD)
+        ):
+            self._shown["/odom"] = estimate.t
+            t, layouts = _stamp(estimate.t), self._layouts
+            views.append(View("/odom", ODOMETRY, t, ros_cdr.odometry(layouts, estimate)))
+            views.append(View("/tf", TRANSFORMS, t, ros_cdr.base_transform(layouts, estimate)))
+            if belief.raw is not None:
+                raw = ros_cdr.dead_reckoning(layouts, estimate.t, belief.raw)
+                views.append(View("/wheel_odom", ODOMETRY, t, raw))
+        grid = belief.map
+        if (
+            grid is not None
+            and self._shown.get("/map") != grid.version
+            and self._due("/map", now, MAP_PERIOD)
+        ):
+            self._shown["/map"] = grid.version
+            views.append(self._view("/map", now, ros_messages.occupancy(self._types, now, grid)))
+        return views
+
+    def _wanted(self, now: Nanos, belief: Belief) -> list[View]:
+        views: list[View] = []
+        if belief.goal != self._shown.get("/goal_pose"):
+            self._shown["/goal_pose"] = belief.goal
+            if belief.goal is not None:
+                views.append(
+                    self._view("/goal_pose", now, ros_messages.goal_pose(self._types, now, belief.goal))
+                )
+        nothing_yet = "/plan" not in self._shown and not belief.path
+        if not nothing_yet and self._is_new("/plan", belief.path_version):
+            views.append(self._view("/plan", now, ros_messages.path(self._types, now, belief.path)))
+        return views
+
+    def _joints(self, now: Nanos) -> list[View]:
+        if not self._moved or not self._due("/joint_states", now, BELIEF_PERIOD):
+            return []
+        self._moved = False
+        measured = {name: (m.position, m.velocity, m.torque) for name, m in self._motors.items()}
+        return [View("/joint_states", JOINT_STATE, _stamp(now), ros_cdr.joint_state(now, measured))]
+
+    # -- how it is --------------------------------------------------------------------------------
+
+    def _health(self, tick: Tick, belief: Belief) -> list[View]:
+        motors = tuple((name, m.mode, m.detail, tuple(m.faults)) for name, m in self._motors.items())
+        changed = self._is_new("/diagnostics", (belief.state, motors))
+        due = self._due("/diagnostics", tick.now, DIAGNOSTICS_PERIOD)
+        if not (changed or due or tick.outputs.notes):
+            return []
+        self._sent["/diagnostics"] = tick.now
+        statuses = [self._brain(belief)]
+        statuses += [self._motor_status(name, seen) for name, seen in self._motors.items()]
+        statuses += [self._note(note) for note in tick.outputs.notes]
+        return [
+            self._view("/diagnostics", tick.now, ros_messages.diagnostics(self._types, tick.now, statuses))
+        ]
+
+    def _brain(self, belief: Belief) -> Message:
+        values = {f"rejected {name}": str(count) for name, count in sorted(belief.rejected.items())}
+        values["goals reached"] = str(belief.reached)
+        message = f"{belief.state.value}: {belief.reason}" if belief.reason else belief.state.value
+        return ros_messages.diagnostic_status(
+            self._types, _BRAIN_LEVELS[belief.state], "/gateway/brain", message, values
+        )
+
+    def _motor_status(self, name: str, seen: _MotorSeen) -> Message:
+        message = f"{seen.mode.value}: {seen.detail}" if seen.detail else seen.mode.value
+        if seen.faults:
+            message += "; faults: " + ", ".join(seen.faults.values())
+        level = _ERROR if seen.faults else _MODE_LEVELS[seen.mode]
+        values = {
+            f"{quantity} [{unit}]": repr(value)
+            for quantity, unit in _TOLD.items()
+            if (value := getattr(seen, quantity)) is not None
+        }
+        return ros_messages.diagnostic_status(self._types, level, f"/gateway/motors/{name}", message, values)
+
+    def _note(self, note: Note) -> Message:
+        return ros_messages.diagnostic_status(
+            self._types, _NOTE_LEVELS[note.level], f"/gateway/notes/{note.about}", note.text, {}
+        )
+
+
+_MEASURED = ("position", "velocity", "torque", "current", "voltage", "temperature")
+_TOLD = {"current": "A", "voltage": "V", "temperature": "degC"}
+
+
+def _stamp(t: Nanos) -> Nanos:
+    return max(0, min(UINT64, t))
+
+
+def topic_name(name: str) -> str:
+    """A name as part of a ROS topic: letters, digits and underscores, no digit in front."""
+    clean = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"
+    return f"_{clean}" if clean[0].isdigit() else clean

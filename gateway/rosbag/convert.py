@@ -1,0 +1,108 @@
+"""One ROS message → what it says, or why it says nothing. Pure functions; the types are ROS 1's and ROS 2's
+alike (common_interfaces: nav_msgs, sensor_msgs).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias, cast
+
+from brain.belief import Pose
+from protocols.messages import SECOND, Fix, Imu, Nanos
+
+if TYPE_CHECKING:
+    from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Quaternion as RosQuaternion
+    from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3 as RosVector
+    from rosbags.typesys.stores.ros2_jazzy import nav_msgs__msg__Odometry as RosOdometry
+    from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Imu as RosImu
+    from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__NavSatFix as RosFix
+
+TYPES = {
+    "odometry": "nav_msgs/msg/Odometry",
+    "sensors": "sensor_msgs/msg/Imu",
+    "truth": "sensor_msgs/msg/NavSatFix",
+}
+"""What the messages of each part are."""
+
+
+UNUSED = 1e6
+"""A variance from here on marks an axis that is not measured, as drivers of bases have it."""
+NOT_MEASURED = -1.0
+"""In the first field of a covariance: the message has no such measurement (sensor_msgs/Imu.msg)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What odometry says."""
+
+    t: Nanos
+    linear: float
+    """m/s"""
+    angular: float
+    """rad/s"""
+    pose: Pose
+
+
+Said: TypeAlias = Report | Imu | Fix
+
+
+def understood(part: str, message: object) -> Said | str:
+    """A message as a value, or why it is not used."""
+    said: Said | str
+    if part == "odometry":
+        said = _report(cast("RosOdometry", message))
+    elif part == "truth":
+        said = _fix(cast("RosFix", message))
+    else:
+        said = _imu(part.removeprefix("sensors."), cast("RosImu", message))
+    return said if isinstance(said, str) or said.t > 0 else "no stamp"
+
+
+def _stamp(message: RosOdometry | RosImu | RosFix) -> Nanos:
+    stamp = message.header.stamp
+    return int(stamp.sec) * SECOND + int(stamp.nanosec)
+
+
+def _report(message: RosOdometry) -> Report | str:
+    twist, place = message.twist, message.pose.pose
+    variances = float(twist.covariance[0]), float(twist.covariance[35])
+    if any(variance >= UNUSED for variance in variances):
+        return "no speed in it"
+    yaw = _yaw(place.orientation)
+    numbers = (twist.twist.linear.x, twist.twist.angular.z, place.position.x, place.position.y, yaw)
+    if not all(math.isfinite(number) for number in numbers):
+        return "not finite"
+    return Report(_stamp(message), *numbers[:2], Pose(*numbers[2:]))
+
+
+def _imu(sensor: str, message: RosImu) -> Imu | str:
+    if float(message.angular_velocity_covariance[0]) == NOT_MEASURED:
+        return "no rate of turn in it"
+    rate, push = _vector(message.angular_velocity), _vector(message.linear_acceleration)
+    if not all(math.isfinite(number) for number in (*rate, *push)):
+        return "not finite"
+    q = message.orientation
+    turned = (q.x, q.y, q.z, q.w)
+    told = float(message.orientation_covariance[0]) != NOT_MEASURED and all(map(math.isfinite, turned))
+    return Imu(sensor, _stamp(message), rate, push, turned if told and any(turned) else None)
+
+
+def _fix(message: RosFix) -> Fix | str:
+    if message.status.status < 0:
+        return "no fix"
+    if not (abs(message.latitude) <= 90.0 and math.isfinite(message.longitude)):
+        return "not on the earth"
+    variance = (float(message.position_covariance[0]) + float(message.position_covariance[4])) / 2.0
+    known = message.position_covariance_type != 0 and math.isfinite(variance)
+    altitude = message.altitude if math.isfinite(message.altitude) else None
+    place = message.latitude, message.longitude, altitude
+    return Fix(message.header.frame_id, _stamp(message), *place, variance if known else None)
+
+
+def _vector(vector: RosVector) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
+
+
+def _yaw(q: RosQuaternion) -> float:
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))

@@ -1,0 +1,231 @@
+"""World files: what stands behind the twins, as committed TOML; `gateway.sim.load` reads them.
+
+Rules. A world file knows motors and sensors by their names in the robot file and nothing of how they
+are driven. It is the truth: the brain has its own figures and never reads these. All is SI, in the
+world's frame (z up, the floor at z = 0) or the body's (x forward, y left, z up, origin on the floor
+below the middle of the axle). What a part cannot be its `__post_init__` says, naming the field.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from protocols.messages import MILLISECOND, SECOND, Nanos
+
+STEP: Nanos = MILLISECOND
+"""One step of every world: what the wheels' contacts were tried with, and short for a motor's loops."""
+
+Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+Part: TypeAlias = Annotated[float, Field(ge=0.0, lt=1.0)]
+Point: TypeAlias = tuple[float, float]
+Vector: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """The disc on the device's own shaft, before the gear."""
+
+    counts_per_turn: Annotated[int, Field(gt=0)] = 16384
+
+
+# -- the bench: bare shafts ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftFile:
+    """What one joint's output shaft carries on a bench."""
+
+    inertia: Positive = 0.006
+    """kg·m², with the rotor's times gear²"""
+    damping: NotNegative = 0.002
+    """N·m·s/rad"""
+    friction: NotNegative = 0.02
+    """N·m, dry; holds the shaft at rest against any smaller torque"""
+    load: float = 0.0
+    """N·m, constant, as of a hanging weight; positive drives the shaft forward"""
+    stops: tuple[float, float] | None = None
+    """rad, where the shaft runs against a hard stop below and above; it starts at 0"""
+
+    def __post_init__(self) -> None:
+        if self.stops and not self.stops[0] < 0.0 < self.stops[1]:
+            raise ValueError("stops must be below and above 0, where the shaft starts")
+
+
+@dataclass(frozen=True, slots=True)
+class BenchFile:
+    """Motors clamped to a bench: every motor of the robot file has a shaft. Needs no MuJoCo."""
+
+    kind: Literal["bench"] = "bench"
+    name: str = "bench"
+    encoder: Encoder = field(default_factory=Encoder)
+    shaft: ShaftFile = field(default_factory=ShaftFile)
+    """For every motor that `shafts` does not name."""
+    shafts: dict[str, ShaftFile] = field(default_factory=dict)
+
+
+# -- the scene: a base with two wheels among walls -----------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Pose of the body at time 0: m, m, rad."""
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """A straight wall between two points of its middle line."""
+
+    start: Point
+    end: Point
+    thickness: Positive = 0.1
+    height: Positive = 0.5
+
+    def __post_init__(self) -> None:
+        if math.dist(self.start, self.end) < self.thickness:
+            raise ValueError("end must be farther from start than the wall is thick")
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A box on the floor; size is its length along x, y and z before it is turned by yaw."""
+
+    x: float
+    y: float
+    size: tuple[Positive, Positive, Positive]
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    """One driven wheel."""
+
+    motor: str
+    """Name of the motor in the robot file; its joint turns this wheel, forward is positive."""
+    radius_error: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
+    """The wheel's true radius is wheel_radius × (1 + this): wear, pressure, load."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """Creep between tyre and floor: a Gauss-Markov process along the rolled way, one for each wheel.
+
+    That part of the rolled way is lost (or won) on the floor. Apart from it, a wheel spins when its
+    torque exceeds its grip."""
+
+    sigma: Part = 0.0
+    """Standard deviation, as a part of the rolled way."""
+    length: Positive = 0.3
+    """m of rolled way over which it is correlated (to 1/e)"""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A differential base: chassis, two wheels on one axle, low-friction casters before and behind."""
+
+    left: Wheel
+    right: Wheel
+    size: tuple[Positive, Positive, Positive] = (0.4, 0.2, 0.1)
+    mass: Positive = 5.0
+    """kg, all of it"""
+    height: Positive = 0.07
+    """m, of the chassis' centre above the floor"""
+    wheel_radius: Positive = 0.05
+    wheel_separation: Positive = 0.22
+    wheel_width: Positive = 0.02
+    wheel_mass: Positive = 0.2
+    damping: NotNegative = 0.002
+    """N·m·s/rad, at the output shaft"""
+    armature: Positive = 0.002
+    """kg·m², rotor and gear as felt at the output shaft"""
+    caster_offset: Positive = 0.16
+    """m, before and behind the axle"""
+    caster_radius: Positive = 0.02
+    slip: Slip = field(default_factory=Slip)
+
+    def __post_init__(self) -> None:
+        if self.mass <= 2.0 * self.wheel_mass:
+            raise ValueError("mass must be more than that of the two wheels, which it includes")
+        if self.left.motor == self.right.motor:
+            raise ValueError("right must be another motor than the one on the other side")
+
+
+@dataclass(frozen=True, slots=True)
+class Lidar:
+    """A planar lidar: beams evenly over a full turn, the first at -180 degrees, counter-clockwise."""
+
+    beams: Annotated[int, Field(ge=2, le=10_000)] = 360
+    rate_hz: Positive = 10.0
+    range_min: NotNegative = 0.1
+    range_max: Positive = 10.0
+    noise: NotNegative = 0.0
+    """m, standard deviation of one range"""
+    resolution: NotNegative = 0.0
+    """m; 0 is exact"""
+    dropout: Part = 0.0
+    """The part of the beams that give no reading."""
+
+    def __post_init__(self) -> None:
+        if self.range_min >= self.range_max:
+            raise ValueError("range_min must be less than range_max")
+        _whole_steps(self.rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class InertialUnit:
+    """An IMU: noise per sample, constant bias, wandering gyro bias."""
+
+    rate_hz: Positive = 200.0
+    gyro_noise: NotNegative = 0.0
+    """rad/s, standard deviation of one sample"""
+    gyro_bias: Vector = (0.0, 0.0, 0.0)
+    """rad/s"""
+    gyro_walk: NotNegative = 0.0
+    """rad/s per √s: how the bias wanders"""
+    accel_noise: NotNegative = 0.0
+    """m/s², standard deviation of one sample"""
+    accel_bias: Vector = (0.0, 0.0, 0.0)
+    """m/s²"""
+
+    def __post_init__(self) -> None:
+        _whole_steps(self.rate_hz)
+
+
+def _whole_steps(rate_hz: float) -> None:
+    if SECOND / rate_hz % STEP:
+        raise ValueError(f"rate_hz must divide the world's {SECOND // STEP} steps a second, not {rate_hz:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFile:
+    """A base with two wheels on a floor with walls and boxes. Needs MuJoCo (the extra `sim`)."""
+
+    kind: Literal["scene"]
+    name: str
+    body: Body
+    start: Start = field(default_factory=Start)
+    friction: Positive = 1.0
+    """Of the wheels on the floor, and of walls, boxes and chassis."""
+    encoder: Encoder = field(default_factory=Encoder)
+    lidars: dict[str, Lidar] = field(default_factory=dict)
+    """By the sensor's name in the robot file, which says where it is mounted; so are `imus`."""
+    imus: dict[str, InertialUnit] = field(default_factory=dict)
+    shaft: ShaftFile = field(default_factory=ShaftFile)
+    """For every motor of the robot that turns no wheel and that `shafts` does not name: a joint that the
+    base carries. It turns by itself and does not push the base."""
+    shafts: dict[str, ShaftFile] = field(default_factory=dict)
+    walls: dict[str, Wall] = field(default_factory=dict)
+    boxes: dict[str, Box] = field(default_factory=dict)
+    tour: tuple[tuple[float, float], ...] = ()
+    """m, goals for a demo, relative to where the robot starts"""
+
+
+WorldFile: TypeAlias = SceneFile | BenchFile

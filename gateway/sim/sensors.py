@@ -1,0 +1,68 @@
+"""What a lidar and an IMU make of the truth: noise, bias, resolution, drop-outs. Seeded, in SI.
+
+Rules. A sensor measures at fixed times (its period, from the world's time 0) and draws from a stream
+of random numbers of its own, so that one sensor's noise does not depend on another's presence.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from brain.perception.mount import Mount
+from gateway.sim.files import InertialUnit, Lidar
+from gateway.sim.rover import Floats, Rover
+from protocols.messages import SECOND, Imu, LaserScan, Nanos
+
+
+def stream(seed: int, name: str) -> np.random.Generator:
+    """Random numbers for one named thing of one run."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *name.encode()])))
+
+
+class LidarSensor:
+    """A planar lidar on a mount. A whole scan is taken at one time."""
+
+    def __init__(self, name: str, file: Lidar, mount: Mount, seed: int) -> None:
+        self.name, self.file, self.mount = name, file, mount
+        self.period: Nanos = round(SECOND / file.rate_hz)
+        self._rng = stream(seed, name)
+        self._increment = 2.0 * math.pi / file.beams
+        angles = -math.pi + self._increment * np.arange(file.beams)
+        self._directions: Floats = np.stack([np.cos(angles), np.sin(angles), np.zeros(file.beams)], axis=1)
+
+    def measure(self, t: Nanos, plant: Rover) -> LaserScan:
+        """A scan at time t. No reading is 0.0; what is nearer than range_min gives no reading."""
+        file = self.file
+        true = plant.rays(self.mount, self._directions, file.range_max)
+        ranges = true + file.noise * self._rng.standard_normal(file.beams)
+        if file.resolution:
+            ranges = np.round(ranges / file.resolution) * file.resolution
+        ranges = np.where(true >= file.range_max, file.range_max, np.minimum(ranges, file.range_max))
+        lost = (ranges < file.range_min) | (self._rng.random(file.beams) < file.dropout)
+        ranges[lost] = 0.0
+        return LaserScan(
+            self.name, t, -math.pi, self._increment, file.range_min, file.range_max, tuple(ranges.tolist())
+        )
+
+
+class ImuSensor:
+    """An inertial sensor on a mount."""
+
+    def __init__(self, name: str, file: InertialUnit, seed: int) -> None:
+        self.name, self.file = name, file
+        self.period: Nanos = round(SECOND / file.rate_hz)
+        self._rng = stream(seed, name)
+        self._gyro_bias: Floats = np.array(file.gyro_bias)
+        self._accel_bias: Floats = np.array(file.accel_bias)
+        self._walk = file.gyro_walk / math.sqrt(file.rate_hz)
+
+    def measure(self, t: Nanos, plant: Rover) -> Imu:
+        """Rates and accelerations at time t. It does not tell an orientation."""
+        gyro, accel = plant.inertial(self.name)
+        noise = self._rng.standard_normal((3, 3))
+        self._gyro_bias += self._walk * noise[0]
+        gyro += self._gyro_bias + self.file.gyro_noise * noise[1]
+        accel += self._accel_bias + self.file.accel_noise * noise[2]
+        return Imu(self.name, t, tuple(gyro.tolist()), tuple(accel.tolist()))

@@ -1,0 +1,79 @@
+"""Bare shafts on a bench: inertia, damping, dry friction, a constant load, hard stops. Scalars only.
+
+Rules. Every shaft starts at rest at 0 and knows no other. Motion is integrated with the semi-implicit
+Euler method; damping is implicit, and dry friction may stop a shaft but never turn it round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from brain.belief import Pose
+from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile
+from protocols.messages import seconds
+
+DT = seconds(STEP)
+
+
+class Shaft:
+    """One joint's output shaft."""
+
+    def __init__(self, file: ShaftFile) -> None:
+        self.file = file
+        self.position = 0.0
+        """rad"""
+        self.velocity = 0.0
+        """rad/s"""
+        self.touches = 0
+        """How often it ran against a hard stop."""
+        self._at_stop = False
+
+    def step(self, torque: float) -> None:
+        """One step of the world under a torque [N·m]."""
+        file = self.file
+        velocity = self.velocity + (torque + file.load) * DT / file.inertia
+        velocity /= 1.0 + file.damping * DT / file.inertia
+        brake = file.friction * DT / file.inertia
+        velocity = max(0.0, velocity - brake) if velocity > 0.0 else min(0.0, velocity + brake)
+        self.position += velocity * DT
+        self.velocity = velocity
+        if file.stops:
+            self._hold_within(*file.stops)
+
+    def _hold_within(self, low: float, high: float) -> None:
+        """The stops are rigid and take all of the shaft's motion."""
+        touching = not low < self.position < high
+        if touching:
+            self.position = min(high, max(low, self.position))
+            self.velocity = 0.0
+            self.touches += not self._at_stop
+        self._at_stop = touching
+
+
+class Bench:
+    """A plant of independent shafts, one for each motor."""
+
+    def __init__(self, file: BenchFile | SceneFile, motors: Iterable[str]) -> None:
+        self._shafts = {name: Shaft(file.shafts.get(name, file.shaft)) for name in motors}
+
+    def __contains__(self, motor: str) -> bool:
+        return motor in self._shafts
+
+    def step(self, torques: Mapping[str, float]) -> None:
+        """One step of the world; a motor that is not named gives no torque."""
+        for name, shaft in self._shafts.items():
+            shaft.step(torques.get(name, 0.0))
+
+    def shaft(self, motor: str) -> tuple[float, float]:
+        """rad, rad/s"""
+        shaft = self._shafts[motor]
+        return shaft.position, shaft.velocity
+
+    def pose(self) -> Pose:
+        """A bench does not move."""
+        return Pose(0.0, 0.0, 0.0)
+
+    @property
+    def touches(self) -> int:
+        """How often shafts ran against their hard stops."""
+        return sum(shaft.touches for shaft in self._shafts.values())

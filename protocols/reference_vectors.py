@@ -1,0 +1,57 @@
+"""Independent vectors: bytes of messages that somebody else's software, firmware or manual vouches for.
+
+Rules. A file is a JSON list; an entry has `name`, `direction` (`to_device`, `from_device`), `bus` (`can`,
+`canfd`, `serial`), `data` (hex), `meaning` (an object) and `source` (package and version, repository and
+commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`. What
+else stands there is the language's own. An entry with KNOWN_SDK_BUG in its name, or BUG in its meaning's
+`note`, records what somebody's software does wrong: a driver must not send it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any, Literal
+
+from protocols.frames import CanFrame, Wire
+from protocols.plugin import Plugin
+
+
+@dataclass(frozen=True, slots=True)
+class Vector:
+    """One message, as somebody else has it."""
+
+    name: str
+    direction: Literal["to_device", "from_device"]
+    wire: Wire
+    meaning: Mapping[str, Any]
+    source: str
+    wrong: bool
+    """It records a mistake of the source's."""
+    entry: Mapping[str, Any]
+    """As it stands in the file."""
+
+
+def vectors_of(plugin: Plugin) -> tuple[Vector, ...]:
+    """What a plugin brings. OSError, ValueError or KeyError if its file is missing or ill-formed."""
+    if plugin.vectors is None:
+        return ()
+    package, path = plugin.vectors
+    return tuple(_vector(entry) for entry in json.loads((files(package) / path).read_text("utf-8")))
+
+
+def _vector(entry: Mapping[str, Any]) -> Vector:
+    meaning, name = entry["meaning"], entry["name"]
+    wrong = "KNOWN_SDK_BUG" in name or "BUG" in str(meaning.get("note", ""))
+    return Vector(name, entry["direction"], _wire(entry), meaning, entry["source"], wrong, entry)
+
+
+def _wire(entry: Mapping[str, Any]) -> Wire:
+    data = bytes.fromhex(entry["data"])
+    if entry["bus"] == "serial":
+        return data
+    fd = entry["bus"] == "canfd"
+    remote, brs = bool(entry.get("rtr", False)), bool(entry.get("brs", False))
+    return CanFrame(entry["id"], data, bool(entry["extended"]), remote, fd, brs)

@@ -1,0 +1,439 @@
+"""Real ends: python-can's in-process bus, UDP on the loopback, and pairs of pseudo-terminals."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+import can
+import pytest
+
+from gateway.buses import Bus, BusError
+from gateway.buses.can import MOST_READ, CanBus, open_can
+from gateway.buses.can_open import can_interfaces, missing
+from gateway.buses.serial import MOST_WAITING as MOST_BYTES
+from gateway.buses.serial import SerialBus, open_serial
+from gateway.buses.states import CALM, MOST_WAITING
+from gateway.core.clock import SimulatedClock, WallClock
+from gateway.core.robot import BusSettings
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import MILLISECOND, SECOND
+
+CAN = BusSettings("can0", "can", "virtual:test_buses", bitrate=500_000)
+T = TypeVar("T")
+
+
+def poll(look: Callable[[], T], tries: int = 100_000) -> T:
+    """Look until there is something: a kernel's buffer takes a moment, and nobody sleeps here."""
+    for _ in range(tries):
+        seen = look()
+        if seen:
+            return seen
+    pytest.fail("nothing came")
+
+
+# -- CAN ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[Bus, Bus]]:
+    one, other = open_can(CAN, SimulatedClock()), open_can(CAN, SimulatedClock())
+    yield one, other
+    one.close()
+    other.close()
+
+
+FRAMES = [
+    CanFrame(0x123, b"\x01\x02"),
+    CanFrame(0x7FF),
+    CanFrame(0x123, remote=True),
+    CanFrame(0x12345678, b"\xff" * 8, extended=True),
+    CanFrame(0x1, bytes(64), fd=True, brs=True),
+    CanFrame(0x123, b"\x03"),
+]
+
+
+def test_frames_arrive_whole_in_order_and_stamped(pair: tuple[Bus, Bus]) -> None:
+    one, other = pair
+    one.write(5, FRAMES)
+    states, packets = other.read(7)
+    assert states == []
+    assert packets == [Packet(7, "can0", frame) for frame in FRAMES]
+    assert other.read(8) == ([], [])
+
+
+def test_own_frames_are_not_heard(pair: tuple[Bus, Bus]) -> None:
+    one, _ = pair
+    one.write(0, FRAMES)
+    assert one.read(1) == ([], [])
+
+
+def test_one_read_is_bounded_and_loses_nothing(pair: tuple[Bus, Bus]) -> None:
+    one, other = pair
+    frames = [CanFrame(n % 2048, bytes([n % 256])) for n in range(MOST_READ + 10)]
+    one.write(0, frames)
+    first, second = other.read(1)[1], other.read(2)[1]
+    assert (len(first), len(second)) == (MOST_READ, 10)
+    assert [packet.wire for packet in (*first, *second)] == frames
+
+
+def test_the_systems_stamp_is_moved_onto_the_clock_and_never_runs_backwards() -> None:
+    clock = WallClock()
+    one, other = open_can(CAN, clock), open_can(CAN, clock)
+    try:
+        before = clock.now()
+        one.write(before, FRAMES[:3])
+        between = clock.now()
+        stamps = [packet.t for packet in other.read(clock.now())[1]]
+        assert stamps == sorted(stamps)
+        assert len(stamps) == 3
+        slack = MILLISECOND  # the two clocks of the machine are read one after the other
+        assert before - slack <= stamps[0] <= stamps[-1] <= between + slack
+        one.write(0, FRAMES[:1])
+        assert other.read(stamps[-1] - 10)[1][0].t == stamps[-1]
+    finally:
+        one.close()
+        other.close()
+
+
+class Wire(can.BusABC):
+    """A back end that fails as told: what no healthy bus can be made to do."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="x")
+        self.sent: list[CanFrame] = []
+        self.failure: Exception | None = None
+        self.incoming: list[can.Message] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if self.failure:
+            raise self.failure
+        self.sent.append(CanFrame(msg.arbitration_id, bytes(msg.data)))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if isinstance(self.failure, can.CanOperationError) and self.failure.error_code == errno.ENETDOWN:
+            raise self.failure
+        return (self.incoming.pop(0), True) if self.incoming else (None, False)
+
+
+@pytest.fixture
+def broken() -> Iterator[tuple[CanBus, Wire]]:
+    wire = Wire()
+    bus = CanBus(CAN, SimulatedClock(), wire)
+    yield bus, wire
+    bus.close()
+    wire.shutdown()
+
+
+@pytest.mark.parametrize(
+    "full",
+    [
+        can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS),
+        can.CanOperationError("Transmit buffer full"),
+        can.CanTimeoutError("the write timed out"),
+    ],
+    ids=["ENOBUFS", "select", "timeout"],
+)
+def test_a_full_queue_is_told_once_and_the_newest_command_wins(
+    broken: tuple[CanBus, Wire], full: Exception
+) -> None:
+    bus, wire = broken
+    wire.failure = full
+    bus.write(0, [CanFrame(1, b"old"), CanFrame(2, b"kept"), CanFrame(1, b"newer")])
+    bus.write(1, [CanFrame(1, b"newest")])
+    assert bus.read(2) == ([BusState.FULL], [])
+    assert bus.read(3) == ([], [])
+    assert wire.sent == []
+    wire.failure = None
+    bus.write(4, [CanFrame(3, b"after")])
+    assert wire.sent == [CanFrame(2, b"kept"), CanFrame(1, b"newest"), CanFrame(3, b"after")]
+    assert bus.dropped == 2
+    assert bus.read(CALM) == ([], [])
+    assert bus.read(3 + CALM) == ([BusState.UP], [])
+
+
+def test_without_a_jam_frames_of_one_id_all_go_out(broken: tuple[CanBus, Wire]) -> None:
+    bus, wire = broken
+    frames = [CanFrame(1, bytes([n])) for n in range(4)]
+    bus.write(0, frames)
+    assert wire.sent == frames
+
+
+def test_the_queue_is_bounded(broken: tuple[CanBus, Wire]) -> None:
+    bus, wire = broken
+    wire.failure = can.CanOperationError("full", errno.ENOBUFS)
+    frames = [CanFrame(n) for n in range(MOST_WAITING + 3)]
+    bus.write(0, frames)
+    wire.failure = None
+    bus.read(1)
+    assert wire.sent == frames[3:]
+    assert bus.dropped == 3
+
+
+def test_an_interface_that_vanishes_is_told_and_what_waited_is_thrown_away(
+    broken: tuple[CanBus, Wire],
+) -> None:
+    bus, wire = broken
+    wire.failure = can.CanOperationError("full", errno.ENOBUFS)
+    bus.write(0, [CanFrame(1, b"stale")])
+    wire.failure = can.CanOperationError("Network is down", errno.ENETDOWN)
+    assert bus.read(1) == ([BusState.FULL, BusState.GONE], [])
+    bus.write(2, [CanFrame(1, b"lost")])
+    assert bus.read(SECOND) == ([], [])
+    other = open_can(CAN, SimulatedClock())
+    try:
+        assert bus.read(1 + SECOND) == ([BusState.BACK], [])
+        assert other.read(2 * SECOND) == ([], [])
+        bus.write(2 * SECOND, [CanFrame(1, b"new")])
+        assert [packet.wire for packet in other.read(2 * SECOND)[1]] == [CanFrame(1, b"new")]
+    finally:
+        other.close()
+    assert wire.sent == []
+    assert bus.dropped == 2
+
+
+def test_an_interface_that_hears_itself_is_not_believed() -> None:
+    wire = Wire()
+    settings = BusSettings("can0", "can", "udp_multicast:239.74.163.2", bitrate=500_000)
+    bus = CanBus(settings, SimulatedClock(), wire)
+    ours, theirs = CanFrame(1, b"ours"), CanFrame(2, b"theirs")
+    bus.write(0, [ours, ours])
+    wire.incoming = [as_message(frame) for frame in (ours, theirs, ours, ours)]
+    assert [packet.wire for packet in bus.read(1)[1]] == [theirs, ours]
+    bus.close()
+
+
+def as_message(frame: CanFrame) -> can.Message:
+    return can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended)
+
+
+def error_frame(what: int, controller: int = 0) -> can.Message:
+    data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
+    return can.Message(arbitration_id=what, data=data, is_error_frame=True)
+
+
+def test_error_frames_are_states_and_never_data(broken: tuple[CanBus, Wire]) -> None:
+    bus, wire = broken
+    wire.incoming = [error_frame(0x004, 0x20), error_frame(0x004, 0x20), error_frame(0x002)]
+    assert bus.read(0) == ([BusState.PASSIVE], [])
+    wire.incoming = [error_frame(0x004, 0x40)]
+    assert bus.read(1) == ([BusState.UP], [])
+    wire.incoming = [error_frame(0x040), error_frame(0x100)]
+    assert bus.read(2) == ([BusState.OFF, BusState.BACK], [])
+
+
+def test_closing_twice_and_using_it_afterwards_hurts_nobody(pair: tuple[Bus, Bus]) -> None:
+    one, other = pair
+    one.close()
+    one.close()
+    one.write(0, FRAMES)
+    assert one.read(10 * SECOND) == ([], [])
+    assert other.read(0) == ([], [])
+
+
+def test_an_adapter_on_a_serial_line_acknowledges_and_stutters() -> None:
+    """Lawicel's language: t = 11-bit frame, r = remote frame, z and bare returns are acknowledgements."""
+    device, host = os.openpty()
+    tty.setraw(device)
+    tty.setraw(host)
+    bus = open_can(
+        BusSettings("can0", "can", f"slcan:{os.ttyname(host)}", bitrate=1_000_000), SimulatedClock()
+    )
+    assert isinstance(bus, CanBus)
+    try:
+        bus.write(0, [CanFrame(0x123, b"\x01\xff"), CanFrame(0x12, remote=True)])
+        sent = b""
+        while not sent.endswith(b"r0120\r"):
+            sent += os.read(device, 1000)
+        assert b"S8\r" in sent
+        assert sent.endswith(b"O\rt123201FF\rr0120\r")
+        os.write(device, b"z\r\rz\rt0452AABB\rtXYZ\rt0\rz\rT123456780\rt04")
+        frames = [CanFrame(0x45, b"\xaa\xbb"), CanFrame(0x12345678, extended=True)]
+        heard: list[object] = []
+        for _ in range(100_000):
+            heard += [packet.wire for packet in bus.read(1)[1]]
+            if len(heard) == 2:
+                break
+        assert heard == frames
+        os.write(device, b"61CC\r")
+        assert [packet.wire for packet in poll(lambda: bus.read(2)[1])] == [CanFrame(0x46, b"\xcc")]
+        assert bus.bad == 2
+        os.close(device)
+        assert poll(lambda: list(bus.read(3)[0])) == [BusState.GONE]
+    finally:
+        bus.close()
+        os.close(host)
+
+
+# -- what cannot be opened ------------------------------------------------------------------------
+
+
+def a_net(tmp_path: Path, **flags: str) -> Path:
+    for name, value in {"lo": "0x9", **flags}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "type").write_text("772\n" if name == "lo" else "280\n")
+        (tmp_path / name / "flags").write_text(value + "\n")
+    return tmp_path
+
+
+def socketcan(channel: str, kind: Any = "can") -> BusSettings:
+    return BusSettings("can0", kind, f"socketcan:{channel}", bitrate=1_000_000, data_bitrate=5_000_000)
+
+
+def test_a_missing_vcan_is_named_with_what_there_is_and_what_to_type(tmp_path: Path) -> None:
+    net = a_net(tmp_path, can1="0x40080", can3="0x40081")
+    said = missing(socketcan("vcan0"), "vcan0", True, net)
+    assert "bus 'can0' cannot be opened as 'socketcan:vcan0'" in said
+    assert "there is no CAN interface 'vcan0'" in said
+    assert "can1, can3." in said
+    assert "sudo ip link add dev vcan0 type vcan\n  sudo ip link set vcan0 up" in said
+
+
+def test_a_missing_can_gets_its_bit_rate(tmp_path: Path) -> None:
+    said = missing(socketcan("can0"), "can0", True, a_net(tmp_path))
+    assert "interfaces of this machine: none" in said
+    assert "sudo ip link set can0 type can bitrate 1000000 restart-ms 100\n  sudo ip link set can0 up" in said
+    said = missing(socketcan("can0", "canfd"), "can0", True, tmp_path)
+    assert "type can bitrate 1000000 dbitrate 5000000 fd on restart-ms 100" in said
+
+
+def test_an_interface_that_is_down_is_told_apart(tmp_path: Path) -> None:
+    net = a_net(tmp_path, can0="0x40080", can1="0x400c1")
+    assert "can0 is down" in missing(socketcan("can0"), "can0", True, net)
+    assert missing(socketcan("can1"), "can1", True, net) == ""
+    assert can_interfaces(net) == ["can0", "can1"]
+
+
+def test_a_kernel_without_can_says_so_and_still_gives_the_lines(tmp_path: Path) -> None:
+    said = missing(socketcan("vcan0"), "vcan0", False, a_net(tmp_path))
+    assert "kernel has no CAN (errno 97" in said
+    assert "ip link add dev vcan0 type vcan" in said
+
+
+def test_a_socketcan_that_is_not_there_is_a_bus_error() -> None:
+    with pytest.raises(BusError, match="socketcan:vcan97") as caught:
+        open_can(socketcan("vcan97"), SimulatedClock())
+    assert "ip link add dev vcan97" in str(caught.value)
+
+
+def test_an_unknown_interface_gets_the_nearest() -> None:
+    settings = BusSettings("can0", "can", "socketcam:can0", bitrate=500_000)
+    with pytest.raises(BusError, match="did you mean 'socketcan'"):
+        open_can(settings, SimulatedClock())
+
+
+# -- serial ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def line() -> Iterator[tuple[int, SerialBus, BusSettings]]:
+    """The device's end of a line, and the bus at the other one."""
+    device, host = os.openpty()
+    tty.setraw(device)
+    tty.setraw(host)
+    os.set_blocking(device, False)
+    settings = BusSettings("line", "serial", f"serial:{os.ttyname(host)}", baudrate=1_000_000)
+    bus = open_serial(settings, SimulatedClock())
+    os.close(host)
+    yield device, bus, settings
+    bus.close()
+    with suppress(OSError):  # a test may have closed it
+        os.close(device)
+
+
+def heard(bus: Bus, now: int) -> bytes:
+    return b"".join(p.wire for p in bus.read(now)[1] if isinstance(p.wire, bytes))
+
+
+def test_bytes_go_both_ways_unchanged(line: tuple[int, SerialBus, BusSettings]) -> None:
+    device, bus, _ = line
+    everything = bytes(range(256))
+    os.write(device, everything)
+    got = b""
+    while len(got) < len(everything):
+        got += poll(lambda: heard(bus, 3))
+    assert got == everything
+    bus.write(4, [everything, b"tail"])
+    assert poll(lambda: os.read(device, 1000)) == everything + b"tail"
+
+
+def test_what_is_there_is_one_packet_stamped_now(line: tuple[int, SerialBus, BusSettings]) -> None:
+    device, bus, _ = line
+    assert bus.read(1) == ([], [])
+    os.write(device, b"abc")
+    packets = poll(lambda: bus.read(9)[1])
+    assert packets == [Packet(9, "line", b"abc")]
+
+
+def test_a_line_that_nobody_reads_drops_whole_wires_and_stays_in_step(
+    line: tuple[int, SerialBus, BusSettings],
+) -> None:
+    device, bus, _ = line
+    wires = [bytes([n % 251]) * 97 for n in range(1000)]
+    for wire in wires:
+        bus.write(0, [wire])
+    assert bus.read(1)[0] == [BusState.FULL]
+    assert bus.dropped > 0
+    got = b""
+    for _ in range(10_000):
+        try:
+            got += os.read(device, 65536)
+        except BlockingIOError:
+            bus.read(2)
+        if len(got) == 97 * (1000 - bus.dropped):
+            break
+    assert len(got) == 97 * (1000 - bus.dropped)
+    pieces = [got[at : at + 97] for at in range(0, len(got), 97)]
+    assert all(len(set(piece)) == 1 for piece in pieces)
+    assert pieces[-1] == wires[-1]
+    assert 1000 - bus.dropped >= MOST_BYTES // 97
+
+
+def test_a_hang_up_is_told_once_and_raises_nothing(line: tuple[int, SerialBus, BusSettings]) -> None:
+    device, bus, _ = line
+    os.close(device)
+    states = poll(lambda: list(bus.read(5)[0]))
+    assert states == [BusState.GONE]
+    bus.write(6, [b"lost"])
+    assert bus.read(7) == ([], [])
+    assert bus.read(5 + SECOND) == ([], [])
+    assert bus.dropped == 1
+
+
+def test_a_port_that_comes_back_is_told(tmp_path: Path) -> None:
+    first, second = os.openpty(), os.openpty()
+    for end in (*first, *second):
+        tty.setraw(end)
+    port = tmp_path / "port"
+    port.symlink_to(os.ttyname(first[1]))
+    bus = open_serial(BusSettings("line", "serial", f"serial:{port}", baudrate=9600), SimulatedClock())
+    try:
+        os.close(first[1])
+        os.close(first[0])
+        assert poll(lambda: list(bus.read(0)[0])) == [BusState.GONE]
+        port.unlink()
+        port.symlink_to(os.ttyname(second[1]))
+        assert bus.read(SECOND // 2) == ([], [])
+        assert bus.read(SECOND) == ([BusState.BACK], [])
+        os.write(second[0], b"hello again")
+        assert poll(lambda: heard(bus, SECOND)) == b"hello again"
+    finally:
+        bus.close()
+        os.close(second[0])
+        os.close(second[1])
+
+
+def test_a_port_in_use_is_told(line: tuple[int, SerialBus, BusSettings]) -> None:
+    with pytest.raises(BusError, match="another program has"):
+        open_serial(line[2], SimulatedClock())
+
+
+def test_a_missing_port_is_told_with_what_there_is() -> None:
+    settings = BusSettings("line", "serial", "serial:/dev/ttyNOWHERE", baudrate=9600)
+    with pytest.raises(BusError, match=r"bus 'line'.*serial:/dev/ttyNOWHERE.*Serial ports of this machine:"):
+        open_serial(settings, SimulatedClock())

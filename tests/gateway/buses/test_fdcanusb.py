@@ -1,0 +1,624 @@
+"""fdcanusb: lines made and read by the package moteus 1.1.1, streams cut anywhere, checksums, both ends."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import select
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, closing
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from moteus import fdcanusb_device as vendor
+from moteus.transport_device import Frame
+
+from gateway.buses import Bus, BusError
+from gateway.buses.adapters import fdcanusb_client
+from gateway.buses.adapters.adapter_pty import AdapterPty
+from gateway.buses.adapters.fdcanusb import Adapter, checksum, command_of, heard_of, sealed, told_of, unsealed
+from gateway.buses.can import CanBus, open_can
+from gateway.buses.lengths import LENGTHS
+from gateway.core.clock import SimulatedClock
+from gateway.core.robot import BusSettings
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import SECOND
+
+RATE, DATA_RATE = 1_000_000, 5_000_000
+FD = BusSettings("can0", "canfd", "twin", RATE, DATA_RATE)
+CLASSIC = BusSettings("can0", "can", "twin", RATE)
+
+# fmt: off
+LINES = [
+    # frame, the command that sends it, what is told of it
+    (CanFrame(0x8005, bytes.fromhex("11001f01130d"), True, False, True, True),
+        "can send 8005 11001F01130D BF",        "rcv 8005 11001F01130D E B F r f-1"),
+    (CanFrame(0x500, b"\x21\x00\x0a\x50", fd=True, brs=True),
+        "can send 0500 21000A50 BF",            "rcv 0500 21000A50 e B F r f-1"),
+    (CanFrame(0x105, bytes(64), fd=True),
+        f"can send 0105 {'00' * 64} bF",        f"rcv 0105 {'00' * 64} e b F r f-1"),
+    (CanFrame(0x12, b"\xff" * 8),
+        f"can send 0012 {'FF' * 8} bf",         f"rcv 12 {'FF' * 8} e b f r f-1"),
+    (CanFrame(0x1ABCDEF0, b"\xde\xad", True),
+        "can send 1abcdef0 DEAD bf",            "rcv 1ABCDEF0 DEAD E b f r f-1"),
+    (CanFrame(0x7FF, b"\x01", True),
+        "can ext 07ff 01 bf",                   "rcv 07FF 01 E b f r f-1"),
+    (CanFrame(0x7E6, remote=True),
+        "can send 07e6 00 bfR",                 "rcv 07E6  e b f R f-1"),
+]
+# fmt: on
+frames = st.builds(
+    lambda number, data, extended, fd, brs: CanFrame(
+        number if extended else number & 0x7FF,
+        data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\0") if fd else data[:8],
+        extended,
+        False,
+        fd,
+        fd and brs,
+    ),
+    st.integers(0, 0x1FFFFFFF),
+    st.binary(min_size=1, max_size=64),
+    st.booleans(),
+    st.booleans(),
+    st.booleans(),
+)
+
+
+# -- lines, against the vendor's own code -------------------------------------------------------------
+
+
+class Written:
+    """Stands for the serial port of the vendor's client, and keeps what it writes."""
+
+    def __init__(self) -> None:
+        self.data = b""
+
+    def write(self, data: bytes) -> None:
+        self.data += data
+
+
+def vendors_client(*, checksums: bool) -> tuple[vendor.FdcanusbDevice, Written]:
+    """The vendor's client, without a port and without its constructor, which wants one."""
+    client = vendor.FdcanusbDevice.__new__(vendor.FdcanusbDevice)
+    written = Written()
+    state = {
+        "_disable_brs": False,
+        "_padding_hex": "50",
+        "_checksum_active": checksums,
+        "_serial": written,
+        "_debug_log": None,
+    }
+    client.__dict__.update(state)
+    return client, written
+
+
+def theirs(frame: CanFrame) -> Frame:
+    return Frame(frame.id, frame.data, len(frame.data), frame.extended, frame.fd, frame.brs)
+
+
+@pytest.mark.parametrize(("frame", "command", "told"), LINES, ids=[line for _, line, _ in LINES])
+def test_a_frame_is_its_lines_in_both_directions(frame: CanFrame, command: str, told: str) -> None:
+    assert command_of(frame) == command
+    assert Adapter(RATE, DATA_RATE).feed(command.encode() + b"\n") == ([frame], b"OK\r\n")
+    assert told_of(frame) == told
+    assert heard_of(told) == frame
+    assert Adapter(RATE, DATA_RATE).tell(0, frame) == told.encode() + b"\r\n"
+
+
+def test_checksums_are_the_vendors() -> None:
+    assert checksum(b"123456789") == vendor._compute_crc8(b"123456789") == 0x94
+    for length in range(40):
+        line = bytes((7 * n + 13 * length) % 256 for n in range(length))
+        assert checksum(line) == vendor._compute_crc8(line)
+        assert sealed(line) == vendor._append_checksum(line)
+
+
+@settings(deadline=None, derandomize=True)
+@given(frames, st.booleans())
+def test_what_the_vendors_client_sends_is_what_we_send_and_what_the_adapter_hears(
+    frame: CanFrame, checksums: bool
+) -> None:
+    """Its classic frames bear no f, and leave the format to the adapter; else the lines are the same."""
+    client, written = vendors_client(checksums=checksums)
+    asyncio.run(client._write_send_frame(theirs(frame)))
+    frames_heard, answer = Adapter(RATE, DATA_RATE).feed(written.data)
+    assert answer == (b"OK *BD\r\n" if checksums else b"OK\r\n")
+    if frame.extended != (frame.id > 0x7FF):
+        return  # the client cannot say that
+    line = command_of(frame).encode()
+    if frame.fd:
+        assert written.data == (sealed(line) if checksums else line) + b"\n"
+        assert frames_heard == [frame]
+    else:
+        assert unsealed(written.data.strip())[0] == line.removesuffix(b"f")
+        assert [(heard.id, heard.data, heard.fd) for heard in frames_heard] == [(frame.id, frame.data, True)]
+
+
+@settings(deadline=None, derandomize=True)
+@given(frames, st.booleans())
+def test_what_the_adapter_tells_is_read_by_the_vendors_client_and_by_us(
+    frame: CanFrame, checksums: bool
+) -> None:
+    adapter = Adapter(RATE, DATA_RATE)
+    adapter.sealed = checksums
+    line, had, right = vendor._strip_and_validate_checksum(adapter.tell(0, frame).strip())
+    assert (had, right) == (checksums, checksums)
+    read = vendors_client(checksums=checksums)[0]._parse_frame(line)
+    assert (read.arbitration_id, read.data, read.is_fd) == (frame.id, frame.data, frame.fd)
+    assert (read.is_extended_id, read.bitrate_switch) == (frame.extended, frame.brs)
+    assert heard_of(line.decode()) == frame
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "rcv",
+        "rcv 123",
+        "rcv  01 e",
+        "rcv 123 0",
+        "rcv 123 0g",
+        "rcv 20000000 00",
+        "rcv 123456789 00",
+        "rcv 123 " + "00" * 9 + " e b f r",
+        "rcv 123 " + "00" * 65 + " F",
+        "rcv 123 00 F R",
+        "rcv +12 00",
+        "rcv 123 00 E\xb2",
+        "RCV 123 00",
+    ],
+)
+def test_what_cannot_be_a_frame_is_none(line: str) -> None:
+    assert heard_of(line) is None
+
+
+def test_what_is_not_told_of_a_frame_is_taken_as_the_vendor_takes_it() -> None:
+    assert heard_of("rcv 500 21") == CanFrame(0x500, b"\x21")
+    assert heard_of("rcv 8005 21") == CanFrame(0x8005, b"\x21", True)
+    assert heard_of("rcv 500 21 F B t12345 f3") == CanFrame(0x500, b"\x21", fd=True, brs=True)
+
+
+# -- commands ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sent", "answers"),
+    [
+        (b"\n\r\n\r", b""),
+        (b"can on\n", b"ERR already in BusOn\r\n"),
+        (b"can off\ncan off\n", b"OK\r\nERR already in BusOff\r\n"),
+        (b"can off\ncan send 123 01\ncan on\n", b"OK\r\nERR not in BusOn state\r\nOK\r\n"),
+        (b"can status\n", b"lec=0 dlec=0 err=0 warn=0 busoff=0 pexc=0 tdc=0\r\n"),
+        (b"conf get can.bitrate\nconf get can.fd_bitrate\n", b"1000000\r\n5000000\r\n"),
+        (
+            b"conf get\nconf get x\nconf set can.bitrate 1e6\n",
+            b"ERR unknown name\r\n" * 2 + b"ERR error setting\r\n",
+        ),
+        (b"can send 123\ncan send 123 \ncan send 123  bf\n", b"ERR insufficient options\r\n" * 3),
+        (b"can send 123 01 bq\ncan send 123 01 *00 \n", b"ERR unknown flag\r\n" * 2),
+        (b"can send xyz 01\ncan send +1 01\ncan std 800 01\ncan ext 20000000 01\n", b"ERR bad id\r\n" * 4),
+        (b"can send 123 012\ncan send 123 " + b"00" * 65 + b"\n", b"ERR data invalid length\r\n" * 2),
+        (b"can send 123 " + b"00" * 9 + b" f\n", b"ERR data invalid length\r\n"),
+        (b"can send 123 0g\ncan send 123 1_\n", b"ERR invalid data\r\n" * 2),
+        (b"can sned 1 2\ncan\nconf write\n", b"ERR unknown subcommand\r\n" * 3),
+        (b"tel get\nOK\n\xff\x00\n", b"ERR unknown command\r\n" * 3),
+        (b"can send " + b"0" * 5000 + b"\ncan off\n", b"ERR line too long\r\nOK\r\n"),
+    ],
+)
+def test_what_is_asked_is_answered_and_what_cannot_be_is_refused(sent: bytes, answers: bytes) -> None:
+    for pieces in ([sent], [bytes([byte]) for byte in sent], [sent[:7], sent[7:]]):
+        adapter = Adapter(RATE, DATA_RATE)
+        told = [adapter.feed(piece) for piece in pieces]
+        assert b"".join(answer for _, answer in told) == answers
+        assert [frame for heard, _ in told for frame in heard] == []
+        assert adapter.refused == answers.count(b"ERR")
+
+
+def test_flags_may_be_left_out_parted_or_said_twice() -> None:
+    adapter = Adapter(RATE, DATA_RATE)
+    said = b"".join(b"can send 1 01%s\n" % flags for flags in (b"", b" b", b" f", b" B F", b" FBf", b" R"))
+    kinds = [(frame.fd, frame.brs, frame.remote) for frame in adapter.feed(said)[0]]
+    assert kinds == [
+        (True, True, False),
+        (True, False, False),
+        (False, False, False),
+        (True, True, False),
+        (False, False, False),
+        (False, False, True),
+    ]
+    assert adapter.feed(b"can std 7ff 01 bf\ncan ext 1 01 bf\n")[0] == [
+        CanFrame(0x7FF, b"\x01"),
+        CanFrame(1, b"\x01", True),
+    ]
+
+
+def test_a_length_that_there_is_not_is_filled_up_with_zeros_on_the_wire() -> None:
+    frames_heard, _ = Adapter(RATE, DATA_RATE).feed(b"can send 1 %s BF\n" % (b"AA" * 33))
+    assert frames_heard == [CanFrame(1, b"\xaa" * 33 + bytes(15), fd=True, brs=True)]
+
+
+def test_a_bus_of_classic_can_takes_no_fd_frames_and_none_are_sent_unasked() -> None:
+    adapter = Adapter(RATE)
+    assert adapter.feed(b"can send 1 01 F\n") == ([], b"ERR this bus carries classic CAN alone\r\n")
+    assert adapter.feed(b"can send 1 01\n") == ([CanFrame(1, b"\x01")], b"OK\r\n")
+
+
+def test_an_adapter_of_another_rate_neither_hears_nor_is_heard() -> None:
+    adapter = Adapter(RATE, DATA_RATE)
+    assert adapter.feed(b"can off\nconf set can.fd_bitrate 2000000\ncan on\n") == ([], b"OK\r\n" * 3)
+    assert adapter.wrong_rate
+    assert adapter.feed(b"can send 1 01\n") == ([], b"OK\r\n")
+    assert adapter.tell(0, CanFrame(1)) == b""
+    adapter.feed(b"conf set can.fd_bitrate 5000000\n")
+    assert adapter.wrong_rate  # until it goes on the bus anew
+    adapter.feed(b"can off\ncan on\n")
+    assert adapter.feed(b"can send 1 01 bf\n")[0] == [CanFrame(1, b"\x01")]
+
+
+# -- checksums -----------------------------------------------------------------------------------------
+
+SEND = b"can send 0123 01 bf"
+FRAME = CanFrame(0x123, b"\x01")
+
+
+def test_once_a_checksum_always_checksums() -> None:
+    adapter = Adapter(RATE, DATA_RATE)
+    assert adapter.feed(SEND + b"\n") == ([FRAME], b"OK\r\n")
+    assert adapter.feed(sealed(SEND) + b"\n") == ([FRAME], sealed(b"OK") + b"\r\n")
+    assert adapter.tell(0, FRAME) == sealed(told_of(FRAME).encode()) + b"\r\n"
+    assert adapter.bad_checksums == 0
+    assert adapter.feed(SEND + b"\n") == ([], sealed(b"ERR checksum missing") + b"\r\n")
+    assert (adapter.refused, adapter.bad_checksums) == (1, 1)
+
+
+def test_a_bad_checksum_changes_nothing_and_is_counted() -> None:
+    """Every single bit that may be wrong in a line: it is refused, unless the line is no longer that one."""
+    line, counted = sealed(SEND), 0
+    for bit in range(8 * len(line)):
+        wrong = bytearray(line)
+        wrong[bit // 8] ^= 1 << bit % 8
+        if wrong[bit // 8] in b"\r\n":
+            continue  # then it is two lines
+        adapter = Adapter(RATE, DATA_RATE)
+        adapter.feed(sealed(b"can off") + b"\n" + sealed(b"can on") + b"\n")
+        heard, answer = adapter.feed(bytes(wrong) + b"\n")
+        if wrong.upper() == line.upper() and wrong[:-3] == line[:-3]:
+            continue  # a hex digit in the other case is the same checksum
+        assert (heard, answer[:3], adapter.bad_checksums) == ([], b"ERR", 1), bytes(wrong)
+        counted += 1
+    assert counted > 8 * len(line) - 16
+
+
+# -- any bytes -----------------------------------------------------------------------------------------
+
+noise = st.lists(
+    st.one_of(
+        st.binary(max_size=30),
+        st.sampled_from([b"\r", b"\n", b"can send 1", b"23 00\n", b"can off\n", b"can on\n", b"0" * 300]),
+        frames.map(lambda frame: command_of(frame).encode() + b"\n"),
+        frames.map(lambda frame: sealed(command_of(frame).encode()) + b"\r\n"),
+    ),
+    max_size=30,
+)
+cuts_of = st.lists(st.integers(1, 40), min_size=1, max_size=10)
+
+
+def cut(data: bytes, cuts: Sequence[int]) -> Iterator[bytes]:
+    at = turn = 0
+    while at < len(data):
+        yield data[at : at + cuts[turn % len(cuts)]]
+        at, turn = at + cuts[turn % len(cuts)], turn + 1
+
+
+@settings(deadline=None, derandomize=True)
+@given(noise, cuts_of)
+def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[bytes], cuts: list[int]) -> None:
+    data = b"".join(pieces)
+    whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
+    said = whole.feed(data)
+    told = [parted.feed(piece) for piece in cut(data, cuts)]
+    assert ([f for heard, _ in told for f in heard], b"".join(answer for _, answer in told)) == said
+    assert (parted.open, parted.sealed, parted.refused) == (whole.open, whole.sealed, whole.refused)
+    lines = [line for line in data.replace(b"\r", b"\n").split(b"\n")[:-1] if line]
+    assert said[1].count(b"\r\n") == len(lines)
+
+
+# -- our own end ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def bus() -> Iterator[AdapterPty]:
+    with closing(AdapterPty(FD, SimulatedClock(), ("fdcanusb", "slcan"))) as made:
+        yield made
+
+
+@pytest.fixture
+def known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every port is an adapter on USB, as far as its ids say."""
+    monkeypatch.setattr(fdcanusb_client, "_is_known", lambda path: True)
+
+
+def at(path: str, kind: BusSettings = FD) -> BusSettings:
+    return BusSettings("can0", kind.kind, f"fdcanusb:{path}", kind.bitrate, kind.data_bitrate)
+
+
+def opened(path: str, kind: BusSettings = FD) -> CanBus:
+    made = open_can(at(path, kind), SimulatedClock())
+    assert isinstance(made, CanBus)
+    return made
+
+
+EVERY = [frame for frame, _, _ in LINES]
+
+
+def meet(ours: Bus, bus: AdapterPty) -> None:
+    bus.read(0)
+    ours.write(1, EVERY)
+    assert [packet.wire for packet in bus.read(1)[1]] == EVERY
+    bus.write(2, EVERY)
+    assert [packet.wire for packet in ours.read(2)[1]] == EVERY
+    ours.write(3, EVERY[:1])
+
+
+def test_our_own_end_meets_the_adapter_in_both_directions(bus: AdapterPty) -> None:
+    with closing(opened(bus.paths[0])) as ours:
+        meet(ours, bus)
+        assert ours.bad == 0
+    states, packets = bus.read(4)
+    assert states == [BusState.GONE]
+    assert [packet.wire for packet in packets] == EVERY[:1]  # the last word arrives
+
+
+@pytest.mark.usefixtures("known")
+def test_and_without_checksums(bus: AdapterPty, caplog: pytest.LogCaptureFixture) -> None:
+    with closing(opened(bus.paths[0])) as ours:
+        meet(ours, bus)
+        assert ours.bad == 0
+    assert caplog.text == ""
+
+
+def test_what_one_program_says_another_on_slcan_hears(bus: AdapterPty) -> None:
+    slcan = BusSettings("can0", "canfd", f"slcan:{bus.paths[1]}", RATE, DATA_RATE)
+    with closing(opened(bus.paths[0])) as ours, closing(open_can(slcan, SimulatedClock())) as other:
+        bus.read(0)
+        ours.write(0, EVERY)
+        other.write(0, EVERY[::-1])
+        bus.read(0)
+        assert [packet.wire for packet in other.read(1)[1]] == EVERY
+        assert [packet.wire for packet in ours.read(1)[1]] == EVERY[::-1]
+
+
+def test_a_frame_without_data_is_refused_and_said_once(
+    bus: AdapterPty, caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(opened(bus.paths[0])) as ours:
+        bus.read(0)
+        for turn in range(3):
+            ours.write(turn, [CanFrame(0x80), CanFrame(0x81, b"\x01")])
+            assert [packet.wire for packet in bus.read(turn)[1]] == [CanFrame(0x81, b"\x01")]
+            assert ours.read(turn) == ([], [])
+    assert caplog.messages == [f"fdcanusb {bus.paths[0]} answers: ERR insufficient options"]
+
+
+class Port:
+    """A pty whose far end the test itself plays."""
+
+    def __init__(self) -> None:
+        self.adapter = AdapterPty(FD, SimulatedClock(), ("fdcanusb",))
+        self.pty = self.adapter._ports[0].pty
+        self.path = self.pty.path
+
+    def heard(self) -> bytes:
+        return self.pty.read()
+
+    def says(self, ours: CanBus, data: bytes, now: int = 0) -> tuple[list[BusState], list[Packet]]:
+        self.pty.write(data)
+        states, packets = ours.read(now)
+        return list(states), list(packets)
+
+
+@pytest.fixture
+def port() -> Iterator[Port]:
+    made = Port()
+    yield made
+    made.adapter.close()
+
+
+def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_reading(port: Port) -> None:
+    with closing(opened(port.path)) as ours:
+        port.heard()
+        good = sealed(told_of(FRAME).encode()) + b"\r\n"
+        wrong = good.replace(b"123", b"124")
+        lines = [
+            good,
+            wrong,
+            told_of(FRAME).encode() + b"\r\n",
+            b"\xff" * 300 + b"\n",
+            sealed(b"rcv 1") + b"\n",
+        ]
+        states, packets = port.says(ours, b"".join([*lines, sealed(b"hello") + b"\n", b"\r\n", good]), 7)
+        assert states == []
+        assert packets == [Packet(7, "can0", FRAME), Packet(7, "can0", FRAME)]
+        assert ours.bad == 5
+
+
+@settings(deadline=None, derandomize=True, max_examples=30)
+@given(noise, cuts_of)
+def test_our_end_raises_nothing_on_any_bytes_cut_anywhere(pieces: list[bytes], cuts: list[int]) -> None:
+    data = b"".join(piece.replace(b"can send", b"rcv") for piece in pieces)
+    counts = []
+    for parts in ([data], list(cut(data, cuts))):
+        port = Port()
+        with closing(port.adapter), closing(opened(port.path)) as ours:
+            port.heard()
+            heard = [packet.wire for part in parts for packet in port.says(ours, part)[1]]
+            counts.append((heard, ours.bad))
+    assert counts[0] == counts[1]
+
+
+def test_checksums_follow_what_the_adapter_complains_of(port: Port) -> None:
+    with closing(opened(port.path)) as ours:
+        port.heard()
+        ours.write(0, [FRAME])
+        assert port.heard() == sealed(SEND) + b"\n"
+        port.says(ours, b"ERR unknown flag\r\n")  # as one that knows no checksums takes it
+        ours.write(0, [FRAME])
+        assert port.heard() == SEND + b"\n"
+        assert port.says(ours, told_of(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
+        port.says(ours, b"ERR checksum required\r\n")
+        ours.write(0, [FRAME])
+        assert port.heard() == sealed(SEND) + b"\n"
+
+
+def test_who_only_listens_hears_an_adapter_that_nobody_has_asked_for_checksums(bus: AdapterPty) -> None:
+    from gateway.monitor.sources import open_source
+
+    source = open_source(at(bus.paths[0]), SimulatedClock())
+    bus.read(0)
+    bus.write(1, EVERY)
+    assert [packet.wire for packet in source.read(1)[1]] == EVERY
+    assert bus.read(2)[1] == []  # it has said nothing
+    source.close()
+
+
+@pytest.mark.usefixtures("known")
+def test_an_adapter_that_is_off_the_bus_is_put_on_it(port: Port) -> None:
+    with closing(opened(port.path)) as ours:
+        ours.read(0)
+        assert port.heard() == b"conf get can.bitrate\nconf get can.fd_bitrate\n"
+        ours.write(0, [FRAME])
+        port.says(ours, b"ERR not in BusOn state\r\n")
+        assert port.heard() == SEND + b"\ncan on\n"
+
+
+@pytest.mark.usefixtures("known")
+def test_an_adapter_of_another_bit_rate_is_told_with_what_to_do(
+    port: Port, caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(opened(port.path)) as ours, caplog.at_level(logging.ERROR):
+        ours.read(0)
+        port.heard()
+        port.says(ours, b"1000000\r\n2000000\r\n")
+        assert ours.bad == 0
+    (said,) = caplog.messages
+    assert said.startswith(
+        f"fdcanusb {port.path} has a can.fd_bitrate of 2000000 bit/s, the robot file says 50"
+    )
+    assert said.endswith("say to it: conf set can.fd_bitrate 5000000, conf write, can off, can on")
+
+
+def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
+    heard: list[CanFrame] = []
+    told: list[BusState] = []
+    with closing(opened(bus.paths[0])) as ours:
+        bus.read(0)
+        for number in range(5000):
+            ours.write(number, [CanFrame(0x100 + number % 3, number.to_bytes(8, "big"))])
+        assert ours.read(5000)[0] == [BusState.FULL]
+        for turn in range(1000):
+            now = turn * SECOND // 200
+            heard += [p.wire for p in bus.read(now)[1] if isinstance(p.wire, CanFrame)]
+            told += ours.read(now)[0]
+    assert told == [BusState.UP]
+    assert 50 < len(heard) < 5000
+    assert [int.from_bytes(frame.data, "big") for frame in heard[-3:]] == [4997, 4998, 4999]
+
+
+def test_what_cannot_be_opened_is_a_sentence_and_what_vanishes_is_told_and_looked_for(
+    tmp_path: Any,
+) -> None:
+    with pytest.raises(BusError, match="No such file"):
+        open_can(at("/dev/there-is-none"), SimulatedClock())
+    with pytest.raises(BusError, match="did you mean 'fdcanusb'"):
+        open_can(BusSettings("can0", "can", "fdcanusbb:/dev/x", RATE), SimulatedClock())
+    link = tmp_path / "adapter"
+    first = AdapterPty(FD, SimulatedClock(), ("fdcanusb",))
+    link.symlink_to(first.paths[0])
+    ours = opened(str(link))
+    assert first.read(0)[0] == [BusState.BACK]
+    with pytest.raises(BusError, match="can0"):
+        opened(first.paths[0])
+    assert first.read(0) == ([], [])  # it was not disturbed
+    first.close()
+    assert ours.read(1) == ([BusState.GONE], [])
+    ours.write(2, [CanFrame(1, b"\x01")])
+    assert ours.dropped == 1
+    with closing(AdapterPty(FD, SimulatedClock(), ("fdcanusb",))) as second:
+        link.unlink()
+        link.symlink_to(second.paths[0])
+        assert ours.read(SECOND // 2) == ([], [])
+        assert ours.read(2 * SECOND)[0] == [BusState.BACK]
+        assert second.read(0)[0] == [BusState.BACK]
+        ours.write(2 * SECOND, EVERY)
+        assert [packet.wire for packet in second.read(1)[1]] == EVERY
+        ours.close()
+
+
+# -- the vendor's own client -----------------------------------------------------------------------------
+
+
+@asynccontextmanager
+async def serving(
+    bus: AdapterPty, answer: Callable[[CanFrame], list[CanFrame]]
+) -> AsyncIterator[list[CanFrame]]:
+    """While inside, a device answers on the bus; what it has heard."""
+    heard: list[CanFrame] = []
+
+    async def serve() -> None:
+        while True:
+            for packet in bus.read(0)[1]:
+                assert isinstance(packet.wire, CanFrame)
+                heard.append(packet.wire)
+                bus.write(0, answer(packet.wire))
+            await asyncio.sleep(0.001)
+
+    task = asyncio.get_running_loop().create_task(serve())
+    try:
+        yield heard
+    finally:
+        task.cancel()
+
+
+def test_the_vendors_client_asks_and_is_answered_with_checksums(bus: AdapterPty) -> None:
+    asked = CanFrame(0x8005, bytes.fromhex("11001f01130d"), True, False, True, True)
+    reply = CanFrame(
+        0x500, bytes.fromhex("21000a2f01000000be0000c03f000040bf230d3129005050"), fd=True, brs=True
+    )
+
+    async def talk() -> tuple[list[CanFrame], list[bytes]]:
+        client = vendor.FdcanusbDevice(bus.paths[0])
+        async with serving(bus, lambda frame: [reply] if frame == asked else []) as heard:
+            answers = []
+            for _ in range(3):
+                request = vendor.FdcanusbDevice.Request(
+                    theirs(asked), frame_filter=lambda frame: frame.arbitration_id == 0x500
+                )
+                await client.transaction([request])
+                answers += [bytes(frame.data) for frame in request.responses]
+            client.close()
+        return heard, answers
+
+    heard, answers = asyncio.run(talk())
+    assert heard == [asked] * 3
+    assert answers == [reply.data] * 3
+
+
+def test_a_program_that_hangs_up_leaves_an_adapter_without_checksums_and_nothing_waiting(
+    bus: AdapterPty,
+) -> None:
+    for turn in range(3):
+        other = os.open(bus.paths[0], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        os.write(other, sealed(SEND) + b"\n" + b"can send 12")  # and is killed in the middle of a line
+        assert bus.read(turn) == ([BusState.BACK], [Packet(turn, "can0", FRAME)])
+        bus.write(turn, [CanFrame(0x1, b"old news")])
+        os.close(other)
+        assert bus.read(turn)[0] == [BusState.GONE]
+    other = os.open(bus.paths[0], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    bus.read(9)
+    os.write(other, SEND + b"\n")
+    assert bus.read(9)[1] == [Packet(9, "can0", FRAME)]
+    assert select.select([other], [], [], 1.0)[0]
+    assert os.read(other, 100) == b"OK\r\n"
+    os.close(other)

@@ -1,0 +1,88 @@
+"""`hear = "own"`: what the kernel then keeps back changes nothing that a driver understands."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from gateway import config
+from gateway.config import resources
+from gateway.config.errors import ConfigError
+from gateway.core.robot import Robot
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND, Event, Scan
+from protocols.plugin import Device, Plugin
+
+TEXT = resources.find("robots", "diffbot").read_text()
+
+
+def own(text: str = TEXT) -> Robot:
+    return config.loads(text.replace("[buses.can0]", '[buses.can0]\nhear = "own"', 1))
+
+
+def let_in(heard: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
+    """As the kernel chooses (linux/can.h): one choice that fits is enough."""
+    return not heard or any(frame.id & mask == number & mask for number, mask in heard)
+
+
+def test_everything_is_heard_unless_the_file_says_otherwise() -> None:
+    assert config.loads(TEXT).buses["can0"].heard == ()
+    text = TEXT.replace("[buses.can0]", '[buses.can0]\nhear = "all"', 1)
+    assert config.loads(text).buses["can0"].heard == ()
+
+
+def test_own_is_what_the_specs_expect_and_overhear() -> None:
+    robot = own()
+    heard = robot.buses["can0"].heard
+    assert robot.buses["sensors"].heard == ()
+    specs = [motor.spec for motor in robot.motors.values()]
+    assert all(let_in(heard, CanFrame(number)) for spec in specs for number in spec.expects)
+    assert not let_in(heard, CanFrame(0x7F0))
+    assert 0 < sum(let_in(heard, CanFrame(number)) for number in range(0x800)) < 0x800 // 4
+
+
+def test_a_serial_line_and_another_word_are_mistakes() -> None:
+    with pytest.raises(ConfigError, match="a serial bus has no ids"):
+        config.loads(TEXT.replace("[buses.sensors]", '[buses.sensors]\nhear = "own"', 1))
+    with pytest.raises(ConfigError, match="hear"):
+        config.loads(TEXT.replace("[buses.can0]", '[buses.can0]\nhear = "mine"', 1))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_driver_is_told_the_same_by_what_is_let_in(seed: int) -> None:
+    """Random frames of every 11-bit id, of the right length more often than not, before and during a scan."""
+    robot = own()
+    (plugin, devices), heard = _of_can0(robot), robot.buses["can0"].heard
+    all_, some = plugin.driver(devices), plugin.driver(devices)
+    random, kept_back = Random(seed), 0
+    said: tuple[list[Event], list[Event]] = ([], [])
+    for n in range(12_000):
+        now = n * MILLISECOND
+        number = random.randrange(0x800)
+        frame = CanFrame(number, _data(random, number), remote=random.random() < 0.02)
+        said[0].extend(all_.receive(now, frame))
+        if let_in(heard, frame):
+            said[1].extend(some.receive(now, frame))
+        else:
+            kept_back += 1
+        if n % 5 == 0:
+            words = [Scan("can0")] if n == 5000 else []
+            for driver, events in zip((all_, some), said, strict=True):
+                told, _ = driver.send(now, words)
+                events.extend(told)
+    assert said[0] == said[1]
+    assert len(said[0]) > 100
+    assert (some.tally.heard, some.tally.bad) == (all_.tally.heard, all_.tally.bad)
+    assert all_.tally.foreign == some.tally.foreign + kept_back > kept_back > 5_000
+
+
+def _of_can0(robot: Robot) -> tuple[Plugin, list[Device]]:
+    found = config.devices(robot, "can0")
+    return found[0][0], [device for _, device in found]
+
+
+def _data(random: Random, number: int) -> bytes:
+    """Eight bytes, mostly; where a node answers a roll call, its own number first."""
+    data = random.randbytes(8 if random.random() < 0.9 else random.randrange(9))
+    return bytes([number >> 5]) + data[1:] if number & 0x1F == 6 and data else data

@@ -1,0 +1,179 @@
+"""Three languages on one CAN FD bus: each driver gets every frame, its own devices and the bus's states."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from gateway import config
+from gateway.__main__ import main
+from gateway.core.step import Gateway, ear_of
+from gateway.core.tick import Inputs, Outputs
+from gateway.recording import read
+from gateway.replay.compare import compare
+from protocols.frames import BusState, CanFrame
+from protocols.messages import SECOND, Command, Feedback, Idle, Mode, Nanos, Velocity
+from tests.gateway.rig import Rig, told
+
+MIXED = """
+name = "mixed"
+rate_hz = 200
+world = "bench"
+[buses.can0]
+kind = "canfd"
+bitrate = 1_000_000
+data_bitrate = 5_000_000
+mixed = "acknowledged"
+interface = "twin"
+[defaults.motors]
+bus = "can0"
+on_fault = "continue"
+feedback_timeout_ms = 300
+limits = { velocity = 20.0, acceleration = 60.0, torque = 2.0 }
+[motors.servo]
+protocol = "moteus"
+address = 1
+options = { can_prefix = 1 }
+[motors.drive]
+protocol = "cia402"
+address = 2
+[motors.arm]
+protocol = "odrive_can"
+address = 3
+options = { watchdog = "acknowledged" }
+[brain]
+body = "joints"
+[brain.joints]
+motors = ["servo", "drive", "arm"]
+"""
+MOTORS = {"servo": "moteus", "drive": "cia402", "arm": "odrive_can"}
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """All ready."""
+    made = Rig(MIXED)
+    made.run(1.2)
+    assert {name: joint.mode for name, joint in made.gateway.joints.items()} == dict.fromkeys(
+        MOTORS, Mode.READY
+    )
+    return made
+
+
+def test_each_motor_turns_and_obeys_nobody_else(rig: Rig) -> None:
+    for turning in MOTORS:
+        ticks = rig.run(0.8, Velocity(turning, 2.0))
+        assert rig.velocity(turning) == pytest.approx(2.0, abs=0.1)
+        assert all(abs(rig.velocity(name)) < 0.02 for name in MOTORS if name != turning)
+        ear = ear_of(rig.robot, "can0")
+        obeyed = {
+            word.motor
+            for tick in ticks
+            for packet in tick.outputs.packets
+            for word in ear.hear(packet.t, packet.wire)
+            if isinstance(word, Command) and not isinstance(word, Idle)
+        }
+        assert obeyed == {turning}
+        rig.run(0.5, Idle(turning))
+    assert [note for note in told(rig.ticks) if note.level == "error"] == []
+
+
+def test_every_frame_is_counted_once_by_every_language_and_is_understood_by_one(rig: Rig) -> None:
+    rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
+    received = sum(len(tick.inputs.packets) for tick in rig.ticks)
+    tallies = {language: tally for _, language, tally in rig.gateway.tallies()}
+    assert list(tallies) == list(MOTORS.values())
+    assert [tally.heard + tally.bad + tally.foreign for tally in tallies.values()] == [received] * 3
+    assert sum(tally.heard for tally in tallies.values()) == received
+    assert all(tally.bad == 0 and tally.heard > 200 for tally in tallies.values())
+    for packets in ("inputs", "outputs"):
+        wires = [p.wire for tick in rig.ticks for p in getattr(tick, packets).packets]
+        kinds = {(w.fd, w.brs, w.extended) for w in wires if isinstance(w, CanFrame)}
+        assert kinds == {(False, False, False), (True, True, True)}
+
+
+def test_a_bus_that_vanishes_and_comes_back_is_told_to_all_of_them(rig: Rig) -> None:
+    rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
+    rig.world.lose("can0")
+    ticks = rig.run(1.0)
+    assert [state for tick in ticks for _, state in tick.inputs.states] == [BusState.GONE]
+    assert all(rig.gateway.joints[name].mode in (Mode.OFFLINE, Mode.FAULT) for name in MOTORS)
+    rig.world.restore("can0")
+    ticks = rig.run(1.5)
+    assert [state for tick in ticks for _, state in tick.inputs.states] == [BusState.BACK]
+    heard = {e.motor for tick in ticks[-100:] for e in tick.outputs.events if isinstance(e, Feedback)}
+    assert heard == set(MOTORS)
+    assert all(abs(rig.velocity(name)) < 0.05 for name in ("servo", "drive"))  # their watchdogs saw to that
+
+
+def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, recording = tmp_path / "mixed.toml", tmp_path / "mixed.mcap"
+    robot.write_text(MIXED)
+    assert main(["run", str(robot), "--fast", "--seconds", "1", "--record", str(recording)]) == 0
+    assert main(["replay", str(recording)]) == 0
+    assert "the same, byte for byte" in capsys.readouterr().out
+    with recording.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    ways = ("to_can_bus", "to_can_bus_fd", "from_can_bus", "from_can_bus_fd")
+    assert {f"/can0/{way}" for way in ways} <= topics
+
+    told = read(recording)
+    robot_told = config.loads(told.robot_text)
+    gateway = Gateway(robot_told)
+    spoilt: list[CanFrame] = []
+
+    def step(now: Nanos, inputs: Inputs) -> Outputs:
+        """The gateway, but that the last bit of one CAN FD frame that it says is another one."""
+        outputs = gateway.step(now, inputs)
+        for at, packet in enumerate(outputs.packets):
+            wire = packet.wire
+            if isinstance(wire, CanFrame) and wire.fd and now > SECOND // 2 and not spoilt:
+                spoilt.append(wire)
+                wrong = replace(packet, wire=replace(wire, data=wire.data[:-1] + bytes([wire.data[-1] ^ 1])))
+                return replace(outputs, packets=(*outputs.packets[:at], wrong, *outputs.packets[at + 1 :]))
+        return outputs
+
+    verdict = compare(told, step, gateway.belief, lambda bus: ear_of(robot_told, bus))
+    assert (verdict.differing, verdict.ok) == (1, False)
+    assert verdict.first is not None
+    assert str(spoilt[0]) in verdict.first.text
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        # a moteus without a prefix heeds every id whose low byte is its own, whatever kind of frame it is
+        (("can_prefix = 1", "can_prefix = 0"), "drive.*0x601.*'servo' would obey what it is sent"),
+        # 0x080 is SYNC, and the version of an ODrive's node 4
+        (("address = 3", "address = 4"), "arm.*0x082 .*0x080 .'drive' would obey what it reports there"),
+        # 0x000 is NMT, and all of node 0's
+        (("address = 3", "address = 0"), "arm.*0x000 .'drive' would obey what it reports there"),
+        # 0x202 is RPDO1 of node 2, and Estop of node 16
+        (("address = 3", "address = 16"), "arm.*0x202"),
+    ],
+)
+def test_ids_that_clash_are_told(change: tuple[str, str], said: str) -> None:
+    with pytest.raises(config.ConfigError) as raised:
+        config.loads(MIXED.replace(*change))
+    assert any(re.search(said, str(mistake)) for mistake in raised.value.mistakes), str(raised.value)
+
+
+def test_all_clashes_are_told_at_once() -> None:
+    text = MIXED.replace("can_prefix = 1", "can_prefix = 0").replace("address = 3", "address = 4")
+    with pytest.raises(config.ConfigError) as raised:
+        config.loads(text)
+    assert len(raised.value.mistakes) == 2
+
+
+def test_check_tells_the_load_of_frames_of_both_kinds() -> None:
+    """Each motor 200 commands and 100 reports a second: 52 µs each of moteus, 125 µs each of the others."""
+    said = config.describe(config.loads(MIXED))
+    assert re.search(r"can0 +canfd +1000000 bit/s, data 5000000 bit/s +twin +at least 9 %", said)

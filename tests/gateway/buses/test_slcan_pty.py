@@ -1,0 +1,496 @@
+"""The adapter's end of slcan: vectors, python-can's own client, streams cut anywhere, ptys."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+from collections.abc import Iterator
+from contextlib import closing
+from importlib.resources import files
+from typing import Any
+
+import can
+import pytest
+from can.interfaces.slcan import slcanBus
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gateway.buses.adapters.adapter_pty import AdapterPty
+from gateway.buses.adapters.pty import Pty, SerialPty
+from gateway.buses.adapters.slcan import Adapter, frame_of, line_of, rate_of
+from gateway.buses.can import open_can
+from gateway.buses.lengths import LENGTHS
+from gateway.core.clock import SimulatedClock
+from gateway.core.robot import BusSettings
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import MILLISECOND
+
+RATE, DATA_RATE = 1_000_000, 5_000_000
+CLASSIC = BusSettings("can0", "can", "twin", RATE)
+FD = BusSettings("can0", "canfd", "twin", RATE, DATA_RATE)
+VECTORS: list[dict[str, Any]] = json.loads((files("gateway.fixtures") / "vectors" / "slcan.json").read_text())
+
+# fmt: off
+FRAMES = [
+    # frame, its line, source
+    (CanFrame(0x123, b"\x11\x22\x33"),                        "t1233112233"),
+    (CanFrame(0x1ABCDEF0, b"\xde\xad", extended=True),        "T1ABCDEF02DEAD"),
+    (CanFrame(0x7E6, remote=True),                            "r7E60"),
+    (CanFrame(0x12345, remote=True, extended=True),           "R000123450"),
+    (CanFrame(0x7FF, b""),                                    "t7FF0"),
+    (CanFrame(0x001, bytes(12), fd=True),                     "d0019" + "00" * 12),
+    (CanFrame(0x1FFFFFFF, bytes(64), True, False, True),      "D1FFFFFFFF" + "00" * 64),
+    (CanFrame(0x001, b"\x01", fd=True, brs=True),             "b001101"),
+    (CanFrame(0x8001, bytes(range(12)), True, False, True, True), "B000080019000102030405060708090A0B"),
+]
+# fmt: on
+frames = st.builds(
+    lambda number, data, extended, fd, brs: CanFrame(
+        number if extended else number & 0x7FF,
+        data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\0") if fd else data[:8],
+        extended,
+        False,
+        fd,
+        fd and brs,
+    ),
+    st.integers(0, 0x1FFFFFFF),
+    st.binary(max_size=64),
+    st.booleans(),
+    st.booleans(),
+    st.booleans(),
+)
+
+
+def opened(data_bitrate: int = DATA_RATE) -> Adapter:
+    adapter = Adapter(RATE, data_bitrate)
+    assert adapter.feed(b"S8\rO\r") == ([], b"\r\r")
+    return adapter
+
+
+# -- bytes -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("frame", "line"), FRAMES, ids=[line[:12] for _, line in FRAMES])
+def test_a_frame_is_its_line_in_both_directions(frame: CanFrame, line: str) -> None:
+    assert line_of(frame) == line
+    assert frame_of(line) == frame
+    assert frame_of(line.lower().replace(line[0].lower(), line[0], 1)) == frame
+    answer = b"Z\r" if frame.extended else b"z\r"
+    assert opened().feed(line.encode() + b"\r") == ([frame], answer)
+    assert opened().tell(0, frame) == line.encode() + b"\r"
+
+
+@settings(deadline=None, derandomize=True)
+@given(frames)
+def test_any_frame_survives(frame: CanFrame) -> None:
+    assert frame_of(line_of(frame)) == frame
+
+
+def test_the_vectors_are_what_we_hear_and_say() -> None:
+    """Bytes of python-can 4.6.1 over a pty, in the order in which it said them; each with its source."""
+    assert all("python-can 4.6.1" in vector["source"] for vector in VECTORS)
+    adapter = Adapter(RATE, DATA_RATE)
+    heard: dict[str, tuple[list[CanFrame], bytes]] = {}
+    said: list[str] = []
+    for vector in VECTORS:
+        data, meaning = bytes.fromhex(vector["data"]), vector["meaning"]
+        if vector["direction"] == "to_device":
+            heard[vector["name"]] = adapter.feed(data)
+        elif "id" in meaning:
+            frame = CanFrame(
+                meaning["id"],
+                bytes.fromhex(meaning.get("data", "")),
+                meaning.get("extended", False),
+                meaning.get("rtr", False),
+            )
+            assert adapter.tell(0, frame) == data
+            said.append(vector["name"])
+    assert said == ["rx_t10081122334455667788", "rx_T000002904DEADBEEF", "rx_r7E60"]
+    assert heard == {
+        "open_1M#0": ([], b"\r"),
+        "open_1M#4": ([], b"\r"),
+        "open_1M#6": ([], b"\r"),
+        "open_1M#8": ([], b"\r"),
+        "tx_std_0x123_3bytes": ([FRAMES[0][0]], b"z\r"),
+        "tx_ext_0x1abcdef0": ([FRAMES[1][0]], b"Z\r"),
+        "tx_rtr_0x7e6": ([FRAMES[2][0]], b"z\r"),
+        "tx_fd_brs_ext_12bytes": ([FRAMES[8][0]], b"Z\r"),
+        "version_serial#2": ([], b"NTWIN\r"),
+        "close#0": ([], b"\r"),
+    }
+
+
+# -- commands --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sent", "answers"),
+    [
+        (b"V\r", b"V1001\r"),
+        (b"N\r", b"NTWIN\r"),
+        (b"\r\r", b"\r\r"),
+        (b"C\rC\r", b"\r\r"),
+        (b"O\rO\r", b"\r\r"),
+        (b"S8\rO\rF\r", b"\r\rF00\r"),
+        (b"s0014\rO\rF\r", b"\r\rF00\r"),  # Lawicel's table: 1 Mbit/s
+        (b"S6\rO\rF\r", b"\r\rFA0\r"),
+        (b"S8\rY2\rO\rF\r", b"\r\r\rFA0\r"),
+        (b"S8\rY5\rO\rF\r", b"\r\r\rF00\r"),
+        (b"F\r", b"\a"),  # closed
+        (b"t1230\r", b"\a"),  # closed
+        (b"O\rC\rt1230\r", b"\r\r\a"),
+        (b"L\rt1230\r", b"\r\a"),  # listens only
+        (b"O\rS6\r", b"\r\a"),  # open
+        (b"O\rZ1\r", b"\r\a"),  # open
+        (b"O\rt1239" + b"00" * 9 + b"\r", b"\r\a"),
+        (b"O\rt12321122334455\r", b"\r\a"),
+        (b"O\rt123211\r", b"\r\a"),
+        (b"O\rt8000\r", b"\r\a"),
+        (b"O\rT200000000\r", b"\r\a"),
+        (b"O\rt1 30\r", b"\r\a"),
+        (b"O\rt+120\r", b"\r\a"),
+        (b"O\rt12321_1\r", b"\r\a"),
+        ("O\rt12\u0663\u0660\r".encode(), b"\r\a"),
+        (b"O\rr7E6011\r", b"\r\a"),
+        (b"S\rSA\rs00\rs00GG\rY9\rZ2\rZ\rX\rVx\rOO\rL1\rt\rT\r", b"\a" * 13),
+        (b"x" * 5000 + b"\rV\r", b"\aV1001\r"),
+    ],
+)
+def test_what_is_asked_is_answered_and_what_cannot_be_rings(sent: bytes, answers: bytes) -> None:
+    for pieces in ([sent], [bytes([byte]) for byte in sent], [sent[:7], sent[7:]]):
+        adapter = Adapter(RATE, DATA_RATE)
+        told = [adapter.feed(piece) for piece in pieces]
+        assert b"".join(answer for _, answer in told) == answers
+        assert [frame for heard, _ in told for frame in heard] == []
+
+
+def test_bus_timing_registers_of_the_manual() -> None:
+    """Lawicel CAN232 manual: 0x031C is 125 kbit/s; 0x00 0x14 is 1 Mbit/s, 0x00 0x1C 500 kbit/s."""
+    assert [rate_of(btr) for btr in ("031C", "0014", "001C", "00", "001g", "00 1")] == [
+        125_000,
+        1_000_000,
+        500_000,
+        None,
+        None,
+        None,
+    ]
+
+
+def test_an_adapter_of_another_rate_neither_hears_nor_is_heard() -> None:
+    adapter = Adapter(500_000)
+    adapter.feed(b"S8\rO\r")
+    assert adapter.wrong_rate
+    assert adapter.feed(b"t1230\r") == ([], b"\a")
+    assert adapter.tell(0, CanFrame(1)) == b""
+    assert adapter.feed(b"C\rS6\rO\rt1230\r") == ([CanFrame(0x123)], b"\r\r\rz\r")
+
+
+def test_a_bus_of_classic_can_takes_no_fd_frames() -> None:
+    assert opened(data_bitrate=0).feed(b"d0010\rb0010\r") == ([], b"\a\a")
+
+
+def test_timestamps_are_milliseconds_of_a_minute_and_only_where_asked_for() -> None:
+    adapter = Adapter(RATE)
+    adapter.feed(b"Z1\rO\r")
+    frame = CanFrame(0x100, b"\x01")
+    assert adapter.tell(1234 * MILLISECOND, frame) == b"t100101" + b"04D2\r"
+    assert adapter.tell(60_001 * MILLISECOND, frame) == b"t100101" + b"0001\r"
+    adapter.feed(b"C\rZ0\rO\r")
+    assert adapter.tell(0, frame) == b"t100101\r"
+
+
+def test_a_loss_is_told_once_by_the_flags() -> None:
+    adapter = opened()
+    adapter.overrun = True
+    assert adapter.feed(b"F\rF\r")[1] == b"F08\rF00\r"
+
+
+noise = st.lists(
+    st.one_of(
+        st.binary(max_size=30),
+        st.sampled_from([b"\r", b"O\r", b"C\r", b"S8\r", b"t1231", b"11\r", b"B", b"F\r", b"0" * 200]),
+        frames.map(lambda frame: line_of(frame).encode() + b"\r"),
+    ),
+    max_size=30,
+)
+
+
+@settings(deadline=None, derandomize=True)  # the machine may be busy; the same cases every time
+@given(noise, st.lists(st.integers(1, 40), min_size=1, max_size=10))
+def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[bytes], cuts: list[int]) -> None:
+    data = b"".join(pieces)
+    whole, cut = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
+    frames_whole, answers_whole = whole.feed(data)
+    frames_cut: list[CanFrame] = []
+    answers_cut = b""
+    at = turn = 0
+    while at < len(data):
+        size = cuts[turn % len(cuts)]
+        heard, answers = cut.feed(data[at : at + size])
+        frames_cut += heard
+        answers_cut += answers
+        at, turn = at + size, turn + 1
+    assert (frames_cut, answers_cut) == (frames_whole, answers_whole)
+    assert len(answers_whole.replace(b"\a", b"\r").split(b"\r")) - 1 == data.count(b"\r")
+    assert cut.open == whole.open
+
+
+# -- a pty -----------------------------------------------------------------------------------------
+
+
+def wait_for(readable: int) -> None:
+    """A pty hands bytes over in the kernel's own time: at most a second of it."""
+    assert select.select([readable], [], [], 1.0)[0]
+
+
+def open_path(path: str) -> int:
+    return os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+
+@pytest.fixture
+def pty() -> Iterator[Pty]:
+    with closing(Pty()) as made:
+        yield made
+
+
+def test_bytes_pass_a_pty_unchanged_in_both_directions(pty: Pty) -> None:
+    every = bytes(range(256))
+    other = open_path(pty.path)
+    assert pty.read() == b""
+    assert pty.connected
+    os.write(other, every)
+    pty.write(every)
+    wait_for(other)
+    assert os.read(other, 1000) == every
+    assert pty.read() == every
+    os.close(other)
+
+
+def connected(pty: Pty) -> bool:
+    return pty.connected
+
+
+def test_who_opens_a_pty_finds_nothing_that_was_said_before(pty: Pty) -> None:
+    assert not connected(pty)
+    pty.write(b"to nobody")
+    for words in (b"first", b"second", b"third"):
+        other = open_path(pty.path)
+        pty.read()
+        assert connected(pty)
+        with pytest.raises(BlockingIOError):
+            os.read(other, 100)
+        pty.write(b"not read by " + words)
+        os.write(other, b"last words of " + words)
+        os.close(other)
+        assert pty.read() == b"last words of " + words
+        assert not connected(pty)
+        pty.write(b"too late")
+
+
+def test_a_reader_that_does_not_read_loses_whole_old_wires_and_nothing_stands_still(pty: Pty) -> None:
+    other = open_path(pty.path)
+    pty.read()
+    wires = [b"%06d:" % number + b"x" * 93 for number in range(1000)]
+    for wire in wires:
+        pty.write(wire)
+    assert pty.dropped > 500
+    got = b""
+    for _ in range(1000):
+        pty.read()
+        if not select.select([other], [], [], 0.05)[0]:
+            break
+        got += os.read(other, 65536)
+    os.close(other)
+    whole = [got[at : at + 100] for at in range(0, len(got), 100)]
+    assert len(whole) == 1000 - pty.dropped
+    assert [wire for wire in wires if wire in whole] == whole
+    assert whole[-1] == wires[-1]
+
+
+def test_a_serial_bus_on_a_pty_tells_who_comes_and_goes() -> None:
+    bus = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000), SimulatedClock())
+    assert bus.read(0) == ([], [])
+    other = open_path(bus.pty.path)
+    assert bus.read(1) == ([BusState.BACK], [])
+    os.write(other, b"hello")
+    os.close(other)
+    assert bus.read(2) == ([BusState.GONE], [Packet(2, "sensors", b"hello")])
+    bus.close()
+    assert not os.path.exists(bus.pty.path)  # noqa: PTH110 -- a device, not a file
+
+
+# -- python-can's own client -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def bus() -> Iterator[AdapterPty]:
+    with closing(AdapterPty(FD, SimulatedClock(), ("slcan", "slcan"))) as made:
+        yield made
+
+
+def client(path: str, **options: Any) -> slcanBus:
+    return slcanBus(path, sleep_after_open=0.0, timeout=0.0, **options)
+
+
+def heard_by(wire: can.BusABC, seconds: float = 1.0) -> can.Message | None:
+    """The next frame; acknowledgements are none."""
+    for _ in range(100):
+        message = wire.recv(seconds / 100)
+        if message is not None:
+            return message
+    return None
+
+
+def message_of(frame: CanFrame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_remote_frame=frame.remote,
+        is_fd=frame.fd,
+        bitrate_switch=frame.brs,
+    )
+
+
+def test_python_can_speaks_with_the_adapter_in_both_directions(bus: AdapterPty) -> None:
+    wire = client(bus.paths[0], bitrate=RATE)
+    assert bus.read(0) == ([BusState.BACK], [])
+    for frame, _ in FRAMES:
+        wire.send(message_of(frame))
+        assert bus.read(1) == ([], [Packet(1, "can0", frame)])
+        bus.write(2, [frame])
+        told = heard_by(wire)
+        assert told is not None
+        assert told.equals(message_of(frame), timestamp_delta=None, check_direction=False)
+    wire.shutdown()
+    assert bus.read(3) == ([BusState.GONE], [])
+
+
+def test_what_one_program_says_the_other_hears_and_not_itself(bus: AdapterPty) -> None:
+    first, second = (client(path) for path in bus.paths)
+    bus.read(0)
+    first.send(message_of(FRAMES[0][0]))
+    bus.read(1)
+    told = heard_by(second)
+    assert told is not None
+    assert told.arbitration_id == 0x123
+    assert heard_by(first, 0.05) is None
+    first.shutdown()
+    assert bus.read(2)[0] == []  # the second is still there
+    second.shutdown()
+    assert bus.read(3)[0] == [BusState.GONE]
+
+
+def test_a_program_that_hangs_up_without_a_word_leaves_a_closed_adapter(bus: AdapterPty) -> None:
+    for turn in range(3):
+        other = open_path(bus.paths[0])
+        os.write(other, b"S8\rO\rt12")  # and is killed in the middle of a line
+        assert bus.read(turn)[0] == [BusState.BACK]
+        bus.write(turn, [CanFrame(0x1, b"old news")])
+        os.close(other)
+        assert bus.read(turn)[0] == [BusState.GONE]
+    wire = client(bus.paths[0])
+    bus.read(9)
+    wire.send(message_of(FRAMES[0][0]))
+    assert bus.read(9)[1] == [Packet(9, "can0", FRAMES[0][0])]
+    assert heard_by(wire, 0.05) is None
+    wire.shutdown()
+
+
+def test_another_bit_rate_is_told(bus: AdapterPty) -> None:
+    wire = client(bus.paths[0], bitrate=500_000)
+    assert bus.read(0)[0] == [BusState.PASSIVE]
+    wire.set_bitrate(RATE)
+    assert bus.read(1)[0] == [BusState.BACK]
+    wire.shutdown()
+
+
+def test_a_slow_program_loses_the_oldest_frames_and_the_flags_say_so(bus: AdapterPty) -> None:
+    other = open_path(bus.paths[0])
+    os.write(other, b"O\r")
+    bus.read(0)
+    for number in range(2000):
+        bus.write(number, [CanFrame(0x100, number.to_bytes(8, "big"))])
+    assert bus.dropped > 0
+    os.write(other, b"F\r")
+    lines = b""
+    for turn in range(1000):
+        bus.read(turn)
+        if b"F08\r" in lines:
+            break
+        wait_for(other)
+        lines += os.read(other, 65536)
+    frames_heard = [frame for line in lines.decode().split("\r") if (frame := frame_of(line))]
+    assert frames_heard[-1].data == (1999).to_bytes(8, "big")
+    assert len(frames_heard) == 2000 - bus.dropped
+    os.close(other)
+
+
+# -- our own end -----------------------------------------------------------------------------------
+
+
+def test_our_own_end_meets_the_adapter_in_both_directions(bus: AdapterPty) -> None:
+    settings = BusSettings("can0", "canfd", f"slcan:{bus.paths[0]}", RATE, DATA_RATE)
+    every = [frame for frame, _ in FRAMES]
+    with closing(open_can(settings, SimulatedClock())) as ours:
+        bus.read(0)
+        ours.write(1, every)
+        assert [packet.wire for packet in bus.read(1)[1]] == every
+        bus.write(2, every)
+        assert [packet.wire for packet in ours.read(2)[1]] == every
+        ours.write(3, every[:1])
+    states, packets = bus.read(4)
+    assert states == [BusState.GONE]
+    assert [packet.wire for packet in packets] == every[:1]  # the last word arrives
+
+
+def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
+    settings = BusSettings("can0", "can", f"slcan:{bus.paths[0]}", RATE)
+    heard: list[CanFrame] = []
+    told: list[BusState] = []
+    with closing(open_can(settings, SimulatedClock())) as ours:
+        bus.read(0)
+        for number in range(5000):
+            ours.write(number, [CanFrame(0x100 + number % 3, number.to_bytes(8, "big"))])
+        assert ours.read(5000)[0] == [BusState.FULL]
+        for turn in range(1000):
+            now = turn * 5 * MILLISECOND
+            heard += [p.wire for p in bus.read(now)[1] if isinstance(p.wire, CanFrame)]
+            told += ours.read(now)[0]
+    assert told == [BusState.UP]
+    assert 100 < len(heard) < 5000
+    assert [int.from_bytes(frame.data, "big") for frame in heard[-3:]] == [4997, 4998, 4999]
+
+
+def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
+    from gateway.buses import BusError
+
+    with closing(AdapterPty(FD, SimulatedClock())) as adapters:
+        path = adapters.paths[0]
+        for settings, said in (
+            (BusSettings("can0", "can", "slcan:/dev/there-is-none", RATE), "No such file"),
+            (BusSettings("can0", "can", "slcan:/dev/null", RATE), "Could not configure port"),
+            (BusSettings("can0", "can", f"slcan:{path}", 123), "Invalid bitrate"),
+            (BusSettings("can0", "canfd", f"slcan:{path}", RATE, 3_000_000), "Invalid data bitrate"),
+        ):
+            with pytest.raises(BusError, match=said):
+                open_can(settings, SimulatedClock())
+        assert not connected(adapters._ports[0].pty)
+
+
+def test_our_own_end_tells_a_vanished_adapter_and_one_that_is_taken() -> None:
+    from gateway.buses import BusError
+
+    adapters = AdapterPty(CLASSIC, SimulatedClock())
+    settings = BusSettings("can0", "can", f"slcan:{adapters.paths[0]}", RATE)
+    ours = open_can(settings, SimulatedClock())
+    assert adapters.read(0)[0] == [BusState.BACK]
+    with pytest.raises(BusError, match="can0"):
+        open_can(settings, SimulatedClock())
+    ours.write(0, [CanFrame(0x123)])
+    assert adapters.read(0) == ([], [Packet(0, "can0", CanFrame(0x123))])  # it was not disturbed
+    adapters.close()
+    assert ours.read(1) == ([BusState.GONE], [])
+    ours.write(2, [CanFrame(1)])  # says nothing, raises nothing
+    ours.close()

@@ -1,0 +1,360 @@
+"""A SocketCAN bus over a pair of datagram sockets, which carry the kernel's struct can_frame, stamps and all.
+
+What only a kernel with CAN can do (own frames, interfaces that go, ENOBUFS) is in tests/real_can."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import socket
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from gateway.buses import BusError
+from gateway.buses.can_open import check_fit, filters
+from gateway.buses.socketcan import bus as socketcan
+from gateway.buses.socketcan.bus import MOST_READ, OFTEN, PATIENCE, SELDOM, SocketcanBus
+from gateway.buses.socketcan.frame_struct import pack
+from gateway.buses.socketcan.link import Link, Standing
+from gateway.buses.states import CALM
+from gateway.core.clock import SimulatedClock, WallClock
+from gateway.core.robot import BusSettings
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import MILLISECOND, SECOND
+
+SETTINGS = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
+LINK = Link(
+    "can0", 7, up=True, mtu=16, queue=10, kind="can", state=BusState.UP, bitrate=1_000_000, restart_ms=0
+)
+SO_TIMESTAMPNS = 35
+
+
+class End:
+    """A socket as python-can opens one."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self.socket = end
+        end.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+
+    def shutdown(self) -> None:
+        self.socket.close()
+
+
+@dataclass
+class Kernel:
+    """What the kernel says of can0."""
+
+    standing_: Standing | None = field(default_factory=lambda: Standing(7, up=True, running=True))
+    link_: Link | None = LINK
+    closed: bool = False
+
+    def standing(self) -> Standing | None:
+        return self.standing_
+
+    def link(self) -> Link | None:
+        return self.link_
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@dataclass
+class Rig:
+    bus: SocketcanBus
+    ours: socket.socket
+    wire: socket.socket
+    kernel: Kernel
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    theirs.setblocking(False)
+    kernel = Kernel()
+    bus = SocketcanBus(SETTINGS, SimulatedClock(), End(ours), kernel)
+    yield Rig(bus, ours, theirs, kernel)
+    bus.close()
+    bus.close()
+    theirs.close()
+    assert kernel.closed
+
+
+def error_frame(classes: int, *data: int) -> bytes:
+    return struct.pack("=IB3x8s", 0x2000_0000 | classes, 8, bytes(data))
+
+
+FRAMES = [
+    CanFrame(1, b"one"),
+    CanFrame(0x1234567, b"two", extended=True),
+    CanFrame(3, bytes(12), fd=True, brs=True),
+]
+
+
+def test_frames_go_both_ways_whole_and_in_order(rig: Rig) -> None:
+    rig.bus.write(1, FRAMES)
+    assert [rig.wire.recv(100) for _ in FRAMES] == [pack(frame) for frame in FRAMES]
+    for frame in FRAMES:
+        rig.wire.send(pack(frame))
+    rig.wire.send(b"no frame at all")
+    assert rig.bus.read(5) == ([], [Packet(5, "can0", frame) for frame in FRAMES])
+    assert rig.bus.read(6) == ([], [])
+    assert (rig.bus.bad, rig.bus.missed, rig.bus.dropped) == (1, 0, 0)
+
+
+def test_the_kernels_stamp_is_moved_onto_our_clock() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    clock = WallClock()
+    bus = SocketcanBus(SETTINGS, clock, End(ours), Kernel())
+    try:
+        moments = [clock.now()]
+        for frame in FRAMES:
+            theirs.send(pack(frame))
+            moments.append(clock.now())
+        packets = bus.read(clock.now() + MILLISECOND)[1]
+        assert len(packets) == len(FRAMES)
+        slack = MILLISECOND // 2  # the two clocks are read one after the other
+        for packet, before, after in zip(packets, moments, moments[1:], strict=False):
+            assert before - slack <= packet.t <= after + slack
+    finally:
+        bus.close()
+        theirs.close()
+
+
+def test_one_read_is_bounded(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert MOST_READ > 1_000_000 / 55 * 0.1  # the shortest frame of 11-bit id has 47 bits and more
+    monkeypatch.setattr(socketcan, "MOST_READ", 3)
+    for number in range(5):
+        rig.wire.send(pack(CanFrame(number)))
+    assert [len(rig.bus.read(now)[1]) for now in range(3)] == [3, 2, 0]
+
+
+def test_a_queue_that_is_full_keeps_the_newest_of_each_id_and_tells_it_once(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It says EAGAIN, as a raw CAN socket does that has used up its share of the kernel's memory."""
+    rig.ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)  # as little as can be: a few frames
+    with caplog.at_level(logging.WARNING, "gateway"):
+        rig.bus.write(0, [CanFrame(number) for number in range(100)])
+        rig.bus.write(MILLISECOND, [CanFrame(99, b"newer"), CanFrame(98, b"newer")])
+    assert rig.bus.read(2 * MILLISECOND) == ([BusState.FULL], [])
+    assert "sudo ip link set can0 txqueuelen 100" in caplog.text
+    sent: list[bytes] = []
+    for tick in range(1, 200):
+        while True:
+            try:
+                sent.append(rig.wire.recv(100))
+            except BlockingIOError:
+                break
+        now = 2 * MILLISECOND + tick * 5 * MILLISECOND
+        states, _ = rig.bus.read(now)
+        if states:
+            break
+    expected = [*(CanFrame(number) for number in range(98)), CanFrame(99, b"newer"), CanFrame(98, b"newer")]
+    assert sent == [pack(frame) for frame in expected]
+    assert rig.bus.dropped == 2
+    assert states == [BusState.UP]
+    assert now >= CALM
+    assert caplog.text.count("txqueuelen") == 1
+
+
+def test_what_the_kernel_holds_for_too_long_gets_no_company(rig: Rig) -> None:
+    """Nobody takes what was sent: as with a controller that nobody acknowledges, behind a long queue."""
+    step = 5 * MILLISECOND
+    told: list[BusState] = []
+    for tick in range(40):
+        rig.bus.write(tick * step, [CanFrame(1, bytes([tick]))])
+        told += rig.bus.read(tick * step)[0]
+    assert told == [BusState.FULL]
+    stale: list[bytes] = []
+    while len(stale) < 100:
+        try:
+            stale.append(rig.wire.recv(100))
+        except BlockingIOError:
+            break
+    assert len(stale) <= PATIENCE // step + 1
+    rig.bus.read(40 * step)
+    assert rig.wire.recv(100) == pack(CanFrame(1, bytes([39])))
+    assert rig.bus.dropped == 40 - len(stale) - 1
+    rig.bus.write(41 * step, [CanFrame(1, b"on")])
+    assert rig.wire.recv(100) == pack(CanFrame(1, b"on"))
+
+
+def test_error_frames_are_states_and_words_and_never_data(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    heard = [error_frame(0x004, 0, 0x20), error_frame(0x028), error_frame(0x028), error_frame(0x040)]
+    with caplog.at_level(logging.INFO, "gateway"):
+        for raw in heard:
+            rig.wire.send(raw)
+        assert rig.bus.read(0) == ([BusState.PASSIVE, BusState.OFF], [])
+    assert caplog.text.count("nobody acknowledged what was sent") == 1
+    assert rig.bus.errors["nobody acknowledged what was sent"] == 2
+    assert "sudo ip link set can0 type can restart;" in caplog.text
+    assert "restart-ms 100" in caplog.text
+    rig.bus.write(1, [CanFrame(1, b"lost")])
+    rig.wire.send(error_frame(0x100))
+    assert rig.bus.read(2) == ([BusState.BACK], [])
+    rig.bus.write(3, [CanFrame(1, b"new")])
+    assert rig.wire.recv(100) == pack(CanFrame(1, b"new"))
+    assert rig.bus.dropped == 1
+
+
+def test_a_controller_that_restarts_by_itself_is_said_to(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.bus._link = replace(LINK, restart_ms=100)
+    rig.wire.send(error_frame(0x040))
+    with caplog.at_level(logging.WARNING, "gateway"):
+        rig.bus.read(0)
+    assert "can0 starts again by itself 100 ms after bus-off" in caplog.text
+
+
+def test_an_error_frame_that_was_lost_is_made_up_for_by_asking_the_kernel(rig: Rig) -> None:
+    rig.bus.read(0)
+    rig.kernel.standing_ = Standing(7, up=True, running=False)
+    rig.kernel.link_ = replace(LINK, state=BusState.OFF)
+    assert rig.bus.read(SELDOM - 1) == ([], [])
+    assert rig.bus.read(SELDOM) == ([BusState.OFF], [])
+    rig.kernel.link_ = replace(LINK, state=BusState.PASSIVE)
+    assert rig.bus.read(2 * SELDOM) == ([BusState.BACK, BusState.PASSIVE], [])
+    rig.kernel.link_ = LINK
+    assert rig.bus.read(3 * SELDOM) == ([BusState.UP], [])
+
+
+def test_an_interface_that_goes_down_and_comes_up_keeps_what_it_heard(rig: Rig) -> None:
+    rig.bus.read(0)
+    rig.kernel.standing_ = Standing(7, up=False, running=False)
+    assert rig.bus.read(SECOND) == ([BusState.GONE], [])
+    rig.bus.write(SECOND, [CanFrame(1, b"stale")])
+    rig.kernel.standing_ = Standing(7, up=True, running=True)
+    rig.wire.send(pack(CanFrame(5)))
+    now = SECOND + OFTEN
+    assert rig.bus.read(now) == ([BusState.BACK], [Packet(now, "can0", CanFrame(5))])
+    with pytest.raises(BlockingIOError):
+        rig.wire.recv(100)
+    assert rig.bus.dropped == 1
+
+
+def test_an_interface_that_comes_back_as_another_one_is_opened_anew(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A USB adapter pulled out and put in again: the name is the same, the number and the socket are not."""
+    rig.bus.read(0)
+    rig.kernel.standing_ = None
+    assert rig.bus.read(SECOND) == ([BusState.GONE], [])
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    opened: list[BusSettings] = []
+
+    def reopen(settings: BusSettings, link: Link | None, listen_only: bool) -> End:
+        opened.append(settings)
+        if len(opened) == 1:
+            raise BusError("not yet")
+        return End(ours)
+
+    monkeypatch.setattr(socketcan, "_open", reopen)
+    rig.kernel.standing_ = Standing(8, up=True, running=True)
+    now = SECOND + OFTEN
+    with caplog.at_level(logging.WARNING, "gateway"):
+        assert rig.bus.read(now) == ([], [])
+    assert "not yet" in caplog.text
+    theirs.send(pack(CanFrame(6)))
+    now += OFTEN
+    assert rig.bus.read(now) == ([BusState.BACK], [Packet(now, "can0", CanFrame(6))])
+    assert rig.bus.read(now + SECOND) == ([], [])
+    assert opened == [SETTINGS, SETTINGS]
+    theirs.close()
+
+
+def test_one_that_comes_back_set_up_otherwise_stays_gone(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    rig.kernel.standing_ = Standing(7, up=False, running=False)
+    rig.bus.read(0)
+    rig.kernel.standing_ = Standing(7, up=True, running=True)
+    rig.kernel.link_ = replace(LINK, bitrate=500_000)
+    with caplog.at_level(logging.WARNING, "gateway"):
+        assert [rig.bus.read(n * SECOND)[0] for n in (1, 2)] == [[], []]
+    assert caplog.text.count("can0 has a bitrate of 500000 bit/s, the robot file says 1000000") == 1
+    rig.kernel.link_ = LINK
+    assert rig.bus.read(3 * SECOND)[0] == [BusState.BACK]
+
+
+def test_what_the_other_end_of_a_dead_socket_says_is_told_and_not_raised(rig: Rig) -> None:
+    rig.wire.close()
+    rig.bus.write(1, [CanFrame(1)])  # ECONNREFUSED: no error of an interface; the frame is refused
+    assert rig.bus.read(2)[0] == []
+    assert rig.bus.dropped == 1
+
+
+def test_what_is_no_frame_is_refused_and_said_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "gateway"):
+        rig.bus.write(1, [CanFrame(0x800), CanFrame(0x801), CanFrame(1, b"good")])
+    assert caplog.text.count("a frame was refused") == 1
+    assert rig.wire.recv(100) == pack(CanFrame(1, b"good"))
+    assert rig.bus.dropped == 2
+
+
+def test_the_safe_word_that_waits_goes_out_on_closing() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    theirs.setblocking(False)
+    bus = SocketcanBus(SETTINGS, SimulatedClock(), End(ours), Kernel())
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)
+    bus.write(0, [CanFrame(number) for number in range(50)])
+    heard: list[bytes] = []
+    while len(heard) < 2:
+        heard.append(theirs.recv(100))
+    bus.close()
+    while True:
+        try:
+            heard.append(theirs.recv(100))
+        except (BlockingIOError, ConnectionResetError):
+            break
+    assert len(heard) > 2 + 2
+    assert heard == [pack(CanFrame(number)) for number in range(len(heard))]
+    theirs.close()
+
+
+# -- what does not fit the robot file --------------------------------------------------------------------
+
+FD = BusSettings("fast", "canfd", "socketcan:can0", bitrate=1_000_000, data_bitrate=5_000_000)
+
+
+@pytest.mark.parametrize(
+    ("settings", "link", "lines"),
+    [
+        (SETTINGS, replace(LINK, bitrate=500_000),
+         ["bus 'can0' cannot be opened as 'socketcan:can0'", "can0 has a bitrate of 500000 bit/s, the robot",
+          "says 1000000", "[buses.can0]", "sudo ip link set can0 type can bitrate 1000000 restart-ms 100"]),
+        (FD, replace(LINK, mtu=72, data_bitrate=2_000_000),
+         ["data_bitrate of 2000000", "dbitrate 5000000 fd on"]),
+        (FD, LINK, ["classic CAN alone (mtu 16)", "type can bitrate 1000000 dbitrate 5000000 fd on"]),
+        (FD, replace(LINK, name="vcan0", kind="vcan", bitrate=0), ["sudo ip link set vcan0 mtu 72 up"]),
+    ],
+)  # fmt: skip
+def test_an_interface_that_is_set_up_otherwise_is_told_with_what_to_type(
+    settings: BusSettings, link: Link, lines: list[str]
+) -> None:
+    with pytest.raises(BusError) as caught:
+        check_fit(settings, link)
+    assert [line for line in lines if line not in str(caught.value)] == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "link"),
+    [
+        (SETTINGS, LINK),
+        (SETTINGS, replace(LINK, bitrate=993_000)),  # 0.7 %: as near as its clock can be divided
+        (SETTINGS, Link("vcan0", 1, up=True, mtu=72, queue=1000, kind="vcan")),
+        (FD, replace(LINK, mtu=72, data_bitrate=5_000_000)),
+    ],
+)
+def test_one_that_fits_is_taken(settings: BusSettings, link: Link) -> None:
+    check_fit(settings, link)
+
+
+def test_filters_are_python_cans() -> None:
+    assert filters(((0x21, 0x1FFFFFFF), (6, 0x1F))) == [
+        {"can_id": 0x21, "can_mask": 0x1FFFFFFF},
+        {"can_id": 6, "can_mask": 0x1F},
+    ]
+
+
+def test_errno_of_an_interface_that_is_down_is_never_taken_for_a_full_queue() -> None:
+    assert {errno.ENETDOWN, errno.ENODEV}.isdisjoint(socketcan._FULL)

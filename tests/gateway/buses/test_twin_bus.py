@@ -1,0 +1,408 @@
+"""The world as a bus: order and time of packets, gear and sign, encoders, overload, faults, determinism."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import pytest
+
+from gateway.buses.virtual.bus import TwinWorld, open_world
+from gateway.core.robot import Motor, Robot, Sensor
+from gateway.sim.world import World, WorldError, WorldFile, load_world, loads_world
+from protocols.frames import BusState, Packet, Wire
+from protocols.messages import (
+    MILLISECOND,
+    Command,
+    Event,
+    Fault,
+    Feedback,
+    Idle,
+    Imu,
+    LaserScan,
+    Mode,
+    Nanos,
+    Scan,
+    State,
+    Torque,
+    Velocity,
+)
+from protocols.plugin import Device, Driver, Plugin, Twin
+from tests.gateway.world_helpers import ROOM, WALLS, robot, scene
+
+PERIOD = 5 * MILLISECOND
+BENCH = 'kind = "bench"\nname = "bench"\n'
+Words = Sequence[Command | Scan]
+
+
+@dataclass
+class Rig:
+    """The host's end: drivers on the buses of a world of twins, stepped every 5 ms."""
+
+    twins: TwinWorld
+    drivers: dict[str, Driver]
+    now: Nanos = 0
+    packets: list[Packet] = field(default_factory=list)
+    states: list[tuple[str, BusState]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    def run(self, steps: int, say: Callable[[Nanos], Words] | None = None, period: Nanos = PERIOD) -> Rig:
+        """So many steps; what `say` gives is said to the motors at each."""
+        for _ in range(steps):
+            for name, bus in self.twins.buses.items():
+                states, packets = bus.read(self.now)
+                self.states += [(name, state) for state in states]
+                for packet in packets:
+                    self.packets.append(packet)
+                    self.events += self.drivers[name].receive(packet.t, packet.wire)
+            if say:
+                _, wires = self.drivers["motors"].send(self.now, say(self.now))
+                self.twins.buses["motors"].write(self.now, wires)
+            self.now += period
+        return self
+
+    def last(self, motor: str) -> Feedback:
+        """The newest feedback of a motor."""
+        return next(e for e in reversed(self.events) if isinstance(e, Feedback) and e.motor == motor)
+
+    def truth(self) -> float:
+        """m, the true way from the origin"""
+        pose = self.twins.world.truth()
+        return math.hypot(pose.x, pose.y)
+
+
+def rig(file: WorldFile | None = None, made: Robot | None = None, seed: int = 1, now: Nanos = 0) -> Rig:
+    made = made or robot(sensors=file is None or file.kind == "scene")
+    twins = TwinWorld(made, World(file or scene(), made, seed), seed)
+    parts: list[Motor | Sensor] = [*made.motors.values(), *made.sensors.values()]
+    drivers = {
+        bus: next(p.plugin for p in parts if p.bus == bus).driver([p.device for p in parts if p.bus == bus])
+        for bus in twins.buses
+        if any(p.bus == bus for p in parts)
+    }
+    return Rig(twins, drivers, now)
+
+
+def bench(text: str = "") -> WorldFile:
+    return loads_world(BENCH + text)
+
+
+def drive(left: float, right: float) -> Callable[[Nanos], Words]:
+    """At the devices' shafts: gear 8, and the right motor is mounted the other way round."""
+    return lambda _: [Velocity("left", 8.0 * left), Velocity("right", -8.0 * right)]
+
+
+# -- motion through gear, sign and wire -----------------------------------------------------------------
+
+
+def test_a_velocity_said_to_both_motors_drives_straight() -> None:
+    driven = rig().run(600, drive(6.0, 6.0))
+    assert driven.twins.world.truth().x == pytest.approx(0.05 * 6.0 * 3.0, rel=0.05)
+    assert abs(driven.twins.world.truth().y) < 0.01
+    left, right = driven.last("left"), driven.last("right")
+    assert left.velocity == pytest.approx(48.0, rel=0.02)
+    assert right.velocity == pytest.approx(-48.0, rel=0.02)
+    shaft = driven.twins.world.shaft("left")[0]
+    assert left.position == pytest.approx(8.0 * shaft, abs=48.0 * 0.02)
+
+
+def test_turning_left_is_right_wheel_forward() -> None:
+    driven = rig().run(400, drive(-3.0, 3.0))
+    assert driven.twins.world.truth().yaw > 0.5
+    turn = next(e for e in reversed(driven.events) if isinstance(e, Imu))
+    assert turn.angular_velocity[2] == pytest.approx(3.0 * 0.1 / 0.22, rel=0.05)
+
+
+def test_encoders_count() -> None:
+    told = [e.position for e in rig(bench()).run(300, drive(3.0, 3.0)).events if isinstance(e, Feedback)]
+    count = 2.0 * math.pi / 16384
+    counts = [position / count for position in told if position is not None]
+    assert len({round(value) for value in counts}) > 100
+    assert max(abs(value - round(value)) for value in counts) < 1e-6
+
+
+def test_what_stays_behind_the_motors_when_nobody_speaks() -> None:
+    silent = rig().run(200)
+    assert silent.truth() < 1e-3
+    assert {e.motor for e in silent.events if isinstance(e, Feedback)} == {"left", "right"}
+
+
+# -- overload -------------------------------------------------------------------------------------------
+
+
+def test_overload_on_a_bench_stalls_at_the_torque_limit() -> None:
+    # A load of 1.8 N·m: more than 0.2 N·m × gear 8.
+    heavy = rig(bench("[shafts.left]\nload = -1.8\nstops = [-0.5, 50.0]\n"))
+    heavy.run(600, drive(5.0, 5.0))
+    left, right = heavy.last("left"), heavy.last("right")
+    assert left.torque == pytest.approx(0.2)
+    assert left.current == pytest.approx(2.0)
+    assert left.velocity == 0.0
+    assert heavy.twins.world.contacts() == 1
+    assert right.velocity == pytest.approx(-40.0, rel=0.02)
+    lighter = rig(bench("[shafts.left]\nload = -1.2\n")).run(600, drive(5.0, 5.0)).last("left")
+    assert lighter.velocity == pytest.approx(40.0, rel=0.02)
+    assert lighter.torque == pytest.approx((1.2 + 0.02 + 0.002 * 5.0) / 8.0, rel=0.03)
+
+
+def test_a_wall_stalls_the_robot() -> None:
+    stuck = rig(scene(ROOM + WALLS)).run(1500, drive(8.0, 8.0))
+    assert stuck.twins.world.contacts() >= 1
+    assert stuck.twins.world.truth().x == pytest.approx(1.8, abs=0.02)
+    told = stuck.last("left").torque
+    assert told is not None
+    assert abs(told) > 0.05
+
+
+# -- order and time -------------------------------------------------------------------------------------
+
+
+def test_packets_come_in_order_and_never_from_the_future() -> None:
+    driven = rig(now=77_000_000_123)
+    for _ in range(200):
+        before = len(driven.packets)
+        driven.run(1, drive(4.0, 5.0))
+        assert all(packet.t <= driven.now - PERIOD for packet in driven.packets[before:])
+    for name in ("motors", "sensors"):
+        stamps = [packet.t for packet in driven.packets if packet.bus == name]
+        assert len(stamps) > 100
+        assert stamps == sorted(stamps)
+        assert len(set(stamps)) == len(stamps), "one wire at a time"
+    assert min(packet.t for packet in driven.packets) > 77_000_000_123
+
+
+def test_measurements_bring_the_time_at_which_they_were_taken() -> None:
+    heard = rig().run(200)
+    scans = [event for event in heard.events if isinstance(event, LaserScan)]
+    assert len(scans) == 10
+    wires = [len(p.wire) for p in heard.packets if p.bus == "sensors" and isinstance(p.wire, bytes)]
+    late = max(wires) * 10 * 1_000_000_000 / 3_000_000
+    for index, scan in enumerate(scans):
+        assert 0 <= scan.t - index * 100 * MILLISECOND <= late + MILLISECOND
+
+
+def test_what_is_told_does_not_hang_on_how_often_one_reads() -> None:
+    often = rig(scene(ROOM + WALLS)).run(900, period=MILLISECOND).packets
+    seldom = rig(scene(ROOM + WALLS)).run(900 // 7 + 1, period=7 * MILLISECOND).packets
+    shared = min(len(often), len(seldom))
+    assert shared > 300
+    for name in ("motors", "sensors"):
+        one = [packet for packet in often if packet.bus == name and packet.t < 890 * MILLISECOND]
+        other = [packet for packet in seldom if packet.bus == name and packet.t < 890 * MILLISECOND]
+        assert one == other
+
+
+def test_either_bus_brings_the_world_to_now() -> None:
+    twins = rig().twins
+    twins.buses["motors"].read(0)
+    _, first = twins.buses["sensors"].read(20 * MILLISECOND)
+    assert twins.world.now == 20 * MILLISECOND
+    assert first
+    assert twins.buses["sensors"].read(20 * MILLISECOND) == ([], [])
+    assert twins.buses["motors"].read(20 * MILLISECOND)[1]
+
+
+def test_same_seed_same_bytes() -> None:
+    office = load_world("office")
+    one, other, third = (
+        rig(office, robot("office"), seed).run(300, drive(6.0, 7.0)).packets for seed in (5, 5, 6)
+    )
+    assert len(one) > 500
+    assert one == other
+    assert third != one
+
+
+def test_a_copy_goes_on_alike() -> None:
+    first = rig(load_world("office"), robot("office")).run(100, drive(6.0, 7.0))
+    second = copy.deepcopy(first)
+    first.run(100, drive(6.0, 7.0))
+    second.run(100, drive(6.0, 7.0))
+    assert second.packets == first.packets
+
+
+# -- no ground truth among the inputs -------------------------------------------------------------------
+
+
+class Spy:
+    """A twin that keeps what it was shown and what it said."""
+
+    def __init__(self, name: str, inner: Twin, shown: list[tuple[str, Event]], said: list[Wire]) -> None:
+        self.name, self.inner, self.shown, self.said = name, inner, shown, said
+
+    def receive(self, t: Nanos, wire: Wire) -> None:
+        self.inner.receive(t, wire)
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+        self.shown += [(self.name, event) for event in truth]
+        torques, wires = self.inner.step(now, truth)
+        self.said += wires
+        return torques, wires
+
+    def due(self) -> Nanos | None:
+        return self.inner.due()
+
+    def provoke(self, code: int) -> None:
+        self.inner.provoke(code)
+
+
+def test_nothing_but_shafts_and_readings_reaches_a_packet() -> None:
+    shown: list[tuple[str, Event]] = []
+    said: list[Wire] = []
+
+    def spied(plugin: Plugin) -> Plugin:
+        def twin(device: Device, seed: int) -> Twin:
+            return Spy(device.name, plugin.twin(device, seed), shown, said)
+
+        return replace(plugin, twin=twin)
+
+    plain = robot("office")
+    made = replace(
+        plain,
+        motors={name: replace(motor, plugin=spied(motor.plugin)) for name, motor in plain.motors.items()},
+        sensors={
+            name: replace(sensor, plugin=spied(sensor.plugin)) for name, sensor in plain.sensors.items()
+        },
+    )
+    driven = rig(load_world("office"), made).run(300, drive(6.0, 7.0))
+    kinds = {"left": Feedback, "right": Feedback, "lidar": LaserScan, "imu": Imu}
+    assert {(name, type(event)) for name, event in shown} == set(kinds.items())
+    for name, event in shown:
+        assert isinstance(event, Feedback | Imu | LaserScan)
+        assert (event.motor if isinstance(event, Feedback) else event.sensor) == name
+        if isinstance(event, Feedback):
+            assert (event.torque, event.current, event.voltage) == (None, None, None)
+        if isinstance(event, Imu):
+            assert event.orientation is None
+    twice = {id(wire) for wire in said}
+    assert len(driven.packets) > 500
+    assert all(id(packet.wire) in twice for packet in driven.packets), "every packet is what a twin said"
+
+
+# -- faults ---------------------------------------------------------------------------------------------
+
+
+def heard_since(driven: Rig, start: Nanos, motor: str) -> list[Event]:
+    return [
+        e
+        for e in driven.events
+        if isinstance(e, Feedback | State | Fault) and e.motor == motor and e.t >= start
+    ]
+
+
+def test_a_silent_motor_is_not_heard_and_does_not_hear() -> None:
+    driven = rig(bench()).run(200, drive(4.0, 4.0))
+    driven.twins.silence("left")
+    start = driven.now
+    driven.run(200, drive(8.0, 8.0))
+    assert heard_since(driven, start, "left") == []
+    assert heard_since(driven, start, "right")
+    # Its own watchdog (100 ms) has disarmed it, so it runs out; the other one has followed.
+    assert abs(driven.twins.world.shaft("left")[1]) < 1.0
+    assert driven.twins.world.shaft("right")[1] == pytest.approx(8.0, rel=0.05)
+    driven.twins.unsilence("left")
+    back = driven.now
+    driven.run(50)
+    states = [e.mode for e in heard_since(driven, back, "left") if isinstance(e, State)]
+    assert Mode.FAULT in states
+
+
+def test_a_reset_motor_has_forgotten_its_command_and_keeps_its_shaft() -> None:
+    driven = rig(bench()).run(200, drive(4.0, 4.0))
+    driven.run(2)
+    assert driven.last("left").torque != 0.0
+    where = driven.twins.world.shaft("left")[0]
+    driven.twins.reset("left")
+    driven.run(20)
+    states = [event for event in driven.events if isinstance(event, State) and event.motor == "left"]
+    assert [event.mode for event in states][-1] is Mode.READY
+    assert driven.twins.world.shaft("left")[0] >= where
+    assert driven.last("left").torque == 0.0
+
+
+def test_a_second_device_with_the_same_address_answers_too() -> None:
+    driven = rig(bench()).run(200, drive(4.0, 4.0))
+    alone = sum(isinstance(e, Feedback) and e.motor == "left" for e in driven.events)
+    driven.twins.duplicate("left")
+    start = driven.now
+    driven.run(200, drive(4.0, 4.0))
+    both = heard_since(driven, start, "left")
+    told = [e for e in both if isinstance(e, Feedback) and e.position is not None]
+    assert len(told) > 1.8 * alone
+    jumps = [abs((b.position or 0.0) - (a.position or 0.0)) for a, b in pairwise(told)]
+    assert max(jumps) > 10.0, "the double turns a shaft of its own"
+
+
+def test_a_lost_interface_tells_gone_and_back() -> None:
+    driven = rig(bench()).run(200, drive(4.0, 4.0))
+    driven.twins.lose("motors")
+    start = driven.now
+    driven.run(100, drive(4.0, 4.0))
+    assert driven.states == [("motors", BusState.GONE)]
+    assert not [packet for packet in driven.packets if packet.t >= start]
+    assert abs(driven.twins.world.shaft("right")[1]) < 3.0, "nobody fed the watchdogs"
+    driven.twins.restore("motors")
+    driven.run(100)
+    assert driven.states == [("motors", BusState.GONE), ("motors", BusState.BACK)]
+    assert driven.last("right").t > start + 100 * PERIOD
+
+
+def test_a_full_queue_tells_full_once_and_up_again() -> None:
+    bus = (driven := rig(bench())).twins.buses["motors"]
+    bus.read(0)
+    flood = [bytes([index % 256]) * 100 for index in range(300)]
+    bus.write(0, flood)
+    driven.run(100)
+    assert driven.states == [("motors", BusState.FULL), ("motors", BusState.UP)]
+
+
+def test_a_closed_bus_sends_nothing() -> None:
+    driven = rig(bench()).run(100, drive(4.0, 4.0))
+    _, wires = driven.drivers["motors"].send(driven.now, [Velocity("left", 50.0)])
+    driven.twins.buses["motors"].close()
+    driven.twins.buses["motors"].write(driven.now, wires)
+    driven.run(100)
+    assert abs(driven.twins.world.shaft("left")[1]) < 3.0
+
+
+def test_the_last_word_is_heard_when_time_goes_on() -> None:
+    driven = rig(bench()).run(200, drive(4.0, 4.0))
+    driven.run(1, lambda _: [Idle("left"), Idle("right")])
+    driven.run(10)
+    assert driven.last("left").torque == 0.0
+
+
+def test_no_such_twin() -> None:
+    with pytest.raises(KeyError, match="no twin 'middle'"):
+        rig(bench()).twins.silence("middle")
+
+
+# -- opening --------------------------------------------------------------------------------------------
+
+
+def test_open_world_by_the_robots_own_word() -> None:
+    office = open_world(robot("office"), 3)
+    assert office.world.file == load_world("office")
+    shafts = open_world(robot(sensors=False), 3)
+    assert shafts.world.file.kind == "bench"
+    assert set(shafts.buses) == {"motors", "sensors"}
+
+
+def test_sensors_without_a_world_are_a_mistake_of_the_file() -> None:
+    with pytest.raises(WorldError, match="no sensor 'lidar'"):
+        open_world(robot(), 1)
+    with pytest.raises(WorldError, match="no world 'ofice'"):
+        open_world(replace(robot(), world="ofice"), 1)
+
+
+def test_a_bus_that_is_not_a_twin_is_left_alone() -> None:
+    made = robot("office")
+    buses = dict(made.buses)
+    buses["sensors"] = replace(buses["sensors"], interface="serial:/dev/ttyUSB0")
+    twins = open_world(replace(made, buses=buses), 1)
+    assert list(twins.buses) == ["motors"]
+    twins.buses["motors"].read(0)
+    twins.buses["motors"].read(50 * MILLISECOND)
+    assert twins.world.now == 50 * MILLISECOND

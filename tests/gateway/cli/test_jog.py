@@ -1,0 +1,523 @@
+"""`gateway jog`: what keys mean, what the motor does while one is held, and how it ends."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import termios
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+import pytest
+
+from gateway import config
+from gateway.__main__ import main
+from gateway.buses.virtual.bus import open_world
+from gateway.cli.jog import SHARE, Hand, JogError, above, alone, drive, log, status
+from gateway.cli.terminal.keys import AGAIN, CREEP, FIRST, KEYS, Held, Key, parse, press, raw, read, share
+from gateway.cli.terminal.screen import Line
+from gateway.core.clock import SimulatedClock, WallClock
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway, ear_of
+from gateway.core.tick import Tick
+from gateway.runtime.loop import Account, signals
+from gateway.runtime.session import Session
+from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Nanos, Velocity
+from tests.gateway.rig import BENCH
+
+MS = MILLISECOND
+
+
+# -- keys -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sent", "key"), KEYS.items(), ids=lambda v: repr(v))
+def test_each_key_is_known_whole_in_pieces_and_among_others(sent: bytes, key: Key) -> None:
+    assert parse(sent) == ([key], b"")
+    assert parse(b"zz" + sent + b"\xff" + sent) == ([key, key], b"")
+    for cut in range(1, len(sent)):
+        keys, rest = parse(sent[:cut])
+        assert keys == []
+        assert parse(rest + sent[cut:]) == ([key], b"")
+
+
+def test_what_is_no_key_is_nothing() -> None:
+    assert parse(b"xyz\x00\x1b[Z\x1b\x1b[5~") == ([], b"")
+    assert parse(b"\x1b[") == ([], b"\x1b[")
+
+
+def moves(keys: Sequence[tuple[Nanos, int]], now: Nanos) -> float:
+    """The part of the speed, after those of the keys that have come by now."""
+    come = [(t, sense) for t, sense in keys if t <= now]
+    return share(reduce(lambda held, key: press(held, *key), come, Held()), now)
+
+
+def test_a_tap_is_a_short_slow_move() -> None:
+    keys = [(SECOND, 1)]
+    motion = {t: moves(keys, t * MS) for t in range(2500)}
+    assert [t for t, share in motion.items() if share] == list(range(1000, 1000 + FIRST // MS))
+    assert set(motion.values()) == {0.0, CREEP}
+
+
+@pytest.mark.parametrize(
+    ("delay", "interval"),
+    [(250, 92), (500, 33), (660, 40), (600, 100)],
+    ids=["console", "gnome", "x", "slow"],
+)
+@pytest.mark.parametrize("sense", [1, -1])
+def test_holding_is_one_motion_and_letting_go_stops_it(delay: int, interval: int, sense: int) -> None:
+    times = [0, *range(delay, 3000, interval)]
+    keys = [(t * MS, sense) for t in times]
+    motion = [moves(keys, t * MS) for t in range(4000)]
+    end = times[-1] + AGAIN // MS
+    assert all(motion[t] == sense * CREEP for t in range(delay))
+    assert all(motion[t] == sense for t in range(delay, end))
+    assert not any(motion[end:])
+
+
+def test_another_direction_begins_anew() -> None:
+    keys = [(0, 1), (500 * MS, 1), (550 * MS, 1), (600 * MS, -1)]
+    assert moves(keys, 599 * MS) == 1.0
+    assert moves(keys, 600 * MS) == -CREEP
+    assert moves(keys, 600 * MS + FIRST) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_is_typed_motion_ends_soon_after_the_last_key(seed: int) -> None:
+    rng = np.random.Generator(np.random.PCG64(seed))
+    times = np.cumsum(rng.integers(1, 900, 40)).tolist()
+    keys = [(t * MS, int(rng.choice([-1, 1]))) for t in times]
+    for now in range(0, times[-1] + 2000, 7):
+        before = [(t, sense) for t, sense in keys if t <= now * MS]
+        motion = moves(keys, now * MS)
+        assert abs(motion) <= 1.0
+        if motion:
+            last, sense = before[-1]
+            assert now * MS - last < FIRST
+            assert motion * sense > 0.0
+            if abs(motion) > CREEP:
+                assert len(before) > 1
+                assert now * MS - last < AGAIN
+
+
+def test_keys_that_come_all_at_once_move_no_longer_than_one() -> None:
+    """What has waited while we stood still is old."""
+    assert moves([(0, 1)] * 30, AGAIN - 1) == 1.0
+    assert moves([(0, 1)] * 30, AGAIN) == 0.0
+
+
+# -- what is asked of the motor ---------------------------------------------------------------------
+
+
+def test_nothing_is_asked_before_the_first_key_and_only_changes_after_it() -> None:
+    hand = Hand("left", 2.0)
+    assert hand.ask(0, b"", blocked=False) == []
+    assert hand.ask(1, b"+", blocked=False) == [Velocity("left", 2.0 * CREEP)]
+    assert hand.ask(2, b"", blocked=False) == []
+    assert hand.ask(3, b"+", blocked=False) == [Velocity("left", 2.0)]
+    assert hand.ask(4, b"\x1b[", blocked=False) == []
+    assert hand.ask(5, b"D", blocked=False) == [Velocity("left", -2.0 * CREEP)]
+    assert hand.ask(5 + FIRST, b"", blocked=False) == [Velocity("left", 0.0)]
+    assert hand.ask(6 + FIRST, b"", blocked=False) == []
+    assert not hand.leaving
+
+
+def test_space_disarms_and_the_next_key_begins_anew() -> None:
+    hand = Hand("left", 1.0)
+    hand.ask(0, b"++", blocked=False)
+    assert hand.ask(1, b" ", blocked=False) == [Idle("left")]
+    assert hand.ask(2, b"", blocked=False) == []
+    assert hand.ask(3, b"+", blocked=False) == [Velocity("left", CREEP)]
+
+
+def test_a_blocked_motor_is_asked_nothing_and_needs_a_new_key() -> None:
+    hand = Hand("left", 1.0)
+    hand.ask(0, b"++", blocked=False)
+    assert hand.ask(1, b"+", blocked=True) == []
+    assert hand.ask(2, b"c", blocked=True) == [ClearFault("left")]
+    assert hand.ask(3, b"", blocked=False) == []
+    assert hand.ask(4, b"+", blocked=False) == [Velocity("left", CREEP)]
+
+
+@pytest.mark.parametrize("typed", [b"q", None])
+def test_q_and_the_end_of_the_keys_leave_and_stop(typed: bytes | None) -> None:
+    hand = Hand("left", 1.0)
+    hand.ask(0, b"++", blocked=False)
+    assert hand.ask(1, typed, blocked=False) == [Velocity("left", 0.0)]
+    assert hand.leaving
+
+
+# -- one motor of a robot ---------------------------------------------------------------------------
+
+
+def test_the_robot_is_reduced_to_one_slow_motor() -> None:
+    whole = config.loads(BENCH)
+    robot = alone(whole, "right")
+    assert list(robot.motors) == ["right"]
+    assert robot.motors["right"].joint.limits == replace(
+        whole.motors["right"].joint.limits, velocity=SHARE * 20.0
+    )
+    assert robot.sensors == {}
+    assert robot.brain.joints is not None
+    assert robot.brain.joints.motors == ("right",)
+    assert alone(whole, "left", 20.0).motors["left"].joint == whole.motors["left"].joint
+
+
+def test_what_cannot_be_jogged_is_said() -> None:
+    robot = config.loads(BENCH)
+    with pytest.raises(JogError, match="did you mean 'left'"):
+        alone(robot, "leftt")
+    with pytest.raises(JogError, match="the limit of left is 20 rad/s"):
+        alone(robot, "left", 20.1)
+    left = robot.motors["left"]
+    deaf = replace(left, spec=replace(left.spec, commands=left.spec.commands - {Velocity}))
+    with pytest.raises(JogError, match="takes no velocity"):
+        alone(replace(robot, motors={"left": deaf}), "left")
+
+
+# -- driven, in simulated time ----------------------------------------------------------------------
+
+
+class Bench:
+    """The whole robot's twins, and a gateway of one of its motors, with somebody at the keys."""
+
+    def __init__(
+        self, keys: Sequence[tuple[float, bytes]], text: str = BENCH, speed: float | None = None
+    ) -> None:
+        """`keys`: what is typed, and when [s]."""
+        self.whole: Robot = config.loads(text)
+        robot = alone(self.whole, "left", speed)
+        self.clock = SimulatedClock()
+        self.twins = open_world(self.whole, 0)
+        self.ticks: list[Tick] = []
+        self.made = Recorded(self.ticks, robot, Gateway(robot), self.clock, self.twins.buses, None, None)
+        self.keys = [(round(t * SECOND), typed) for t, typed in keys]
+        self.shown: list[str] = []
+        self.at: dict[Nanos, Callable[[], None]] = {}
+
+    def typed(self) -> bytes | None:
+        now = self.clock.now()
+        for t in [t for t in self.at if t <= now]:
+            self.at.pop(t)()
+        come = b"".join(typed for t, typed in self.keys if t <= now)
+        self.keys = [(t, typed) for t, typed in self.keys if t > now]
+        return come if come or self.keys else None
+
+    def drive(self) -> Bench:
+        drive(self.made, "left", self.typed, self.shown.append)
+        return self
+
+    def obeyed(self) -> list[tuple[Nanos, Command]]:
+        """What any device of the whole robot would obey of what was sent."""
+        ear = ear_of(self.whole, "can0")
+        return [
+            (packet.t, word)
+            for tick in self.ticks
+            for packet in tick.outputs.packets
+            for word in ear.hear(packet.t, packet.wire)
+            if isinstance(word, Command)
+        ]
+
+    def turned(self, motor: str = "left") -> float:
+        assert self.twins.world is not None
+        return self.twins.world.shaft(motor)[0]
+
+
+class Recorded(Session):
+    """A session that keeps its ticks, also those of the farewell."""
+
+    def __init__(self, ticks: list[Tick], *parts: object) -> None:
+        robot, gateway, clock, buses, twins, recorder = parts
+        assert isinstance(robot, Robot)
+        assert isinstance(gateway, Gateway)
+        assert isinstance(clock, SimulatedClock)
+        assert isinstance(buses, dict)
+        assert twins is None
+        assert recorder is None
+        super().__init__(robot, gateway, clock, buses, None, None, Account())
+        self._ticks = ticks
+
+    def _keep(self, tick: Tick, belief: object) -> None:
+        self._ticks.append(tick)
+
+
+def held(sense: bytes, since: float, until: float) -> list[tuple[float, bytes]]:
+    """A key as a terminal sends it: at once, after 0.5 s again, then every 33 ms."""
+    return [
+        (since, sense),
+        *((t / 1000, sense) for t in range(round(since * 1000) + 500, round(until * 1000), 33)),
+    ]
+
+
+def test_nothing_but_read_only_frames_goes_out_before_the_first_key() -> None:
+    bench = Bench([(0.5, b"x"), (1.0, b"q")]).drive()
+    read_only = bench.whole.motors["left"].spec.read_only
+    sent = [packet.wire for tick in bench.ticks for packet in tick.outputs.packets]
+    assert sent
+    assert all(read_only(wire) for wire in sent)
+    assert bench.turned() == 0.0
+
+
+def test_the_motor_turns_while_a_key_is_held_and_at_no_other_time() -> None:
+    bench = Bench([*held(b"\x1b[C", 0.5, 2.0), (3.0, b"q")]).drive()
+    told = [(t, word.velocity / 8.0) for t, word in bench.obeyed() if isinstance(word, Velocity)]
+    assert max(velocity for _, velocity in told) == pytest.approx(1.0)  # 5 % of 20 rad/s
+    assert all(velocity == 0.0 for t, velocity in told if t < 0.5 * SECOND or t > 2.2 * SECOND)
+    assert all(velocity > 0.0 for t, velocity in told if 0.6 * SECOND < t < 2.0 * SECOND)
+    assert bench.turned() == pytest.approx(0.5 * CREEP + 1.0 + AGAIN / SECOND, abs=0.1)
+    assert any(" → 1.00 rad/s | armed | " in text for text in bench.shown)
+
+
+def test_a_tap_backwards_is_a_small_turn_back() -> None:
+    bench = Bench([(0.5, b"-"), (3.0, b"q")], speed=2.0).drive()
+    assert bench.turned() == pytest.approx(-2.0 * CREEP * FIRST / SECOND, abs=0.05)
+
+
+def test_no_other_motor_is_told_anything() -> None:
+    bench = Bench([*held(b"+", 0.2, 1.0), (1.5, b"q")]).drive()
+    assert {word.motor for _, word in bench.obeyed()} == {"left"}
+    assert bench.turned("right") == 0.0
+
+
+@contextmanager
+def hangup(handler: signal.Handlers) -> Iterator[None]:
+    """A terminal's end is met so while inside, whether the tests run under nohup or not."""
+    before = signal.signal(signal.SIGHUP, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("end", [b"q", None, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_whatever_ends_it_in_the_middle_of_a_motion_the_safe_word_goes_out(
+    end: bytes | signal.Signals | None,
+) -> None:
+    keys = held(b"+", 0.2, 1.0)
+    if end is None or isinstance(end, bytes):
+        bench = Bench([*keys, *([(1.0, end)] if end else [])])
+    else:
+        bench = Bench([*keys, (9.0, b"q")])
+        number = end
+        bench.at[SECOND] = lambda: os.kill(os.getpid(), number)
+    with hangup(signal.SIG_DFL), signals(lambda name: setattr(bench.made, "leaving", name)):
+        bench.drive()
+    assert bench.clock.now() < 2 * SECOND
+    assert isinstance(bench.obeyed()[-1][1], Idle)
+    assert bench.made.gateway.still_armed() == []
+
+
+def test_an_error_at_the_keys_says_the_safe_word_first() -> None:
+    bench = Bench([*held(b"+", 0.2, 1.0), (9.0, b"q")])
+
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    bench.at[SECOND] = fail
+    with pytest.raises(ZeroDivisionError):
+        bench.drive()
+    turned = bench.turned()
+    bench.twins.buses["can0"].read(bench.clock.now() + 3 * SECOND)
+    assert turned > 0.1
+    assert bench.turned() - turned < 0.5  # it ran out; driven on at 1 rad/s it would have gone 3 rad
+
+
+def test_a_fault_is_shown_and_nothing_moves_again_by_itself() -> None:
+    """The plug is out from 1.0 to 1.5 s, with the key held until 3 s; c at 3.5 s; a tap at 4 s."""
+    bench = Bench([*held(b"+", 0.2, 3.0), (3.5, b"c"), (4.0, b"+"), (5.5, b"q")])
+    bench.at[SECOND] = lambda: bench.twins.silence("left")
+    bench.at[3 * SECOND // 2] = lambda: bench.twins.unsilence("left")
+    bench.drive()
+    assert any("FAULT silent: no feedback for more than 100 ms" in text for text in bench.shown)
+    moving = [t for t, word in bench.obeyed() if isinstance(word, Velocity) and word.velocity]
+    assert [t for t in moving if 1.2 * SECOND < t < 4.0 * SECOND] == []
+    assert any(t > 4.0 * SECOND for t in moving)
+    assert not bench.made.gateway.joints["left"].faults
+
+
+def test_the_line_says_what_comes_back() -> None:
+    bench = Bench([(0.5, b"+"), (0.9, b"+"), (1.0, b"q")]).drive()
+    text = status(bench.made.gateway.joints["left"], 0.0, bench.clock.now())
+    for part in ("left · 0.00 rad/s", "ready", " rad | ", " rad/s | ", " N·m", " A", " V", " °C", "ms ago"):
+        assert part in text
+    assert "never heard" in bench.shown[0]
+
+
+def test_what_is_logged_meanwhile_stands_above_the_line(caplog: pytest.LogCaptureFixture) -> None:
+    stream = io.StringIO()
+    line = Line(stream)
+    with above(line):
+        log.warning("left: %s", "fault")
+    log.warning("after")
+    assert stream.getvalue() == "WARNING: left: fault\n"
+    assert [record.getMessage() for record in caplog.records] == ["after"]
+
+
+# -- the terminal -----------------------------------------------------------------------------------
+
+
+def test_a_terminal_is_as_it_was_whatever_happens() -> None:
+    master, terminal = pty.openpty()
+    try:
+        before = termios.tcgetattr(terminal)
+
+        def fail() -> None:
+            with raw(terminal):
+                inside = termios.tcgetattr(terminal)
+                assert not inside[3] & (termios.ICANON | termios.ECHO)
+                assert inside[3] & termios.ISIG  # Ctrl-C still interrupts
+                os.write(master, b"\x1a\x1c\x13+")  # Ctrl-Z, Ctrl-\ and Ctrl-S are keys like any other
+                select.select([terminal], [], [], 5)
+                assert read(terminal) == b"\x1a\x1c\x13+"
+                assert read(terminal) == b""
+                os.write(master, b"rest")
+                raise ZeroDivisionError
+
+        with pytest.raises(ZeroDivisionError):
+            fail()
+        assert termios.tcgetattr(terminal) == before
+        assert read(terminal) == b""  # what nobody has read is not left to the shell
+    finally:
+        os.close(master)
+    assert read(terminal) is None  # hung up
+    os.close(terminal)
+
+
+def test_without_a_terminal_there_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["jog", "left", "bench"]) == 2
+    assert "this needs a terminal" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["leftt"], "did you mean 'left'"),
+        (["left", "bench", "--speed", "30"], "the limit of left is 20 rad/s"),
+        (["left", "bench", "--speed", "-1"], "is not a positive number of rad/s"),
+        (["left", "bnch"], "did you mean 'bench'"),
+        (["left", "bench", "--bus", "can7=twin"], "no bus 'can7'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_what_cannot_begin_gets_a_sentence(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
+) -> None:
+    status: object
+    try:
+        status = main(["jog", *arguments])
+    except SystemExit as stopped:
+        status = stopped.code
+    assert status == 2
+    assert expected in capsys.readouterr().err
+
+
+class Terminal:
+    """The command on a terminal of its own. On the wall clock: terminal and signals are the machine's."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.clock = WallClock()
+        self.master, self.other = pty.openpty()
+        self.before = termios.tcgetattr(self.other)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "gateway", "jog", *arguments],
+            stdin=self.other,
+            stdout=self.other,
+            stderr=self.other,
+            start_new_session=True,
+            preexec_fn=lambda: own_terminal(self.other),
+        )
+        self.shown = ""
+
+    def until(self, text: str, keys: bytes = b"") -> None:
+        """Look until a text has come, typing all the while."""
+        end = self.clock.now() + 20 * SECOND
+        seen = len(self.shown)
+        while text not in self.shown[seen:]:
+            assert self.clock.now() < end, self.shown
+            if keys:
+                os.write(self.master, keys)
+            self.look()
+
+    def look(self) -> None:
+        if select.select([self.master], [], [], 0.04)[0]:
+            with suppress(OSError):
+                self.shown += os.read(self.master, 65536).decode(errors="replace")
+
+    def end(self) -> int:
+        try:
+            while self.process.poll() is None and self.clock.now() < 60 * SECOND:
+                self.look()
+            return self.process.wait(timeout=10)
+        finally:
+            self.process.kill()
+            self.process.wait()
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        for end in (self.master, self.other):
+            with suppress(OSError):
+                os.close(end)
+
+
+def own_terminal(terminal: int) -> None:
+    """In the child: this terminal is the one that controls it, so that Ctrl-C and hanging up reach it."""
+    import fcntl
+
+    fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+
+
+@pytest.mark.parametrize("end", ["ctrl-c", "sigterm"])
+def test_the_command_on_a_terminal(end: str) -> None:
+    terminal = Terminal("left", "bench")
+    try:
+        terminal.until("ready")
+        assert not termios.tcgetattr(terminal.other)[3] & termios.ECHO
+        terminal.until("→ 1.00 rad/s | armed", keys=b"\x1b[C")
+        terminal.until("· 0.00 rad/s | armed")
+        if end == "sigterm":
+            terminal.process.send_signal(signal.SIGTERM)
+        else:
+            os.write(terminal.master, b"\x03")
+        assert terminal.end() == 0, terminal.shown
+        assert termios.tcgetattr(terminal.other) == terminal.before
+        assert "· 0.00 rad/s | ready" in terminal.shown[-400:]
+        assert "cut its supply" not in terminal.shown
+    finally:
+        terminal.close()
+
+
+def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it() -> None:
+    """The devices are another process here, which lives on and says what became of them."""
+    command = [sys.executable, "-m", "gateway", "twin", "bench", "-v"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as twin:
+        assert twin.stdout is not None
+        try:
+            port = next(text for line in twin.stdout if (text := line.partition("--bus ")[2].strip()))
+            terminal = Terminal("left", "bench", "--bus", port)
+            try:
+                terminal.until("→ 1.00 rad/s | armed", keys=b"+")
+                os.close(terminal.other)
+                os.close(terminal.master)
+                assert terminal.process.wait(timeout=20) == 0
+            finally:
+                terminal.close()
+            twin.send_signal(signal.SIGTERM)
+            told, _ = twin.communicate(timeout=20)
+        finally:
+            twin.kill()
+    assert "left: armed" in told, told
+    assert "left: ready" in told.partition("left: armed")[2], told
+
+
+def test_under_nohup_the_end_of_the_terminal_is_no_reason_to_leave() -> None:
+    with hangup(signal.SIG_IGN), signals(lambda _: None):
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN

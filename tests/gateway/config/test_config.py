@@ -1,0 +1,904 @@
+"""The robot file: what a right one gives; that a wrong one gets every mistake at once, where it stands."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import subprocess
+import sys
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gateway.config import ConfigError, cautions, describe, devices, load, loads, resources, with_interfaces
+from gateway.config.errors import Mistakes, lines, shown
+from gateway.config.schema import build
+from gateway.config.sharing import clash
+from gateway.core.robot import Robot
+from protocols import plugin
+from protocols.messages import MILLISECOND, Idle, Nanos, Torque
+from protocols.plugin import Broken, Device, Plugin, Spec, UnknownProtocol
+
+ROBOTS = sorted(Path(resources.__file__).parent.parent.glob("fixtures/robots/*.toml"))
+BENCH = resources.find("robots", "bench").read_text()
+
+INSTALLED = ", ".join(point.name for point in plugin.installed())
+ROVER = """\
+# A differential robot over ODrive 0.6 CAN frames, with a lidar and an IMU on a serial line.
+name = "rover"
+rate_hz = 200                 # steps per second
+world = "office"              # what stands behind the twins: a shipped world
+
+[buses.can0]
+kind = "can"                  # can | canfd | serial
+bitrate = 1_000_000
+interface = "twin"            # INTERFACE:CHANNEL, e.g. "socketcan:can0"; "twin" = the world as a bus
+
+[buses.sensors]
+kind = "serial"
+baudrate = 1_000_000
+interface = "twin"            # or "serial:/dev/ttyUSB0"
+
+[motors.left]
+protocol = "odrive_can"
+bus = "can0"
+address = 1
+gear = 8.0                    # turns of the motor per turn of the joint
+sign = 1                      # -1: the motor is mounted the other way round
+silent = "idle"               # what a silent brain means: idle | hold
+safe = "idle"                 # the last word on stop, fault and exit: idle | hold
+on_fault = "stop"             # stop: the whole robot stops | continue: the rest goes on
+command_timeout_ms = 100      # age of the brain's command after which the joint says its safe word
+feedback_timeout_ms = 100     # age of feedback after which the joint is blind
+
+[motors.left.limits]          # at the joint's output shaft: rad, rad/s, rad/s², N·m
+velocity = 20.0
+acceleration = 60.0
+torque = 2.0
+
+[motors.left.options]
+watchdog = "acknowledged"
+
+[motors.right]
+protocol = "odrive_can"
+bus = "can0"
+address = 2
+gear = 8.0
+sign = -1
+silent = "idle"
+safe = "idle"
+on_fault = "stop"
+command_timeout_ms = 100
+feedback_timeout_ms = 100
+
+[motors.right.limits]
+velocity = 20.0
+acceleration = 60.0
+torque = 2.0
+
+[motors.right.options]
+watchdog = "acknowledged"
+
+[sensors.lidar]
+protocol = "plain"
+bus = "sensors"
+address = 1
+mount = { x = 0.12, y = 0.0, z = 0.12, yaw = 0.0 }    # in the robot's frame: m, rad
+timeout_ms = 500
+
+[sensors.imu]
+protocol = "plain"
+bus = "sensors"
+address = 2
+mount = { x = 0.0, y = 0.0, z = 0.05, yaw = 0.0 }
+timeout_ms = 150
+
+[brain]
+body = "differential"
+
+[brain.differential]
+left = "left"
+right = "right"
+wheel_radius = 0.05           # m
+wheel_separation = 0.22       # m
+radius = 0.25                 # m, footprint circle about the robot's origin
+max_linear = 0.6              # m/s
+max_angular = 2.0             # rad/s
+max_linear_acceleration = 0.8
+max_angular_acceleration = 4.0
+"""
+
+
+def told(text: str, find: Any = plugin.load, *, with_world: bool = False) -> list[str]:
+    """The mistakes in a file called r.toml, one line each; [] if it is right."""
+    try:
+        loads(text, "r.toml", find, with_world=with_world)
+    except ConfigError as error:
+        return [str(mistake) for mistake in error.mistakes]
+    return []
+
+
+def line_of(text: str, part: str, nth: int = 1) -> int:
+    """The line on which a part of the text stands for the nth time."""
+    at = -1
+    for _ in range(nth):
+        at = text.index(part, at + 1)
+    return text.count("\n", 0, at) + 1
+
+
+def changed(old: str, new: str, text: str = ROVER, times: int = 1) -> str:
+    assert old in text
+    return text.replace(old, new, times)
+
+
+# -- right files -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_every_shipped_robot_is_right_and_named_as_its_file(path: Path) -> None:
+    robot = load(path)
+    assert robot.name == path.stem
+    assert robot.text == path.read_text()
+    assert loads(robot.text).motors.keys() == robot.motors.keys()
+
+
+def test_what_the_file_says_is_what_the_robot_is() -> None:
+    robot = loads(ROVER)
+    assert (robot.name, robot.period, robot.world, robot.seed) == ("rover", 5 * MILLISECOND, "office", 0)
+    can0, sensors = robot.buses["can0"], robot.buses["sensors"]
+    assert (can0.kind, can0.bitrate, can0.baudrate, can0.interface) == ("can", 1_000_000, 0, "twin")
+    assert (sensors.kind, sensors.bitrate, sensors.baudrate) == ("serial", 0, 1_000_000)
+    right = robot.motors["right"]
+    assert (right.plugin.name, right.bus, right.device.address) == ("odrive_can", "can0", 2)
+    assert (right.joint.gear, right.joint.sign, right.joint.on_fault) == (8.0, -1, "stop")
+    assert (right.joint.limits.velocity, right.joint.limits.position) == (20.0, None)
+    assert right.joint.command_timeout == 100 * MILLISECOND
+    assert right.device.options.watchdog == "acknowledged"
+    assert right.spec == right.plugin.spec(right.device)
+    lidar = robot.sensors["lidar"]
+    assert (lidar.mount.x, lidar.mount.z, lidar.timeout) == (0.12, 0.12, 500 * MILLISECOND)
+    assert robot.brain.body == "differential"
+    assert robot.brain.differential is not None
+    assert robot.brain.differential.wheel_separation == 0.22
+    assert [d.name for _, d in devices(robot, "can0")] == ["left", "right"]
+    assert [d.name for _, d in devices(robot, "sensors")] == ["lidar", "imu"]
+
+
+def test_defaults_are_inherited_all_the_way_down_and_can_be_overruled() -> None:
+    text = BENCH + "\n[motors.left.limits]\ntorque = 0.5\nposition = [-1, 1]\n"
+    robot = loads(text)
+    left, right = robot.motors["left"].joint, robot.motors["right"].joint
+    assert (left.limits.torque, left.limits.velocity, left.limits.position) == (0.5, 20.0, (-1.0, 1.0))
+    assert (right.limits.torque, right.limits.position) == (2.0, None)
+    assert (left.sign, right.sign, left.gear) == (1, -1, 8.0)
+
+
+def test_milliseconds_become_nanoseconds_wherever_a_field_is_nanos() -> None:
+    text = changed("command_timeout_ms = 100", "command_timeout_ms = 12.5")
+    assert loads(text).motors["left"].joint.command_timeout == 12_500_000
+    robot = loads(f"{text}\n[brain.health]\nrecover_ms = 321\n")
+    assert robot.brain.health.recover == 321 * MILLISECOND
+
+
+def test_an_integer_may_stand_for_a_number() -> None:
+    assert loads(changed("gear = 8.0", "gear = 8")).motors["left"].joint.gear == 8.0
+
+
+def test_interfaces_are_replaced_and_wrong_ones_told() -> None:
+    robot = loads(ROVER)
+    moved = with_interfaces(robot, {"can0": "socketcan:vcan0", "sensors": "serial:/dev/ttyS7"})
+    assert moved.buses["can0"].interface == "socketcan:vcan0"
+    assert moved.buses["sensors"].interface == "serial:/dev/ttyS7"
+    assert robot.buses["can0"].interface == "twin"
+    with pytest.raises(ConfigError) as caught:
+        with_interfaces(robot, {"can1": "twin", "can0": "can0", "sensors": "socketcan:can0"})
+    text = str(caught.value)
+    assert "no bus 'can1': there is can0, sensors; did you mean 'can0'?" in text
+    assert 'found "can0", expected "twin" or INTERFACE:CHANNEL, such as "socketcan:can0"' in text
+    assert 'found "socketcan:can0", expected "serial:PORT"' in text
+
+
+# -- one mistake each --------------------------------------------------------------------------
+
+MISTAKES: dict[str, list[tuple[str, str, str]]] = {
+    # key: what stands in the rover's file, what stands there instead, what is told
+    "rate_hz": [
+        ("rate_hz = 200", "rate_hz = 0", "found 0, expected a number greater than 0"),
+        ("rate_hz = 200", "rate_hz = nan", "found nan, expected a finite number"),
+        ("rate_hz = 200", "rate_hz = 1e6", "expected at most 2000 steps per second"),
+        ("rate_hz = 200", "rate_hz = true", "found true, expected a finite number"),
+        ("rate_hz = 200", "rate_hz = 2026-01-01", "found 2026-01-01, expected a finite number"),
+    ],
+    "rate": [
+        ("rate_hz = 200", "rate = 200", "no key 'rate'"),
+    ],
+    "seed": [
+        ("rate_hz = 200", "seed = -1", "found -1, expected an integer from 0"),
+    ],
+    "name": [
+        ('name = "rover"', 'name = "diff/bot"', "expected letters, digits, _ and -"),
+        ('name = "rover"', "name = 5", "found 5, expected a string"),
+    ],
+    "buses.can0.kind": [
+        (
+            'kind = "can" ',
+            'kind = "cam"',
+            "found \"cam\", expected 'can' or 'canfd' or 'serial'; did you mean 'can'?",
+        ),
+    ],
+    "buses.can0.bitrate": [
+        ("bitrate = 1_000_000", "", "missing; expected an integer"),
+        ("bitrate = 1_000_000", "bitrate = 0", "found 0, expected a number greater than 0"),
+    ],
+    "buses.can0.baudrate": [
+        (
+            "bitrate = 1_000_000",
+            "bitrate = 1\nbaudrate = 1",
+            "a bus of kind 'can' has no baudrate; expected bitrate",
+        ),
+    ],
+    "buses.can0.interface": [
+        ('interface = "twin"  ', 'interface = "can0"', 'expected "twin" or INTERFACE:CHANNEL'),
+    ],
+    "motors.left.protocol": [
+        (
+            'protocol = "odrive_can"',
+            'protocol = "odrive-can"',
+            f"no protocol 'odrive-can'; installed: {INSTALLED}; did you mean 'odrive_can'?",
+        ),
+        ('protocol = "odrive_can"', "", "missing; expected a string"),
+    ],
+    "motors.left.bus": [
+        ('bus = "can0"', 'bus = "can1"', "no bus 'can1': there is can0, sensors; did you mean 'can0'?"),
+        (
+            'bus = "can0"',
+            'bus = "sensors"',
+            "odrive_can needs a bus of kind can or canfd, and 'sensors' is serial",
+        ),
+    ],
+    "motors.left.address": [
+        ("address = 1\n", 'address = "1"\n', 'found "1", expected an integer'),
+        ("address = 1\n", "address = 1.0\n", "found 1.0, expected an integer"),
+        ("address = 1\n", "address = -1\n", "found -1, expected an integer of at least 0"),
+        ("address = 1\n", "address = 99\n", "a node id is 0 to"),
+    ],
+    "motors.right.address": [
+        ("address = 1\n", "address = 2\n", "'left' has address 2 on bus 'can0' too"),
+    ],
+    "motors.left.gear": [
+        ("gear = 8.0", "gear = 0", "found 0, expected a number greater than 0"),
+        ("gear = 8.0", "gear = -8.0", "found -8.0, expected a number greater than 0"),
+        ("gear = 8.0", "gear = inf", "found inf, expected a finite number"),
+    ],
+    "motors.left.geer": [
+        ("gear = 8.0", "geer = 8.0", "did you mean 'gear'?"),
+    ],
+    "motors.left.sign": [
+        ("sign = 1 ", "sign = 0 ", "found 0, expected 1 or -1"),
+    ],
+    "motors.left.silent": [
+        (
+            'silent = "idle"',
+            'silent = "idel"',
+            "found \"idel\", expected 'idle' or 'hold'; did you mean 'idle'?",
+        ),
+    ],
+    "motors.left.on_fault": [
+        ('on_fault = "stop"', 'on_fault = "ignore"', "expected 'stop' or 'continue'"),
+    ],
+    "motors.left.command_timeout_ms": [
+        ("command_timeout_ms = 100", "command_timeout_ms = 0", "found 0, expected a number greater than 0"),
+        (
+            "command_timeout_ms = 100",
+            "command_timeout_ms = inf",
+            "found inf, expected a finite number of milliseconds",
+        ),
+        ("command_timeout_ms = 100", "command_timeout_ms = 5", "the robot steps every 5 ms; expected more"),
+    ],
+    "motors.left.command_timeout": [
+        (
+            "command_timeout_ms = 100",
+            "command_timeout = 100",
+            "did you mean 'command_timeout_ms' (milliseconds)?",
+        ),
+    ],
+    "motors.left.feedback_timeout_ms": [
+        (
+            "feedback_timeout_ms = 100",
+            "feedback_timeout_ms = 10",
+            "the device reports every 10 ms; expected more",
+        ),
+    ],
+    "motors.left.limits.torque": [
+        ("torque = 2.0", "torque = 0.0", "found 0.0, expected a number greater than 0"),
+        ("torque = 2.0", "", "missing; expected a finite number"),
+    ],
+    "motors.left.limits.position": [
+        ("torque = 2.0", "torque = 2.0\nposition = [1, -1]", "found [1, -1], expected the lowest first"),
+        (
+            "torque = 2.0",
+            "torque = 2.0\nposition = [1]",
+            "found an array, expected an array of 2 finite numbers",
+        ),
+        ("torque = 2.0", "torque = 2.0\nposition = [1, inf]", "expected an array of 2 finite numbers"),
+    ],
+    "motors.left.options.watchdog": [
+        ('watchdog = "acknowledged"', 'watchdog = "acknowleged"', "did you mean 'acknowledged'?"),
+    ],
+    "motors.left.options.watchdoc": [
+        ('watchdog = "acknowledged"', "watchdoc = 1", "did you mean 'watchdog'?"),
+    ],
+    "motors.left.options.feedback_ms": [
+        ('watchdog = "acknowledged"', "feedback_ms = 0", "feedback_ms is 0"),
+    ],
+    "motors.left.setings": [
+        ("[motors.left.options]", "[motors.left.setings]", "did you mean 'settings'?"),
+    ],
+    "sensors.lidar.protocol": [
+        (
+            'protocol = "plain"',
+            'protocol = "odrive_can"',
+            "'odrive_can' speaks to a motor here, expected a sensor",
+        ),
+    ],
+    "sensors.lidar.timeout_ms": [
+        ("timeout_ms = 500", "timeout_ms = 0", "found 0, expected a number greater than 0"),
+    ],
+    "sensors.lidar.mount.x": [
+        ("mount = { x = 0.12,", "mount = { x = nan,", "found nan, expected a finite number"),
+    ],
+    "sensors.lidar.mount.q": [
+        ("mount = { x = 0.12,", "mount = { q = 0.12,", "no key 'q': there is x, y, z, yaw, pitch, roll"),
+    ],
+    "sensors.left": [
+        ("[sensors.imu]", "[sensors.left]", "a motor is called 'left' too"),
+    ],
+    "sensors.all": [
+        ("[sensors.imu]", "[sensors.all]", "'all' has a meaning of its own"),
+    ],
+    "sensors.my imu": [
+        ("[sensors.imu]", '[sensors."my imu"]', "expected a name of letters, digits and _"),
+    ],
+    "brain.body": [
+        (
+            'body = "differential"',
+            'body = "differental"',
+            "expected 'differential' or 'joints'; did you mean 'differential'?",
+        ),
+    ],
+    "brain.joints": [
+        ('body = "differential"', 'body = "joints"', "missing; the body 'joints' expects this table"),
+    ],
+    "brain.differential.left": [
+        ('left = "left"', 'left = "lift"', "no motor 'lift': there is left, right; did you mean 'left'?"),
+        ('left = "left"', 'left = "lidar"', "'lidar' is a sensor; there is left, right"),
+    ],
+    "brain.differential.wheel_radius": [
+        ("wheel_radius = 0.05", "wheel_radius = 0", "wheel_radius"),
+    ],
+    "brain.differential.wheel_radios": [
+        ("wheel_radius = 0.05", "wheel_radios = 0.05", "did you mean 'wheel_radius'?"),
+    ],
+    "brian": [
+        ("[brain]", "[brian]", "did you mean 'brain'?"),
+    ],
+    "buses.x": [
+        ("[buses.can0]", "[buses]\nx = 1\n[buses.can0]", "found 1, expected a table [buses.x]"),
+    ],
+}
+ROWS = [(key, *row) for key, rows in MISTAKES.items() for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("key", "old", "new", "said"), ROWS, ids=[f"{row[0]}: {row[2][:30]}" for row in ROWS]
+)
+def test_a_mistake_is_told_with_its_key_and_what_is_right(key: str, old: str, new: str, said: str) -> None:
+    text = changed(old, new)
+    found = [line for line in told(text) if re.match(rf"r\.toml:\d+: {re.escape(key)}: ", line)]
+    assert len(found) == 1, told(text)
+    assert said in found[0]
+    if "missing" not in said and "too" not in said:
+        number = int(found[0].split(":")[1])
+        assert key.rsplit(".", 1)[-1] in text.splitlines()[number - 1]
+
+
+def test_all_of_them_at_once_in_the_order_of_the_file() -> None:
+    text, keys = ROVER, []
+    for old, new, key in [
+        ("rate_hz = 200", "rate_hz = inf", "rate_hz"),
+        ("office", "ofice", "world"),
+        ('bus = "can0"', 'bus = "can7"', "motors.left.bus"),
+        ("gear = 8.0   ", 'gear = "8"', "motors.left.gear"),
+        ("acceleration = 60.0", "acceleration = 0", "motors.left.limits.acceleration"),
+        ('"acknowledged"', "5", "motors.left.options.watchdog"),
+        ("sign = -1", "sign = 3", "motors.right.sign"),
+        ("timeout_ms = 500", "timeout_ms = -1", "sensors.lidar.timeout_ms"),
+        ('right = "right"', 'right = "rihgt"', "brain.differential.right"),
+        ("wheel_radius = 0.05", "wheel_radius = -1", "brain.differential.wheel_radius"),
+        ("max_linear = 0.6", "max_linear = 0", "brain.differential.max_linear"),
+        ("max_angular = 2.0", 'max_angular = "fast"', "brain.differential.max_angular"),
+    ]:
+        text = changed(old, new, text)
+        keys.append(key)
+    found = told(text + "\n[brain.plan]\n", with_world=True)
+    assert [line.split(": ")[1] for line in found] == [*keys, "brain.plan"]
+    numbers = [int(line.split(":")[1]) for line in found]
+    assert numbers == sorted(numbers)
+    assert "did you mean 'office'?" in found[1]
+    with pytest.raises(ConfigError) as caught:
+        loads(text, "r.toml")
+    assert str(caught.value).splitlines() == [
+        line for line in found if "brain.plan" not in line and "world" not in line
+    ]
+
+
+def test_what_a_driver_says_of_its_devices_together_is_a_mistake_like_any_other() -> None:
+    text = resources.find("robots", "diffbot_cia402").read_text("utf-8")
+    text = text.replace("sync_ms = 10", "sync_ms = 20", 1).replace("gear = 8.0", "gear = 0.0", 1)
+    mistakes = told(text)
+    assert len(mistakes) == 2
+    assert any("motors.left.gear: " in one for one in mistakes)
+    said = "buses.can0: cia402: sync_ms must be the same for all drives of one bus: it is 20 for left and 10"
+    assert any(said in one for one in mistakes)
+
+
+def test_a_driver_that_raises_is_named_with_what_it_raises() -> None:
+    def driver(_: object) -> Any:
+        raise RuntimeError("boom")
+
+    broken = dataclasses.replace(plugin.load("odrive_can"), driver=driver)
+    (mistake,) = told(BENCH, lambda name: broken if name == "odrive_can" else plugin.load(name))
+    assert "buses.can0: odrive_can is broken: its driver raises RuntimeError: boom" in mistake
+
+
+def test_a_mistake_in_a_default_is_told_once_where_it_stands() -> None:
+    text = changed("gear = 8.0", "gear = 0", BENCH)
+    number = line_of(text, "gear = 0")
+    assert told(text) == [f"r.toml:{number}: defaults.motors.gear: found 0, expected a number greater than 0"]
+
+
+def test_what_is_no_toml_is_told_with_its_line() -> None:
+    (said,) = told(changed("rate_hz = 200", "rate_hz = = 200"))
+    assert re.match(r"r\.toml:3: not TOML: .*line 3", said)
+    (twice,) = told(changed("gear = 8.0", "gear = 8.0\ngear = 9.0"))
+    assert "not TOML: Cannot overwrite a value" in twice
+
+
+@pytest.mark.parametrize(
+    "text", ["", "name = 'x'", "motors = 5\nbuses = []\nsensors = 'x'\nbrain = 1\ndefaults = 2"]
+)
+def test_what_is_missing_altogether_is_told(text: str) -> None:
+    found = "\n".join(told(text))
+    for key in ("buses", "motors", "brain"):
+        assert re.search(rf"^r\.toml(:\d+)?: {key}", found, re.MULTILINE), found
+
+
+def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"cannot be read: .*No such file"):
+        load(tmp_path / "none.toml")
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match=r"bytes\.toml: cannot be read"):
+        load(tmp_path / "bytes.toml")
+
+
+def test_a_missing_world_matters_to_a_run_and_not_to_a_replay(tmp_path: Path) -> None:
+    text = changed("office", str(tmp_path / "gone.toml"))
+    assert told(text) == []
+    (said,) = told(text, with_world=True)
+    assert "world: there is no file" in said
+
+
+@settings(deadline=None)
+@given(st.text(max_size=300))
+def test_no_text_does_anything_but_raise_config_error(text: str) -> None:
+    assert told(text)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.sampled_from(ROVER.splitlines()), st.sampled_from(["", "x = 1", "= 3", "[motors.left]", "bus = {}"])
+)
+def test_any_line_may_be_wrong(line: str, instead: str) -> None:
+    told(ROVER.replace(line, instead, 1))
+
+
+# -- protocols of others -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class NoOptions:
+    """Nothing to be set."""
+
+
+def speechless(_: object) -> Any:
+    """The driver of a stranger: none of these tests lets it speak."""
+    return None
+
+
+def stranger(**changes: Any) -> Plugin:
+    """A language of somebody else's: the built-in one's contract with some changes."""
+    odrive = plugin.load("odrive_can")
+    left = loads(ROVER).motors["left"].device
+
+    def spec(device: Device) -> Spec:
+        return dataclasses.replace(odrive.spec(dataclasses.replace(left, address=device.address)), **changes)
+
+    return dataclasses.replace(
+        odrive, name="stranger", options=NoOptions, settings=NoOptions, spec=spec, driver=speechless
+    )
+
+
+def with_stranger(text: str, **changes: Any) -> list[str]:
+    made = stranger(**changes)
+    text = re.sub(r"\[motors.left.options\].*\nwatchdog = .*\n", "", text)
+    text = changed('protocol = "odrive_can"', 'protocol = "stranger"', text)
+    return told(text, lambda name: made if name == "stranger" else plugin.load(name))
+
+
+def test_hold_cannot_be_the_last_word_of_a_device_that_lets_go() -> None:
+    text = changed('safe = "idle"', 'safe = "hold"')
+    assert told(text) == []
+    (said,) = with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset(), listens=())
+    assert 'motors.left.safe: found "hold", expected "idle": with nobody feeding it' in said
+
+
+def test_a_silent_brain_may_mean_hold_on_any_device_for_the_joint_goes_on_feeding_it() -> None:
+    text = changed('silent = "idle"', 'silent = "hold"')
+    assert (
+        with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset(), listens=()) == []
+    )
+
+
+def test_a_brake_needs_a_device_that_takes_a_velocity() -> None:
+    text = changed('safe = "idle"', 'safe = "brake"')
+    assert told(text) == []
+    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "listens": ()}
+    (said,) = with_stranger(text, commands=frozenset({Idle, Torque}), **free)
+    assert 'motors.left.safe: found "brake", expected "idle"' in said
+
+
+SEVERAL = (
+    "0x055 (it would obey what 'left' reports there)"
+    "; 0x041, 0x043, 0x044, 0x045, … ('left' would obey what it reports there)"
+    "; 0x042, 0x047 (each would obey what the other is sent)"
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        # `right` is node 2: it is commanded on 0x42, 0x43 …, and reports on 0x41, 0x43 … when asked there
+        ({"sends": {0x41}}, "0x041 ('left' would obey what it reports there)"),
+        (
+            {"sends": {0x5F}},
+            "0x05F (it would obey what 'left' is sent)",
+        ),  # of its node, if not in its language
+        ({"listens": ((0x42, 0x7FF),)}, "0x042 ('left' would obey what it is sent)"),
+        ({"sends": {0x42}}, "0x042 (each would obey what the other is sent)"),
+        ({"expects": {0x42}}, "0x042 (it would obey what 'left' reports there)"),
+        ({"sends": set(range(0x41, 0x48)), "expects": {0x55}}, SEVERAL),
+    ],
+)
+def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: str) -> None:
+    ids: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "listens": ()}
+    assert with_stranger(ROVER, **ids) == []
+    (said,) = with_stranger(ROVER, **ids | changes)
+    said = said.partition(": ")[2]
+    assert said == (
+        f"motors.right.address: uses CAN ids of 'left' (stranger) on bus 'can0': {why}; "
+        "expected another address or bus, or an option that moves its ids"
+    )
+
+
+def test_two_languages_do_not_report_on_one_id() -> None:
+    motors = loads(ROVER).motors
+    ids: dict[str, Any] = {"expects": frozenset({0x41}), "listens": ()}
+    left, right = (
+        dataclasses.replace(motor, spec=dataclasses.replace(motor.spec, sends=frozenset({number}), **ids))
+        for number, motor in enumerate(motors.values())
+    )
+    assert (
+        clash(left, right) == "uses CAN ids of 'left' (odrive_can) on bus 'can0': 0x041 (both report there)"
+    )
+
+
+def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
+    """As of an ODrive with is_extended."""
+    ids: dict[str, Any] = {"sends": frozenset({0x41, 0x1041}), "expects": frozenset({0x47}), "listens": ()}
+    assert len(with_stranger(ROVER, **ids, extended=frozenset({0x1041}))) == 1
+    assert len(with_stranger(ROVER, **ids, extended=None)) == 1
+    assert with_stranger(ROVER, **ids, extended=frozenset({0x41, 0x1041, 0x47})) == []
+    options = 'watchdog = "acknowledged"'
+    old = loads(changed(options, f'{options}\nfirmware = "0.5"\nis_extended = true')).motors["left"].spec
+    assert all(old.is_extended(number) for number in old.sends | old.expects)
+    new = loads(ROVER).motors["left"].spec
+    assert not any(new.is_extended(number) for number in new.sends | new.expects)
+
+
+def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -> None:
+    fd = changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 5_000_000')
+    assert told(fd) == []
+    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "listens": (), "bus": "canfd"}
+    assert with_stranger(fd, **free) == []
+    (said,) = with_stranger(ROVER, **free)
+    assert "motors.left.bus: stranger needs a bus of kind canfd, and 'can0' is can" in said
+
+
+def test_the_data_phase_of_can_fd_is_not_the_slower_one() -> None:
+    (said,) = told(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 500_000'))
+    assert "buses.can0.data_bitrate: found 500000, expected at least the bitrate of 1000000" in said
+    assert told(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 1_000_000')) == []
+
+
+def test_a_broken_protocol_is_named_with_its_distribution() -> None:
+    def find(name: str) -> Plugin:
+        if name == "odrive_can":
+            raise UnknownProtocol(name, [name], Broken(name, "their-package", "ImportError: no module"))
+        return plugin.load(name)
+
+    found = told(ROVER, find)
+    assert len(found) == 2
+    assert "protocol 'odrive_can' of their-package is broken: ImportError: no module" in found[0]
+
+
+# -- what a person must be told ------------------------------------------------------------------
+
+
+def test_the_watchdog_is_told_at_every_start_until_it_is_acknowledged() -> None:
+    assert cautions(loads(ROVER)) == []
+    (said,) = cautions(loads(changed('watchdog = "acknowledged"', "")))
+    assert said.startswith("left: ")
+    assert "watchdog" in said
+
+
+def mixed(text: str, **changes: Any) -> list[str]:
+    """The cautions of a robot whose left motor speaks a language of somebody else's, with ids of its own."""
+    own: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "overhears": ()}
+    own["listens"] = ()
+    made = stranger(**own | changes)
+    text = re.sub(r"\[motors.left.options\].*\nwatchdog = .*\n", "", text)
+    text = changed('protocol = "odrive_can"', 'protocol = "stranger"', text)
+    robot = loads(text, find=lambda name: made if name == "stranger" else plugin.load(name))
+    return [said for said in cautions(robot) if "watchdog" not in said]
+
+
+FD = 'kind = "canfd"\ndata_bitrate = 5_000_000'
+
+
+def test_classic_can_beside_can_fd_is_told_until_it_is_acknowledged() -> None:
+    text = changed('kind = "can" ', FD)
+    assert mixed(text) == []  # all of it classic
+    (said,) = mixed(text, bus="canfd")
+    assert said.startswith(
+        "can0: left speaks CAN FD, and right classic CAN alone; the controller of right must"
+    )
+    assert said.endswith('If so, write mixed = "acknowledged" under [buses.can0]')
+    assert mixed(changed('kind = "can" ', f'{FD}\nmixed = "acknowledged"'), bus="canfd") == []
+
+
+def test_what_another_language_takes_for_its_own_is_told_until_it_is_acknowledged() -> None:
+    """ODrive's driver heeds every heartbeat, 0x01 in the low five bits, whoever is there."""
+    expects = frozenset({0x181, 0x701, 0x582})
+    (said,) = mixed(ROVER, expects=expects, sends=frozenset({0x202}))
+    assert said.startswith("left: odrive_can takes what it sends on 0x181, 0x701 for words of its own kind")
+    assert mixed(changed('kind = "can" ', 'kind = "can"\nmixed = "acknowledged"'), expects=expects) == []
+    (said,) = mixed(ROVER, overhears=((0x41, 0x7FF), (0x55, 0x7FF)))
+    assert said.startswith("right: stranger takes what it sends on 0x041, 0x055 for words")
+
+
+def test_limits_that_a_device_cannot_be_told_are_cautions() -> None:
+    text = changed("velocity = 20.0", "velocity = 1e9", changed("torque = 2.0", "torque = 1e9"))
+    velocity, torque = cautions(loads(text))
+    assert "left: its limit of velocity is 8e+09 rad/s at the device's shaft" in velocity
+    assert "left: its limit of torque is 1.25e+08 N·m at the device's shaft" in torque
+
+
+def test_a_body_that_is_faster_than_its_joints_is_a_caution() -> None:
+    (said,) = cautions(loads(changed("velocity = 20.0", "velocity = 16.0")))
+    assert said.startswith("left: its limit of 16 rad/s is below the 16.4 rad/s that max_linear")
+
+
+def test_feedback_that_is_always_too_old_for_the_brain_is_a_caution() -> None:
+    def at(timeout_ms: int, more: str = "") -> list[str]:
+        return cautions(
+            loads(ROVER.replace("feedback_timeout_ms = 100 ", f"feedback_timeout_ms = {timeout_ms} ") + more)
+        )
+
+    assert at(21) == []
+    said = "left: the base goes slow when its feedback is older than 10 ms, 0.5 of its feedback_timeout_ms; "
+    assert at(20) == [said + "the device reports every 10 ms only"]
+    assert at(20, "\n[brain.health]\nslow_age = 0.6\n") == []
+    bench = BENCH.replace("feedback_timeout_ms = 100", "feedback_timeout_ms = 11")
+    assert [line[:28] for line in cautions(loads(bench))] == [
+        "left: its target is dropped ",
+        "right: its target is dropped",
+    ]
+
+
+def test_a_sensor_that_nobody_uses_is_a_caution() -> None:
+    imu = '[buses.line]\nkind = "serial"\nbaudrate = 115_200\ninterface = "twin"\n'
+    imu += '[sensors.imu]\nprotocol = "plain"\nbus = "line"\naddress = 1\n'
+    assert cautions(loads(BENCH)) == []
+    (said,) = cautions(loads(f"{BENCH}\n{imu}"))
+    assert said == "imu: bare joints use no sensor; it is recorded, and its silence goes unnoticed"
+
+
+def numbers_of(robot: Robot) -> list[str]:
+    limits = [motor.joint.limits for motor in robot.motors.values()]
+    return [f"{one:g}" for limit in limits for one in (limit.velocity, limit.acceleration, limit.torque)]
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_a_robot_in_words_names_everything(path: Path) -> None:
+    robot = load(path)
+    said = describe(robot)
+    for name in (*robot.buses, *robot.motors, *robot.sensors, *numbers_of(robot), robot.brain.body):
+        assert name in said
+    assert max(map(len, said.splitlines())) < 140
+
+
+def test_a_robot_in_words_carries_its_cautions_and_bus_load() -> None:
+    said = describe(loads(changed('watchdog = "acknowledged"', "")))
+    assert "be careful:\n  left: the device's watchdog is off" in said
+    # two motors, a command every 5 ms and a report every 10 ms each: 600 frames of 125 bits in 1 Mbit
+    assert "at least 8 %" in said
+
+
+# -- the parts: lines, and dataclasses from tables -------------------------------------------------
+
+
+def test_lines_of_tables_and_keys() -> None:
+    text = """# comment = 1
+a = 1
+[b.c]   # header
+"quoted key" = 2
+d.e = 3
+text = '''
+no = 5
+'''
+list = [
+  "x = 1",
+]
+[ f . 'g' ]
+inline = { x = 1 }
+"""
+    assert lines(text) == {
+        ("a",): 2,
+        ("b",): 3,
+        ("b", "c"): 3,
+        ("b", "c", "quoted key"): 4,
+        ("b", "c", "d"): 5,
+        ("b", "c", "d", "e"): 5,
+        ("b", "c", "text"): 6,
+        ("b", "c", "list"): 9,
+        ("f",): 12,
+        ("f", "g"): 12,
+        ("f", "g", "inline"): 13,
+    }
+
+
+class Colour(StrEnum):
+    RED = "red"
+    GREEN = "green"
+
+
+@dataclass(frozen=True, slots=True)
+class Inner:
+    a: float = 1.0
+    b: float = 2.0
+    patience: Nanos = 3 * MILLISECOND
+
+    def __post_init__(self) -> None:
+        if self.a <= 0:
+            raise ValueError(f"a must be above 0, not {self.a}")
+        if self.b <= 0 or self.patience <= 0:
+            raise ValueError("b must be above 0; patience must be above 0")
+
+
+@dataclass(frozen=True, slots=True)
+class Outer:
+    count: int
+    inner: Inner = field(default_factory=Inner)
+    perhaps: Inner | None = None
+    named: dict[str, Inner] = field(default_factory=dict)
+    colour: Colour = Colour.RED
+    mode: Literal["on", "off"] = "on"
+    words: tuple[str, ...] = ()
+    pair: tuple[float, float] = (0.0, 1.0)
+    either: int | str = 0
+    length: Annotated[float, "metres"] = 0.0
+
+
+def made(table: object) -> tuple[Outer | None, list[str]]:
+    mistakes = Mistakes("f", "")
+    outer = build(Outer, table, ("t",), mistakes)
+    return outer, [str(one).removeprefix("f: t.").removeprefix("f: ") for one in mistakes.error().mistakes]
+
+
+def test_a_dataclass_from_a_table() -> None:
+    table = {
+        "count": 3,
+        "inner": {"a": 5, "patience_ms": 2.5},
+        "perhaps": {},
+        "named": {"x": {"b": 7}},
+        "colour": "green",
+        "mode": "off",
+        "words": ["a", "b"],
+        "pair": [1, 2],
+        "either": "x",
+    }
+    outer, told = made(table)
+    assert told == []
+    assert outer == Outer(
+        3,
+        Inner(5.0, 2.0, 2_500_000),
+        Inner(),
+        {"x": Inner(b=7.0)},
+        Colour.GREEN,
+        "off",
+        ("a", "b"),
+        (1.0, 2.0),
+        "x",
+    )
+
+
+def test_every_mistake_in_a_dataclass() -> None:
+    names = "count, inner, perhaps, named, colour, mode, words, pair, either, length"
+    outer, told = made(
+        {
+            "inner": {"a": -1, "b": 0, "patience_ms": 0, "c": 1},
+            "perhaps": {"patience": 5},
+            "named": {"x": {"a": "1"}},
+            "colour": "blue",
+            "mode": "of",
+            "words": ["a", 1],
+            "pair": [1, 2, 3],
+            "either": 1.5,
+            "length": "long",
+            "cuont": 1,
+        }
+    )
+    assert outer is None
+    assert sorted(told) == sorted(
+        [
+            "perhaps.patience: unknown key; did you mean 'patience_ms' (milliseconds)?",
+            "count: missing; expected an integer",
+            "inner.c: no key 'c': there is a, b, patience_ms",
+            'named.x.a: found "1", expected a finite number',
+            "colour: found \"blue\", expected 'red' or 'green'",
+            "mode: found \"of\", expected 'on' or 'off'; did you mean 'off'?",
+            "words: found an array, expected an array of strings",
+            "pair: found an array, expected an array of 2 finite numbers",
+            "either: found 1.5, expected an integer or a string",
+            'length: found "long", expected a finite number of metres',
+            f"cuont: no key 'cuont': there is {names}; did you mean 'count'?",
+            "inner.a: a must be above 0, not -1.0",
+            "inner.b: b must be above 0",
+            "inner.patience_ms: patience must be above 0",
+        ]
+    )
+
+
+@pytest.mark.parametrize("table", [None, 5, "x", []])
+def test_what_is_no_table_is_told(table: object) -> None:
+    assert made(table) == (None, [f"t: found {shown(table)}, expected a table"])
+
+
+def test_a_dataclass_that_no_file_can_fill_is_told() -> None:
+    @dataclass
+    class Odd:
+        thing: Mistakes
+
+    mistakes = Mistakes("f", "")
+    assert build(Odd, {}, ("t",), mistakes) is None
+    assert "Odd cannot be filled from a file" in str(mistakes.error())
+
+
+def test_reading_a_robot_is_what_imports_pydantic() -> None:
+    code = "import sys, gateway.config; sys.exit('pydantic' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

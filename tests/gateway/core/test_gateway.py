@@ -1,0 +1,277 @@
+"""The gateway with real drivers, on twins in simulated time: what a person, a fault or a bad value does."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+
+import pytest
+
+from gateway.core.step import Gateway, ear_of
+from gateway.core.tick import Inputs, Outputs
+from protocols.messages import (
+    ClearFault,
+    Command,
+    Drive,
+    Estop,
+    Home,
+    Idle,
+    Leave,
+    Mode,
+    Position,
+    Reboot,
+    Release,
+    Scan,
+    Set,
+    Stop,
+    Task,
+    Torque,
+    Velocity,
+)
+from tests.gateway.rig import BENCH, Rig, said, told
+
+DRIVEN = (Velocity("left", 5.0), Velocity("right", -5.0))
+
+
+@pytest.fixture
+def rig() -> Rig:
+    """Both motors heard, nothing commanded."""
+    made = Rig()
+    made.run(0.3)
+    return made
+
+
+@pytest.fixture
+def driven(rig: Rig) -> Rig:
+    """Both motors turning."""
+    rig.run(1.0, *DRIVEN)
+    assert rig.velocity("left") == pytest.approx(5.0, abs=0.1)
+    assert rig.velocity("right") == pytest.approx(-5.0, abs=0.1)
+    return rig
+
+
+def test_until_commanded_only_read_only_wires_go_out(rig: Rig) -> None:
+    spec = rig.robot.motors["left"].spec
+    sent = [packet.wire for tick in rig.ticks for packet in tick.outputs.packets]
+    assert sent
+    assert all(spec.read_only(wire) for wire in sent)
+    assert all(joint.mode is Mode.READY for joint in rig.gateway.joints.values())
+
+
+def test_velocity_position_and_torque_reach_the_shaft_through_gear_and_sign(rig: Rig) -> None:
+    rig.run(1.0, Velocity("left", 5.0))
+    assert rig.velocity("left") == pytest.approx(5.0, abs=0.1)
+    assert rig.velocity("right") == 0.0
+    rig.run(2.0, Position("left", 1.0))
+    assert rig.world.world.shaft("left")[0] == pytest.approx(1.0, abs=0.02)
+    rig.run(0.5, Torque("left", 0.5))
+    assert rig.velocity("left") > 5.0
+
+
+def test_a_motor_mounted_the_other_way_round_turns_the_same_way() -> None:
+    rig = Rig(BENCH.replace("address = 2", "address = 2\nsign = -1"))
+    rig.run(0.3)
+    rig.run(1.0, *DRIVEN)
+    assert rig.velocity("right") == pytest.approx(-5.0, abs=0.1)
+    assert rig.gateway.joints["right"].feedback.velocity == pytest.approx(-5.0, abs=0.1)
+
+
+def test_stop_latches_above_every_joint_until_release(driven: Rig) -> None:
+    ticks = driven.run(0.5, Stop("a hand in the way"))
+    assert said(driven, ticks[:1]) == [(ticks[0].now, Idle("left")), (ticks[0].now, Idle("right"))]
+    ticks = driven.run(0.5, *DRIVEN)
+    assert not [word for _, word in said(driven, ticks) if not isinstance(word, Idle)]
+    assert driven.gateway.why_stopped() == "a hand in the way"
+    ticks = driven.run(0.5, Release())
+    assert not [
+        word for _, word in said(driven, ticks) if not isinstance(word, Idle)
+    ]  # nothing starts by itself
+    driven.run(1.0, *DRIVEN)
+    assert driven.velocity("left") == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_motor_that_falls_silent_gets_a_sentence_and_the_rest_goes_on_if_the_file_says_so(
+    driven: Rig,
+) -> None:
+    driven.world.silence("right")  # on_fault = "continue"
+    ticks = driven.run(1.0)
+    (fault,) = [n for n in told(ticks, "right") if n.level == "error"]
+    assert "silent: no feedback for" in fault.text
+    assert "cable" in fault.text
+    first = next(t for t in ticks if fault in t.outputs.notes)
+    assert first.now - ticks[0].now < 150_000_000
+    assert driven.velocity("left") == pytest.approx(5.0, abs=0.1)
+    assert driven.gateway.why_stopped() == ""
+
+
+def test_a_motor_that_falls_silent_stops_the_robot_if_the_file_says_so(driven: Rig) -> None:
+    driven.world.silence("left")  # on_fault = "stop"
+    ticks = driven.run(1.0)
+    assert "left: silent" in driven.gateway.why_stopped()
+    words = [word for _, word in said(driven, ticks[-100:])]
+    assert all(isinstance(word, Idle) for word in words)
+    assert driven.gateway.joints["right"].mode is Mode.READY
+
+
+def test_a_motor_that_comes_back_does_not_start_by_itself(driven: Rig) -> None:
+    driven.world.silence("right")
+    driven.run(0.5)
+    driven.world.unsilence("right")
+    ticks = driven.run(1.0)
+    assert not [w for _, w in said(driven, ticks) if w.motor == "right" and not isinstance(w, Idle)]
+    driven.run(0.3, ClearFault("right"))
+    assert not driven.gateway.joints["right"].faults
+    driven.run(1.0, Velocity("right", 2.0))
+    assert driven.velocity("right") == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_motor_that_restarts_gets_a_sentence_and_the_safe_word(driven: Rig) -> None:
+    driven.world.reset("left")
+    ticks = driven.run(1.0)
+    (fault,) = [n for n in told(ticks, "left") if n.level == "error"]
+    assert "disarmed itself" in fault.text
+    assert "a restart" in fault.text
+    assert driven.gateway.joints["right"].mode is Mode.READY  # left stops the robot
+
+
+def test_a_second_node_with_the_same_address_gets_a_sentence_and_the_safe_word(driven: Rig) -> None:
+    driven.world.duplicate("left")
+    ticks = driven.run(1.0)
+    faults = [n for n in told(ticks, "left") if n.level == "error"]
+    assert any("held twice" in n.text for n in faults)
+    warned = [n.text for n in told(ticks, "scan") if n.level == "warning"]
+    assert warned
+    assert all("more than one device holds this address" in text for text in warned)
+    assert not [w for _, w in said(driven, ticks[-50:]) if not isinstance(w, Idle)]
+
+
+def test_estop_is_a_fault_in_the_vendors_words_until_it_is_cleared(driven: Rig) -> None:
+    ticks = driven.run(0.5, Estop("left"))
+    assert any("ESTOP_REQUESTED" in n.text for n in told(ticks, "left"))
+    assert "ESTOP_REQUESTED" in driven.gateway.why_stopped()
+    ticks = driven.run(1.0, *DRIVEN)
+    assert not [w for _, w in said(driven, ticks) if not isinstance(w, Idle)]
+    driven.run(0.5, ClearFault("all"))
+    assert driven.gateway.why_stopped() == ""
+    driven.run(1.0, *DRIVEN)
+    assert driven.velocity("left") == pytest.approx(5.0, abs=0.1)
+
+
+def test_requests_are_answered_done_or_refused_in_words(rig: Rig) -> None:
+    ticks = rig.run(3.0, Reboot("left"), Home("left"), Reboot("lefft"), ClearFault("right"), Scan("can0"))
+    texts = [f"{n.about}: {n.text}" for n in told(ticks)]
+    assert any(t.startswith("left: Reboot: done") for t in texts)
+    assert "left: Home: refused: its protocol cannot do this" in texts
+    assert "lefft: Reboot: refused: there is no motor 'lefft'; there are left, right" in texts
+    assert any(t.startswith("right: ClearFault: done") for t in texts)
+    assert sum("odrive_can at address" in t for t in texts) == 2
+
+
+def test_limits_and_gains_are_set_while_it_runs_or_refused_in_words(driven: Rig) -> None:
+    ticks = driven.run(
+        1.0, Set("left.limits.velocity", 2.0), Set("left.limits.torque", math.nan), Set("wing", 1.0)
+    )
+    assert driven.velocity("left") == pytest.approx(2.0, abs=0.1)
+    texts = [n.text for n in told(ticks, "operator")]
+    assert texts[0] == "left.limits.velocity = 2"
+    assert "positive finite" in texts[1]
+    assert "begins with neither of brain, left, right" in texts[2]
+
+
+def test_a_lost_bus_and_one_that_is_back_are_told_and_nothing_starts_by_itself(driven: Rig) -> None:
+    driven.world.lose("can0")
+    ticks = driven.run(0.5)
+    assert any("has vanished" in n.text for n in told(ticks, "can0"))
+    driven.world.restore("can0")
+    ticks = driven.run(1.0)
+    assert any("is back" in n.text for n in told(ticks, "can0"))
+    assert not [w for _, w in said(driven, ticks) if not isinstance(w, Idle)]
+
+
+class NanBrain:
+    """A brain gone wrong."""
+
+    def __init__(self, bad: float) -> None:
+        self.bad = bad
+
+    def step(
+        self, _now: int, _events: object, _tasks: Sequence[Task | Command], _stopped: str
+    ) -> list[Command]:
+        return [Velocity("left", self.bad), Torque("right", self.bad)]
+
+    def take_notes(self) -> list[tuple[str, str]]:
+        return []
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_brain_that_says_nan_moves_nothing_and_it_is_told(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, bad: float
+) -> None:
+    belief = rig.gateway.belief()
+    monkeypatch.setattr(rig.gateway, "brain", NanBrain(bad))
+    monkeypatch.setattr(rig.gateway, "belief", lambda: belief)
+    ticks = rig.run(0.3)
+    assert any("not finite" in n.text and n.level == "error" for n in told(ticks, "left"))
+    assert all(rig.robot.motors["left"].spec.read_only(p.wire) for t in ticks for p in t.outputs.packets)
+    assert rig.gateway.joints["left"].not_finite > 0
+
+
+def test_a_command_for_a_body_is_refused_by_bare_joints(rig: Rig) -> None:
+    ticks = rig.run(0.2, Drive(0.1, 0.0))
+    assert any("efused" in n.text for n in told(ticks, "brain"))
+
+
+def test_a_copy_of_the_gateway_goes_on_the_same(driven: Rig) -> None:
+    twin = copy.deepcopy(driven.gateway)
+    ticks = driven.run(0.5, Set("left.limits.velocity", 3.0), Estop("right"))
+    again = [twin.step(tick.now, tick.inputs) for tick in ticks]
+    assert again == [tick.outputs for tick in ticks]
+
+
+def test_the_same_inputs_give_the_same_outputs(driven: Rig) -> None:
+    fresh = Gateway(driven.robot)
+    outputs: list[Outputs] = [fresh.step(tick.now, tick.inputs) for tick in driven.ticks]
+    assert outputs == [tick.outputs for tick in driven.ticks]
+
+
+def test_a_brain_that_says_nothing_is_a_silent_brain(driven: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driven.gateway.brain, "step", lambda *_: [])
+    ticks = driven.run(0.5)
+    last = [word for _, word in said(driven, ticks)][-1]
+    assert last == Idle("left") or last == Idle("right")
+    assert not any(joint.mode is Mode.ARMED for joint in driven.gateway.joints.values())
+
+
+def test_an_unknown_bus_in_the_inputs_is_our_own_mistake(rig: Rig) -> None:
+    from protocols.frames import CanFrame, Packet
+
+    with pytest.raises(KeyError):
+        rig.gateway.step(0, Inputs(packets=(Packet(0, "can9", CanFrame(1)),)))
+
+
+def test_an_operators_stop_is_also_for_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
+    ours, theirs = Gateway(driven.robot), driven.gateway
+    assert theirs.joints["left"].mode is Mode.ARMED
+    ticks = driven.run(0.3)
+    for tick in ticks:  # a second host hears the same bus, and has commanded nothing
+        heard = ours.step(tick.now, Inputs(packets=tick.inputs.packets))
+        assert not _idles(driven, heard)
+    last = driven.clock.now()
+    assert ours.joints["left"].mode is Mode.ARMED
+    assert _idles(driven, ours.step(last, Inputs(asked=(Stop(),)))) == ["left", "right"]
+
+
+def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
+    ours = Gateway(driven.robot)
+    for tick in driven.run(0.3):
+        ours.step(tick.now, Inputs(packets=tick.inputs.packets))
+    assert ours.joints["left"].mode is Mode.ARMED
+    assert not _idles(driven, ours.step(driven.clock.now(), Inputs(asked=(Leave("the end"),))))
+
+
+def _idles(rig: Rig, outputs: Outputs) -> list[str]:
+    """Which motors would obey an Idle in these outputs."""
+    ear = ear_of(rig.robot, "can0")
+    words = [word for p in outputs.packets for word in ear.hear(p.t, p.wire)]
+    return [word.motor for word in words if isinstance(word, Idle)]

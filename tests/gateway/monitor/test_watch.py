@@ -1,0 +1,376 @@
+"""`gateway watch`: on buses and recordings, as page and as lines; and not a single frame goes out."""
+
+from __future__ import annotations
+
+import ast
+import io
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import termios
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from gateway.__main__ import main
+from gateway.buses import BusError
+from gateway.buses.adapters.pty import SerialPty
+from gateway.buses.can import open_can
+from gateway.cli.terminal.screen import ENTER, LEAVE, Line, Screen, cut
+from gateway.cli.terminal.screen import page as drawn
+from gateway.cli.watch import STEP, lines, moments, page, pages
+from gateway.core.clock import SimulatedClock, WallClock
+from gateway.core.robot import BusSettings
+from gateway.monitor.sources import Source, WatchError, Watching, open_all, open_source
+from gateway.recording import read
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import SECOND, Imu, Velocity
+from protocols.plain import codec as plain
+from tests.gateway.rig import BENCH, Rig
+
+ROOT = Path(__file__).resolve().parents[3]
+LISTENERS = ("watch", "sources", "overhear", "parties", "seen", "rate", "table")
+"""The modules that watching is made of, beside the buses and the screen."""
+
+
+def asked(what: str | None, *bus: tuple[str, str], baudrate: int = 1_000_000) -> Namespace:
+    return Namespace(what=what, bus=list(bus), bitrate=0, data_bitrate=0, baudrate=baudrate)
+
+
+@contextmanager
+def watching(options: Namespace) -> Iterator[Watching]:
+    with ExitStack() as stack:
+        yield open_all(options, SimulatedClock(), stack)
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[Packet]:
+    """Half a second on the bench's bus, in which the left motor begins to turn."""
+    rig = Rig()
+    rig.run(0.3)
+    rig.run(0.2, Velocity("left", 4.0))
+    packets = [p for tick in rig.ticks for p in (*tick.inputs.packets, *tick.outputs.packets)]
+    return sorted(packets, key=lambda packet: packet.t)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("watch")
+    robot, file = folder / "rig.toml", folder / "run.mcap"
+    robot.write_text(BENCH)
+    folder.joinpath("run").mkdir(mode=0o700)
+    before = os.environ.get("XDG_RUNTIME_DIR")
+    os.environ["XDG_RUNTIME_DIR"] = str(folder / "run")
+    try:
+        assert main(["run", str(robot), "--fast", "--seconds", "1", "--record", str(file)]) == 0
+    finally:
+        os.environ.pop("XDG_RUNTIME_DIR")
+        if before is not None:
+            os.environ["XDG_RUNTIME_DIR"] = before
+    return file
+
+
+# -- nothing is ever said ---------------------------------------------------------------------------
+
+
+def test_on_a_can_bus_not_a_single_frame_goes_out(drive: list[Packet]) -> None:
+    settings = BusSettings("other", "can", "virtual:watched", bitrate=1_000_000)
+    other = open_can(settings, SimulatedClock())
+    try:
+        with watching(asked("virtual:watched")) as made:
+            for packet in drive:
+                other.write(packet.t, [packet.wire])
+                list(lines(made, made.clock.now()))
+            pages(made, made.clock.now() + SECOND, lambda _: None)
+            assert made.listener.buses["watched"].packets.total == len(drive)
+            assert len(made.listener.found) == 2
+        assert other.read(2 * SECOND) == ([], [])
+    finally:
+        other.close()
+
+
+def test_an_adapter_on_a_serial_line_is_opened_for_listening_and_is_told_no_frame() -> None:
+    """Everything that the adapter gets is looked at: closing, the bit rate, listening, closing."""
+    adapter, port = pty.openpty()
+    settings = BusSettings("can0", "can", f"slcan:{os.ttyname(port)}", bitrate=500_000)
+    try:
+        termios.tcsetattr(adapter, termios.TCSANOW, _raw(adapter))
+        source = open_source(settings, SimulatedClock())
+        os.write(adapter, b"t0213010203\r\r\a")
+        told = source.read(SECOND)
+        source.close()
+        said = os.read(adapter, 4096).split(b"\r")
+    finally:
+        os.close(adapter)
+        os.close(port)
+    assert told == ([], [Packet(SECOND, "can0", CanFrame(0x021, b"\x01\x02\x03"))])
+    assert set(said) == {b"C", b"S6", b"L", b""}
+
+
+def _raw(terminal: int) -> list[int | list[bytes | int]]:
+    mode = termios.tcgetattr(terminal)
+    mode[0] = mode[1] = mode[3] = 0
+    return mode
+
+
+def test_on_a_serial_line_not_a_single_byte_goes_out() -> None:
+    line = SerialPty(BusSettings("tty", "serial", "twin", baudrate=1_000_000), WallClock())
+    try:
+        with watching(asked(f"serial:{line.pty.path}")) as made:
+            line.read(0)
+            for t in range(5):
+                line.write(t, [plain.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))])
+                list(lines(made, made.clock.now()))
+            assert [seen.party.address for seen in made.listener.found.values()] == [2]
+            states, packets = line.read(1)
+            assert packets == []
+            assert states == []
+    finally:
+        line.close()
+
+
+def test_what_is_listened_to_can_only_be_read_and_closed() -> None:
+    assert sorted(name for name in dir(Source) if not name.startswith("_")) == ["close", "read"]
+    bus = open_can(
+        BusSettings("can0", "can", "virtual:silent", bitrate=1_000_000), SimulatedClock(), listen_only=True
+    )
+    try:
+        with pytest.raises(AssertionError, match="listened to"):
+            bus.write(0, [CanFrame(1)])
+    finally:
+        bus.close()
+
+
+@pytest.mark.parametrize("module", LISTENERS)
+def test_no_listening_module_calls_write_or_send(module: str) -> None:
+    tree = ast.parse((ROOT / "gateway" / f"{module}.py").read_text())
+    calls = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    called = {function.attr for function in calls if isinstance(function, ast.Attribute)}
+    assert called
+    assert not called & {"write", "send", "due"}
+
+
+# -- what there is to watch -------------------------------------------------------------------------
+
+
+def test_a_robot_s_bus_that_cannot_be_opened_is_named_and_the_rest_is_watched(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with watching(asked("diffbot", ("can0", "virtual:diffbot"))) as made:
+        text = "\n".join(page(made))
+    assert "left out: bus 'sensors' is a twin inside the process" in capsys.readouterr().err
+    assert "never heard" in text
+    assert "left out" in text
+    assert "lidar" not in text
+
+
+def test_with_nothing_to_watch_every_reason_is_given() -> None:
+    with pytest.raises(WatchError) as error, watching(asked("diffbot")):
+        pass
+    assert "'can0' is a twin" in str(error.value)
+    assert "--bus sensors=serial:PORT" in str(error.value)
+
+
+def test_a_machine_without_a_can_interface_is_told_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gateway.buses.can_open.can_interfaces", list)
+    with pytest.raises(WatchError, match="no CAN interface"), watching(asked(None)):
+        pass
+
+
+def test_every_interface_of_a_machine_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(settings: BusSettings, clock: object, *, listen_only: bool) -> None:
+        assert listen_only
+        raise BusError(f"{settings.interface} is down")
+
+    monkeypatch.setattr("gateway.buses.can_open.can_interfaces", lambda: ["can0", "can1"])
+    monkeypatch.setattr("gateway.buses.can.open_can", refuse)
+    with pytest.raises(WatchError) as error, watching(asked(None)):
+        pass
+    assert str(error.value) == "socketcan:can0 is down\nsocketcan:can1 is down"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["difbot"], "did you mean 'diffbot'?"),
+        (["diffbot"], "where nobody can listen"),
+        (["serial:/dev/nowhere"], "/dev/nowhere"),
+        (["socketcan:vcan7"], "sudo ip link"),
+        (["virtual:x", "--bus", "can0=virtual:y"], "--bus is about the buses of a robot file"),
+        (["virtual:x", "--bitrate", "fast"], "'fast' is not a rate in bit/s"),
+        (["pyproject.mcap"], "pyproject.mcap"),
+        (["README.md"], "not a recording of this gateway"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_what_cannot_be_watched_gets_a_sentence(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
+) -> None:
+    status: object
+    try:
+        status = main(["watch", *arguments])
+    except SystemExit as stopped:
+        status = stopped.code
+    said = capsys.readouterr().err
+    assert status == 2, said
+    assert expected in said
+
+
+# -- lines and pages --------------------------------------------------------------------------------
+
+
+def test_lines_tell_time_bus_frame_and_meaning(drive: list[Packet]) -> None:
+    settings = BusSettings("other", "can", "virtual:lines", bitrate=1_000_000)
+    other = open_can(settings, SimulatedClock())
+    try:
+        with watching(asked("bench", ("can0", "virtual:lines"))) as made:
+            for packet in drive:
+                other.write(packet.t, [packet.wire])
+            other.write(0, [CanFrame(0x7FF, b"\x01")])
+            made.listener.state(0, "can0", BusState.UP)
+            told = [text for some in lines(made, 0) for text in some]
+    finally:
+        other.close()
+    assert len(told) == len(drive) + 1
+    assert told[0].startswith("(0.000000) can0 ")
+    assert any("029#0000000000000000  <- left: Feedback position 0 rad" in text for text in told)
+    assert any("-> left: Velocity" in text for text in told)
+    assert any(text.endswith("049#R  -> right") for text in told)
+    assert told[-1].endswith("7FF#01   ?")
+
+
+def test_the_page_is_drawn_again_and_again_and_ends_with_the_time() -> None:
+    drawings: list[list[str]] = []
+    with watching(asked("virtual:pages")) as made:
+        pages(made, 2 * SECOND, drawings.append)
+    assert 7 <= len(drawings) <= 10
+    assert drawings[0][0] == "virtual:pages: 0.0 s, listening only"
+    assert "silent" in drawings[-1][3]
+
+
+def test_a_signal_ends_it() -> None:
+    with watching(asked("virtual:signal")) as made:
+        for now, _, _ in moments(made, None):
+            if now == 3 * STEP:
+                made.leaving = "SIGINT"
+        assert made.clock.now() == 4 * STEP
+
+
+def test_a_screen_is_given_back_whatever_happens() -> None:
+    stream = io.StringIO()
+
+    def draw() -> None:
+        with Screen(stream) as screen:
+            screen.draw(["a"])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        draw()
+    assert stream.getvalue().startswith(ENTER)
+    assert stream.getvalue().endswith(LEAVE)
+
+
+def test_a_page_fits_its_terminal_and_does_nothing_else_to_it() -> None:
+    text = drawn(["x" * 50, "\x1b[31mred\x07", "3", "4", "5"], os.terminal_size((20, 4)))
+    rows = text.removeprefix("\x1b[H").removesuffix("\x1b[J").split("\r\n")
+    assert [row.removesuffix("\x1b[K") for row in rows] == [
+        "x" * 19 + "…",
+        "·[31mred·",
+        "3",
+        cut("… 2 lines more: the window is too low", 20),
+    ]
+
+
+def test_a_line_without_a_terminal_is_a_line() -> None:
+    stream = io.StringIO()
+    line = Line(stream)
+    line.draw("one")
+    line.above("two")
+    line.end()
+    assert stream.getvalue() == "one\ntwo\n"
+
+
+# -- recordings -------------------------------------------------------------------------------------
+
+
+def test_a_recording_gets_its_last_page(capsys: pytest.CaptureFixture[str], recording: Path) -> None:
+    assert main(["watch", str(recording)]) == 0
+    text = capsys.readouterr().out
+    assert f"{recording}: rig, 1.0 s" in text
+    for part in ("left", "right", "ready: IDLE", "029 Feedback", "0.000 rad/s", "of 1 Mbit/s"):
+        assert part in text
+    assert "\x1b" not in text
+
+
+def test_a_recording_s_lines_are_all_its_frames(capsys: pytest.CaptureFixture[str], recording: Path) -> None:
+    assert main(["watch", str(recording), "--lines"]) == 0
+    told = capsys.readouterr().out.splitlines()
+    ticks = list(read(recording).ticks)
+    frames = sum(len(tick.inputs.packets) + len(tick.outputs.packets) for tick in ticks)
+    others = sum(len(tick.outputs.notes) + len(tick.inputs.asked) for tick in ticks)
+    assert len(told) == frames + others
+    assert sum(" can0 " in text for text in told) == frames
+    assert any("info: brain: ready" in text for text in told)
+
+
+def test_of_a_recording_the_first_seconds_can_be_had(
+    capsys: pytest.CaptureFixture[str], recording: Path
+) -> None:
+    assert main(["watch", str(recording), "--seconds", "0.5"]) == 0
+    assert ": rig, 0.5 s" in capsys.readouterr().out
+
+
+def test_a_recording_that_was_cut_short_is_read_as_far_as_it_goes(
+    capsys: pytest.CaptureFixture[str], recording: Path, tmp_path: Path
+) -> None:
+    data = recording.read_bytes()
+    short = tmp_path / "short.mcap"
+    short.write_bytes(data[: len(data) * 2 // 3])
+    assert main(["watch", str(short)]) == 0
+    assert "cut short" in capsys.readouterr().out
+
+
+# -- the command, on a terminal ---------------------------------------------------------------------
+
+
+def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c() -> None:
+    """On the wall clock, in a process of its own: terminal and signal are its own."""
+    terminal, other = pty.openpty()
+    line = SerialPty(BusSettings("tty", "serial", "twin", baudrate=1_000_000), WallClock())
+    command = [sys.executable, "-m", "gateway", "watch", f"serial:{line.pty.path}"]
+    shown = b""
+    process = subprocess.Popen(command, stdout=other, stderr=other, stdin=other)
+    os.close(other)
+    try:
+        wire = plain.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
+        clock = WallClock()
+        interrupted = False
+        while clock.now() < 30 * SECOND:
+            line.read(0)
+            line.write(0, [wire])
+            if select.select([terminal], [], [], 0.02)[0]:
+                try:
+                    shown += os.read(terminal, 65536)
+                except OSError:  # the process has closed it
+                    break
+            if not interrupted and shown.count(b"\x1b[H") >= 3 and b"turning" in shown:
+                process.send_signal(signal.SIGINT)
+                interrupted = True
+        assert process.wait(timeout=10) == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(terminal)
+        line.close()
+    text = shown.decode()
+    assert ENTER in text
+    assert LEAVE in text
+    left = text.partition(LEAVE)[2]
+    assert "turning 0.000, 0.000, 0.500 rad/s" in left
+    assert "\x1b" not in left

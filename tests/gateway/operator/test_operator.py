@@ -1,0 +1,466 @@
+"""What a person may say, and the socket and terminal over which it is said: real ones, and nobody sleeps."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import stat
+import subprocess
+import sys
+import threading
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.config import load, resources
+from gateway.core.robot import Robot
+from gateway.operator import Operator, OperatorError, ask, socket_path
+from gateway.operator.commands import FORMS, Mistake, Query, help_text, parse
+from gateway.operator.lines import MOST_LINE
+from gateway.operator.server import MOST_CLIENTS, socket_folder
+from protocols.messages import (
+    Asked,
+    ClearFault,
+    Drive,
+    Estop,
+    Goal,
+    Hold,
+    Home,
+    Idle,
+    Position,
+    ReadParameter,
+    Reboot,
+    Release,
+    Scan,
+    Set,
+    SetId,
+    Stop,
+    Torque,
+    Velocity,
+    WriteParameter,
+    Zero,
+)
+
+DIFFBOT = load(resources.find("robots", "diffbot"))
+BENCH = load(resources.find("robots", "bench"))
+MIXED = load(resources.find("robots", "diffbot_mixed"))
+"""A base that carries a mast."""
+
+# -- the language ------------------------------------------------------------------------------
+
+LINES: list[tuple[Robot, str, Asked | Query | None]] = [
+    (DIFFBOT, "goal 2 1.5", Goal(2.0, 1.5)),
+    (DIFFBOT, "goal 2,1.5,90", Goal(2.0, 1.5, math.pi / 2)),
+    (DIFFBOT, "GOAL 2 1.5 -90deg", Goal(2.0, 1.5, -math.pi / 2)),
+    (DIFFBOT, "goal 2 1.5 1.25rad", Goal(2.0, 1.5, 1.25)),
+    (DIFFBOT, "drive 0.2 -1e-1", Drive(0.2, -0.1)),
+    (DIFFBOT, "stop", Stop()),
+    (DIFFBOT, "stop a cat is in the way", Stop("a cat is in the way")),
+    (DIFFBOT, "  release  ", Release()),
+    (DIFFBOT, "clear", ClearFault("all")),
+    (DIFFBOT, "clear left", ClearFault("left")),
+    (DIFFBOT, "estop left", Estop("left")),
+    (DIFFBOT, "estop all", Estop("all")),
+    (DIFFBOT, "set brain.pursuit.lookahead 0.4", Set("brain.pursuit.lookahead", 0.4)),
+    (DIFFBOT, "set left.limits.velocity 5", Set("left.limits.velocity", 5.0)),
+    (DIFFBOT, "reboot right", Reboot("right")),
+    (DIFFBOT, "zero right", Zero("right")),
+    (DIFFBOT, "home right", Home("right")),
+    (DIFFBOT, "scan can0", Scan("can0")),
+    (DIFFBOT, "setid can0 385F34733301 7", SetId("can0", 0x385F34733301, 7)),
+    (DIFFBOT, "setid can0 0x10 7", SetId("can0", 16, 7)),
+    (DIFFBOT, "read left axis0.config.x", ReadParameter("left", "axis0.config.x")),
+    (DIFFBOT, "write left vel_gain 0.2", WriteParameter("left", "vel_gain", 0.2)),
+    (BENCH, "position left -1.5", Position("left", -1.5)),
+    (BENCH, "position left 90deg", Position("left", math.pi / 2)),
+    (MIXED, "position mast 90deg", Position("mast", math.pi / 2)),
+    (MIXED, "hold mast", Hold("mast")),
+    (BENCH, "velocity right 3", Velocity("right", 3.0)),
+    (BENCH, "torque right 0.5", Torque("right", 0.5)),
+    (BENCH, "idle left", Idle("left")),
+    (BENCH, "hold left", Hold("left")),
+    (BENCH, "status", Query("status")),
+    (BENCH, "help", Query("help")),
+    (BENCH, "quit  # enough", Query("quit")),
+    (BENCH, "", None),
+    (BENCH, "   # only a comment", None),
+]
+
+
+@pytest.mark.parametrize(("robot", "line", "meant"), LINES, ids=[row[1] for row in LINES])
+def test_a_line_means(robot: Robot, line: str, meant: Asked | Query | None) -> None:
+    said = parse(line, robot)
+    assert said == meant
+    assert type(said) is type(meant)
+
+
+def test_every_word_of_the_language_is_in_the_table_and_in_the_help() -> None:
+    used = {line.split()[0].lower() for _, line, meant in LINES if meant is not None}
+    assert used == set(FORMS)
+    assert [row.split()[0] for row in help_text().splitlines()] == list(FORMS)
+
+
+WRONG: list[tuple[Robot, str, str]] = [
+    (DIFFBOT, "gaol 1 2", "did you mean 'goal'?"),
+    (DIFFBOT, "jump", "no word 'jump': there is goal, drive, stop"),
+    (DIFFBOT, "goal", "something is missing; expected: goal X Y [YAW]"),
+    (DIFFBOT, "goal 1", "something is missing; expected: goal X Y [YAW]"),
+    (DIFFBOT, "goal 1 2 3 4", "'4' is too much; expected: goal X Y [YAW]"),
+    (DIFFBOT, "goal 1 x", "'x' is not a number"),
+    (DIFFBOT, "goal nan 1", "'nan' is not a finite number"),
+    (DIFFBOT, "goal 1 inf", "'inf' is not a finite number"),
+    (DIFFBOT, "goal 1 1e999", "'1e999' is not a finite number"),
+    (DIFFBOT, "goal 1 2 nandeg", "'nan' is not a finite number"),
+    (DIFFBOT, "drive -inf 0", "'-inf' is not a finite number"),
+    (DIFFBOT, "set brain.x nan", "'nan' is not a finite number"),
+    (DIFFBOT, "set brian.x 1", "no room 'brian': there is brain, left, right; did you mean 'brain'?"),
+    (DIFFBOT, "set brain 1", "'brain' names no setting"),
+    (DIFFBOT, "write left x nan", "'nan' is not a finite number"),
+    (DIFFBOT, "clear lift", "no motor 'lift': there is left, right, all; did you mean 'left'?"),
+    (DIFFBOT, "estop", "nothing follows it; expected: estop MOTOR|all"),
+    (DIFFBOT, "reboot all", "no motor 'all': there is left, right"),
+    (DIFFBOT, "release now", "'now' is too much; expected: release"),
+    (DIFFBOT, "scan can1", "no bus 'can1': there is can0, sensors; did you mean 'can0'?"),
+    (DIFFBOT, "setid can0 xyz 1", "'xyz' is not a hexadecimal integer"),
+    (DIFFBOT, "setid can0 12 1.5", "'1.5' is not an integer"),
+    (DIFFBOT, "setid can0 12 -1", "'-1' is negative"),
+    (DIFFBOT, "velocity left 1", "the motors of 'diffbot' are the wheels of its base: say goal or drive"),
+    (DIFFBOT, "idle left", "are the wheels of its base"),
+    (MIXED, "position left 1", "'left' is a wheel: say goal or drive; bare joints are mast"),
+    (MIXED, "torque mats 1", "no bare joint 'mats': there is mast; did you mean 'mast'?"),
+    (BENCH, "goal 1 2", "'bench' is bare joints and goes nowhere: say position, velocity or torque"),
+    (BENCH, "drive 1 2", "'bench' is bare joints"),
+    (BENCH, "torque left nan", "'nan' is not a finite number"),
+    (BENCH, "position left 1deg2", "'1deg2' is not a number"),
+]
+
+
+@pytest.mark.parametrize(("robot", "line", "said"), WRONG, ids=[row[1] for row in WRONG])
+def test_a_wrong_line_gets_a_sentence(robot: Robot, line: str, said: str) -> None:
+    mistake = parse(line, robot)
+    assert isinstance(mistake, Mistake)
+    assert said in mistake.sentence
+
+
+@given(
+    st.sampled_from([DIFFBOT, BENCH, MIXED]),
+    st.text(max_size=60) | st.lists(st.sampled_from(list(FORMS))).map(" ".join),
+)
+def test_no_line_raises_and_no_number_is_not_finite(robot: Robot, line: str) -> None:
+    said = parse(line, robot)
+    for name in getattr(said, "__dataclass_fields__", ()):
+        value = getattr(said, name)
+        assert not isinstance(value, float) or math.isfinite(value)
+
+
+# -- the socket ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "run"
+
+
+@pytest.fixture
+def operator(folder: Path) -> Iterator[Operator]:
+    with Operator(DIFFBOT, folder, terminal=None) as made:
+        yield made
+
+
+def status() -> str:
+    return "all is well\nreally"
+
+
+class Client:
+    """Somebody at the other end, who never waits."""
+
+    def __init__(self, path: Path) -> None:
+        self.wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.wire.connect(str(path))
+        self.wire.setblocking(False)
+
+    def say(self, data: bytes) -> None:
+        self.wire.sendall(data)
+
+    def heard(self) -> str:
+        """What has come so far."""
+        data = b""
+        while True:
+            try:
+                piece = self.wire.recv(1 << 16)
+            except BlockingIOError:
+                return data.decode()
+            if not piece:
+                return data.decode() + "<end>"
+            data += piece
+
+
+@pytest.fixture
+def client(operator: Operator) -> Iterator[Client]:
+    made = Client(operator.path)
+    yield made
+    made.wire.close()
+
+
+def test_the_socket_belongs_to_its_owner_alone_and_goes_with_the_operator(folder: Path) -> None:
+    with Operator(DIFFBOT, folder, terminal=None) as operator:
+        assert operator.path == folder / "diffbot.sock" == socket_path("diffbot", folder)
+        assert stat.S_IMODE(operator.path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert not operator.path.exists()
+    operator.close()
+
+
+def test_lines_are_asked_in_order_and_answered(operator: Operator, client: Client) -> None:
+    assert operator.poll(status) == []
+    client.say(b"goal 1 2\nnonsense\nstatus\n\nstop now\n")
+    assert operator.poll(status) == [Goal(1.0, 2.0), Stop("now")]
+    answer = client.heard().splitlines()
+    assert answer[0] == "asked: goal 1 2"
+    assert "no word 'nonsense'" in answer[1]
+    assert answer[2:] == ["all is well", "really", "asked: stop now"]
+    assert operator.poll(status) == []
+    assert client.heard() == ""
+
+
+def test_a_line_may_come_byte_by_byte(operator: Operator, client: Client) -> None:
+    for byte in b"drive 0.5 0":
+        client.say(bytes([byte]))
+        assert operator.poll(status) == []
+    client.say(b"\r\n")
+    assert operator.poll(status) == [Drive(0.5, 0.0)]
+
+
+def test_the_last_line_needs_no_end(operator: Operator, client: Client) -> None:
+    client.say(b"release")
+    client.wire.shutdown(socket.SHUT_WR)
+    asked = [word for _ in range(3) for word in operator.poll(status)]
+    assert asked == [Release()]
+
+
+def test_what_the_robot_says_in_the_step_after_is_heard_too(operator: Operator, client: Client) -> None:
+    client.say(b"set brain.x 5\n")
+    client.wire.shutdown(socket.SHUT_WR)
+    asked = operator.poll(status)
+    if not asked:
+        asked = operator.poll(status)
+    assert asked == [Set("brain.x", 5.0)]
+    operator.tell("operator: set brain.x: refused: there is no such setting")
+    for _ in range(3):
+        operator.poll(status)
+    heard = client.heard()
+    assert heard == "asked: set brain.x 5\noperator: set brain.x: refused: there is no such setting\n<end>"
+
+
+def test_quit_is_told_and_leaves(operator: Operator, client: Client) -> None:
+    client.say(b"quit\n")
+    assert operator.poll(status) == []
+    assert operator.leaving
+    assert client.heard() == "leaving\n"
+
+
+def test_a_line_that_is_too_long_is_left_out_whole(operator: Operator, client: Client) -> None:
+    client.say(b"stop " + b"x" * (MOST_LINE * 12) + b"\nrelease\n")
+    asked: list[Asked] = []
+    for _ in range(10):
+        asked += operator.poll(status)
+    assert asked == [Release()]
+    assert client.heard().count("longer than") == 1
+    client.say(b"stop " + b"y" * (MOST_LINE - 10) + b"\n")
+    assert operator.poll(status) == [Stop("y" * (MOST_LINE - 10))]
+
+
+def test_bytes_that_are_no_text_are_answered(operator: Operator, client: Client) -> None:
+    client.say(b"\xff\xfe\x00\nrelease\n")
+    assert operator.poll(status) == [Release()]
+
+
+def test_clients_who_vanish_or_never_read_hurt_nobody(operator: Operator, client: Client) -> None:
+    gone = [Client(operator.path) for _ in range(3)]
+    for one in gone:
+        one.say(b"status\ngoal 1 1\nhalf a li")
+        one.wire.close()
+    assert operator.poll(status) == [Goal(1.0, 1.0)] * 3
+    for _ in range(2000):
+        operator.tell("x" * 1000)
+    assert operator.poll(status) == []
+    other = Client(operator.path)
+    try:
+        other.say(b"release\n")
+        assert operator.poll(status) == [Release()]
+        assert other.heard() == "asked: release\n"
+    finally:
+        other.wire.close()
+    assert client.heard().endswith("<end>")
+
+
+def test_there_are_only_so_many_clients(operator: Operator) -> None:
+    crowd = [Client(operator.path) for _ in range(MOST_CLIENTS)]
+    late = Client(operator.path)
+    try:
+        late.say(b"release\n")
+        assert operator.poll(status) == []
+        crowd[0].wire.close()
+        operator.poll(status)
+        assert [w for _ in range(3) for w in operator.poll(status)] == [Release()]
+    finally:
+        for one in (*crowd, late):
+            one.wire.close()
+
+
+def test_a_socket_that_the_dead_left_is_taken_over(folder: Path) -> None:
+    folder.mkdir(mode=0o700)
+    dead = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    dead.bind(str(folder / "diffbot.sock"))
+    dead.close()
+    with Operator(DIFFBOT, folder, terminal=None) as operator:
+        assert operator.path == folder / "diffbot.sock"
+        client = Client(operator.path)
+        client.say(b"stop\n")
+        assert operator.poll(status) == [Stop()]
+        client.wire.close()
+
+
+def test_a_second_gateway_of_the_same_name_gets_a_socket_of_its_own(operator: Operator, folder: Path) -> None:
+    with Operator(DIFFBOT, folder, terminal=None) as second:
+        assert second.path == folder / f"diffbot.{os.getpid()}.sock"
+    assert operator.path.exists()
+    operator.poll(status)
+
+
+def test_a_folder_that_others_may_enter_is_refused(folder: Path) -> None:
+    folder.mkdir()
+    folder.chmod(0o755)
+    with pytest.raises(OperatorError, match="belongs to you alone"):
+        Operator(DIFFBOT, folder, terminal=None)
+
+
+def test_a_folder_that_is_somebody_elses_link_is_refused(tmp_path: Path, folder: Path) -> None:
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    folder.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OperatorError, match="belongs to you alone"):
+        Operator(DIFFBOT, folder, terminal=None)
+
+
+def test_a_path_that_no_socket_can_have_is_told(tmp_path: Path) -> None:
+    with pytest.raises(OperatorError, match="too long for a socket"):
+        Operator(DIFFBOT, tmp_path / ("x" * 120), terminal=None)
+
+
+def test_where_sockets_stand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert socket_folder() == tmp_path / "motor-gateway"
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    assert socket_folder() == tmp_path / f"motor-gateway-{os.getuid()}"
+
+
+def test_the_command_lines_own_end(operator: Operator) -> None:
+    """`ask` blocks, so the robot's loop turns in a thread of the test."""
+    asked: list[Asked] = []
+    enough = threading.Event()
+
+    def loop() -> None:
+        while not enough.is_set():
+            for word in operator.poll(status):
+                asked.append(word)
+                operator.tell("operator: so be it")
+
+    robot = threading.Thread(target=loop)
+    robot.start()
+    try:
+        assert ask(operator.path, "status") == "all is well\nreally"
+        assert ask(operator.path, "goal 1 2") == "asked: goal 1 2\noperator: so be it"
+        assert "did you mean 'goal'" in ask(operator.path, "gaol 1 2")
+    finally:
+        enough.set()
+        robot.join()
+    assert asked == [Goal(1.0, 2.0)]
+
+
+def test_asking_a_robot_that_does_not_run_or_answer(operator: Operator, folder: Path) -> None:
+    with pytest.raises(OperatorError, match=r"no robot runs at .*other\.sock .*running: diffbot"):
+        ask(folder / "other.sock", "status")
+    with pytest.raises(OperatorError, match="does not answer"):
+        ask(operator.path, "status", patience=0.01)
+
+
+# -- the terminal --------------------------------------------------------------------------------
+
+
+def test_lines_on_a_pipe_are_asked_and_its_end_is_not_the_end(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reader, writer = os.pipe()
+    with Operator(DIFFBOT, folder, terminal=reader) as operator:
+        assert operator.poll(status) == []
+        os.write(writer, b"goal 1 2\nstatus\ngo")
+        assert operator.poll(status) == [Goal(1.0, 2.0)]
+        assert capsys.readouterr().out == "asked: goal 1 2\nall is well\nreally\n"
+        os.write(writer, b"al 3 4")
+        os.close(writer)
+        asked = [word for _ in range(4) for word in operator.poll(status)]
+        assert asked == [Goal(3.0, 4.0)]
+        assert not operator.leaving
+    os.close(reader)
+
+
+def test_lines_on_a_terminal_are_asked(folder: Path) -> None:
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    try:
+        with Operator(DIFFBOT, folder, terminal=theirs) as operator:
+            os.write(ours, b"stop\n")
+            polls = (operator.poll(status) for _ in range(100_000))
+            assert next(asked for asked in polls if asked) == [Stop()]
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+BACKGROUND = """
+import os, sys
+from pathlib import Path
+from gateway import shipped
+from gateway.config import load
+from gateway.operator import Operator
+
+robot = load(shipped.find("robots", "diffbot"))
+terminal = os.open(sys.argv[1], os.O_RDWR)  # the first one that a session opens controls it
+child = os.fork()
+if child == 0:
+    if sys.argv[3] == "background":
+        os.setpgid(0, 0)
+    with Operator(robot, Path(sys.argv[2]), terminal=terminal) as operator:
+        os._exit(len(operator.poll(str)))
+_, status = os.waitpid(child, os.WUNTRACED)
+sys.exit(99 if os.WIFSTOPPED(status) else os.waitstatus_to_exitcode(status))
+"""
+
+
+@pytest.mark.parametrize(("where", "asked"), [("foreground", 1), ("background", 0)])
+def test_in_the_background_the_terminal_is_left_alone(folder: Path, where: str, asked: int) -> None:
+    """Reading it there would stop the process (SIGTTIN), and with it the robot's loop."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    try:
+        os.write(ours, b"stop\n")
+        command = [sys.executable, "-c", BACKGROUND, os.ttyname(theirs), str(folder), where]
+        assert subprocess.run(command, start_new_session=True, check=False).returncode == asked
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_a_terminal_that_vanishes_hurts_nobody(folder: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(writer)
+    os.close(reader)
+    with Operator(DIFFBOT, folder, terminal=reader) as operator:
+        assert operator.poll(status) == []
+        assert operator.poll(status) == []

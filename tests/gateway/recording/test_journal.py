@@ -1,0 +1,149 @@
+"""Ticks as bytes: exact both ways, as any ROS 2 tool reads them, sealed, cheap."""
+
+from __future__ import annotations
+
+import timeit
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys.store import Typestore
+
+from gateway.core.tick import Inputs, Outputs, Tick
+from gateway.recording import tick_codec
+from gateway.recording.ros_views import typestore
+from gateway.recording.tick_codec import UNSEALED, JournalError, Seals, decode, encode
+from protocols.frames import BusState, CanFrame, Packet
+from protocols.messages import Feedback
+from tests.gateway import little
+
+
+@cache
+def store() -> Typestore:
+    made = typestore()
+    made.register(get_types_from_msg(tick_codec.DEFINITION, tick_codec.TYPE))
+    return made
+
+
+seals = st.builds(Seals, st.binary(min_size=16, max_size=16), st.binary(min_size=16, max_size=16))
+
+
+@given(little.ticks, seals)
+@settings(max_examples=300, deadline=None)
+def test_a_tick_comes_back_exactly(tick: Tick, before: Seals) -> None:
+    data, after = encode(tick, before)
+    entry = decode(data, before)
+    # repr tells -0.0 from 0.0, which == does not
+    assert repr(entry.tick) == repr(tick)
+    assert entry.seals == entry.made == after
+    assert entry.damage() == ()
+    assert encode(entry.tick, before) == (data, after)
+
+
+@given(tick=little.ticks)
+@settings(max_examples=200, deadline=None)
+def test_the_bytes_are_those_of_a_general_serialiser(tick: Tick) -> None:
+    made = store()
+    data, _ = encode(tick, UNSEALED)
+    message: Any = made.deserialize_cdr(data, tick_codec.TYPE)
+    assert bytes(made.serialize_cdr(message, tick_codec.TYPE, little_endian=True)) == data
+    assert (message.number, message.now) == (tick.number, tick.now)
+    assert [(s.bus, s.state) for s in message.states] == [(b, s.value) for b, s in tick.inputs.states]
+    for told, packet in zip(message.received, tick.inputs.packets, strict=True):
+        wire = packet.wire
+        data_in = wire.data if isinstance(wire, CanFrame) else wire
+        assert (told.t, told.bus, told.data.tobytes()) == (packet.t, packet.bus, data_in)
+        assert told.kind == isinstance(wire, CanFrame)
+        assert told.id == (wire.id if isinstance(wire, CanFrame) else 0)
+    assert len(message.asked) == len(tick.inputs.asked)
+    assert len(message.sent) == len(tick.outputs.packets)
+    assert [n.text for n in message.notes] == [n.text for n in tick.outputs.notes]
+
+
+FRAME = Packet(7, "can0", CanFrame(0x029, bytes.fromhex("0011223344556677")))
+SERIAL = Packet(9, "tty", b"\xa5\x57")
+TICK = Tick(
+    3,
+    10,
+    Inputs((("can0", BusState.UP),), (FRAME, SERIAL)),
+    Outputs((Packet(10, "can0", CanFrame(0x00D, b"12345678")),), (Feedback("left", 7, 1.0),)),
+)
+
+
+@pytest.mark.parametrize(
+    ("written", "changed", "told"),
+    [
+        (
+            "0011223344556677",
+            "0111223344556677",
+            "input on bus can0, frame 029#0111223344556677, does not match",
+        ),
+        ("a557", "a556", "input on bus tty, bytes A5 56, does not match"),
+        (
+            "3132333435363738",
+            "3132333435363739",
+            "output on bus can0, frame 00D#3132333435363739, does not match",
+        ),
+        ("0300000075700000", "040000006f666600", "inputs do not match the digest"),  # "up" to "off"
+    ],
+    ids=["frame", "serial", "sent", "state"],
+)
+def test_what_was_changed_is_named(written: str, changed: str, told: str) -> None:
+    raw, _ = encode(TICK, UNSEALED)
+    assert raw.count(bytes.fromhex(written)) == 1
+    damage = decode(raw.replace(bytes.fromhex(written), bytes.fromhex(changed)), UNSEALED).damage()
+    assert len(damage) == 1
+    assert told in damage[0]
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_any_flipped_bit_is_found(bit: int) -> None:
+    raw, after = encode(TICK, UNSEALED)
+    for at in range(len(raw)):
+        changed = bytearray(raw)
+        changed[at] ^= 1 << bit
+        try:
+            entry = decode(bytes(changed), UNSEALED)
+        except JournalError:
+            continue
+        assert entry.damage(), f"bit {bit} of byte {at} was flipped unseen"
+    assert decode(raw, UNSEALED).seals == after
+
+
+def test_a_tick_left_out_is_found() -> None:
+    _, first = encode(TICK, UNSEALED)
+    data, _ = encode(replace(TICK, number=4), first)
+    assert decode(data, first).damage() == ()
+    assert "the tick before it is missing" in decode(data, UNSEALED).damage()[0]
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=300, deadline=None)
+def test_no_bytes_raise_anything_else(data: bytes) -> None:
+    for raw in (data, b"\x00\x01\x00\x00" + data):
+        with pytest.raises(JournalError):
+            decode(raw, UNSEALED)
+
+
+def test_a_cut_tick_is_none() -> None:
+    raw, _ = encode(TICK, UNSEALED)
+    for size in range(len(raw)):
+        with pytest.raises(JournalError, match="not the bytes of a tick"):
+            decode(raw[:size], UNSEALED)
+    with pytest.raises(JournalError, match="after the last note"):
+        decode(raw + b"\0", UNSEALED)
+
+
+def test_writing_a_tick_is_cheap() -> None:
+    """Six packets and four events in at most 60 µs (measured: 17 µs). The best of many runs, since the
+    machine that tests is busy."""
+    frames = tuple(Packet(i, "can0", CanFrame(0x29 + i, b"12345678")) for i in range(4))
+    sent = tuple(Packet(9, "can0", CanFrame(0x0D + i, b"12345678")) for i in range(2))
+    events = tuple(Feedback("left", i, 1.0, 2.0) for i in range(4))
+    tick = Tick(1, 9, Inputs((), frames), Outputs(sent, events))
+    best = min(timeit.repeat(lambda: encode(tick, UNSEALED), number=200, repeat=20)) / 200
+    assert best < 60e-6

@@ -1,0 +1,401 @@
+"""Recordings on disk: what goes in comes out, also when the writing is cut short.
+
+The two tests that end a process and the one that waits for an idle flush run on a wall clock, since that is
+what they are about.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.highlevel import AnyReader
+
+from gateway.core.tick import Inputs, Note, Outputs, Tick
+from gateway.recording import Recorder, Recording, RecordingError, environment, read, tick_codec
+from gateway.recording.layout import FORMAT, METADATA
+from gateway.recording.mcap_file import McapFile
+from gateway.recording.ros_views import Views
+from gateway.recording.tick_writer import Sheet
+from protocols.messages import SetId
+from tests.gateway import little
+
+CHILD = """
+import os, sys
+from pathlib import Path
+from gateway.recording import Recorder
+from tests.gateway import little
+"""
+
+
+def child(code: str, *arguments: str, seed: str = "0") -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD + code, *arguments],
+        env={**os.environ, "PYTHONHASHSEED": seed},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def contents(made: Recording) -> str:
+    """One digest over all ticks and views."""
+    made_of = hashlib.blake2b()
+    for step in made.steps:
+        made_of.update(repr((step.tick, step.views)).encode())
+    return made_of.hexdigest()
+
+
+def drained(recorder: Recorder) -> None:
+    """Wait until the thread has taken all, and has gone idle once."""
+    for _ in range(500):
+        if not recorder._waiting and not recorder._sheet.pending:
+            return
+        threading.Event().wait(0.01)
+    raise AssertionError("the recorder did not flush within 5 s")
+
+
+# -- there and back ----------------------------------------------------------------------------
+
+
+def test_what_goes_in_comes_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    ticks = little.record(path, 300, facts={"date": "2026-11-21T10:00:00+00:00"})
+    made = read(path)
+    assert list(made.ticks) == ticks
+    assert list(made.ticks) == ticks, "a second time"
+    assert (made.whole, made.promised, made.robot_text) == (True, 300, little.ROBOT)
+    assert made.facts["date"] == "2026-11-21T10:00:00+00:00"
+    assert not any(step.damage for step in made.steps)
+    assert all(step.whole for step in made.steps)
+
+
+def test_where_it_was_made_stands_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    little.record(path, 1)
+    facts, here = read(path).facts, environment.facts()
+    # The sources may be edited while the tests run.
+    assert len(facts.pop(environment.PROGRAM)) == len(here.pop(environment.PROGRAM)) == 32
+    assert facts == here
+    for key in (
+        "package numpy",
+        "package mcap",
+        "package rosbags",
+        "python",
+        "platform",
+        "numpy blas",
+    ):
+        assert facts[key]
+    assert any(key.startswith("processor") for key in facts)
+
+
+def test_any_change_of_a_source_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "brain").mkdir()
+    file = tmp_path / "brain" / "a.py"
+    file.write_text("x = 1\n")
+    first = environment.sources(tmp_path)
+    file.write_text("x = 2\n")
+    second = environment.sources(tmp_path)
+    file.rename(tmp_path / "brain" / "b.py")
+    assert len({first, second, environment.sources(tmp_path)}) == 3
+
+
+def test_a_machine_without_cpuinfo_tells_its_processor(tmp_path: Path) -> None:
+    told = environment.facts(tmp_path / "none")
+    assert told["processor model name"]
+
+
+def test_rosbags_reads_every_message(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    ticks = little.record(path, 200)
+    seen: dict[str, int] = {}
+    numbers = []
+    with AnyReader([path]) as reader:
+        for connection, t, raw in reader.messages():
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            seen[connection.topic] = seen.get(connection.topic, 0) + 1
+            if connection.topic == tick_codec.TOPIC:
+                numbers.append(message.number)
+                assert t == message.now == ticks[len(numbers) - 1].now
+        promised = {c.topic: c.msgcount for c in reader.connections}
+    assert numbers == list(range(200))
+    assert seen == promised
+    assert set(seen) == {
+        "/gateway/tick", "/can0/from_can_bus", "/can0/to_can_bus", "/odom", "/tf", "/tf_static", "/map",
+        "/plan", "/goal_pose", "/joint_states", "/diagnostics", "/rosout",
+    }  # fmt: skip
+
+
+def test_views_stand_behind_their_tick(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    little.record(path, 30)
+    for step in read(path).steps:
+        topics = [view.topic for view in step.views]
+        assert topics.count("/can0/from_can_bus") == 2
+        assert topics.count("/can0/to_can_bus") == 1
+        received = [v.t for v in step.views if v.topic == "/can0/from_can_bus"]
+        assert received == [max(0, p.t) for p in step.tick.inputs.packets[:2]]
+
+
+def test_contents_do_not_depend_on_the_hash_seed(tmp_path: Path) -> None:
+    code = "little.record(Path(sys.argv[1]), 120)"
+    digests = set()
+    for seed in ("0", "1", "4711"):
+        path = tmp_path / f"{seed}.mcap"
+        child(code, str(path), seed=seed)
+        digests.add(contents(read(path)))
+    assert len(digests) == 1
+
+
+# -- cut short ---------------------------------------------------------------------------------
+
+
+def test_a_process_that_ends_loses_at_most_100_ms(tmp_path: Path) -> None:
+    """The loop is ahead of the writer by one waiting tick and one at work; 80 ms are 16 ticks."""
+    path = tmp_path / "a.mcap"
+    code = """
+recorder = Recorder(Path(sys.argv[1]), little.ROBOT, {}, little.MOUNTS, depth=1)
+for tick, belief in little.life(500):
+    recorder.record(tick, belief, patient=True)
+os._exit(0)
+"""
+    child(code, str(path))
+    made = read(path)
+    assert (made.whole, made.promised, made.robot_text) == (False, None, little.ROBOT)
+    steps = list(made.steps)
+    assert [step.tick for step in steps] == [tick for tick, _ in little.life(len(steps))]
+    assert 500 - len(steps) <= 16 + 2
+    assert not any(step.damage for step in steps)
+    assert [step.whole for step in steps] == [True] * (len(steps) - 1) + [False]
+
+
+def test_an_idle_recorder_flushes(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with Recorder(path, little.ROBOT, {}) as recorder:
+        (tick, belief), *_ = little.life(1)
+        recorder.record(tick, belief)
+        drained(recorder)
+        assert list(read(path).ticks) == [tick]
+
+
+@pytest.mark.parametrize(("level", "flushed"), [("error", True), ("warning", True), ("info", False)])
+def test_trouble_is_flushed_at_once(tmp_path: Path, level: Any, flushed: bool) -> None:
+    path = tmp_path / "a.mcap"
+    file = Sheet(path, little.ROBOT, {}, Views())
+    tick = Tick(0, 0, Inputs(), Outputs((), (), (Note(level, "left", "something"),)))
+    assert file.add(tick, little.bare_belief()) == ""
+    assert [t.number for t in read(path).ticks] == ([0] if flushed else [])
+    assert file.finish() == ""
+    assert [t.number for t in read(path).ticks] == [0]
+
+
+def test_a_cut_anywhere_leaves_the_ticks_before_it(tmp_path: Path) -> None:
+    path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
+    ticks = little.record(path, 40)
+    whole = path.read_bytes()
+    lengths = set()
+    for size in (*range(64), *range(64, len(whole), 293), len(whole) - 1):
+        cut.write_bytes(whole[:size])
+        try:
+            made = read(cut)
+        except RecordingError:
+            continue
+        left = list(made.ticks)
+        assert left == ticks[: len(left)]
+        assert not made.whole
+        lengths.add(len(left))
+    assert {0, 40} < lengths
+
+
+def test_zeros_behind_the_cut_do_no_harm(tmp_path: Path) -> None:
+    """What a file system leaves after a loss of power."""
+    path = tmp_path / "a.mcap"
+    ticks = little.record(path, 40)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4] + bytes(5000))
+    left = list(read(path).ticks)
+    assert left
+    assert left == ticks[: len(left)]
+
+
+# -- trouble -----------------------------------------------------------------------------------
+
+
+def test_a_slow_writer_costs_ticks_and_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    moments = list(little.life(400))
+    with Recorder(path, little.ROBOT, {}, little.MOUNTS, depth=1) as recorder:
+        for tick, belief in moments:
+            recorder.record(tick, belief)
+    left = list(read(path).ticks)
+    assert 0 < recorder.lost < 400
+    assert len(left) == 400 - recorder.lost
+    assert f"are missing in {path}: the disk is too slow; the robot drives on" in recorder.trouble
+    assert all(tick == moments[tick.number][0] for tick in left)
+    assert not any(step.damage for step in read(path).steps)
+
+
+def test_a_tick_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    belief = little.bare_belief()
+    with Recorder(path, little.ROBOT, {}) as recorder:
+        for number, serial in enumerate((1, 2**70, 3)):
+            tick = Tick(number, number, Inputs((), (), (SetId("can0", serial, 4),)), Outputs())
+            recorder.record(tick, belief)
+    assert recorder.lost == 1
+    assert recorder.trouble.startswith("tick 1 is not in the recording: SetId")
+    assert [tick.number for tick in read(path).ticks] == [0, 2]
+
+
+def test_after_closing_ticks_are_lost_and_told(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", little.ROBOT, {})
+    recorder.close()
+    recorder.close()
+    assert recorder.trouble == ""
+    for patient in (False, True):
+        recorder.record(*next(little.life(1)), patient=patient)
+    assert recorder.lost == 2
+    assert "are missing" in recorder.trouble
+    assert "it is closed" in recorder.trouble
+    assert list(read(recorder.path).ticks) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        ("none/a.mcap", "No such file or directory"),
+        (".", "Is a directory"),
+        ("/dev/full", "No space left on device"),
+    ],
+)
+def test_a_file_that_cannot_be_begun_raises(tmp_path: Path, path: str, why: str) -> None:
+    with pytest.raises(RecordingError, match=f"cannot be written: {why}"):
+        Recorder(tmp_path / path, little.ROBOT, {})
+
+
+# -- what is no recording ----------------------------------------------------------------------
+
+
+def mcap(path: Path, head: dict[str, str] | None, *, robot: bytes | None = b"x = 1\n") -> None:
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.LZ4)
+        writer.start(profile="ros2", library="some program 1.0")
+        if head is not None:
+            writer.add_metadata(METADATA, head)
+        if robot is not None:
+            writer.add_attachment(0, 0, "robot.toml", "", robot)
+        writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates arguments only
+
+
+DIGEST = hashlib.blake2b(b"x = 1\n", digest_size=16).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "an empty file, not a recording"),
+        (b"#ROSBAG V2.0\n" + bytes(50), "a ROS 1 bag, not a recording"),
+        (b"SQLite format 3\0" + bytes(50), "a ROS 2 bag of kind sqlite3, not a recording"),
+        (b"(1.0) can0 123#00\n", "no MCAP file, not a recording"),
+        (b"\x89MCAP0\r\n", "cut off in its first bytes"),
+        (b"\x89MCAP0\r\n" + bytes(50), "cut off in its first bytes"),
+        (b"\x89MCAP0\r\n\x01" + struct.pack("<Q", 2**62), "cut off in its first bytes"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=said):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "robot", "said"),
+    [
+        (None, None, "an MCAP file of some program 1.0, not of this gateway"),
+        (
+            {"format": "2", "robot digest": DIGEST},
+            b"x = 1\n",
+            f"of format 2; this program reads format {FORMAT}",
+        ),
+        ({"format": FORMAT, "robot digest": DIGEST}, None, "there is no tick in it"),
+        (
+            {"format": FORMAT, "robot digest": DIGEST},
+            b"x = 2\n",
+            "the robot file in it does not match its digest",
+        ),
+    ],
+)
+def test_other_mcap_files_are_refused(
+    tmp_path: Path, head: dict[str, str] | None, robot: bytes | None, said: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    mcap(path, head, robot=robot)
+    with pytest.raises(RecordingError, match=said):
+        read(path)
+
+
+@pytest.mark.parametrize(("path", "why"), [("none.mcap", "No such file"), (".", "Is a directory")])
+def test_what_cannot_be_opened(tmp_path: Path, path: str, why: str) -> None:
+    with pytest.raises(RecordingError, match=why):
+        read(tmp_path / path)
+
+
+def test_a_damaged_file_gives_a_sentence_or_the_truth(tmp_path: Path) -> None:
+    path, damaged = tmp_path / "a.mcap", tmp_path / "damaged.mcap"
+    ticks = little.record(path, 40)
+    whole = path.read_bytes()
+    generator = random.Random(7)
+    told = 0
+    for _ in range(250):
+        at, bit = generator.randrange(len(whole)), generator.randrange(8)
+        data = bytearray(whole)
+        data[at] ^= 1 << bit
+        damaged.write_bytes(data)
+        try:
+            steps = list(read(damaged).steps)
+        except RecordingError:
+            told += 1
+            continue
+        if not any(step.damage for step in steps):
+            assert [step.tick for step in steps] == ticks[: len(steps)], f"bit {bit} of byte {at}"
+    assert told > 50
+
+
+def test_the_index_of_a_long_recording_costs_little_and_is_right(tmp_path: Path) -> None:
+    """10,000 chunks are four minutes of a real run; the index is packed several times on the way."""
+    path = tmp_path / "a.mcap"
+    file = McapFile(path, "a test")
+    channels = [file.open_channel(f"/{n}", "std_msgs/msg/Header", "string a") for n in range(6)]
+    count = 10_000
+    for number in range(count):
+        for channel in channels:
+            file.message(channel, number, number * 25_000_000, number, b"\0\1\0\0abcd")
+        file.flush()
+    assert len(file._packed_index) > 3
+    assert sum(map(len, file._packed_index)) + len(file._index) < 60 * count
+    file.finish()
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == count * len(channels)
+        assert len(summary.chunk_indexes) == count
+        at = 4_999 * 25_000_000
+        middle = list(reader.iter_messages(starting_at=at, ending_before=at + 1))
+    assert [(channel.topic, message.sequence) for _, channel, message in middle] == [
+        (f"/{n}", 4_999) for n in range(6)
+    ]

@@ -1,0 +1,374 @@
+"""What is recorded survives, and what cannot be recorded is counted and told while the robot drives on.
+
+The kills are real and in wall time (a kill in simulated time proves nothing); `./go prove` does 200 more.
+Disks that are full, slow or broken are streams that behave so, and a limit on the size of files."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway import config
+from gateway.buses.virtual.bus import open_world
+from gateway.core.clock import SimulatedClock
+from gateway.core.step import Gateway
+from gateway.operator.status import status_text
+from gateway.recording import Recorder, RecordingError, read, writer
+from gateway.recording.recover import is_whole
+from gateway.runtime.loop import live
+from gateway.runtime.session import session
+from protocols.messages import SECOND, Velocity
+from tests.gateway import kills, little, rig
+from tests.gateway.recording.test_recording import child, drained
+from tests.gateway.witness import Runs
+
+SEED = 20261121
+
+
+# -- kills -------------------------------------------------------------------------------------
+
+
+def test_twenty_kills_lose_at_most_100_ms(tmp_path: Path) -> None:
+    with Runs() as runs:
+        outcomes = [kills.one_kill(runs, tmp_path, SEED, number) for number in range(20)]
+    print(f"seed {SEED}: {kills.summary(outcomes)}")
+    assert sum(outcome.ticks for outcome in outcomes) > 500
+    assert sum(outcome.lost > kills.PROMISE for outcome in outcomes) <= 1
+
+
+def test_a_killed_command_its_recovery_and_its_replay(tmp_path: Path) -> None:
+    """As a person does it: three commands."""
+    file, whole = tmp_path / "a.mcap", tmp_path / "a.recovered.mcap"
+    gateway = [sys.executable, "-m", "gateway"]
+    with subprocess.Popen(
+        [*gateway, "run", "bench", "--record", str(file)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as run:
+        assert run.stdin
+        run.stdin.write(b"velocity left 6\n")
+        run.stdin.flush()
+        for _ in range(6000):
+            if file.exists() and file.stat().st_size > 30_000:
+                break
+            time.sleep(0.01)
+        run.send_signal(signal.SIGKILL)
+    assert run.returncode == -signal.SIGKILL
+    recovered = subprocess.run([*gateway, "recover", str(file)], capture_output=True, text=True, check=False)
+    assert (recovered.returncode, recovered.stderr) == (0, "")
+    assert "the file was not closed" in recovered.stdout
+    replayed = subprocess.run([*gateway, "replay", str(whole)], capture_output=True, text=True, check=False)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+    assert "the same, byte for byte" in replayed.stdout
+
+
+WATCHDOG = rig.BENCH.replace(
+    'options = { watchdog = "acknowledged" }', "settings = { enable_watchdog = true, watchdog_timeout = 0.2 }"
+)
+
+
+@pytest.mark.parametrize(("text", "stops"), [(WATCHDOG, True), (rig.BENCH, False)])
+def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops: bool) -> None:
+    """A killed host is one that says no safe word, and nothing else."""
+    robot = config.loads(text)
+    clock = SimulatedClock()
+    twins = open_world(robot, robot.seed)
+    assert twins.world is not None
+    ticks = live(
+        Gateway(robot),
+        twins.buses,
+        clock,
+        ask=lambda: [Velocity("left", 6.0)] if SECOND <= clock.now() < 1.005 * SECOND else [],
+    )
+    for tick in ticks:
+        if tick.now >= 3 * SECOND:
+            break
+    assert twins.world.shaft("left")[1] == pytest.approx(6.0, abs=0.5)
+    killed = clock.now()
+    twins.advance(killed + SECOND // 10)
+    assert twins.world.shaft("left")[1] > 5.0, "a watchdog waits its time"
+    twins.advance(killed + 5 * SECOND)
+    turning = twins.world.shaft("left")[1]
+    assert abs(turning) < 0.5 if stops else turning > 5.0
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (rig.BENCH.replace('options = { watchdog = "acknowledged" }', ""), True),
+        (rig.BENCH, False),
+        (WATCHDOG, False),
+    ],
+)
+def test_a_watchdog_that_is_off_is_told_at_start(text: str, told: bool) -> None:
+    cautions = [caution for caution in config.cautions(config.loads(text)) if "watchdog" in caution]
+    assert [caution.split(":")[0] for caution in cautions] == (["left", "right"] if told else [])
+
+
+# -- disks -------------------------------------------------------------------------------------
+
+
+class Disk:
+    """A file on a disk that can be full, slow or gone."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.broken: int | None = None
+        """The error that a write gives, after half of it was written."""
+        self.ready = threading.Event()
+        self.ready.set()
+        self.waiting = threading.Event()
+
+    def write(self, data: memoryview) -> int:
+        if not self.ready.is_set():
+            self.waiting.set()
+            self.ready.wait()
+        if self.broken is not None:
+            if len(data) > 100:
+                return int(self._stream.write(data[: len(data) // 2]))
+            raise OSError(self.broken, os.strerror(self.broken))
+        return int(self._stream.write(data))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def on_a_disk(recorder: Recorder) -> Disk:
+    file = recorder._sheet._file
+    disk = Disk(file._stream)
+    file._stream = disk  # type: ignore[assignment]  # it behaves like one
+    return disk
+
+
+def hand_over(recorder: Recorder, moments: Iterator[Any], count: int) -> None:
+    for _ in range(count):
+        recorder.record(*next(moments), patient=True)
+    drained(recorder)
+
+
+@pytest.mark.parametrize("trouble", [errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT])
+def test_a_disk_that_takes_nothing_for_a_while(
+    tmp_path: Path, trouble: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "a.mcap"
+    moments = little.life(2000)
+    with Recorder(path, little.ROBOT, {}, little.MOUNTS) as recorder:
+        disk = on_a_disk(recorder)
+        hand_over(recorder, moments, 300)
+        before = path.stat().st_size
+        disk.broken = trouble
+        hand_over(recorder, moments, 700)
+        assert path.stat().st_size == before, "half a chunk was left in the file"
+        assert recorder.lost == 700
+        disk.broken = None
+        hand_over(recorder, moments, 1000)
+    left = [tick.number for tick in read(path).ticks]
+    gap = recorder.lost
+    assert left == [*range(300), *range(300 + gap, 2000)]
+    assert 700 <= gap <= 700 + 200, "it is tried again every second, which are 200 ticks"
+    why = os.strerror(trouble)
+    assert [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR] == [
+        f"recording: nothing can be recorded in {path}: {why}; the robot drives on",
+        f"recording: the recording {path} goes on; {gap} ticks are missing in it",
+    ]
+    steps = list(read(path).steps)
+    assert is_whole(path)
+    assert not any(step.damage for step in steps)
+    after = {view.topic for view in steps[300].views}
+    assert {"/tf_static", "/map", "/plan", "/goal_pose"} < after, "what was shown in the gap is shown anew"
+    assert len(kills.read_by_rosbags(path)) == 2000 - gap
+
+
+def test_a_disk_that_never_comes_back(tmp_path: Path) -> None:
+    """With a limit on the size of files, in a process of its own; what was written stays readable."""
+    path = tmp_path / "a.mcap"
+    code = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+recorder = Recorder(Path(sys.argv[1]), little.ROBOT, {}, little.MOUNTS)
+for tick, belief in little.life(1000):
+    recorder.record(tick, belief, patient=True)
+recorder.close()
+print(recorder.lost)
+print(recorder.trouble)
+"""
+    lost, trouble = child(code, str(path)).splitlines()
+    made = read(path)
+    left = list(made.ticks)
+    assert not made.whole
+    assert left == [tick for tick, _ in little.life(len(left))]
+    assert 0 < len(left) < 1000
+    assert len(left) + int(lost) == 1000
+    assert trouble == f"{path} has no index: File too large; mend it with: gateway recover {path}"
+    assert path.stat().st_size <= 60_000
+
+
+def test_a_write_that_cannot_be_taken_back_ends_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    moments = little.life(1000)
+
+    def refuse(_size: int) -> int:
+        raise OSError(errno.EIO, "gone")
+
+    with Recorder(path, little.ROBOT, {}, little.MOUNTS) as recorder:
+        disk = on_a_disk(recorder)
+        hand_over(recorder, moments, 300)
+        disk.broken = errno.EIO
+        disk.truncate = refuse  # type: ignore[attr-defined]
+        hand_over(recorder, moments, 700)
+    assert recorder.lost == 700
+    assert recorder.trouble == (
+        f"the recording ends here: {path}: {os.strerror(errno.EIO)}; the robot drives on"
+    )
+    # Of the chunk that broke off, some may be readable: it is counted as lost.
+    left = [tick.number for tick in read(path).ticks]
+    assert left == list(range(len(left)))
+    assert 300 <= len(left) <= 320
+
+
+def test_a_slow_disk_costs_ticks_and_never_the_loop(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "a.mcap"
+    moments = little.life(600)
+    with Recorder(path, little.ROBOT, {}, little.MOUNTS, depth=64) as recorder:
+        disk = on_a_disk(recorder)
+        hand_over(recorder, moments, 100)
+        disk.ready.clear()
+        for _ in range(300):  # if any of these waited for the disk, this test would not end
+            recorder.record(*next(moments))
+        assert disk.waiting.wait(10), "the writer is at the disk"
+        lost = recorder.lost
+        assert 300 - 64 - 20 <= lost <= 300 - 64
+        disk.ready.set()
+        drained(recorder)
+        hand_over(recorder, moments, 200)
+    assert recorder.lost == lost
+    numbers = [tick.number for tick in read(path).ticks]
+    assert len(numbers) == 600 - lost
+    jumps = [b - a - 1 for a, b in pairwise(numbers) if b != a + 1]
+    assert jumps == [lost], "one gap"
+    told = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
+    assert len(told) == 2
+    assert "the disk is too slow; the robot drives on" in told[0]
+    assert told[1] == f"recording: {path} goes on with tick 400: {lost} ticks are missing"
+
+
+def test_a_robot_on_a_dead_disk_reaches_what_it_was_told(tmp_path: Path) -> None:
+    """The live loop itself, with the disk blocked from the first tick on."""
+    made = rig.Rig()
+    with Recorder(tmp_path / "a.mcap", made.robot.text, {}, depth=8) as recorder:
+        disk = on_a_disk(recorder)
+        disk.ready.clear()
+        ticks = live(
+            made.gateway,
+            made.world.buses,
+            made.clock,
+            ask=lambda: [Velocity("left", 6.0)] if SECOND <= made.clock.now() < 1.005 * SECOND else [],
+            keep=recorder.record,
+        )
+        count = 0
+        for tick in ticks:
+            count += 1
+            if tick.now >= 3 * SECOND:
+                break
+        assert made.velocity("left") == pytest.approx(6.0, abs=0.5)
+        assert count - 40 <= recorder.lost < count
+        disk.ready.set()
+        ticks.close()
+
+
+def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
+    """As another user, if this one may do everything."""
+    tmp_path.chmod(0o555)
+    code = """
+from gateway.recording import RecordingError
+from gateway.recording.sheet import Sheet
+from gateway.status import status_text
+from gateway.views import Views
+views = Views()
+views.prepare()
+if os.geteuid() == 0:
+    os.seteuid(65534)
+try:
+    Sheet(Path(sys.argv[1]), little.ROBOT, {}, views)
+except RecordingError as error:
+    print(error)
+"""
+    try:
+        assert "cannot be written: Permission denied" in child(code, str(tmp_path / "a.mcap"))
+    finally:
+        tmp_path.chmod(0o755)
+
+
+def test_a_file_that_cannot_be_begun_moves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
+        Recorder(tmp_path / "none" / "a.mcap", little.ROBOT, {})
+
+
+# -- power -------------------------------------------------------------------------------------
+
+
+def test_the_disk_is_asked_to_keep_it_by_a_thread_that_holds_up_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, go_on = threading.Event(), threading.Event()
+
+    def sync(_descriptor: int) -> None:
+        asked.set()
+        go_on.wait()
+
+    monkeypatch.setattr(writer, "SYNC_PERIOD", 0.001)
+    monkeypatch.setattr(os, "fdatasync", sync)
+    with Recorder(tmp_path / "a.mcap", little.ROBOT, {}, little.MOUNTS) as recorder:
+        assert asked.wait(10)
+        hand_over(recorder, little.life(200), 200)
+        assert len(list(read(recorder.path).ticks)) == 200
+    assert read(recorder.path).whole
+    assert recorder.trouble == ""
+    go_on.set()
+    recorder._syncer._thread.join(10)
+
+
+@pytest.mark.parametrize(("error", "told"), [(errno.EIO, True), (errno.EINVAL, False)])
+def test_a_disk_that_loses_what_it_took_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, told: bool
+) -> None:
+    def sync(_descriptor: int) -> None:
+        raise OSError(error, os.strerror(error))
+
+    monkeypatch.setattr(writer, "SYNC_PERIOD", 0.001)
+    monkeypatch.setattr(os, "fdatasync", sync)
+    with Recorder(tmp_path / "a.mcap", little.ROBOT, {}) as recorder:
+        recorder._syncer._thread.join(10)
+        assert not recorder._syncer._thread.is_alive()
+    assert ("the disk says that it lost something" in recorder.trouble) == told
+
+
+def test_status_tells_where_it_is_recorded_and_what_is_lost(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with session(config.loads(rig.BENCH), SimulatedClock(), record=path) as made:
+        for _ in made.ticks(SECOND):
+            pass
+        assert f"recording: {path}" in status_text(made).splitlines()
+        assert made.recorder is not None
+        drained(made.recorder)
+        on_a_disk(made.recorder).broken = errno.ENOSPC
+        for _ in made.ticks(2 * SECOND):
+            pass
+        drained(made.recorder)
+        lost = made.recorder.lost
+        assert lost > 100
+        line = status_text(made).splitlines()[-1]
+    assert line.startswith(f"recording: {path}, {lost} ticks lost: nothing can be recorded in")

@@ -1,0 +1,337 @@
+"""Bags of somebody else's: what becomes of each message, in which order; what a wrong or damaged one gets."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brain.belief import Pose
+from gateway.core.robot import BagTopics
+from gateway.recording import Recorder
+from gateway.rosbag import Bag, BagError, is_foreign, read
+from gateway.rosbag.evaluate import judge
+from protocols.messages import MILLISECOND, SECOND, Feedback, Fix, Imu
+from tests.gateway.bag_helpers import (
+    IMU,
+    KINDS,
+    START,
+    Kind,
+    Said,
+    drive,
+    fix,
+    imu,
+    odometry,
+    rover,
+    vector,
+    write,
+)
+
+ROVER = rover()
+BODY = ROVER.brain.differential
+assert BODY is not None
+TOPICS = BagTopics("/odom", {"imu": "/imu/data"}, "/fix")
+
+
+def bag_of(path: Path, *messages: Said, topics: BagTopics = TOPICS, kind: Kind = "ros1") -> Bag:
+    """A bag with these messages and one of each topic, which count as the first of all."""
+    assert BODY is not None
+    first = (odometry(START, 0.0, 0.0), imu(START, (0.0, 0.0, 0.0)), fix(START, 0.0, 0.0))
+    return read(write(path / kind, [*first, *messages], kind), topics, BODY)
+
+
+def at(ms: float) -> int:
+    return START + round(ms * MILLISECOND)
+
+
+def refusal(path: Path, topics: BagTopics | None = TOPICS) -> str:
+    assert BODY is not None
+    with pytest.raises(BagError) as told:
+        read(path, topics, BODY)
+    return str(told.value)
+
+
+# -- what becomes of a message --------------------------------------------------------------------
+
+
+def test_every_kind_of_bag_gives_the_same(tmp_path: Path) -> None:
+    assert BODY is not None
+    bags = [read(write(tmp_path / kind, drive(8.0), kind), TOPICS, BODY) for kind in KINDS]
+    for bag in bags:
+        assert (bag.events, bag.truth, bag.odometry) == (bags[0].events, bags[0].truth, bags[0].odometry)
+        assert [(t.name, t.part, t.count, t.used) for t in bag.topics] == [
+            ("/fix", "truth", 20, 20),
+            ("/imu/data", "sensors.imu", 267, 267),
+            ("/odom", "odometry", 80, 80),
+        ]
+    assert len(bags[0].events) == 2 * 80 + 267
+
+
+def test_speeds_become_what_each_wheel_turned(tmp_path: Path) -> None:
+    """From 0 to 1 m/s within 1 s, straight on; then 1 s of turning on the spot, 0.8 rad/s to the left."""
+    bag = bag_of(
+        tmp_path, odometry(at(1000), 1.0, 0.0), odometry(at(1000), 0.0, 0.8), odometry(at(2000), 0.0, 0.8)
+    )
+    left, right = (
+        [e for e in bag.events if isinstance(e, Feedback) and e.motor == m] for m in ("left", "right")
+    )
+    # wheels of 0.1 m, 0.5 m apart: 0.5 m are 5 rad of both, 0.8 rad are 0.2 m or 2 rad of each
+    assert [e.position for e in left] == pytest.approx([0.0, 5.0, 5.0, 3.0])
+    assert [e.position for e in right] == pytest.approx([0.0, 5.0, 5.0, 7.0])
+    assert [e.velocity for e in left] == pytest.approx([0.0, 10.0, -2.0, -2.0])
+    assert [e.velocity for e in right] == pytest.approx([0.0, 10.0, 2.0, 2.0])
+    assert [e.t for e in left] == [e.t for e in right] == [START, at(1000), at(1000), at(2000)]
+
+
+def test_poses_of_the_bag_are_for_comparison_alone(tmp_path: Path) -> None:
+    place = Pose(3.0, -2.0, 2.5)
+    bag = bag_of(tmp_path, odometry(at(100), 0.5, 0.0, place))
+    (t, pose) = bag.odometry[1]
+    assert (t, pose.x, pose.y) == (at(100), 3.0, -2.0)
+    assert pose.yaw == pytest.approx(2.5)
+    moved = [e.position for e in bag.events if isinstance(e, Feedback) and e.t == at(100)]
+    assert moved == pytest.approx([0.25, 0.25])  # 0.05 / 2 m, whatever the pose says
+
+
+def test_an_imu_keeps_its_own_frame_and_its_stamp(tmp_path: Path) -> None:
+    bag = bag_of(tmp_path, imu(at(20), (0.1, -0.2, 0.3), (0.5, 0.5, 0.5, 0.5), logged=at(45)))
+    said = bag.events[-1]
+    assert said == Imu("imu", at(20), (0.1, -0.2, 0.3), (0.0, 0.0, 9.81), (0.5, 0.5, 0.5, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("message", "turned"),
+    [
+        (imu(at(5), (0.0, 0.0, 0.0), turned_variance=-1.0), None),
+        (imu(at(5), (0.0, 0.0, 0.0), turned=(0.0, 0.0, 0.0, 0.0)), None),
+        (imu(at(5), (0.0, 0.0, 0.0), turned=(math.nan, 0.0, 0.0, 1.0)), None),
+        (imu(at(5), (0.0, 0.0, 0.0), turned=(0.0, 0.0, 0.6, 0.8)), (0.0, 0.0, 0.6, 0.8)),
+    ],
+    ids=["said not to be there", "all zero", "not a number", "there"],
+)
+def test_an_orientation_that_was_not_measured_is_none(tmp_path: Path, message: Said, turned: object) -> None:
+    said = bag_of(tmp_path, message).events[-1]
+    assert isinstance(said, Imu)
+    assert said.orientation == turned
+
+
+def test_a_fix_tells_its_horizontal_variance_if_it_knows_it(tmp_path: Path) -> None:
+    bag = bag_of(tmp_path, fix(at(5), 48.1, 11.5), fix(at(6), 48.1, 11.5, altitude=math.nan, known=0))
+    assert bag.truth[1:] == (Fix("gps", at(5), 48.1, 11.5, 100.0, 1.0), Fix("gps", at(6), 48.1, 11.5))
+
+
+LEFT = [
+    (odometry(at(5), math.nan, 0.0), "/odom", "not finite"),
+    (odometry(at(5), 0.0, math.inf), "/odom", "not finite"),
+    (odometry(at(5), 0.0, 0.0, Pose(math.nan, 0.0, 0.0)), "/odom", "not finite"),
+    (odometry(at(5), 0.0, 0.0, variance=1e6), "/odom", "no speed in it"),
+    (odometry(0, 0.0, 0.0, logged=at(5)), "/odom", "no stamp"),
+    (imu(at(5), (0.0, math.nan, 0.0)), "/imu/data", "not finite"),
+    (imu(at(5), (0.0, 0.0, 0.0), rate_variance=-1.0), "/imu/data", "no rate of turn in it"),
+    (imu(0, (0.0, 0.0, 0.0), logged=at(5)), "/imu/data", "no stamp"),
+    (fix(at(5), 0.0, 0.0, status=-1), "/fix", "no fix"),
+    (fix(at(5), math.nan, 0.0), "/fix", "not on the earth"),
+    (fix(at(5), 91.0, 0.0), "/fix", "not on the earth"),
+    (fix(at(5), 0.0, math.inf), "/fix", "not on the earth"),
+    (fix(0, 0.0, 0.0, logged=at(5)), "/fix", "no stamp"),
+]
+
+
+@pytest.mark.parametrize(("message", "name", "reason"), LEFT)
+def test_what_is_not_used_is_counted_with_its_reason(
+    tmp_path: Path, message: Said, name: str, reason: str
+) -> None:
+    plain, bag = bag_of(tmp_path / "a"), bag_of(tmp_path / "b", message)
+    assert (bag.events, bag.truth, bag.odometry) == (plain.events, plain.truth, plain.odometry)
+    topics = {topic.name: topic for topic in bag.topics}
+    assert (topics[name].count, topics[name].used, topics[name].left) == (2, 1, {reason: 1})
+    assert all(not topic.left for other, topic in topics.items() if other != name)
+
+
+def test_topics_without_a_part_are_left_over(tmp_path: Path) -> None:
+    other = imu(at(5), (0.0, 0.0, 0.0), topic="/imu/other")
+    bag = bag_of(tmp_path, other, topics=BagTopics("/odom"))
+    assert [(t.name, t.part, t.used) for t in bag.topics] == [
+        ("/fix", "", 0),
+        ("/imu/data", "", 0),
+        ("/imu/other", "", 0),
+        ("/odom", "odometry", 1),
+    ]
+    assert not bag.truth
+    assert all(isinstance(event, Feedback) for event in bag.events)
+
+
+# -- order ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_stamps_order_and_the_bag_orders_what_has_one_stamp(tmp_path: Path, kind: Kind) -> None:
+    bag = bag_of(
+        tmp_path,
+        odometry(at(40), 0.0, 0.0, logged=at(41)),
+        imu(at(30), (0.1, 0.0, 0.0), logged=at(42)),  # older, written down later
+        imu(at(40), (0.2, 0.0, 0.0), logged=at(43)),
+        imu(at(40), (0.3, 0.0, 0.0), logged=at(44)),
+        odometry(at(20), 0.0, 0.0, logged=at(45)),
+        kind=kind,
+    )
+    late = [e for e in bag.events if e.t > START]
+    told = [e.angular_velocity[0] if isinstance(e, Imu) else getattr(e, "motor", e) for e in late]
+    assert told == ["left", "right", 0.1, "left", "right", 0.2, 0.3]
+    assert [e.t for e in bag.events] == sorted(e.t for e in bag.events)
+
+
+def test_wheels_turn_in_the_order_of_stamps(tmp_path: Path) -> None:
+    late = odometry(at(1000), 1.0, 0.0, logged=at(2500))
+    swapped = bag_of(tmp_path / "a", odometry(at(2000), 1.0, 0.0), late)
+    straight = bag_of(tmp_path / "b", odometry(at(1000), 1.0, 0.0), odometry(at(2000), 1.0, 0.0))
+    assert swapped.events == straight.events
+
+
+# -- what is not there ----------------------------------------------------------------------------
+
+
+def test_every_missing_topic_is_told_with_the_nearest_and_what_there_is(tmp_path: Path) -> None:
+    path = write(tmp_path / "x", drive(1.0))
+    said = refusal(path, BagTopics("/odm", {"imu": "/odom"}, "/gps"))
+    assert said.splitlines() == [
+        f"{path}: odometry: no topic '/odm'; did you mean '/odom'?",
+        f"{path}: sensors.imu: /odom holds nav_msgs/msg/Odometry, expected sensor_msgs/msg/Imu",
+        f"{path}: truth: no topic '/gps'",
+        "there is",
+        "  /fix: 3 of sensor_msgs/msg/NavSatFix",
+        "  /imu/data: 34 of sensor_msgs/msg/Imu",
+        "  /odom: 10 of nav_msgs/msg/Odometry",
+    ]
+
+
+def test_a_robot_without_topics_is_told_what_there_is(tmp_path: Path) -> None:
+    said = refusal(write(tmp_path / "x", drive(1.0)), None)
+    assert "no table [bag]" in said
+    assert "/odom: 10 of nav_msgs/msg/Odometry" in said
+
+
+def test_a_topic_with_messages_of_several_types_is_none_of_them(tmp_path: Path) -> None:
+    def make(types: Any) -> Any:
+        return vector(types, 0.0, 0.0, 0.0)
+
+    other = Said("/imu/data", "geometry_msgs/msg/Vector3", at(1), make)
+    path = write(tmp_path / "x", [odometry(START, 0.0, 0.0), imu(START, (0.0, 0.0, 0.0)), other])
+    said = refusal(path, BagTopics("/odom", {"imu": "/imu/data"}))
+    assert f"/imu/data holds messages of several types, expected {IMU}" in said
+
+
+# -- which file is one ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_is_known_as_foreign(tmp_path: Path, kind: Kind) -> None:
+    path = write(tmp_path / "x", drive(1.0), kind)
+    assert is_foreign(path)
+    assert all(is_foreign(p) for p in path.parent.rglob("*") if p.suffix in (".bag", ".mcap", ".db3"))
+
+
+def test_our_own_recording_is_not_foreign(tmp_path: Path) -> None:
+    path = tmp_path / "own.mcap"
+    recorder = Recorder(path, ROVER.text, {})
+    recorder.close()
+    assert not is_foreign(path)
+
+
+def test_what_is_no_bag_is_not_foreign(tmp_path: Path) -> None:
+    for name, data in (("a", b""), ("b.bag", b"x" * 100), ("c.mcap", b"\x89MCAP0\r\n"), ("d", b"# no bag")):
+        (tmp_path / name).write_bytes(data)
+        assert not is_foreign(tmp_path / name), name
+    assert not is_foreign(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_the_file_of_a_bag_can_be_read_without_its_folder(tmp_path: Path, kind: Kind) -> None:
+    assert BODY is not None
+    folder = write(tmp_path / "x", drive(1.0), kind)
+    (inside,) = (p for p in folder.iterdir() if p.suffix != ".yaml")
+    assert read(inside, TOPICS, BODY).events == read(folder, TOPICS, BODY).events
+
+
+# -- damage ---------------------------------------------------------------------------------------
+
+
+def test_a_folder_that_is_no_bag(tmp_path: Path) -> None:
+    assert refusal(tmp_path) == f"{tmp_path}: a folder without metadata.yaml: no bag of ROS 2"
+
+
+def test_an_unfinished_bag_of_ros_1(tmp_path: Path) -> None:
+    path = write(tmp_path / "x", drive(1.0)).rename(tmp_path / "x.bag.active")
+    assert "must be called .bag (a .active one is unfinished: reindex it)" in refusal(path)
+
+
+def test_a_check_of_the_library_that_fails_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "x", drive(1.0))
+    data = path.read_bytes()
+    field = b"\x0a\x00\x00\x00count="  # with its length in front; the first is an index record's
+    count = data.index(field) + len(field)
+    path.write_bytes(data[:count] + bytes([data[count] ^ 1]) + data[count + 1 :])
+    assert refusal(path).endswith(
+        "damaged: it fails the reader's check `assert size == count * 12` (read_index_data)"
+    )
+
+
+def test_without_asserts_no_bag_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "x", drive(1.0))
+    robot = tmp_path / "rover.toml"
+    robot.write_text(ROVER.text)
+    done = subprocess.run(
+        [sys.executable, "-O", "-m", "gateway", "replay", str(path), "--robot", str(robot)],
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "python -O switches off the checks of the library that reads bags" in done.stderr
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: Kind) -> None:
+    """Cut anywhere, and with bits flipped anywhere: nothing but BagError comes out, and what is read can
+    be judged."""
+    assert BODY is not None
+    seed, read_after_all, refused = 7, 0, 0
+    dice = np.random.Generator(np.random.PCG64(seed))
+    path = write(tmp_path / "x", drive(1.0), kind)
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    for case in range(36):
+        file = files[case % len(files)]
+        whole = file.read_bytes()
+        bad = bytearray(whole)
+        if case % 3:
+            for place in dice.integers(0, len(bad), size=1 + case % 4):
+                bad[place] ^= 1 << int(dice.integers(0, 8))
+        else:
+            del bad[int(dice.integers(0, len(bad))) :]
+        file.write_bytes(bad)
+        try:
+            bag = read(path, TOPICS, BODY)
+        except BagError:
+            refused += 1
+        except Exception as error:
+            error.add_note(f"{kind}, seed {seed}, case {case}")
+            raise
+        else:
+            read_after_all += 1
+            assert judge(bag, ROVER).text()
+        file.write_bytes(whole)
+    assert refused > 6
+    assert read_after_all > 0
+    assert read(path, TOPICS, BODY).events
+
+
+def test_a_stamp_far_away_harms_nothing_but_itself(tmp_path: Path) -> None:
+    bag = bag_of(tmp_path, odometry(START + 4 * 10**8 * SECOND, 1.0, 0.0, logged=at(5)))
+    assert judge(bag, ROVER).text()

@@ -1,0 +1,129 @@
+"""World files: what comes with the package is right, and mistakes are told all at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gateway.config.errors import ConfigError
+from gateway.sim.files import STEP, BenchFile, SceneFile
+from gateway.sim.load import WorldError, known_worlds, load_world, loads_world
+from protocols.messages import MILLISECOND
+from tests.gateway.world_helpers import ROOM
+
+
+def test_the_committed_worlds_are_found_and_right() -> None:
+    assert known_worlds() == ("bench", "office")
+    office, bench = load_world("office"), load_world("bench")
+    assert isinstance(office, SceneFile)
+    assert isinstance(bench, BenchFile)
+    assert STEP == MILLISECOND
+
+
+def test_the_office_is_what_it_says() -> None:
+    office = load_world("office")
+    assert isinstance(office, SceneFile)
+    body, lidar = office.body, office.lidars["lidar"]
+    assert (body.size, body.mass, body.wheel_radius, body.wheel_separation) == (
+        (0.4, 0.2, 0.1),
+        5.0,
+        0.05,
+        0.22,
+    )
+    assert (lidar.beams, lidar.range_min, lidar.range_max, lidar.rate_hz) == (360, 0.1, 10.0, 10.0)
+    assert office.imus["imu"].rate_hz == 200.0
+    doorway = office.walls["divider_north"].start[1] - office.walls["divider_south"].end[1]
+    assert doorway >= 0.9
+    xs = [x for wall in office.walls.values() for x, _ in (wall.start, wall.end)]
+    ys = [y for wall in office.walls.values() for _, y in (wall.start, wall.end)]
+    assert 8.0 <= max(xs) - min(xs) <= 10.5
+    assert 6.0 <= max(ys) - min(ys) <= 8.5
+
+
+def test_a_world_by_its_path(tmp_path: Path) -> None:
+    file = tmp_path / "here.toml"
+    file.write_text('kind = "bench"\nname = "here"\n[shafts.arm]\nload = -0.5\n')
+    found = load_world(file)
+    assert isinstance(found, BenchFile)
+    assert found.shafts["arm"].load == -0.5
+    assert load_world(str(file)) == found
+
+
+def test_all_mistakes_at_once_each_with_its_place() -> None:
+    text = """kind = "scene"
+name = "bad"
+frction = 2.0
+[body]
+left = { motor = "a" }
+right = { motor = "b" }
+mass = "5"
+[lidars.lidar]
+beam = 3
+[lidars.other]
+range_min = 30.0
+[imus.imu]
+rate_hz = 300.0
+gyro_bias = [0.0, 0.0]
+[walls.a]
+start = [0.0, 0.0]
+end = [0.01, 0.0]
+[boxes.b]
+x = 1.0
+size = [1.0, 0.0, 1.0]
+"""
+    with pytest.raises(WorldError) as caught:
+        loads_world(text, "bad.toml")
+    told = [(mistake.line, mistake.key) for mistake in caught.value.mistakes]
+    assert told == [
+        (3, "frction"),
+        (7, "body.mass"),
+        (9, "lidars.lidar.beam"),
+        (11, "lidars.other.range_min"),
+        (14, "imus.imu.gyro_bias"),
+        (17, "walls.a.end"),
+        (18, "boxes.b.y"),
+        (20, "boxes.b.size"),
+    ]
+    text = str(caught.value)
+    for part in (
+        "bad.toml:3: ",
+        "did you mean 'friction'?",
+        "did you mean 'beams'?",
+        'found "5", expected a finite number',
+    ):
+        assert part in text
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('kind = "scene"\nname = [', "not TOML"),
+        ('name = "x"', "kind: missing; expected 'scene' or 'bench'"),
+        ('kind = "sea"', "found \"sea\", expected 'scene' or 'bench'"),
+        ('kind = "scene"\nname = "x"', "body: missing"),
+        ('kind = "bench"\n[shaft]\ninertia = 0.0', "greater than 0"),
+        ('kind = "bench"\n[shaft]\nfriction = inf', "expected a finite number"),
+        ('kind = "bench"\n[shaft]\nstops = [1.0, 2.0]', "stops must be below and above 0"),
+        ('kind = "bench"\n[shaft]\nstops = [-1.0]', "an array of 2 finite numbers"),
+        ('kind = "bench"\n[encoder]\ncounts_per_turn = 8.5', "expected an integer"),
+        (ROOM.replace('motor = "right"', 'motor = "left"'), "right must be another motor"),
+        (ROOM.replace("[body]", "[body]\nmass = 0.3"), "mass must be more than that of the two wheels"),
+        (ROOM.replace("[imus.imu]", "[imus.imu]\nrate_hz = 300.0"), "rate_hz must divide"),
+        (ROOM.replace("[lidars.lidar]", "[lidars.lidar]\nbeams = 1"), "of at least 2"),
+        (ROOM.replace("[lidars.lidar]", "[lidars.lidar]\ndropout = 1.0"), "less than 1"),
+        (ROOM.replace("[body]", "[body.slip]\nsigma = -0.1\n[body]"), "of at least 0"),
+    ],
+)
+def test_one_mistake(text: str, told: str) -> None:
+    with pytest.raises(WorldError) as caught:
+        loads_world(text)
+    assert told in str(caught.value)
+    assert len(caught.value.mistakes) == 1
+
+
+def test_a_world_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no world 'ofice'.*bench, office.*did you mean 'office'"):
+        load_world("ofice")
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: cannot be read"):
+        load_world(tmp_path / "nowhere.toml")
