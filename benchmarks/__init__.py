@@ -28,7 +28,7 @@ def bench(options: Namespace) -> int:
         options.json.open("a").close()  # that it cannot be written is told now, not in two minutes
     effort = Effort(options.quick)
     began, before = stopwatch(), preemptions()
-    rows = [row for name, part in parts().items() for row in _told(name, part, effort)]
+    rows = [row for name, part in parts().items() for row in _reported(name, part, effort)]
     facts = environment.facts() | {
         "load average": " ".join(f"{load:.1f}" for load in os.getloadavg()),
         "processors": str(os.cpu_count()),
@@ -62,7 +62,7 @@ def parts() -> dict[str, Callable[[Effort], list[Row]]]:
     }
 
 
-def _told(name: str, part: Callable[[Effort], list[Row]], effort: Effort) -> list[Row]:
+def _reported(name: str, part: Callable[[Effort], list[Row]], effort: Effort) -> list[Row]:
     print(f"measuring: {name} …", flush=True)
     return part(effort)
 

@@ -22,7 +22,7 @@ from gateway import config
 from gateway.config import resources
 from gateway.core.clock import SimulatedClock, WallClock, processor_time, stopwatch
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, by_plugin, ear_of
+from gateway.core.step import Gateway, by_plugin, decoder_of
 from gateway.core.tick import Tick
 from gateway.recording import Recorder, read
 from gateway.replay.compare import compare
@@ -136,7 +136,7 @@ def _protocols(made: Drive) -> None:
     for tick in made.ticks:
         for packet in tick.inputs.packets:
             for driver in drivers[packet.bus]:
-                driver.receive(packet.t, packet.wire)
+                driver.receive(packet.t, packet.frame)
 
 
 def _judged(made: Drive) -> None:
@@ -144,7 +144,7 @@ def _judged(made: Drive) -> None:
     gateway = Gateway(made.robot)
     mounts = {name: sensor.mount for name, sensor in made.robot.sensors.items()}
     verdict = compare(
-        read(made.file), gateway.step, gateway.belief, lambda bus: ear_of(made.robot, bus), mounts=mounts
+        read(made.file), gateway.step, gateway.belief, lambda bus: decoder_of(made.robot, bus), mounts=mounts
     )
     if not verdict.ok:
         raise NotMeasured(f"the replay of the bench's own drive differs: {verdict.text()}")

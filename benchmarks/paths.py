@@ -59,7 +59,7 @@ def _row(size: int, rounds: int) -> Row:
 
 def rooms(size: int) -> Mask:
     """Walls round 8 × 8 rooms, each with a door wherever two rooms meet. The same for the same size."""
-    dice = np.random.Generator(np.random.PCG64(SEED))
+    random = np.random.Generator(np.random.PCG64(SEED))
     blocked = np.zeros((size, size), dtype=np.bool_)
     edges = np.linspace(0, size, ROOMS + 1).astype(int)
     door = max(2, size // (6 * ROOMS))
@@ -67,7 +67,7 @@ def rooms(size: int) -> Mask:
         blocked[wall, :] = blocked[:, wall] = True
     for wall in edges[1:-1]:
         for low, high in pairwise(edges):
-            across, down = dice.integers(low + 1, high - door, size=2)
+            across, down = random.integers(low + 1, high - door, size=2)
             blocked[wall, across : across + door] = False
             blocked[down : down + door, wall] = False
     return blocked

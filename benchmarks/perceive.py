@@ -79,7 +79,7 @@ class OurFilter:
     def step(self) -> None:
         """A period later, the next measurement."""
         self._t += PERIOD
-        self.ekf.hear(wheels("wheels", self._t, SPEED, TURN, NOISE))
+        self.ekf.observe(wheels("wheels", self._t, SPEED, TURN, NOISE))
 
 
 # -- the map --------------------------------------------------------------------------------------

@@ -31,13 +31,13 @@ START, MEMORY = "start-up, from nothing", "memory at the most"
 BARE, LIBRARIES = "python -c pass", 'python -c "import can, numpy, serial"'
 PASS, IMPORTS = ("-c", "pass"), ("-c", "import can, numpy, serial")
 HELP, WORLD = "gateway --help", "gateway run diffbot --fast --seconds 10"
-UNTOLD, LEFT_OUT = "the kernel does not tell it (/proc/PID/status)", "left out by --quick"
+UNREPORTED, LEFT_OUT = "the kernel does not tell it (/proc/PID/status)", "left out by --quick"
 ROBOTS = ("bench", "diffbot")
 PATIENCE: Nanos = 60 * SECOND
 GLANCE: Nanos = MILLISECOND
 """How often it is looked whether a frame has come."""
 
-Wire: TypeAlias = AdapterPty | SerialPty
+Frame: TypeAlias = AdapterPty | SerialPty
 
 
 def processes(effort: Effort) -> list[Row]:
@@ -69,12 +69,12 @@ def _start(took: Mapping[str, Figures]) -> list[Row]:
 
 def _memory(held: Mapping[str, Sequence[float]]) -> list[Row]:
     peaks = {name: figures(found, "B") for name, found in held.items() if all(found)}
-    libraries = (Beside(LIBRARIES, peaks.get(LIBRARIES), "" if LIBRARIES in peaks else UNTOLD),)
+    libraries = (Beside(LIBRARIES, peaks.get(LIBRARIES), "" if LIBRARIES in peaks else UNREPORTED),)
     names = {robot: f"gateway run {robot}, on its buses" for robot in ROBOTS} | {WORLD: WORLD}
     return [
         Row(MEMORY, what, peaks[name], libraries)
         if name in peaks
-        else Row(MEMORY, what, None, not_run=UNTOLD if name in held else LEFT_OUT)
+        else Row(MEMORY, what, None, not_run=UNREPORTED if name in held else LEFT_OUT)
         for name, what in names.items()
     ]
 
@@ -108,13 +108,15 @@ def until_first_frame(robot: str, stay: Nanos) -> tuple[Nanos, int]:
     """How long `gateway run` takes until its first CAN frame comes out, and the most memory [B] that it has
     held when it has run for `stay` beyond that. Raises NotMeasured if no frame comes."""
     clock = WallClock()
-    with _wires(robot, clock) as wires:
-        buses = [word for wire in wires for word in ("--bus", f"{wire.name}={_address(wire)}")]
+    with _frames(robot, clock) as frames:
+        buses = [word for frame in frames for word in ("--bus", f"{frame.name}={_address(frame)}")]
         with _process(("-m", "gateway", "run", robot, *buses)) as process:
             first: Nanos | None = None
             while clock.now() < (PATIENCE if first is None else first + stay) and process.poll() is None:
-                heard = [wire for wire in wires if wire.read(clock.now())[1] and isinstance(wire, AdapterPty)]
-                if heard and first is None:
+                received = [
+                    frame for frame in frames if frame.read(clock.now())[1] and isinstance(frame, AdapterPty)
+                ]
+                if received and first is None:
                     first = clock.now()
                 clock.wait(clock.now() + GLANCE)
             most = peak(process.pid)
@@ -157,21 +159,21 @@ def _process(arguments: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def _wires(robot: str, clock: WallClock) -> Iterator[list[Wire]]:
+def _frames(robot: str, clock: WallClock) -> Iterator[list[Frame]]:
     """The far ends of a robot's buses."""
     buses = config.load(resources.find("robots", robot)).buses
-    made: list[Wire] = []
+    made: list[Frame] = []
     try:
-        made.extend(_wire(settings, clock) for settings in buses.values())
+        made.extend(_frame(settings, clock) for settings in buses.values())
         yield made
     finally:
-        for wire in made:
-            wire.close()
+        for frame in made:
+            frame.close()
 
 
-def _wire(settings: BusSettings, clock: WallClock) -> Wire:
+def _frame(settings: BusSettings, clock: WallClock) -> Frame:
     return SerialPty(settings, clock) if settings.kind == "serial" else AdapterPty(settings, clock)
 
 
-def _address(wire: Wire) -> str:
-    return f"slcan:{wire.paths[0]}" if isinstance(wire, AdapterPty) else f"serial:{wire.pty.path}"
+def _address(frame: Frame) -> str:
+    return f"slcan:{frame.paths[0]}" if isinstance(frame, AdapterPty) else f"serial:{frame.pty.path}"

@@ -8,18 +8,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from brain.belief import Belief, BrainState
-from brain.condition import Condition
+from brain.condition import StatusReporter
 from brain.joint_targets import JointTargets
-from brain.planning.mission import Remark
+from brain.planning.mission import Note
 from brain.settings import BrainSettings
 from protocols.messages import Command, Drive, Event, Goal, Nanos
 
 
-class Bench:
+class JointBrain:
     """Passes an operator's targets to the joints that can be trusted."""
 
     def __init__(self, settings: BrainSettings, motors: Sequence[str], timeouts: Mapping[str, Nanos]) -> None:
-        self._condition = Condition()
+        self._condition = StatusReporter()
         self._joints = JointTargets(motors, timeouts, settings.health, self._condition)
 
     def adopt(self, settings: BrainSettings) -> None:
@@ -31,7 +31,7 @@ class Bench:
     ) -> Sequence[Command]:
         """One target per motor."""
         joints = self._joints
-        joints.hear(events)
+        joints.observe(events)
         missing = joints.health.missing()
         for task in tasks:
             if isinstance(task, Goal | Drive):
@@ -46,9 +46,9 @@ class Bench:
         """Only a state."""
         return Belief(self._condition.state, self._condition.reason, None, None, (), 0, None, {}, 0)
 
-    def take_remarks(self) -> list[Remark]:
+    def take_notes(self) -> list[Note]:
         """What there is to say since this was last asked."""
-        return self._condition.take_remarks()
+        return self._condition.take_notes()
 
     def _settle(self, stopped: str, missing: str, lost: Sequence[str]) -> None:
         if stopped:

@@ -14,11 +14,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from brain.belief import Belief
-from brain.bench import Bench
-from brain.driving import Driving
+from brain.bench import JointBrain
+from brain.driving import BaseBrain
 from brain.health import HealthSettings
 from brain.perception.mount import Mount
-from brain.planning.mission import Remark
+from brain.planning.mission import Note
 from brain.settings import BrainSettings, changed
 from protocols.messages import Command, Drive, Event, Goal, Nanos
 
@@ -58,9 +58,9 @@ class Brain:
         """What is believed and wanted, as a value."""
         return self._body.belief()
 
-    def take_notes(self) -> list[Remark]:
+    def take_notes(self) -> list[Note]:
         """(level, sentence) for the operator, in order, since this was last asked."""
-        return self._body.take_remarks()
+        return self._body.take_notes()
 
     def set(self, key: str, value: float) -> str:
         """Change a number of the settings while running, e.g. "pursuit.lookahead_time"; "" or why not."""
@@ -86,12 +86,12 @@ def _body(
     motors: Sequence[str],
     sensors: Mapping[str, Mount],
     timeouts: Mapping[str, Nanos],
-) -> Driving | Bench:
+) -> BaseBrain | JointBrain:
     if settings.body == "differential":
         if settings.differential is None:
             raise ValueError('the body "differential" needs its table, brain.differential')
         wheels = (settings.differential.left, settings.differential.right)
         if strange := [name for name in wheels if name not in motors]:
             raise ValueError(f"brain.differential names wheels that are no motors: {', '.join(strange)}")
-        return Driving(settings, settings.differential, motors, sensors, timeouts)
-    return Bench(settings, motors, timeouts)
+        return BaseBrain(settings, settings.differential, motors, sensors, timeouts)
+    return JointBrain(settings, motors, timeouts)

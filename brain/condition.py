@@ -8,7 +8,7 @@ here it is a warning, an operator's own stop being no error.
 from __future__ import annotations
 
 from brain.belief import BrainState
-from brain.planning.mission import Level, Remark
+from brain.planning.mission import Level, Note
 
 _LEVELS: dict[BrainState, Level] = {
     BrainState.INITIALISING: "info",
@@ -19,13 +19,13 @@ _LEVELS: dict[BrainState, Level] = {
 }
 
 
-class Condition:
+class StatusReporter:
     """State, reason, remarks. Plain data."""
 
     def __init__(self) -> None:
         self.state = BrainState.INITIALISING
         self.reason = "waiting for the first measurements"
-        self._remarks: list[Remark] = []
+        self._remarks: list[Note] = []
 
     def become(self, state: BrainState, reason: str) -> None:
         """Be in this state, for this reason."""
@@ -44,7 +44,7 @@ class Condition:
             self.say(level, f"{state}: {reason}" if reason else f"{state}")
         self.state, self.reason = state, reason
 
-    def take_remarks(self) -> list[Remark]:
+    def take_notes(self) -> list[Note]:
         """What there is to say since this was last asked."""
         remarks, self._remarks = self._remarks, []
         return remarks

@@ -15,15 +15,15 @@ from math import isfinite
 
 from brain.belief import Belief, BrainState, Pose
 from brain.bodies.differential import Differential
-from brain.condition import Condition
+from brain.condition import StatusReporter
 from brain.control.profile import REST, Twist, approach
 from brain.control.pursuit import Bounds, Pursuit
 from brain.health import Health, Level, Verdict
 from brain.joint_targets import JointTargets
 from brain.perception.mount import Mount
 from brain.perception.perception import Perception
-from brain.planning.mission import Mission, Remark
-from brain.planning.planner import Toward
+from brain.planning.mission import Mission, Note
+from brain.planning.planner import FrontierPath
 from brain.settings import BrainSettings
 from protocols.messages import (
     MILLISECOND,
@@ -44,7 +44,7 @@ LONGEST: Nanos = 100 * MILLISECOND
 """A command later than this after the last counts as this late: a pause is no leave to leap."""
 
 
-class Driving:
+class BaseBrain:
     """The three systems of one base. State is plain data."""
 
     def __init__(
@@ -60,7 +60,7 @@ class Driving:
         self.mission = Mission(body.radius, settings.planner)
         self.pursuit = Pursuit()
         self._health = Health((body.left, body.right), tuple(sensors), timeouts, settings.health)
-        self._condition = Condition()
+        self._condition = StatusReporter()
         carried = [motor for motor in motors if motor not in (body.left, body.right)]
         self._carried = JointTargets(carried, timeouts, settings.health, self._condition)
         self._twist = REST
@@ -95,7 +95,7 @@ class Driving:
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
     ) -> dict[str, Command]:
         """One command for each joint that the base carries."""
-        self._carried.hear(events)
+        self._carried.observe(events)
         for task in tasks:
             if not isinstance(task, Goal | Drive) and task.motor in self._carried.motors:
                 self._carried.ask(now, task, stopped)
@@ -106,8 +106,8 @@ class Driving:
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
     ) -> Sequence[Command]:
         """The wheels' commands; Idle for the others."""
-        self.perception.hear(now, events)
-        self._health.hear(events)
+        self.perception.observe(now, events)
+        self._health.observe(events)
         verdict = self._health.judge(now, self.perception.rejected)
         waiting = self._waiting(now)
         lost = stopped or ("" if waiting else verdict.reason if verdict.level is Level.GONE else "")
@@ -137,10 +137,10 @@ class Driving:
             perception.raw,
         )
 
-    def take_remarks(self) -> list[Remark]:
+    def take_notes(self) -> list[Note]:
         """What there is to say since this was last asked."""
         planned, self.mission.remarks = self.mission.remarks, []
-        return planned + self._condition.take_remarks()
+        return planned + self._condition.take_notes()
 
     # -- may it move? -------------------------------------------------------------------------
 
@@ -265,7 +265,7 @@ class Driving:
         if mission.path is None or mission.goal is None:
             self.pursuit.drop()
         else:
-            yaw = None if isinstance(mission.path, Toward) else mission.goal.yaw
+            yaw = None if isinstance(mission.path, FrontierPath) else mission.goal.yaw
             self.pursuit.follow(mission.path.points, yaw)
 
     def _words(self, now: Nanos) -> Sequence[Command]:

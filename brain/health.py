@@ -89,7 +89,7 @@ class Health:
         self._last: dict[str, Nanos] = {}
         self._word: dict[str, str] = {}
         """What a source says, in a word."""
-        self._heard: dict[str, int] = {}
+        self._received: dict[str, int] = {}
         self._faults: dict[str, str] = {}
         self._initialising: dict[str, str] = {}
         """The motors that cannot be commanded yet, and what they say of it."""
@@ -100,11 +100,11 @@ class Health:
         self._before: dict[str, tuple[int, int]] = {}
         self._shares: dict[str, float] = {}
 
-    def hear(self, events: Sequence[Event]) -> None:
+    def observe(self, events: Sequence[Event]) -> None:
         """Note who said something, and when it was measured."""
         for event in events:
             if isinstance(event, State):
-                self._hear_state(event)
+                self._on_state(event)
             elif isinstance(event, Feedback):
                 if event.position is not None or event.velocity is not None:
                     self._note(event.motor, event)
@@ -159,7 +159,7 @@ class Health:
             return Verdict(Level.STAND if share >= self.settings.rejected_stop else Level.SLOW, said)
         return WELL
 
-    def _hear_state(self, event: State) -> None:
+    def _on_state(self, event: State) -> None:
         if event.motor not in self._motors:
             return
         for mode, of_mode in ((Mode.FAULT, self._faults), (Mode.INITIALISING, self._initialising)):
@@ -171,18 +171,18 @@ class Health:
     def _note(self, name: str, event: Feedback | Imu | LaserScan | Fix) -> None:
         self._last[name] = max(event.t, self._last.get(name, event.t))
         self._word[name] = _WORDS[type(event)]
-        self._heard[name] = self._heard.get(name, 0) + 1
+        self._received[name] = self._received.get(name, 0) + 1
 
     def _count(self, now: Nanos, rejected: Mapping[str, int]) -> None:
         """At the end of each window: which share of each source was rejected in it."""
         if self._window_end is not None and now < self._window_end:
             return
         self._window_end = now + self.settings.window
-        for name, heard in self._heard.items():
-            was_heard, was_rejected = self._before.get(name, (0, 0))
+        for name, received in self._received.items():
+            was_received, was_rejected = self._before.get(name, (0, 0))
             refused = rejected.get(name, 0)
-            self._before[name] = (heard, refused)
-            new = heard - was_heard
+            self._before[name] = (received, refused)
+            new = received - was_received
             self._shares[name] = (refused - was_rejected) / new if new >= FEWEST else 0.0
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from brain.condition import Condition
+from brain.condition import StatusReporter
 from brain.control.joints import Targets
 from brain.health import WELL, Health, HealthSettings, Level
 from protocols.messages import Command, Event, Idle, Nanos
@@ -22,16 +22,16 @@ class JointTargets:
         motors: Sequence[str],
         timeouts: Mapping[str, Nanos],
         settings: HealthSettings,
-        condition: Condition,
+        condition: StatusReporter,
     ) -> None:
         self.motors = tuple(motors)
         self.health = Health(motors, (), timeouts, settings)
         self._targets = Targets(motors)
         self._condition = condition
 
-    def hear(self, events: Sequence[Event]) -> None:
+    def observe(self, events: Sequence[Event]) -> None:
         """What the motors say, at every step."""
-        self.health.hear(events)
+        self.health.observe(events)
 
     def ask(self, now: Nanos, task: Command, stopped: str) -> None:
         """Take up a target, or say why not."""

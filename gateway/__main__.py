@@ -40,7 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
     }[options.command]
     try:
         return command(options)
-    except commands.Sentence as sentence:
+    except commands.UserError as sentence:
         print(f"gateway {options.command}: {sentence}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output has gone: not our mistake, nothing to say to it

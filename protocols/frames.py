@@ -29,7 +29,7 @@ class CanFrame:
         return f"{head}{f'##{int(self.brs)}' if self.fd else '#'}{self.data.hex().upper()}"
 
 
-Wire: TypeAlias = CanFrame | bytes
+Frame: TypeAlias = CanFrame | bytes
 """One CAN frame, or any run of serial bytes (a piece of a stream, cut anywhere)."""
 
 
@@ -39,7 +39,7 @@ class Packet:
 
     t: Nanos
     bus: str
-    wire: Wire
+    frame: Frame
 
 
 class BusState(StrEnum):

@@ -23,9 +23,9 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import msgpack
 
 from protocols import messages
-from protocols.messages import Mode, Word
+from protocols.messages import Message, Mode
 
-CODES: dict[int, type[Word]] = {
+CODES: dict[int, type[Message]] = {
     1: messages.Idle,
     2: messages.Hold,
     3: messages.Position,
@@ -59,7 +59,7 @@ CODES: dict[int, type[Word]] = {
     79: messages.Fix,
 }
 """What a packed word's first element means. A code is never given to another word."""
-LATER: dict[type[Word], list[Any]] = {messages.Found: [False]}
+LATER: dict[type[Message], list[Any]] = {messages.Found: [False]}
 """Values of fields that were added at the end of a word: a recording from before lacks them."""
 _INT_LOW, _INT_HIGH = -(2**63), 2**64 - 1
 
@@ -187,8 +187,8 @@ class Kind:
     """How one kind of word is written and read, and which of its fields the wire leaves out."""
 
     code: int
-    word: type[Word]
-    get: Callable[[Word], tuple[Any, ...]]
+    word: type[Message]
+    get: Callable[[Message], tuple[Any, ...]]
     encode: tuple[_Convert, ...]
     decode: tuple[_Convert, ...]
     name: int | None
@@ -197,7 +197,7 @@ class Kind:
     """Place of `t` among its fields."""
 
 
-def _kind(code: int, word: type[Word]) -> Kind:
+def _kind(code: int, word: type[Message]) -> Kind:
     names = [f.name for f in fields(word)]
     hints = get_type_hints(word)
     pairs = [_converters(hints[name]) for name in names]
@@ -226,19 +226,19 @@ _BY_WORD = {kind.word: kind for kind in KINDS.values()}
 # -- packed words --------------------------------------------------------------------------------------
 
 
-def pack(word: Word) -> bytes:
+def pack(word: Message) -> bytes:
     """The one encoding of a word. Raises ValueError for a value that is not finite or of a wrong type."""
     kind = kind_of(word)
     return pack_fields(kind, kind.get(word))
 
 
-def unpack(data: bytes) -> Word | None:
+def unpack(data: bytes) -> Message | None:
     """The word in these bytes, or None if they hold none. Never raises."""
     read = unpack_fields(data)
     return None if read is None else read[0].word(*read[1])
 
 
-def kind_of(word: Word) -> Kind:
+def kind_of(word: Message) -> Kind:
     """The row of a word. Raises ValueError for what is none."""
     kind = _BY_WORD.get(type(word))
     if kind is None:

@@ -283,7 +283,7 @@ class Fault:
     """In the vendor's words."""
     cause: str = ""
     """The likely cause."""
-    cure: str = ""
+    remedy: str = ""
     """What to do."""
 
 
@@ -297,7 +297,7 @@ class Found:
     serial: int | None = None
     detail: str = ""
     """Hardware and firmware as the device tells them."""
-    twice: bool = False
+    duplicate_address: bool = False
     """More than one device holds this address: they answer over each other, and obey together."""
 
 
@@ -379,4 +379,4 @@ class Fix:
 
 
 Event: TypeAlias = Feedback | State | Fault | Found | Done | Refused | Parameter | Imu | LaserScan | Fix
-Word: TypeAlias = Command | Request | Task | Event
+Message: TypeAlias = Command | Request | Task | Event

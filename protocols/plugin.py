@@ -22,7 +22,7 @@ from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
 from typing import Any, Literal, Protocol
 
-from protocols.frames import BusState, Wire
+from protocols.frames import BusState, Frame
 from protocols.messages import Command, Event, Nanos, Request, Torque
 
 GROUP = "motor_gateway.protocols"
@@ -45,15 +45,15 @@ class Device:
 
 
 @dataclass(slots=True)
-class Tally:
-    """Exact counts of what came in: every wire (or, on a stream, every message) is counted once."""
+class RxCounters:
+    """Exact counts of what was received: every frame (on a stream, every message) is counted once."""
 
-    heard: int = 0
-    """Understood and ours."""
-    bad: int = 0
-    """Addressed to us, but of a wrong length, checksum or content: it changed nothing."""
-    foreign: int = 0
-    """Not ours: another device, another language, another kind of wire."""
+    accepted: int = 0
+    """Understood, and for one of the driver's devices."""
+    malformed: int = 0
+    """Addressed to one of the driver's devices, but with a wrong length, checksum or content: it had no effect."""
+    ignored: int = 0
+    """For another device or protocol, or another kind of frame."""
 
 
 class FeedbackKind(StrEnum):
@@ -94,16 +94,16 @@ class Watchdog:
 
 
 @dataclass(frozen=True, slots=True)
-class Complaint:
+class FaultInfo:
     """What a device says is wrong with it, as a person should read it."""
 
     name: str
     """In the vendor's words."""
     cause: str
     """The likely cause."""
-    cure: str
+    remedy: str
     """What to do."""
-    latches: bool = True
+    latching: bool = True
     """Whether the device itself keeps it until it is cleared. False: what the device takes back by itself,
     such as the verdict on a request that the next request replaces; the joint remembers it all the same."""
 
@@ -118,7 +118,7 @@ class Spec:
     """CAN ids that the driver may send for this device (empty on serial)."""
     expects: frozenset[int]
     """CAN ids that the device sends (empty on serial)."""
-    read_only: Callable[[Wire], bool]
+    read_only: Callable[[Frame], bool]
     """Whether a wire neither moves, arms, clears nor configures anything."""
     feedback: FeedbackKind
     feedback_period: Nanos
@@ -135,18 +135,18 @@ class Spec:
     """Whether the device keeps its load after Hold as the last word, with nobody feeding it."""
     stop_clears_faults: bool
     """Whether disarming clears the device's own faults (then a joint must remember them)."""
-    faults: Mapping[int, Complaint] = field(default_factory=dict)
+    faults: Mapping[int, FaultInfo] = field(default_factory=dict)
     """By code (`Fault.code`): everything that the device may complain of, as its driver tells it."""
-    unsealed: frozenset[str] = frozenset()
+    unprotected: frozenset[str] = frozenset()
     """Names of messages (`Plugin.messages`) that the device takes though nothing in them guards against a
     wrong bit. Where they are damaged the contract is silent, and a driver must not lean on them."""
-    overhears: tuple[tuple[int, int], ...] = ()
+    receives_also: tuple[tuple[int, int], ...] = ()
     """What the driver understands of any device, named in the robot file or not (answers to a scan,
     devices with an address that is held twice), or of a second host: CAN ids as (id, mask), whose masked bits
     are these."""
     extended: frozenset[int] | None = None
     """Those of its ids that are 29-bit ones. None: those above 0x7FF, which can be nothing else."""
-    listens: tuple[tuple[int, int], ...] = ()
+    obeys_also: tuple[tuple[int, int], ...] = ()
     """Which ids the device heeds beside `sends`, whoever uses them: as (id, mask), with bit 31 for the format
     (1: 29 bits), as the kernel's filters have them. Other languages on its bus must keep off."""
 
@@ -158,9 +158,9 @@ class Spec:
 class Driver(Protocol):
     """Our end of the wire, for all devices of a language on one bus. Keeps no clock and no bus."""
 
-    tally: Tally
+    counters: RxCounters
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """What the wire says. `t` is the packet's own stamp. Never raises; [] to what is not ours."""
         ...
 
@@ -168,7 +168,7 @@ class Driver(Protocol):
         """The bus changed its state: what was sent may be lost, devices may have restarted."""
         ...
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Say the words: at most one Command per motor, and what the driver has to say by itself.
 
         Returns the events that need no answer of the device (Refused, a timeout, State offline) and
@@ -181,10 +181,10 @@ class Driver(Protocol):
         ...
 
 
-class Ear(Protocol):
+class CommandDecoder(Protocol):
     """What the devices would obey. Remembers what it has heard (mode, mapping), touches nothing else."""
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
         """The words that a device would obey on hearing this wire; [] if it would do nothing."""
         ...
 
@@ -192,11 +192,11 @@ class Ear(Protocol):
 class Twin(Protocol):
     """One device: an ear, and the firmware behind it. The shaft belongs to the world."""
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """A wire reached the device. Never raises."""
         ...
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the firmware up to `now`, given what the world says of the shaft (Feedback) or shows
         to the sensor (Imu, LaserScan). Returns the torque on the shaft, at the device's side of
         the gear, and what the device has put on the wire. Steps may be as short as the world's."""
@@ -229,10 +229,10 @@ class Plugin:
     """Dataclass of typed settings with defaults: what is configured on the device (for the twin)."""
     spec: Callable[[Device], Spec]
     driver: Callable[[Sequence[Device]], Driver]
-    ear: Callable[[Sequence[Device]], Ear]
+    decoder: Callable[[Sequence[Device]], CommandDecoder]
     twin: Callable[[Device, int], Twin]
     """From the device and a seed."""
-    messages: Callable[[Wire], Sequence[str]]
+    messages: Callable[[Frame], Sequence[str]]
     """The names, in the vendor's words, of the messages to a device that a wire holds; () if none.
     Messages of one name differ in their values only: an independent vector of it speaks for all."""
     vectors: tuple[str, str] | None = None

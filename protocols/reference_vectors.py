@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Literal
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.plugin import Plugin
 
 
@@ -25,7 +25,7 @@ class Vector:
 
     name: str
     direction: Literal["to_device", "from_device"]
-    wire: Wire
+    frame: Frame
     meaning: Mapping[str, Any]
     source: str
     wrong: bool
@@ -45,10 +45,10 @@ def vectors_of(plugin: Plugin) -> tuple[Vector, ...]:
 def _vector(entry: Mapping[str, Any]) -> Vector:
     meaning, name = entry["meaning"], entry["name"]
     wrong = "KNOWN_SDK_BUG" in name or "BUG" in str(meaning.get("note", ""))
-    return Vector(name, entry["direction"], _wire(entry), meaning, entry["source"], wrong, entry)
+    return Vector(name, entry["direction"], _frame(entry), meaning, entry["source"], wrong, entry)
 
 
-def _wire(entry: Mapping[str, Any]) -> Wire:
+def _frame(entry: Mapping[str, Any]) -> Frame:
     data = bytes.fromhex(entry["data"])
     if entry["bus"] == "serial":
         return data

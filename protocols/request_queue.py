@@ -38,26 +38,26 @@ def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
     return ""
 
 
-class Refusals:
+class RejectionFilter:
     """Commands come anew every tick: one that is refused for the same reason as before is not told again.
 
     A request comes once, and is told whenever it is refused."""
 
     def __init__(self) -> None:
-        self._told: dict[str, str] = {}
+        self._reported: dict[str, str] = {}
         """By motor, the reason for which its last command was refused."""
 
-    def hear(self, now: Nanos, word: Command | Request, reason: str) -> list[Refused]:
+    def handle(self, now: Nanos, word: Command | Request, reason: str) -> list[Refused]:
         """What is to be told of a word; `reason`: why it is refused, "" if it is not."""
-        told = ""
+        reported = ""
         if isinstance(word, Command):
-            told = self._told.pop(word.motor, "")
-            self._told |= {word.motor: reason} if reason else {}
-        return [] if reason == told or not reason else [refusal(now, word, reason)]
+            reported = self._reported.pop(word.motor, "")
+            self._reported |= {word.motor: reason} if reason else {}
+        return [] if reason == reported or not reason else [refusal(now, word, reason)]
 
 
 @dataclass(slots=True)
-class UnderWay:
+class PendingRequest:
     """A request that waits for a device. Languages add what they wait for."""
 
     request: Request
@@ -77,10 +77,10 @@ class UnderWay:
         return Refused(t, type(self.request).__name__, self.name, reason)
 
 
-Kind = TypeVar("Kind", bound=UnderWay)
+Kind = TypeVar("Kind", bound=PendingRequest)
 
 
-class Waiting(Generic[Kind]):
+class RequestQueue(Generic[Kind]):
     """The requests of one driver that are under way, in the order in which they were begun."""
 
     MOST = 32

@@ -13,8 +13,8 @@ PREFIX = "NOT RUN: "
 
 def not_run(reasons: list[str]) -> list[str]:
     """Each thing that did not run, once, with how many tests were about it."""
-    told = [reason.removeprefix("Skipped: ") for reason in reasons]
-    named = [reason for reason in told if reason.startswith(PREFIX)]
+    reported = [reason.removeprefix("Skipped: ") for reason in reasons]
+    named = [reason for reason in reported if reason.startswith(PREFIX)]
     counts = {reason: named.count(reason) for reason in dict.fromkeys(named)}
     return [f"{reason} ({count} test{'s' * (count > 1)})" for reason, count in counts.items()]
 

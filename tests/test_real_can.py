@@ -119,7 +119,7 @@ TIERS = [
 ]
 
 
-@pytest.mark.parametrize(("host", "inside", "status", "with_file", "ran", "told"), TIERS)
+@pytest.mark.parametrize(("host", "inside", "status", "with_file", "ran", "reported"), TIERS)
 def test_tier_fails_if_any_part_fails_and_tells_what_did_not_run(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -128,13 +128,13 @@ def test_tier_fails_if_any_part_fails_and_tells_what_did_not_run(
     status: int,
     with_file: int,
     ran: list[str],
-    told: str,
+    reported: str,
 ) -> None:
     tier = Tier(monkeypatch, host, inside)
     assert command.main([]) == status
     absent = tmp_path / "absent"
     assert command.main([str(absent)]) == with_file
-    assert (absent.read_text() if absent.exists() else "") == told
+    assert (absent.read_text() if absent.exists() else "") == reported
     assert tier.ran == ran * 2
 
 

@@ -66,7 +66,7 @@ class Ekf:
         covariance: Floats = self._filter.P
         return covariance
 
-    def hear(self, measurement: Measurement) -> Verdict:
+    def observe(self, measurement: Measurement) -> Verdict:
         """Put one measurement in its place, and say what became of it."""
         if not _finite(measurement):
             return Verdict.NOT_FINITE

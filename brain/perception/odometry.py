@@ -103,7 +103,7 @@ class Odometry:
         self._base: Nanos | None = None
         self._wanted: deque[Nanos] = deque(maxlen=LONGEST)
 
-    def hear(self, feedback: Feedback) -> tuple[list[Travel], str]:
+    def observe(self, feedback: Feedback) -> tuple[list[Travel], str]:
         """The travels that this report of a wheel completes, and "" or what is wrong with it."""
         angle = feedback.position
         if angle is None:

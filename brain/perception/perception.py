@@ -133,28 +133,28 @@ class Perception:
         """Time of the newest measurement of a motor (of its motion) or a sensor; None before the first."""
         return self._last.get(name)
 
-    def hear(self, now: Nanos, events: Sequence[Event]) -> None:
+    def observe(self, now: Nanos, events: Sequence[Event]) -> None:
         """Take in what came since the last call: every event once, in order."""
         measurements: list[Measurement] = []
         for event in events:
             if isinstance(event, Feedback):
-                measurements += self._hear_wheel(event)
+                measurements += self._on_wheel(event)
             elif isinstance(event, Imu):
-                measurements += self._hear_imu(event)
+                measurements += self._on_imu(event)
             elif isinstance(event, LaserScan):
-                self._hear_scan(event)
+                self._on_scan(event)
         for measurement in sorted(measurements, key=lambda m: (m.t, m.source)):
             self._take(measurement)
         self._take_scans(now)
 
     # -- wheels --------------------------------------------------------------------------------
 
-    def _hear_wheel(self, feedback: Feedback) -> list[Measurement]:
+    def _on_wheel(self, feedback: Feedback) -> list[Measurement]:
         if feedback.position is not None or feedback.velocity is not None:
             self._last[feedback.motor] = max(feedback.t, self._last.get(feedback.motor, feedback.t))
         if feedback.motor not in (self.body.left, self.body.right):
             return []
-        travels, trouble = self._odometry.hear(feedback)
+        travels, trouble = self._odometry.observe(feedback)
         if trouble:
             self._note(feedback.motor, trouble)
         return [self._travelled(travel) for travel in travels]
@@ -182,7 +182,7 @@ class Perception:
 
     # -- gyro ----------------------------------------------------------------------------------
 
-    def _hear_imu(self, imu: Imu) -> list[Measurement]:
+    def _on_imu(self, imu: Imu) -> list[Measurement]:
         upright = self._upright.get(imu.sensor)
         if upright is None:
             return []
@@ -198,7 +198,7 @@ class Perception:
         return [kind(imu.sensor, imu.t, rate, self.settings.gyro_sigma)]
 
     def _take(self, measurement: Measurement) -> Verdict:
-        verdict = self._ekf.hear(measurement)
+        verdict = self._ekf.observe(measurement)
         if verdict is not Verdict.ACCEPTED:
             both = (self.body.left, self.body.right)
             for name in both if measurement.source == self.body.left else (measurement.source,):
@@ -209,7 +209,7 @@ class Perception:
 
     # -- lidar ---------------------------------------------------------------------------------
 
-    def _hear_scan(self, scan: LaserScan) -> None:
+    def _on_scan(self, scan: LaserScan) -> None:
         if scan.sensor not in self._mounts:
             return
         if not _sound(scan):

@@ -17,12 +17,12 @@ from typing import Literal, TypeAlias
 from brain.planning.astar import Searching
 from brain.planning.costmap import BLOCKED, Costmap, Map, build, origin
 from brain.planning.line import Line, Point
-from brain.planning.planner import NoPath, Path, Planning, Toward
+from brain.planning.planner import FrontierPath, NoPath, Path, Planning
 from brain.planning.survey import PlannerSettings, survey
 from protocols.messages import SECOND, Drive, Goal, Nanos, seconds
 
 Level: TypeAlias = Literal["info", "warning", "error"]
-Remark: TypeAlias = tuple[Level, str]
+Note: TypeAlias = tuple[Level, str]
 
 NEAR = 0.2
 """m: an edge of the known this near is reached"""
@@ -40,7 +40,7 @@ class Mission:
         self.goals: list[Goal] = []
         self.reached = 0
         self.drive: Drive | None = None
-        self.path: Path | Toward | None = None
+        self.path: Path | FrontierPath | None = None
         self.path_version = 0
         self.why_none = ""
         """Why there is no path to the goal; "" while that is not known."""
@@ -48,7 +48,7 @@ class Mission:
         """Why the last goals were given up; "" after a new task."""
         self.costmap: Costmap | None = None
         """As it was at the last look at the map."""
-        self.remarks: list[Remark] = []
+        self.remarks: list[Note] = []
         self._drive_until: Nanos = 0
         self._planning: Planning | None = None
         self._look_at: Nanos = 0
@@ -113,7 +113,7 @@ class Mission:
 
     def arrived(self, now: Nanos) -> None:
         """The robot stands at the end of the path."""
-        if isinstance(self.path, Toward):
+        if isinstance(self.path, FrontierPath):
             self._edge_since = now if self._edge_since is None else self._edge_since
         elif self.path is not None:
             self.reached += 1
@@ -189,14 +189,14 @@ class Mission:
         elif isinstance(answer, Path) or not self._stares(now, here, answer):
             self._take(answer)
 
-    def _stares(self, now: Nanos, here: Point, answer: Toward) -> bool:
+    def _stares(self, now: Nanos, here: Point, answer: FrontierPath) -> bool:
         """Whether the answer is where the robot is already, or the way that it is on."""
         end = answer.points[-1]
         if hypot(end[0] - here[0], end[1] - here[1]) > NEAR:
             self._edge_since = None
             old = self.path
             return (
-                isinstance(old, Toward)
+                isinstance(old, FrontierPath)
                 and hypot(old.beyond[0] - answer.beyond[0], old.beyond[1] - answer.beyond[1]) < NEAR
             )
         if self._edge_since is None:
@@ -206,11 +206,11 @@ class Mission:
             self._edge_since = None
         return self.path is not None
 
-    def _take(self, answer: Path | Toward) -> None:
+    def _take(self, answer: Path | FrontierPath) -> None:
         end, length = answer.points[-1], Line(answer.points).length
         if isinstance(answer, Path):
             self._say("info", f"a path: {length:.2f} m to ({end[0]:.2f}, {end[1]:.2f})")
-        elif not isinstance(self.path, Toward):
+        elif not isinstance(self.path, FrontierPath):
             self._say("info", f"exploring: nothing known leads to goal {self._number(1)}")
         if answer.escapes > 0.0:
             self._say(

@@ -34,7 +34,7 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Toward:
+class FrontierPath:
     """A way to the edge of what is known, whence the goal may come into reach."""
 
     points: tuple[Point, ...]
@@ -52,7 +52,7 @@ class NoPath:
     reason: str
 
 
-Answer: TypeAlias = Path | Toward | NoPath | Searching
+Answer: TypeAlias = Path | FrontierPath | NoPath | Searching
 
 
 class Planning:
@@ -128,14 +128,14 @@ class Planning:
         points = [self.costmap.centre(cell) for cell in found.cells]
         return Path(self._finish(points, self.goal), found.cost, self._escape)
 
-    def _toward(self, guess: Cells) -> Toward | NoPath:
+    def _toward(self, guess: Cells) -> FrontierPath | NoPath:
         level = self.costmap.level
         first = next(i for i, cell in enumerate(guess.cells) if level[cell] == UNKNOWN)
         points = [self.costmap.centre(cell) for cell in guess.cells[:first]]
         if not points:
             return NoPath(f"the robot at {_said(self.start)} stands on unknown ground")
         beyond = self.costmap.centre(guess.cells[first])
-        return Toward(self._finish(points, None), beyond, guess.cost, self._escape)
+        return FrontierPath(self._finish(points, None), beyond, guess.cost, self._escape)
 
     def _finish(self, points: list[Point], end: Point | None) -> tuple[Point, ...]:
         """From where the robot stands to where it is to be, straight where it may be straight."""

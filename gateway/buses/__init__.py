@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from protocols.frames import BusState, Packet, Wire
+from protocols.frames import BusState, Frame, Packet
 from protocols.messages import Nanos
 
 
@@ -23,7 +23,7 @@ class Bus(Protocol):
         """What has changed and what has come in up to `now`, in order of arrival."""
         ...
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Put wires on the bus, in order."""
         ...
 

@@ -24,7 +24,7 @@ from gateway.buses.stamps import Stamps
 from gateway.buses.states import Outbox, States
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
-from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import SECOND, Nanos
 
 MOST_READ = 1024
@@ -41,20 +41,20 @@ def open_can(settings: BusSettings, clock: Clock, *, listen_only: bool = False) 
     `listen_only`: nothing is ever sent, not even an acknowledgement where the interface can be told so."""
     if settings.interface.startswith("socketcan:"):
         return open_socketcan(settings, clock, listen_only=listen_only)
-    wire = open_interface(settings, listen_only=listen_only)
-    return CanBus(settings, clock, wire, listen_only=listen_only)
+    frame = open_interface(settings, listen_only=listen_only)
+    return CanBus(settings, clock, frame, listen_only=listen_only)
 
 
 class CanBus:
     """A CAN interface that is open."""
 
     def __init__(
-        self, settings: BusSettings, clock: Clock, wire: can.BusABC, *, listen_only: bool = False
+        self, settings: BusSettings, clock: Clock, frame: can.BusABC, *, listen_only: bool = False
     ) -> None:
         self.name = settings.name
         self._settings = settings
         self._clock = clock
-        self._wire: can.BusABC | None = wire
+        self._frame: can.BusABC | None = frame
         self._listen_only = listen_only
         self.bad = 0
         """What came in and could not be read as a frame."""
@@ -75,7 +75,7 @@ class CanBus:
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """What has changed and what has come in up to `now`; stamps never run backwards."""
         packets: list[Packet] = []
-        if self._wire is None:
+        if self._frame is None:
             self._come_back(now)
         clock = self._clock
         self._stamps.begin(now, clock.system_offset() if isinstance(clock, WallClock) else None)
@@ -88,7 +88,7 @@ class CanBus:
                 self._stamps.end()
                 break
             if message.is_error_frame:
-                self._hear_error(message)
+                self._on_error(message)
                 continue
             frame = _frame(message)
             if not self._is_echo(frame):
@@ -98,31 +98,31 @@ class CanBus:
         self._flush(now)
         return self._states.take(now), packets
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Put frames on the bus, in order; whatever finds no room waits."""
         assert not self._listen_only, f"{self.name} is listened to"
         self._flush(now)
-        for wire in wires:
-            assert isinstance(wire, CanFrame), f"{self.name} is a CAN bus"
-            if self._outbox or not self._send(wire, now):
-                self._outbox.put(wire)
+        for frame in frames:
+            assert isinstance(frame, CanFrame), f"{self.name} is a CAN bus"
+            if self._outbox or not self._send(frame, now):
+                self._outbox.put(frame)
 
     def close(self) -> None:
         """Give the interface back."""
-        wire, self._wire = self._wire, None
+        frame, self._frame = self._frame, None
         self._reopen_at = 1 << 63
-        if wire is not None:
-            _shut(wire)
+        if frame is not None:
+            _shut(frame)
 
     # -- out ----------------------------------------------------------------------------------
 
     def _send(self, frame: CanFrame, now: Nanos) -> bool:
         """Whether the frame is off our hands: sent, or lost with the interface."""
-        if self._wire is None:
+        if self._frame is None:
             self._lost += 1
             return True
         try:
-            self._wire.send(_message(frame), timeout=self._patience)
+            self._frame.send(_message(frame), timeout=self._patience)
         except can.CanTimeoutError:
             self._states.full(now)
             return False
@@ -147,10 +147,10 @@ class CanBus:
     # -- in -----------------------------------------------------------------------------------
 
     def _receive(self, now: Nanos) -> can.Message | None:
-        if self._wire is None:
+        if self._frame is None:
             return None
         try:
-            return self._wire.recv(timeout=0)
+            return self._frame.recv(timeout=0)
         except (can.CanError, OSError):
             self._lose(now)
         except (ValueError, IndexError, KeyError):
@@ -160,7 +160,7 @@ class CanBus:
     def _more(self) -> bool:
         """Whether a None was an adapter's own line (slcan acknowledges each frame), and more is waiting."""
         try:
-            return self._wire is not None and bool(select.select([self._wire.fileno()], [], [], 0)[0])
+            return self._frame is not None and bool(select.select([self._frame.fileno()], [], [], 0)[0])
         except (NotImplementedError, OSError, ValueError):  # a back end without a file, or one that has gone
             return False
 
@@ -173,7 +173,7 @@ class CanBus:
             del self._echoes[frame]
         return sent > 0
 
-    def _hear_error(self, message: can.Message) -> None:
+    def _on_error(self, message: can.Message) -> None:
         """Some back ends bring error frames as SocketCAN has them."""
         state = state_of(CanError(message.arbitration_id, bytes(message.data).ljust(8, b"\0")))
         if state is BusState.OFF:
@@ -188,9 +188,9 @@ class CanBus:
         self._echoes.clear()
 
     def _lose(self, now: Nanos) -> None:
-        wire, self._wire = self._wire, None
-        if wire is not None:
-            _shut(wire)
+        frame, self._frame = self._frame, None
+        if frame is not None:
+            _shut(frame)
         self._forget()
         self._reopen_at = now + REOPEN
         self._states.set(BusState.GONE)
@@ -200,7 +200,7 @@ class CanBus:
             return
         self._reopen_at = now + REOPEN
         try:
-            self._wire = open_interface(self._settings, listen_only=self._listen_only)
+            self._frame = open_interface(self._settings, listen_only=self._listen_only)
         except BusError:
             return
         self._states.set(BusState.BACK)
@@ -234,8 +234,8 @@ def _is_full(error: Exception) -> bool:
     return code in _FULL or "buffer full" in str(error) or "timeout" in str(error).lower()
 
 
-def _shut(wire: can.BusABC) -> None:
+def _shut(frame: can.BusABC) -> None:
     try:
-        wire.shutdown()
+        frame.shutdown()
     except (can.CanError, OSError):
         return  # what has vanished cannot be shut down either

@@ -57,23 +57,23 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
         rates |= SILENT.get(interface, {})
     try:
         if interface == "slcan":
-            wire: can.BusABC = SlcanInterface(
+            frame: can.BusABC = SlcanInterface(
                 channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only
             )
         elif interface == "fdcanusb":
-            wire = FdcanusbInterface(channel, settings.bitrate, settings.data_bitrate)
+            frame = FdcanusbInterface(channel, settings.bitrate, settings.data_bitrate)
         else:
-            wire = can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
+            frame = can.Bus(channel=channel, interface=interface, ignore_config=True, **rates)
     except _REFUSALS as error:
         raise BusError(_refusal(settings, interface, error)) from error
-    if settings.heard and not listen_only:
-        wire.set_filters(filters(settings.heard))
-    return wire
+    if settings.receive_filter and not listen_only:
+        frame.set_filters(filters(settings.receive_filter))
+    return frame
 
 
-def filters(heard: Sequence[tuple[int, int]]) -> list[CanFilter]:
+def filters(received: Sequence[tuple[int, int]]) -> list[CanFilter]:
     """The ids to let in, of either format, as python-can has them; SocketCAN applies them in the kernel."""
-    return [{"can_id": number, "can_mask": mask} for number, mask in heard]
+    return [{"can_id": number, "can_mask": mask} for number, mask in received]
 
 
 def _refusal(settings: BusSettings, interface: str, error: Exception) -> str:
@@ -116,7 +116,7 @@ def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET)
 
 def check_fit(settings: BusSettings, link: Link) -> None:
     """Raises BusError where a SocketCAN interface is set up otherwise than the robot file has the bus."""
-    cure = _set_up(settings, link.name)
+    remedy = _set_up(settings, link.name)
     for which, wanted, found in (
         ("bitrate", settings.bitrate, link.bitrate),
         ("data_bitrate", settings.data_bitrate, link.data_bitrate),
@@ -124,12 +124,15 @@ def check_fit(settings: BusSettings, link: Link) -> None:
         if wanted and found and abs(wanted - found) > found * BITRATE_TOLERANCE:
             said = f"{link.name} has a {which} of {found} bit/s, the robot file says {wanted}"
             choice = f"Change {which} under [buses.{settings.name}], or the interface:"
-            raise BusError("\n  ".join([f"{_head(settings)}: {said}.\n{choice}", *cure]))
+            raise BusError("\n  ".join([f"{_head(settings)}: {said}.\n{choice}", *remedy]))
     if settings.kind == "canfd" and link.mtu < CANFD_MTU:
         if link.kind != "can":  # a virtual one has no controller that could be set up
-            cure = [f"sudo ip link set {link.name} down", f"sudo ip link set {link.name} mtu {CANFD_MTU} up"]
+            remedy = [
+                f"sudo ip link set {link.name} down",
+                f"sudo ip link set {link.name} mtu {CANFD_MTU} up",
+            ]
         said = f"{link.name} carries classic CAN alone (mtu {link.mtu}), the robot file says CAN FD"
-        raise BusError("\n  ".join([f"{_head(settings)}: {said}.\nTo change that:", *cure]))
+        raise BusError("\n  ".join([f"{_head(settings)}: {said}.\nTo change that:", *remedy]))
 
 
 def _head(settings: BusSettings) -> str:

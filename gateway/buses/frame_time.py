@@ -7,24 +7,24 @@ Sources: ISO 11898-1:2015, frame formats; worst-case bit stuffing as in Davis, B
 from __future__ import annotations
 
 from gateway.buses.lengths import padded
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Nanos
 
 SERIAL_BITS = 10
 """Of one byte at 8N1: start, eight of data, stop."""
 
 
-def wire_time(wire: Wire, bitrate: int, data_bitrate: int = 0) -> Nanos:
+def frame_time(frame: Frame, bitrate: int, data_bitrate: int = 0) -> Nanos:
     """From its first bit to the end of the gap behind it, stuffed as badly as can be.
 
     `bitrate` is that of the arbitration phase, or the baud rate; `data_bitrate` that of a switched CAN FD
     frame's data phase, 0 if the bus has none. Raises ValueError for a rate that is not positive."""
     if bitrate <= 0 or data_bitrate < 0:
         raise ValueError(f"a bus of {bitrate} and {data_bitrate} bit/s carries nothing")
-    if isinstance(wire, bytes):
-        return len(wire) * SERIAL_BITS * SECOND // bitrate
-    slow, fast = frame_bits(wire)
-    switched = data_bitrate if wire.brs and data_bitrate else bitrate
+    if isinstance(frame, bytes):
+        return len(frame) * SERIAL_BITS * SECOND // bitrate
+    slow, fast = frame_bits(frame)
+    switched = data_bitrate if frame.brs and data_bitrate else bitrate
     return slow * SECOND // bitrate + fast * SECOND // switched
 
 
@@ -43,11 +43,11 @@ def frame_bits(frame: CanFrame) -> tuple[int, int]:
     return head + (head - 1) // 4 + 13, data + data // 4 + checked + 1 + checked // 4
 
 
-def priority(wire: Wire) -> tuple[int, ...]:
+def priority(frame: Frame) -> tuple[int, ...]:
     """Who wins the arbitration: the smaller (a dominant bit is 0). Serial bytes do not contend."""
-    if isinstance(wire, bytes):
+    if isinstance(frame, bytes):
         return ()
-    if not wire.extended:
-        return wire.id, int(wire.remote), 0, 0, 0
+    if not frame.extended:
+        return frame.id, int(frame.remote), 0, 0, 0
     # The base id goes first; there a substitute remote bit and the extension bit, both recessive, lose.
-    return wire.id >> 18, 1, 1, wire.id & 0x3FFFF, int(wire.remote)
+    return frame.id >> 18, 1, 1, frame.id & 0x3FFFF, int(frame.remote)

@@ -20,7 +20,7 @@ from serial.tools.list_ports import comports
 from gateway.buses import BusError
 from gateway.core.clock import Clock
 from gateway.core.robot import BusSettings
-from protocols.frames import BusState, Packet, Wire
+from protocols.frames import BusState, Frame, Packet
 from protocols.messages import SECOND, Nanos
 
 MOST_READ = 65536
@@ -48,7 +48,7 @@ class SerialBus:
         self._begun = False
         """Whether the first wire in the queue has partly gone out."""
         self._state = BusState.UP
-        self._told: list[BusState] = []
+        self._reported: list[BusState] = []
         self._reopen_at: Nanos = 0
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
@@ -57,14 +57,14 @@ class SerialBus:
             self._come_back(now)
         data = self._receive(now)
         self._flush(now)
-        told, self._told = self._told, []
-        return told, [Packet(now, self.name, data)] if data else []
+        reported, self._reported = self._reported, []
+        return reported, [Packet(now, self.name, data)] if data else []
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Put bytes on the line, in order; whatever finds no room waits."""
-        for wire in wires:
-            assert isinstance(wire, bytes), f"{self.name} is a serial line"
-            self._waiting.append(wire)
+        for frame in frames:
+            assert isinstance(frame, bytes), f"{self.name} is a serial line"
+            self._waiting.append(frame)
         self._flush(now)
         self._bound()
 
@@ -89,34 +89,34 @@ class SerialBus:
         if self._port is None:
             self._forget()
         while self._waiting and self._port is not None:
-            wire = self._waiting.popleft()
+            frame = self._waiting.popleft()
             try:
-                taken = os.write(self._port.fileno(), wire) if wire else 0
+                taken = os.write(self._port.fileno(), frame) if frame else 0
             except BlockingIOError:
                 taken = 0
             except OSError:
                 self.dropped += 1
                 self._lose(now)
                 return
-            if taken < len(wire):
-                self._waiting.appendleft(wire[taken:])
+            if taken < len(frame):
+                self._waiting.appendleft(frame[taken:])
                 self._begun = self._begun or taken > 0
                 return
             self._begun = False
         if self._state is BusState.FULL:
-            self._tell(BusState.UP)
+            self._report(BusState.UP)
 
     def _bound(self) -> None:
         """Drop the oldest whole wires when too much waits."""
         while len(self._waiting) > 1 + self._begun and sum(map(len, self._waiting)) > MOST_WAITING:
             del self._waiting[int(self._begun)]
             self.dropped += 1
-            self._tell(BusState.FULL)
+            self._report(BusState.FULL)
 
-    def _tell(self, state: BusState) -> None:
+    def _report(self, state: BusState) -> None:
         after = BusState.UP if state is BusState.BACK else state
         if after is not self._state:
-            self._told.append(state)
+            self._reported.append(state)
             self._state = after
 
     def _forget(self) -> None:
@@ -130,7 +130,7 @@ class SerialBus:
             _shut(port)
         self._forget()
         self._reopen_at = now + REOPEN
-        self._tell(BusState.GONE)
+        self._report(BusState.GONE)
 
     def _come_back(self, now: Nanos) -> None:
         if now < self._reopen_at:
@@ -140,7 +140,7 @@ class SerialBus:
             self._port = _open(self._settings)
         except BusError:
             return
-        self._tell(BusState.BACK)
+        self._report(BusState.BACK)
 
 
 def _shut(port: serial.Serial) -> None:

@@ -25,7 +25,7 @@ class States:
         self.line = BusState.UP
         self._full_until: Nanos | None = None
         self._shown = BusState.UP
-        self._told: list[BusState] = []
+        self._reported: list[BusState] = []
 
     @property
     def dead(self) -> bool:
@@ -50,8 +50,8 @@ class States:
         if self._full_until is not None and now >= self._full_until:
             self._full_until = None
             self._show()
-        told, self._told = self._told, []
-        return told
+        reported, self._reported = self._reported, []
+        return reported
 
     def _show(self) -> None:
         was, jammed = self._shown, self._full_until is not None
@@ -59,10 +59,10 @@ class States:
         if self._shown is was:
             return
         if was in DEAD and not self.dead:
-            self._told.append(BusState.BACK)
+            self._reported.append(BusState.BACK)
             if self._shown is BusState.UP:
                 return
-        self._told.append(self._shown)
+        self._reported.append(self._shown)
 
 
 class Outbox:

@@ -29,7 +29,7 @@ PATIENCE: Nanos = 240 * SECOND
 """How long the demo waits for one goal, in the robot's time."""
 
 
-class Sentence(Exception):
+class UserError(Exception):
     """Something a person can mend, in words."""
 
 
@@ -47,7 +47,7 @@ def _sentences() -> Iterator[None]:
         yield
     except (BagError, BusError, ConfigError, NotFound, OperatorError, RecordingError) as error:
         text = str(error)
-        raise Sentence(f"\n{text}" if "\n" in text else text) from error
+        raise UserError(f"\n{text}" if "\n" in text else text) from error
 
 
 def _read_robot(name: str, interfaces: Sequence[tuple[str, str]] = ()) -> Robot:
@@ -71,7 +71,7 @@ def demo(options: Namespace) -> int:
         with session(robot, clock, record=recording, seed=options.seed) as made:
             tour = [Goal(*goal) for goal in options.goal or ()] or made.tour()
             if not tour:
-                raise Sentence(f"the world of {robot.name!r} has no tour: say where to go with --goal X,Y")
+                raise UserError(f"the world of {robot.name!r} has no tour: say where to go with --goal X,Y")
             watcher = Watcher(made)
             began = stopwatch()
             _drive_tour(made, watcher, tour)
@@ -146,7 +146,7 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise Sentence(f"--out {folder}: {error.strerror}") from error
+        raise UserError(f"--out {folder}: {error.strerror}") from error
 
 
 def run(options: Namespace) -> int:
@@ -161,11 +161,11 @@ def run(options: Namespace) -> int:
         robot = _read_robot(options.robot, options.bus)
         real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
         if options.fast and real:
-            raise Sentence(
+            raise UserError(
                 f"--fast needs a world: {', '.join(real)} is on a real interface; leave out --fast"
             )
         if options.record is not None and options.record.exists():
-            raise Sentence(f"--record {options.record}: there is such a file already; it is not overwritten")
+            raise UserError(f"--record {options.record}: there is such a file already; it is not overwritten")
         if options.realtime is not None and (refused := real_time(options.realtime)):
             print(refused, file=sys.stderr)
         clock = SimulatedClock() if options.fast else WallClock()
@@ -203,7 +203,7 @@ def _run_loop(
     with closing(made.ticks(lasting, ask, dry=options.dry_run)) as ticks:
         for tick in ticks:
             for note in tick.outputs.notes:
-                operator.tell(f"{note.about}: {note.text}")
+                operator.report(f"{note.about}: {note.text}")
             faults = made.gateway.in_fault()
             if options.fast and lasting is None and _all_done(made, len(goals)):
                 break
@@ -235,7 +235,7 @@ def replay(options: Namespace) -> int:
     from gateway import config
     from gateway.config import resources
     from gateway.core.clock import stopwatch
-    from gateway.core.step import Gateway, ear_of
+    from gateway.core.step import Gateway, decoder_of
     from gateway.recording import environment, read
     from gateway.replay.compare import compare
     from gateway.rosbag import evaluate, is_foreign
@@ -243,10 +243,10 @@ def replay(options: Namespace) -> int:
     with _sentences():
         if is_foreign(options.file):
             if options.robot is None:
-                raise Sentence(f"{options.file} is a bag of somebody else's: say of which --robot")
+                raise UserError(f"{options.file} is a bag of somebody else's: say of which --robot")
             return evaluate.replay(options.file, _read_robot(options.robot), options.at_most)
         if options.at_most is not None:
-            raise Sentence(f"{options.file} is no foreign bag: --at-most judges those alone")
+            raise UserError(f"{options.file} is no foreign bag: --at-most judges those alone")
         recording = read(options.file)
         if options.robot is None:
             robot = config.loads(recording.robot_text, f"{options.file}: robot.toml")
@@ -258,7 +258,7 @@ def replay(options: Namespace) -> int:
         recording,
         gateway.step,
         gateway.belief,
-        lambda bus: ear_of(robot, bus),
+        lambda bus: decoder_of(robot, bus),
         robot_text=robot.text,
         facts=environment.facts(),
         mounts={name: sensor.mount for name, sensor in robot.sensors.items()},
@@ -286,7 +286,7 @@ def watch(options: Namespace) -> int:
         try:
             return listen(options)
         except WatchError as error:
-            raise Sentence(str(error)) from error
+            raise UserError(str(error)) from error
 
 
 def jog(options: Namespace) -> int:
@@ -298,7 +298,7 @@ def jog(options: Namespace) -> int:
         try:
             return turn(options)
         except JogError as error:
-            raise Sentence(str(error)) from error
+            raise UserError(str(error)) from error
 
 
 def check(options: Namespace) -> int:
@@ -321,7 +321,7 @@ def protocols(options: Namespace) -> int:
 
     plugins, broken = load_all()
     print("\n".join(listing(plugins)))
-    _tell_broken(broken)
+    _report_broken(broken)
     return 1 if broken else 0
 
 
@@ -334,13 +334,13 @@ def _check_protocols(options: Namespace) -> int:
     try:
         plugins = tuple(load(name) for name in dict.fromkeys(options.names))
     except UnknownProtocol as error:
-        raise Sentence(str(error)) from error
+        raise UserError(str(error)) from error
     if not plugins:
         plugins, broken = load_all()
     passed = [verdict(plugin, options.seed, failures_only=options.quiet > 0) for plugin in plugins]
     if len(plugins) + len(broken) > 1:
         print(f"{sum(passed)} of {len(plugins) + len(broken)} keep the contract")
-    _tell_broken(broken)
+    _report_broken(broken)
     return 0 if all(passed) and not broken else 1
 
 
@@ -350,12 +350,12 @@ def _new_protocol(options: Namespace) -> int:
     try:
         made = scaffold.new(options.name, options.bus, options.into)
     except scaffold.ScaffoldError as error:
-        raise Sentence(str(error)) from error
+        raise UserError(str(error)) from error
     print(scaffold.next_steps(made))
     return 0
 
 
-def _tell_broken(broken: Sequence[Broken]) -> None:
+def _report_broken(broken: Sequence[Broken]) -> None:
     for bad in broken:
         print(f"{bad.name}: left out: {bad.distribution} is broken: {bad.reason}", file=sys.stderr)
 
@@ -368,7 +368,7 @@ def bench(options: Namespace) -> int:
     try:
         return measure(options)
     except (NotMeasured, OSError) as error:
-        raise Sentence(str(error)) from error
+        raise UserError(str(error)) from error
 
 
 def ask(options: Namespace) -> int:

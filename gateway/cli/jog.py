@@ -135,7 +135,7 @@ def drive(made: Session, motor: str, typed: Callable[[], bytes | None], show: Ca
 
     def ask() -> Sequence[Asked]:
         now = made.clock.now()
-        blocked = bool(joint.faults or made.gateway.why_stopped()) or joint.blind(now)
+        blocked = bool(joint.faults or made.gateway.why_stopped()) or joint.feedback_lost(now)
         return hand.ask(now, typed(), blocked)
 
     shown: Nanos | None = None
@@ -152,18 +152,18 @@ def drive(made: Session, motor: str, typed: Callable[[], bytes | None], show: Ca
 def status(joint: Joint, wanted: float, now: Nanos) -> str:
     """What the motor is asked and what comes back, in one line."""
     arrow = "→" if wanted > 0.0 else "←" if wanted < 0.0 else "·"
-    told = [
+    reported = [
         f"{value:.{digits}f} {unit}"
         for name, unit, digits in QUANTITIES
         if (value := getattr(joint.feedback, name)) is not None
     ]
-    heard = joint.age(now)
+    received = joint.age(now)
     parts = [
         f"{joint.name} {arrow} {abs(wanted):.2f} rad/s",
         *(f"FAULT {fault(one)}" for one in joint.faults.values()),
-        str(joint.mode) if heard is not None else "never heard",
-        *told,
-        age(None if heard is None else now - heard, now),
+        str(joint.mode) if received is not None else "never heard",
+        *reported,
+        age(None if received is None else now - received, now),
         joint.detail,
     ]
     return " | ".join(part for part in parts if part)

@@ -7,10 +7,9 @@ name. A plugin whose spec does not answer is named, and hinders nobody.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from textwrap import wrap
 
-from gateway.cli.scores import Score, mutation_score
 from protocols.conformance import variants
 from protocols.messages import COMMANDS, MILLISECOND
 from protocols.plugin import Device, FeedbackKind, Plugin, Spec, Watchdog
@@ -21,13 +20,13 @@ WIDTH = 110
 LABEL = 11
 
 
-def listing(plugins: Sequence[Plugin], score: Callable[[str], Score | None] = mutation_score) -> list[str]:
+def listing(plugins: Sequence[Plugin]) -> list[str]:
     """A block of lines for each language, with an empty line between them."""
-    blocks = [_block(plugin, score(plugin.name)) for plugin in plugins]
+    blocks = [_block(plugin) for plugin in plugins]
     return [line for block in blocks for line in (*block, "")][:-1]
 
 
-def _block(plugin: Plugin, score: Score | None) -> list[str]:
+def _block(plugin: Plugin) -> list[str]:
     lines = [f"{plugin.name}", *_row("devices", plugin.title)]
     try:
         specs = [
@@ -41,8 +40,7 @@ def _block(plugin: Plugin, score: Score | None) -> list[str]:
     lines += _row("feedback", _each(_of(spec, _feedback(spec), mixed) for spec in specs))
     first = {spec.kind: spec for spec in reversed(specs)}.values()  # an option may acknowledge that it is off
     lines += _row("watchdog", _each(_of(spec, _watchdog(spec.watchdog), mixed) for spec in first))
-    lines += _row("trust", plugin.trust)
-    return lines + _row("mutants", str(score) if score else "never tried")
+    return lines + _row("trust", plugin.trust)
 
 
 def _row(label: str, text: str) -> list[str]:

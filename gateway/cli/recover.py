@@ -18,7 +18,7 @@ def recover(options: Namespace) -> int:
         return 0
     target: Path = options.out or path.with_name(f"{path.stem}.recovered.mcap")
     found = salvage(path, target)
-    print("\n".join(found.told()))
+    print("\n".join(found.reported()))
     if not found.ticks:
         print("nothing could be recovered")
         return 1

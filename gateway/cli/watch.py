@@ -81,9 +81,9 @@ def moments(
 def lines(watching: Watching, until: Nanos | None) -> Iterator[list[str]]:
     """Every change of a bus and every packet; what comes at one moment together."""
     for now, states, packets in moments(watching, until):
-        told = [_change(now, bus, state) for bus, state in states]
-        if told := told + [render.line(watching.listener.hear(packet)) for packet in packets]:
-            yield told
+        reported = [_change(now, bus, state) for bus, state in states]
+        if reported := reported + [render.line(watching.listener.handle(packet)) for packet in packets]:
+            yield reported
 
 
 def pages(watching: Watching, until: Nanos | None, draw: Callable[[list[str]], None]) -> None:
@@ -91,7 +91,7 @@ def pages(watching: Watching, until: Nanos | None, draw: Callable[[list[str]], N
     next_page: Nanos = watching.clock.now()
     for now, _, packets in moments(watching, until):
         for packet in packets:
-            watching.listener.hear(packet)
+            watching.listener.handle(packet)
         if now >= next_page:
             next_page = now + REFRESH
             draw(page(watching))
@@ -133,9 +133,9 @@ def _recording(path: Path, *, lines: bool, seconds: float | None) -> int:
         if seconds is not None and tick.now - began > seconds * SECOND:
             break
         now = tick.now
-        heard = hear_tick(listener, tick)
-        if lines and (told := tick_lines(tick, heard)):
-            print("\n".join(told))
+        received = on_tick(listener, tick)
+        if lines and (reported := tick_lines(tick, received)):
+            print("\n".join(reported))
     if listener is None:
         raise WatchError(f"{path}: there is no tick in it")
     if not lines:
@@ -148,21 +148,21 @@ def _recording(path: Path, *, lines: bool, seconds: float | None) -> int:
     return 0
 
 
-def hear_tick(listener: Listener, tick: Tick) -> list[Heard]:
+def on_tick(listener: Listener, tick: Tick) -> list[Heard]:
     """What the host received, then what it sent."""
     for bus, state in tick.inputs.states:
         listener.state(tick.now, bus, state)
-    received = [listener.hear(packet, sent=False) for packet in tick.inputs.packets]
-    return received + [listener.hear(packet, sent=True) for packet in tick.outputs.packets]
+    received = [listener.handle(packet, sent=False) for packet in tick.inputs.packets]
+    return received + [listener.handle(packet, sent=True) for packet in tick.outputs.packets]
 
 
-def tick_lines(tick: Tick, heard: Sequence[Heard]) -> list[str]:
+def tick_lines(tick: Tick, received: Sequence[Heard]) -> list[str]:
     """A tick in the order of its step: buses, what came in, what was asked and noted, what went out."""
     came = len(tick.inputs.packets)
-    told = [_change(tick.now, bus, state) for bus, state in tick.inputs.states]
-    told += [render.line(one) for one in heard[:came]]
-    told += [f"{render.stamp(tick.now)} asked: {say(word)}" for word in tick.inputs.asked]
-    told += [
+    reported = [_change(tick.now, bus, state) for bus, state in tick.inputs.states]
+    reported += [render.line(one) for one in received[:came]]
+    reported += [f"{render.stamp(tick.now)} asked: {say(word)}" for word in tick.inputs.asked]
+    reported += [
         f"{render.stamp(tick.now)} {note.level}: {note.about}: {note.text}" for note in tick.outputs.notes
     ]
-    return told + [render.line(one) for one in heard[came:]]
+    return reported + [render.line(one) for one in received[came:]]

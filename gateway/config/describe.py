@@ -33,8 +33,10 @@ def describe(robot: Robot) -> str:
     blocks.append(_brain(robot))
     if robot.bag is not None:
         blocks.append(_table("bag", "topic", rows=[[part, topic] for topic, part in robot.bag.parts()]))
-    told = cautions(robot)
-    blocks.append("\n".join(["be careful:", *(f"  {text}" for text in told)]) if told else "no cautions")
+    reported = cautions(robot)
+    blocks.append(
+        "\n".join(["be careful:", *(f"  {text}" for text in reported)]) if reported else "no cautions"
+    )
     return "\n\n".join(blocks)
 
 
@@ -46,8 +48,8 @@ _LIMIT_HEADS = (
     "position",
     "gear",
     "sign",
-    "silent",
-    "safe",
+    "on command timeout",
+    "stop action",
     "on fault",
 )
 _SENSOR_HEADS = ("protocol", "bus", "address", "mounted at", "yaw", "too old after")
@@ -67,8 +69,8 @@ def _load(robot: Robot, bus: BusSettings) -> str:
     busy = 0.0
     for motor in robot.motors.values():
         if motor.bus == bus.name:
-            told = motor.spec.feedback is not FeedbackKind.NONE and motor.spec.feedback_period > 0
-            frames = SECOND / robot.period + (SECOND / motor.spec.feedback_period if told else 0)
+            reported = motor.spec.feedback is not FeedbackKind.NONE and motor.spec.feedback_period > 0
+            frames = SECOND / robot.period + (SECOND / motor.spec.feedback_period if reported else 0)
             busy += frames * _least_time(bus, fd=motor.spec.bus == "canfd")
     return f"at least {100 * busy:.0f} %"
 
@@ -87,8 +89,8 @@ def _motor(motor: Motor) -> list[str]:
         guard = "none"
     else:
         guard = f"{watchdog.timeout / MILLISECOND:g} ms" if watchdog.enabled else "off"
-    told = spec.feedback is not FeedbackKind.NONE
-    reports = f"{spec.feedback}, {spec.feedback_period / MILLISECOND:g} ms" if told else "nothing"
+    reported = spec.feedback is not FeedbackKind.NONE
+    reports = f"{spec.feedback}, {spec.feedback_period / MILLISECOND:g} ms" if reported else "nothing"
     return [*_wiring(motor), _ids(spec.sends), _ids(spec.expects), reports, guard]
 
 
@@ -103,8 +105,8 @@ def _limits(motor: Motor) -> list[str]:
         f"{low:g} to {high:g} rad" if limits.position else "free",
         f"{joint.gear:g}",
         f"{joint.sign:+d}",
-        f"{joint.silent} after {joint.command_timeout / MILLISECOND:g} ms",
-        joint.safe,
+        f"{joint.on_command_timeout} after {joint.command_timeout / MILLISECOND:g} ms",
+        joint.stop_action,
         f"{joint.on_fault} after {joint.feedback_timeout / MILLISECOND:g} ms",
     ]
 

@@ -6,7 +6,7 @@ positive finite numbers. What a protocol, a joint or the brain can be told is ty
 dataclasses, so this file knows no setting of theirs by name. Files are TOML (toml.io, version 1.0.0).
 
     name, rate_hz, world, seed          the robot; `world` is what stands behind the twins
-    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate; hear, mixed
+    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate; receive_filter, shared_bus
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.core.joint)
     [motors.NAME.limits]                velocity, acceleration, torque, position
     [motors.NAME.options]               what our driver should do: the protocol's own
@@ -32,10 +32,8 @@ from gateway.config.describe import describe
 from gateway.config.errors import ConfigError, Mistakes, shown, unknown
 from gateway.config.schema import build, positive
 from gateway.config.sections import Find, Table, check_interface, only_own, read_bus, read_motor, read_sensor
-from gateway.config.validate import cautions
-from gateway.config.validate import check_bag
-from gateway.core.robot import BagTopics
-from gateway.core.robot import BusSettings, Motor, Robot, Sensor
+from gateway.config.validate import cautions, check_bag
+from gateway.core.robot import BagTopics, BusSettings, Motor, Robot, Sensor
 from protocols import plugin
 from protocols.messages import SECOND
 from protocols.plugin import Device, Plugin
@@ -118,7 +116,7 @@ def loads(
         specs = [m.spec for m in motors.values() if m.bus == n] + [
             s.spec for s in sensors.values() if s.bus == n
         ]
-        buses[n] = replace(bus, heard=only_own(groups["buses"][n], specs))
+        buses[n] = replace(bus, receive_filter=only_own(groups["buses"][n], specs))
     if bag is not None and brain is not None:
         check_bag(bag, brain.body, tuple(groups["sensors"]), mistakes)
     mistakes.check()

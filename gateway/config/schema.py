@@ -65,7 +65,7 @@ def build(kind: type[T], table: object, at: Key, mistakes: Mistakes, also: Seque
         complaints = [_Error(row["type"], row["loc"][1:], row["msg"], row.get("ctx", {})) for row in rows]
         wrong = [one for said in complaints for one in _fields_of(kind, said) if one[0] not in replaced]
         for place, said in wrong:
-            _tell(kind, own, at, place, said, also, mistakes)
+            _report(kind, own, at, place, said, also, mistakes)
         replaced |= {place for place, _ in wrong}
         if not wrong or not all(_replace(kind, plain, place, said) for place, said in wrong):
             break
@@ -177,7 +177,7 @@ def _bare(hint: object) -> object:
     return hint
 
 
-def _tell(
+def _report(
     kind: type,
     table: Mapping[str, object],
     at: Key,

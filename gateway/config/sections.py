@@ -31,8 +31,8 @@ class _Bus:
     bitrate: int = 0
     data_bitrate: int = 0
     baudrate: int = 0
-    hear: Literal["all", "own"] = "all"
-    mixed: Literal["unknown", "acknowledged"] = "unknown"
+    receive_filter: Literal["all", "own"] = "all"
+    shared_bus: Literal["unknown", "acknowledged"] = "unknown"
     """What a person knows of languages that share the bus (gateway.config.sharing)."""
 
 
@@ -82,20 +82,22 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     if made.kind == "canfd" and 0 < made.data_bitrate < made.bitrate:
         slower = f"found {made.data_bitrate}, expected at least the bitrate of {made.bitrate}"
         mistakes.add((*at, "data_bitrate"), slower)
-    if made.hear == "own" and kind == "serial":
-        mistakes.add((*at, "hear"), "a serial bus has no ids to choose by; expected no key 'hear'")
+    if made.receive_filter == "own" and kind == "serial":
+        mistakes.add(
+            (*at, "receive_filter"), "a serial bus has no ids to filter; expected no key 'receive_filter'"
+        )
     rates_of_bus = made.bitrate, made.data_bitrate, made.baudrate
-    known = made.mixed == "acknowledged"
+    known = made.shared_bus == "acknowledged"
     return BusSettings(name, made.kind, made.interface, *rates_of_bus, acknowledged=known)
 
 
 def only_own(table: Table, specs: Iterable[Spec]) -> tuple[tuple[int, int], ...]:
-    """The ids to let in on a bus whose table says `hear = "own"`: what its devices send, and what their
+    """The ids to let in on a bus whose table says `receive_filter = "own"`: what its devices send, and what their
     drivers understand of others. () if the table says otherwise, or nothing is expected: everything."""
-    if table.get("hear") != "own":
+    if table.get("receive_filter") != "own":
         return ()
     found = {(number, ALL_BITS) for spec in specs for number in spec.expects}
-    return tuple(sorted(found | {choice for spec in specs for choice in spec.overhears}))
+    return tuple(sorted(found | {choice for spec in specs for choice in spec.receives_also}))
 
 
 def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> None:

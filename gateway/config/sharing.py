@@ -28,32 +28,32 @@ def clash(first: Part, second: Part) -> str:
     ours, theirs, name = second.spec, first.spec, repr(first.name)
     obeyed, obeyed_there = _obeyed(ours, _sent(theirs)), _obeyed(theirs, _sent(ours))
     kinds = (
-        (_obeyed(ours, _told(theirs)), f"it would obey what {name} reports there"),
-        (_obeyed(theirs, _told(ours)), f"{name} would obey what it reports there"),
+        (_obeyed(ours, _reported(theirs)), f"it would obey what {name} reports there"),
+        (_obeyed(theirs, _reported(ours)), f"{name} would obey what it reports there"),
         (obeyed & obeyed_there, "each would obey what the other is sent"),
         (obeyed, f"it would obey what {name} is sent"),
         (obeyed_there, f"{name} would obey what it is sent"),
-        (_told(ours) & _told(theirs), "both report there"),
+        (_reported(ours) & _reported(theirs), "both report there"),
     )
-    told: list[str] = []
+    reported: list[str] = []
     seen: set[Id] = set()
     for shared, why in kinds:
         if new := shared - seen:
-            told.append(f"{_list(new)} ({why})")
+            reported.append(f"{_list(new)} ({why})")
             seen |= new
-    if not told:
+    if not reported:
         return ""
-    return f"uses CAN ids of {name} ({first.plugin.name}) on bus {first.bus!r}: {'; '.join(told)}"
+    return f"uses CAN ids of {name} ({first.plugin.name}) on bus {first.bus!r}: {'; '.join(reported)}"
 
 
 def mixed(buses: Mapping[str, BusSettings], parts: Sequence[Part]) -> list[str]:
     """What a person must be told of each bus that languages share, unless its table acknowledges it."""
-    told: list[str] = []
+    reported: list[str] = []
     for name, bus in buses.items():
         here = [part for part in parts if part.bus == name]
         if bus.kind != "serial" and not bus.acknowledged:
-            told += [*_fd_beside_classic(name, here), *_mistaken(here)]
-    return told
+            reported += [*_fd_beside_classic(name, here), *_mistaken(here)]
+    return reported
 
 
 def _fd_beside_classic(bus: str, parts: Sequence[Part]) -> list[str]:
@@ -66,7 +66,7 @@ def _fd_beside_classic(bus: str, parts: Sequence[Part]) -> list[str]:
     what = (
         f"the controller of {' and of '.join(classic)} must tolerate CAN FD, or it destroys every such frame"
     )
-    return [f'{bus}: {who}; {what}. If so, write mixed = "acknowledged" under [buses.{bus}]']
+    return [f'{bus}: {who}; {what}. If so, write shared_bus = "acknowledged" under [buses.{bus}]']
 
 
 def _of_kind(parts: Sequence[Part], kind: str) -> list[str]:
@@ -75,17 +75,17 @@ def _of_kind(parts: Sequence[Part], kind: str) -> list[str]:
 
 def _mistaken(parts: Sequence[Part]) -> list[str]:
     """Reports that a driver of another language takes for those of a device that the file does not name."""
-    told: dict[tuple[str, str], str] = {}
+    reported: dict[tuple[str, str], str] = {}
     for listener, speaker in permutations(parts, 2):
         key = listener.plugin.name, speaker.name
-        if listener.plugin.name == speaker.plugin.name or key in told:
+        if listener.plugin.name == speaker.plugin.name or key in reported:
             continue
-        taken = {one for one in _told(speaker.spec) if _matches(listener.spec.overhears, one[0])}
+        taken = {one for one in _reported(speaker.spec) if _matches(listener.spec.receives_also, one[0])}
         if taken:
             said = f"{listener.plugin.name} takes what it sends on {_list(taken)} for words of its own kind"
-            cure = f'an address of its own, or mixed = "acknowledged" under [buses.{speaker.bus}]'
-            told[key] = f"{speaker.name}: {said}, and a scan may find what is not there; {cure}"
-    return list(told.values())
+            remedy = f'an address of its own, or shared_bus = "acknowledged" under [buses.{speaker.bus}]'
+            reported[key] = f"{speaker.name}: {said}, and a scan may find what is not there; {remedy}"
+    return list(reported.values())
 
 
 def _sent(spec: Spec) -> frozenset[Id]:
@@ -93,14 +93,14 @@ def _sent(spec: Spec) -> frozenset[Id]:
     return frozenset((number, spec.is_extended(number)) for number in spec.sends)
 
 
-def _told(spec: Spec) -> frozenset[Id]:
+def _reported(spec: Spec) -> frozenset[Id]:
     """What it sends."""
     return frozenset((number, spec.is_extended(number)) for number in spec.expects)
 
 
 def _obeyed(spec: Spec, ids: frozenset[Id]) -> frozenset[Id]:
     """Those of somebody's ids that it would heed."""
-    return (_sent(spec) & ids) | {one for one in ids if _matches(spec.listens, one[0] | one[1] << 31)}
+    return (_sent(spec) & ids) | {one for one in ids if _matches(spec.obeys_also, one[0] | one[1] << 31)}
 
 
 def _matches(choices: Iterable[tuple[int, int]], number: int) -> bool:

@@ -6,14 +6,15 @@ themselves are not among those given.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import combinations
+from typing import Literal
 
 from brain.settings import BrainSettings
-from gateway.config.errors import Key, Mistakes, unknown
+from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.config.schema import positive
 from gateway.config.sharing import Part, clash, mixed
-from gateway.core.robot import BusSettings, Motor, Robot, Sensor
+from gateway.core.robot import BagTopics, BusSettings, Motor, Robot, Sensor
 from protocols.messages import MILLISECOND, Nanos, Velocity
 from protocols.plugin import FeedbackKind
 
@@ -84,18 +85,18 @@ def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:
             mistakes.add((*at, "address"), f"{said}; expected an address of its own")
         return
     if said := clash(first, second):
-        cure = "expected another address or bus, or an option that moves its ids"
-        mistakes.add((*at, "address"), f"{said}; {cure}")
+        remedy = "expected another address or bus, or an option that moves its ids"
+        mistakes.add((*at, "address"), f"{said}; {remedy}")
 
 
 def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> None:
     joint, spec = motor.joint, motor.spec
-    if joint.safe == "hold" and not spec.holds_unattended:  # a silent brain's Hold is fed by the joint
+    if joint.stop_action == "hold" and not spec.holds_unattended:  # a silent brain's Hold is fed by the joint
         why = "with nobody feeding it, the device lets go of its load (its watchdog)"
-        mistakes.add((*at, "safe"), f'found "hold", expected "idle": {why}')
-    if joint.safe == "brake" and Velocity not in spec.commands:
+        mistakes.add((*at, "stop_action"), f'found "hold", expected "idle": {why}')
+    if joint.stop_action == "brake" and Velocity not in spec.commands:
         mistakes.add(
-            (*at, "safe"), 'found "brake", expected "idle": the device takes no velocity to brake by'
+            (*at, "stop_action"), 'found "brake", expected "idle": the device takes no velocity to brake by'
         )
     if spec.feedback is not FeedbackKind.NONE:
         reports = ("the device reports", spec.feedback_period)
@@ -138,10 +139,10 @@ def check_brain(brain: object, motors: Sequence[str], sensors: Sequence[str], mi
 def cautions(robot: Robot) -> list[str]:
     """What a person must be told at every start, until the robot file acknowledges it."""
     parts: list[Part] = [*robot.motors.values(), *robot.sensors.values()]
-    told = [f"{part.name}: {part.spec.watchdog.note}" for part in parts if part.spec.watchdog.note]
+    reported = [f"{part.name}: {part.spec.watchdog.note}" for part in parts if part.spec.watchdog.note]
     for motor in robot.motors.values():
-        told.extend(_beyond(motor))
-    return told + mixed(robot.buses, parts) + _too_fast(robot) + _always_late(robot) + _unused(robot)
+        reported.extend(_beyond(motor))
+    return reported + mixed(robot.buses, parts) + _too_fast(robot) + _always_late(robot) + _unused(robot)
 
 
 def _too_fast(robot: Robot) -> list[str]:
@@ -161,18 +162,18 @@ def _always_late(robot: Robot) -> list[str]:
     """Motors that report so seldom that the brain finds every report too old before the next."""
     body, health = robot.brain.differential, robot.brain.health
     wheels = (body.left, body.right) if robot.brain.body == "differential" and body is not None else ()
-    told: list[str] = []
+    reported: list[str] = []
     for motor in robot.motors.values():
         what, share = "its target is dropped", health.stand_age
         if motor.name in wheels:
             what, share = "the base goes slow", health.slow_age
         limit, period = round(share * motor.joint.feedback_timeout), motor.spec.feedback_period
         if motor.spec.feedback is not FeedbackKind.NONE and limit <= period:
-            told.append(
+            reported.append(
                 f"{motor.name}: {what} when its feedback is older than {limit / MILLISECOND:g} ms, {share:g} "
                 f"of its feedback_timeout_ms; the device reports every {period / MILLISECOND:g} ms only"
             )
-    return told
+    return reported
 
 
 def _unused(robot: Robot) -> list[str]:
@@ -187,7 +188,7 @@ def _unused(robot: Robot) -> list[str]:
 
 def _beyond(motor: Motor) -> list[str]:
     """Limits at the joint that its device cannot be told."""
-    told: list[str] = []
+    reported: list[str] = []
     limits, gear = motor.joint.limits, motor.joint.gear
     for word, limit, unit in (
         ("Velocity.velocity", limits.velocity * gear, "rad/s"),
@@ -196,11 +197,11 @@ def _beyond(motor: Motor) -> list[str]:
         able = motor.spec.ranges.get(word)
         if able and limit > able.high:
             quantity = word.split(".")[1]
-            told.append(
+            reported.append(
                 f"{motor.name}: its limit of {quantity} is {limit:g} {unit} at the device's shaft, but the "
                 f"device can be told at most {able.high:g}; commands beyond that are refused"
             )
-    return told
+    return reported
 
 
 def check_bag(

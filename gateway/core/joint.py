@@ -35,11 +35,11 @@ from protocols.plugin import Spec
 
 JointEvent: TypeAlias = Feedback | State | Fault
 
-BLIND = -1
+FEEDBACK_LOST = -1
 """Our own fault code: the device fell silent while it was commanded."""
 AT_REST = 0.02
 """Part of the velocity limit below which a braking joint is at rest."""
-LEFT = -2
+DISARMED_ITSELF = -2
 """Our own fault code: the device disarmed itself while it was commanded."""
 
 
@@ -51,9 +51,9 @@ class JointSettings:
     gear: float = 1.0
     """Turns of the device's shaft per turn of the joint."""
     sign: Literal[1, -1] = 1
-    silent: Literal["idle", "hold"] = "idle"
+    on_command_timeout: Literal["idle", "hold"] = "idle"
     """What a silent brain means."""
-    safe: Literal["idle", "hold", "brake"] = "idle"
+    stop_action: Literal["idle", "hold", "brake"] = "idle"
     """The last word on stop, fault and exit. "brake": slow down within the limit of acceleration, then
     Idle; at once Idle if the joint itself is in fault or blind, or if the loop has failed."""
     on_fault: Literal["stop", "continue"] = "stop"
@@ -79,7 +79,7 @@ class Joint:
         """Whether it was armed when it was last heard to say."""
         self.faults: dict[tuple[int, str], Fault] = {}
         """Latched, in the order in which they came."""
-        self.claimed = False
+        self.owned = False
         """Whether any command but Idle has gone out: only then does the safe word go out."""
         self.refused = ""
         """Why the brain's last command was not taken; "" if it was."""
@@ -90,20 +90,20 @@ class Joint:
         self._said_at: Nanos = 0
         self._out: Command = Idle(name)
         self._out_at: Nanos = 0
-        self._heard_at: Nanos | None = None
+        self._received_at: Nanos | None = None
         self._braking: Nanos | None = None
         """Since when the safe word brakes."""
         self._profile = Profile()
 
     # -- from the device ----------------------------------------------------------------------
 
-    def hear(self, event: JointEvent) -> JointEvent | None:
+    def on_event(self, event: JointEvent) -> JointEvent | None:
         """Move a driver's event to the output shaft and remember it; None if it must not go on."""
         if isinstance(event, Feedback):
-            return self._hear_feedback(event)
+            return self._on_feedback(event)
         if isinstance(event, State):
             if self._left_by_itself(event):
-                self.latch(self._desertion(event))
+                self.latch(self._unexpected_disarm(event))
             if event.mode is not Mode.OFFLINE:  # what it does while it is silent, nobody knows
                 self._armed = event.mode is Mode.ARMED
             self.mode, self.detail = event.mode, event.detail
@@ -116,7 +116,7 @@ class Joint:
             self._armed and event.mode in (Mode.READY, Mode.INITIALISING) and not isinstance(self._out, Idle)
         )
 
-    def _hear_feedback(self, event: Feedback) -> Feedback | None:
+    def _on_feedback(self, event: Feedback) -> Feedback | None:
         if not _finite(event):
             self.not_finite += 1
             return None
@@ -134,7 +134,7 @@ class Joint:
         old = self.feedback
         motion = moved.position is not None or moved.velocity is not None
         if motion:
-            self._heard_at = event.t
+            self._received_at = event.t
         self.feedback = Feedback(
             self.name,
             event.t if motion else old.t,
@@ -154,10 +154,10 @@ class Joint:
             self.faults[key] = fault
             self._untold.append(fault)
 
-    def take_untold(self) -> list[Fault]:
+    def take_unreported(self) -> list[Fault]:
         """The faults that have latched since this was last asked."""
-        untold, self._untold = self._untold, []
-        return untold
+        unreported, self._untold = self._untold, []
+        return unreported
 
     def clear(self) -> None:
         """An operator has cleared the faults; the joint starts anew, from where it is measured."""
@@ -167,9 +167,9 @@ class Joint:
 
     def age(self, now: Nanos) -> Nanos | None:
         """The age of the newest motion; None if the device has never told any."""
-        return None if self._heard_at is None else now - self._heard_at
+        return None if self._received_at is None else now - self._received_at
 
-    def blind(self, now: Nanos) -> bool:
+    def feedback_lost(self, now: Nanos) -> bool:
         """Whether there is no feedback, or too old a one."""
         age = self.age(now)
         return age is None or age > self.settings.feedback_timeout
@@ -188,33 +188,38 @@ class Joint:
         motor that comes back must not start by itself."""
         if said is not None:
             self._take(now, said)
-        if self.blind(now):
+        if self.feedback_lost(now):
             self._latch_if_lost(now)
         wanted = self._wanted(now, stopped, last)
-        if self._heard_at is None:
+        if self._received_at is None:
             wanted = Idle(self.name)  # never arm what was never heard
         out = self._limited(now, wanted)
         if not isinstance(out, Idle):
-            self.claimed = True
+            self.owned = True
         self._out, self._out_at = out, now
         return self._at_device(out)
 
     @property
     def braking_time(self) -> Nanos:
         """How long the safe word may brake: twice what the limits ask for."""
-        if self.settings.safe != "brake":
+        if self.settings.stop_action != "brake":
             return 0
         return round(2.0 * self.settings.limits.velocity / self.settings.limits.acceleration * SECOND)
 
     def _safe_word(self, now: Nanos, last: bool) -> Command:
-        if self.settings.safe == "hold":
+        if self.settings.stop_action == "hold":
             return Hold(self.name)
-        if self.settings.safe == "brake" and not last and self._may_brake(now):
+        if self.settings.stop_action == "brake" and not last and self._may_brake(now):
             return Velocity(self.name, 0.0)
         return Idle(self.name)
 
     def _may_brake(self, now: Nanos) -> bool:
-        if self.faults or self.blind(now) or self.mode is not Mode.ARMED or isinstance(self._out, Idle):
+        if (
+            self.faults
+            or self.feedback_lost(now)
+            or self.mode is not Mode.ARMED
+            or isinstance(self._out, Idle)
+        ):
             return False
         if self._braking is None:
             self._braking = now
@@ -223,26 +228,26 @@ class Joint:
 
     def _latch_if_lost(self, now: Nanos) -> None:
         """A device that we armed, and that was armed when last heard: nobody knows what it does."""
-        if self.claimed and self._armed:
-            self.latch(self._blindness(now))
+        if self.owned and self._armed:
+            self.latch(self._feedback_lost_fault(now))
 
-    def _blindness(self, now: Nanos) -> Fault:
+    def _feedback_lost_fault(self, now: Nanos) -> Fault:
         limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
         return Fault(
             self.name,
             now,
-            BLIND,
+            FEEDBACK_LOST,
             f"silent: no feedback for more than {limit}",
             "cable, supply, termination, the device's cyclic messages, or the device itself",
             f"mend it, then clear {self.name}",
         )
 
-    def _desertion(self, event: State) -> Fault:
+    def _unexpected_disarm(self, event: State) -> Fault:
         detail = f" ({event.detail})" if event.detail else ""
         return Fault(
             self.name,
             event.t,
-            LEFT,
+            DISARMED_ITSELF,
             f"disarmed itself: {event.mode}{detail}",
             "a restart, its watchdog, another host, or a second device at the same address",
             f"find out why, then clear {self.name}",
@@ -270,7 +275,7 @@ class Joint:
             return self._safe_word(now, last)
         self._braking = None
         if self._said is None or now - self._said_at > self.settings.command_timeout:
-            return Hold(self.name) if self.settings.silent == "hold" else Idle(self.name)
+            return Hold(self.name) if self.settings.on_command_timeout == "hold" else Idle(self.name)
         return self._said
 
     def _limited(self, now: Nanos, wanted: Command) -> Command:

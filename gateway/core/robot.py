@@ -32,7 +32,7 @@ class BusSettings:
     """bit/s in the data phase of CAN FD; 0 elsewhere."""
     baudrate: int = 0
     """bit/s of a serial line; 0 on a CAN bus."""
-    heard: tuple[tuple[int, int], ...] = ()
+    receive_filter: tuple[tuple[int, int], ...] = ()
     """Which CAN ids are let in, as (id, mask): those whose masked bits are these. (): everything."""
     acknowledged: bool = False
     """Whether somebody has said that he knows what it means for languages to share this bus."""

@@ -16,7 +16,7 @@ from brain.belief import Belief
 from brain.brain import Brain
 from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
-from protocols.frames import BusState, Packet, Wire
+from protocols.frames import BusState, Frame, Packet
 from protocols.messages import (
     Asked,
     ClearFault,
@@ -53,7 +53,7 @@ from protocols.messages import (
     WriteParameter,
     Zero,
 )
-from protocols.plugin import Device, Driver, Ear, Plugin, Tally
+from protocols.plugin import CommandDecoder, Device, Driver, Plugin, RxCounters
 
 if TYPE_CHECKING:
     from gateway.core.robot import Motor, Robot, Sensor
@@ -101,20 +101,20 @@ class Gateway:
         """Take in what has come, think, and give out what is to be said."""
         for name, state in inputs.states:
             self._bus(now, name, state)
-        heard = self._hear(self._late)
+        received = self._handle(self._late)
         self._late = []
         for packet in inputs.packets:
             for driver in self._of_bus[packet.bus]:
-                heard += self._hear(driver.receive(packet.t, packet.wire))
+                received += self._handle(driver.receive(packet.t, packet.frame))
         tasks = self._ask(now, inputs.asked)
         stopped = self.why_stopped()
-        said = {c.motor: c for c in self.brain.step(now, heard, tasks, stopped)}
+        said = {c.motor: c for c in self.brain.step(now, received, tasks, stopped)}
         self._notes += [Note(level, "brain", text) for level, text in self.brain.take_notes()]
         words = {name: joint.allow(now, said.get(name), bool(stopped)) for name, joint in self.joints.items()}
-        self._tell_joints()
+        self._report_joints()
         packets = self._send(now, words)
         notes, self._notes = tuple(self._notes), []
-        return Outputs(tuple(packets), tuple(heard), notes)
+        return Outputs(tuple(packets), tuple(received), notes)
 
     def leave(self, now: Nanos) -> tuple[Packet, ...]:
         """The safe word for every motor, without asking the brain: for the way out after an error."""
@@ -135,7 +135,7 @@ class Gateway:
         return [
             name
             for name, joint in self.joints.items()
-            if joint.claimed and joint.mode is Mode.ARMED and joint.settings.safe != "hold"
+            if joint.owned and joint.mode is Mode.ARMED and joint.settings.stop_action != "hold"
         ]
 
     def why_stopped(self) -> str:
@@ -150,11 +150,11 @@ class Gateway:
                 return f"{name}: {fault.name}"
         return ""
 
-    def tallies(self) -> list[tuple[str, str, Tally]]:
+    def rx_counters(self) -> list[tuple[str, str, RxCounters]]:
         """What each driver has counted, with its bus and language. What is foreign to one of a bus's drivers
         may be another's."""
         return [
-            (bus, language, driver.tally)
+            (bus, language, driver.counters)
             for language, (bus, _, driver) in zip(self._languages, self._drivers, strict=True)
         ]
 
@@ -166,15 +166,15 @@ class Gateway:
         bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
         self._notes.append(Note("error" if bad else "warning", name, _BUS_SENTENCES[state]))
 
-    def _hear(self, events: Iterable[Event]) -> list[Event]:
-        heard: list[Event] = []
+    def _handle(self, events: Iterable[Event]) -> list[Event]:
+        received: list[Event] = []
         for event in events:
             if isinstance(event, Feedback | State | Fault):
                 joint = self.joints.get(event.motor)
                 if joint is None:
                     continue
                 mode = joint.mode
-                passed = joint.hear(event)
+                passed = joint.on_event(event)
                 if passed is None:
                     self._notes.append(
                         Note("warning", joint.name, f"a value of {event} is not finite: left out")
@@ -183,13 +183,13 @@ class Gateway:
                 if isinstance(event, State) and event.mode is not mode:
                     detail = f" ({event.detail})" if event.detail else ""
                     self._notes.append(Note(_LEVELS[event.mode], joint.name, f"{event.mode}{detail}"))
-                heard.append(passed)
+                received.append(passed)
             else:
-                self._tell(event)
-                heard.append(event)
-        return heard
+                self._report(event)
+                received.append(event)
+        return received
 
-    def _tell(self, event: Event) -> None:
+    def _report(self, event: Event) -> None:
         match event:
             case Done(_, request, name, detail):
                 if request == ClearFault.__name__ and name in self.joints:
@@ -263,15 +263,15 @@ class Gateway:
 
     # -- out ----------------------------------------------------------------------------------
 
-    def _tell_joints(self) -> None:
+    def _report_joints(self) -> None:
         for name, joint in self.joints.items():
             if joint.refused:
                 self._notes.append(Note("error", name, f"command refused: {joint.refused}"))
                 joint.refused = ""
-            for fault in joint.take_untold():
+            for fault in joint.take_unreported():
                 cause = f"; likely cause: {fault.cause}" if fault.cause else ""
-                cure = f"; {fault.cure}" if fault.cure else ""
-                self._notes.append(Note("error", name, f"fault: {fault.name}{cause}{cure}"))
+                remedy = f"; {fault.remedy}" if fault.remedy else ""
+                self._notes.append(Note("error", name, f"fault: {fault.name}{cause}{remedy}"))
 
     def _send(self, now: Nanos, words: dict[str, Command]) -> list[Packet]:
         requests, self._requests = self._requests, []
@@ -279,30 +279,30 @@ class Gateway:
         for bus, motors, driver in self._drivers:
             mine: list[Command | Request] = [r for r in requests if _is_for(r, bus, motors)]
             mine += [word for name, word in words.items() if name in motors]
-            events, wires = driver.send(now, mine)
+            events, frames = driver.send(now, mine)
             self._late += events
-            packets += self._out(now, bus, wires)
+            packets += self._out(now, bus, frames)
         return packets
 
-    def _out(self, now: Nanos, bus: str, wires: Sequence[Wire]) -> Iterable[Packet]:
+    def _out(self, now: Nanos, bus: str, frames: Sequence[Frame]) -> Iterable[Packet]:
         """The one place through which everything passes on its way to a wire: a guard stands here."""
-        return [Packet(now, bus, wire) for wire in wires]
+        return [Packet(now, bus, frame) for frame in frames]
 
 
-class _Ears:
+class _Decoders:
     """The ears of all languages of a bus as one."""
 
-    def __init__(self, ears: Sequence[Ear]) -> None:
-        self._ears = ears
+    def __init__(self, decoders: Sequence[CommandDecoder]) -> None:
+        self._decoders = decoders
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
         """What any device on the bus would obey."""
-        return [word for ear in self._ears for word in ear.hear(t, wire)]
+        return [word for decoder in self._decoders for word in decoder.decode(t, frame)]
 
 
-def ear_of(robot: Robot, bus: str) -> Ear:
+def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
     """What the devices on a bus would obey."""
-    return _Ears([plugin.ear(devices) for plugin, devices in by_plugin(robot, bus)])
+    return _Decoders([plugin.decoder(devices) for plugin, devices in by_plugin(robot, bus)])
 
 
 def _is_for(request: Request, bus: str, motors: frozenset[str]) -> bool:

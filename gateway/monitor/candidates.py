@@ -17,7 +17,7 @@ from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
 from gateway.core.robot import BusSettings, Motor, Robot, Sensor
 from protocols.messages import Nanos
-from protocols.plugin import Device, Driver, Ear, Plugin, Spec
+from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Spec
 
 MOST_ADDRESSES = 256
 """Of one language on one bus that are tried where no robot file says who is there."""
@@ -56,7 +56,7 @@ class Tongue:
     parties: dict[str, Party]
     """By the name in the words."""
     driver: Driver
-    ear: Ear
+    decoder: CommandDecoder
 
 
 def of_robot(robot: Robot, buses: Sequence[str]) -> list[Tongue]:
@@ -71,7 +71,7 @@ def of_robot(robot: Robot, buses: Sequence[str]) -> list[Tongue]:
         devices = [part.device for part in those]
         plugin = those[0].plugin
         parties = {part.name: _party(part) for part in those}
-        tongues.append(Tongue(bus, protocol, parties, plugin.driver(devices), plugin.ear(devices)))
+        tongues.append(Tongue(bus, protocol, parties, plugin.driver(devices), plugin.decoder(devices)))
     return tongues
 
 
@@ -144,4 +144,4 @@ def _everybody(bus: BusSettings, plugin: Plugin, options: object) -> Tongue | No
         devices.append(device)
     if not devices:
         return None
-    return Tongue(bus.name, plugin.name, parties, plugin.driver(devices), plugin.ear(devices))
+    return Tongue(bus.name, plugin.name, parties, plugin.driver(devices), plugin.decoder(devices))

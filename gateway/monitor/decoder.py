@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from gateway.buses.frame_time import wire_time
+from gateway.buses.frame_time import frame_time
 from gateway.core.joint import Joint
 from gateway.core.robot import BusSettings
 from gateway.monitor.candidates import Party, Tongue
@@ -81,28 +81,30 @@ class Listener:
         for _, tongue in self._of_bus[bus]:
             tongue.driver.bus(t, state)
 
-    def hear(self, packet: Packet, *, sent: bool | None = None) -> Heard:
+    def handle(self, packet: Packet, *, sent: bool | None = None) -> Heard:
         """What a packet means; `sent`: whether the host did, None if that is not known."""
         self._count(packet)
         said: list[Event] = []
-        told: list[Told] = []
+        reported: list[Told] = []
         guessed: list[Event] = []
         ours = False
         owners = self._owners_of(packet)
         for number, tongue in self._listening(packet.bus, owners):
             if not sent:
-                before = tongue.driver.tally.heard
-                events = tongue.driver.receive(packet.t, packet.wire)
-                ours = ours or tongue.driver.tally.heard > before
+                before = tongue.driver.counters.accepted
+                events = tongue.driver.receive(packet.t, packet.frame)
+                ours = ours or tongue.driver.counters.accepted > before
                 self._events(number, tongue, packet, events, said, guessed)
-            if sent is not False or isinstance(packet.wire, CanFrame):
-                self._words(number, tongue, packet.t, tongue.ear.hear(packet.t, packet.wire), told)
+            if sent is not False or isinstance(packet.frame, CanFrame):
+                self._words(number, tongue, packet.t, tongue.decoder.decode(packet.t, packet.frame), reported)
         owners = self._owners_of(packet)  # it may have been found just now
         if ours and len(owners) == 1:
-            owners[0].heard_at = packet.t
-        direction = self._direction(packet, owners, sent=sent, said=bool(said), told=bool(told), ours=ours)
+            owners[0].received_at = packet.t
+        direction = self._direction(
+            packet, owners, sent=sent, said=bool(said), reported=bool(reported), ours=ours
+        )
         names = tuple(seen.party.name for seen in owners)
-        return Heard(packet, direction, tuple(said), tuple(told), tuple(guessed), names)
+        return Heard(packet, direction, tuple(said), tuple(reported), tuple(guessed), names)
 
     def unknown(self, now: Nanos) -> list[tuple[Id, SeenId]]:
         """The ids that belong to no device, the busiest first."""
@@ -112,14 +114,14 @@ class Listener:
     def not_understood(self, bus: str) -> int:
         """Frames of unknown ids, and messages to or from devices that were wrong."""
         ids = sum(seen.rate.total for key, seen in self.ids.items() if key[0] == bus and not self._owned(key))
-        tallies = [
-            tongue.driver.tally
+        rx_counters = [
+            tongue.driver.counters
             for number, tongue in self._of_bus[bus]
             if self.known or self._speaks(number, tongue)
         ]
         if self.buses[bus].settings.kind == "serial":
-            return min((tally.bad + tally.foreign for tally in tallies), default=0)
-        return ids + sum(tally.bad for tally in tallies if self.known)
+            return min((counters.malformed + counters.ignored for counters in rx_counters), default=0)
+        return ids + sum(counters.malformed for counters in rx_counters if self.known)
 
     def messages(self, seen: Seen, now: Nanos) -> list[tuple[str, float]]:
         """What a device says how often: on CAN by id, with the kinds of words that come of it."""
@@ -138,21 +140,21 @@ class Listener:
         return Rate(self._began, self._window)
 
     def _count(self, packet: Packet) -> None:
-        bus, wire = self.buses[packet.bus], packet.wire
+        bus, frame = self.buses[packet.bus], packet.frame
         settings = bus.settings
         bus.packets.add(packet.t)
         rate = settings.baudrate or settings.bitrate
-        bus.busy.add(packet.t, wire_time(wire, rate, settings.data_bitrate))
-        if not isinstance(wire, CanFrame):
+        bus.busy.add(packet.t, frame_time(frame, rate, settings.data_bitrate))
+        if not isinstance(frame, CanFrame):
             return
-        key = _id(packet.bus, wire)
+        key = _id(packet.bus, frame)
         seen = self.ids.get(key)
         if seen is None:
             if len(self.ids) >= MOST_IDS:
                 return
-            seen = self.ids[key] = SeenId(self._rate(), wire, packet.t)
+            seen = self.ids[key] = SeenId(self._rate(), frame, packet.t)
         seen.rate.add(packet.t)
-        seen.last, seen.at = wire, packet.t
+        seen.last, seen.at = frame, packet.t
 
     # -- what devices say -----------------------------------------------------------------------
 
@@ -172,8 +174,8 @@ class Listener:
                 self.notes.append(event)
                 continue
             seen = self._look(number, party)
-            if isinstance(packet.wire, CanFrame):
-                seen.extended = packet.wire.extended
+            if isinstance(packet.frame, CanFrame):
+                seen.extended = packet.frame.extended
             moved = self._learn(seen, packet.t, event)
             if moved is not None and self._is_best(number, seen):
                 found = self.found.get(_place(party)) is seen
@@ -186,7 +188,7 @@ class Listener:
         if kind not in seen.says:
             seen.says[kind] = self._rate()
         seen.says[kind].add(t)
-        seen.heard_at = t
+        seen.received_at = t
         if isinstance(event, Fault):
             seen.faults[event.code, event.name] = event
         elif isinstance(event, Imu | LaserScan | Fix):
@@ -195,30 +197,32 @@ class Listener:
             if isinstance(event, State) and event.mode is not Mode.FAULT:
                 seen.past |= seen.faults
                 seen.faults = {}
-            return seen.joint.hear(event)
+            return seen.joint.on_event(event)
         return event
 
     def _mark(self, packet: Packet, kind: str, name: str, *, found: bool) -> None:
-        if isinstance(packet.wire, CanFrame) and (one := self.ids.get(_id(packet.bus, packet.wire))):
+        if isinstance(packet.frame, CanFrame) and (one := self.ids.get(_id(packet.bus, packet.frame))):
             (one.kinds if found else one.could_be)[kind if found else name] = None
 
     # -- what devices are told ------------------------------------------------------------------
 
-    def _words(self, number: int, tongue: Tongue, t: Nanos, words: Sequence[Told], told: list[Told]) -> None:
+    def _words(
+        self, number: int, tongue: Tongue, t: Nanos, words: Sequence[Told], reported: list[Told]
+    ) -> None:
         for word in words:
             party = tongue.parties.get(about(word))
             if party is None:
-                if word not in told:
-                    told.append(word)
+                if word not in reported:
+                    reported.append(word)
                 continue
             best = self._best.get(_place(party))
             if best is None and not self.known and self._is_first(number, tongue):
-                told.append(at_joint(word, party.ratio))
+                reported.append(at_joint(word, party.ratio))
             if best != number:
                 continue
             seen = self._look(number, party)
             moved = at_joint(word, party.ratio)
-            told.append(moved)
+            reported.append(moved)
             if isinstance(moved, Command):
                 seen.command, seen.commanded_at = moved, t
                 seen.commands = seen.commands or self._rate()
@@ -270,9 +274,9 @@ class Listener:
         return any(seen.extended in (None, extended) for seen in self._owners.get((bus, number), ()))
 
     def _owners_of(self, packet: Packet) -> list[Seen]:
-        if not isinstance(packet.wire, CanFrame) or not self._owned(_id(packet.bus, packet.wire)):
+        if not isinstance(packet.frame, CanFrame) or not self._owned(_id(packet.bus, packet.frame)):
             return []
-        return self._owners[packet.bus, packet.wire.id]
+        return self._owners[packet.bus, packet.frame.id]
 
     def _direction(
         self,
@@ -281,15 +285,15 @@ class Listener:
         *,
         sent: bool | None,
         said: bool,
-        told: bool,
+        reported: bool,
         ours: bool,
     ) -> Literal["from", "to", ""]:
-        if sent or (told and not said):
+        if sent or (reported and not said):
             return "to"
         if said or (ours and (owners or self.known)):
             return "from"
-        if owners and isinstance(packet.wire, CanFrame):
-            return "to" if packet.wire.id in owners[0].party.spec.sends else "from"
+        if owners and isinstance(packet.frame, CanFrame):
+            return "to" if packet.frame.id in owners[0].party.spec.sends else "from"
         return ""
 
     def _is_first(self, number: int, tongue: Tongue) -> bool:

@@ -83,7 +83,7 @@ def _devices(listener: Listener, now: Nanos) -> list[str]:
 def _device(seen: Seen, now: Nanos, measured: Sequence[tuple[str, str, int]]) -> tuple[str, ...]:
     party = seen.party
     place = f"{party.bus} at {party.address}"
-    cells = [party.name, party.protocol, place, _state(seen, now), age(seen.heard_at, now)]
+    cells = [party.name, party.protocol, place, _state(seen, now), age(seen.received_at, now)]
     for name, unit, digits in measured:
         value = _value(seen, name)
         cells.append("-" if value is None else f"{value:.{digits}f} {unit}")
@@ -96,7 +96,7 @@ def _value(seen: Seen, quantity: str) -> float | None:
 
 
 def _state(seen: Seen, now: Nanos) -> str:
-    if seen.heard_at is None:
+    if seen.received_at is None:
         return "never heard"
     if seen.silent(now):
         return "SILENT"
@@ -154,7 +154,7 @@ def measurement(event: Measured) -> str:
 def fault(event: Fault) -> str:
     """A fault as its device's language tells it: name, likely cause, what to do."""
     cause = f"; likely cause: {event.cause}" if event.cause else ""
-    return f"{event.name}{cause}{f'; {event.cure}' if event.cure else ''}"
+    return f"{event.name}{cause}{f'; {event.remedy}' if event.remedy else ''}"
 
 
 def age(t: Nanos | None, now: Nanos) -> str:
@@ -177,15 +177,15 @@ def columns(rows: Sequence[Sequence[str]]) -> list[str]:
 # -- the line ---------------------------------------------------------------------------------------
 
 
-def line(heard: Heard) -> str:
+def line(received: Heard) -> str:
     """One packet: time, bus, frame, direction, and what it means."""
-    arrow = {"from": "<-", "to": "->", "": " ?"}[heard.direction]
-    return f"{start(heard.packet)}  {arrow} {meaning(heard)}".rstrip()
+    arrow = {"from": "<-", "to": "->", "": " ?"}[received.direction]
+    return f"{start(received.packet)}  {arrow} {meaning(received)}".rstrip()
 
 
 def start(packet: Packet) -> str:
     """`(12.345678) can0 029#0000803F00000000`"""
-    return f"{stamp(packet.t)} {packet.bus} {_wire(packet)}"
+    return f"{stamp(packet.t)} {packet.bus} {_frame(packet)}"
 
 
 def stamp(t: Nanos) -> str:
@@ -193,18 +193,18 @@ def stamp(t: Nanos) -> str:
     return f"({t // SECOND}.{t % SECOND // 1000:06d})"
 
 
-def _wire(packet: Packet) -> str:
-    if isinstance(packet.wire, CanFrame):
-        return str(packet.wire)
-    shown = packet.wire[:MOST_BYTES].hex(" ").upper()
-    return shown if len(packet.wire) <= MOST_BYTES else f"{shown} … {len(packet.wire)} bytes"
+def _frame(packet: Packet) -> str:
+    if isinstance(packet.frame, CanFrame):
+        return str(packet.frame)
+    shown = packet.frame[:MOST_BYTES].hex(" ").upper()
+    return shown if len(packet.frame) <= MOST_BYTES else f"{shown} … {len(packet.frame)} bytes"
 
 
-def meaning(heard: Heard) -> str:
+def meaning(received: Heard) -> str:
     """What a packet says or orders, in words."""
-    words = [_event(event) for event in heard.said] + [say(word) for word in heard.told]
-    words += [f"{_event(event)} (a guess)" for event in heard.guessed]
-    return NEGATIVE_ZERO.sub("0", "; ".join(words)) or ", ".join(heard.names)
+    words = [_event(event) for event in received.said] + [say(word) for word in received.reported]
+    words += [f"{_event(event)} (a guess)" for event in received.guessed]
+    return NEGATIVE_ZERO.sub("0", "; ".join(words)) or ", ".join(received.names)
 
 
 def _event(event: Event) -> str:

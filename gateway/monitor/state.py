@@ -30,7 +30,7 @@ class Seen:
     """Its newest feedback and mode; None: a sensor."""
     says: dict[str, Rate] = field(default_factory=dict)
     """What has been made of its messages, by the kind of word."""
-    heard_at: Nanos | None = None
+    received_at: Nanos | None = None
     measured: Measured | None = None
     faults: dict[tuple[int, str], Fault] = field(default_factory=dict)
     past: dict[tuple[int, str], Fault] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Seen:
 
     def silent(self, now: Nanos) -> bool:
         """Whether what it last said is too old."""
-        return self.heard_at is None or now - self.heard_at > self.party.silent_after
+        return self.received_at is None or now - self.received_at > self.party.silent_after
 
 
 @dataclass(slots=True)
@@ -91,7 +91,7 @@ class Heard:
     direction: Literal["from", "to", ""]
     """Whether it comes from a device or goes to one; "" if nobody knows."""
     said: tuple[Event, ...] = ()
-    told: tuple[Told, ...] = ()
+    reported: tuple[Told, ...] = ()
     """What devices would obey."""
     guessed: tuple[Event, ...] = ()
     """What it would mean if it came from a device that has not been found."""

@@ -43,7 +43,7 @@ class OperatorError(Exception):
 
 @dataclass(slots=True)
 class _Client:
-    wire: socket.socket
+    frame: socket.socket
     lines: Lines = field(default_factory=Lines)
     unsent: bytearray = field(default_factory=bytearray)
     ended: bool = False
@@ -86,13 +86,13 @@ class Operator:
                 self._drop(client)
                 continue
             for line in self._read(client):
-                self._hear(line, partial(_queue, client), status, asked)
+                self._handle(line, partial(_queue, client), status, asked)
             self._send(client)
         for line in self._read_terminal():
-            self._hear(line, _print, status, asked)
+            self._handle(line, _print, status, asked)
         return asked
 
-    def tell(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Something that the robot says: to every client that is connected. (The terminal has the log.)"""
         for client in list(self._clients):
             _queue(client, text)
@@ -107,7 +107,7 @@ class Operator:
             self._listener.close()
             self.path.unlink(missing_ok=True)
 
-    def _hear(
+    def _handle(
         self,
         line: str | Mistake,
         answer: Callable[[str], None],
@@ -136,15 +136,15 @@ class Operator:
     def _accept(self) -> None:
         while len(self._clients) < MOST_CLIENTS:
             try:
-                wire, _ = self._listener.accept()
+                frame, _ = self._listener.accept()
             except OSError:  # nobody, or somebody who has gone again
                 return
-            wire.setblocking(False)
-            self._clients.append(_Client(wire))
+            frame.setblocking(False)
+            self._clients.append(_Client(frame))
 
     def _read(self, client: _Client) -> list[str | Mistake]:
         try:
-            data = client.wire.recv(MOST_READ)
+            data = client.frame.recv(MOST_READ)
         except BlockingIOError:
             return []
         except OSError:
@@ -158,7 +158,7 @@ class Operator:
     def _send(self, client: _Client) -> None:
         try:
             while client.unsent:
-                del client.unsent[: client.wire.send(client.unsent)]
+                del client.unsent[: client.frame.send(client.unsent)]
         except BlockingIOError:
             if len(client.unsent) > MOST_UNSENT:
                 self._drop(client)
@@ -166,7 +166,7 @@ class Operator:
             self._drop(client)
 
     def _drop(self, client: _Client) -> None:
-        client.wire.close()
+        client.frame.close()
         client.unsent.clear()
         if client in self._clients:
             self._clients.remove(client)
@@ -280,14 +280,14 @@ def ask(path: Path, line: str, patience: float = 2.0) -> str:
     """Say a line to a running robot and return its answer. Raises OperatorError with a sentence.
 
     `patience` is how many seconds the robot may take."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as wire:
-        wire.settimeout(patience)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as frame:
+        frame.settimeout(patience)
         answer = bytearray()
         try:
-            wire.connect(os.fspath(path))
-            wire.sendall(line.encode() + b"\n")
-            wire.shutdown(socket.SHUT_WR)
-            while data := wire.recv(MOST_READ):
+            frame.connect(os.fspath(path))
+            frame.sendall(line.encode() + b"\n")
+            frame.shutdown(socket.SHUT_WR)
+            while data := frame.recv(MOST_READ):
                 answer += data
         except TimeoutError as error:
             raise OperatorError(f"{path}: the robot does not answer") from error

@@ -25,21 +25,21 @@ def status_text(made: Session) -> str:
     if belief.goal is not None:
         lines.append(f"goal: {belief.goal.x:g}, {belief.goal.y:g} m ({belief.reached} reached so far)")
     for name, joint in gateway.joints.items():
-        told, age = joint.feedback, joint.age(now)
-        heard = "never heard" if age is None else f"heard {age / MILLISECOND:.0f} ms ago"
+        reported, age = joint.feedback, joint.age(now)
+        received = "never heard" if age is None else f"heard {age / MILLISECOND:.0f} ms ago"
         parts = [
             f"{label} {value:.3f} {unit}"
             for label, value, unit in (
-                ("at", told.position, "rad"),
-                ("turns", told.velocity, "rad/s"),
-                ("gives", told.torque, "N·m"),
-                ("supply", told.voltage, "V"),
-                ("temperature", told.temperature, "degrees C"),
+                ("at", reported.position, "rad"),
+                ("turns", reported.velocity, "rad/s"),
+                ("gives", reported.torque, "N·m"),
+                ("supply", reported.voltage, "V"),
+                ("temperature", reported.temperature, "degrees C"),
             )
             if value is not None
         ]
-        lines.append(f"{name}: {joint.mode}, {heard}{''.join(', ' + part for part in parts)}")
-        lines += [f"  fault: {fault.name}; {fault.cure}" for fault in joint.faults.values()]
+        lines.append(f"{name}: {joint.mode}, {received}{''.join(', ' + part for part in parts)}")
+        lines += [f"  fault: {fault.name}; {fault.remedy}" for fault in joint.faults.values()]
     lines += _counted(gateway)
     lines.append(f"ticks: {made.account.ticks}, {made.account.missed} missed")
     if (recorder := made.recorder) is not None:
@@ -50,10 +50,10 @@ def status_text(made: Session) -> str:
 
 def _counted(gateway: Gateway) -> list[str]:
     """What each driver has counted, by bus; with its language where a bus has several."""
-    tallies = gateway.tallies()
-    buses = [bus for bus, _, _ in tallies]
+    rx_counters = gateway.rx_counters()
+    buses = [bus for bus, _, _ in rx_counters]
     return [
-        f"{f'{bus}, {language}' if buses.count(bus) > 1 else bus}: {tally.heard} messages heard, "
-        f"{tally.bad} bad, {tally.foreign} foreign"
-        for bus, language, tally in tallies
+        f"{f'{bus}, {language}' if buses.count(bus) > 1 else bus}: {counters.accepted} messages heard, "
+        f"{counters.malformed} bad, {counters.ignored} foreign"
+        for bus, language, counters in rx_counters
     ]

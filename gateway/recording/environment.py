@@ -37,17 +37,19 @@ _CPU_KEYS = ("model name", "Hardware", "CPU implementer", "CPU part", "flags", "
 
 def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     """Name to value: our sources, packages, Python, BLAS, processor, platform, environment."""
-    told = {PROGRAM: sources()} | {f"package {name}": found for name in PACKAGES if (found := _version(name))}
-    told["python"] = sys.version.replace("\n", " ")
-    told["platform"] = platform.platform()
-    told["machine"] = platform.machine()
+    reported = {PROGRAM: sources()} | {
+        f"package {name}": found for name in PACKAGES if (found := _version(name))
+    }
+    reported["python"] = sys.version.replace("\n", " ")
+    reported["platform"] = platform.platform()
+    reported["machine"] = platform.machine()
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
-    told["numpy blas"] = " ".join(
+    reported["numpy blas"] = " ".join(
         str(blas.get(key, "")) for key in ("name", "version", "openblas configuration")
     )
-    told |= {f"processor {key}": value for key, value in _processor(cpuinfo).items()}
-    told |= {f"environment {name}": os.environ[name] for name in _ENVIRONMENT if name in os.environ}
-    return told
+    reported |= {f"processor {key}": value for key, value in _processor(cpuinfo).items()}
+    reported |= {f"environment {name}": os.environ[name] for name in _ENVIRONMENT if name in os.environ}
+    return reported
 
 
 def sources(root: Path = Path(__file__).parent.parent) -> str:

@@ -130,10 +130,10 @@ class McapFile:
                 SCHEMA, Schema(id=schema, name=type_, encoding="ros2msg", data=definition.encode())
             )
         number = self._channels[topic, type_] = len(self._channels) + 1
-        told = {"offered_qos_profiles": qos} if qos else {}
+        reported = {"offered_qos_profiles": qos} if qos else {}
         self._register(
             CHANNEL,
-            Channel(id=number, schema_id=schema, topic=topic, message_encoding="cdr", metadata=told),
+            Channel(id=number, schema_id=schema, topic=topic, message_encoding="cdr", metadata=reported),
         )
         return number
 
@@ -277,7 +277,7 @@ class McapFile:
             for at, size, r in self._head
             if isinstance(r, Attachment)
         ]
-        told = [
+        reported = [
             _bytes(MetadataIndex(at, size, r.name)) for at, size, r in self._head if isinstance(r, Metadata)
         ]
         statistics = Statistics(
@@ -288,7 +288,7 @@ class McapFile:
             message_count=sum(self._counts.values()),
             message_start_time=self._first if self._chunks else 0,
             message_end_time=self._last,
-            metadata_count=len(told),
+            metadata_count=len(reported),
             schema_count=len(self._schemas),
         )
         unpacked = (zlib.decompress(block) for block in self._packed_index)
@@ -298,7 +298,7 @@ class McapFile:
             (STATISTICS, [_bytes(statistics)]),
             (CHUNK_INDEX, chain(unpacked, [bytes(self._index)])),
             (ATTACHMENT_INDEX, attached),
-            (METADATA_INDEX, told),
+            (METADATA_INDEX, reported),
         ]
 
 

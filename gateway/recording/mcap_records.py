@@ -56,24 +56,24 @@ def records(file: BinaryIO) -> Iterator[Piece]:
 
     A cut is a Damage that reaches to the end of the file; one between two records leaves no trace."""
     size = file.seek(0, os.SEEK_END)
-    at, crc, told = len(MAGIC), zlib.crc32(MAGIC), False
+    at, crc, reported = len(MAGIC), zlib.crc32(MAGIC), False
     while at < size:
         found = _record(file, at, size)
         if found is None:
             following = _next_chunk(file, at + 1, size)
             yield Damage(at, following - at, "cut off" if following == size else "no record can be made out")
-            at, told = following, True
+            at, reported = following, True
             continue
         if found.opcode == DATA_END:
             stands = _U32.unpack(found.content[:4])[0]
-            if stands not in (0, crc) and not told:
+            if stands not in (0, crc) and not reported:
                 yield Damage(at, 0, "all before it does not match its checksum")
             yield found
             return
         crc = zlib.crc32(found.content, zlib.crc32(_START.pack(found.opcode, len(found.content)), crc))
         if found.opcode == CHUNK:
             for piece in _in_chunk(found.content, at):
-                told = told or isinstance(piece, Damage)
+                reported = reported or isinstance(piece, Damage)
                 yield piece
         else:
             yield found

@@ -113,8 +113,8 @@ def head(path: Path, whole: bool) -> tuple[str, dict[str, str]]:
         if record.opcode == opcode.HEADER:
             library = parse(path, Header, record).library
         elif record.opcode == opcode.METADATA:
-            told = parse(path, Metadata, record)
-            metadata[told.name] = told.metadata
+            reported = parse(path, Metadata, record)
+            metadata[reported.name] = reported.metadata
         elif record.opcode == opcode.ATTACHMENT:
             attached = parse(path, Attachment, record)
             robot = attached.data if attached.name == ROBOT_FILE else robot
@@ -172,7 +172,7 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
 
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
-    seals = tick_codec.UNSEALED
+    seals = tick_codec.UNPROTECTED
     entry: tick_codec.Entry | None = None
     views: list[View] = []
     for record in _records(path, whole):
@@ -198,7 +198,7 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
 
 
 def _entry(
-    path: Path, data: bytes, seals: tick_codec.Seals, last: tick_codec.Entry | None
+    path: Path, data: bytes, seals: tick_codec.DigestChain, last: tick_codec.Entry | None
 ) -> tick_codec.Entry:
     try:
         return tick_codec.decode(data, seals)

@@ -30,7 +30,7 @@ _TICK = struct.Struct("<4xQq")
 
 
 @dataclass(slots=True)
-class Salvage:
+class Recovery:
     """What was found in a file."""
 
     ended: bool = False
@@ -48,7 +48,7 @@ class Salvage:
     """Numbers of the first and last tick of each run that is missing in between."""
     damages: list[Damage] = field(default_factory=list)
 
-    def told(self) -> list[str]:
+    def reported(self) -> list[str]:
         """For a person: what there is, and what was lost."""
         lines = [f"bytes {d.at} to {d.at + d.size} of {self.size}: {d.why}" for d in self.damages]
         if self.first and self.last:
@@ -70,7 +70,7 @@ def is_whole(path: Path) -> bool:
     """Whether every byte before the end is proven, and the index counts all ticks. Raises RecordingError if
     it is no recording."""
     _check(path)
-    found = Salvage()
+    found = Recovery()
     for _ in _followed(path, found):
         pass
     if not found.ended or found.damages or not _index_is_sound(path):
@@ -100,7 +100,7 @@ def _index_is_sound(path: Path) -> bool:
     return bool(made == crc)
 
 
-def salvage(path: Path, target: Path) -> Salvage:
+def salvage(path: Path, target: Path) -> Recovery:
     """Write what can be read of a recording to a new file; if there is no tick to be read, to none.
 
     Raises RecordingError if it is no recording, or if the new file is there already or cannot be written."""
@@ -127,7 +127,7 @@ def _check(path: Path) -> None:
     head(path, whole=False)
 
 
-def _followed(path: Path, found: Salvage) -> Iterator[Record]:
+def _followed(path: Path, found: Recovery) -> Iterator[Record]:
     """All records that can be read, while what they come to is noted."""
     from mcap.records import Channel
 
@@ -153,7 +153,7 @@ def _followed(path: Path, found: Salvage) -> Iterator[Record]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _note(found: Salvage, record: Record) -> None:
+def _note(found: Recovery, record: Record) -> None:
     number, now = _TICK.unpack_from(record.content, MESSAGE_HEAD.size)
     found.ticks += 1
     if found.last is not None and number > found.last[0] + 1:
@@ -162,8 +162,8 @@ def _note(found: Salvage, record: Record) -> None:
     found.last = (number, now)
 
 
-def _copy(path: Path, target: Path) -> Salvage:
-    found = Salvage()
+def _copy(path: Path, target: Path) -> Recovery:
+    found = Recovery()
     copy = _Copy(path, target)
     try:
         for record in _followed(path, found):
@@ -195,16 +195,16 @@ class _Copy:
             schema = parse(self._path, Schema, record)
             self._schemas[schema.id] = (schema.name, schema.data.decode(errors="replace"))
         elif record.opcode == opcode.METADATA:
-            told = parse(self._path, Metadata, record)
-            self.file.metadata(told.name, told.metadata)
+            reported = parse(self._path, Metadata, record)
+            self.file.metadata(reported.name, reported.metadata)
         elif record.opcode == opcode.ATTACHMENT:
             attached = parse(self._path, Attachment, record)
             self.file.attachment(attached.name, attached.media_type, attached.data)
 
-    def finish(self, found: Salvage) -> None:
+    def finish(self, found: Recovery) -> None:
         """All is taken. What was lost is told in the file, too."""
         self.file.flush()
-        self.file.metadata(SALVAGED, {"from": self._path.name, "told": "\n".join(found.told())})
+        self.file.metadata(SALVAGED, {"from": self._path.name, "told": "\n".join(found.reported())})
         self.file.finish()
 
     def _channel(self, record: Record) -> None:

@@ -148,9 +148,13 @@ class Views:
     def messages(self, tick: Tick, belief: Belief) -> list[View]:
         """What this tick shows, in a fixed order."""
         views = self._mounting(tick.now)
-        views += [self._frame(p, "from", p.wire) for p in tick.inputs.packets if isinstance(p.wire, CanFrame)]
+        views += [
+            self._frame(p, "from", p.frame) for p in tick.inputs.packets if isinstance(p.frame, CanFrame)
+        ]
         views += self._events(tick.outputs.events)
-        views += [self._frame(p, "to", p.wire) for p in tick.outputs.packets if isinstance(p.wire, CanFrame)]
+        views += [
+            self._frame(p, "to", p.frame) for p in tick.outputs.packets if isinstance(p.frame, CanFrame)
+        ]
         views += self._believed(tick.now, belief)
         views += self._wanted(tick.now, belief)
         views += self._joints(tick.now)
@@ -235,10 +239,10 @@ class Views:
                 case Fix():
                     views.append(self._view("/fix", event.t, ros_messages.fix(self._types, event)))
                 case _:
-                    self._hear(event)
+                    self._handle(event)
         return views
 
-    def _hear(self, event: Event) -> None:
+    def _handle(self, event: Event) -> None:
         match event:
             case Feedback():
                 seen = self._motor(event.motor)
@@ -342,7 +346,7 @@ class Views:
         level = _ERROR if seen.faults else _MODE_LEVELS[seen.mode]
         values = {
             f"{quantity} [{unit}]": repr(value)
-            for quantity, unit in _TOLD.items()
+            for quantity, unit in _REPORTED.items()
             if (value := getattr(seen, quantity)) is not None
         }
         return ros_messages.diagnostic_status(self._types, level, f"/gateway/motors/{name}", message, values)
@@ -354,7 +358,7 @@ class Views:
 
 
 _MEASURED = ("position", "velocity", "torque", "current", "voltage", "temperature")
-_TOLD = {"current": "A", "voltage": "V", "temperature": "degC"}
+_REPORTED = {"current": "A", "voltage": "V", "temperature": "degC"}
 
 
 def _stamp(t: Nanos) -> Nanos:

@@ -22,7 +22,7 @@ from typing import Literal, cast
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.message_codec import pack, unpack
-from protocols.messages import Asked, Event, Word
+from protocols.messages import Asked, Event, Message
 
 TYPE = "motor_gateway_msgs/msg/Tick"
 TOPIC = "/gateway/tick"
@@ -80,14 +80,14 @@ class JournalError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Seals:
+class DigestChain:
     """The two rolling digests after a tick."""
 
     inputs: bytes
     outputs: bytes
 
 
-UNSEALED = Seals(bytes(_DIGEST), bytes(_DIGEST))
+UNPROTECTED = DigestChain(bytes(_DIGEST), bytes(_DIGEST))
 """Before the first tick."""
 
 
@@ -96,9 +96,9 @@ class Entry:
     """A tick read back, with what was written to prove it."""
 
     tick: Tick
-    seals: Seals
+    seals: DigestChain
     """As written."""
-    made: Seals
+    made: DigestChain
     """As they follow from the bytes and the seals before it."""
     spoilt: tuple[tuple[str, Packet], ...]
     """Packets that do not match their own checksum, each "input" or "output"."""
@@ -125,15 +125,15 @@ class Entry:
 
 def show(packet: Packet) -> str:
     """A packet's wire for a person: a frame in the notation of candump, or bytes in hexadecimal."""
-    if isinstance(packet.wire, CanFrame):
-        return f"frame {packet.wire}"
-    return f"bytes {packet.wire.hex(' ').upper()}"
+    if isinstance(packet.frame, CanFrame):
+        return f"frame {packet.frame}"
+    return f"bytes {packet.frame.hex(' ').upper()}"
 
 
 # -- out ---------------------------------------------------------------------------------------
 
 
-def encode(tick: Tick, before: Seals) -> tuple[bytes, Seals]:
+def encode(tick: Tick, before: DigestChain) -> tuple[bytes, DigestChain]:
     """The tick as a message, and the seals for the next one."""
     out = bytearray(_ENCAPSULATION)
     out += _START.pack(tick.number, tick.now)
@@ -157,8 +157,8 @@ def encode(tick: Tick, before: Seals) -> tuple[bytes, Seals]:
     return bytes(out), seals
 
 
-def _seal(data: bytes | bytearray, half: int, end: int, before: Seals) -> Seals:
-    return Seals(
+def _seal(data: bytes | bytearray, half: int, end: int, before: DigestChain) -> DigestChain:
+    return DigestChain(
         blake2b(before.inputs + data[_BODY:half], digest_size=_DIGEST).digest(),
         blake2b(before.outputs + data[half:end], digest_size=_DIGEST).digest(),
     )
@@ -186,17 +186,17 @@ def _bytes(out: bytearray, data: bytes) -> None:
 def _put_packets(out: bytearray, packets: Sequence[Packet]) -> None:
     _count(out, packets)
     for packet in packets:
-        wire = packet.wire
+        frame = packet.frame
         bus = packet.bus.encode(errors="backslashreplace")
         out += _PAD8[len(out) & 7]
         start = len(out)
-        if isinstance(wire, CanFrame):
-            flags = wire.extended | wire.remote << 1 | wire.fd << 2 | wire.brs << 3
-            out += _PACKET.pack(packet.t, wire.id, _CAN, flags, len(bus) + 1)
-            data = wire.data
+        if isinstance(frame, CanFrame):
+            flags = frame.extended | frame.remote << 1 | frame.fd << 2 | frame.brs << 3
+            out += _PACKET.pack(packet.t, frame.id, _CAN, flags, len(bus) + 1)
+            data = frame.data
         else:
             out += _PACKET.pack(packet.t, 0, _SERIAL, 0, len(bus) + 1)
-            data = wire
+            data = frame
         out += bus
         out += b"\0"
         _bytes(out, data)
@@ -204,7 +204,7 @@ def _put_packets(out: bytearray, packets: Sequence[Packet]) -> None:
         out += _U32.pack(zlib.crc32(out[start:]))
 
 
-def _put_words(out: bytearray, words: Sequence[Word]) -> None:
+def _put_words(out: bytearray, words: Sequence[Message]) -> None:
     _count(out, words)
     for word in words:
         _bytes(out, pack(word))
@@ -213,7 +213,7 @@ def _put_words(out: bytearray, words: Sequence[Word]) -> None:
 # -- in ----------------------------------------------------------------------------------------
 
 
-def decode(data: bytes, before: Seals) -> Entry:
+def decode(data: bytes, before: DigestChain) -> Entry:
     """The tick in a message; `before` are the seals written with the tick before it.
 
     Raises JournalError if these bytes are no tick. A tick that was changed is told by `Entry.damage`."""
@@ -223,7 +223,7 @@ def decode(data: bytes, before: Seals) -> Entry:
         raise JournalError(f"not the bytes of a tick: {error}") from error
 
 
-def _decode(data: bytes, before: Seals) -> Entry:
+def _decode(data: bytes, before: DigestChain) -> Entry:
     reader = _Reader(data)
     if data[:_BODY] != _ENCAPSULATION:
         raise JournalError(f"it starts with {data[:_BODY].hex(' ')}, not with {_ENCAPSULATION.hex(' ')}")
@@ -247,7 +247,7 @@ def _decode(data: bytes, before: Seals) -> Entry:
             Inputs(states, tuple(p for p, _ in received), asked),
             Outputs(tuple(p for p, _ in sent), events, notes),
         ),
-        Seals(data[end : end + _DIGEST], data[end + _DIGEST :]),
+        DigestChain(data[end : end + _DIGEST], data[end + _DIGEST :]),
         _seal(data, half, end, before),
         tuple(spoilt),
     )
@@ -291,10 +291,10 @@ class _Reader:
             raise JournalError(f"a note of level {level!r}")
         return cast(Literal["info", "warning", "error"], level)
 
-    def words(self) -> tuple[Word, ...]:
+    def words(self) -> tuple[Message, ...]:
         return tuple(self._word() for _ in range(self.count()))
 
-    def _word(self) -> Word:
+    def _word(self) -> Message:
         word = unpack(self.bytes(self.count()))
         if word is None:
             raise JournalError("a word that the language plain does not know")

@@ -40,7 +40,7 @@ _LATCHED_QOS = """\
 """
 
 
-class Sheet:
+class TickWriter:
     """A recording that is being written. Each method returns what is to be told, or "".
 
     Raises RecordingError if the file cannot be begun. `add` is the whole cost of recording a tick."""
@@ -55,7 +55,7 @@ class Sheet:
         """the first of them from then."""
         self._views = views
         views.prepare()
-        self._written = self._seals = tick_codec.UNSEALED
+        self._written = self._seals = tick_codec.UNPROTECTED
         """The seals of the last tick in the file, and of the last tick of all."""
         self._again: Nanos | None = None
         """When to try again after a write that failed; None: all is well."""
@@ -114,15 +114,15 @@ class Sheet:
 
     def finish(self) -> str:
         """The index, and the end."""
-        told = self.flush()
+        reported = self.flush()
         if self._file.broken:
             self._file.abandon()
-            return told
+            return reported
         try:
             self._file.finish()
         except OSError as error:
             return f"{self.path} has no index: {error.strerror}; mend it with: gateway recover {self.path}"
-        return told
+        return reported
 
     def _lose(self, count: int) -> str:
         self.lost += count
@@ -131,14 +131,14 @@ class Sheet:
 
     def _fail(self, error: OSError, pending: int) -> str:
         """A chunk was not written: what was in it is lost, and what comes follows what is in the file."""
-        told = self._again is not None
+        reported = self._again is not None
         self._lose(pending)
         self._seals = self._written
         self._views.show_again()
         self._again = self._since + RETRY_PERIOD
         if self._file.broken:
             return f"the recording ends here: {self.path}: {error.strerror}; the robot drives on"
-        if told:
+        if reported:
             return ""
         return f"nothing can be recorded in {self.path}: {error.strerror}; the robot drives on"
 

@@ -27,7 +27,7 @@ from brain.perception.mount import Mount
 from gateway.core.tick import Tick
 from gateway.recording import environment
 from gateway.recording.ros_views import Views
-from gateway.recording.tick_writer import Sheet
+from gateway.recording.tick_writer import TickWriter
 from protocols.messages import MILLISECOND, Nanos
 
 log = logging.getLogger("gateway")
@@ -64,7 +64,7 @@ class Recorder:
         self._gap = 0
         """Ticks refused since the queue was full; 0 if it is not."""
         self._depth = depth
-        self._sheet = Sheet(path, robot_text, {**environment.facts(), **facts}, Views(mounts))
+        self._writer = TickWriter(path, robot_text, {**environment.facts(), **facts}, Views(mounts))
         self._waiting: deque[tuple[Tick, Belief, dict[str, int]]] = deque()
         """What was handed over. Both ends of a deque may be used by two threads at once."""
         self._woken: Nanos = 0
@@ -76,12 +76,12 @@ class Recorder:
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
-        self._syncer = _Syncer(self._sheet.descriptor, path, self._tell)
+        self._syncer = _Syncer(self._writer.descriptor, path, self._report)
 
     @property
     def lost(self) -> int:
         """Ticks that are not in the file although they were handed over."""
-        return self._refused + self._sheet.lost
+        return self._refused + self._writer.lost
 
     def record(self, tick: Tick, belief: Belief, *, patient: bool = False) -> None:
         """Hand over a tick and the belief after it. Never waits, unless `patient` (in simulated time)."""
@@ -97,7 +97,7 @@ class Recorder:
             self._woken = tick.now
             self._look.set()
         if self._gap:
-            self._tell(f"{self.path} goes on with tick {tick.number}: {self._gap} ticks are missing")
+            self._report(f"{self.path} goes on with tick {tick.number}: {self._gap} ticks are missing")
             self._gap = 0
 
     def close(self) -> None:
@@ -109,7 +109,7 @@ class Recorder:
         self._thread.join(CLOSE_WITHIN)
         self._syncer.close()
         if self._thread.is_alive():
-            self._tell(
+            self._report(
                 f"{self.path} has no index: the disk did not take the rest within {CLOSE_WITHIN:g} s; "
                 f"mend it with: gateway recover {self.path}"
             )
@@ -131,7 +131,9 @@ class Recorder:
     def _refuse(self, tick: Tick) -> None:
         if not self._gap:
             why = "it is closed" if self._closing else "the disk is too slow"
-            self._tell(f"ticks from {tick.number} on are missing in {self.path}: {why}; the robot drives on")
+            self._report(
+                f"ticks from {tick.number} on are missing in {self.path}: {why}; the robot drives on"
+            )
         self._refused += 1
         self._gap += 1
 
@@ -143,13 +145,13 @@ class Recorder:
             closing = self._closing  # read before the last look: nothing is handed over after it
             while self._waiting:
                 tick, belief, rejected = self._waiting[0]
-                self._tell(self._sheet.add(tick, replace(belief, rejected=rejected)))
+                self._report(self._writer.add(tick, replace(belief, rejected=rejected)))
                 self._waiting.popleft()  # only now: until it is in the sheet, it waits
                 self._room.set()
-            self._tell(self._sheet.flush())
-        self._tell(self._sheet.finish())
+            self._report(self._writer.flush())
+        self._report(self._writer.finish())
 
-    def _tell(self, trouble: str) -> None:
+    def _report(self, trouble: str) -> None:
         if trouble:
             self.trouble = trouble
             log.error("recording: %s", trouble)
@@ -159,9 +161,9 @@ class _Syncer:
     """Asks the disk once a second to make last what was written, in a thread of its own: a disk may take its
     time over that, and what is handed over must leave the process meanwhile."""
 
-    def __init__(self, descriptor: int, path: Path, tell: Callable[[str], None]) -> None:
+    def __init__(self, descriptor: int, path: Path, report: Callable[[str], None]) -> None:
         self._descriptor = os.dup(descriptor)  # so that it is still ours when the file is closed
-        self._path, self._tell = path, tell
+        self._path, self._report = path, report
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
         self._thread.start()
@@ -177,7 +179,7 @@ class _Syncer:
                 os.fdatasync(self._descriptor)
         except OSError as error:
             if error.errno not in (errno.EINVAL, errno.EROFS):  # a pipe or device, which cannot do that
-                self._tell(f"{self._path}: the disk says that it lost something: {error.strerror}")
+                self._report(f"{self._path}: the disk says that it lost something: {error.strerror}")
         finally:
             os.close(self._descriptor)
 

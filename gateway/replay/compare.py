@@ -24,9 +24,9 @@ from gateway.recording.ros_messages import CAN_FRAME, FD_FRAME
 from gateway.recording.ros_views import View, Views
 from gateway.recording.tick_codec import show
 from gateway.replay import diff
-from protocols.frames import Packet, Wire
+from protocols.frames import Frame, Packet
 from protocols.messages import Command, Event, Nanos, Request, seconds
-from protocols.plugin import Ear
+from protocols.plugin import CommandDecoder
 
 Kind: TypeAlias = Literal["recording", "events", "packets", "notes", "views"]
 _KINDS: tuple[Kind, ...] = ("recording", "events", "packets", "notes", "views")
@@ -115,7 +115,7 @@ def compare(
     recording: Recording,
     step: Callable[[Nanos, Inputs], Outputs],
     belief: Callable[[], Belief],
-    decode: Callable[[str], Ear],
+    decode: Callable[[str], CommandDecoder],
     *,
     robot_text: str | None = None,
     facts: Mapping[str, str] | None = None,
@@ -150,13 +150,13 @@ class _Judge:
         self,
         step: Callable[[Nanos, Inputs], Outputs],
         belief: Callable[[], Belief],
-        decode: Callable[[str], Ear],
+        decode: Callable[[str], CommandDecoder],
         views: Views,
         buses: Collection[str] | None,
     ) -> None:
         self._step, self._belief, self._decode = step, belief, decode
         self._views, self._buses = views, buses
-        self._ears: dict[str, Ear | None] = {}
+        self._decoders: dict[str, CommandDecoder | None] = {}
         self._start: Nanos = 0
         self._last: Tick | None = None
         self.found: dict[Kind, Difference] = {}
@@ -227,7 +227,7 @@ class _Judge:
 
     def _compare_packets(self, recorded: Sequence[Packet], now: Sequence[Packet]) -> None:
         self.packets += len(recorded)
-        self.bytes += sum(len(_data(packet.wire)) for packet in recorded)
+        self.bytes += sum(len(_data(packet.frame)) for packet in recorded)
         self.differing += tuple(recorded) != tuple(now)
         if "packets" in self.found:
             return
@@ -235,11 +235,11 @@ class _Judge:
             if one != two:
                 self.differ("packets", self._side_by_side(one, two))
                 return
-            self._hear(self._ears, one)
+            self._handle(self._decoders, one)
 
     def _side_by_side(self, recorded: Packet | None, now: Packet | None) -> str:
         """Both packets and what a device would obey on hearing them, given all that it heard before."""
-        words = [self._hear(deepcopy(self._ears), packet) for packet in (recorded, now)]
+        words = [self._handle(deepcopy(self._decoders), packet) for packet in (recorded, now)]
         buses = dict.fromkeys(packet.bus for packet in (recorded, now) if packet)
         return "\n".join(
             [
@@ -253,15 +253,17 @@ class _Judge:
             ]
         )
 
-    def _hear(self, ears: dict[str, Ear | None], packet: Packet | None) -> Sequence[Command | Request]:
+    def _handle(
+        self, decoders: dict[str, CommandDecoder | None], packet: Packet | None
+    ) -> Sequence[Command | Request]:
         if packet is None:
             return ()
-        if packet.bus not in ears:
-            ears[packet.bus] = self._ear(packet.bus)
-        ear = ears[packet.bus]
-        return ear.hear(packet.t, packet.wire) if ear else ()
+        if packet.bus not in decoders:
+            decoders[packet.bus] = self._decoder(packet.bus)
+        decoder = decoders[packet.bus]
+        return decoder.decode(packet.t, packet.frame) if decoder else ()
 
-    def _ear(self, bus: str) -> Ear | None:
+    def _decoder(self, bus: str) -> CommandDecoder | None:
         known = self._buses is None or bus in self._buses
         return self._decode(bus) if known else None
 
@@ -308,8 +310,8 @@ class _Judge:
             self.differ("views", _both("shown", *said))
 
 
-def _data(wire: Wire) -> bytes:
-    return wire if isinstance(wire, bytes) else wire.data
+def _data(frame: Frame) -> bytes:
+    return frame if isinstance(frame, bytes) else frame.data
 
 
 def _both(what: str, recorded: str, now: str) -> str:

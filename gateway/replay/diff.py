@@ -13,7 +13,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from protocols.messages import Word
+from protocols.messages import Message
 
 UNITS = {
     "position": "rad",
@@ -42,7 +42,7 @@ _LIST = 8
 # -- words -------------------------------------------------------------------------------------
 
 
-def say(word: Word, digits: int = 4) -> str:
+def say(word: Message, digits: int = 4) -> str:
     """`left: Velocity 3.142 rad/s`: whom it is about, its kind, and the fields that say something."""
     names = [f.name for f in fields(word)]
     own = next((name for name in _NAMES if name in names), None)
@@ -72,7 +72,7 @@ def _value(value: object, digits: int) -> str:
     return str(value)
 
 
-def contrast(recorded: Sequence[Word], now: Sequence[Word]) -> tuple[str, str]:
+def contrast(recorded: Sequence[Message], now: Sequence[Message]) -> tuple[str, str]:
     """Both lists of words, with as many digits as it takes to tell them apart."""
     one = two = ""
     for digits in _DIGITS:

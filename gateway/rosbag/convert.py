@@ -84,8 +84,8 @@ def _imu(sensor: str, message: RosImu) -> Imu | str:
         return "not finite"
     q = message.orientation
     turned = (q.x, q.y, q.z, q.w)
-    told = float(message.orientation_covariance[0]) != NOT_MEASURED and all(map(math.isfinite, turned))
-    return Imu(sensor, _stamp(message), rate, push, turned if told and any(turned) else None)
+    reported = float(message.orientation_covariance[0]) != NOT_MEASURED and all(map(math.isfinite, turned))
+    return Imu(sensor, _stamp(message), rate, push, turned if reported and any(turned) else None)
 
 
 def _fix(message: RosFix) -> Fix | str:

@@ -92,8 +92,8 @@ class Verdict:
             lines += self._errors(self.believed)
         lines += ["consistency (NIS per degree of freedom: 1 if the covariances are honest)"]
         lines += [f"  {name}: {_nis(nis)}" for name, nis in self.nis.items()]
-        told = [f"  {name}: {_reasons(reasons)}" for name, reasons in self.ledger.items() if reasons]
-        lines += ["measurements refused, or taken against the rule:", *(told or ["  none"])]
+        reported = [f"  {name}: {_reasons(reasons)}" for name, reasons in self.ledger.items() if reasons]
+        lines += ["measurements refused, or taken against the rule:", *(reported or ["  none"])]
         lines += ["messages used", *(f"  {_use(t)}" for t in self.bag.topics if t.part)]
         rest = [f"  {t.name}: {t.count} of {t.type}" for t in self.bag.topics if not t.part]
         lines += ["topics left over", *(rest or ["  none"])]
@@ -147,18 +147,18 @@ def judge(bag: Bag, robot: Robot, at_most: float | None = None) -> Verdict:
     body = _body(robot)
     mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
     perception = Perception(body, mounts, robot.brain.perception)
-    heard, along = _Heard(bag.events, perception), _Moments()
+    received, along = _Heard(bag.events, perception), _Moments()
     for fix in bag.truth:
-        heard.until(fix.t)
+        received.until(fix.t)
         if perception.estimate is not None:
             odometry = bag.odometry[bisect_right(bag.odometry, fix.t, key=lambda one: one[0]) - 1][1]
             along.add(fix, carried(perception.estimate, fix.t), perception.raw, odometry)
-    heard.until(None)
+    received.until(None)
     truth = east_north(along.fixes) if along.fixes else np.empty((0, 2))
     return Verdict(
         bag=bag,
         lasted=bag.events[-1].t - bag.events[0].t if bag.events else 0,
-        driven=heard.driven,
+        driven=received.driven,
         end=perception.estimate.pose if perception.estimate is not None else None,
         fixes=len(bag.truth),
         early=len(bag.truth) - len(truth),
@@ -192,7 +192,7 @@ class _Heard:
             event = self._events[self._next]
             self._next += 1
             before = self._perception.estimate
-            self._perception.hear(event.t, [event])
+            self._perception.observe(event.t, [event])
             after = self._perception.estimate
             if before is not None and after is not None:
                 self.driven += abs(before.linear) * seconds(after.t - before.t)

@@ -24,7 +24,7 @@ FIRST: Nanos = 500 * MILLISECOND
 """How long getting to know each other takes."""
 
 
-class Voices:
+class DeviceLog:
     """Listens to all devices of a robot."""
 
     def __init__(self, robot: Robot) -> None:
@@ -40,19 +40,19 @@ class Voices:
         Returns how old the world is then."""
         for now in range(0, FIRST, MILLISECOND):
             for name, bus in buses.items():
-                self.hear(bus.read(now)[1])
+                self.handle(bus.read(now)[1])
                 for driver in self._drivers[name]:
                     bus.write(now, driver.send(now, ())[1])
         return FIRST
 
-    def hear(self, packets: Sequence[Packet]) -> list[tuple[int, str]]:
+    def handle(self, packets: Sequence[Packet]) -> list[tuple[int, str]]:
         """What there is to tell of what the devices have put on their buses: logging's level, sentence."""
-        told = []
+        reported = []
         for packet in packets:
             for driver in self._drivers[packet.bus]:
-                for event in driver.receive(packet.t, packet.wire):
-                    told += self._news(event)
-        return told
+                for event in driver.receive(packet.t, packet.frame):
+                    reported += self._news(event)
+        return reported
 
     def left_armed(self, bus: str) -> str:
         """What becomes of the armed motors of a bus whose host has gone; "" if there are none."""

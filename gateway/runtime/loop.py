@@ -21,7 +21,7 @@ from typing import TypeAlias
 
 from brain.belief import Belief
 from gateway.buses import Bus
-from gateway.buses.frame_time import wire_time
+from gateway.buses.frame_time import frame_time
 from gateway.core.clock import Clock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
@@ -44,7 +44,7 @@ Keep: TypeAlias = Callable[[Tick, Belief], None]
 
 
 @dataclass(slots=True)
-class Account:
+class LoopStats:
     """What a live loop counts."""
 
     ticks: int = 0
@@ -72,14 +72,14 @@ def live(
     ask: Callable[[], Sequence[Asked]] = no_questions,
     keep: Keep | None = None,
     until: Nanos | None = None,
-    account: Account | None = None,
+    account: LoopStats | None = None,
     dry: bool = False,
 ) -> Generator[Tick]:
     """Step the gateway at its period, and when a driver is due, until `until` or until it is closed.
 
     `ask` is polled for what a person wants. With `dry`, everything is done but writing to the buses.
     """
-    account = account if account is not None else Account()
+    account = account if account is not None else LoopStats()
     number = 0
     leaving = False
 
@@ -93,7 +93,7 @@ def live(
         number += 1
         if keep is not None:
             keep(made, gateway.belief())
-        _tell(outputs.notes, leaving)
+        _report(outputs.notes, leaving)
         _count(account, gateway.robot, made, clock.now() - now)
         return made
 
@@ -130,7 +130,7 @@ def _farewell(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[As
 
 
 def moments(
-    clock: Clock, period: Nanos, due: Callable[[], Nanos | None], account: Account
+    clock: Clock, period: Nanos, due: Callable[[], Nanos | None], account: LoopStats
 ) -> Iterator[Nanos]:
     """The moments to step at: absolute deadlines, and a driver's own moments between them."""
     deadline = last = clock.now()
@@ -148,29 +148,29 @@ def moments(
 
 
 @dataclass(slots=True)
-class Service:
+class ServeStats:
     """What a serving loop counts."""
 
-    heard: int = 0
+    received: int = 0
     said: int = 0
     late: Nanos = 0
     """The longest that the world had to catch up in one go."""
     lost: Nanos = 0
     """How long the world stood still because this process did."""
-    unheard: int = 0
+    unreceived: int = 0
     """Packets that came meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class ServeTick:
     """One moment of a serving loop."""
 
     now: Nanos
     states: tuple[tuple[str, BusState], ...]
     """What the outer buses told of themselves."""
-    heard: tuple[Packet, ...]
+    received: tuple[Packet, ...]
     said: tuple[Packet, ...]
-    stood: Nanos = 0
+    stalled_for: Nanos = 0
     """How long the world stood still just before; what came meanwhile was not heard."""
 
 
@@ -181,37 +181,37 @@ def serve(
     period: Nanos = MILLISECOND,
     *,
     until: Nanos | None = None,
-    account: Service | None = None,
+    account: ServeStats | None = None,
     age: Nanos | None = None,
-) -> Generator[Served]:
+) -> Generator[ServeTick]:
     """Be the devices: carry what the outer buses bring to the world of twins, and back.
 
     The world keeps pace with the clock: what a late moment has missed it makes up for, and what came in is
     heard at its own time, as far as that is known. Only if this process stood still for longer than `STALE`,
     the world has stood still with it, and what has come in meanwhile is not heard: devices that were off obey
     no old commands. `age` is the world's own time now, if it has lived already."""
-    account = account if account is not None else Service()
+    account = account if account is not None else ServeStats()
     last = clock.now()
     behind = 0 if age is None else last - age
-    for now in moments(clock, period, lambda: None, Account()):
+    for now in moments(clock, period, lambda: None, LoopStats()):
         if until is not None and now >= until:
             return
         states, packets = _take(buses, now)
-        stood = now - last if now - last > STALE else 0
-        if stood:
-            behind += stood
-            account.lost += stood
-            account.unheard += len(packets)
+        stalled_for = now - last if now - last > STALE else 0
+        if stalled_for:
+            behind += stalled_for
+            account.lost += stalled_for
+            account.unreceived += len(packets)
             packets = []
-        account.late = max(account.late, now - last - stood)
+        account.late = max(account.late, now - last - stalled_for)
         for t, packet in _arrivals(packets, last, now):
-            world_buses[packet.bus].write(t - behind, (packet.wire,))
+            world_buses[packet.bus].write(t - behind, (packet.frame,))
         _, said = _take(world_buses, now - behind)
         _write(buses, now, said)
-        account.heard += len(packets)
+        account.received += len(packets)
         account.said += len(said)
         last = now
-        yield Served(now, tuple(states), tuple(packets), tuple(said), stood)
+        yield ServeTick(now, tuple(states), tuple(packets), tuple(said), stalled_for)
 
 
 def _arrivals(packets: Sequence[Packet], last: Nanos, now: Nanos) -> list[tuple[Nanos, Packet]]:
@@ -256,21 +256,21 @@ def _write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> N
     if not packets:
         return
     for name, bus in buses.items():
-        wires = [p.wire for p in packets if p.bus == name]
-        if wires:
-            bus.write(now, wires)
+        frames = [p.frame for p in packets if p.bus == name]
+        if frames:
+            bus.write(now, frames)
 
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
 
-def _tell(notes: Sequence[Note], leaving: bool) -> None:
+def _report(notes: Sequence[Note], leaving: bool) -> None:
     """To the log. On the way out, that all stops is no news."""
     for note in notes:
         log.log(logging.DEBUG if leaving else _LEVELS[note.level], "%s: %s", note.about, note.text)
 
 
-def _count(account: Account, robot: Robot, tick: Tick, took: Nanos) -> None:
+def _count(account: LoopStats, robot: Robot, tick: Tick, took: Nanos) -> None:
     account.ticks += 1
     account.longest_step = max(account.longest_step, took)
     account.sent += len(tick.outputs.packets)
@@ -279,7 +279,7 @@ def _count(account: Account, robot: Robot, tick: Tick, took: Nanos) -> None:
         account.first_frame = tick.now
     for packet in (*tick.inputs.packets, *tick.outputs.packets):
         bus = robot.buses[packet.bus]
-        time = wire_time(packet.wire, bus.baudrate or bus.bitrate, bus.data_bitrate)
+        time = frame_time(packet.frame, bus.baudrate or bus.bitrate, bus.data_bitrate)
         account.busy[packet.bus] = account.busy.get(packet.bus, 0) + time
 
 

@@ -43,7 +43,7 @@ class Session:
     buses: dict[str, Bus]
     twins: TwinWorld | None
     recorder: Recorder | None
-    account: loop.Account = field(default_factory=loop.Account)
+    account: loop.LoopStats = field(default_factory=loop.LoopStats)
     leaving: str = ""
     """Why the run is to end before its time: a signal, or an operator's quit."""
 

@@ -23,7 +23,7 @@ from gateway.config import resources
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import TWIN, BusSettings, Robot
 from gateway.runtime import loop
-from gateway.runtime.device_log import Voices
+from gateway.runtime.device_log import DeviceLog
 from protocols.frames import BusState
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -45,10 +45,10 @@ class Devices:
     offered: dict[str, list[str]]
     """Where programs may meet each bus that has no interface of its own: "slcan:/dev/pts/3", one each."""
     clock: Clock
-    voices: Voices
+    device_log: DeviceLog
     age: Nanos
     """Of the world, when serving begins."""
-    account: loop.Service = field(default_factory=loop.Service)
+    account: loop.ServeStats = field(default_factory=loop.ServeStats)
     leaving: str = ""
 
     def serve(self, seconds: float | None = None) -> None:
@@ -59,34 +59,34 @@ class Devices:
         )
         with closing(served):
             for moment in served:
-                self._tell(moment)
+                self._report(moment)
                 if self.leaving:
                     log.warning("leaving: %s", self.leaving)
                     return
 
-    def _tell(self, moment: loop.Served) -> None:
-        for level, sentence in self.voices.hear(moment.said):
+    def _report(self, moment: loop.ServeTick) -> None:
+        for level, sentence in self.device_log.handle(moment.said):
             log.log(level, "%s", sentence)
         for name, state in moment.states:
             log.warning("%s: %s", name, self._sentence(name, state))
-        if moment.stood:
-            stood = moment.stood / SECOND
+        if moment.stalled_for:
+            stalled_for = moment.stalled_for / SECOND
             log.warning(
-                "this process stood still for %.1f s, and so did its devices; they heard nothing", stood
+                "this process stood still for %.1f s, and so did its devices; they heard nothing", stalled_for
             )
 
     def _sentence(self, bus: str, state: BusState) -> str:
-        sentence = (_OF_PTYS if bus in self.offered else _OF_WIRES).get(state, f"is {state}")
+        sentence = (_OF_PTYS if bus in self.offered else _OF_FRAMES).get(state, f"is {state}")
         if state is BusState.PASSIVE and bus in self.offered:
             sentence += f": {self.robot.buses[bus].bitrate} bit/s"
-        if state in (BusState.GONE, BusState.OFF) and (left := self.voices.left_armed(bus)):
+        if state in (BusState.GONE, BusState.OFF) and (left := self.device_log.left_armed(bus)):
             sentence += f"; {left}"
         return sentence
 
 
 ADAPTERS = ("slcan", "fdcanusb")
 """What a port of a CAN bus may speak (gateway.buses.adapters.adapter_pty)."""
-_OF_WIRES = {
+_OF_FRAMES = {
     BusState.PASSIVE: "is error-passive: check the wiring, the termination and the bit rate",
     BusState.OFF: "is bus-off: the devices are not heard",
     BusState.FULL: "is full: some of what the devices say is lost",
@@ -110,7 +110,7 @@ def twin(options: Namespace) -> int:
         print("\n".join(invitation(made, options.robot)), flush=True)
         made.serve(options.seconds)
     account = made.account
-    print(f"{account.heard} packets heard, {account.said} said", end="")
+    print(f"{account.received} packets heard, {account.said} said", end="")
     print(f"; at most {account.late / MILLISECOND:.0f} ms behind the clock", end="")
     print(f"; stood still for {account.lost / SECOND:.1f} s in all" if account.lost else "")
     return 0
@@ -143,8 +143,8 @@ def devices(
 
     with ExitStack() as stack:
         twins = open_world(_without_interfaces(robot), robot.seed if seed is None else seed)
-        voices = Voices(robot)
-        age = voices.meet(twins.buses)
+        device_log = DeviceLog(robot)
+        age = device_log.meet(twins.buses)
         buses: dict[str, Bus] = {}
         offered: dict[str, list[str]] = {}
         met = dict(robot.buses)
@@ -155,7 +155,7 @@ def devices(
                 offered[name] = ports if link is None else _linked(link, name, ports, stack)
                 met[name] = replace(settings, interface=offered[name][0])
         stack.enter_context(loop.quiet_collector())
-        made = Devices(replace(robot, buses=met), twins, buses, offered, clock, voices, age)
+        made = Devices(replace(robot, buses=met), twins, buses, offered, clock, device_log, age)
         stack.enter_context(loop.signals(lambda name: setattr(made, "leaving", name)))
         yield made
 

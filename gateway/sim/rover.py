@@ -28,7 +28,7 @@ Floats = npt.NDArray[np.float64]
 
 FLOOR = 0
 """MuJoCo's number of the floor's geom: the first one of the model."""
-LEFT, RIGHT = (0, 7, 6), (1, 9, 8)
+DISARMED_ITSELF, RIGHT = (0, 7, 6), (1, 9, 8)
 """Of each wheel its number (motor in ctrl, creep in eq_data), and its shaft's place in qpos and in qvel."""
 SOLIDS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 """Beams meet the geoms of group 0: floor, walls and boxes."""
@@ -79,7 +79,7 @@ class Rover:
         self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(file, imus))
         self._data: Any = mujoco.MjData(self._model)
         self._mj_step, self._mj_multi_ray = mujoco.mj_step, mujoco.mj_multiRay
-        self._wheels = {file.body.left.motor: LEFT, file.body.right.motor: RIGHT}
+        self._wheels = {file.body.left.motor: DISARMED_ITSELF, file.body.right.motor: RIGHT}
         self._imus = {name: 6 * index for index, name in enumerate(imus)}
         self._tyres = [
             Tyre(file.body.wheel_radius, file.body.slip, np.random.Generator(np.random.PCG64(stream)))

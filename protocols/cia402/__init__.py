@@ -34,14 +34,14 @@ from protocols.cia402.codec import (
     sdo_tx_id,
     tpdo_id,
 )
-from protocols.cia402.decoder import Cia402Ear
+from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.faults import FAULTS
 from protocols.cia402.objects import PDO_NUMBERS, Type
 from protocols.cia402.options import Options, Settings, units_of_settings
 from protocols.cia402.profile import Mode, supports
 from protocols.cia402.twin import Cia402Twin
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -108,11 +108,11 @@ def _is_cyclic(options: Options, settings: Settings, kind: type[Command]) -> boo
     return cyclic and (options.modes == "cyclic" or not profile)
 
 
-def read_only(wire: Wire) -> bool:
+def read_only(frame: Frame) -> bool:
     """Whether a wire only asks."""
-    if not isinstance(wire, CanFrame) or not is_classic(wire) or wire.id & ~NODE_MASK != SDO_RX_BASE:
+    if not isinstance(frame, CanFrame) or not is_classic(frame) or frame.id & ~NODE_MASK != SDO_RX_BASE:
         return False
-    return isinstance(sdo.decode_request(wire.data), sdo.Upload | sdo.UploadSegment | sdo.Abort)
+    return isinstance(sdo.decode_request(frame.data), sdo.Upload | sdo.UploadSegment | sdo.Abort)
 
 
 def spec(device: Device) -> Spec:
@@ -133,12 +133,12 @@ def spec(device: Device) -> Spec:
     timeout = (options.watchdog_ms or settings.heartbeat_consumer & 0xFFFF) * MILLISECOND
     # Any node may be asked who it is (Scan), so SDO requests may go to all of them.
     sends = {NMT_ID, SYNC_ID, heartbeat_id(options.host_id)} | {sdo_rx_id(n) for n in range(1, MAX_NODE + 1)}
-    told = {emcy_id(node), sdo_tx_id(node), heartbeat_id(node)}
+    reported = {emcy_id(node), sdo_tx_id(node), heartbeat_id(node)}
     return Spec(
         bus="can",
         kind="motor",
         sends=frozenset(sends | {rpdo_id(number, node) for number in PDO_NUMBERS}),
-        expects=frozenset(told | {tpdo_id(number, node) for number in PDO_NUMBERS}),
+        expects=frozenset(reported | {tpdo_id(number, node) for number in PDO_NUMBERS}),
         read_only=read_only,
         feedback=FeedbackKind.POLLED if options.feedback == "sdo" else FeedbackKind.CYCLIC,
         feedback_period=_feedback_ms(options) * MILLISECOND,
@@ -150,11 +150,11 @@ def spec(device: Device) -> Spec:
         holds_unattended=not enabled,
         stop_clears_faults=False,
         faults=FAULTS,
-        overhears=_overhears(options),
+        receives_also=_receives_also(options),
     )
 
 
-def _overhears(options: Options) -> tuple[tuple[int, int], ...]:
+def _receives_also(options: Options) -> tuple[tuple[int, int], ...]:
     """Answers to a scan, heartbeats; and, where this host says SYNC, that of another producer."""
     own_sync = options.feedback == "sync" and options.sync_ms
     return ((SDO_TX_BASE, 0x780), (HEARTBEAT_BASE, 0x780), *([(SYNC_ID, 0x1FFF_FFFF)] if own_sync else []))
@@ -174,21 +174,21 @@ NMT_NAMES = {
 RPDO_NAMES = {rpdo_id(number, 0): f"RPDO{number}" for number in PDO_NUMBERS}
 
 
-def messages(wire: Wire) -> Sequence[str]:
+def messages(frame: Frame) -> Sequence[str]:
     """The name of the message to a device that a wire holds: "NMT start", "SDO download 6040", "RPDO1" …"""
-    if not isinstance(wire, CanFrame) or not is_classic(wire):
+    if not isinstance(frame, CanFrame) or not is_classic(frame):
         return ()
-    function = wire.id & ~NODE_MASK
+    function = frame.id & ~NODE_MASK
     if function == SDO_RX_BASE:
-        return _sdo_name(sdo.decode_request(wire.data))
-    if function in RPDO_NAMES and wire.id & NODE_MASK:
+        return _sdo_name(sdo.decode_request(frame.data))
+    if function in RPDO_NAMES and frame.id & NODE_MASK:
         return (RPDO_NAMES[function],)
-    match decode(wire):
+    match decode(frame):
         case Nmt(command, _):
             return (NMT_NAMES[command],)
         case None:
             return ()
-    if wire.id == SYNC_ID:
+    if frame.id == SYNC_ID:
         return ("SYNC",)
     return ("heartbeat",) if function == HEARTBEAT_BASE else ()
 
@@ -233,7 +233,7 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver,
-    ear=Cia402Ear,
+    decoder=Cia402Decoder,
     twin=Cia402Twin,
     messages=messages,
     vectors=("gateway.fixtures", "vectors/cia402.json"),

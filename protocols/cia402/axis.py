@@ -38,7 +38,7 @@ from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_o
 from protocols.cia402.server import Server
 from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, obey
 from protocols.cia402.units import READ, Units, units_of
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -55,7 +55,7 @@ from protocols.messages import (
 )
 from protocols.plugin import Device
 
-Words = Sequence[Command | Request]
+Messages = Sequence[Command | Request]
 MODES = {int(mode): mode for mode in Mode}
 NMT_STATE = "NMT state"
 """The parameter that an NMT command changes."""
@@ -106,7 +106,7 @@ class Axis:
         self.mode_before = self.mode
         self.latched: dict[int, tuple[int, ...]] = {}
         """Values of synchronous RPDOs that wait for a SYNC, by the index of the PDO."""
-        self.heard: dict[int, Nanos] = {}
+        self.received: dict[int, Nanos] = {}
         """When each RPDO came last."""
         self.host_beat: Nanos | None = None
         """When the heartbeat that object 1016 names came last."""
@@ -137,26 +137,26 @@ class Axis:
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def hear(self, t: Nanos, wire: Wire) -> Words:
+    def handle(self, t: Nanos, frame: Frame) -> Messages:
         """What the drive obeys on hearing a wire, in words."""
-        if not isinstance(wire, CanFrame) or not is_classic(wire):
+        if not isinstance(frame, CanFrame) or not is_classic(frame):
             return ()
-        if wire.id == sdo_rx_id(self.node):
-            return self._hear_sdo(wire.data)
-        if wire.id in self._ids:
-            return [word for index in self._ids[wire.id] for word in self._hear_rpdo(t, index, wire.data)]
-        if wire.id > SYNC_ID and wire.id & ~NODE_MASK != HEARTBEAT_BASE:
+        if frame.id == sdo_rx_id(self.node):
+            return self._on_sdo(frame.data)
+        if frame.id in self._ids:
+            return [word for index in self._ids[frame.id] for word in self._on_rpdo(t, index, frame.data)]
+        if frame.id > SYNC_ID and frame.id & ~NODE_MASK != HEARTBEAT_BASE:
             return ()
-        match decode(wire):
+        match decode(frame):
             case Nmt(command, node) if node in (0, self.node):
-                return self._hear_nmt(command)
+                return self._on_nmt(command)
             case Sync():
-                return self._hear_sync()
+                return self._on_sync()
             case Heartbeat(node, _) if node == self.dictionary.values[o.CONSUMER_HEARTBEAT] >> 16 & 0x7F:
                 self.host_beat = t
         return ()
 
-    def _hear_nmt(self, command: NmtCommand) -> Words:
+    def _on_nmt(self, command: NmtCommand) -> Messages:
         if command is NmtCommand.RESET_NODE:
             self.signals.append(Signal.RESET_NODE)
             self.start()
@@ -172,7 +172,7 @@ class Axis:
             words.append(WriteParameter(self.motor, NMT_STATE, float(self.nmt)))
         if self.nmt is not NmtState.OPERATIONAL:
             self.latched.clear()
-            self.heard.clear()
+            self.received.clear()
         return words
 
     def _forget_communication(self) -> None:
@@ -182,7 +182,7 @@ class Axis:
         self.dictionary, self.server, self.host_beat = fresh, Server(), None
         self._ids = self._rpdo_ids()
 
-    def lose_connection(self) -> Words:
+    def lose_connection(self) -> Messages:
         """The host is gone: what object 6007 says."""
         option = self.dictionary.values[o.ABORT_CONNECTION]
         if self.state not in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP) or not option:
@@ -196,29 +196,29 @@ class Axis:
             self.state = PowerState.FAULT
         return (Idle(self.motor),)
 
-    def _hear_sdo(self, data: bytes) -> Words:
+    def _on_sdo(self, data: bytes) -> Messages:
         request = sdo.decode_request(data)
         if request is None or self.nmt is NmtState.STOPPED:
             return ()
-        answer = self.server.hear(self.dictionary, request)
+        answer = self.server.handle(self.dictionary, request)
         if answer is not None:
             self.answers.append(answer)
         return self._obey(self.server.written)
 
-    def _hear_rpdo(self, t: Nanos, index: int, data: bytes) -> Words:
+    def _on_rpdo(self, t: Nanos, index: int, data: bytes) -> Messages:
         packing = self.dictionary.active(index)
         if packing is None or self.nmt is not NmtState.OPERATIONAL:
             return ()
         values = packing.unpack(data)
         if values is None:
             return ()
-        self.heard[index] = t
+        self.received[index] = t
         if is_synchronous(self.dictionary.values[index, o.TRANSMISSION]):
             self.latched[index] = values
             return ()
         return self._obey(self._take(index, values))
 
-    def _hear_sync(self) -> Words:
+    def _on_sync(self) -> Messages:
         if self.nmt is not NmtState.OPERATIONAL:
             return ()
         self.signals.append(Signal.SYNC)
@@ -246,15 +246,15 @@ class Axis:
         """Whether it is in OPERATION ENABLED."""
         return self.state is PowerState.OPERATION_ENABLED
 
-    def _obey(self, keys: Sequence[Key]) -> Words:
+    def _obey(self, keys: Sequence[Key]) -> Messages:
         """These objects were written, all at once: what the drive does for it."""
         if self.mode is not self.mode_before:
             self.mode_before = self.mode
             self._leave_setpoints()
         values = self.dictionary.values
-        told = [key for key in keys if key not in TARGETS and key not in (o.CONTROLWORD, o.MODE)]
+        reported = [key for key in keys if key not in TARGETS and key not in (o.CONTROLWORD, o.MODE)]
         words: list[Command | Request] = [
-            WriteParameter(self.motor, title(key), float(values[key])) for key in told
+            WriteParameter(self.motor, title(key), float(values[key])) for key in reported
         ]
         if any(key[0] < COMMUNICATION_END for key in keys):
             self._ids = self._rpdo_ids()
@@ -268,7 +268,7 @@ class Axis:
             words += self.word()
         return words
 
-    def _control(self) -> Words:
+    def _control(self) -> Messages:
         control = self.dictionary.values[o.CONTROLWORD]
         before, self.control = self.control, control
         words = list(self._demand(demand_of(control, before)))
@@ -281,7 +281,7 @@ class Axis:
                 words.append(Home(self.motor))
         return words
 
-    def _demand(self, demand: Demand | None) -> Words:
+    def _demand(self, demand: Demand | None) -> Messages:
         if demand is Demand.FAULT_RESET and self.fault_stands:
             return ()
         option = self.dictionary.values[o.QUICK_STOP_OPTION]
@@ -316,7 +316,7 @@ class Axis:
         """Bit 12 of the statusword in profile position."""
         return bool(self.control & Control.NEW_SETPOINT) or self.next_goal is not None
 
-    def word(self) -> Words:
+    def word(self) -> Messages:
         """The command that the set-points amount to now."""
         value, units = self.dictionary.values, self.units
         if self.control & Control.HALT:

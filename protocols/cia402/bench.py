@@ -97,7 +97,7 @@ class Sample:
 _PDO = struct.Struct("<Hbi")
 _SDO = struct.Struct("<BHBi")
 _RPDO, _TPDO = packing(mapping(*RPDO)), packing(mapping(*TPDO))
-_TOLD = CanFrame(tpdo_id(1, NODE), _PDO.pack(*STATE))
+_REPORTED = CanFrame(tpdo_id(1, NODE), _PDO.pack(*STATE))
 _UPLOADED = CanFrame(sdo_tx_id(NODE), _SDO.pack(0x43, *o.POSITION, -123_456))
 _DOWNLOADED = CanFrame(sdo_tx_id(NODE), _SDO.pack(0x60, *o.TARGET_VELOCITY, 0))
 
@@ -115,7 +115,7 @@ def _set(known: Known) -> Callable[[], object]:
 
 def _read(known: Known) -> Callable[[], object]:
     def call() -> object:
-        known.tpdo.on_message(_TOLD.id, _TOLD.data, 0.0)
+        known.tpdo.on_message(_REPORTED.id, _REPORTED.data, 0.0)
         return [variable.raw for variable in known.tpdo.map]
 
     return call
@@ -139,20 +139,20 @@ def _upload(known: Known) -> Callable[[], object]:
 def _our_download() -> CanFrame:
     transfer = Transfer(*o.TARGET_VELOCITY, to_bytes(OBJECTS[o.TARGET_VELOCITY].type, -1000))
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(transfer.first()))
-    _hear(transfer, _DOWNLOADED)
+    _handle(transfer, _DOWNLOADED)
     return frame
 
 
 def _our_upload() -> tuple[CanFrame, int | None]:
     transfer = Transfer(*o.POSITION)
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(transfer.first()))
-    _hear(transfer, _UPLOADED)
+    _handle(transfer, _UPLOADED)
     return frame, from_bytes(OBJECTS[o.POSITION].type, transfer.value)
 
 
-def _hear(transfer: Transfer, frame: CanFrame) -> None:
+def _handle(transfer: Transfer, frame: CanFrame) -> None:
     answer = sdo.decode_answer(frame.data)
-    if answer is None or transfer.hear(answer) is not None or not transfer.done:
+    if answer is None or transfer.handle(answer) is not None or not transfer.done:
         raise ValueError(f"{frame} does not end the transfer")
 
 
@@ -177,8 +177,8 @@ SAMPLES = (
     ),
     Sample(
         "decode TPDO: statusword, mode, position",
-        lambda: _TPDO.unpack(_TOLD.data) or (),
-        lambda: _PDO.unpack(_TOLD.data),
+        lambda: _TPDO.unpack(_REPORTED.data) or (),
+        lambda: _PDO.unpack(_REPORTED.data),
         _read,
         encodes=False,
     ),

@@ -102,17 +102,17 @@ class Client:
         self.job = self.transfer = self.next = self.last = None
         self.repeated, self.doubled = False, 0
 
-    def hear(self, answer: sdo.Answer) -> Outcome | None:
+    def handle(self, answer: sdo.Answer) -> Outcome | None:
         """Take an answer; the outcome if it ends the job."""
         transfer, job = self.transfer, self.job
         if transfer is None or job is None:
-            self._hear_again(answer)
+            self._on_again(answer)
             return None
         if self._overtaken(transfer, answer):
             self.next, self.tries = transfer.first(), self.tries + 1
             return None
         before = transfer.value, transfer.toggle, transfer.sent, transfer.expecting
-        request = transfer.hear(answer)
+        request = transfer.handle(answer)
         if transfer.done:
             self.job = self.transfer = self.next = None
             if self.last is not None:
@@ -122,7 +122,7 @@ class Client:
         if request is not None:
             self.next = request
         elif before == (transfer.value, transfer.toggle, transfer.sent, transfer.expecting):
-            self._hear_again(answer)
+            self._on_again(answer)
         return None
 
     def _overtaken(self, transfer: Transfer, answer: sdo.Answer) -> bool:
@@ -132,7 +132,7 @@ class Client:
             return False
         return (answer.index, answer.sub) != (transfer.index, transfer.sub)
 
-    def _hear_again(self, answer: sdo.Answer) -> None:
+    def _on_again(self, answer: sdo.Answer) -> None:
         """An answer that nobody waits for: late, or the last one again, or a second device's."""
         last = self.last
         if last is None or not _same_question(last, answer):

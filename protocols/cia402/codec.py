@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TypeAlias
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 
 PROTOCOL = "cia402"
 """The language's name."""
@@ -137,20 +137,20 @@ def encode(message: Message) -> CanFrame:
             return CanFrame(EMCY_BASE + node, _EMCY.pack(code, register, vendor))
 
 
-def is_classic(wire: Wire) -> bool:
+def is_classic(frame: Frame) -> bool:
     """Whether a wire is a CAN frame of the kind that CANopen uses: 11-bit, not FD, with data of its own."""
-    return isinstance(wire, CanFrame) and not (wire.extended or wire.fd or wire.remote)
+    return isinstance(frame, CanFrame) and not (frame.extended or frame.fd or frame.remote)
 
 
-def decode(wire: Wire) -> Message | None:
+def decode(frame: Frame) -> Message | None:
     """The message in a wire; None if there is none, or it is ill-formed."""
-    if not isinstance(wire, CanFrame) or not is_classic(wire):
+    if not isinstance(frame, CanFrame) or not is_classic(frame):
         return None
-    data, function, node = wire.data, wire.id & ~NODE_MASK, wire.id & NODE_MASK
-    if wire.id == NMT_ID:
+    data, function, node = frame.data, frame.id & ~NODE_MASK, frame.id & NODE_MASK
+    if frame.id == NMT_ID:
         known = len(data) == 2 and data[1] <= MAX_NODE and data[0] in _COMMANDS
         return Nmt(_COMMANDS[data[0]], data[1]) if known else None
-    if wire.id == SYNC_ID:
+    if frame.id == SYNC_ID:
         return Sync(data[0] if data else None) if len(data) <= 1 else None
     if function == HEARTBEAT_BASE and node:
         return Heartbeat(node, _STATES[data[0]]) if len(data) == 1 and data[0] in _STATES else None

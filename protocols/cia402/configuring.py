@@ -86,9 +86,9 @@ def _adopt(node: Node) -> None:
     node.known = Known(node.known.units, node.known.modes, node.known.serial, tuple(pdos.values()))
     node.writing = ()
     node.listen(node.known.pdos)
-    told = {key: node.read[key] for key in (o.VELOCITY_OFFSET, o.TORQUE_OFFSET) if key in node.read}
+    reported = {key: node.read[key] for key in (o.VELOCITY_OFFSET, o.TORQUE_OFFSET) if key in node.read}
     node.outlet.configure(node.usable("to"))
-    node.outlet.told |= told
+    node.outlet.reported |= reported
 
 
 def wrote(node: Node, job: Job, abort: int | None) -> bool:

@@ -10,20 +10,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from protocols.cia402.axis import Axis
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import Command, Nanos, Request
 from protocols.plugin import Device
 
 
-class Cia402Ear:
+class Cia402Decoder:
     """The drives of one bus, as listeners."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.axes = [Axis(device, instant=True) for device in devices]
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
         """The words that the devices would obey; [] if none would do anything."""
-        words = [word for axis in self.axes for word in axis.hear(t, wire)]
+        words = [word for axis in self.axes for word in axis.handle(t, frame)]
         for axis in self.axes:
             axis.signals.clear()
             axis.answers.clear()

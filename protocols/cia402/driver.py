@@ -32,7 +32,7 @@ from protocols.cia402.node import Node
 from protocols.cia402.requests import Pending
 from protocols.cia402.scanning import Scanner, describe
 from protocols.cia402.sync import DISTURBED, Pulse, agree
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     Command,
@@ -49,8 +49,8 @@ from protocols.messages import (
     State,
     Stop,
 )
-from protocols.plugin import Device, Range, Tally
-from protocols.request_queue import Refusals, Waiting, out_of_range, refusal
+from protocols.plugin import Device, Range, RxCounters
+from protocols.request_queue import RejectionFilter, RequestQueue, out_of_range, refusal
 
 PDO_IDS = range(0x180, SDO_TX_BASE)
 
@@ -61,7 +61,7 @@ class Cia402Driver:
     def __init__(self, devices: Sequence[Device], ranges: Mapping[str, Mapping[str, Range]]) -> None:
         """`ranges`: each device's, by its name."""
         agree(devices)
-        self.tally = Tally()
+        self.counters = RxCounters()
         nodes = [Node(device.name, device.address, device.options) for device in devices]
         self.nodes = {node.address: node for node in nodes}
         self._all = nodes
@@ -70,78 +70,80 @@ class Cia402Driver:
         synced = [node.options for node in nodes if node.options.feedback == "sync"]
         host = nodes[0].options.host_id if nodes else 0
         self.pulse = Pulse(synced[0].sync_ms * MILLISECOND if synced else 0, host)
-        self._waiting: Waiting[Pending] = Waiting()
+        self._waiting: RequestQueue[Pending] = RequestQueue()
         self._scan: Scanner | None = None
         self._token = 0
         self._events: list[Event] = []
         """What happened outside `send`, to be told by the next one."""
-        self._refusals = Refusals()
+        self._refusals = RejectionFilter()
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """What a wire says; [] to what is not ours."""
-        if not isinstance(wire, CanFrame) or not is_classic(wire):
-            self.tally.foreign += 1
+        if not isinstance(frame, CanFrame) or not is_classic(frame):
+            self.counters.ignored += 1
             return []
-        function, address = wire.id & ~NODE_MASK, wire.id & NODE_MASK
+        function, address = frame.id & ~NODE_MASK, frame.id & NODE_MASK
         node = self.nodes.get(address)
         if node is None:
-            return self._overhear(t, function, address, wire)
+            return self._overhear(t, function, address, frame)
         if function == SDO_TX_BASE:
-            return self._hear_sdo(t, node, wire)
+            return self._on_sdo(t, node, frame)
         if function in (EMCY_BASE, HEARTBEAT_BASE):
-            return self._hear_message(t, node, wire)
-        if wire.id in PDO_IDS and wire.id & 0x80:
-            events = node.hear_tpdo(t, wire.id, wire.data)
+            return self._on_message(t, node, frame)
+        if frame.id in PDO_IDS and frame.id & 0x80:
+            events = node.on_tpdo(t, frame.id, frame.data)
             return self._counted(events)
-        self.tally.foreign += 1
+        self.counters.ignored += 1
         return []
 
     def _counted(self, events: list[Event] | None) -> list[Event]:
         if events is None:
-            self.tally.bad += 1
+            self.counters.malformed += 1
             return []
-        self.tally.heard += 1
+        self.counters.accepted += 1
         return events
 
-    def _hear_message(self, t: Nanos, node: Node, wire: CanFrame) -> list[Event]:
-        match decode(wire):
+    def _on_message(self, t: Nanos, node: Node, frame: CanFrame) -> list[Event]:
+        match decode(frame):
             case Heartbeat() as beat:
-                events = node.hear_beat(t, beat)
+                events = node.on_beat(t, beat)
                 return self._counted([*events, *holders.contradiction(t, node)])
             case Emcy() as emcy:
-                return self._counted(node.hear_emcy(t, emcy))
+                return self._counted(node.on_emcy(t, emcy))
         return self._counted(None)
 
-    def _overhear(self, t: Nanos, function: int, address: int, wire: CanFrame) -> list[Event]:
+    def _overhear(self, t: Nanos, function: int, address: int, frame: CanFrame) -> list[Event]:
         """A node that is not in the robot file: only a scan listens to it. Node 0 is nobody: SYNC."""
-        if wire.id == SYNC_ID and isinstance(decode(wire), Sync):
-            return self._hear_sync(t)
-        answer = sdo.decode_answer(wire.data) if function == SDO_TX_BASE and self._scan is not None else None
-        if answer is not None and self._scan is not None and self._scan.hear(t, address, answer):
-            self.tally.heard += 1
+        if frame.id == SYNC_ID and isinstance(decode(frame), Sync):
+            return self._on_sync(t)
+        answer = sdo.decode_answer(frame.data) if function == SDO_TX_BASE and self._scan is not None else None
+        if answer is not None and self._scan is not None and self._scan.handle(t, address, answer):
+            self.counters.accepted += 1
         else:
-            self.tally.foreign += 1
+            self.counters.ignored += 1
         return []
 
-    def _hear_sdo(self, t: Nanos, node: Node, wire: CanFrame) -> list[Event]:
-        answer = sdo.decode_answer(wire.data)
+    def _on_sdo(self, t: Nanos, node: Node, frame: CanFrame) -> list[Event]:
+        answer = sdo.decode_answer(frame.data)
         if answer is None:
             return self._counted(None)
-        self.tally.heard += 1
-        node.heard(t)
-        outcome = node.client.hear(answer)
+        self.counters.accepted += 1
+        node.received(t)
+        outcome = node.client.handle(answer)
         events = self._ended(t, node, outcome) if outcome is not None else []
         return events + holders.answered_twice(t, node)
 
-    def _hear_sync(self, t: Nanos) -> list[Event]:
+    def _on_sync(self, t: Nanos) -> list[Event]:
         """Another producer's: nobody's business while we are none, else told once."""
         if self.pulse.next is None:
-            self.tally.foreign += 1
+            self.counters.ignored += 1
             return []
-        told, self.pulse.disturbed = self.pulse.disturbed, True
-        return self._counted([] if told else [Found(t, PROTOCOL, 0, detail=DISTURBED, twice=True)])
+        reported, self.pulse.disturbed = self.pulse.disturbed, True
+        return self._counted(
+            [] if reported else [Found(t, PROTOCOL, 0, detail=DISTURBED, duplicate_address=True)]
+        )
 
     # -- SDO transfers that ended -----------------------------------------------------------------
 
@@ -149,7 +151,7 @@ class Cia402Driver:
         job, abort = outcome.job, outcome.abort
         match job.purpose:
             case Purpose.READING if not outcome.silent or job.key == o.DEVICE_NAME:
-                return node.hear_read(t, job.key, outcome.value, abort)
+                return node.on_read(t, job.key, outcome.value, abort)
             case Purpose.POLL if abort is None:
                 value = jobs.polled(job.key, outcome.value)
                 return node.take(t, {job.key: value}) if value is not None else []
@@ -163,7 +165,7 @@ class Cia402Driver:
             case Purpose.ASKED:
                 return self._answered(t, job.token, outcome)
             case Purpose.ROLL_CALL if abort is None:
-                return holders.hear_serial(t, node, outcome)
+                return holders.on_serial(t, node, outcome)
         return []
 
     def _wrote(self, t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
@@ -180,7 +182,7 @@ class Cia402Driver:
     def _answered(self, t: Nanos, token: int, outcome: Outcome) -> list[Event]:
         for pending in self._waiting:
             if pending.token == token:
-                events = requests.hear(pending, t, outcome)
+                events = requests.handle(pending, t, outcome)
                 if events:
                     self._waiting.end(pending)
                 return events
@@ -206,14 +208,14 @@ class Cia402Driver:
 
     # -- saying -------------------------------------------------------------------------------
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Say the words, then what falls due: set-points, requests, SDO transfers, SYNC and heartbeat."""
         events, self._events = self._events, []
-        wires: list[Wire] = []
+        outgoing: list[Frame] = []
         for word in words:
             if isinstance(word, Stop):
                 for node in self._all:
-                    node.claimed = True
+                    node.owned = True
             elif not isinstance(word, Command):
                 events += self._ask_for(now, word)
         steered = False
@@ -222,28 +224,28 @@ class Cia402Driver:
             if isinstance(word, Command):
                 frames = self._command(now, word, at_sync, events)
                 steered = steered or bool(frames)
-                wires += frames
-        wires += self._tend_requests(now, events)
+                outgoing += frames
+        outgoing += self._tend_requests(now, events)
         for node in self._all:
-            wires += self._tend(now, node, events)
-        wires += self.pulse.sync(now, self._all, steered)
-        wires += self.pulse.beat(now, self._all)
-        return events, wires
+            outgoing += self._tend(now, node, events)
+        outgoing += self.pulse.sync(now, self._all, steered)
+        outgoing += self.pulse.beat(now, self._all)
+        return events, outgoing
 
-    def _tend(self, now: Nanos, node: Node, events: list[Event]) -> list[Wire]:
+    def _tend(self, now: Nanos, node: Node, events: list[Event]) -> list[Frame]:
         """What falls due for a device by itself."""
         if node.started is None:
             node.started = now
         if not node.offline and now >= node.offline_at:
             node.forget()
-            node.offline, node.told = True, (Mode.OFFLINE, "nothing heard")
+            node.offline, node.reported = True, (Mode.OFFLINE, "nothing heard")
             events.append(State(node.name, now, Mode.OFFLINE, "nothing heard"))
         stuck = motion.stuck(node, now)
         if stuck:
             node.refused, node.values = True, {}
             node.unarm()
             events += node.complain(now, NOT_ARMED, stuck)
-        wires: list[Wire] = [*motion.insist(node, now)]
+        frames: list[Frame] = [*motion.insist(node, now)]
         request, outcome = node.client.say(now)
         if outcome is not None:
             events += self._ended(now, node, outcome)
@@ -253,13 +255,13 @@ class Cia402Driver:
                 node.client.begin(job)
                 request, _ = node.client.say(now)
         if request is not None:
-            wires.append(CanFrame(sdo_rx_id(node.address), sdo.encode(request)))
-        return wires
+            frames.append(CanFrame(sdo_rx_id(node.address), sdo.encode(request)))
+        return frames
 
     def _command(self, now: Nanos, command: Command, at_sync: bool, events: list[Event]) -> list[CanFrame]:
         node = self._by_name.get(command.motor)
         reason = "no such motor on this bus" if node is None else self._impossible(node, command)
-        events += self._refusals.hear(now, command, reason)
+        events += self._refusals.handle(now, command, reason)
         return [] if node is None or reason else motion.say(node, now, command, at_sync)
 
     def _impossible(self, node: Node, command: Command) -> str:
@@ -287,20 +289,20 @@ class Cia402Driver:
             return begun.node.complain(now, QUICK_STOPPED)
         return [*refused]
 
-    def _tend_requests(self, now: Nanos, events: list[Event]) -> list[Wire]:
-        wires: list[Wire] = []
+    def _tend_requests(self, now: Nanos, events: list[Event]) -> list[Frame]:
+        outgoing: list[Frame] = []
         for pending in self._waiting:
             ended, frames = requests.tend(pending, now)
             events += ended
-            wires += frames
+            outgoing += frames
             if ended:
                 self._waiting.end(pending)
         if self._scan is not None:
-            wires += self._scan.say(now)
+            outgoing += self._scan.say(now)
             if self._scan.over(now):
                 events += self._end_scan(now, self._scan)
                 self._scan = None
-        return wires
+        return outgoing
 
     def _begin_scan(self, now: Nanos, request: Scan) -> list[Event]:
         if self._scan is not None:
@@ -311,12 +313,23 @@ class Cia402Driver:
     def _end_scan(self, now: Nanos, scan: Scanner) -> list[Event]:
         events: list[Event] = []
         for node in self._all:
-            if node.heard_at is not None and not node.offline and o.DEVICE_TYPE in node.read:
+            if node.received_at is not None and not node.offline and o.DEVICE_TYPE in node.read:
                 serial, detail = describe(dict(node.read), [node.name, *([node.title] if node.title else [])])
-                events.append(Found(now, PROTOCOL, node.address, serial, detail, twice=node.doubled))
+                events.append(
+                    Found(now, PROTOCOL, node.address, serial, detail, duplicate_address=node.doubled)
+                )
         for address, known in sorted(scan.found.items()):
             serial, detail = describe(known)
-            events.append(Found(now, PROTOCOL, address, serial, detail, twice=address in scan.twice))
+            events.append(
+                Found(
+                    now,
+                    PROTOCOL,
+                    address,
+                    serial,
+                    detail,
+                    duplicate_address=address in scan.duplicate_address,
+                )
+            )
         return [*events, Done(now, Scan.__name__, scan.bus, f"{len(events)} devices")]
 
     # -- when ---------------------------------------------------------------------------------

@@ -15,15 +15,15 @@ from protocols.cia402.node import Node
 from protocols.messages import Event, Found, Nanos
 
 
-def hear_serial(t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
+def on_serial(t: Nanos, node: Node, outcome: Outcome) -> list[Event]:
     """The roll call is answered: with another serial number another device stands there now, of which nothing
     is known."""
     known = node.known.serial if node.known is not None else None
     said = int.from_bytes(outcome.value, "little")
     if outcome.job.key == o.SERIAL_NUMBER and known is not None and said != known:
         node.forget()
-        node.heard(t)
-        return node.tell(t, "another device answers")
+        node.received(t)
+        return node.report(t, "another device answers")
     return []
 
 
@@ -50,5 +50,5 @@ def _held_twice(t: Nanos, node: Node, cause: str) -> list[Event]:
     node.doubled = True
     serial = node.known.serial if node.known is not None else None
     detail = f"node id {node.address} is held twice: {cause}"
-    found = Found(t, PROTOCOL, node.address, serial, detail, twice=True)
+    found = Found(t, PROTOCOL, node.address, serial, detail, duplicate_address=True)
     return [found, *node.complain(t, DUPLICATE_NODE, cause)]

@@ -28,7 +28,7 @@ def next_job(node: Node, now: Nanos) -> Job | None:
     if not client.free(Purpose.POLL):
         return None
     poll = node.polls.next(now, _reasons(node), node.absent)
-    if node.setup and (node.claimed or node.commanded_at == now) and (poll is None or not node.took_turn):
+    if node.setup and (node.owned or node.commanded_at == now) and (poll is None or not node.took_turn):
         node.took_turn = True
         return node.setup.pop(0)
     setpoint = _setpoint(node, now)
@@ -45,7 +45,7 @@ def next_job(node: Node, now: Nanos) -> Job | None:
     if poll is not None:
         node.polls.begin(now, poll, node.absent)
         return Job(Purpose.POLL, poll)
-    if now >= node.roll_call and node.heard_at is not None:
+    if now >= node.roll_call and node.received_at is not None:
         node.roll_call = now + (ROLL_CALL_AGAIN if client.doubled or client.repeated else ROLL_CALL)
         return Job(Purpose.ROLL_CALL, o.DEVICE_TYPE if o.SERIAL_NUMBER in node.absent else o.SERIAL_NUMBER)
     return None
@@ -72,7 +72,7 @@ def due(node: Node) -> Nanos:
     """When `next_job` next has something for a free client."""
     if node.urgent or node.setup or node.questions or node.next_key() is not None:
         return 0
-    return min(node.polls.due(_reasons(node)), node.roll_call if node.heard_at is not None else NEVER)
+    return min(node.polls.due(_reasons(node)), node.roll_call if node.received_at is not None else NEVER)
 
 
 def polled(key: Key, data: bytes) -> int | None:

@@ -142,9 +142,9 @@ def commands_fit(pdos: Sequence[Pdo], targets: Collection[Key]) -> bool:
 
 def feedback_fits(pdos: Sequence[Pdo], sync: Nanos, most: Nanos) -> bool:
     """Whether position and statusword come by themselves, the position at least every `most`."""
-    told = [pdo for pdo in pdos if pdo.way == "from"]
-    status = any(o.STATUSWORD in pdo.keys for pdo in told)
-    periods = [pdo.period(sync) for pdo in told if o.POSITION in pdo.keys]
+    reported = [pdo for pdo in pdos if pdo.way == "from"]
+    status = any(o.STATUSWORD in pdo.keys for pdo in reported)
+    periods = [pdo.period(sync) for pdo in reported if o.POSITION in pdo.keys]
     return status and any(period is not None and period <= most for period in periods)
 
 

@@ -67,7 +67,7 @@ def say(node: Node, now: Nanos, command: Command, at_sync: bool) -> list[CanFram
     if node.known is None or node.unfit():
         node.values = {}
         return []
-    node.claimed = True
+    node.owned = True
     if not configuring.configured(node):
         return []
     said = _start(node, now) if not started(node) else []
@@ -87,7 +87,7 @@ def started(node: Node) -> bool:
 def _start(node: Node, now: Nanos) -> list[CanFrame]:
     if now < node.start_next:
         return []
-    node.claimed = True
+    node.owned = True
     node.start_next, node.starts = now + START_AGAIN, node.starts + 1
     return [encode(Nmt(NmtCommand.START, node.address))]
 
@@ -169,7 +169,7 @@ def _send(node: Node, now: Nanos, values: Values, moving: Key) -> list[CanFrame]
 
 def release(node: Node, now: Nanos) -> list[CanFrame]:
     """Idle: only to what we commanded, or after an operator's stop."""
-    if node.claimed and node.insist is None:
+    if node.owned and node.insist is None:
         node.insist, node.insist_since, node.insist_next = Demand.SHUTDOWN, now, now
         node.disarmed = 0
         node.refused = False
@@ -203,7 +203,7 @@ def command_power(node: Node, now: Nanos, demand: Demand, by_sdo: bool) -> list[
         frames = node.outlet.frames(now, values | {o.CONTROLWORD: int(demand)}, o.CONTROLWORD)
     if by_sdo or not frames:
         node.urgent = [Job(Purpose.RELEASE, o.CONTROLWORD, to_bytes(OBJECTS[o.CONTROLWORD].type, demand))]
-    node.outlet.told.pop(o.CONTROLWORD, None)
+    node.outlet.reported.pop(o.CONTROLWORD, None)
     return frames
 
 
@@ -215,7 +215,7 @@ def _disarmed(node: Node) -> None:
             return
         if node.setup or (node.client.job is not None and node.client.job.purpose is Purpose.SETUP):
             return
-        node.claimed, node.setup, node.configured = False, None, False
+        node.owned, node.setup, node.configured = False, None, False
     node.insist = None
 
 

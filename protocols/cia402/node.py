@@ -21,7 +21,7 @@ from protocols.cia402.pdo import Packing, packing
 from protocols.cia402.profile import Demand, PowerState, state_of
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.setpoint import Values
-from protocols.cia402.setpoint_writer import Outlet
+from protocols.cia402.setpoint_writer import SetpointWriter
 from protocols.cia402.startup import Known
 from protocols.cia402.units import Units
 from protocols.messages import MILLISECOND, Event, Fault, Mode, Nanos, State
@@ -45,7 +45,7 @@ class Node:
     def __init__(self, name: str, address: int, options: Options) -> None:
         self.name, self.address, self.options = name, address, options
         self.client = Client(options.sdo_timeout_ms * MILLISECOND)
-        self.outlet = Outlet()
+        self.outlet = SetpointWriter()
         self.polls = Polls(options.feedback_ms * MILLISECOND)
         # what was read
         self.read: dict[Key, int] = {}
@@ -60,7 +60,7 @@ class Node:
         """Its TPDOs by identifier: what they hold, and how often they come."""
         # what was heard
         self.started: Nanos | None = None
-        self.heard_at: Nanos | None = None
+        self.received_at: Nanos | None = None
         self.offline = False
         self.nmt: NmtState | None = None
         self.beats: list[NmtState] = []
@@ -77,13 +77,13 @@ class Node:
         """It is in fault, and has not told why."""
         self.emergency = False
         """It told of a fault by EMCY, and no statusword came since."""
-        self.told: tuple[Mode, str] | None = None
-        self.told_faults: set[int] = set()
+        self.reported: tuple[Mode, str] | None = None
+        self.reported_faults: set[int] = set()
         self.roll_call: Nanos = 0
         self.doubled = False
         """That its node id is held twice has been told."""
         # where we stand
-        self.claimed = False
+        self.owned = False
         self.commanded_at: Nanos = -NEVER
         self.setup: list[Job] | None = None
         """What it must still be told before it can be armed; None: not planned yet."""
@@ -142,14 +142,14 @@ class Node:
         self.client.drop()
         self.read.clear()
         self.absent.clear()
-        self.title = self.known = self.units = self.told = None
+        self.title = self.known = self.units = self.reported = None
         self.listening.clear()
         self.polls.forget()
         self.beats.clear()
         self.nmt = self.status = self.power = self.operation = self.position = None
         self.wants_error, self.emergency, self.error_code, self.wrong = False, False, 0, ""
-        self.told_faults.clear()
-        self.outlet = Outlet()
+        self.reported_faults.clear()
+        self.outlet = SetpointWriter()
         self.unarm()
         self.setup, self.writing, self.watched, self.configured = None, (), False, False
         self.values = {}
@@ -164,45 +164,45 @@ class Node:
 
     # -- hearing --------------------------------------------------------------------------------
 
-    def heard(self, t: Nanos) -> None:
+    def received(self, t: Nanos) -> None:
         """Something of it came."""
-        self.heard_at, self.offline = t, False
+        self.received_at, self.offline = t, False
 
-    def hear_beat(self, t: Nanos, beat: Heartbeat) -> list[Event]:
+    def on_beat(self, t: Nanos, beat: Heartbeat) -> list[Event]:
         """Its heartbeat, or its boot-up message."""
         if beat.state is NmtState.INITIALISING:
-            restarted = self.heard_at is not None or self.claimed
+            restarted = self.received_at is not None or self.owned
             self.forget()
-            self.heard(t)
+            self.received(t)
             self.booted_at = t
             self.nmt = NmtState.PRE_OPERATIONAL
-            return self.tell(t, "restarted") if restarted else self.tell(t)
-        self.heard(t)
+            return self.report(t, "restarted") if restarted else self.report(t)
+        self.received(t)
         self.beats = [*self.beats[-3:], beat.state]
         self.nmt = beat.state
-        return self.tell(t)
+        return self.report(t)
 
-    def hear_emcy(self, t: Nanos, emcy: Emcy) -> list[Event]:
+    def on_emcy(self, t: Nanos, emcy: Emcy) -> list[Event]:
         """An emergency, or that one is over."""
-        self.heard(t)
+        self.received(t)
         if not emcy.code:
             if self.power not in FAULTY:
-                self.told_faults.clear()
+                self.reported_faults.clear()
             return []
         self.error_code, self.wants_error, self.emergency = emcy.code, False, True
         return self.complain(t, emcy.code)
 
-    def hear_tpdo(self, t: Nanos, id_: int, data: bytes) -> list[Event] | None:
+    def on_tpdo(self, t: Nanos, id_: int, data: bytes) -> list[Event] | None:
         """A TPDO; None if it is too short. One whose mapping is not known shows that it lives."""
         known = self.listening.get(id_)
         if known is None:
-            self.heard(t)
+            self.received(t)
             return []
         keys, packed, _ = known
         values = packed.unpack(data) if len(data) == packed.size else None
         if values is None:
             return None
-        self.heard(t)
+        self.received(t)
         self.nmt = NmtState.OPERATIONAL
         self.polls.came(t, keys)
         return self.take(t, dict(zip(keys, values, strict=True)))
@@ -213,22 +213,22 @@ class Node:
         if o.MODE_DISPLAY in values:
             self.operation = values[o.MODE_DISPLAY]
         if o.ERROR_CODE in values:
-            events += self._hear_error(t, values[o.ERROR_CODE])
+            events += self._on_error(t, values[o.ERROR_CODE])
         if o.STATUSWORD in values:
-            events += self._hear_status(t, values[o.STATUSWORD])
+            events += self._on_status(t, values[o.STATUSWORD])
         if o.POSITION in values:
             self.position, self.position_at = values[o.POSITION], t
         measured = feedback(self.name, t, values, self.units) if self.units is not None else None
         return [*events, measured] if measured is not None else events
 
-    def _hear_error(self, t: Nanos, code: int) -> list[Event]:
+    def _on_error(self, t: Nanos, code: int) -> list[Event]:
         self.error_code = code
         if not self.wants_error or not code:
             return []
         self.wants_error = False
         return self.complain(t, code)
 
-    def _hear_status(self, t: Nanos, status: int) -> list[Event]:
+    def _on_status(self, t: Nanos, status: int) -> list[Event]:
         before, self.status = self.power, status
         self.power, self.emergency = state_of(status), False
         power = self.power
@@ -236,15 +236,15 @@ class Node:
         events: list[Event] = []
         if self.armed and power is not PowerState.OPERATION_ENABLED:
             self.unarm()
-        elif power is PowerState.OPERATION_ENABLED and self.claimed and self.insist is None:
+        elif power is PowerState.OPERATION_ENABLED and self.owned and self.insist is None:
             self.armed = True
         if power in FAULTY and before not in FAULTY:
-            self.wants_error = not self.told_faults
+            self.wants_error = not self.reported_faults
         elif power not in FAULTY and before in FAULTY:
             self.wants_error = False
-            self.told_faults.clear()
+            self.reported_faults.clear()
         self._count_disarmed(power)
-        return events + self.tell(t)
+        return events + self.report(t)
 
     def _count_disarmed(self, power: PowerState | None) -> None:
         obeyed = power is not None and power not in ENERGISED
@@ -256,19 +256,19 @@ class Node:
 
     def complain(self, t: Nanos, code: int, cause: str = "") -> list[Event]:
         """A fault, told once until it has gone; `cause` where more is known than the table says."""
-        if code in self.told_faults:
-            return self.tell(t)
-        self.told_faults.add(code)
+        if code in self.reported_faults:
+            return self.report(t)
+        self.reported_faults.add(code)
         words = FINDINGS.get(code) or complaint(code)
-        return [Fault(self.name, t, code, words.name, cause or words.cause, words.cure), *self.tell(t)]
+        return [Fault(self.name, t, code, words.name, cause or words.cause, words.remedy), *self.report(t)]
 
-    def tell(self, t: Nanos, detail: str = "") -> list[Event]:
+    def report(self, t: Nanos, detail: str = "") -> list[Event]:
         """Its state, if it has changed."""
-        told = (self.mode(), detail or self._detail())
-        if told == self.told:
+        reported = (self.mode(), detail or self._detail())
+        if reported == self.reported:
             return []
-        self.told = told
-        return [State(self.name, t, *told)]
+        self.reported = reported
+        return [State(self.name, t, *reported)]
 
     def _detail(self) -> str:
         if self.wrong:
@@ -298,7 +298,7 @@ class Node:
             return None
         return startup.next_key(self.read, self.absent, self.title is not None)
 
-    def hear_read(self, t: Nanos, key: Key, value: bytes, abort: int | None) -> list[Event]:
+    def on_read(self, t: Nanos, key: Key, value: bytes, abort: int | None) -> list[Event]:
         """An object that was read; with `abort` it is absent."""
         number = startup.value_of(key, value) if abort is None else None
         if key == o.DEVICE_NAME:
@@ -318,7 +318,7 @@ class Node:
         if self.units is not None and self.known is None and self.next_key() is None:
             self.known = startup.known_of(self.read, self.options)
             self.listen(self.known.pdos if self.known else ())
-            events += self.tell(t)
+            events += self.report(t)
         return events
 
     def listen(self, pdos: tuple[Pdo, ...]) -> None:
@@ -360,7 +360,7 @@ class Node:
     @property
     def offline_at(self) -> Nanos:
         """When its silence has lasted too long."""
-        since = self.heard_at if self.heard_at is not None else self.started or 0
+        since = self.received_at if self.received_at is not None else self.started or 0
         return since + self.options.offline_ms * MILLISECOND
 
 

@@ -36,7 +36,7 @@ from protocols.messages import (
     WriteParameter,
     Zero,
 )
-from protocols.request_queue import UnderWay, refusal
+from protocols.request_queue import PendingRequest, refusal
 
 ANSWER = 2000 * MILLISECOND
 CLEAR = 3000 * MILLISECOND
@@ -54,7 +54,7 @@ PDO_PARAMETERS = range(o.RPDO_COMMUNICATION, 0x1C00)
 
 
 @dataclass(slots=True)
-class Pending(UnderWay):
+class Pending(PendingRequest):
     """A request to one device."""
 
     token: int
@@ -67,7 +67,7 @@ class Pending(UnderWay):
 def begin(now: Nanos, request: Request, node: Node, token: int, holding: bool) -> Pending | Refused:
     """Begin a request. `holding`: the last command to the device was Hold."""
     pending = Pending(request, node.name, now, now + ANSWER, now, token, node)
-    running = node.claimed or node.power in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
+    running = node.owned or node.power in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
     match request:
         case ClearFault():
             node.refused, node.clearing, node.doubled = False, True, False
@@ -153,27 +153,27 @@ def _unknown(parameter: str) -> str:
 # -- as it goes on ---------------------------------------------------------------------------------------
 
 
-def hear(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
+def handle(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
     """A transfer of this request has ended; the events that end the request, or none."""
     node, request = pending.node, pending.request
     if outcome.silent:
         return [pending.refuse(t, "no answer of the device")]
     if isinstance(request, Zero):
-        return _hear_zero(pending, t, outcome)
+        return _on_zero(pending, t, outcome)
     if outcome.abort is not None:
         return [pending.refuse(t, abort_text(outcome.abort))]
     if isinstance(request, ReadParameter):
-        return _tell(pending, t, request, outcome)
+        return _report(pending, t, request, outcome)
     if isinstance(request, WriteParameter):
         changed = outcome.job.key in (*startup.FIRST, *startup.THEN)
-        if changed and not node.claimed:
+        if changed and not node.owned:
             node.forget()  # it counts otherwise now: read it anew
-            node.heard(t)
+            node.received(t)
         return [pending.done(t)]
     return []
 
 
-def _tell(pending: Pending, t: Nanos, request: ReadParameter, outcome: Outcome) -> list[Event]:
+def _report(pending: Pending, t: Nanos, request: ReadParameter, outcome: Outcome) -> list[Event]:
     key = outcome.job.key
     known = OBJECTS.get(key)
     if known is not None and known.type is Type.TEXT:
@@ -185,7 +185,7 @@ def _tell(pending: Pending, t: Nanos, request: ReadParameter, outcome: Outcome) 
     return [Parameter(pending.node.name, t, request.parameter, float(value)), pending.done(t, unit)]
 
 
-def _hear_zero(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
+def _on_zero(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
     """The homing method is read, then written; the next one is tried where the device does not have it."""
     node, job = pending.node, outcome.job
     if job.data is None:
@@ -239,10 +239,10 @@ def _clear(pending: Pending, now: Nanos) -> tuple[list[Event], list[CanFrame]]:
         if pending.stage and node.urgent:
             return [], []
         node.clearing, node.estopped = False, False
-        node.told_faults.clear()
+        node.reported_faults.clear()
         if node.insist is Demand.QUICK_STOP:
             node.insist = None
-        return [*node.tell(now), pending.done(now)], []
+        return [*node.report(now), pending.done(now)], []
     if now < pending.next or now >= pending.deadline:
         return [], []
     pending.next, pending.stage = now + CLEAR_AGAIN, pending.stage + 1
@@ -278,10 +278,10 @@ def _homed(pending: Pending, now: Nanos) -> list[Event]:
 
 def _give_up(pending: Pending, now: Nanos) -> list[Event]:
     node = pending.node
-    if node.heard_at is None or node.heard_at < pending.began:
+    if node.received_at is None or node.received_at < pending.began:
         reason = "no answer of the device"
     elif isinstance(pending.request, ClearFault):
-        code, node.told_faults = node.error_code, set()
+        code, node.reported_faults = node.error_code, set()
         again = node.complain(now, code or 0x1000)
         node.clearing = False
         return [*again, pending.refuse(now, f"still in fault: error code {code:#06x}")]

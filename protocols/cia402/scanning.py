@@ -41,7 +41,7 @@ class Scanner:
     found: dict[int, dict[Key, int | None]] = field(default_factory=dict)
     """What was asked of whom: None is not answered yet, -1 was refused."""
     ask: list[tuple[int, Key]] = field(default_factory=list)
-    twice: set[int] = field(default_factory=set)
+    duplicate_address: set[int] = field(default_factory=set)
     ends: Nanos | None = None
 
     def say(self, now: Nanos) -> list[CanFrame]:
@@ -59,7 +59,7 @@ class Scanner:
         self.asked |= {node: now for node, _ in questions}
         return [CanFrame(sdo_rx_id(node), sdo.encode(sdo.Upload(*key))) for node, key in questions]
 
-    def hear(self, t: Nanos, node: int, answer: sdo.Answer) -> bool:
+    def handle(self, t: Nanos, node: int, answer: sdo.Answer) -> bool:
         """An answer of a node that nobody has in the robot file; False if it was not asked for."""
         late = t > self.asked.get(node, t - 2 * PATIENCE) + PATIENCE
         if late or not isinstance(answer, sdo.Uploaded | sdo.Abort):
@@ -71,7 +71,7 @@ class Scanner:
                 return False
             known = self.found[node] = {}
         elif key == o.DEVICE_TYPE:
-            self.twice.add(node)
+            self.duplicate_address.add(node)
             return True
         elif known.get(key, 0) is not None:
             return False
@@ -96,14 +96,14 @@ class Scanner:
 def describe(known: dict[Key, int | None], own: Collection[str] = ()) -> tuple[int | None, str]:
     """(serial number, what a device is) from what it told."""
 
-    def told(key: Key) -> int | None:
+    def reported(key: Key) -> int | None:
         value = known.get(key)
         return None if value is None or value < 0 else value
 
-    kind = told(o.DEVICE_TYPE)
+    kind = reported(o.DEVICE_TYPE)
     profile = "unknown device profile" if kind is None else f"device profile {kind & 0xFFFF}"
-    vendor, product = told(o.VENDOR_ID), told(o.PRODUCT_CODE)
+    vendor, product = reported(o.VENDOR_ID), reported(o.PRODUCT_CODE)
     parts = [*own, profile]
     parts += [f"vendor {vendor:#x}"] if vendor is not None else []
     parts += [f"product {product:#x}"] if product is not None else []
-    return told(o.SERIAL_NUMBER) or None, ", ".join(parts)
+    return reported(o.SERIAL_NUMBER) or None, ", ".join(parts)

@@ -53,7 +53,7 @@ class Server:
     written: list[Key] = field(default_factory=list)
     """What the last request wrote."""
 
-    def hear(self, dictionary: Dictionary, request: Request) -> Answer | None:
+    def handle(self, dictionary: Dictionary, request: Request) -> Answer | None:
         """Serve a request."""
         self.written.clear()
         match request:

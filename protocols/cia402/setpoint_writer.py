@@ -38,16 +38,16 @@ class _Way:
 
 
 @dataclass(slots=True)
-class Outlet:
+class SetpointWriter:
     """Where a device's set-points go."""
 
     ways: list[_Way] = field(default_factory=list)
     mapped: frozenset[Key] = frozenset()
     synchronous: bool = False
     """Set-points take effect with SYNC: one round of RPDOs for each."""
-    told: Values = field(default_factory=dict)
+    reported: Values = field(default_factory=dict)
     """What was last written by SDO, and confirmed."""
-    told_at: dict[Key, Nanos] = field(default_factory=dict)
+    reported_at: dict[Key, Nanos] = field(default_factory=dict)
 
     def configure(self, pdos: Sequence[Pdo]) -> None:
         """Use these PDOs to the device from now on. The one with the controlword goes last."""
@@ -70,17 +70,17 @@ class Outlet:
         """What is next to be written by SDO; None if everything stands in RPDOs or is there already."""
         for key in (*OFFSETS, target, o.MODE, o.CONTROLWORD):
             if key in values and key not in self.mapped:
-                old = key == target and now >= self.told_at.get(key, now) + REWRITE
-                if old or self.told.get(key) != values[key]:
+                old = key == target and now >= self.reported_at.get(key, now) + REWRITE
+                if old or self.reported.get(key) != values[key]:
                     return key, values[key]
         return None
 
     def confirm(self, now: Nanos, key: Key, value: int) -> None:
         """The device has taken a value by SDO."""
-        self.told[key], self.told_at[key] = value, now
+        self.reported[key], self.reported_at[key] = value, now
 
     def forget(self) -> None:
         """Nothing is known of what the device has taken."""
-        self.told.clear()
+        self.reported.clear()
         for way in self.ways:
             way.data = b""

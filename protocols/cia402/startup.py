@@ -93,11 +93,13 @@ def value_of(key: Key, data: bytes) -> int | None:
 
 def units_from(read: Mapping[Key, int], options: Options) -> Units | None:
     """The device's units, or what the robot file says where the device does not."""
-    told = units.units_of(read)
-    if told is None and not options.counts_per_turn:
+    reported = units.units_of(read)
+    if reported is None and not options.counts_per_turn:
         return None
-    gear, current = (told.gear, told.rated_current) if told else (1.0, read.get(o.RATED_CURRENT, 0) / 1000.0)
-    per_turn = options.counts_per_turn or (told.per_turn if told else 0.0)
+    gear, current = (
+        (reported.gear, reported.rated_current) if reported else (1.0, read.get(o.RATED_CURRENT, 0) / 1000.0)
+    )
+    per_turn = options.counts_per_turn or (reported.per_turn if reported else 0.0)
     torque = read.get(o.RATED_TORQUE, 0) / 1000.0 or options.rated_torque
     return Units(per_turn, gear, torque, current)
 

@@ -70,7 +70,7 @@ class Pulse:
 
     def sync(self, now: Nanos, nodes: Sequence[Node], steered: bool) -> list[CanFrame]:
         """SYNC, if it is due. `steered`: set-points went out in this step."""
-        wanted = any(node.claimed and node.configured and node.options.feedback == "sync" for node in nodes)
+        wanted = any(node.owned and node.configured and node.options.feedback == "sync" for node in nodes)
         if not self.period or not wanted:
             self.next, self.missed = None, False
             return []

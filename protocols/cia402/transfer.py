@@ -63,14 +63,14 @@ class Transfer:
             return Download(self.index, self.sub, self.data)
         return DownloadStart(self.index, self.sub, len(self.data))
 
-    def hear(self, answer: Answer) -> Request | None:
+    def handle(self, answer: Answer) -> Request | None:
         """Take an answer; the next request, or None if it ended, or if the answer was not for it."""
         kind = type(answer)
         if kind is Uploaded or kind is Downloaded:
-            return self._hear_expedited(answer)
-        return self._hear_other(answer)
+            return self._on_expedited(answer)
+        return self._on_other(answer)
 
-    def _hear_expedited(self, answer: Any) -> Request | None:  # noqa: ANN401 -- Uploaded or Downloaded
+    def _on_expedited(self, answer: Any) -> Request | None:  # noqa: ANN401 -- Uploaded or Downloaded
         """One of the two answers that are the bulk of all traffic."""
         reading = type(answer) is Uploaded
         if not self._begins(answer.index, answer.sub, reading):
@@ -80,7 +80,7 @@ class Transfer:
             return None
         return self._written()
 
-    def _hear_other(self, answer: Answer) -> Request | None:
+    def _on_other(self, answer: Answer) -> Request | None:
         match answer:
             case Abort(index, sub, code):
                 if (index, sub) == (self.index, self.sub):

@@ -21,7 +21,7 @@ from protocols.cia402.objects import Type
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import STATE_BITS, Mode, PowerState, Status
 from protocols.cia402.tpdo_scheduler import Tpdo, tpdos
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Event, Feedback, Nanos, Torque, seconds
 from protocols.plugin import Device
 
@@ -58,15 +58,15 @@ class Cia402Twin:
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """A wire reached the device; what is not for it changes nothing."""
         if not self._booted:
             return
         axis = self.axis
         before, nmt = axis.state, axis.nmt
-        if isinstance(wire, CanFrame) and wire.id == self._asked:
-            self._tell()
-        axis.hear(t, wire)
+        if isinstance(frame, CanFrame) and frame.id == self._asked:
+            self._report()
+        axis.handle(t, frame)
         if not (axis.signals or axis.answers or axis.state is not before or axis.nmt is not nmt):
             return
         if nmt is not axis.nmt and axis.nmt is NmtState.OPERATIONAL:
@@ -136,10 +136,10 @@ class Cia402Twin:
         if timeout and axis.host_beat is not None and now - axis.host_beat > timeout:
             axis.host_beat = None
             self._lose(HEARTBEAT_LOST)
-        for index, heard in sorted(axis.heard.items()):
+        for index, received in sorted(axis.received.items()):
             deadline = values[index, o.EVENT_TIMER] * MILLISECOND
-            if deadline and now - heard > deadline:
-                del axis.heard[index]
+            if deadline and now - received > deadline:
+                del axis.received[index]
                 self._lose(RPDO_TIMEOUT)
 
     def _lose(self, code: int) -> None:
@@ -158,7 +158,7 @@ class Cia402Twin:
 
     # -- time ---------------------------------------------------------------------------------
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the firmware up to `now`; the shaft's Feedback [rad, rad/s] is what the encoder sees."""
         for event in truth:
             self._see(event)
@@ -208,7 +208,7 @@ class Cia402Twin:
         if axis.nmt is NmtState.OPERATIONAL and (
             syncs or any(tpdo.is_timed(axis.dictionary) for tpdo in self.tpdos)
         ):
-            self._tell()
+            self._report()
             for tpdo in self.tpdos:
                 for _ in range(syncs):
                     said += tpdo.on_sync(now, axis.dictionary)
@@ -239,7 +239,7 @@ class Cia402Twin:
         """The position as 6064 has it."""
         return _fit(Type.I32, self.drive.position * self.axis.units.per_turn / math.tau)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Bring the dictionary's measured values up to date."""
         axis, drive = self.axis, self.drive
         values, units = axis.dictionary.values, axis.units

@@ -22,28 +22,28 @@ from protocols.conformance.answers import requests_are_answered
 from protocols.conformance.bench import ADDRESSES
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown, variants
 from protocols.conformance.checksums import bad_checksums_change_nothing
-from protocols.conformance.dropped import dropped_is_said_again
-from protocols.conformance.duplicates import held_twice_is_noticed
+from protocols.conformance.dropped import dropped_commands_are_repeated
+from protocols.conformance.duplicates import duplicate_address_is_noticed
 from protocols.conformance.faults import faults_latch
 from protocols.conformance.normal import only_normal_numbers
-from protocols.conformance.obeyed import ear_and_twin_agree
+from protocols.conformance.obeyed import decoder_and_twin_agree
 from protocols.conformance.passivity import (
     nothing_non_finite,
-    only_declared_wires,
+    only_declared_frames,
     strangers_change_nothing,
-    unclaimed_is_read_only,
+    uncommanded_is_read_only,
 )
-from protocols.conformance.reference_vectors import motion_is_vouched_for
+from protocols.conformance.reference_vectors import motion_is_in_reference_vectors
 from protocols.conformance.replies import one_stalls_no_other
 from protocols.conformance.roundtrip import commands_survive, measurements_survive
 from protocols.conformance.safety import begins_where_it_is, idle_disarms
-from protocols.conformance.silence import silence_blinds
+from protocols.conformance.silence import silence_loses_feedback
 from protocols.conformance.state import copies_go_on, same_in_same_out
-from protocols.conformance.takeover import load_is_kept, scan_only_looks
-from protocols.conformance.traffic import no_bytes_raise, streams_may_be_cut, wires_are_counted
+from protocols.conformance.takeover import load_is_held, scan_only_looks
+from protocols.conformance.traffic import frames_are_counted, no_bytes_raise, streams_may_be_cut
 from protocols.conformance.watchdog import silence_trips
-from protocols.frames import Wire
-from protocols.messages import Word
+from protocols.frames import Frame
+from protocols.messages import Message
 from protocols.plugin import Plugin
 
 __all__ = ["CLAUSES", "Clause", "Outcome", "Result", "check", "table", "variants"]
@@ -65,28 +65,36 @@ CLAUSES: tuple[Clause, ...] = (
         "measurements", "measurements survive the wire, of the right device and time", measurements_survive
     ),
     Clause("bytes", "no bytes raise, at either end", no_bytes_raise),
-    Clause("counts", "every wire is counted once; what is not understood changes nothing", wires_are_counted),
+    Clause(
+        "counts", "every wire is counted once; what is not understood changes nothing", frames_are_counted
+    ),
     Clause("streams", "a serial stream may be cut anywhere", streams_may_be_cut),
     Clause("strangers", "foreign traffic is counted and changes nothing", strangers_change_nothing),
-    Clause("unclaimed", "until commanded, only read-only wires go out", unclaimed_is_read_only),
-    Clause("declared", "nothing is said outside the declared kinds and ids of wires", only_declared_wires),
+    Clause("unclaimed", "until commanded, only read-only wires go out", uncommanded_is_read_only),
+    Clause("declared", "nothing is said outside the declared kinds and ids of wires", only_declared_frames),
     Clause("finite", "what is not finite or out of range passes neither down nor up", nothing_non_finite),
     Clause("repeatable", "the same inputs give the same outputs, in the same order", same_in_same_out),
     Clause("copies", "a copy made between any two calls goes on the same", copies_go_on),
     Clause("jump", "the first command after arming equals the measured position", begins_where_it_is),
     Clause("disarm", "Idle and the words of a stop disarm from every state", idle_disarms),
     Clause("watchdog", "silence of the host trips the watchdog and is told; commands feed it", silence_trips),
-    Clause("blind", "a silent device is told to be offline in time, and nothing is made up", silence_blinds),
+    Clause(
+        "blind",
+        "a silent device is told to be offline in time, and nothing is made up",
+        silence_loses_feedback,
+    ),
     Clause("faults", "faults are told with their text, latch, and go by ClearFault alone", faults_latch),
-    Clause("attach", "a fresh driver takes a device over without dropping its load", load_is_kept),
+    Clause("attach", "a fresh driver takes a device over without dropping its load", load_is_held),
     Clause("scan", "discovery finds the devices, and neither enables nor clears", scan_only_looks),
-    Clause("dropped", "what the bus dropped when it was full is said again", dropped_is_said_again),
+    Clause("dropped", "what the bus dropped when it was full is said again", dropped_commands_are_repeated),
     Clause("normal", "−0.0 and denormals are said and told as 0.0", only_normal_numbers),
     Clause("checksums", "a message in which a bit is wrong changes nothing", bad_checksums_change_nothing),
-    Clause("obeyed", "the device does what its ear hears, and nothing else", ear_and_twin_agree),
-    Clause("twice", "an address that two devices hold is noticed", held_twice_is_noticed),
+    Clause("obeyed", "the device does what its ear hears, and nothing else", decoder_and_twin_agree),
+    Clause("twice", "an address that two devices hold is noticed", duplicate_address_is_noticed),
     Clause("replies", "a reply lost, late, doubled or out of order stalls nobody else", one_stalls_no_other),
-    Clause("vectors", "each message that moves a motor has an independent vector", motion_is_vouched_for),
+    Clause(
+        "vectors", "each message that moves a motor has an independent vector", motion_is_in_reference_vectors
+    ),
     Clause("answers", "each request has one answer; what is told and heard is whole", requests_are_answered),
 )
 
@@ -103,8 +111,8 @@ class Result:
     """The promise, or what is wrong, or why it does not apply."""
     seed: int
     """With which it comes again."""
-    wires: tuple[Wire, ...] = ()
-    words: tuple[Word, ...] = ()
+    frames: tuple[Frame, ...] = ()
+    words: tuple[Message, ...] = ()
     """The counterexample."""
 
 
@@ -129,7 +137,11 @@ def table(results: Sequence[Result]) -> str:
     for result in results:
         lines.append(f"{result.clause:<{width}}  {result.outcome:<14}  {result.text}")
         if result.outcome == "failed":
-            evidence = [*map(shown, result.wires), *map(repr, result.words), f"again with seed {result.seed}"]
+            evidence = [
+                *map(shown, result.frames),
+                *map(repr, result.words),
+                f"again with seed {result.seed}",
+            ]
             lines += [f"{'':<{width}}  {'':<14}    {item}" for item in evidence]
     return "\n".join(lines)
 
@@ -141,7 +153,7 @@ def _judge(clause: Clause, cases: Sequence[Case]) -> Result:
         verdict = _verdict(clause, case)
         if isinstance(verdict, Failure):
             text = f"{verdict.text} [{case.options}]" if case is not cases[0] else verdict.text
-            return Result(clause.name, "failed", text, case.seed, verdict.wires, verdict.words)
+            return Result(clause.name, "failed", text, case.seed, verdict.frames, verdict.words)
         if isinstance(verdict, Inapplicable):
             reasons.append(verdict.reason)
     if len(reasons) == len(cases):

@@ -17,10 +17,10 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from protocols.conformance import bench as play
-from protocols.conformance.bench import NAMES, START, Rehearsal, Said
+from protocols.conformance.bench import NAMES, START, Bench, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
 from protocols.conformance.fault_injection import scene
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -28,6 +28,7 @@ from protocols.messages import (
     Estop,
     Found,
     Home,
+    Message,
     Nanos,
     Parameter,
     ReadParameter,
@@ -36,7 +37,6 @@ from protocols.messages import (
     Request,
     Scan,
     SetId,
-    Word,
     WriteParameter,
     Zero,
 )
@@ -61,13 +61,13 @@ SPARED = (Scan, ReadParameter, ClearFault, Estop)
 LINE_REQUESTS = (Scan, SetId)
 MOTOR_REQUESTS = (ClearFault, Estop, Zero, Home, Reboot)
 ALL_REQUESTS = (*LINE_REQUESTS, *MOTOR_REQUESTS, ReadParameter, WriteParameter)
-HINTS: dict[type, dict[str, Any]] = {kind: get_type_hints(kind) for kind in get_args(Word)}
+HINTS: dict[type, dict[str, Any]] = {kind: get_type_hints(kind) for kind in get_args(Message)}
 
 
 def requests_are_answered(case: Case) -> Verdict:
     """Each request has one answer; all that is told and heard is whole."""
     for said in case.day:
-        for word in (*said.events, *said.heard):
+        for word in (*said.events, *said.received):
             if wrong := broken(word, said.now):
                 return Failure(wrong, said.down, (word,))
         if said.due[0] is not None and said.due[0] < said.now - OVERDUE:
@@ -130,16 +130,16 @@ def parameters(case: Case) -> list[str]:
     names: dict[str, None] = {}
     listeners = list(_listeners(case))
     for vector in vectors_of(case.plugin):
-        wire = vector.wire
+        frame = vector.frame
         if vector.direction == "to_device" and not vector.wrong:
-            serial = not isinstance(wire, CanFrame)
+            serial = not isinstance(frame, CanFrame)
             meant = [
-                device for sends, device in listeners if not isinstance(wire, CanFrame) or wire.id in sends
+                device for sends, device in listeners if not isinstance(frame, CanFrame) or frame.id in sends
             ]
             for device in meant[: 16 if serial else 1]:
-                heard = case.plugin.ear([device]).hear(START, wire)
+                received = case.plugin.decoder([device]).decode(START, frame)
                 names.update(
-                    (w.parameter, None) for w in heard if isinstance(w, ReadParameter | WriteParameter)
+                    (w.parameter, None) for w in received if isinstance(w, ReadParameter | WriteParameter)
                 )
     return sorted(names)
 
@@ -157,23 +157,23 @@ def _listeners(case: Case) -> Iterator[tuple[frozenset[int], Device]]:
 # -- one round ------------------------------------------------------------------------------------------
 
 
-def _answered(stage: Rehearsal, words: tuple[Request, ...], found: list[Found], case: Case) -> Failure | None:
+def _answered(stage: Bench, words: tuple[Request, ...], found: list[Found], case: Case) -> Failure | None:
     """None if each of these requests, said in one step, is answered once, and nothing else is."""
-    open_, wires, heard = list(words), list[Wire](), list[Word]()
+    open_, frames, received = list(words), list[Frame](), list[Message]()
     patience = PATIENCE + (RESTART if any(isinstance(word, Reboot) for word in words) else 0)
     for count in range(patience):
         said = stage.step(words if count == 0 else ())
-        wires += [*said.down, *said.up] if len(wires) < 4 else []
-        heard += said.heard
+        frames += [*said.down, *said.up] if len(frames) < 4 else []
+        received += said.received
         found += [event for event in said.events if isinstance(event, Found)]
-        failure = _sorted_out(said, open_, words, case) or _unsaid(said, words, heard)
+        failure = _sorted_out(said, open_, words, case) or _unsaid(said, words, received)
         if failure:
             return failure
         if not open_:
             break
     late = [word for word in open_ if not isinstance(word, Home)]
     if late:
-        return Failure(f"not answered in {patience} ms", tuple(wires[:4]), tuple(late[:1]))
+        return Failure(f"not answered in {patience} ms", tuple(frames[:4]), tuple(late[:1]))
     for said in stage.steps(AFTER):
         failure = _sorted_out(said, [], words, case)
         if failure:
@@ -181,7 +181,9 @@ def _answered(stage: Rehearsal, words: tuple[Request, ...], found: list[Found], 
     return None
 
 
-def _sorted_out(said: Said, open_: list[Request], words: Sequence[Request], case: Case) -> Failure | None:
+def _sorted_out(
+    said: StepResult, open_: list[Request], words: Sequence[Request], case: Case
+) -> Failure | None:
     """Take what is answered in a step out of what is open."""
     for event in said.events:
         if wrong := broken(event, said.now):
@@ -200,25 +202,25 @@ def _sorted_out(said: Said, open_: list[Request], words: Sequence[Request], case
     return None
 
 
-def _unsaid(said: Said, words: Sequence[Request], heard: Sequence[Word]) -> Failure | None:
+def _unsaid(said: StepResult, words: Sequence[Request], received: Sequence[Message]) -> Failure | None:
     """A request to a device that is done, though no ear has heard it."""
     for event in (event for event in said.events if isinstance(event, Done)):
         for word in words:
             if isinstance(word, SPARED) or not answers(event, word):
                 continue
-            if not any(_meant(word, each) for each in heard):
+            if not any(_meant(word, each) for each in received):
                 return Failure("done, and yet the ear has not heard it", said.down, (word, event))
     return None
 
 
-def _meant(said: Request, heard: Word) -> bool:
+def _meant(said: Request, received: Message) -> bool:
     """Whether what an ear heard is what was said; a bus has no name on the wire."""
-    if isinstance(said, WriteParameter) and isinstance(heard, WriteParameter):
-        same = (said.motor, said.parameter) == (heard.motor, heard.parameter)
-        return same and math.isclose(said.value, heard.value, rel_tol=1e-6, abs_tol=1e-6)
-    if isinstance(said, SetId) and isinstance(heard, SetId):
-        return (said.serial, said.address) == (heard.serial, heard.address)
-    return said == heard
+    if isinstance(said, WriteParameter) and isinstance(received, WriteParameter):
+        same = (said.motor, said.parameter) == (received.motor, received.parameter)
+        return same and math.isclose(said.value, received.value, rel_tol=1e-6, abs_tol=1e-6)
+    if isinstance(said, SetId) and isinstance(received, SetId):
+        return (said.serial, said.address) == (received.serial, received.address)
+    return said == received
 
 
 def answers(event: Done | Refused | Parameter, word: Request) -> bool:
@@ -232,7 +234,7 @@ def answers(event: Done | Refused | Parameter, word: Request) -> bool:
 # -- whole words ----------------------------------------------------------------------------------------
 
 
-def broken(word: Word, now: Nanos) -> str:
+def broken(word: Message, now: Nanos) -> str:
     """What is wrong with the form of a word that was told or heard at `now`, or ""."""
     hints = HINTS[type(word)]
     for f in fields(word):

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
-from protocols.conformance.random import Dice
-from protocols.frames import CanFrame, Wire
+from protocols.conformance.random import Random
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -27,6 +27,7 @@ from protocols.messages import (
     Idle,
     Imu,
     LaserScan,
+    Message,
     Mode,
     Nanos,
     ReadParameter,
@@ -36,12 +37,11 @@ from protocols.messages import (
     SetId,
     State,
     Torque,
-    Word,
     WriteParameter,
     Zero,
     seconds,
 )
-from protocols.plugin import Device, Driver, Ear, Plugin, Range, Spec, Twin
+from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Range, Spec, Twin
 
 T = TypeVar("T")
 
@@ -83,39 +83,39 @@ class Shaft:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class StepResult:
     """What happened in one step."""
 
     now: Nanos
     events: tuple[Event, ...]
     """What the driver told, from the wire and by itself."""
-    down: tuple[Wire, ...]
-    heard: tuple[Command | Request, ...]
+    down: tuple[Frame, ...]
+    received: tuple[Command | Request, ...]
     """What the ear made of `down`."""
-    up: tuple[Wire, ...]
+    up: tuple[Frame, ...]
     torques: tuple[Torque, ...]
     due: tuple[Nanos | None, ...]
     """Of the driver and of each twin, after the step."""
 
 
 @dataclass(slots=True)
-class Rehearsal:
+class Bench:
     """The driver, the ear and the twins of some devices, and the shafts that the twins turn."""
 
     specs: tuple[Spec, ...]
     devices: tuple[Device, ...]
     driver: Driver
-    ear: Ear
+    decoder: CommandDecoder
     twins: list[Twin]
     shafts: dict[str, Shaft]
     now: Nanos = START
     count: int = 0
     """Steps taken."""
-    on_the_way: tuple[Wire, ...] = ()
+    on_the_way: tuple[Frame, ...] = ()
     """What the devices have said and the driver has not heard yet."""
     armed: dict[str, Mode] = field(default_factory=dict)
     """What the driver last told of each device's mode."""
-    tearing: Dice | None = None
+    tearing: Random | None = None
     """On a serial line: tears messages, so that an end of them comes a step later. None: all come whole."""
     torn: dict[str, bytes] = field(default_factory=dict)
     """The ends that are still to come, by direction."""
@@ -123,27 +123,27 @@ class Rehearsal:
     def step(
         self,
         words: Sequence[Command | Request] = (),
-        stray_up: Sequence[Wire] = (),
-        stray_down: Sequence[Wire] = (),
+        stray_up: Sequence[Frame] = (),
+        stray_down: Sequence[Frame] = (),
         truth: Sequence[Event] = (),
-    ) -> Said:
+    ) -> StepResult:
         """One step. Stray wires reach the driver or the devices besides; `truth` is shown besides."""
         self.now += STEP
         self.count += 1
         arrived = (*stray_up, *self._tear("up", self.on_the_way))
-        events = [event for wire in arrived for event in self.driver.receive(self.now, wire)]
+        events = [event for frame in arrived for event in self.driver.receive(self.now, frame)]
         own, down = self.driver.send(self.now, words)
         down = self._tear("down", down)
         events += own
         for event in events:
             if isinstance(event, State):
                 self.armed[event.motor] = event.mode
-        heard = [word for wire in (*stray_down, *down) for word in self.ear.hear(self.now, wire)]
-        up: list[Wire] = []
+        received = [word for frame in (*stray_down, *down) for word in self.decoder.decode(self.now, frame)]
+        up: list[Frame] = []
         torques: list[Torque] = []
         for at, twin in enumerate(self.twins):
-            for wire in (*stray_down, *down):
-                twin.receive(self.now, wire)
+            for frame in (*stray_down, *down):
+                twin.receive(self.now, frame)
             said = twin.step(self.now, (*self._shown(at), *truth))
             torques += said[0]
             up += said[1]
@@ -152,9 +152,11 @@ class Rehearsal:
             self.shafts[torque.motor].turn(torque.torque, STEP)
         self.on_the_way = tuple(up)
         due = (self.driver.due(), *(twin.due() for twin in self.twins))
-        return Said(self.now, tuple(events), tuple(down), tuple(heard), tuple(up), tuple(torques), due)
+        return StepResult(
+            self.now, tuple(events), tuple(down), tuple(received), tuple(up), tuple(torques), due
+        )
 
-    def steps(self, count: int, words: Sequence[Command | Request] = ()) -> list[Said]:
+    def steps(self, count: int, words: Sequence[Command | Request] = ()) -> list[StepResult]:
         """So many steps with the same words."""
         return [self.step(words) for _ in range(count)]
 
@@ -171,11 +173,11 @@ class Rehearsal:
                 return True
         return False
 
-    def _tear(self, way: str, wires: Sequence[Wire]) -> Sequence[Wire]:
+    def _tear(self, way: str, frames: Sequence[Frame]) -> Sequence[Frame]:
         """What of these wires and of what was torn before arrives in this step."""
-        if self.tearing is None or not all(isinstance(wire, bytes) for wire in wires):
-            return wires
-        stream = self.torn.get(way, b"") + b"".join(wire for wire in wires if isinstance(wire, bytes))
+        if self.tearing is None or not all(isinstance(frame, bytes) for frame in frames):
+            return frames
+        stream = self.torn.get(way, b"") + b"".join(frame for frame in frames if isinstance(frame, bytes))
         at = len(stream) - self.tearing.below(min(len(stream), 9) + 1)
         self.torn[way] = stream[at:]
         return [stream[:at]] if at else []
@@ -188,13 +190,13 @@ class Rehearsal:
             return [Feedback(device.name, self.now, shaft.position, shaft.velocity)]
         return list(sights(device.name, self.now, self.count)) if self.count % 10 == 1 else []
 
-    def _share(self, at: int, wires: Sequence[Wire]) -> None:
+    def _share(self, at: int, frames: Sequence[Frame]) -> None:
         """On a CAN bus every node hears every other; a serial line has two directions."""
         for other, twin in enumerate(self.twins):
             if other != at:
-                for wire in wires:
-                    if isinstance(wire, CanFrame):
-                        twin.receive(self.now, wire)
+                for frame in frames:
+                    if isinstance(frame, CanFrame):
+                        twin.receive(self.now, frame)
 
 
 def sights(sensor: str, t: Nanos, count: int) -> tuple[Imu, LaserScan, Fix]:
@@ -208,23 +210,23 @@ def sights(sensor: str, t: Nanos, count: int) -> tuple[Imu, LaserScan, Fix]:
     )
 
 
-def rehearse(
+def make_bench(
     plugin: Plugin,
     options: object,
     addresses: Sequence[int],
     names: Sequence[str],
     settings: object = None,
-) -> Rehearsal:
+) -> Bench:
     """A rehearsal of devices as they come out of the box (None), or with other settings on them."""
     devices = tuple(
         Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
     )
-    return Rehearsal(
+    return Bench(
         tuple(plugin.spec(device) for device in devices),
         devices,
         plugin.driver(devices),
-        plugin.ear(devices),
+        plugin.decoder(devices),
         [plugin.twin(device, seed) for seed, device in enumerate(devices)],
         {device.name: Shaft() for device in devices},
     )
@@ -250,7 +252,7 @@ def build(kind: type[Command], motor: str, values: dict[str, float]) -> Command:
     return kind(motor, *[values.get(name, 0.0) for name in names])
 
 
-def numbers(kind: type[Word], ranges: dict[str, Range]) -> list[tuple[str, str]]:
+def numbers(kind: type[Message], ranges: dict[str, Range]) -> list[tuple[str, str]]:
     """The fields of a word that the device's spec has a range for, and the names of the ranges."""
     keys = [(f.name, f"{kind.__name__}.{f.name}") for f in fields(kind)]
     return [(name, key) for name, key in keys if key in ranges]
@@ -309,7 +311,7 @@ def _mild(kind: type[Command], motor: str, spec: Spec, step: int) -> Command:
 # -- looking at words and wires ------------------------------------------------------------------------
 
 
-def finite(word: Word) -> bool:
+def finite(word: Message) -> bool:
     """Whether every number in a word is finite."""
     return all(math.isfinite(number) for number in _floats(word))
 
@@ -331,46 +333,46 @@ def within(word: Command, ranges: dict[str, Range]) -> bool:
     return all(bounds.low <= number <= bounds.high for number, bounds in named)
 
 
-def close(said: float, heard: float | None, bounds: Range) -> bool:
+def close(said: float, received: float | None, bounds: Range) -> bool:
     """Whether a number came through within the declared resolution (and a few bits of float64)."""
-    if heard is None:
+    if received is None:
         return False
     slack = bounds.resolution + bounds.relative * abs(said) + 4 * math.ulp(said)
-    return abs(said - heard) <= slack
+    return abs(said - received) <= slack
 
 
-def same(said: Word, heard: Word, ranges: dict[str, Range]) -> bool:
+def same(said: Message, received: Message, ranges: dict[str, Range]) -> bool:
     """Whether a word came through: its kind, its name, and each number that the spec has a range for."""
-    if type(said) is not type(heard) or _name(said) != _name(heard):
+    if type(said) is not type(received) or _name(said) != _name(received):
         return False
     return all(
-        _close(getattr(said, name), getattr(heard, name), ranges[key])
+        _close(getattr(said, name), getattr(received, name), ranges[key])
         for name, key in numbers(type(said), ranges)
     )
 
 
-def _close(said: Any, heard: Any, bounds: Range) -> bool:  # noqa: ANN401 -- a field of any word
-    if said is None or heard is None:
-        return said is heard
+def _close(said: Any, received: Any, bounds: Range) -> bool:  # noqa: ANN401 -- a field of any word
+    if said is None or received is None:
+        return said is received
     if isinstance(said, tuple):
-        return len(said) == len(heard) and all(
-            close(one, other, bounds) for one, other in zip(said, heard, strict=True)
+        return len(said) == len(received) and all(
+            close(one, other, bounds) for one, other in zip(said, received, strict=True)
         )
-    return close(said, heard, bounds)
+    return close(said, received, bounds)
 
 
-def _name(word: Word) -> object:
+def _name(word: Message) -> object:
     return getattr(word, "motor", getattr(word, "sensor", None))
 
 
-def with_data(wire: Wire, data: bytes) -> Wire:
+def with_data(frame: Frame, data: bytes) -> Frame:
     """The same wire with other bytes in it."""
-    return replace(wire, data=data) if isinstance(wire, CanFrame) else data
+    return replace(frame, data=data) if isinstance(frame, CanFrame) else data
 
 
-def data_of(wire: Wire) -> bytes:
+def data_of(frame: Frame) -> bytes:
     """The bytes in a wire."""
-    return wire.data if isinstance(wire, CanFrame) else wire
+    return frame.data if isinstance(frame, CanFrame) else frame
 
 
 def fewest(items: Sequence[T], fails: Callable[[Sequence[T]], bool]) -> Sequence[T]:
@@ -389,11 +391,11 @@ def fewest(items: Sequence[T], fails: Callable[[Sequence[T]], bool]) -> Sequence
     return kept
 
 
-def shortest(wire: Wire, fails: Callable[[Wire], bool]) -> Wire:
+def shortest(frame: Frame, fails: Callable[[Frame], bool]) -> Frame:
     """A wire with as few and as plain bytes as still fail. `fails` must be true of `wire`."""
-    data = bytes(fewest(data_of(wire), lambda data: fails(with_data(wire, bytes(data)))))
+    data = bytes(fewest(data_of(frame), lambda data: fails(with_data(frame, bytes(data)))))
     for at in range(len(data)):
         plainer = data[:at] + b"\0" + data[at + 1 :]
-        if plainer != data and fails(with_data(wire, plainer)):
+        if plainer != data and fails(with_data(frame, plainer)):
             data = plainer
-    return with_data(wire, data)
+    return with_data(frame, data)

@@ -8,11 +8,11 @@ from itertools import zip_longest
 from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 from protocols.conformance import bench as play
-from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Rehearsal, Said
-from protocols.conformance.random import Dice
-from protocols.frames import Wire
-from protocols.messages import Idle, Word
-from protocols.plugin import Device, Plugin, Spec, Tally
+from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Bench, StepResult
+from protocols.conformance.random import Random
+from protocols.frames import Frame
+from protocols.messages import Idle, Message
+from protocols.plugin import Device, Plugin, RxCounters, Spec
 
 T = TypeVar("T")
 
@@ -22,8 +22,8 @@ class Failure:
     """What is wrong, and the shortest bytes and words that show it."""
 
     text: str
-    wires: tuple[Wire, ...] = ()
-    words: tuple[Word, ...] = ()
+    frames: tuple[Frame, ...] = ()
+    words: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +49,15 @@ class Case:
     kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
     """What is worked out once: the specs, and a busy day."""
 
-    def start(self) -> Rehearsal:
+    def start(self) -> Bench:
         """Alpha and beta, as they come out of the box."""
-        return play.rehearse(self.plugin, self.options, self.addresses[:2], NAMES)
+        return play.make_bench(self.plugin, self.options, self.addresses[:2], NAMES)
 
-    def stranger(self) -> Rehearsal:
+    def stranger(self) -> Bench:
         """A third device with a driver of its own."""
-        return play.rehearse(self.plugin, self.options, self.addresses[2:], (STRANGER,))
+        return play.make_bench(self.plugin, self.options, self.addresses[2:], (STRANGER,))
 
-    def armed(self) -> Rehearsal | None:
+    def armed(self) -> Bench | None:
         """Alpha and beta with motors armed by the gentlest command there is; None if they do not arm."""
         stage, spec = self.start(), self.spec
         kinds = by_name(spec.commands - {Idle})
@@ -74,12 +74,12 @@ class Case:
         return specs
 
     @property
-    def day(self) -> tuple[Said, ...]:
+    def day(self) -> tuple[StepResult, ...]:
         """Alpha's and beta's busy day, over a wire without faults."""
         if "day" not in self.kept:
             stage = self.start()
             self.kept["day"] = tuple(stage.step(words) for words in play.script(self.spec, NAMES))
-        day: tuple[Said, ...] = self.kept["day"]
+        day: tuple[StepResult, ...] = self.kept["day"]
         return day
 
     @property
@@ -110,9 +110,9 @@ class Case:
         """The ids that alpha or beta may send."""
         return frozenset(i for spec in self.specs for i in spec.expects)
 
-    def dice(self) -> Dice:
+    def random(self) -> Random:
         """A generator that starts anew for each clause."""
-        return Dice(self.seed)
+        return Random(self.seed)
 
 
 def variants(plugin: Plugin) -> Iterator[Any]:
@@ -136,21 +136,23 @@ def by_name(kinds: Iterable[type[T]]) -> list[type[T]]:
     return sorted(kinds, key=lambda kind: kind.__name__)
 
 
-def counts(tally: Tally) -> tuple[int, int, int]:
+def counts(counters: RxCounters) -> tuple[int, int, int]:
     """(heard, bad, foreign), a value that can be kept and compared."""
-    return tally.heard, tally.bad, tally.foreign
+    return counters.accepted, counters.malformed, counters.ignored
 
 
-def difference(one: Said, other: Said, this: str, that: str, wires: Sequence[Wire] = ()) -> Failure:
+def difference(
+    one: StepResult, other: StepResult, this: str, that: str, frames: Sequence[Frame] = ()
+) -> Failure:
     """Where two steps that should be alike are not: the first part, and in it the first thing."""
-    for f in fields(Said):
+    for f in fields(StepResult):
         left, right = getattr(one, f.name), getattr(other, f.name)
         if left == right:
             continue
         if isinstance(left, tuple):
             left, right = _first(left, right)
         text = f"{f.name} in ms {(one.now - START) // STEP} {this}: {shown(left)}; {that}: {shown(right)}"
-        return Failure(text, tuple(wires) or (*one.down, *other.down)[:4])
+        return Failure(text, tuple(frames) or (*one.down, *other.down)[:4])
     return Failure(f"{this} and {that} differ")
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from protocols.conformance import bench as play
 from protocols.conformance import noise
-from protocols.conformance.bench import NAMES, Rehearsal
+from protocols.conformance.bench import NAMES, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name, difference
 from protocols.messages import Command, Idle, Request
 
@@ -32,8 +32,8 @@ def bad_checksums_change_nothing(case: Case) -> Verdict:
         return Inapplicable(f"the spec's bus is {case.spec.bus}: its controller drops damaged frames")
     one, other = _running(case), _running(case)
     for downward in (True, False):
-        for wire in _kinds(case, downward):
-            damaged = list(_each_bit(wire))
+        for frame in _kinds(case, downward):
+            damaged = list(_each_bit(frame))
             failure = _tried(case, one, other, damaged, downward)
             if failure is None:
                 continue
@@ -42,34 +42,32 @@ def bad_checksums_change_nothing(case: Case) -> Verdict:
                 return _tried(case, _running(case), _running(case), some, down) is not None
 
             few = play.fewest(damaged, fails) if fails(damaged) else damaged[:1]
-            return replace(failure, wires=(wire, *few))
+            return replace(failure, frames=(frame, *few))
     return None
 
 
 def _kinds(case: Case, downward: bool) -> list[bytes]:
     """One message of each kind (down: name, up: length), the shortest first."""
-    wires = [wire for said in case.day for wire in (said.down if downward else said.up)]
-    stream = [wire for wire in wires if isinstance(wire, bytes) and wire and noise.sealed(case, wire)]
+    frames = [frame for said in case.day for frame in (said.down if downward else said.up)]
+    stream = [frame for frame in frames if isinstance(frame, bytes) and frame and noise.sealed(case, frame)]
     kinds = {(len(w), *(case.plugin.messages(w) if downward else ())): w for w in reversed(stream)}
     chosen = [kinds[kind] for kind in sorted(kinds)]
     return chosen[:: max(-(-len(chosen) // KINDS), 1)]
 
 
-def _each_bit(wire: bytes) -> Iterator[bytes]:
-    bits: Sequence[int] = range(8 * len(wire))
-    if len(wire) > LONGEST:
+def _each_bit(frame: bytes) -> Iterator[bytes]:
+    bits: Sequence[int] = range(8 * len(frame))
+    if len(frame) > LONGEST:
         bits = [*bits[: 4 * LONGEST], *bits[-4 * LONGEST :]]
     for bit in bits:
-        yield noise.flipped(wire, bit)
+        yield noise.flipped(frame, bit)
 
 
-def _tried(
-    case: Case, one: Rehearsal, other: Rehearsal, damaged: Sequence[bytes], downward: bool
-) -> Failure | None:
+def _tried(case: Case, one: Bench, other: Bench, damaged: Sequence[bytes], downward: bool) -> Failure | None:
     """Of two rehearsals alike the other gets damaged messages besides: they tell nothing, and soon after
     the two are alike again."""
-    for wire in damaged:
-        failure = _nothing(other, downward, wire)
+    for frame in damaged:
+        failure = _nothing(other, downward, frame)
         if failure:
             return failure
     words = _said(case)
@@ -80,7 +78,7 @@ def _tried(
     return None
 
 
-def _running(case: Case) -> Rehearsal:
+def _running(case: Case) -> Bench:
     return case.armed() or case.start()
 
 
@@ -90,12 +88,12 @@ def _said(case: Case) -> list[Command | Request]:
     return [play.gentle(kinds[0], case.spec.ranges)(name) for name in NAMES] if kinds else []
 
 
-def _nothing(stage: Rehearsal, downward: bool, damaged: bytes) -> Failure | None:
+def _nothing(stage: Bench, downward: bool, damaged: bytes) -> Failure | None:
     """A damaged message reaches one end; what that end makes of it."""
     if not downward:
         events = tuple(stage.driver.receive(stage.now, damaged))
         return Failure("one bit is wrong, and yet it tells something", (damaged,), events) if events else None
-    words = tuple(stage.ear.hear(stage.now, damaged))
+    words = tuple(stage.decoder.decode(stage.now, damaged))
     for twin in stage.twins:
         twin.receive(stage.now, damaged)
     return Failure("one bit is wrong, and yet it is obeyed", (damaged,), words) if words else None

@@ -6,7 +6,7 @@ and of Idle is dropped on our side of the bus. Afterwards the device must obey w
 
 from __future__ import annotations
 
-from protocols.conformance.bench import ARMING, NAMES, Said
+from protocols.conformance.bench import ARMING, NAMES, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.fault_injection import Scene, kinds_of, resting, scene, some
 from protocols.conformance.roundtrip import obeyed
@@ -20,12 +20,12 @@ OBEYED = 300
 """Steps in which a device must then obey."""
 
 
-def dropped_is_said_again(case: Case) -> Verdict:
+def dropped_commands_are_repeated(case: Case) -> Verdict:
     """What the bus dropped when its transmit queue was full does not stay unsaid."""
     kinds = kinds_of(case.spec)
     if not kinds:
         return Inapplicable("the spec lists no commands that arm")
-    first = case.dice().below(len(DROPPED))
+    first = case.random().below(len(DROPPED))
     pairs = list(zip(kinds, [*kinds[1:], kinds[0]], strict=True))
     for at, (kind, then) in some(case, list(enumerate(pairs, first))):
         failure = _dropped(case, DROPPED[at % len(DROPPED)], kind, then)
@@ -69,9 +69,9 @@ def _drop(on: Scene, steps: int, word: Command) -> None:
 def _misheard(on: Scene, word: Command) -> str:
     """What the device obeys instead; "" if it does what is said."""
 
-    def heard(_: Said) -> bool:
+    def received(_: StepResult) -> bool:
         return ALPHA in on.obeys and obeyed(on.stage, on.spec, word, on.obeys[ALPHA])
 
-    if on.until(heard, OBEYED, [word]):
+    if on.until(received, OBEYED, [word]):
         return ""
     return f"said {word}, the device obeys {on.obeys.get(ALPHA, 'nothing')}"

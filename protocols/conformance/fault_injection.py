@@ -15,9 +15,9 @@ from typing import Any, TypeAlias, TypeVar
 from zlib import crc32
 
 from protocols.conformance import bench as play
-from protocols.conformance.bench import ARMING, NAMES, STEP, Rehearsal, Said
+from protocols.conformance.bench import ARMING, NAMES, STEP, Bench, StepResult
 from protocols.conformance.case import Case, Failure, by_name
-from protocols.frames import BusState, Wire
+from protocols.frames import BusState, Frame
 from protocols.messages import (
     Command,
     Event,
@@ -26,6 +26,7 @@ from protocols.messages import (
     Hold,
     Idle,
     Impedance,
+    Message,
     Mode,
     Nanos,
     Position,
@@ -33,12 +34,11 @@ from protocols.messages import (
     State,
     Torque,
     Velocity,
-    Word,
 )
-from protocols.plugin import Device, Driver, Range, Spec, Tally, Twin
+from protocols.plugin import Device, Driver, Range, RxCounters, Spec, Twin
 
-Words: TypeAlias = Sequence[Command | Request]
-Saying: TypeAlias = Callable[[int], Words]
+Messages: TypeAlias = Sequence[Command | Request]
+Saying: TypeAlias = Callable[[int], Messages]
 """What is said, by the number of the step."""
 T = TypeVar("T")
 PART = 3
@@ -61,17 +61,17 @@ class Cable:
     spoke: Nanos = 0
     """When it last said something that arrived."""
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """To the device, unless cut."""
         if self.down:
-            self.twin.receive(t, wire)
+            self.twin.receive(t, frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """The device runs on; what it says is lost when cut."""
-        torques, wires = self.twin.step(now, truth)
-        if wires and self.up:
+        torques, frames = self.twin.step(now, truth)
+        if frames and self.up:
             self.spoke = now
-        return torques, wires if self.up else ()
+        return torques, frames if self.up else ()
 
     def due(self) -> Nanos | None:
         """The device's."""
@@ -96,41 +96,41 @@ class Host:
     """What our driver sends finds no room in the transmit queue."""
     other: Driver | None = None
     """Another host on the bus, ..."""
-    others_words: Words = ()
+    others_words: Messages = ()
     """... and what it says."""
-    sent: tuple[Wire, ...] = ()
+    sent: tuple[Frame, ...] = ()
     """What our driver sent in the last step, without the other's."""
 
     @property
-    def tally(self) -> Tally:
+    def counters(self) -> RxCounters:
         """The driver's."""
-        return self.driver.tally
+        return self.driver.counters
 
-    @tally.setter
-    def tally(self, tally: Tally) -> None:
-        self.driver.tally = tally
+    @counters.setter
+    def counters(self, counters: RxCounters) -> None:
+        self.driver.counters = counters
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """Both hosts hear; only ours tells."""
         if self.other is not None:
-            self.other.receive(t, wire)
-        return self.driver.receive(t, wire) if self.alive else ()
+            self.other.receive(t, frame)
+        return self.driver.receive(t, frame) if self.alive else ()
 
     def bus(self, t: Nanos, state: BusState) -> None:
         """The driver's."""
         self.driver.bus(t, state)
 
-    def send(self, now: Nanos, words: Words) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         """What both hosts send; what ours tells."""
         events: list[Event] = []
         back, self.sent = self.sent if self.echo else (), ()
         if self.alive:
-            events += [event for wire in back for event in self.driver.receive(now, wire)]
+            events += [event for frame in back for event in self.driver.receive(now, frame)]
             due = self.driver.due()
             if words or not self.lazy or (due is not None and now >= due):
-                own, wires = self.driver.send(now, words)
+                own, frames = self.driver.send(now, words)
                 events += own
-                self.sent = () if self.dropping else tuple(wires)
+                self.sent = () if self.dropping else tuple(frames)
         theirs = self.other.send(now, self.others_words)[1] if self.other is not None else ()
         return events, (*theirs, *self.sent)
 
@@ -143,14 +143,14 @@ class Host:
 class Scene:
     """A rehearsal in which things go wrong."""
 
-    stage: Rehearsal
+    stage: Bench
     host: Host
     cables: dict[str, Cable]
     said: list[tuple[Command | Request, ...]] = field(default_factory=list)
     """What was said, the last of each run of words of the same kinds."""
-    obeyed: list[Wire] = field(default_factory=list)
+    obeyed: list[Frame] = field(default_factory=list)
     """The last wires in which the ear heard a word."""
-    passed: list[Wire] = field(default_factory=list)
+    passed: list[Frame] = field(default_factory=list)
     """The last wires from the devices, no two alike."""
     obeys: dict[str, Command] = field(default_factory=dict)
     """The last command that each device would obey."""
@@ -180,18 +180,18 @@ class Scene:
         """What the driver last told."""
         return self.stage.armed.get(name)
 
-    def step(self, words: Words = ()) -> Said:
+    def step(self, words: Messages = ()) -> StepResult:
         """One step, noted."""
         said = self.stage.step(words)
         if words:
             if self.said and _kinds(self.said[-1]) == _kinds(words):
                 self.said.pop()
             self.said.append(tuple(words))
-        if said.heard:
+        if said.received:
             self.obeyed = [*self.obeyed, *(w for w in said.down if w not in self.obeyed[-4:])][-4:]
         if said.up:
             self.passed = [*(w for w in self.passed if w not in said.up), *said.up][-4:]
-        for word in said.heard:
+        for word in said.received:
             if isinstance(word, Command):
                 self.obeys[word.motor] = word
         for event in said.events:
@@ -206,7 +206,7 @@ class Scene:
         elif isinstance(event, Feedback) and event.position is not None:
             self.measured[event.motor] = event.position
 
-    def until(self, holds: Callable[[Said], bool], most: int, saying: Saying | Words = ()) -> bool:
+    def until(self, holds: Callable[[StepResult], bool], most: int, saying: Saying | Messages = ()) -> bool:
         """Step until it holds; False if it does not within so many steps."""
         return any(holds(self.step(saying(at) if callable(saying) else saying)) for at in range(most))
 
@@ -224,7 +224,7 @@ class Scene:
     def _measuring(self) -> set[str]:
         return set(self.names) if "Feedback.position" in self.spec.ranges else set()
 
-    def arm(self, saying: Saying, watch: Callable[[Said], bool] = lambda _: False) -> bool | None:
+    def arm(self, saying: Saying, watch: Callable[[StepResult], bool] = lambda _: False) -> bool | None:
         """Say this until every commanded device is armed; None if `watch` objects first."""
         for at in range(ARMING):
             words = saying(at)
@@ -259,24 +259,24 @@ class Scene:
         for shaft in self.stage.shafts.values():
             shaft.locked = False
 
-    def wait(self, count: int, words: Words = ()) -> None:
+    def wait(self, count: int, words: Messages = ()) -> None:
         """So many steps."""
         for _ in range(count):
             self.step(words)
 
-    def failure(self, text: str, wires: Sequence[Wire] = (), words: Sequence[Word] = ()) -> Failure:
+    def failure(self, text: str, frames: Sequence[Frame] = (), words: Sequence[Message] = ()) -> Failure:
         """With the wires that led here (or the last that passed), and what was said until now."""
         shown = tuple(word for words in self.said[-4:] for word in words)
-        return Failure(text, tuple(wires or self.obeyed or self.passed), (*shown, *words))
+        return Failure(text, tuple(frames or self.obeyed or self.passed), (*shown, *words))
 
 
-def _kinds(words: Words) -> list[tuple[type[Word], str]]:
+def _kinds(words: Messages) -> list[tuple[type[Message], str]]:
     return [(type(word), getattr(word, "motor", "")) for word in words]
 
 
 def scene(case: Case, count: int = 1, settings: object = None, position: float = 0.0) -> Scene:
     """The first `count` of alpha and beta with a driver, on shafts that stand at `position` [rad]."""
-    stage = play.rehearse(case.plugin, case.options, case.addresses[:count], NAMES[:count], settings)
+    stage = play.make_bench(case.plugin, case.options, case.addresses[:count], NAMES[:count], settings)
     cables = {device.name: Cable(twin) for device, twin in zip(stage.devices, stage.twins, strict=True)}
     host = Host(stage.driver)
     stage.driver, stage.twins = host, list(cables.values())
@@ -347,7 +347,7 @@ def slack(spec: Spec, position: float) -> float:
     return SLACK + sum(b.resolution + b.relative * abs(position) for b in both)
 
 
-def torque_of(said: Said, motor: str = NAMES[0]) -> float:
+def torque_of(said: StepResult, motor: str = NAMES[0]) -> float:
     """N·m that a device gave in a step."""
     return math.fsum(torque.torque for torque in said.torques if torque.motor == motor)
 

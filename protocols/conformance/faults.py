@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from protocols.conformance.bench import ARMING, NAMES, STEP, Said
+from protocols.conformance.bench import ARMING, NAMES, STEP, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.fault_injection import (
     STILL,
+    Messages,
     Scene,
-    Words,
     kinds_of,
     liveliest,
     moving,
@@ -30,9 +30,9 @@ from protocols.conformance.fault_injection import (
 )
 from protocols.frames import BusState
 from protocols.messages import ClearFault, Fault, Idle, Mode, Reboot
-from protocols.plugin import Complaint, Spec
+from protocols.plugin import FaultInfo, Spec
 
-Trial: TypeAlias = Callable[[Scene], Iterator[Words]]
+Trial: TypeAlias = Callable[[Scene], Iterator[Messages]]
 """What is said step by step, with what happens to cables and hosts in between."""
 ALPHA = NAMES[0]
 SAMPLE = 16
@@ -41,7 +41,7 @@ LONG = 2
 """Codes that are followed through everything."""
 KIND = 30
 """Steps for which a device in fault is told each kind of command."""
-TOLD = 1000
+REPORTED = 1000
 """Steps in which a fault must be told."""
 CLEARED = 2000
 """Steps in which ClearFault must have worked."""
@@ -49,15 +49,15 @@ CLEARED = 2000
 
 def faults_latch(case: Case) -> Verdict:
     """Every fault is told with code, name, cause and cure, latches, and goes by ClearFault alone."""
-    spec, dice = case.spec, case.dice()
+    spec, random = case.spec, case.random()
     if not spec.faults:
         return Inapplicable("the spec lists no faults")
-    codes = dice.shuffled(sorted(spec.faults))
+    codes = random.shuffled(sorted(spec.faults))
     failure = _each_is_told(case, spec, some(case, codes[:SAMPLE]))
     if failure or not kinds_of(spec):
         return failure
-    for code in some(case, [code for code in codes if spec.faults[code].latches][:LONG]):
-        failure = _Story(case, spec, code).tell()
+    for code in some(case, [code for code in codes if spec.faults[code].latching][:LONG]):
+        failure = _Story(case, spec, code).report()
         if failure:
             return failure
     return None
@@ -85,26 +85,24 @@ def told_wrongly(on: Scene, spec: Spec, code: int, motor: str = ALPHA) -> str:
     """What is wrong with how a fault that stands is told; "" if it comes with its text, and State FAULT."""
     complaint = spec.faults[code]
 
-    def told(_: Said) -> bool:
+    def reported(_: StepResult) -> bool:
         return on.mode(motor) is Mode.FAULT and any(fault.code == code for fault in named(on.faults, motor))
 
-    if not on.until(told, TOLD):
+    if not on.until(reported, REPORTED):
         known = sorted({fault.code for fault in named(on.faults, motor)})
-        return (
-            f"fault {code} ({complaint.name}) is not told in {TOLD} ms: State {on.mode(motor)}, Fault {known}"
-        )
+        return f"fault {code} ({complaint.name}) is not told in {REPORTED} ms: State {on.mode(motor)}, Fault {known}"
     said = next(fault for fault in named(on.faults, motor) if fault.code == code)
     return _text_wrong(said, complaint)
 
 
-def _text_wrong(said: Fault, complaint: Complaint) -> str:
+def _text_wrong(said: Fault, complaint: FaultInfo) -> str:
     """A driver may add to the cause; name and cure are as the spec has them."""
     if said.name != complaint.name:
         return f"fault {said.code} is told as {said.name!r}, the spec says {complaint.name!r}"
     if not complaint.cause or complaint.cause not in said.cause:
         return f"fault {said.code} is told with cause {said.cause!r}, the spec says {complaint.cause!r}"
-    if not complaint.cure or said.cure != complaint.cure:
-        return f"fault {said.code} is told with cure {said.cure!r}, the spec says {complaint.cure!r}"
+    if not complaint.remedy or said.remedy != complaint.remedy:
+        return f"fault {said.code} is told with cure {said.remedy!r}, the spec says {complaint.remedy!r}"
     return ""
 
 
@@ -113,7 +111,7 @@ def _cleared(on: Scene) -> str:
     on.step([ClearFault(ALPHA)])
     if not on.until(lambda _: on.mode() is not Mode.FAULT, CLEARED):
         return f"ClearFault does not clear in {CLEARED} ms"
-    for _ in range(TOLD // 4):  # nor does the fault come back by itself
+    for _ in range(REPORTED // 4):  # nor does the fault come back by itself
         on.step()
         if on.mode() is Mode.FAULT:
             return "ClearFault clears, and a moment later the device is in fault again"
@@ -132,7 +130,7 @@ class _Story:
     spec: Spec
     code: int
 
-    def tell(self) -> Failure | None:
+    def report(self) -> Failure | None:
         """The whole of it; the first thing that is wrong."""
         on = scene(self.case)
         kind = liveliest(self.spec) or kinds_of(self.spec)[0]
@@ -167,29 +165,29 @@ class _Story:
         """A trial, after which the fault must still stand, and in which nobody may try to clear it."""
         for words in trial(on):
             said = on.step(words)
-            clearing = [word for word in named(said.heard) if isinstance(word, ClearFault | Reboot)]
+            clearing = [word for word in named(said.received) if isinstance(word, ClearFault | Reboot)]
             if clearing:
                 text = f"fault {self.code}: at {what} the device is told {clearing[0]}, unasked"
                 return on.failure(text, said.down, clearing[:1])
-        on.until(lambda _: on.mode() is Mode.FAULT, TOLD)
+        on.until(lambda _: on.mode() is Mode.FAULT, REPORTED)
         if on.mode() is not Mode.FAULT:
             return on.failure(f"fault {self.code}: after {what} the driver tells {on.mode()}")
         if abs(torque_of(on.step())) > STILL:
             return on.failure(f"fault {self.code}: after {what} the device gives torque")
         return None
 
-    def _commands(self, on: Scene) -> Iterator[Words]:
+    def _commands(self, on: Scene) -> Iterator[Messages]:
         """Each kind for a while: every change of kind may be a change of the device's mode."""
         start = on.measured.get(ALPHA, 0.0)
         for kind in kinds_of(self.spec):
             for at in range(KIND):
                 yield [moving(kind, self.spec, ALPHA, start, at)]
 
-    def _no_device(self, on: Scene) -> Iterator[Words]:
+    def _no_device(self, on: Scene) -> Iterator[Messages]:
         """Its cable is pulled until it is told to be offline, and put back."""
         cable = on.cables[ALPHA]
         cable.up = cable.down = False
-        for _ in range(TOLD + self.spec.offline_after // STEP):
+        for _ in range(REPORTED + self.spec.offline_after // STEP):
             if on.mode() is not Mode.OFFLINE:
                 yield ()
         cable.up = cable.down = True
@@ -211,13 +209,13 @@ class _Story:
         return fresh.failure(f"fault {self.code}: {wrong}") if wrong else None
 
 
-def _no_host(on: Scene) -> Iterator[Words]:
+def _no_host(on: Scene) -> Iterator[Messages]:
     on.host.alive = False
     yield from [()] * 300
     on.host.alive = True
 
 
-def _no_bus(on: Scene) -> Iterator[Words]:
+def _no_bus(on: Scene) -> Iterator[Messages]:
     on.host.bus(on.now, BusState.OFF)
     yield from [()] * 20
     on.host.bus(on.now, BusState.BACK)

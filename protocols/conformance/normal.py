@@ -18,9 +18,9 @@ from protocols.conformance import bench as play
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES
 from protocols.conformance.case import Case, Failure, Verdict, by_name
-from protocols.frames import BusState, CanFrame, Wire
-from protocols.messages import Command, Event, Feedback, Idle, Nanos, Request, Word
-from protocols.plugin import Driver, Spec, Tally
+from protocols.frames import BusState, CanFrame, Frame
+from protocols.messages import Command, Event, Feedback, Idle, Message, Nanos, Request
+from protocols.plugin import Driver, RxCounters, Spec
 
 SMALLEST = 2.0**-126
 """The smallest normal binary32."""
@@ -54,25 +54,25 @@ class _Two:
     driver: Driver
     other: Driver
     changed: Callable[[Command | Request], Command | Request] = lambda word: word
-    difference: tuple[Sequence[Wire], Sequence[Wire]] | None = field(default=None)
+    difference: tuple[Sequence[Frame], Sequence[Frame]] | None = field(default=None)
 
     @property
-    def tally(self) -> Tally:
-        return self.driver.tally
+    def counters(self) -> RxCounters:
+        return self.driver.counters
 
-    @tally.setter
-    def tally(self, tally: Tally) -> None:
-        self.driver.tally = tally
+    @counters.setter
+    def counters(self, counters: RxCounters) -> None:
+        self.driver.counters = counters
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        self.other.receive(t, wire)
-        return self.driver.receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        self.other.receive(t, frame)
+        return self.driver.receive(t, frame)
 
     def bus(self, t: Nanos, state: BusState) -> None:
         self.other.bus(t, state)
         self.driver.bus(t, state)
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         said = self.driver.send(now, words)
         theirs = self.other.send(now, [self.changed(word) for word in words])[1]
         if list(said[1]) != list(theirs) and self.difference is None:
@@ -95,7 +95,7 @@ def _down(case: Case) -> Iterator[Failure]:
     for kind in kinds:
         calm = [_zeroed(kind, spec, name) for name in NAMES]
         for _ in range(TURN):
-            if any(type(word) is kind for word in stage.step(calm).heard):
+            if any(type(word) is kind for word in stage.step(calm).received):
                 break
         for name, key in play.numbers(kind, spec.ranges):
             bounds = spec.ranges[key]
@@ -129,8 +129,8 @@ def _up(case: Case) -> Iterator[Failure]:
         yield from _odd(said.events, before.up)
     stage = case.armed() or case.start()
     expected = [w for w in noise.conversation(case) if not isinstance(w, CanFrame) or w.id in case.expects]
-    for wire in case.dice().shuffled(expected)[: case.part(60)]:
-        for patched in _patched(wire):
+    for frame in case.random().shuffled(expected)[: case.part(60)]:
+        for patched in _patched(frame):
             yield from _odd(stage.driver.receive(stage.now, patched), (patched,))
     stage = case.start()
     for number in NEARLY_ZERO:
@@ -141,11 +141,11 @@ def _up(case: Case) -> Iterator[Failure]:
                 yield from _odd(stage.step(truth=shown).events, arriving)
 
 
-def _patched(wire: Wire) -> Iterator[Wire]:
-    data = play.data_of(wire)
+def _patched(frame: Frame) -> Iterator[Frame]:
+    data = play.data_of(frame)
     for number in PATCHES:
         for at in range(min(len(data), 64) - len(number) + 1):
-            yield play.with_data(wire, data[:at] + number + data[at + len(number) :])
+            yield play.with_data(frame, data[:at] + number + data[at + len(number) :])
 
 
 def _sights(sensor: str, t: Nanos, number: float) -> list[Event]:
@@ -158,13 +158,13 @@ def _sights(sensor: str, t: Nanos, number: float) -> list[Event]:
     ]
 
 
-def _odd(events: Sequence[Event], wires: Sequence[Wire]) -> Iterator[Failure]:
+def _odd(events: Sequence[Event], frames: Sequence[Frame]) -> Iterator[Failure]:
     for event in events:
         if not normal(event):
-            yield Failure("−0.0 or a denormal came up", tuple(wires)[:2], (event,))
+            yield Failure("−0.0 or a denormal came up", tuple(frames)[:2], (event,))
 
 
-def normal(word: Word) -> bool:
+def normal(word: Message) -> bool:
     """Whether every number in a word is 0.0 or a normal binary32 (or larger)."""
     return all(_normal(getattr(word, f.name)) for f in fields(word))
 

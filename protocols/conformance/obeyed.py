@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 from protocols.conformance import bench as play
 from protocols.conformance import noise
-from protocols.conformance.bench import NAMES, STEP, Rehearsal
+from protocols.conformance.bench import NAMES, STEP, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
 from protocols.conformance.fault_injection import kinds_of, liveliest, resting
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -42,7 +42,7 @@ from protocols.messages import (
     Velocity,
     Zero,
 )
-from protocols.plugin import Driver, Ear, Twin
+from protocols.plugin import CommandDecoder, Driver, Twin
 
 PLACE = 0.75
 """rad where every shaft stands."""
@@ -62,7 +62,7 @@ WATCHED = 40
 """Steps for which a device is watched afterwards."""
 ANSWERED = 20
 """Steps in which a device has answered."""
-TOLD = 600
+REPORTED = 600
 """Steps in which a device has told that it is no longer in fault, or where its zero is now."""
 NEAR = 1e-3
 """rad that count as the same place."""
@@ -77,10 +77,10 @@ class _State:
     title: str
     driver: Driver | None
     """None: it cannot be copied."""
-    ear: Ear
+    decoder: CommandDecoder
     twins: tuple[Twin, ...]
     now: Nanos
-    down: tuple[tuple[Wire, ...], ...]
+    down: tuple[tuple[Frame, ...], ...]
     armed: bool
     faulty: bool
 
@@ -90,30 +90,30 @@ class _Run:
     """What a device did, step by step."""
 
     torques: tuple[float, ...]
-    up: tuple[tuple[Wire, ...], ...]
+    up: tuple[tuple[Frame, ...], ...]
 
 
-def ear_and_twin_agree(case: Case) -> Verdict:
+def decoder_and_twin_agree(case: Case) -> Verdict:
     """Wires of a day, damaged ones and random ones, to devices in different states."""
     if not case.spec.commands:
         return Inapplicable("the spec lists no commands: the device obeys nothing that moves")
     samples = _samples(case)
     for state in _states(case):
-        silent, heard = _sorted_by_ear(case, state, samples)
-        failure = _undone(state, silent) or _done(case, state, heard)
+        silent, received = _sorted_by_decoder(case, state, samples)
+        failure = _undone(state, silent) or _done(case, state, received)
         if failure:
             return failure
     return None
 
 
-def _samples(case: Case) -> list[Wire]:
+def _samples(case: Case) -> list[Frame]:
     """Wires of both directions, at least one of each message to a device; damaged ones; random ones."""
-    named = {tuple(case.plugin.messages(wire)): wire for said in case.day for wire in reversed(said.down)}
-    dice = case.dice()
-    real = dice.shuffled(noise.conversation(case))
+    named = {tuple(case.plugin.messages(frame)): frame for said in case.day for frame in reversed(said.down)}
+    random = case.random()
+    real = random.shuffled(noise.conversation(case))
     said = [*named.values(), *real[: case.part(len(real))]]
-    mutated = [play.with_data(wire, noise.damaged(play.data_of(wire), dice)) for wire in said]
-    return [*said, *mutated, *noise.wires(case, case.part(150))]
+    mutated = [play.with_data(frame, noise.damaged(play.data_of(frame), random)) for frame in said]
+    return [*said, *mutated, *noise.frames(case, case.part(150))]
 
 
 # -- states --------------------------------------------------------------------------------------------
@@ -141,101 +141,105 @@ def _states(case: Case) -> Iterator[_State]:
         yield _caught("in fault", stage, ())
 
 
-def _still(case: Case) -> Rehearsal:
+def _still(case: Case) -> Bench:
     stage = case.start()
     for shaft in stage.shafts.values():
         shaft.locked, shaft.position = True, PLACE
     return stage
 
 
-def _caught(title: str, stage: Rehearsal, words: Sequence[Command]) -> _State:
+def _caught(title: str, stage: Bench, words: Sequence[Command]) -> _State:
     """The devices as they are, and what the host goes on to say to them."""
-    ear, twins, now = copy.deepcopy(stage.ear), copy.deepcopy(stage.twins), stage.now
+    decoder, twins, now = copy.deepcopy(stage.decoder), copy.deepcopy(stage.twins), stage.now
     driver: Driver | None = None
     with contextlib.suppress(Exception):  # another clause's finding
         driver = copy.deepcopy(stage.driver)
     modes = {stage.armed.get(name) for name in NAMES}
     down = tuple(stage.step(words).down for _ in range(2 * SILENT // EACH + ANSWERED + WATCHED))
-    return _State(title, driver, ear, tuple(twins), now, down, Mode.ARMED in modes, title == "in fault")
+    return _State(title, driver, decoder, tuple(twins), now, down, Mode.ARMED in modes, title == "in fault")
 
 
-def _next_words(state: _State, ear: Ear) -> list[Command | Request]:
+def _next_words(state: _State, decoder: CommandDecoder) -> list[Command | Request]:
     """What an ear makes of what the host says next."""
-    trial = copy.deepcopy(ear)
+    trial = copy.deepcopy(decoder)
     return [
         word
-        for step, wires in enumerate(state.down[:NEXT])
-        for wire in wires
-        for word in trial.hear(state.now + (step + 1) * STEP, wire)
+        for step, frames in enumerate(state.down[:NEXT])
+        for frame in frames
+        for word in trial.decode(state.now + (step + 1) * STEP, frame)
     ]
 
 
-def _sorted_by_ear(case: Case, state: _State, samples: Sequence[Wire]) -> tuple[list[Wire], list[Wire]]:
+def _sorted_by_decoder(
+    case: Case, state: _State, samples: Sequence[Frame]
+) -> tuple[list[Frame], list[Frame]]:
     """Wires of which the ear makes nothing, one after the other; and wires in which it hears a word."""
-    silent: dict[tuple[str, ...], list[Wire]] = {}
-    heard: dict[tuple[str, ...], list[Wire]] = {}
-    for wire in samples:
-        words = copy.deepcopy(state.ear).hear(state.now, wire)
+    silent: dict[tuple[str, ...], list[Frame]] = {}
+    received: dict[tuple[str, ...], list[Frame]] = {}
+    for frame in samples:
+        words = copy.deepcopy(state.decoder).decode(state.now, frame)
         if words:
-            heard.setdefault(tuple(type(word).__name__ for word in words), []).append(wire)
+            received.setdefault(tuple(type(word).__name__ for word in words), []).append(frame)
         else:
-            silent.setdefault(tuple(case.plugin.messages(wire)), []).append(wire)
+            silent.setdefault(tuple(case.plugin.messages(frame)), []).append(frame)
     quiet = [
-        wire
-        for wire in _some(silent, max(case.part(SILENT) // max(len(silent), 1), 3))
-        if _unheard(state, [wire])
+        frame
+        for frame in _some(silent, max(case.part(SILENT) // max(len(silent), 1), 3))
+        if _unheard(state, [frame])
     ]
     while not _unheard(state, quiet):  # together they may make a word, as pieces of a stream do
         quiet = quiet[: len(quiet) // 2]
-    return quiet, _some(heard, HEARD)
+    return quiet, _some(received, HEARD)
 
 
-def _unheard(state: _State, wires: Sequence[Wire]) -> bool:
+def _unheard(state: _State, frames: Sequence[Frame]) -> bool:
     """Whether these add no word to what the ear hears of the host, at once or in the next steps."""
-    ear, usual = copy.deepcopy(state.ear), copy.deepcopy(state.ear)
-    for step in range(-(-len(wires) // EACH) + LATER):
+    decoder, usual = copy.deepcopy(state.decoder), copy.deepcopy(state.decoder)
+    for step in range(-(-len(frames) // EACH) + LATER):
         now = state.now + (step + 1) * STEP
-        if any(ear.hear(now, wire) for wire in wires[step * EACH : (step + 1) * EACH]):
+        if any(decoder.decode(now, frame) for frame in frames[step * EACH : (step + 1) * EACH]):
             return False
         down = state.down[step] if step < len(state.down) else ()
-        if [list(ear.hear(now, wire)) for wire in down] != [list(usual.hear(now, wire)) for wire in down]:
+        if [list(decoder.decode(now, frame)) for frame in down] != [
+            list(usual.decode(now, frame)) for frame in down
+        ]:
             return False
     return True
 
 
-def _some(kinds: dict[tuple[str, ...], list[Wire]], most: int) -> list[Wire]:
+def _some(kinds: dict[tuple[str, ...], list[Frame]], most: int) -> list[Frame]:
     """At most so many of each kind."""
-    return [wire for wires in kinds.values() for wire in wires[:: max(len(wires) // most, 1)][:most]]
+    return [frame for frames in kinds.values() for frame in frames[:: max(len(frames) // most, 1)][:most]]
 
 
-def _run(state: _State, extra: Sequence[Sequence[Wire]], at: int, count: int, fed: bool) -> _Run:
+def _run(state: _State, extra: Sequence[Sequence[Frame]], at: int, count: int, fed: bool) -> _Run:
     """A copy of one device for so many steps, with extra wires, and with what its host says or without."""
     twin, now, name = copy.deepcopy(state.twins[at]), state.now, NAMES[at]
     torques, up = [], []
     for step in range(count):
         now += STEP
-        for wire in (
+        for frame in (
             *(extra[step] if step < len(extra) else ()),
             *(state.down[step] if fed and step < len(state.down) else ()),
         ):
-            twin.receive(now, wire)
+            twin.receive(now, frame)
         shown: list[Event] = [Feedback(name, now, PLACE, 0.0)]
-        given, wires = twin.step(now, shown)
+        given, frames = twin.step(now, shown)
         torques.append(math.fsum(torque.torque for torque in given))
-        up.append(tuple(wires))
+        up.append(tuple(frames))
     return _Run(tuple(torques), tuple(up))
 
 
 # -- what is not heard ---------------------------------------------------------------------------------
 
 
-def _undone(state: _State, silent: Sequence[Wire]) -> Failure | None:
+def _undone(state: _State, silent: Sequence[Frame]) -> Failure | None:
     for at in range(len(NAMES)):
         if not _goes_astray(state, silent, at):
             continue
 
-        def fails(wires: Sequence[Wire], at: int = at) -> bool:
-            return _unheard(state, wires) and bool(_goes_astray(state, wires, at))
+        def fails(frames: Sequence[Frame], at: int = at) -> bool:
+            return _unheard(state, frames) and bool(_goes_astray(state, frames, at))
 
         few = play.fewest(silent, fails)
         text = f"{NAMES[at]}, {state.title}: the ear hears no word, and yet {_goes_astray(state, few, at)}"
@@ -243,9 +247,9 @@ def _undone(state: _State, silent: Sequence[Wire]) -> Failure | None:
     return None
 
 
-def _goes_astray(state: _State, wires: Sequence[Wire], at: int) -> str:
+def _goes_astray(state: _State, frames: Sequence[Frame], at: int) -> str:
     """What a device does otherwise that got these wires besides; "" if nothing."""
-    extra = [wires[i : i + EACH] for i in range(0, len(wires), EACH)]
+    extra = [frames[i : i + EACH] for i in range(0, len(frames), EACH)]
     count = len(extra) + ANSWERED + WATCHED
     without, other = _run(state, (), at, count, fed=True), _run(state, extra, at, count, fed=True)
     for step, (left, right) in enumerate(zip(without.torques, other.torques, strict=True)):
@@ -273,20 +277,20 @@ def _told_alike(state: _State, one: _Run, other: _Run) -> bool:
     if state.driver is None:
         return False
     (modes, places), (their_modes, their_places) = (
-        _told(state.driver, state, one),
-        _told(state.driver, state, other),
+        _reported(state.driver, state, one),
+        _reported(state.driver, state, other),
     )
     apart = [abs(a - b) for a, b in zip(places[-1:], their_places[-1:], strict=False)]
     return modes == their_modes and all(distance < NEAR for distance in apart)
 
 
-def _told(driver: Driver, state: _State, run: _Run) -> tuple[list[object], list[float]]:
+def _reported(driver: Driver, state: _State, run: _Run) -> tuple[list[object], list[float]]:
     """The last mode, the faults, and the positions that are told."""
     driver, now = copy.deepcopy(driver), state.now
     mode, faults, places = None, list[object](), list[float]()
-    for wires in run.up:
+    for frames in run.up:
         now += STEP
-        for event in (event for wire in wires for event in driver.receive(now, wire)):
+        for event in (event for frame in frames for event in driver.receive(now, frame)):
             if isinstance(event, State):
                 mode = event.mode
             elif isinstance(event, Fault):
@@ -296,36 +300,36 @@ def _told(driver: Driver, state: _State, run: _Run) -> tuple[list[object], list[
     return [mode, *faults], places
 
 
-def _plainest(state: _State, wire: Wire, at: int) -> Wire:
-    def fails(other: Wire) -> bool:
+def _plainest(state: _State, frame: Frame, at: int) -> Frame:
+    def fails(other: Frame) -> bool:
         return _unheard(state, [other]) and bool(_goes_astray(state, [other], at))
 
-    return play.shortest(wire, fails) if fails(wire) else wire
+    return play.shortest(frame, fails) if fails(frame) else frame
 
 
 # -- what is heard -------------------------------------------------------------------------------------
 
 
-def _done(case: Case, state: _State, heard: Sequence[Wire]) -> Failure | None:
-    for wire in heard:
-        words = tuple(copy.deepcopy(state.ear).hear(state.now, wire))
+def _done(case: Case, state: _State, received: Sequence[Frame]) -> Failure | None:
+    for frame in received:
+        words = tuple(copy.deepcopy(state.decoder).decode(state.now, frame))
         for at, name in enumerate(NAMES):
             about = [word for word in words if getattr(word, "motor", "") == name]
             if not about:
                 continue
-            wrong = _not_done(case, state, about[-1], wire, at)
+            wrong = _not_done(case, state, about[-1], frame, at)
             if wrong:
-                return Failure(f"{name}, {state.title}: {wrong}", (wire,), words)
+                return Failure(f"{name}, {state.title}: {wrong}", (frame,), words)
     return None
 
 
-def _not_done(case: Case, state: _State, word: Command | Request, wire: Wire, at: int) -> str:
+def _not_done(case: Case, state: _State, word: Command | Request, frame: Frame, at: int) -> str:
     """What a device did not do of what it was told; "" if it did."""
     clears = isinstance(word, ClearFault) and state.faulty
     if clears or (isinstance(word, Zero) and not state.armed and not state.faulty):
-        same = _run(state, [[wire]], at, TOLD, fed=False) == _run(state, (), at, TOLD, fed=False)
+        same = _run(state, [[frame]], at, REPORTED, fed=False) == _run(state, (), at, REPORTED, fed=False)
         return "it goes on as if it had not heard" if same else ""
-    torque = _run(state, [[wire]], at, WATCHED, fed=False).torques[-1]
+    torque = _run(state, [[frame]], at, WATCHED, fed=False).torques[-1]
     if isinstance(word, Idle | Estop | Reboot):
         return "" if abs(torque) <= NONE else f"it is to let go, and gives {torque:.6g} N·m"
     if not isinstance(word, Command) or state.faulty or not play.within(word, case.spec.ranges):

@@ -9,9 +9,9 @@ from typing import Any
 
 from protocols.conformance import bench as play
 from protocols.conformance import noise
-from protocols.conformance.bench import NAMES, STRANGER, Rehearsal
+from protocols.conformance.bench import NAMES, STRANGER, Bench
 from protocols.conformance.case import Case, Failure, Verdict, by_name, counts, difference
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Estop, Event, Feedback, Idle, Request
 from protocols.plugin import Spec
 
@@ -29,7 +29,7 @@ def strangers_change_nothing(case: Case) -> Verdict:
     odd, count = _odd(case), 0
     for at, words in enumerate(play.script(spec, NAMES)):
         theirs = stranger.step(_theirs(words))
-        host = [wire for wire in theirs.down if not _overheard(spec, wire)]
+        host = [frame for frame in theirs.down if not _overheard(spec, frame)]
         can = [*host, *theirs.up] if spec.bus != "serial" else []
         extra = [odd[at % len(odd)]] if at % 5 == 0 else []
         up = [w for w in can or theirs.up if not (isinstance(w, CanFrame) and w.id in expects)]
@@ -37,21 +37,21 @@ def strangers_change_nothing(case: Case) -> Verdict:
         one, other = alone.step(words), crowded.step(words, [*up, *extra], down)
         if one != other:
             return difference(one, other, "alone", "among strangers", (*up, *extra, *down)[:4])
-        for wire in up:
-            counter.receive(crowded.now, wire)
+        for frame in up:
+            counter.receive(crowded.now, frame)
         count += len(extra) + (len(up) if spec.bus != "serial" else 0)
-    count += sum(counts(counter.tally)) if spec.bus == "serial" else 0
-    tally, base = counts(crowded.driver.tally), counts(alone.driver.tally)
-    understood = tally[0] - base[0]
+    count += sum(counts(counter.counters)) if spec.bus == "serial" else 0
+    counters, base = counts(crowded.driver.counters), counts(alone.driver.counters)
+    understood = counters[0] - base[0]
     # A driver may well understand a stranger's answer to a discovery, as long as it tells nothing.
-    if tally[1] != base[1] or sum(tally) != sum(base) + count or not 0 <= understood <= count // 100:
-        text = f"(heard, bad, foreign) is {base} alone, {tally} with {count} foreign wires besides"
+    if counters[1] != base[1] or sum(counters) != sum(base) + count or not 0 <= understood <= count // 100:
+        text = f"(heard, bad, foreign) is {base} alone, {counters} with {count} foreign wires besides"
         return Failure(text, tuple(odd[:2]))
     return None
 
 
-def _overheard(spec: Spec, wire: Wire) -> bool:
-    return isinstance(wire, CanFrame) and any(wire.id & mask == bits for bits, mask in spec.overhears)
+def _overheard(spec: Spec, frame: Frame) -> bool:
+    return isinstance(frame, CanFrame) and any(frame.id & mask == bits for bits, mask in spec.receives_also)
 
 
 def _theirs(words: Sequence[Command | Request]) -> list[Command | Request]:
@@ -60,17 +60,17 @@ def _theirs(words: Sequence[Command | Request]) -> list[Command | Request]:
     return [replace(word, motor=STRANGER) for word in named]
 
 
-def _odd(case: Case) -> list[Wire]:
+def _odd(case: Case) -> list[Frame]:
     """Wires that are nobody's: of another kind, of unknown ids, and known ids in the other format."""
     if case.spec.bus == "serial":
         return [CanFrame(1, b"\1\2"), CanFrame(0x12345678, b"", extended=True)]
-    dice, known = case.dice(), case.sends | case.expects
-    free = [i for i in (dice.bits(11) for _ in range(200)) if i not in known][:8]
-    turned = dice.shuffled(noise.other_format(case))[:8]
-    return [b"\1\2\3", *(CanFrame(i, dice.bytes(8)) for i in free), *turned]
+    random, known = case.random(), case.sends | case.expects
+    free = [i for i in (random.bits(11) for _ in range(200)) if i not in known][:8]
+    turned = random.shuffled(noise.other_format(case))[:8]
+    return [b"\1\2\3", *(CanFrame(i, random.bytes(8)) for i in free), *turned]
 
 
-def unclaimed_is_read_only(case: Case) -> Verdict:
+def uncommanded_is_read_only(case: Case) -> Verdict:
     """Before the first command other than Idle, a driver says only what the spec calls read-only.
 
     To devices as they come out of the box, to running ones that another host left, and to faulty ones."""
@@ -78,61 +78,61 @@ def unclaimed_is_read_only(case: Case) -> Verdict:
         for count in range(case.part(LOOK)):
             idle = case.spec.commands and count % 3 == 0
             said = stage.step([Idle(name) for name in NAMES] if idle else [])
-            for wire in said.down:
-                if not harmless(stage.specs, wire):
-                    heard = tuple(case.plugin.ear(stage.devices).hear(said.now, wire))
-                    return Failure(f"an unclaimed driver, to devices {what}", (wire,), heard)
+            for frame in said.down:
+                if not harmless(stage.specs, frame):
+                    received = tuple(case.plugin.decoder(stage.devices).decode(said.now, frame))
+                    return Failure(f"an unclaimed driver, to devices {what}", (frame,), received)
     return None
 
 
-def _found(case: Case) -> Iterator[tuple[str, Rehearsal]]:
+def _found(case: Case) -> Iterator[tuple[str, Bench]]:
     """A fresh driver before devices in different states."""
     yield "as they come", case.start()
     if case.spec.kind != "motor":
         return
     armed = case.armed()
     if armed is not None:
-        armed.driver, armed.ear = case.start().driver, case.start().ear
+        armed.driver, armed.decoder = case.start().driver, case.start().decoder
         yield "that run", armed
     faulty = case.armed()
     if faulty is not None and Estop in case.spec.requests:
         faulty.step([Estop(name) for name in NAMES])
         faulty.steps(300)
-        faulty.driver, faulty.ear = case.start().driver, case.start().ear
+        faulty.driver, faulty.decoder = case.start().driver, case.start().decoder
         yield "in fault", faulty
 
 
-def harmless(specs: Sequence[Spec], wire: Wire) -> bool:
+def harmless(specs: Sequence[Spec], frame: Frame) -> bool:
     """Whether each device that a wire is for calls it read-only."""
-    concerned = [spec for spec in specs if not isinstance(wire, CanFrame) or wire.id in spec.sends]
-    return bool(concerned) and all(spec.read_only(wire) for spec in concerned)
+    concerned = [spec for spec in specs if not isinstance(frame, CanFrame) or frame.id in spec.sends]
+    return bool(concerned) and all(spec.read_only(frame) for spec in concerned)
 
 
-def only_declared_wires(case: Case) -> Verdict:
+def only_declared_frames(case: Case) -> Verdict:
     """All that goes out or comes in is of the bus's kind, and of an id that the spec lists."""
     spec, sends, expects = case.spec, case.sends, case.expects
     for words, said in zip(play.script(spec, NAMES), case.day, strict=True):
-        for who, wires, ids in (("driver", said.down, sends), ("device", said.up, expects)):
-            for wire in wires:
-                wrong = _undeclared(spec, wire, ids)
+        for who, frames, ids in (("driver", said.down, sends), ("device", said.up, expects)):
+            for frame in frames:
+                wrong = _undeclared(spec, frame, ids)
                 if wrong:
-                    return Failure(f"the {who} says {wrong}", (wire,), tuple(words))
+                    return Failure(f"the {who} says {wrong}", (frame,), tuple(words))
     return None
 
 
-def _undeclared(spec: Spec, wire: Wire, ids: frozenset[int]) -> str:
+def _undeclared(spec: Spec, frame: Frame, ids: frozenset[int]) -> str:
     """What is wrong with a wire that somebody said, or ""."""
     if spec.bus == "serial":
-        return "" if isinstance(wire, bytes) and wire else "what is no run of bytes"
-    if not isinstance(wire, CanFrame):
+        return "" if isinstance(frame, bytes) and frame else "what is no run of bytes"
+    if not isinstance(frame, CanFrame):
         return "what is no CAN frame"
-    if wire.fd and spec.bus != "canfd":
+    if frame.fd and spec.bus != "canfd":
         return "a CAN FD frame on a classic bus"
-    if len(wire.data) > (64 if wire.fd else 8) or (wire.remote and (wire.data or wire.fd)):
+    if len(frame.data) > (64 if frame.fd else 8) or (frame.remote and (frame.data or frame.fd)):
         return "a frame that cannot be"
-    if not wire.extended and wire.id > 0x7FF:
+    if not frame.extended and frame.id > 0x7FF:
         return "an id that is too long for its format"
-    return "" if wire.id in ids else f"an id that the spec does not list: {wire.id:#x}"
+    return "" if frame.id in ids else f"an id that the spec does not list: {frame.id:#x}"
 
 
 def nothing_non_finite(case: Case) -> Verdict:
@@ -155,9 +155,9 @@ def _down(case: Case) -> Iterator[Failure]:
                 continue
             good = [play.gentle(kind, spec.ranges)(name) for name in NAMES] if make == case.armed else []
             for word in bad:
-                quiet, told = one.step(good[1:]), other.step([word, *good[1:]])
-                if quiet.down != told.down:
-                    new = tuple(wire for wire in told.down if wire not in quiet.down)
+                quiet, reported = one.step(good[1:]), other.step([word, *good[1:]])
+                if quiet.down != reported.down:
+                    new = tuple(frame for frame in reported.down if frame not in quiet.down)
                     yield Failure("a number that must not pass put something on the wire", new, (word,))
                     return
                 if one.step(good).down != other.step(good).down:
@@ -180,8 +180,8 @@ def _bad(kind: type[Command], spec: Spec) -> Iterator[Command]:
 def _up(case: Case) -> Iterator[Failure]:
     """Real wires with NaN and infinities patched in, and devices that measure such."""
     stage = case.armed() or case.start()
-    for wire in case.dice().shuffled(noise.conversation(case))[: case.part(120)]:
-        for mad in _patched(wire):
+    for frame in case.random().shuffled(noise.conversation(case))[: case.part(120)]:
+        for mad in _patched(frame):
             for event in stage.driver.receive(stage.now, mad):
                 if not play.finite(event):
                     yield Failure("a number that is not finite came up", (mad,), (event,))
@@ -197,12 +197,12 @@ def _up(case: Case) -> Iterator[Failure]:
                     return
 
 
-def _patched(wire: Wire) -> Iterator[Wire]:
+def _patched(frame: Frame) -> Iterator[Frame]:
     """A wire with each strange number at each place of its first 64 bytes."""
-    data = play.data_of(wire)
+    data = play.data_of(frame)
     for number in noise.STRANGE:
         for at in range(min(len(data), 64) - len(number) + 1):
-            yield play.with_data(wire, data[:at] + number + data[at + len(number) :])
+            yield play.with_data(frame, data[:at] + number + data[at + len(number) :])
 
 
 def _mad_sights(sensor: str, t: int, value: float) -> list[Event]:

@@ -15,7 +15,7 @@ _MASK = 2**64 - 1
 
 
 @dataclass(slots=True)
-class Dice:
+class Random:
     """A seeded generator of samples."""
 
     state: int

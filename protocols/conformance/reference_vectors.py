@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from protocols.conformance import bench as play
-from protocols.conformance.bench import NAMES, Rehearsal
+from protocols.conformance.bench import NAMES, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, variants
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Request
 from protocols.plugin import Device, Plugin, Spec
 from protocols.reference_vectors import Vector, vectors_of
@@ -29,7 +29,7 @@ KNOWN = 800
 ADDRESSES = range(256)
 
 
-def motion_is_vouched_for(case: Case) -> Verdict:
+def motion_is_in_reference_vectors(case: Case) -> Verdict:
     """Each message that is more than read-only has an independent vector; vectors are understood."""
     vectors = vectors_of(case.plugin)
     if not vectors and case.spec.kind == "sensor":
@@ -43,91 +43,91 @@ def motion_is_vouched_for(case: Case) -> Verdict:
     return _unsound(case, right) or _not_heard(case, [v for v in right if v.direction == "from_device"])
 
 
-def _vouched(plugin: Plugin, right: Sequence[Vector]) -> dict[str, Wire]:
+def _vouched(plugin: Plugin, right: Sequence[Vector]) -> dict[str, Frame]:
     """By the name of a message: a vector that holds it."""
-    to_device = [vector.wire for vector in right if vector.direction == "to_device"]
-    return {name: wire for wire in reversed(to_device) for name in plugin.messages(wire)}
+    to_device = [vector.frame for vector in right if vector.direction == "to_device"]
+    return {name: frame for frame in reversed(to_device) for name in plugin.messages(frame)}
 
 
 def _unvouched(case: Case, right: Sequence[Vector]) -> Failure | None:
     """A wire of a busy day that is more than read-only, and for which no vector speaks."""
     vouched = _vouched(case.plugin, right)
-    formats = {_format(vector.wire) for vector in right if vector.direction == "to_device"}
-    for wire, words in _commanding(case):
-        messages = tuple(case.plugin.messages(wire))
+    formats = {_format(vector.frame) for vector in right if vector.direction == "to_device"}
+    for frame, words in _commanding(case):
+        messages = tuple(case.plugin.messages(frame))
         if not messages:
-            return Failure("no read-only wire, and one that `messages` has no name for", (wire,), words)
+            return Failure("no read-only wire, and one that `messages` has no name for", (frame,), words)
         for name in messages:
             if name not in vouched:
-                return Failure(f"no read-only wire, and no vector of {name!r} to a device", (wire,), words)
-            if _format(wire) not in formats:
+                return Failure(f"no read-only wire, and no vector of {name!r} to a device", (frame,), words)
+            if _format(frame) not in formats:
                 text = f"{name!r} in a kind of frame, or width of id, that no vector to a device has"
-                return Failure(text, (wire, vouched[name]), words)
+                return Failure(text, (frame, vouched[name]), words)
     return None
 
 
-def _format(wire: Wire) -> tuple[bool, ...]:
+def _format(frame: Frame) -> tuple[bool, ...]:
     """Width of the id and kind of the frame."""
-    return (wire.extended, wire.remote, wire.fd, wire.brs) if isinstance(wire, CanFrame) else ()
+    return (frame.extended, frame.remote, frame.fd, frame.brs) if isinstance(frame, CanFrame) else ()
 
 
-def _commanding(case: Case) -> Iterator[tuple[Wire, tuple[Command | Request, ...]]]:
+def _commanding(case: Case) -> Iterator[tuple[Frame, tuple[Command | Request, ...]]]:
     """What the driver says in a day that is not read-only, each wire once, with the words of its step."""
-    seen = set[Wire]()
+    seen = set[Frame]()
     for words, said in zip(play.script(case.spec, NAMES), case.day, strict=True):
-        for wire in said.down:
-            if wire not in seen and not all(spec.read_only(wire) for spec in _concerned(case, wire)):
-                yield wire, words
-            seen.add(wire)
+        for frame in said.down:
+            if frame not in seen and not all(spec.read_only(frame) for spec in _concerned(case, frame)):
+                yield frame, words
+            seen.add(frame)
 
 
-def _concerned(case: Case, wire: Wire) -> Sequence[Spec]:
+def _concerned(case: Case, frame: Frame) -> Sequence[Spec]:
     """The specs of those whom a wire may be for; all, where the wire does not tell."""
-    if not isinstance(wire, CanFrame):
+    if not isinstance(frame, CanFrame):
         return case.specs
-    return [spec for spec in case.specs if wire.id in spec.sends] or case.specs
+    return [spec for spec in case.specs if frame.id in spec.sends] or case.specs
 
 
 def _mistaken(case: Case, vectors: Sequence[Vector]) -> Failure | None:
     """A wire of the driver's that is recorded as somebody's mistake."""
-    wrong = {_body(v.wire): v for v in vectors if v.wrong and v.direction == "to_device"}
+    wrong = {_body(v.frame): v for v in vectors if v.wrong and v.direction == "to_device"}
     if not wrong:
         return None
-    right = {_body(v.wire) for v in vectors if not v.wrong}
+    right = {_body(v.frame) for v in vectors if not v.wrong}
     for said in case.day:
-        for wire in said.down:
-            vector = wrong.get(_body(wire))
-            if vector and _body(wire) not in right:
-                return Failure(f"the driver says what {vector.name} records as a mistake", (wire,))
+        for frame in said.down:
+            vector = wrong.get(_body(frame))
+            if vector and _body(frame) not in right:
+                return Failure(f"the driver says what {vector.name} records as a mistake", (frame,))
     return None
 
 
-def _body(wire: Wire) -> Wire:
+def _body(frame: Frame) -> Frame:
     """A wire without its address, where that is not among its bytes."""
     return (
-        CanFrame(0, wire.data, wire.extended, wire.remote, wire.fd, wire.brs)
-        if isinstance(wire, CanFrame)
-        else wire
+        CanFrame(0, frame.data, frame.extended, frame.remote, frame.fd, frame.brs)
+        if isinstance(frame, CanFrame)
+        else frame
     )
 
 
 def _unsound(case: Case, right: Sequence[Vector]) -> Failure | None:
     """A vector without a source, of another bus, or that our names and ears do not know."""
-    ear = case.start().ear
+    decoder = case.start().decoder
     for vector in right:
         if not SOURCE.search(vector.source):
             said = (
                 f"the source of vector {vector.name} names no version, commit or paragraph: {vector.source}"
             )
-            return Failure(said, (vector.wire,))
-        if (case.spec.bus == "serial") != isinstance(vector.wire, bytes):
+            return Failure(said, (vector.frame,))
+        if (case.spec.bus == "serial") != isinstance(vector.frame, bytes):
             return Failure(
-                f"vector {vector.name} is of another kind of bus than the spec says", (vector.wire,)
+                f"vector {vector.name} is of another kind of bus than the spec says", (vector.frame,)
             )
         if vector.direction == "to_device":
-            ear.hear(play.START, vector.wire)
-            if not case.plugin.messages(vector.wire):
-                return Failure(f"`messages` has no name for vector {vector.name}", (vector.wire,))
+            decoder.decode(play.START, vector.frame)
+            if not case.plugin.messages(vector.frame):
+                return Failure(f"`messages` has no name for vector {vector.name}", (vector.frame,))
     return None
 
 
@@ -137,43 +137,43 @@ def _unsound(case: Case, right: Sequence[Vector]) -> Failure | None:
 def _not_heard(case: Case, vectors: Sequence[Vector]) -> Failure | None:
     """A vector from a device that no driver, with whatever options, counts as heard."""
     left = {vector.name: vector for vector in vectors}
-    lost = {vector.name for vector in vectors if not _holders(case.plugin, vector.wire)}
+    lost = {vector.name for vector in vectors if not _holders(case.plugin, vector.frame)}
     for name in sorted(lost):
-        return Failure(f"no device would say vector {name}: no spec expects it", (left[name].wire,))
+        return Failure(f"no device would say vector {name}: no spec expects it", (left[name].frame,))
     for apart in (False, True):  # at last each for itself: what was heard before may have changed the driver
         for options in variants(case.plugin):
-            stages: dict[tuple[int, ...], Rehearsal] = {}
+            stages: dict[tuple[int, ...], Bench] = {}
             for vector in list(left.values()):
                 if apart:
                     stages.clear()
-                addresses = _holders(case.plugin, vector.wire, options)
-                if addresses and _heard(stages, case.plugin, options, addresses, vector.wire):
+                addresses = _holders(case.plugin, vector.frame, options)
+                if addresses and _received(stages, case.plugin, options, addresses, vector.frame):
                     del left[vector.name]
         if not left:
             return None
     vector = next(iter(left.values()))
-    return Failure(f"vector {vector.name} is not counted as heard", (vector.wire,))
+    return Failure(f"vector {vector.name} is not counted as heard", (vector.frame,))
 
 
-def _heard(
-    stages: dict[tuple[int, ...], Rehearsal],
+def _received(
+    stages: dict[tuple[int, ...], Bench],
     plugin: Plugin,
     options: Any,  # noqa: ANN401 -- the plugin's own
     addresses: tuple[int, ...],
-    wire: Wire,
+    frame: Frame,
 ) -> bool:
     """Whether a driver that knows its devices counts a wire as heard."""
     if addresses not in stages:
         names = [f"m{address}" for address in addresses]
-        stages[addresses] = play.rehearse(plugin, options, addresses, names)
+        stages[addresses] = play.make_bench(plugin, options, addresses, names)
         stages[addresses].steps(KNOWN)
     driver = stages[addresses].driver
-    before = driver.tally.heard
-    driver.receive(stages[addresses].now, wire)
-    return driver.tally.heard == before + 1
+    before = driver.counters.accepted
+    driver.receive(stages[addresses].now, frame)
+    return driver.counters.accepted == before + 1
 
 
-def _holders(plugin: Plugin, wire: Wire, options: Any = None) -> tuple[int, ...]:  # noqa: ANN401
+def _holders(plugin: Plugin, frame: Frame, options: Any = None) -> tuple[int, ...]:  # noqa: ANN401
     """Addresses of devices that may say a wire: on CAN the first whose spec expects it."""
     found: list[int] = []
     for address in ADDRESSES:
@@ -182,8 +182,8 @@ def _holders(plugin: Plugin, wire: Wire, options: Any = None) -> tuple[int, ...]
             spec = plugin.spec(device)
         except ValueError:
             continue
-        if not isinstance(wire, CanFrame):
+        if not isinstance(frame, CanFrame):
             found.append(address)
-        elif wire.id in spec.expects:
+        elif frame.id in spec.expects:
             return (address,)
     return tuple(found[:10])

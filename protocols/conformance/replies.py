@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from protocols.conformance import bench as play
-from protocols.conformance.bench import ARMING, NAMES, STEP, Rehearsal, Said
+from protocols.conformance.bench import ARMING, NAMES, STEP, Bench, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
-from protocols.conformance.random import Dice
-from protocols.frames import Wire
+from protocols.conformance.random import Random
+from protocols.frames import Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -38,7 +38,7 @@ LASTS = 600
 """Steps of trouble after beta is armed."""
 GRACE = 60
 """Steps that the trouble of one may cost another: a question or two that share the bus."""
-Queue: TypeAlias = list[tuple[Nanos, Wire]]
+Queue: TypeAlias = list[tuple[Nanos, Frame]]
 """What is on its way, and when it arrives."""
 
 
@@ -47,27 +47,27 @@ class Mishap:
     """A twin whose messages do not arrive as they were said."""
 
     twin: Twin
-    happens: Callable[[Mishap, Nanos, Sequence[Wire]], None]
+    happens: Callable[[Mishap, Nanos, Sequence[Frame]], None]
     """Puts what was said now into the queue, or does not."""
-    dice: Dice
+    random: Random
     on: bool = True
     queue: Queue = field(default_factory=list)
-    held: list[Wire] = field(default_factory=list)
+    held: list[Frame] = field(default_factory=list)
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """All is heard."""
-        self.twin.receive(t, wire)
+        self.twin.receive(t, frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """The device runs on; what arrives of its words is told."""
-        torques, wires = self.twin.step(now, truth)
+        torques, frames = self.twin.step(now, truth)
         if self.on:
-            self.happens(self, now, wires)
+            self.happens(self, now, frames)
         else:
-            self.queue += [(now, wire) for wire in (*self.held, *wires)]
+            self.queue += [(now, frame) for frame in (*self.held, *frames)]
             self.held = []
-        arrived = [wire for at, wire in self.queue if at <= now]
-        self.queue = [(at, wire) for at, wire in self.queue if at > now]
+        arrived = [frame for at, frame in self.queue if at <= now]
+        self.queue = [(at, frame) for at, frame in self.queue if at > now]
         return torques, arrived
 
     def due(self) -> Nanos | None:
@@ -79,33 +79,33 @@ class Mishap:
         self.twin.provoke(code)
 
 
-def _lost(_: Mishap, __: Nanos, ___: Sequence[Wire]) -> None:
+def _lost(_: Mishap, __: Nanos, ___: Sequence[Frame]) -> None:
     """Nothing arrives."""
 
 
-def _half_lost(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
-    it.queue += [(now, wire) for wire in wires if it.dice.below(2)]
+def _half_lost(it: Mishap, now: Nanos, frames: Sequence[Frame]) -> None:
+    it.queue += [(now, frame) for frame in frames if it.random.below(2)]
 
 
-def _late(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
-    it.queue += [(now + 35 * STEP, wire) for wire in wires]
+def _late(it: Mishap, now: Nanos, frames: Sequence[Frame]) -> None:
+    it.queue += [(now + 35 * STEP, frame) for frame in frames]
 
 
-def _too_late(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
-    it.queue += [(now + 700 * STEP, wire) for wire in wires]
+def _too_late(it: Mishap, now: Nanos, frames: Sequence[Frame]) -> None:
+    it.queue += [(now + 700 * STEP, frame) for frame in frames]
 
 
-def _doubled(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
-    it.queue += [(now, wire) for wire in wires for _ in range(2)]
+def _doubled(it: Mishap, now: Nanos, frames: Sequence[Frame]) -> None:
+    it.queue += [(now, frame) for frame in frames for _ in range(2)]
 
 
-def _swapped(it: Mishap, now: Nanos, wires: Sequence[Wire]) -> None:
+def _swapped(it: Mishap, now: Nanos, frames: Sequence[Frame]) -> None:
     """Each pair in the other order."""
-    for wire in wires:
+    for frame in frames:
         if it.held:
-            it.queue += [(now, wire), (now, it.held.pop())]
+            it.queue += [(now, frame), (now, it.held.pop())]
         else:
-            it.held.append(wire)
+            it.held.append(frame)
 
 
 TROUBLES = (
@@ -140,7 +140,7 @@ def one_stalls_no_other(case: Case) -> Verdict:
     words = [play.gentle(kinds[0], case.spec.ranges)(name) for name in NAMES]
     usual = _fares(case, words, None)
     for what, happens in TROUBLES if case.usual else TROUBLES[:1]:
-        mishap = Mishap(case.start().twins[0], happens, case.dice())
+        mishap = Mishap(case.start().twins[0], happens, case.random())
         failure = _worse(what, usual, _fares(case, words, mishap), words)
         if failure:
             return failure
@@ -153,26 +153,26 @@ class _Watch:
 
     motor: str
     armed_at: int | None = None
-    heard_at: int | None = None
+    received_at: int | None = None
     gap: int = 0
     answered_at: int | None = None
     spoken_at: int | None = None
     unspoken: int = 0
     fault: Fault | None = None
 
-    def see(self, at: int, said: Said) -> None:
+    def see(self, at: int, said: StepResult) -> None:
         """One step."""
-        if any(isinstance(word, Command) and word.motor == self.motor for word in said.heard):
+        if any(isinstance(word, Command) and word.motor == self.motor for word in said.received):
             self.spoken_at = at
         for event in said.events:
             if isinstance(event, Feedback) and event.motor == self.motor:
-                self.heard_at = at
+                self.received_at = at
             elif isinstance(event, Fault) and event.motor == self.motor:
                 self.fault = event
             elif isinstance(event, Parameter | Done | Refused) and _about(event) == self.motor:
                 self.answered_at = at
-        if self.armed_at is not None and self.heard_at is not None:
-            self.gap = max(self.gap, at - self.heard_at)
+        if self.armed_at is not None and self.received_at is not None:
+            self.gap = max(self.gap, at - self.received_at)
         if self.armed_at is not None and self.spoken_at is not None:
             self.unspoken = max(self.unspoken, at - self.spoken_at)
 
@@ -188,7 +188,7 @@ class _Day:
     beta: _Fortune
     recovered: bool
     fault: Fault | None
-    last: Said
+    last: StepResult
 
 
 def _fares(case: Case, words: list[Command], mishap: Mishap | None) -> _Day:
@@ -229,11 +229,11 @@ def _questions(case: Case) -> list[Command | Request]:
     return asked
 
 
-def _is_armed(stage: Rehearsal, name: str, at: int) -> bool:
+def _is_armed(stage: Bench, name: str, at: int) -> bool:
     return stage.armed.get(name) is Mode.ARMED or (at > ARMING // 10 and not stage.armed)
 
 
-def _recovers(case: Case, stage: Rehearsal, words: list[Command], alpha: _Watch) -> bool:
+def _recovers(case: Case, stage: Bench, words: list[Command], alpha: _Watch) -> bool:
     """Alpha arms when the trouble is over. A device that tripped meanwhile is cleared first."""
     for at in range(ARMING):
         clear = at % 1000 == 300 and ClearFault in case.spec.requests and not _is_armed(stage, ALPHA, ARMING)
@@ -263,8 +263,10 @@ def _worse(what: str, usual: _Day, day: _Day, words: list[Command]) -> Failure |
         text = "alpha does not recover when it is over"
     if not text:
         return None
-    told = (day.fault,) if day.fault else ()
-    return Failure(f"alpha's replies are {what}: {text}", (*day.last.down, *day.last.up)[:6], (*words, *told))
+    reported = (day.fault,) if day.fault else ()
+    return Failure(
+        f"alpha's replies are {what}: {text}", (*day.last.down, *day.last.up)[:6], (*words, *reported)
+    )
 
 
 def _ms(steps: int | None) -> str:

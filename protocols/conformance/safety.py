@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
 
-from protocols.conformance.bench import ARMING, NAMES, STEP, Said
+from protocols.conformance.bench import ARMING, NAMES, STEP, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.fault_injection import (
     STILL,
+    Messages,
     Scene,
-    Words,
     kinds_of,
     liveliest,
     moving,
@@ -68,13 +68,13 @@ LOST = 60
 
 def begins_where_it_is(case: Case) -> Verdict:
     """The first command after arming equals the measured position, wherever the shaft stands."""
-    spec, dice = case.spec, case.dice()
+    spec, random = case.spec, case.random()
     if not kinds_of(spec):
         return Inapplicable("the spec lists no commands that arm")
     if "Feedback.position" not in spec.ranges:
         return Inapplicable("the spec has no range for Feedback.position: the device measures none")
     places = [_within(spec, place) for place in PLACES]
-    first = dice.below(len(places))
+    first = random.below(len(places))
     for at, kind in some(case, list(enumerate(kinds_of(spec), first))):
         failure = _from(case, spec, kind, places[at % len(places)])
         if failure:
@@ -101,10 +101,10 @@ def _from(case: Case, spec: Spec, kind: type[Command], place: float) -> Failure 
         return on.failure("Idle does not disarm")
     on.turn(BY_HAND)
     failure = _arms_still(on, spec, kind, "after a disarm, turned by hand")
-    codes = sorted(code for code, complaint in spec.faults.items() if complaint.latches)
+    codes = sorted(code for code, complaint in spec.faults.items() if complaint.latching)
     if failure or not codes or ClearFault not in spec.requests:
         return failure
-    on.cables[ALPHA].provoke(case.dice().choice(codes))
+    on.cables[ALPHA].provoke(case.random().choice(codes))
     if not on.until(lambda _: on.mode() is Mode.FAULT, PATIENCE):
         return on.failure("a fault of the device is not told by State FAULT")
     on.wait(AFTER, [Idle(ALPHA)] if Idle in spec.commands else [])
@@ -121,10 +121,10 @@ def _arms_still(on: Scene, spec: Spec, kind: type[Command], when: str) -> Failur
     place = shaft.position
     word = resting(kind, spec, ALPHA, on.measured.get(ALPHA, place))
     room = slack(spec, place)
-    wrong: list[tuple[str, Said, Sequence[Command | Request]]] = []
+    wrong: list[tuple[str, StepResult, Sequence[Command | Request]]] = []
 
-    def jumps(said: Said) -> bool:
-        away = [w for w in named(said.heard) if _leads_away(w, place, room)]
+    def jumps(said: StepResult) -> bool:
+        away = [w for w in named(said.received) if _leads_away(w, place, room)]
         if away:
             wrong.append((f"the device is told {away[0]}", said, away[:1]))
         elif abs(shaft.position - place) > room:
@@ -136,9 +136,9 @@ def _arms_still(on: Scene, spec: Spec, kind: type[Command], when: str) -> Failur
         return on.failure(f"{kind.__name__} does not arm in {ARMING} ms ({when})")
     if armed and not on.until(jumps, AFTER, [word]):
         return None
-    what, said, heard = wrong[0]
+    what, said, received = wrong[0]
     text = f"armed by {kind.__name__} at {place:.6g} rad ({when}), and {what}"
-    return on.failure(text, said.down, heard)
+    return on.failure(text, said.down, received)
 
 
 def _leads_away(word: Command | Request, place: float, room: float) -> bool:
@@ -178,7 +178,7 @@ def _cut_short(case: Case, spec: Spec) -> Failure | None:
     on, kinds = scene(case), kinds_of(spec)
     if not on.ready():
         return on.failure(f"is not heard to be ready in {ARMING} ms")
-    first = case.dice().below(2)
+    first = case.random().below(2)
     tries = [(cut, kind) for i, cut in enumerate(CUTS) for j, kind in enumerate(kinds) if (i + j + first) % 2]
     for cut, kind in some(case, tries):
         failure = _cut(on, spec, kind, cut)
@@ -196,10 +196,10 @@ def _cut(on: Scene, spec: Spec, kind: type[Command], steps: int) -> Failure | No
     return on.failure(f"{steps} steps of {kind.__name__}, then Idle: {failure}") if failure else None
 
 
-def _paths(spec: Spec) -> list[tuple[str, list[Words]]]:
+def _paths(spec: Spec) -> list[tuple[str, list[Messages]]]:
     """The words of each way out; the last is said until it works."""
     idle = Idle(ALPHA)
-    hold: list[Words] = [[Hold(ALPHA)]] * 40 if Hold in spec.commands else []
+    hold: list[Messages] = [[Hold(ALPHA)]] * 40 if Hold in spec.commands else []
     return [
         ("Idle", [[idle]]),
         ("Hold, then Idle", [*hold, [idle]]),
@@ -212,7 +212,7 @@ def _while_moving(spec: Spec) -> list[Way]:
     return [partial(_out_of_motion, name, words) for name, words in _paths(spec)]
 
 
-def _out_of_motion(name: str, words: list[Words], case: Case, spec: Spec) -> Failure | None:
+def _out_of_motion(name: str, words: list[Messages], case: Case, spec: Spec) -> Failure | None:
     on = _in_motion(case, spec)
     if isinstance(on, Failure):
         return on
@@ -282,24 +282,24 @@ def _stop_of_another(case: Case, spec: Spec) -> Failure | None:
     return on.failure(f"Stop, then Idle, to a device that another host armed: {failure}") if failure else None
 
 
-def _disarms(on: Scene, words: Words) -> str:
+def _disarms(on: Scene, words: Messages) -> str:
     """What is wrong after saying this for as long as it may take; "" if the device is disarmed."""
     calm = 0
     on.faults.clear()
 
-    def ended(said: Said) -> bool:
+    def ended(said: StepResult) -> bool:
         nonlocal calm
         calm = calm + 1 if _calm(on, said) else 0
         return calm >= 20
 
     if not on.until(ended, PATIENCE, words):
-        return _complaint(on)
+        return _fault_info(on)
     if on.until(lambda said: not _calm(on, said), 20):
-        return f"a moment later, with nothing said: {_complaint(on)}"
+        return f"a moment later, with nothing said: {_fault_info(on)}"
     return f"it ends in a fault instead: {on.faults[0].name}" if on.faults else ""
 
 
-def _calm(on: Scene, said: Said) -> bool:
+def _calm(on: Scene, said: StepResult) -> bool:
     return abs(torque_of(said)) <= STILL and on.mode() is not Mode.ARMED and not _obeying(on)
 
 
@@ -308,7 +308,7 @@ def _obeying(on: Scene) -> bool:
     return not isinstance(on.obeys.get(ALPHA, Idle(ALPHA)), Idle)
 
 
-def _complaint(on: Scene) -> str:
+def _fault_info(on: Scene) -> str:
     if _obeying(on):
         return f"the device still obeys {on.obeys[ALPHA]} after {PATIENCE} ms"
     if on.mode() is Mode.ARMED:

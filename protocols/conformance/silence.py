@@ -10,12 +10,12 @@ from collections.abc import Callable
 from functools import partial
 
 from protocols.conformance.answers import broken
-from protocols.conformance.bench import ARMING, NAMES, STEP, Said
+from protocols.conformance.bench import ARMING, NAMES, STEP, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.fault_injection import (
     SLACK,
+    Messages,
     Scene,
-    Words,
     kinds_of,
     named,
     resting,
@@ -31,7 +31,7 @@ BACK = 2000
 """Steps in which a device that speaks again must be told of."""
 
 
-def silence_blinds(case: Case) -> Verdict:
+def silence_loses_feedback(case: Case) -> Verdict:
     """A silent device is told OFFLINE in the declared time, nothing is made up, and its return is told."""
     spec = case.spec
     if spec.kind != "motor":
@@ -77,7 +77,7 @@ def _falls_silent(kind: type[Command] | None, case: Case) -> Failure | None:
     return _silent(on, cable.spoke, words, what) or _comes_back(on, what)
 
 
-def _silent(on: Scene, last: Nanos, words: Words, what: str) -> Failure | None:
+def _silent(on: Scene, last: Nanos, words: Messages, what: str) -> Failure | None:
     """Nothing is heard of alpha after `last`: OFFLINE in time, beta never, and nothing made up."""
     spec = on.spec
     soonest = last + spec.offline_after - spec.feedback_period - 2 * STEP
@@ -92,10 +92,10 @@ def _silent(on: Scene, last: Nanos, words: Words, what: str) -> Failure | None:
                 return on.failure(f"{what}: {wrong}", (), [event])
         if BETA in on.offline:
             return on.failure(f"{what}: beta speaks, and is told to be offline too")
-        told = on.offline.get(ALPHA)
-        if told is not None and told < soonest:
-            return on.failure(f"{what} is told to be offline after only {_ms(told - last)} of silence")
-        if told is None and on.now > latest:
+        reported = on.offline.get(ALPHA)
+        if reported is not None and reported < soonest:
+            return on.failure(f"{what} is told to be offline after only {_ms(reported - last)} of silence")
+        if reported is None and on.now > latest:
             return on.failure(f"{what} is not told to be offline within {_ms(latest - last)}")
     return None if on.mode() is Mode.OFFLINE else on.failure(f"{what} is then told to be {on.mode()}")
 
@@ -107,17 +107,17 @@ def _comes_back(on: Scene, what: str) -> Failure | None:
     for each in on.stage.shafts.values():
         each.locked = True
     cable.up = cable.down = True
-    back, heard = on.now, list[Feedback]()
+    back, received = on.now, list[Feedback]()
 
-    def both(said: Said) -> bool:
-        heard.extend(e for e in named(said.events) if isinstance(e, Feedback) and e.position is not None)
+    def both(said: StepResult) -> bool:
+        received.extend(e for e in named(said.events) if isinstance(e, Feedback) and e.position is not None)
         silent = "Feedback.position" not in on.spec.ranges
-        return on.mode() is not Mode.OFFLINE and (bool(heard) or silent)
+        return on.mode() is not Mode.OFFLINE and (bool(received) or silent)
 
     if not on.until(both, BACK, [Idle(name) for name in NAMES if Idle in on.spec.commands]):
         return on.failure(f"{what} speaks again, and in {BACK} ms is not told to, or not measured")
     room = slack(on.spec, shaft.position) + SLACK
-    stale = [e for e in heard if e.t < back or abs((e.position or 0.0) - shaft.position) > room]
+    stale = [e for e in received if e.t < back or abs((e.position or 0.0) - shaft.position) > room]
     if stale:
         text = f"{what} has been turned to {shaft.position:.6g} rad at {back}, and is told where it was"
         return on.failure(text, (), stale[:1])

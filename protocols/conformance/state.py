@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from protocols.conformance import bench as play
-from protocols.conformance.bench import NAMES, Rehearsal
+from protocols.conformance.bench import NAMES, Bench
 from protocols.conformance.case import Case, Failure, Verdict, difference
-from protocols.conformance.random import Dice
-from protocols.frames import BusState, Wire
+from protocols.conformance.random import Random
+from protocols.frames import BusState, Frame
 from protocols.messages import Command, Event, Nanos, Request, Torque
-from protocols.plugin import Driver, Ear, Tally, Twin
+from protocols.plugin import CommandDecoder, Driver, RxCounters, Twin
 
 OFTEN, SELDOM = 6, 25
 """One call in so many is made on a copy: ..."""
@@ -32,21 +32,21 @@ def same_in_same_out(case: Case) -> Verdict:
 
 def copies_go_on(case: Case) -> Verdict:
     """State can be copied and put in place of the original between any two calls."""
-    stage, dice = case.start(), Dice(case.seed)
-    stage.driver = _CopiedDriver(stage.driver, dice)
-    stage.ear = _CopiedEar(stage.ear, dice)
-    stage.twins = [_CopiedTwin(twin, dice) for twin in stage.twins]
+    stage, random = case.start(), Random(case.seed)
+    stage.driver = _CopiedDriver(stage.driver, random)
+    stage.decoder = _CopiedDecoder(stage.decoder, random)
+    stage.twins = [_CopiedTwin(twin, random) for twin in stage.twins]
     try:
         return _alike(case, stage, "the original", "the copy")
     except _Uncopied as error:
         return Failure(str(error))
 
 
-def _alike(case: Case, other: Rehearsal, this: str, that: str) -> Verdict:
+def _alike(case: Case, other: Bench, this: str, that: str) -> Verdict:
     """Play the same day on two stages, with a bus that comes and goes."""
     one = case.start()
     if case.spec.bus == "serial":
-        one.tearing, other.tearing = case.dice(), case.dice()
+        one.tearing, other.tearing = case.random(), case.random()
     states = [BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP, BusState.OFF, BusState.BACK]
     for at, words in enumerate(play.script(case.spec, NAMES)):
         if at % 97 == 96:
@@ -55,8 +55,8 @@ def _alike(case: Case, other: Rehearsal, this: str, that: str) -> Verdict:
         left, right = one.step(words), other.step(words)
         if left != right:
             return difference(left, right, f"from {this}", f"from {that}")
-    if one.driver.tally != other.driver.tally:
-        return Failure(f"{one.driver.tally} of {this}, {other.driver.tally} of {that}")
+    if one.driver.counters != other.driver.counters:
+        return Failure(f"{one.driver.counters} of {this}, {other.driver.counters} of {that}")
     return None
 
 
@@ -72,12 +72,12 @@ class _Copied(Generic[T]):
     answer is no longer what it should be."""
 
     inner: T
-    dice: Dice
+    random: Random
     calls: int = 0
 
     def call(self, method: Callable[[T], R]) -> R:
         self.calls += 1
-        if self.dice.below(OFTEN if self.calls < AT_FIRST else SELDOM) == 0:
+        if self.random.below(OFTEN if self.calls < AT_FIRST else SELDOM) == 0:
             original = self.inner
             try:
                 self.inner = copy.deepcopy(original)
@@ -90,36 +90,36 @@ class _Copied(Generic[T]):
 
 class _CopiedDriver(_Copied[Driver]):
     @property
-    def tally(self) -> Tally:
-        return self.inner.tally
+    def counters(self) -> RxCounters:
+        return self.inner.counters
 
-    @tally.setter
-    def tally(self, tally: Tally) -> None:
-        self.inner.tally = tally
+    @counters.setter
+    def counters(self, counters: RxCounters) -> None:
+        self.inner.counters = counters
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return self.call(lambda driver: driver.receive(t, wire))
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return self.call(lambda driver: driver.receive(t, frame))
 
     def bus(self, t: Nanos, state: BusState) -> None:
         self.call(lambda driver: driver.bus(t, state))
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         return self.call(lambda driver: driver.send(now, words))
 
     def due(self) -> Nanos | None:
         return self.inner.due()
 
 
-class _CopiedEar(_Copied[Ear]):
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
-        return self.call(lambda ear: ear.hear(t, wire))
+class _CopiedDecoder(_Copied[CommandDecoder]):
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+        return self.call(lambda decoder: decoder.decode(t, frame))
 
 
 class _CopiedTwin(_Copied[Twin]):
-    def receive(self, t: Nanos, wire: Wire) -> None:
-        self.call(lambda twin: twin.receive(t, wire))
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        self.call(lambda twin: twin.receive(t, frame))
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         return self.call(lambda twin: twin.step(now, truth))
 
     def due(self) -> Nanos | None:

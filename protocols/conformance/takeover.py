@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from protocols.conformance.bench import ARMING, NAMES, Said
+from protocols.conformance.bench import ARMING, NAMES, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.fault_injection import (
     SLACK,
     STILL,
+    Messages,
     Scene,
-    Words,
     resting,
     scene,
     slack,
@@ -41,12 +41,12 @@ SCANNED = 8000
 # -- attaching -----------------------------------------------------------------------------------------
 
 
-def load_is_kept(case: Case) -> Verdict:
+def load_is_held(case: Case) -> Verdict:
     """A fresh host attaches to a device under load, and takes it over with Hold: the load does not drop."""
     kinds = _holding(case.spec)
     if not kinds:
         return Inapplicable("the spec lists neither Hold nor Position: the device holds no load")
-    return _attach(case, case.dice().choice(kinds), kinds[0])
+    return _attach(case, case.random().choice(kinds), kinds[0])
 
 
 def _holding(spec: Spec) -> list[type[Command]]:
@@ -97,7 +97,7 @@ def _attach(case: Case, first: type[Command], second: type[Command]) -> Failure 
     place = shaft.position
     room = 0.5 * SLACK
 
-    def over(_: Said) -> bool:
+    def over(_: StepResult) -> bool:
         return shaft.position - place > room or on.mode() is Mode.ARMED
 
     if not on.until(over, ARMING, idle):
@@ -123,7 +123,7 @@ def _takes_over(on: Scene, kind: type[Command], given: float) -> Failure | None:
     for at in range(2 * SETTLE):
         said = on.step([word])
         limp = limp + 1 if abs(torque_of(said)) <= STILL else 0
-        dropping = [w for w in said.heard if isinstance(w, Idle | Reboot)]
+        dropping = [w for w in said.received if isinstance(w, Idle | Reboot)]
         wrong = ""
         if dropping:
             wrong = f"the device is told {dropping[0]}"
@@ -167,8 +167,8 @@ def _scan_running(case: Case) -> Failure | None:
     if isinstance(loaded, Failure):
         return loaded
     before, words = loaded.on, loaded.words
-    codes = sorted(code for code, said in before.spec.faults.items() if said.latches)
-    code = case.dice().choice(codes) if codes else None
+    codes = sorted(code for code, said in before.spec.faults.items() if said.latching)
+    code = case.random().choice(codes) if codes else None
     if code is not None:
         before.cables[BETA].provoke(code)
         before.wait(20, words[:1])
@@ -189,14 +189,14 @@ def _scan_running(case: Case) -> Failure | None:
 def _scan(on: Scene, case: Case, what: str) -> Failure | None:
     """Scan until it has ended: read-only throughout, with every device found."""
     found, ended = set[int](), list[Done | Refused]()
-    words: Words = [Scan("bus")]
+    words: Messages = [Scan("bus")]
     for _ in range(SCANNED):
         said = on.step(words)
         words = ()
-        for wire in on.host.sent:
-            if not harmless(on.stage.specs, wire):
-                heard = tuple(case.plugin.ear(on.stage.devices).hear(said.now, wire))
-                return on.failure(f"a scan of {what} sends what is not read-only", (wire,), heard)
+        for frame in on.host.sent:
+            if not harmless(on.stage.specs, frame):
+                received = tuple(case.plugin.decoder(on.stage.devices).decode(said.now, frame))
+                return on.failure(f"a scan of {what} sends what is not read-only", (frame,), received)
         found |= {event.address for event in said.events if isinstance(event, Found)}
         ended += [e for e in said.events if isinstance(e, Done | Refused) and e.request == Scan.__name__]
         if ended:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from protocols.conformance.bench import ARMING, NAMES, STEP, Said
+from protocols.conformance.bench import ARMING, NAMES, STEP, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.fault_injection import (
     Scene,
@@ -28,7 +28,7 @@ from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, M
 from protocols.plugin import Device, Spec, Watchdog
 
 ALPHA, BETA = NAMES
-TOLD = 1000
+REPORTED = 1000
 """Steps in which a driver must tell what its device says."""
 FED = 3000
 """Steps at most, instead of ten timeouts, for which a fed watchdog is watched."""
@@ -133,7 +133,7 @@ def _go(on: Scene, count: int, names: list[str] | None = None) -> float:
     return work
 
 
-def _work(on: Scene, said: Said, name: str = ALPHA) -> float:
+def _work(on: Scene, said: StepResult, name: str = ALPHA) -> float:
     """What a device did in a step to turn its shaft on; nothing if it braked."""
     return max(torque_of(said, name) * on.stage.shafts[name].velocity * STEP * 1e-9, 0.0)
 
@@ -145,8 +145,12 @@ def _tripped(on: Scene, work: float, names: list[str] | None = None) -> str:
         return "the device still drives its shaft"
     on.host.alive = True
     rest = [resting(_kind(on.spec), on.spec, name, on.measured.get(name, 0.0)) for name in names or ()]
-    told = on.until(lambda _: on.mode() is not Mode.ARMED or bool(named(on.faults)), TOLD, rest)
-    return "" if told else f"the device has stopped; in {TOLD} ms the driver tells neither State nor Fault"
+    reported = on.until(lambda _: on.mode() is not Mode.ARMED or bool(named(on.faults)), REPORTED, rest)
+    return (
+        ""
+        if reported
+        else f"the device has stopped; in {REPORTED} ms the driver tells neither State nor Fault"
+    )
 
 
 def _host_dies(case: Case, settings: object, dog: Watchdog) -> Failure | None:
@@ -176,7 +180,7 @@ def _armed_again(on: Scene) -> str:
     """An operator clears, and the device must arm again."""
     if ClearFault in on.spec.requests:
         on.step([ClearFault(ALPHA)])
-    on.wait(TOLD, [Idle(ALPHA)])
+    on.wait(REPORTED, [Idle(ALPHA)])
     word = resting(_kind(on.spec), on.spec, ALPHA, on.measured.get(ALPHA, 0.0))
     return "" if on.arm(lambda _: [word]) else "after ClearFault and Idle it does not arm again"
 

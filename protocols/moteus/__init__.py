@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -26,7 +26,7 @@ from protocols.messages import (
     Zero,
 )
 from protocols.moteus.codec import BROADCAST, REPLY_BIT, Ask, command_id, parse, reply_id
-from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusDriver
 from protocols.moteus.faults import FAULTS
 from protocols.moteus.messages import names
@@ -74,11 +74,11 @@ class ReadOnly:
 
     ids: frozenset[int]
 
-    def __call__(self, wire: Wire) -> bool:
+    def __call__(self, frame: Frame) -> bool:
         """A value rather than a function, so that equal specs are equal."""
-        if not isinstance(wire, CanFrame) or wire.remote or wire.id not in self.ids:
+        if not isinstance(frame, CanFrame) or frame.remote or frame.id not in self.ids:
             return False
-        subframes, sound = parse(wire.data)
+        subframes, sound = parse(frame.data)
         return sound and all(isinstance(subframe, Ask) for subframe in subframes)
 
 
@@ -112,8 +112,8 @@ def spec(device: Device) -> Spec:
         holds_unattended=False,
         stop_clears_faults=True,
         faults=FAULTS,
-        listens=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
-        overhears=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | REPLY_BIT | 0x80),),
+        obeys_also=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
+        receives_also=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | REPLY_BIT | 0x80),),
     )
 
 
@@ -137,7 +137,7 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver,
-    ear=MoteusEar,
+    decoder=MoteusDecoder,
     twin=MoteusTwin,
     messages=names,
     vectors=("gateway.fixtures", "vectors/moteus.json"),

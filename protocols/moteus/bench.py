@@ -16,7 +16,7 @@ from typing import Any
 
 from protocols.moteus.codec import command_id, framed
 from protocols.moteus.messages import STOP, Limits, move, push
-from protocols.moteus.reply import FAST, Told, decode
+from protocols.moteus.reply import FAST, Reply, decode
 
 RIVAL = ("moteus", "moteus", "the vendor's package")
 ADDRESS = 5
@@ -63,10 +63,10 @@ class Sample:
 
     def alike(self, ours: Any, theirs: Any, struct: Any) -> bool:  # noqa: ANN401 -- a frame, or registers
         """Encoding gives the same bytes, decoding the same registers."""
-        if not isinstance(ours, Told):
+        if not isinstance(ours, Reply):
             return bool(ours.data.rstrip(b"\x50") == theirs == struct)
-        told = {register: value for register, value in ours.values.items() if value is not None}
-        return _near(told, dict(theirs)) and _near(dict(zip(told, struct, strict=True)), told, 2e4)
+        reply = {register: value for register, value in ours.values.items() if value is not None}
+        return _near(reply, dict(theirs)) and _near(dict(zip(reply, struct, strict=True)), reply, 2e4)
 
 
 def _near(one: Mapping[int, float], other: Mapping[int, float], scale: float = 1e-6) -> bool:

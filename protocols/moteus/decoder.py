@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, isnan, nan, tau
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     Command,
     Idle,
@@ -238,17 +238,17 @@ def _matches(uuid: bytes | None, subframe: Values) -> bool:
     return True
 
 
-class MoteusEar:
+class MoteusDecoder:
     """What the moteus controllers of one bus would obey."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.axes = [axis_of(device, _known_uuid(device)) for device in devices]
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
         """The words that the devices would obey; [] if none would do anything."""
-        if not isinstance(wire, CanFrame):
+        if not isinstance(frame, CanFrame):
             return []
-        return [w for axis in self.axes if addressed(axis, wire) for w in obey(axis, wire.data)]
+        return [w for axis in self.axes if addressed(axis, frame) for w in obey(axis, frame.data)]
 
 
 def _known_uuid(device: Device) -> bytes | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -32,10 +32,10 @@ from protocols.moteus.faults import HELD_TWICE
 from protocols.moteus.node import IDENTIFY_EVERY, Node
 from protocols.moteus.options import Options, serial_of
 from protocols.moteus.registers import Register
-from protocols.moteus.reply import Told, decode
+from protocols.moteus.reply import Reply, decode
 from protocols.moteus.requests import Pending
-from protocols.plugin import Device, Range, Tally
-from protocols.request_queue import Refusals, Waiting, out_of_range, refusal, subject
+from protocols.plugin import Device, Range, RxCounters
+from protocols.request_queue import RejectionFilter, RequestQueue, out_of_range, refusal, subject
 
 PROTOCOL = "moteus"
 NO_IMPEDANCE = "the device's gains are scaled, not set: it has no impedance in N·m/rad"
@@ -46,46 +46,46 @@ class MoteusDriver:
     """All moteus controllers of one bus. Plain data."""
 
     def __init__(self, devices: Sequence[Device], ranges: dict[str, Range]) -> None:
-        self.tally = Tally()
+        self.counters = RxCounters()
         nodes = [Node(device.name, device.address, device.options) for device in devices]
         self.nodes = {node.tells_at: node for node in nodes}
         self._by_name = {node.name: node for node in nodes}
         self._ranges = ranges
-        self._waiting: Waiting[Pending] = Waiting()
-        self._refusals = Refusals()
+        self._waiting: RequestQueue[Pending] = RequestQueue()
+        self._refusals = RejectionFilter()
         self._events: list[Event] = []
         """What happened outside `send`, to be told by the next one."""
-        self._told_double: dict[int, bool] = {}
+        self._reported_duplicate: dict[int, bool] = {}
         options = (device.options for device in devices)
         self._hosts = sorted({(o.host_id, o.can_prefix) for o in options if isinstance(o, Options)})
         """As whom we ask all: (our id, prefix)."""
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """What a wire says; [] to what is not ours."""
-        if not isinstance(wire, CanFrame) or not wire.fd or wire.remote:
-            self.tally.foreign += 1
+        if not isinstance(frame, CanFrame) or not frame.fd or frame.remote:
+            self.counters.ignored += 1
             return []
-        if wire.extended != (wire.id > STANDARD_MAX):
-            self.tally.foreign += 1
+        if frame.extended != (frame.id > STANDARD_MAX):
+            self.counters.ignored += 1
             return []
-        node = self.nodes.get(wire.id)
+        node = self.nodes.get(frame.id)
         if node is None:
-            self.tally.foreign += 1
-            return self._overhear(t, wire)
-        told = decode(wire.data)
-        if told is None:
-            self.tally.bad += 1
+            self.counters.ignored += 1
+            return self._overhear(t, frame)
+        reply = decode(frame.data)
+        if reply is None:
+            self.counters.malformed += 1
             return []
-        self.tally.heard += 1
-        events = node.hear(t, told)
-        uuid = _uuid(told.values)
+        self.counters.accepted += 1
+        events = node.handle(t, reply)
+        uuid = _uuid(reply.values)
         if uuid is not None:
             events += self._seen(t, node, uuid)
-        events += self._discovered(t, node.address, told)
+        events += self._discovered(t, node.address, reply)
         for pending in self._waiting:
-            ended = requests.hear(pending, t, told) if pending.node is node else []
+            ended = requests.handle(pending, t, reply) if pending.node is node else []
             if ended:
                 self._waiting.end(pending)
                 events += ended
@@ -96,20 +96,20 @@ class MoteusDriver:
         host = (frame.id & 0x7F, frame.id >> 16)
         if not self._searching() or frame.id & (REPLY_BIT | 0x80) or host not in self._hosts:
             return []
-        told = decode(frame.data)
-        if told is None or Register.MODEL_NUMBER in told.values:  # another host asked it who it is
+        reply = decode(frame.data)
+        if reply is None or Register.MODEL_NUMBER in reply.values:  # another host asked it who it is
             return []
-        return self._discovered(t, frame.id >> 8 & 0x7F, told)
+        return self._discovered(t, frame.id >> 8 & 0x7F, reply)
 
     def _searching(self) -> bool:
         return any(pending.node is None for pending in self._waiting)
 
-    def _discovered(self, t: Nanos, address: int, told: Told) -> list[Event]:
+    def _discovered(self, t: Nanos, address: int, reply: Reply) -> list[Event]:
         """An answer to discovery: with a UUID, or with the complaint that it has none."""
         if not self._searching():
             return []
-        uuid = _uuid(told.values) or b""
-        if not uuid and not any(error.register in UUIDS for error in told.errors):
+        uuid = _uuid(reply.values) or b""
+        if not uuid and not any(error.register in UUIDS for error in reply.errors):
             return []
         events: list[Event] = []
         for pending in self._waiting:
@@ -140,15 +140,15 @@ class MoteusDriver:
                 other.uuids.pop(uuid, None)
         recent = {known: at for known, at in node.uuids.items() if t - at <= 2 * IDENTIFY_EVERY}
         node.uuids = recent | {uuid: t}
-        if len(node.uuids) < 2 or self._told_double.get(node.address):
+        if len(node.uuids) < 2 or self._reported_duplicate.get(node.address):
             return []
-        self._told_double[node.address] = True
+        self._reported_duplicate[node.address] = True
         held = sorted(node.uuids)
         said = f"id {node.address} is held twice: by {' and '.join(map(_printed, held))}"
         events: list[Event] = [Found(t, PROTOCOL, node.address, serial_of(each), said, True) for each in held]
         cause = f"two devices answer to it: UUIDs {' and '.join(map(_printed, held))}"
-        cure = "take one off the bus, or give it another id (SetId with its serial number)"
-        return [*events, Fault(node.name, t, HELD_TWICE, f"id {node.address} is held twice", cause, cure)]
+        remedy = "take one off the bus, or give it another id (SetId with its serial number)"
+        return [*events, Fault(node.name, t, HELD_TWICE, f"id {node.address} is held twice", cause, remedy)]
 
     # -- the bus ------------------------------------------------------------------------------
 
@@ -166,34 +166,34 @@ class MoteusDriver:
 
     # -- saying -------------------------------------------------------------------------------
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Say the words, then what falls due: requests, commands, questions."""
         events, self._events = self._events, []
-        wires: list[Wire] = []
+        frames: list[Frame] = []
         for word in words:
             if isinstance(word, Stop):
                 for node in self.nodes.values():
-                    node.claimed = True
+                    node.owned = True
             elif not isinstance(word, Command):
                 events += self._waiting.add(self._begin(now, word))
-        wires += self._resend(now, events)
+        frames += self._resend(now, events)
         for word in words:
             if isinstance(word, Command):
-                wires += self._command(now, word, events)
+                frames += self._command(now, word, events)
         for node in self.nodes.values():
-            told, asks = node.tend(now)
-            events += told
-            wires += [framed(node.asks_at, data) for data in asks]
-        return events, wires
+            reply, asks = node.tend(now)
+            events += reply
+            frames += [framed(node.asks_at, data) for data in asks]
+        return events, frames
 
-    def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Wire]:
+    def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Frame]:
         node = self._by_name.get(command.motor)
         reason = self._wrong(command) if node is not None else "no such motor on this bus"
-        events += self._refusals.hear(now, command, reason)
+        events += self._refusals.handle(now, command, reason)
         if node is None or reason:
             return []
-        told, said = node.say(now, command)
-        events += told
+        reply, said = node.say(now, command)
+        events += reply
         return [framed(node.asks_at, data) for data in said]
 
     def _wrong(self, command: Command) -> str:
@@ -212,13 +212,13 @@ class MoteusDriver:
         if node is None:
             return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
         if isinstance(request, ClearFault):
-            self._told_double.pop(node.address, None)
+            self._reported_duplicate.pop(node.address, None)
             node.uuids.clear()
             node.identify_at = now
         return requests.begin(now, request, node)
 
-    def _resend(self, now: Nanos, events: list[Event]) -> list[Wire]:
-        wires: list[Wire] = []
+    def _resend(self, now: Nanos, events: list[Event]) -> list[Frame]:
+        frames: list[Frame] = []
         for pending in self._waiting.late(now):
             ended = isinstance(pending.request, Scan)
             events += [self._end_scan(now, pending)] if ended else requests.give_up(pending, now)
@@ -227,8 +227,8 @@ class MoteusDriver:
                 pending.next = now + pending.again
                 pending.sent += 1
                 for data in requests.data_of(pending, now):
-                    wires += [framed(identifier, data) for identifier in self._to(pending)]
-        return wires
+                    frames += [framed(identifier, data) for identifier in self._to(pending)]
+        return frames
 
     def _to(self, pending: Pending) -> list[int]:
         """To whom: one device, or all, once for each prefix in use."""

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import nan
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.moteus.codec import (
     F32,
     INT32,
@@ -135,13 +135,13 @@ def set_register(register: int, value: float) -> bytes:
 # -- what a frame says, by name ------------------------------------------------------------------------
 
 
-def names(wire: Wire) -> Sequence[str]:
+def names(frame: Frame) -> Sequence[str]:
     """The messages to a device in a frame: a command by its mode and registers, a question, a console's line.
 
     A name holds the registers that are written, so that messages of one name differ in their values only."""
-    if not isinstance(wire, CanFrame) or wire.remote or wire.id & 0x80:
+    if not isinstance(frame, CanFrame) or frame.remote or frame.id & 0x80:
         return ()
-    subframes, sound = parse(wire.data)
+    subframes, sound = parse(frame.data)
     if not sound or any(isinstance(s, Values) and s.code != WRITE for s in subframes):
         return ()
     said = dict.fromkeys(name for s in subframes if (name := _named(s)))

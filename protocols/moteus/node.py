@@ -32,11 +32,11 @@ from protocols.messages import (
 )
 from protocols.messages import Mode as StateMode
 from protocols.moteus.codec import command_id, reply_id
-from protocols.moteus.faults import LIMITS, NOT_ARMED, TIMEOUT, complaint_of
+from protocols.moteus.faults import LIMITS, NOT_ARMED, TIMEOUT, fault_info_of
 from protocols.moteus.messages import IDENTIFY, STOP, move, push
 from protocols.moteus.options import Options, limits_of
 from protocols.moteus.registers import LATCHED, RISING, Mode, Register, mode_name
-from protocols.moteus.reply import FAST, FULL, Told
+from protocols.moteus.reply import FAST, FULL, Reply
 
 NEVER: Nanos = 1 << 62
 RELEASE_AGAIN = 20 * MILLISECOND
@@ -67,7 +67,7 @@ class Node:
         self.asks_at = command_id(address, options.host_id, options.can_prefix)
         self.tells_at = reply_id(address, options.host_id, options.can_prefix)
         self.started: Nanos | None = None
-        self.heard_at: Nanos | None = None
+        self.received_at: Nanos | None = None
         self.offline = False
         self.mode: int | None = None
         self.fault = 0
@@ -79,7 +79,7 @@ class Node:
         self.model: int | None = None
         self.uuids: dict[bytes, Nanos] = {}
         """Whoever answered as this device, and when."""
-        self.claimed = False
+        self.owned = False
         """We have commanded it since it was last released."""
         self.tripped = False
         """It was heard in fault or timeout, or would not arm, and nobody has cleared it."""
@@ -92,16 +92,16 @@ class Node:
         self.releasing = False
         self.release_next: Nanos = 0
         self.release_seen = 0
-        self.told: tuple[StateMode, str] | None = None
-        self.told_fault: int | None = None
+        self.reply: tuple[StateMode, str] | None = None
+        self.reported_fault: int | None = None
         self.asked_at: Nanos = -NEVER
         self.details_at: Nanos = 0
         self.identify_at: Nanos = 0
 
     def forget(self) -> None:
         """The device may have restarted or been changed: only a fresh sequence arms it again."""
-        self.mode, self.position, self.hold, self.told = None, None, None, None
-        self.told_fault, self.steered, self.arming_since, self.anchor = None, None, None, None
+        self.mode, self.position, self.hold, self.reply = None, None, None, None
+        self.reported_fault, self.steered, self.arming_since, self.anchor = None, None, None, None
         self.release_seen, self.release_next, self.identify_at = 0, 0, 0
         self.uuids.clear()
         self.limited.clear()
@@ -112,10 +112,10 @@ class Node:
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def hear(self, t: Nanos, told: Told) -> list[Event]:
+    def handle(self, t: Nanos, reply: Reply) -> list[Event]:
         """An answer of the device; what it means in words."""
-        self.heard_at, self.offline = t, False
-        values = told.values
+        self.received_at, self.offline = t, False
+        values = reply.values
         events = self._measured(t, values)
         self._identified(values)
         mode = values.get(Register.MODE)
@@ -125,7 +125,7 @@ class Node:
         self.mode = int(mode)
         self._anchored()
         self._confirm_release()
-        events += self._complaint(t, known=Register.FAULT in values)
+        events += self._fault_info(t, known=Register.FAULT in values)
         self._note_limit(t)
         return events + self._state(t)
 
@@ -178,32 +178,32 @@ class Node:
     def _confirm_release(self) -> None:
         self.release_seen = self.release_seen + 1 if self.releasing and self.mode == Mode.STOPPED else 0
         if self.release_seen >= CONFIRMED or (self.releasing and self.mode in LATCHED):
-            self.claimed = self.releasing = False
+            self.owned = self.releasing = False
             self.release_seen = 0
 
-    def _complaint(self, t: Nanos, known: bool) -> list[Event]:
+    def _fault_info(self, t: Nanos, known: bool) -> list[Event]:
         """Told once for each time that it trips."""
         if self.mode not in LATCHED:
-            self.told_fault = None
+            self.reported_fault = None
             return []
         code = TIMEOUT if self.mode == Mode.TIMEOUT else self.fault
         self.tripped, self.arming_since, self.hold, self.steered = True, None, None, None
-        if code == self.told_fault or (self.mode == Mode.FAULT and not known):
+        if code == self.reported_fault or (self.mode == Mode.FAULT and not known):
             return []
-        self.told_fault = code
+        self.reported_fault = code
         return [self.complains(t, code)]
 
     def complains(self, t: Nanos, code: int) -> Fault:
         """A fault of the table, in words."""
-        text = complaint_of(code)
-        return Fault(self.name, t, code, text.name, text.cause, text.cure)
+        text = fault_info_of(code)
+        return Fault(self.name, t, code, text.name, text.cause, text.remedy)
 
     def _state(self, t: Nanos) -> list[Event]:
-        told = (self._mode_now(), self._detail())
-        if told == self.told:
+        reply = (self._mode_now(), self._detail())
+        if reply == self.reply:
             return []
-        self.told = told
-        return [State(self.name, t, *told)]
+        self.reply = reply
+        return [State(self.name, t, *reply)]
 
     def _mode_now(self) -> StateMode:
         """Enabling and calibrating (its current sensors) are part of every arming: it is ready for that."""
@@ -232,7 +232,7 @@ class Node:
             self.hold = None
         elif self.hold is None:
             self.hold = self.position
-        self.claimed = True
+        self.owned = True
         if self.mode != Mode.POSITION:
             return self._arm(now, command)
         self.arming_since = None
@@ -264,8 +264,8 @@ class Node:
     def _give_up(self, now: Nanos) -> list[Event]:
         self.tripped, self.arming_since = True, None
         said = f"it stayed in mode {mode_name(self.mode or 0)} for {ARMING // MILLISECOND} ms"
-        cure = "look at it with the vendor's tool (tview), then clear"
-        return [Fault(self.name, now, NOT_ARMED, "did not arm", said, cure), *self._state(now)]
+        remedy = "look at it with the vendor's tool (tview), then clear"
+        return [Fault(self.name, now, NOT_ARMED, "did not arm", said, remedy), *self._state(now)]
 
     def _steer(self, command: Command) -> bytes:
         place = self.position or 0.0
@@ -293,10 +293,10 @@ class Node:
 
     def _release(self, now: Nanos) -> list[bytes]:
         self.hold, self.steered, self.anchor, self.arming_since = None, None, None, None
-        if not self.claimed:
+        if not self.owned:
             return []
         if self.mode in LATCHED:
-            self.claimed = self.releasing = False
+            self.owned = self.releasing = False
             return []
         if not self.releasing:
             self.releasing, self.release_seen, self.release_next = True, 0, now
@@ -313,12 +313,12 @@ class Node:
 
     def cleared(self, t: Nanos) -> list[Event]:
         """It is latched no more."""
-        self.tripped, self.told_fault, self.arming_since = False, None, None
+        self.tripped, self.reported_fault, self.arming_since = False, None, None
         return self._state(t)
 
-    def tell_again(self) -> None:
+    def report_again(self) -> None:
         """A fault that stays is told again, with all its words."""
-        self.told_fault, self.told = None, None
+        self.reported_fault, self.reply = None, None
 
     # -- by itself ----------------------------------------------------------------------------
 
@@ -348,5 +348,5 @@ class Node:
         return self.asked_at + period
 
     def _offline_at(self) -> Nanos:
-        since = self.heard_at if self.heard_at is not None else self.started or 0
+        since = self.received_at if self.received_at is not None else self.started or 0
         return since + self.options.offline_ms * MILLISECOND

@@ -29,7 +29,7 @@ from protocols.moteus.codec import (
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Reply:
     """One frame of a device: its registers, what it could not do, and what its console says."""
 
     values: Mapping[int, float | None]
@@ -37,7 +37,7 @@ class Told:
     console: bytes = b""
 
 
-def decode(data: bytes) -> Told | None:
+def decode(data: bytes) -> Reply | None:
     """What a device's frame tells; None if it is ill-formed, or is none of a device's."""
     if len(data) not in SOUND:
         return None
@@ -45,12 +45,12 @@ def decode(data: bytes) -> Told | None:
     if known is not None:
         values = known(data)
         if values is not None:
-            return Told(values)
+            return Reply(values)
     subframes, sound = parse(data)
-    return _told(subframes) if sound else None
+    return _reported(subframes) if sound else None
 
 
-def _told(subframes: list[Subframe]) -> Told | None:
+def _reported(subframes: list[Subframe]) -> Reply | None:
     values: dict[int, float | None] = {}
     errors: list[Error] = []
     console = b""
@@ -67,7 +67,7 @@ def _told(subframes: list[Subframe]) -> Told | None:
                 console += piece
             case _:
                 return None
-    return Told(values, tuple(errors), console)
+    return Reply(values, tuple(errors), console)
 
 
 # The two questions that are asked all the time have answers of a known shape: the same, without a loop.
@@ -97,9 +97,9 @@ def _full(data: bytes) -> dict[int, float | None] | None:
     if mode == -128 or not math.isfinite(position + velocity + torque + current):
         return None
     floats = (position, velocity, torque, current)
-    told: dict[int, float | None] = {0: mode}
-    told |= {1 + i: normal(value) for i, value in enumerate(floats)}
-    return told | {0x0A + i: quantity(0x0A + i, INT16, value) for i, value in enumerate(rest)}
+    reply: dict[int, float | None] = {0: mode}
+    reply |= {1 + i: normal(value) for i, value in enumerate(floats)}
+    return reply | {0x0A + i: quantity(0x0A + i, INT16, value) for i, value in enumerate(rest)}
 
 
 SHAPES = {20: _fast, 48: _full}

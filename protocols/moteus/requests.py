@@ -28,13 +28,13 @@ from protocols.messages import (
 )
 from protocols.moteus.codec import F32, FLOAT_MAX, FLOAT_TINY, INT32, READ_ERROR, WRITE_ERROR, Error
 from protocols.moteus.decoder import NOT_WRITEABLE
-from protocols.moteus.faults import complaint_of
+from protocols.moteus.faults import fault_info_of
 from protocols.moteus.messages import DISCOVER, ask, console, masked, set_register
 from protocols.moteus.node import Node
 from protocols.moteus.options import ADDRESS_MAX, SERIAL_BYTES, serial_of
 from protocols.moteus.registers import LATCHED, NAMES, SCALES, Mode, Register
-from protocols.moteus.reply import Told
-from protocols.request_queue import UnderWay, refusal
+from protocols.moteus.reply import Reply
+from protocols.request_queue import PendingRequest, refusal
 
 ANSWER = 600 * MILLISECOND
 RESEND = 60 * MILLISECOND
@@ -61,7 +61,7 @@ REFUSED = {
 
 
 @dataclass(slots=True)
-class Pending(UnderWay):
+class Pending(PendingRequest):
     """A request under way."""
 
     node: Node | None
@@ -82,7 +82,7 @@ class Pending(UnderWay):
 
 def begin(now: Nanos, request: Request, node: Node) -> Pending | Refused:
     """A request to one device."""
-    running = node.claimed or node.mode not in (None, Mode.STOPPED, *LATCHED)
+    running = node.owned or node.mode not in (None, Mode.STOPPED, *LATCHED)
     match request:
         case ClearFault():
             return _pending(now, request, node, ())
@@ -151,7 +151,7 @@ def _write(now: Nanos, request: Request, node: Node, parameter: str, value: floa
         return refusal(now, request, "that register is what commands are for")
     if Register.UUID_MASK1 <= register <= Register.UUID_MASK4:
         return refusal(now, request, "a mask of UUIDs is no parameter")
-    if register in _MOVING and (node.claimed or node.mode not in (Mode.STOPPED, *LATCHED)):
+    if register in _MOVING and (node.owned or node.mode not in (Mode.STOPPED, *LATCHED)):
         return refusal(now, request, "it is armed, and would jump: say idle first")
     return _pending(now, request, node, (set_register(register, value) + ask(register, F32),), register)
 
@@ -182,7 +182,7 @@ def set_id(now: Nanos, request: SetId, nodes: list[Node], holders: dict[int, set
         return refusal(now, request, said)
     for node in nodes:
         mine = request.serial in map(serial_of, node.uuids) or node.address == request.address
-        if mine and (node.claimed or node.mode not in (None, Mode.STOPPED, *LATCHED)):
+        if mine and (node.owned or node.mode not in (None, Mode.STOPPED, *LATCHED)):
             return refusal(now, request, f"{node.name} is armed: say idle first")
     uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
     data = (masked(uuid, console(f"conf set id.id {request.address}")), masked(uuid, DISCOVER))
@@ -198,73 +198,73 @@ def data_of(pending: Pending, now: Nanos) -> tuple[bytes, ...]:
     return pending.data
 
 
-def hear(pending: Pending, t: Nanos, told: Told) -> list[Event]:
+def handle(pending: Pending, t: Nanos, reply: Reply) -> list[Event]:
     """Let a request of one device hear its answer; the events that end it, or none."""
     node = pending.node
     if node is None or not pending.sent:
         return []
     match pending.request:
-        case ClearFault() if Register.MODE in told.values and node.mode not in LATCHED:
+        case ClearFault() if Register.MODE in reply.values and node.mode not in LATCHED:
             return [*node.cleared(t), pending.done(t)]
         case Zero():
-            return _hear_zero(pending, t, told)
+            return _on_zero(pending, t, reply)
         case ReadParameter(_, parameter):
-            return _hear_read(pending, t, told, parameter)
+            return _on_read(pending, t, reply, parameter)
         case WriteParameter(_, parameter, value):
-            return _hear_written(pending, t, told, None if parameter == SAVE else value)
+            return _on_written(pending, t, reply, None if parameter == SAVE else value)
     return []
 
 
-def _hear_zero(pending: Pending, t: Nanos, told: Told) -> list[Event]:
+def _on_zero(pending: Pending, t: Nanos, reply: Reply) -> list[Event]:
     """Taken, as its answer says, and then measured: a position near zero alone may be from before."""
-    if not_taken := _not_taken(told, pending.register):
+    if not_taken := _not_taken(reply, pending.register):
         return [pending.refuse(t, not_taken)]
-    if pending.register in _about(told):
+    if pending.register in _about(reply):
         pending.taken = True
         return []
-    position = told.values.get(Register.POSITION)
+    position = reply.values.get(Register.POSITION)
     near = position is not None and abs(position) < ZERO_WITHIN
     return [pending.done(t)] if pending.taken and near else []
 
 
-def _wrong(told: Told, code: int, register: int) -> Error | None:
-    return next((e for e in told.errors if e.code == code and e.register == register), None)
+def _wrong(reply: Reply, code: int, register: int) -> Error | None:
+    return next((e for e in reply.errors if e.code == code and e.register == register), None)
 
 
-def _hear_read(pending: Pending, t: Nanos, told: Told, parameter: str) -> list[Event]:
-    if _wrong(told, READ_ERROR, pending.register):
+def _on_read(pending: Pending, t: Nanos, reply: Reply, parameter: str) -> list[Event]:
+    if _wrong(reply, READ_ERROR, pending.register):
         return [pending.refuse(t, "the device has no such register, or cannot read it so")]
-    if pending.register not in told.values:
+    if pending.register not in reply.values:
         return []
-    value = told.values[pending.register]
+    value = reply.values[pending.register]
     if value is None:
         return [pending.refuse(t, "the device says that it is not given")]
     return [Parameter(pending.name, t, parameter, float(value))]
 
 
-def _about(told: Told) -> set[int]:
+def _about(reply: Reply) -> set[int]:
     """The registers that an answer tells, or cannot tell."""
-    return {*told.values, *(error.register for error in told.errors)}
+    return {*reply.values, *(error.register for error in reply.errors)}
 
 
-def _not_taken(told: Told, register: int) -> str:
+def _not_taken(reply: Reply, register: int) -> str:
     """Why a device does not take what was written; "" if it does not say so."""
-    wrong = _wrong(told, WRITE_ERROR, register)
+    wrong = _wrong(reply, WRITE_ERROR, register)
     if wrong is None:
         return ""
     why = "read only" if wrong.number == NOT_WRITEABLE else f"error {wrong.number}: no such register?"
     return f"the device does not take it ({why})"
 
 
-def _hear_written(pending: Pending, t: Nanos, told: Told, value: float | None) -> list[Event]:
+def _on_written(pending: Pending, t: Nanos, reply: Reply, value: float | None) -> list[Event]:
     """`value`: what the register must hold then, if it can be read at all.
 
     Many answers tell a register beside others, and may have been under way when it was written."""
-    if not_taken := _not_taken(told, pending.register):
+    if not_taken := _not_taken(reply, pending.register):
         return [pending.refuse(t, not_taken)]
-    if _about(told) != {pending.register}:
+    if _about(reply) != {pending.register}:
         return []
-    reads = told.values.get(pending.register)
+    reads = reply.values.get(pending.register)
     if value is None or reads is None or isclose(reads, value, rel_tol=BINARY32, abs_tol=FLOAT_TINY):
         return [pending.done(t)]
     pending.reads = reads
@@ -277,12 +277,12 @@ def give_up(pending: Pending, now: Nanos) -> list[Event]:
     if isinstance(pending.request, SetId):
         said = f"no device with serial number {pending.request.serial:016X} took the id"
         return [pending.refuse(now, said)]
-    if node is None or node.heard_at is None or node.heard_at < pending.began:
+    if node is None or node.received_at is None or node.received_at < pending.began:
         return [pending.refuse(now, "no answer of the device")]
     if isinstance(pending.request, ClearFault):
-        node.tell_again()
+        node.report_again()
         code = int(Mode.TIMEOUT) if node.mode == Mode.TIMEOUT else node.fault
-        return [pending.refuse(now, f"still in fault: {complaint_of(code).name}")]
+        return [pending.refuse(now, f"still in fault: {fault_info_of(code).name}")]
     if isinstance(pending.request, Zero):
         return [pending.refuse(now, "its position did not become zero: is it turning?")]
     if isinstance(pending.request, WriteParameter) and pending.reads is not None:

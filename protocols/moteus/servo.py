@@ -305,7 +305,7 @@ class Servo:
         """N·m on the shaft."""
         return self.iq * self.kt
 
-    def told(self) -> int:
+    def reply(self) -> int:
         """The fault register: the fault, or which limit is active."""
         return self.fault if self.mode == Mode.FAULT else self.limit
 

@@ -13,7 +13,7 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Event, Feedback, Nanos, Torque, seconds
 from protocols.moteus.codec import (
     F32,
@@ -72,12 +72,12 @@ class MoteusTwin:
 
     # -- the wire -----------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """A wire reached the device; what is not for it changes nothing."""
-        if self._now is None or not isinstance(wire, CanFrame) or not addressed(self.axis, wire):
+        if self._now is None or not isinstance(frame, CanFrame) or not addressed(self.axis, frame):
             return
         commanded, out = False, list[Subframe]()
-        for subframe in effective(self.axis, wire.data):
+        for subframe in effective(self.axis, frame.data):
             match subframe:
                 case Values():
                     commanded |= self._write(subframe, out)
@@ -87,8 +87,8 @@ class MoteusTwin:
                     self._stream(subframe, out)
         if commanded:
             self.servo.take(self.axis.mode, dict(self.axis.command))
-        if wire.id & REPLY_BIT and not for_another(self.axis, wire.data):
-            self._answer(t, wire.id >> 8 & 0x7F, out)
+        if frame.id & REPLY_BIT and not for_another(self.axis, frame.data):
+            self._answer(t, frame.id >> 8 & 0x7F, out)
 
     def _write(self, subframe: Values, out: list[Subframe]) -> bool:
         """Whether a command began."""
@@ -116,7 +116,7 @@ class MoteusTwin:
         """Neighbours are told together, as they were asked for; what cannot be told is an error each."""
         run, start = list[Raw](), subframe.start
         for register in range(subframe.start, subframe.start + subframe.count):
-            value = self.tell(register, subframe.resolution)
+            value = self.report(register, subframe.resolution)
             if value is None:
                 if run:
                     out.append(Values(REPLY, start, subframe.resolution, tuple(run)))
@@ -159,15 +159,15 @@ class MoteusTwin:
 
     # -- what is told -----------------------------------------------------------------------------
 
-    def tell(self, register: int, resolution: int) -> Raw | None:
+    def report(self, register: int, resolution: int) -> Raw | None:
         """A register as it stands on the wire; None if it cannot be read so."""
         if register in INT32_ONLY:
             return self._number(register) if resolution == INT32 else None
-        tells = _TELLS.get(register)
-        if tells is not None:
-            return _told(register, resolution, tells(self))
+        reports = _REPORTS.get(register)
+        if reports is not None:
+            return _reported(register, resolution, reports(self))
         command = self.axis.command.get(SHADOWS.get(register, register))
-        return None if command is None else _told(register, resolution, command)
+        return None if command is None else _reported(register, resolution, command)
 
     def _number(self, register: int) -> int:
         if Register.UUID1 <= register <= Register.UUID4:
@@ -190,7 +190,7 @@ class MoteusTwin:
 
     # -- time ---------------------------------------------------------------------------------
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the firmware up to `now`; the shaft's Feedback [rad, rad/s] is what the encoder sees."""
         for event in truth:
             self._see(event)
@@ -232,14 +232,14 @@ class MoteusTwin:
             self.servo.stopping = False
 
 
-def _told(register: int, resolution: int, value: float) -> Raw:
+def _reported(register: int, resolution: int, value: float) -> Raw:
     """Rounded and saturated; what is not a number is "not given"."""
     if resolution == F32 and not math.isfinite(value):
         return math.nan
     return raw_of(register, resolution, value if math.isfinite(value) else None)
 
 
-_TELLS: dict[int, Callable[[MoteusTwin], float]] = {
+_REPORTS: dict[int, Callable[[MoteusTwin], float]] = {
     Register.MODE: lambda twin: twin.servo.mode,
     Register.POSITION: lambda twin: twin.servo.position,
     Register.VELOCITY: lambda twin: twin.servo.velocity,
@@ -253,7 +253,7 @@ _TELLS: dict[int, Callable[[MoteusTwin], float]] = {
     Register.HOME_STATE: lambda twin: twin.servo.homed,
     Register.VOLTAGE: lambda twin: twin.servo.bus_voltage,
     Register.TEMPERATURE: lambda twin: twin.servo.temperature,
-    Register.FAULT: lambda twin: twin.servo.told(),
+    Register.FAULT: lambda twin: twin.servo.reply(),
     Register.POSITION_KP: lambda twin: twin.servo.terms[0],
     Register.POSITION_KI: lambda twin: twin.servo.terms[1],
     Register.POSITION_KD: lambda twin: twin.servo.terms[2],

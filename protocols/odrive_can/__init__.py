@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     SECOND,
@@ -30,10 +30,10 @@ from protocols.messages import (
     Zero,
 )
 from protocols.odrive_can.codec import BROADCAST, MAX_EXTENDED_NODE, MAX_NODE, TABLES, cmd_of, frame_id
-from protocols.odrive_can.decoder import OdriveEar
+from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.faults import COMPLAINTS06
-from protocols.odrive_can.faults05 import COMPLAINTS05
+from protocols.odrive_can.faults import FAULT_TABLE06
+from protocols.odrive_can.faults05 import FAULT_TABLE05
 from protocols.odrive_can.layout import FEED_FORWARD_MAX
 from protocols.odrive_can.message_names import messages_in
 from protocols.odrive_can.messages import Address, EnterDfuMode, GetVersion, Heartbeat, RxSdo
@@ -116,13 +116,13 @@ class ReadOnly:
     extended: bool
     discovery: frozenset[int]
 
-    def __call__(self, wire: Wire) -> bool:
+    def __call__(self, frame: Frame) -> bool:
         """A value rather than a function, so that equal specs are equal."""
-        if not isinstance(wire, CanFrame) or not wire.remote:
+        if not isinstance(frame, CanFrame) or not frame.remote:
             return False
-        if wire.id in self.discovery and not wire.extended:
+        if frame.id in self.discovery and not frame.extended:
             return True
-        return wire.extended == self.extended and wire.id & 0x1F in self.cmds
+        return frame.extended == self.extended and frame.id & 0x1F in self.cmds
 
 
 def spec(device: Device) -> Spec:
@@ -134,7 +134,7 @@ def spec(device: Device) -> Spec:
     if not 0 <= device.address <= most:
         raise ValueError(f"address {device.address} of {device.name}: a node id is 0 to {most}")
     rows = [row for line in LINES[options.firmware] for row in TABLES[line].layouts]
-    told = {row.cmd for row in rows if row.direction != "to_device"}
+    reported = {row.cmd for row in rows if row.direction != "to_device"}
     said = {row.cmd for row in rows if row.direction != "from_device" and row.message not in NOT_SENT}
     discovery = frozenset({DISCOVERY} if options.firmware != "0.5" else ())
     requests = {ClearFault, Estop, Scan, Zero, ReadParameter, WriteParameter, Reboot}
@@ -142,7 +142,7 @@ def spec(device: Device) -> Spec:
     quiet = options.watchdog == "acknowledged" or settings.enable_watchdog
     timeout = round(settings.watchdog_timeout * SECOND) or None
     sends = frozenset(frame_id(device.address, cmd) for cmd in said | asks(options))
-    expects = frozenset(frame_id(device.address, cmd) for cmd in told)
+    expects = frozenset(frame_id(device.address, cmd) for cmd in reported)
     return Spec(
         bus="can",
         kind="motor",
@@ -163,10 +163,10 @@ def spec(device: Device) -> Spec:
         ),
         holds_unattended=not settings.enable_watchdog,
         stop_clears_faults=False,
-        faults=COMPLAINTS05 if line_of(device) == "0.5" else COMPLAINTS06,
-        overhears=((cmd_of(Address), CMD_MASK), (cmd_of(Heartbeat), CMD_MASK)),
+        faults=FAULT_TABLE05 if line_of(device) == "0.5" else FAULT_TABLE06,
+        receives_also=((cmd_of(Address), CMD_MASK), (cmd_of(Heartbeat), CMD_MASK)),
         extended=sends | expects if options.is_extended else frozenset(),
-        listens=((frame_id(device.address, 0) | options.is_extended << 31, ALL_OF_NODE),),
+        obeys_also=((frame_id(device.address, 0) | options.is_extended << 31, ALL_OF_NODE),),
     )
 
 
@@ -196,7 +196,7 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=driver,
-    ear=OdriveEar,
+    decoder=OdriveDecoder,
     twin=twin,
     messages=messages_in,
     vectors=("gateway.fixtures", "vectors/odrive_can.json"),

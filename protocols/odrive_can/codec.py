@@ -141,9 +141,9 @@ def _table05() -> Table:
     )
 
 
-UNTOLD = (*(row for row in COMMON if row.direction == "from_device"), VERSION, BEACON, ADDRESS)
+UNREPORTED = (*(row for row in COMMON if row.direction == "from_device"), VERSION, BEACON, ADDRESS)
 TABLES: dict[str, Table] = {
-    "": _table(UNTOLD, frozenset()),
+    "": _table(UNREPORTED, frozenset()),
     "0.5": _table05(),
     "0.6": _table(COMMON + LINE06, frozenset()),
 }

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -216,27 +216,27 @@ def _configure(motor: str, message: AnyMessage) -> Sequence[Request]:
     return ()
 
 
-class OdriveEar:
+class OdriveDecoder:
     """What the ODrives of one bus would obey."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.axes = [axis_of(device) for device in devices]
         self._lines = sorted({axis.line for axis in self.axes})
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
         """The words that the devices would obey; [] if none would do anything."""
-        if not isinstance(wire, CanFrame):
+        if not isinstance(frame, CanFrame):
             return []
-        node = node_of(wire)
+        node = node_of(frame)
         words: list[Command | Request] = []
         for line in self._lines:
-            message = decode_to_device(wire, line)
+            message = decode_to_device(frame, line)
             if message is not None and not isinstance(message, Ask):
-                words += [w for axis in self.axes if axis.line == line for w in hear(axis, node, message)]
+                words += [w for axis in self.axes if axis.line == line for w in decode(axis, node, message)]
         return words
 
 
-def hear(axis: Axis, node: int, message: AnyMessage) -> Sequence[Command | Request]:
+def decode(axis: Axis, node: int, message: AnyMessage) -> Sequence[Command | Request]:
     """Let an axis hear a message to any node; what that makes it do."""
     if isinstance(message, SetAxisNodeId) and node == axis.other:
         axis.other = renamed(node, message.node)

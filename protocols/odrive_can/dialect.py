@@ -27,7 +27,7 @@ from protocols.odrive_can.faults05 import (
     SENSORLESS_BASE,
     AxisError,
 )
-from protocols.plugin import Complaint
+from protocols.plugin import FaultInfo
 
 Readable = Mapping[str, tuple[type[Any], str]]
 """The vendor's name of a signal → the message that tells it, and its field there."""
@@ -56,11 +56,11 @@ class Dialect:
     """Whether a heartbeat that does not come by itself can be asked for."""
     reasons: tuple[int, ...]
     """Commands that tell why an axis disarmed by itself."""
-    axis: Mapping[int, Complaint]
+    axis: Mapping[int, FaultInfo]
     """The bits of the heartbeat's error word; none: what they mean is not known."""
     base: int
     """Added to one of them to make its fault's code."""
-    parts: Mapping[int, tuple[int, Mapping[int, Complaint]]]
+    parts: Mapping[int, tuple[int, Mapping[int, FaultInfo]]]
     """Error words of their own, by command: what is added to a bit to make its fault's code, and the bits."""
     initializing: int
     """Bits of the error word that say "not up yet"."""
@@ -144,7 +144,7 @@ READABLE05: Readable = {
     "Sensorless_Vel_Estimate": (m05.GetSensorlessEstimates, "velocity"),
 }
 
-UNTOLD = Dialect(
+UNREPORTED = Dialect(
     line="",
     polled=(),
     heartbeat_asked=True,
@@ -200,4 +200,4 @@ LINE05 = Dialect(
     boards=True,
     readable=READABLE05,
 )
-DIALECTS: dict[str, Dialect] = {dialect.line: dialect for dialect in (UNTOLD, LINE05, LINE06)}
+DIALECTS: dict[str, Dialect] = {dialect.line: dialect for dialect in (UNREPORTED, LINE05, LINE06)}

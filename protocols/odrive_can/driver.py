@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     SECOND,
     ClearFault,
@@ -45,8 +45,8 @@ from protocols.odrive_can.faults import DUPLICATE_NODE
 from protocols.odrive_can.messages import Address, AxisState, Beacon
 from protocols.odrive_can.node import Node
 from protocols.odrive_can.requests import Pending
-from protocols.plugin import Device, Range, Tally
-from protocols.request_queue import Refusals, Waiting, out_of_range, refusal, subject
+from protocols.plugin import Device, Range, RxCounters
+from protocols.request_queue import RejectionFilter, RequestQueue, out_of_range, refusal, subject
 
 PROTOCOL = "odrive_can"
 NO_IMPEDANCE = "the device has no impedance control"
@@ -58,18 +58,18 @@ class OdriveDriver:
     """All ODrives of one bus. Plain data."""
 
     def __init__(self, devices: Sequence[Device], ranges: dict[str, Range]) -> None:
-        self.tally = Tally()
+        self.counters = RxCounters()
         nodes = [Node(device.name, device.address, device.options) for device in devices]
         self.nodes = {node.address: node for node in nodes}
         self._by_name = {node.name: node for node in self.nodes.values()}
         self._ranges = ranges
-        self._waiting: Waiting[Pending] = Waiting()
-        self._refusals = Refusals()
+        self._waiting: RequestQueue[Pending] = RequestQueue()
+        self._refusals = RejectionFilter()
         self._events: list[Event] = []
         """What happened outside `send`, to be told by the next one."""
         self._serials: dict[int, dict[int, Nanos]] = {}
         """Serial numbers heard per node id, and when."""
-        self._told_double: dict[int, bool] = {}
+        self._reported_duplicate: dict[int, bool] = {}
         self._written: dict[str, dict[str, float]] = {}
         self._roll_call: Nanos = 0
         # An axis of 0.5.x would take a remote frame of Address for Set_Axis_Node_ID, were its node id 63.
@@ -77,40 +77,40 @@ class OdriveDriver:
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """What a wire says; [] to what is not ours."""
-        if not isinstance(wire, CanFrame) or wire.fd or wire.remote or not wire.data:
-            self.tally.foreign += 1
+        if not isinstance(frame, CanFrame) or frame.fd or frame.remote or not frame.data:
+            self.counters.ignored += 1
             return []
-        address = node_of(wire)
+        address = node_of(frame)
         node = self.nodes.get(address)
         line = node.identity.reading if node is not None else ""
-        row = TABLES[line].from_device.get(wire.id & 0x1F)
+        row = TABLES[line].from_device.get(frame.id & 0x1F)
         if row is None or not (node is not None or row.message is Address):
-            self.tally.foreign += 1
-            self._overhear(t, address, wire)
+            self.counters.ignored += 1
+            self._overhear(t, address, frame)
             return []
-        if row.message is Address and wire.data[0] != address:
+        if row.message is Address and frame.data[0] != address:
             # A node id that a host gives out differs from an unaddressed device's answer in its first byte.
-            self.tally.foreign += 1
+            self.counters.ignored += 1
             return []
-        message = decode_from_device(wire, line)
+        message = decode_from_device(frame, line)
         if message is None:
-            self.tally.bad += 1
+            self.counters.malformed += 1
             return []
         if isinstance(message, Beacon) and node is not None:
-            message = decode_from_device(wire, node.identity.hear_beacon(message)) or message
-        self.tally.heard += 1
+            message = decode_from_device(frame, node.identity.on_beacon(message)) or message
+        self.counters.accepted += 1
         if isinstance(message, Address):
-            return self._hear_address(t, message)
-        return self._hear_node(t, node, message) if node is not None else []
+            return self._on_address(t, message)
+        return self._on_node(t, node, message) if node is not None else []
 
-    def _hear_node(self, t: Nanos, node: Node, message: AnyMessage) -> list[Event]:
-        events = node.hear(t, message)
+    def _on_node(self, t: Nanos, node: Node, message: AnyMessage) -> list[Event]:
+        events = node.handle(t, message)
         if beat_of(message) is not None or node.two:
             events += self._contradiction(t, node)
         for pending in self._waiting:
-            ended = requests.hear(pending, t, message) if pending.node is node else []
+            ended = requests.handle(pending, t, message) if pending.node is node else []
             if ended:
                 self._waiting.end(pending)
                 events += ended
@@ -126,7 +126,7 @@ class OdriveDriver:
 
     # -- who holds which node id -------------------------------------------------------------------
 
-    def _hear_address(self, t: Nanos, message: Address) -> list[Event]:
+    def _on_address(self, t: Nanos, message: Address) -> list[Event]:
         for node, serials in self._serials.items():
             if node != message.node:
                 serials.pop(message.serial, None)
@@ -134,8 +134,8 @@ class OdriveDriver:
         held = {serial: at for serial, at in known.items() if t - at <= 2 * ROLL_CALL} | {message.serial: t}
         self._serials[message.node] = held
         if message.node in self.nodes:
-            self.nodes[message.node].heard_at = t
-            self.nodes[message.node].identity.hear_roll_call()
+            self.nodes[message.node].received_at = t
+            self.nodes[message.node].identity.on_roll_call()
         events: list[Event] = self._double(t, message.node, sorted(held)) if len(held) > 1 else []
         for pending in self._waiting:
             if isinstance(pending.request, Scan):
@@ -161,12 +161,14 @@ class OdriveDriver:
         return [Found(t, PROTOCOL, message.node, message.serial, detail)]
 
     def _double(self, t: Nanos, node: int, serials: list[int]) -> list[Event]:
-        if node == BROADCAST or self._told_double.get(node):
+        if node == BROADCAST or self._reported_duplicate.get(node):
             return []
-        self._told_double[node] = True
+        self._reported_duplicate[node] = True
         said = " and ".join(f"{serial:012X}" for serial in serials)
         events: list[Event] = [
-            Found(t, PROTOCOL, node, serial, f"node id {node} is held twice: by {said}", twice=True)
+            Found(
+                t, PROTOCOL, node, serial, f"node id {node} is held twice: by {said}", duplicate_address=True
+            )
             for serial in serials
         ]
         return events + self._double_fault(t, node, f"two devices answer to it: serial numbers {said}")
@@ -175,16 +177,16 @@ class OdriveDriver:
         ours = self.nodes.get(node)
         if ours is None:
             return []
-        cure = "take one off the bus, or give it another node id (SetId with its serial number)"
+        remedy = "take one off the bus, or give it another node id (SetId with its serial number)"
         title = f"node id {node & MAX_EXTENDED_NODE} is held twice"
-        return [Fault(ours.name, t, DUPLICATE_NODE, title, cause, cure)]
+        return [Fault(ours.name, t, DUPLICATE_NODE, title, cause, remedy)]
 
     def _contradiction(self, t: Nanos, node: Node) -> list[Event]:
         """Heartbeats that say A B A B while we asked for no change come from two devices."""
-        if self._told_double.get(node.address):
+        if self._reported_duplicate.get(node.address):
             return []
         if node.two:
-            self._told_double[node.address], self._roll_call = True, t
+            self._reported_duplicate[node.address], self._roll_call = True, t
             return self._contradicted(t, node, "its positions contradict each other in turn")
         if len(node.beats) < 4:
             return []
@@ -196,12 +198,12 @@ class OdriveDriver:
             or node.state_sent >= node.beats[0][0]
         ):
             return []
-        self._told_double[node.address] = True
+        self._reported_duplicate[node.address] = True
         self._roll_call = t
         return self._contradicted(t, node, "its heartbeats contradict each other in turn")
 
     def _contradicted(self, t: Nanos, node: Node, cause: str) -> list[Event]:
-        found = Found(t, PROTOCOL, node.address & MAX_EXTENDED_NODE, None, cause, twice=True)
+        found = Found(t, PROTOCOL, node.address & MAX_EXTENDED_NODE, None, cause, duplicate_address=True)
         return [found, *self._double_fault(t, node.address, cause)]
 
     # -- the bus ------------------------------------------------------------------------------
@@ -221,33 +223,33 @@ class OdriveDriver:
 
     # -- saying -------------------------------------------------------------------------------
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Say the words, then what falls due: requests, set-points, repeated requests, questions."""
         events, self._events = self._events, []
-        wires: list[Wire] = []
+        frames: list[Frame] = []
         for word in words:
             if isinstance(word, Stop):
                 for node in self.nodes.values():
-                    node.claimed = True
+                    node.owned = True
             elif not isinstance(word, Command):
                 events += self._waiting.add(self._begin(now, word))
-        wires += self._resend(now, events)
+        frames += self._resend(now, events)
         for word in words:
             if isinstance(word, Command):
-                wires += self._command(now, word, events)
+                frames += self._command(now, word, events)
         for node in self.nodes.values():
-            told, asks = node.tend(now)
-            events += told
-            wires += [asking(node.address, cmd) for cmd in asks]
+            reported, asks = node.tend(now)
+            events += reported
+            frames += [asking(node.address, cmd) for cmd in asks]
         if now >= self._roll_call:
             self._roll_call = now + ROLL_CALL
-            wires += [ask(BROADCAST, Address)] if self._discovery else []
-        return events, wires
+            frames += [ask(BROADCAST, Address)] if self._discovery else []
+        return events, frames
 
-    def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Wire]:
+    def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Frame]:
         node = self._by_name.get(command.motor)
         reason = self._wrong(command) if node is not None else "no such motor on this bus"
-        events += self._refusals.hear(now, command, reason)
+        events += self._refusals.handle(now, command, reason)
         if node is None or reason:
             return []
         return [encode(node.address, message) for message in node.say(now, command)]
@@ -267,7 +269,7 @@ class OdriveDriver:
         if node is None:
             return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
         if isinstance(request, ClearFault):
-            self._told_double.pop(node.address, None)
+            self._reported_duplicate.pop(node.address, None)
         running = self._running_beside(node)
         if isinstance(request, Reboot) and node.dialect.boards and running:
             said = f"it restarts its whole board, and {running}, which is armed, may be on it: say idle first"
@@ -283,13 +285,13 @@ class OdriveDriver:
     def _running_beside(self, node: Node) -> str:
         """A device of a firmware whose boards have two axes, other than this one, that is armed; or ""."""
         for other in self.nodes.values():
-            armed = other.claimed or other.armed or other.state == AxisState.CLOSED_LOOP_CONTROL
+            armed = other.owned or other.armed or other.state == AxisState.CLOSED_LOOP_CONTROL
             if other is not node and other.dialect.boards and armed:
                 return other.name
         return ""
 
-    def _resend(self, now: Nanos, events: list[Event]) -> list[Wire]:
-        wires: list[Wire] = []
+    def _resend(self, now: Nanos, events: list[Event]) -> list[Frame]:
+        outgoing: list[Frame] = []
         for pending in self._waiting.late(now):
             ended = isinstance(pending.request, Scan)
             events += self._end_scan(now, pending) if ended else [requests.give_up(pending, now)]
@@ -298,14 +300,16 @@ class OdriveDriver:
                 frames = requests.frames_of(pending)
                 pending.next = now + pending.again
                 pending.sent += len(frames)
-                wires += frames
-        return wires
+                outgoing += frames
+        return outgoing
 
     def _end_scan(self, now: Nanos, pending: Pending) -> list[Event]:
         answered = sorted(key for key in pending.found if key[1] is not None)
         nodes = {node for node, _ in answered}
         mute = sorted(node for node, serial in pending.found if serial is None and node not in nodes)
-        known = [node for node in self.nodes if node not in nodes and self.nodes[node].heard_at is not None]
+        known = [
+            node for node in self.nodes if node not in nodes and self.nodes[node].received_at is not None
+        ]
         events: list[Event] = [
             Found(now, PROTOCOL, node & MAX_EXTENDED_NODE, None, self._mute(node))
             for node in sorted({*mute, *(n for n in known if not self.nodes[n].offline)})

@@ -15,23 +15,23 @@ from protocols.odrive_can.dialect import Beat, Dialect
 from protocols.odrive_can.faults import bits, text_of
 from protocols.odrive_can.faults05 import BASE_SHIFT
 from protocols.odrive_can.messages import GetError
-from protocols.plugin import Complaint
+from protocols.plugin import FaultInfo
 
 ATTEMPTS = 5
 """An error word that is not told in so many tries is not waited for."""
 
 
 @dataclass(slots=True)
-class Complaints:
+class FaultReports:
     """The complaints of one device. Plain data."""
 
     motor: str
-    told: set[int] = field(default_factory=set)
+    reported: set[int] = field(default_factory=set)
     """Codes of error bits that are told, and still there."""
     wanted: dict[int, int] = field(default_factory=dict)
     """Error words that are waited for, by command, and how often they were asked for."""
 
-    def hear_beat(self, t: Nanos, dialect: Dialect, before: Beat, beat: Beat, fell: bool) -> list[Event]:
+    def on_beat(self, t: Nanos, dialect: Dialect, before: Beat, beat: Beat, fell: bool) -> list[Event]:
         """A heartbeat, and the one before it; `fell`: the axis has just disarmed by itself."""
         self.wanted |= dict.fromkeys(dialect.reasons, 0) if fell else {}
         self.wanted |= {cmd: 0 for cmd in beat.parts if cmd not in before.parts}
@@ -40,7 +40,7 @@ class Complaints:
         self._forget(dialect, beat)
         return events
 
-    def hear_errors(self, t: Nanos, dialect: Dialect, active: int, reason: int) -> list[Event]:
+    def on_errors(self, t: Nanos, dialect: Dialect, active: int, reason: int) -> list[Event]:
         """Get_Error: the disarm reason counts only where we saw it disarm; an old one is history."""
         events = self._fresh(t, active & ~dialect.initializing, dialect.axis, dialect.base)
         if self.wanted.pop(cmd_of(GetError), None) is not None:
@@ -48,7 +48,7 @@ class Complaints:
             events += self._fresh(t, reason, dialect.axis, dialect.base, "it disarmed the axis: ")
         return events
 
-    def hear_part(self, t: Nanos, dialect: Dialect, cmd: int, errors: int) -> list[Event]:
+    def on_part(self, t: Nanos, dialect: Dialect, cmd: int, errors: int) -> list[Event]:
         """An error word of its own (0.5.x)."""
         self.wanted.pop(cmd, None)
         base, texts = dialect.parts[cmd]
@@ -60,15 +60,17 @@ class Complaints:
         self.wanted = {cmd: count for cmd, count in counts.items() if count < ATTEMPTS}
 
     def _fresh(
-        self, t: Nanos, errors: int, texts: Mapping[int, Complaint], base: int = 0, prefix: str = ""
+        self, t: Nanos, errors: int, texts: Mapping[int, FaultInfo], base: int = 0, prefix: str = ""
     ) -> list[Event]:
-        fresh = [bit for bit in bits(errors) if base + bit not in self.told]
-        self.told |= {base + bit for bit in fresh}
+        fresh = [bit for bit in bits(errors) if base + bit not in self.reported]
+        self.reported |= {base + bit for bit in fresh}
         said = [(bit, text_of(bit, texts)) for bit in fresh]
-        return [Fault(self.motor, t, base + bit, x.name, prefix + x.cause, x.cure) for bit, x in said]
+        return [Fault(self.motor, t, base + bit, x.name, prefix + x.cause, x.remedy) for bit, x in said]
 
     def _forget(self, dialect: Dialect, beat: Beat) -> None:
         """What is gone is told anew when it comes again."""
         words = {dialect.parts[cmd][0] for cmd in beat.parts}
         axis = {dialect.base + bit for bit in bits(beat.error)}
-        self.told = {code for code in self.told if code in axis or code >> BASE_SHIFT << BASE_SHIFT in words}
+        self.reported = {
+            code for code in self.reported if code in axis or code >> BASE_SHIFT << BASE_SHIFT in words
+        }

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from protocols.odrive_can.faults import ERRORS
 from protocols.odrive_can.faults05 import AXIS, AxisError
 from protocols.odrive_can.messages import AxisState, Beacon, GetVersion
-from protocols.plugin import Complaint
+from protocols.plugin import FaultInfo
 
 ATTEMPTS = 10
 """A device that sends heartbeats and answers nothing is a fault after so many questions."""
@@ -59,12 +59,12 @@ class Identity:
         """Whether it reads as the robot file says."""
         return self.expected in ("auto", self.reading)
 
-    def hear_beacon(self, beacon: Beacon) -> str:
+    def on_beacon(self, beacon: Beacon) -> str:
         """A heartbeat of a line not known; the line in which to read it."""
         self.seems = shape_of(beacon)
         return self.reading
 
-    def ask(self, beating: bool) -> Complaint | None:
+    def ask(self, beating: bool) -> FaultInfo | None:
         """Get_Version and the other question go out; what is wrong, if anything.
 
         `beating`: heartbeats were heard."""
@@ -78,7 +78,7 @@ class Identity:
             "look at cable and bit rate with a bus monitor, and for a second host",
         )
 
-    def hear_other(self) -> Complaint | None:
+    def on_other(self) -> FaultInfo | None:
         """The other question was answered; what is wrong with it, if anything."""
         if not self._waiting or self.line:
             return None
@@ -95,11 +95,11 @@ class Identity:
             "firmware 0.5.x", cause, 'say firmware = "0.5" in the robot file, or update the device'
         )
 
-    def hear_roll_call(self) -> None:
+    def on_roll_call(self) -> None:
         """It answered on the broadcast node, as no 0.5.x does."""
         self._answers_roll_call = True
 
-    def hear_version(self, version: GetVersion) -> Complaint | None:
+    def on_version(self, version: GetVersion) -> FaultInfo | None:
         """It answered Get_Version; what is wrong with it, if anything."""
         before, said = self.line, f"{version.fw_major}.{version.fw_minor}"
         self.version = version
@@ -133,12 +133,12 @@ class Identity:
             return f"firmware {v.fw_major}.{v.fw_minor}.{v.fw_revision}"
         return f"firmware {self.line}.x" if self.line else "firmware not known yet"
 
-    def _fault(self, name: str, cause: str, cure: str) -> Complaint | None:
+    def _fault(self, name: str, cause: str, remedy: str) -> FaultInfo | None:
         """Told once until it is cleared."""
         if self.wrong:
             return None
         self.wrong = True
-        return Complaint(name, cause, cure)
+        return FaultInfo(name, cause, remedy)
 
 
 ONLY05 = sum(AXIS.keys() - ERRORS.keys())

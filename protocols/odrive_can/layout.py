@@ -46,8 +46,8 @@ class Layout:
 
 def layout(message: type[Any], cmd: int, direction: Direction, codes: str, dlc: int = 8) -> Layout:
     """A row of the table."""
-    wire = "<" + "".join(_STRUCT.get(code, code) for code in codes)
-    packer = struct.Struct(wire + "x" * (8 - struct.calcsize(wire)))
+    frame = "<" + "".join(_STRUCT.get(code, code) for code in codes)
+    packer = struct.Struct(frame + "x" * (8 - struct.calcsize(frame)))
     encode, decode = _shape(message, codes, packer)
     if direction == "to_device" and dlc < 8:
         encode = _cut(encode, dlc)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.odrive_can import messages as m
 from protocols.odrive_can import messages05 as m05
 from protocols.odrive_can.codec import BROADCAST, TABLES, node_of
@@ -33,20 +33,20 @@ def name_of(message: type) -> str:
     return NAMES.get(message) or re.sub(r"(?<=[a-z])(?=[A-Z])", "_", message.__name__)
 
 
-def messages_in(wire: Wire) -> tuple[str, ...]:
+def messages_in(frame: Frame) -> tuple[str, ...]:
     """The names of the one message to a device in this frame, as each firmware line reads it; () if none."""
-    if not isinstance(wire, CanFrame) or wire.fd or len(wire.data) > 8:
+    if not isinstance(frame, CanFrame) or frame.fd or len(frame.data) > 8:
         return ()
-    cmd = wire.id & 0x1F
+    cmd = frame.id & 0x1F
     tables = (TABLES["0.6"], TABLES["0.5"])
-    if wire.remote:
-        told = [table.from_device[cmd] for table in tables if cmd in table.askable]
-        return _names("ask for ", told)
+    if frame.remote:
+        reported = [table.from_device[cmd] for table in tables if cmd in table.askable]
+        return _names("ask for ", reported)
     rows = [table.to_device[cmd] for table in tables if cmd in table.to_device]
     # A node id is given out on the broadcast node in 0.6.x, to the axis that is to have it in 0.5.x.
-    giving_out = node_of(wire) == BROADCAST
+    giving_out = node_of(frame) == BROADCAST
     rows = [row for row in rows if row.message not in ((m05.SetAxisNodeId,) if giving_out else (m.Address,))]
-    whole = [row for row in rows if _size(row) <= len(wire.data)]
+    whole = [row for row in rows if _size(row) <= len(frame.data)]
     longest = max(map(_size, whole), default=0)
     return _names("", [row for row in whole if _size(row) == longest])
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 from protocols.messages import MILLISECOND, Command, Event, Fault, Feedback, Hold, Idle, Mode, Nanos, State
 from protocols.odrive_can.codec import EXTENDED, AnyMessage, cmd_of, radians
 from protocols.odrive_can.dialect import DIALECTS, Beat, Dialect, beat_of
-from protocols.odrive_can.fault_reports import Complaints
+from protocols.odrive_can.fault_reports import FaultReports
 from protocols.odrive_can.faults import (
     NOT_ARMED,
     PROCEDURE,
@@ -50,7 +50,7 @@ from protocols.odrive_can.options import Options
 from protocols.odrive_can.places import Places
 from protocols.odrive_can.polling import NEVER, OTHER, VERSION, Asking
 from protocols.odrive_can.setpoints import Input, setpoint, standstill
-from protocols.plugin import Complaint
+from protocols.plugin import FaultInfo
 
 RELEASE_AGAIN = 50 * MILLISECOND
 """Set_Axis_State IDLE is repeated so often until two heartbeats have confirmed it."""
@@ -71,14 +71,14 @@ class Node:
         self.options = options
         self.identity = Identity(options.firmware)
         self.started: Nanos | None = None
-        self.heard_at: Nanos | None = None
+        self.received_at: Nanos | None = None
         self.offline = False
         self.state: int | None = None
         self.beat = Beat(0, 0)
         """The last one."""
         self.position: float | None = None
         """turns"""
-        self.claimed = False
+        self.owned = False
         """We have commanded it since it was last released."""
         self.armed = False
         """It was heard in closed loop since we claimed it."""
@@ -94,8 +94,8 @@ class Node:
         self.releasing = False
         self.release_next: Nanos = 0
         self.release_seen = 0
-        self.told: tuple[Mode, str] | None = None
-        self.complaints = Complaints(name)
+        self.reported: tuple[Mode, str] | None = None
+        self.complaints = FaultReports(name)
         self.places = Places()
         self.two = False
         """Its estimates contradict each other: there are two of it."""
@@ -113,7 +113,7 @@ class Node:
     def forget(self) -> None:
         """The device may have restarted or been changed: only a fresh sequence arms it again."""
         self.identity.forget()
-        self.state, self.position, self.hold, self.told = None, None, None, None
+        self.state, self.position, self.hold, self.reported = None, None, None, None
         self.armed, self.mode, self._line_heard = False, None, ""
         self.attempts, self.arm_next, self.beats_since_arming, self.release_seen = 0, 0, 0, 0
         self.complaints.wanted.clear()
@@ -125,45 +125,45 @@ class Node:
 
     # -- hearing ------------------------------------------------------------------------------
 
-    def hear(self, t: Nanos, message: AnyMessage) -> list[Event]:
+    def handle(self, t: Nanos, message: AnyMessage) -> list[Event]:
         """A message of the device; what it means in words."""
-        self.heard_at, self.offline = t, False
-        self.asking.hear(t, cmd_of(type(message)))
+        self.received_at, self.offline = t, False
+        self.asking.handle(t, cmd_of(type(message)))
         match message:
             case GetEncoderEstimates(position, velocity):
                 self.position = position
-                self.two = self.two or self.places.hear(t, position, velocity)
+                self.two = self.two or self.places.handle(t, position, velocity)
                 return [Feedback(self.name, t, position=radians(position), velocity=radians(velocity))]
             case GetIq(_, measured):
                 return [Feedback(self.name, t, current=measured)]
             case GetTorques(_, estimate):
                 return [Feedback(self.name, t, torque=estimate)]
             case GetBusVoltageCurrent(voltage, _):
-                told = self._identified(t, self.identity.hear_other())
-                return [Feedback(self.name, t, voltage=voltage), *told]
+                reported = self._identified(t, self.identity.on_other())
+                return [Feedback(self.name, t, voltage=voltage), *reported]
             case GetTemperature(fet, motor):
                 known = [value for value in (fet, motor) if value is not None]
                 return [Feedback(self.name, t, temperature=max(known))] if known else []
             case GetError(active, reason):
-                return self.complaints.hear_errors(t, self.dialect, active, reason)
+                return self.complaints.on_errors(t, self.dialect, active, reason)
             case GetMotorError() | GetEncoderError() | GetControllerError() | GetSensorlessError():
-                return self.complaints.hear_part(t, self.dialect, cmd_of(type(message)), message.errors)
+                return self.complaints.on_part(t, self.dialect, cmd_of(type(message)), message.errors)
             case GetVersion():
-                return self._identified(t, self.identity.hear_version(message))
+                return self._identified(t, self.identity.on_version(message))
         beat = beat_of(message)
-        return self._hear_beat(t, beat) if beat is not None else []
+        return self._on_beat(t, beat) if beat is not None else []
 
-    def _identified(self, t: Nanos, wrong: Complaint | None) -> list[Event]:
+    def _identified(self, t: Nanos, wrong: FaultInfo | None) -> list[Event]:
         """The firmware line may be known now: what was heard before is to be heard again in its language."""
         if self.dialect.line != self._line_heard:
             self._line_heard, self.state = self.dialect.line, None
             self.complaints.wanted.clear()
         if wrong is None:
             return []
-        fault = Fault(self.name, t, WRONG_FIRMWARE, wrong.name, wrong.cause, wrong.cure)
-        return [fault, *self._tell_state(t, fell=False)]
+        fault = Fault(self.name, t, WRONG_FIRMWARE, wrong.name, wrong.cause, wrong.remedy)
+        return [fault, *self._report_state(t, fell=False)]
 
-    def _hear_beat(self, t: Nanos, beat: Beat) -> list[Event]:
+    def _on_beat(self, t: Nanos, beat: Beat) -> list[Event]:
         dialect, before = self.dialect, self.beat
         if beat.error & dialect.initializing and not before.error & dialect.initializing:
             self.forget()
@@ -173,17 +173,17 @@ class Node:
         fell = self.armed and not closed
         if fell:
             self.armed, self.mode, self.hold = False, None, None
-        elif closed and self.claimed and not self.releasing:
+        elif closed and self.owned and not self.releasing:
             self.armed, self.attempts, self.beats_since_arming = True, 0, 0
         self._confirm_release(closed=closed)
-        events = self.complaints.hear_beat(t, dialect, before, beat, fell=fell)
+        events = self.complaints.on_beat(t, dialect, before, beat, fell=fell)
         events += self._judge_arming(t, closed=closed)
-        return events + self._tell_state(t, fell=fell)
+        return events + self._report_state(t, fell=fell)
 
     def _confirm_release(self, closed: bool) -> None:
         self.release_seen = self.release_seen + 1 if self.releasing and not closed else 0
         if self.release_seen >= CONFIRMED:
-            self.claimed = self.releasing = False
+            self.owned = self.releasing = False
             self.release_seen = 0
 
     def _judge_arming(self, t: Nanos, closed: bool) -> list[Event]:
@@ -195,15 +195,15 @@ class Node:
         known = RESULTS.get(self.beat.result)
         if self.beat.result not in WAITING and known is not None:
             self.refused = True
-            return [Fault(self.name, t, PROCEDURE + self.beat.result, known.name, known.cause, known.cure)]
+            return [Fault(self.name, t, PROCEDURE + self.beat.result, known.name, known.cause, known.remedy)]
         if self.attempts < ARM_ATTEMPTS or self.beats_since_arming < ARM_ATTEMPTS or t < self.arm_next:
             return []
         self.refused = True
         said = f"it stayed in {state_name(self.beat.state, AxisState)} with {result_name(self.beat.result)}"
-        cure = "look at it with the vendor's tool, then clear"
-        return [Fault(self.name, t, NOT_ARMED, f"did not arm in {self.attempts} tries", said, cure)]
+        remedy = "look at it with the vendor's tool, then clear"
+        return [Fault(self.name, t, NOT_ARMED, f"did not arm in {self.attempts} tries", said, remedy)]
 
-    def _tell_state(self, t: Nanos, fell: bool) -> list[Event]:
+    def _report_state(self, t: Nanos, fell: bool) -> list[Event]:
         detail = state_name(self.beat.state, AxisState)
         if self.beat.result not in (Result.SUCCESS, Result.BUSY):
             detail += f", {result_name(self.beat.result)}"
@@ -211,11 +211,11 @@ class Node:
             detail += ", left closed loop by itself"
         if not self.identity.line and not self.identity.wrong:
             detail += ", asking for its firmware"
-        told = (self._mode_now(), detail)
-        if told == self.told:
+        reported = (self._mode_now(), detail)
+        if reported == self.reported:
             return []
-        self.told = told
-        return [State(self.name, t, *told)]
+        self.reported = reported
+        return [State(self.name, t, *reported)]
 
     def _mode_now(self) -> Mode:
         if self.identity.wrong:
@@ -265,7 +265,7 @@ class Node:
         return "it would not arm" if self.refused else ""
 
     def _steer(self, mode: ControlMode, target: Input) -> list[AnyMessage]:
-        self.claimed = True
+        self.owned = True
         # One that is taken over may fall before its next heartbeat: that is a fall, too.
         self.armed = self.armed or self.beats[-1][0] > self.state_sent
         if self.mode == mode:
@@ -279,7 +279,7 @@ class Node:
         said: list[AnyMessage] = []
         if self.mode != mode:
             said.append(SetControllerMode(mode, InputMode.PASSTHROUGH))
-            self.mode, self.claimed = mode, True
+            self.mode, self.owned = mode, True
         said.append(standstill(mode, self.position or 0.0))
         if now >= self.arm_next and self.attempts < ARM_ATTEMPTS:  # the last try has its time, too
             said.append(SetAxisState(AxisState.CLOSED_LOOP_CONTROL))
@@ -289,7 +289,7 @@ class Node:
         return said
 
     def _release(self, now: Nanos) -> list[AnyMessage]:
-        if not self.claimed:
+        if not self.owned:
             return []
         if not self.releasing:
             self.releasing, self.release_seen, self.release_next = True, 0, now
@@ -307,9 +307,9 @@ class Node:
         self.complaints.wanted.clear()
         self.identity.cleared()
 
-    def tell_again(self) -> None:
+    def report_again(self) -> None:
         """Faults that stay are told again, with all their words."""
-        self.complaints.told.clear()
+        self.complaints.reported.clear()
         self.beat = replace(self.beat, parts=())
 
     # -- by itself ----------------------------------------------------------------------------
@@ -350,5 +350,5 @@ class Node:
         return not self.offline and self.state is not None
 
     def _offline_at(self) -> Nanos:
-        since = self.heard_at if self.heard_at is not None else self.started or 0
+        since = self.received_at if self.received_at is not None else self.started or 0
         return since + self.options.offline_ms * MILLISECOND

@@ -28,7 +28,7 @@ class Places:
     last: tuple[Nanos, float, float] = (-2 * STALE, 0.0, 0.0)
     leaps: list[Nanos] = field(default_factory=list)
 
-    def hear(self, t: Nanos, position: float, velocity: float) -> bool:
+    def handle(self, t: Nanos, position: float, velocity: float) -> bool:
         """Whether this can no longer be one shaft."""
         before, last, now = self.before, self.last, (t, position, velocity)
         self.before, self.last = last, now

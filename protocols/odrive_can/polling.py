@@ -46,7 +46,7 @@ class Asking:
     cyclic_at: Nanos = 0
     """When one last came unasked."""
 
-    def hear(self, t: Nanos, cmd: int) -> None:
+    def handle(self, t: Nanos, cmd: int) -> None:
         """A message came."""
         if cmd == ESTIMATES:
             if not self.unanswered:
@@ -93,8 +93,8 @@ class Asking:
         return due
 
     def _heartbeat_at(self) -> Nanos:
-        heard = self.started if self.heartbeat_at is None else self.heartbeat_at
-        return max(self._again(HEARTBEAT), heard + HEARTBEAT_MISSED)
+        received = self.started if self.heartbeat_at is None else self.heartbeat_at
+        return max(self._again(HEARTBEAT), received + HEARTBEAT_MISSED)
 
     def _again(self, cmd: int) -> Nanos:
         asked = self.asked.get(cmd)

@@ -44,7 +44,7 @@ from protocols.odrive_can.messages import (
     SetVelGains,
 )
 from protocols.odrive_can.node import Node
-from protocols.request_queue import UnderWay, refusal
+from protocols.request_queue import PendingRequest, refusal
 
 ANSWER = 600 * MILLISECOND
 RESEND = 120 * MILLISECOND
@@ -72,7 +72,7 @@ SAVE = "save_configuration"
 
 
 @dataclass(slots=True)
-class Pending(UnderWay):
+class Pending(PendingRequest):
     """A request under way."""
 
     node: Node | None
@@ -89,7 +89,7 @@ class Pending(UnderWay):
 def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -> Pending | Refused:
     """A request to one device."""
     dialect = node.dialect
-    running = node.claimed or node.state == AxisState.CLOSED_LOOP_CONTROL
+    running = node.owned or node.state == AxisState.CLOSED_LOOP_CONTROL
     match request:
         case ClearFault():  # its frame follows as soon as the firmware line is known
             node.cleared()
@@ -196,13 +196,13 @@ def set_id(
         return refusal(now, request, f"node id {request.address} is held by serial number {holders[0]:012X}")
     for node in nodes:
         mine = request.serial in serials.get(node.address, {}) or node.address == request.address
-        if mine and (node.claimed or node.state == AxisState.CLOSED_LOOP_CONTROL):
+        if mine and (node.owned or node.state == AxisState.CLOSED_LOOP_CONTROL):
             return refusal(now, request, f"{node.name} is armed: say idle first")
     frames = (encode(BROADCAST, Address(request.address, request.serial)), ask(BROADCAST, Address))
     return Pending(request, request.bus, now, now + ASSIGN, now, None, frames, RESEND * 2)
 
 
-def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
+def handle(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
     """Let a request of one device hear what it said; the events that end it, or none."""
     node, beat = pending.node, beat_of(message)
     if node is None:
@@ -218,11 +218,11 @@ def hear(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
         case RebootWord() | WriteParameter(_, "save_configuration") if beat is not None:
             # Whoever restarts is asked anew what it is, and its bits mean nothing before.
             up = bool(node.identity.line) and not beat.error & node.dialect.initializing
-            return _hear_reboot(pending, t, node, up)
+            return _on_reboot(pending, t, node, up)
         case WriteParameter() if beat is not None and pending.frames:
             return [pending.done(t, "sent; the device does not confirm it")]
         case ReadParameter(_, parameter):
-            return _hear_parameter(pending, node, parameter, t, message)
+            return _on_parameter(pending, node, parameter, t, message)
     return []
 
 
@@ -230,7 +230,7 @@ def _board(node: Node) -> str:
     return "and every axis of its board" if node.dialect.boards else ""
 
 
-def _hear_reboot(pending: Pending, t: Nanos, node: Node, up: bool) -> list[Event]:
+def _on_reboot(pending: Pending, t: Nanos, node: Node, up: bool) -> list[Event]:
     gap = t - (pending.beat_at or pending.began)
     pending.beat_at = t
     if not up or gap >= REBOOT_GAP:
@@ -239,9 +239,7 @@ def _hear_reboot(pending: Pending, t: Nanos, node: Node, up: bool) -> list[Event
     return [pending.done(t, detail)] if pending.stage and up else []
 
 
-def _hear_parameter(
-    pending: Pending, node: Node, parameter: str, t: Nanos, message: AnyMessage
-) -> list[Event]:
+def _on_parameter(pending: Pending, node: Node, parameter: str, t: Nanos, message: AnyMessage) -> list[Event]:
     kind, attribute = node.dialect.readable.get(parameter, (None, ""))
     if kind is None or not isinstance(message, kind):
         return []
@@ -258,12 +256,12 @@ def give_up(pending: Pending, now: Nanos) -> Refused:
         return pending.refuse(
             now, f"no device with serial number {pending.request.serial:012X} took the node id"
         )
-    if node is None or node.heard_at is None or node.heard_at < pending.began:
+    if node is None or node.received_at is None or node.received_at < pending.began:
         return pending.refuse(now, "no answer of the device")
     if isinstance(pending.request, ClearFault):
         if not node.identity.line:
             return pending.refuse(now, "its firmware is not known")
-        node.tell_again()
+        node.report_again()
         return pending.refuse(now, f"still in fault: {names(node.beat.error, node.dialect.axis)}")
     if isinstance(pending.request, Zero):
         return pending.refuse(now, "its position did not become zero: is it turning?")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Nanos, Torque, seconds
 from protocols.odrive_can.codec import BROADCAST, AnyMessage, decode_to_device, encode, node_of, turns
 from protocols.odrive_can.decoder import Axis, axis_of
@@ -60,11 +60,11 @@ class OdriveTwin:
         """The commands of cyclic messages, and their periods in ms."""
         raise NotImplementedError
 
-    def hear(self, t: Nanos, node: int, message: AnyMessage) -> None:
+    def handle(self, t: Nanos, node: int, message: AnyMessage) -> None:
         """A message to some node."""
         raise NotImplementedError
 
-    def tell(self, cmd: int) -> AnyMessage | None:
+    def report(self, cmd: int) -> AnyMessage | None:
         """The message of a command, as it is now."""
         raise NotImplementedError
 
@@ -84,22 +84,22 @@ class OdriveTwin:
 
     # -- the wire -----------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """A wire reached the device; what is not for it changes nothing."""
-        if not isinstance(wire, CanFrame) or wire.fd or t < self.silent_until:
+        if not isinstance(frame, CanFrame) or frame.fd or t < self.silent_until:
             return
-        node = node_of(wire)
+        node = node_of(frame)
         self.feed(t, node)
-        message = decode_to_device(wire, self.axis.line)
+        message = decode_to_device(frame, self.axis.line)
         if isinstance(message, Ask):
             self.answer(node, message.cmd)
         elif message is not None:
-            self.hear(t, node, message)
+            self.handle(t, node, message)
 
     def answer(self, node: int, cmd: int) -> None:
         """A node was asked for a message."""
         if node == self.axis.node:
-            self.reply(self.tell(cmd))
+            self.reply(self.report(cmd))
 
     def reply(self, message: AnyMessage | None) -> None:
         """To be said at the next step."""
@@ -139,7 +139,7 @@ class OdriveTwin:
 
     # -- time ---------------------------------------------------------------------------------
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the firmware up to `now`; the shaft's Feedback [rad, rad/s] is what the encoder sees."""
         for event in truth:
             self._see(event)
@@ -187,7 +187,7 @@ class OdriveTwin:
         for cmd, period in self._periods.items():
             if now >= self._next[cmd]:
                 self._next[cmd] += period * (1 + (now - self._next[cmd]) // period)
-                message = self.tell(cmd)
+                message = self.report(cmd)
                 if message is not None:
                     frames.append(encode(self.axis.node, message))
         return frames

@@ -11,14 +11,14 @@ from collections.abc import Callable, Sequence
 
 from protocols.messages import Nanos
 from protocols.odrive_can.codec import AnyMessage, cmd_of
-from protocols.odrive_can.decoder import addressed, hear, obey
+from protocols.odrive_can.decoder import addressed, decode, obey
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import (
     AXIS_BASE,
     BASE_SHIFT,
-    COMPLAINTS05,
     CONTROLLER_BASE,
     ENCODER_BASE,
+    FAULT_TABLE05,
     MOTOR_BASE,
     AxisError,
     ControllerError,
@@ -109,10 +109,10 @@ class Twin05(OdriveTwin):
         if node == self.axis.node:
             self._fed = t
 
-    def hear(self, t: Nanos, node: int, message: AnyMessage) -> None:
+    def handle(self, t: Nanos, node: int, message: AnyMessage) -> None:
         """See the base."""
         if not addressed(self.axis, node, message):
-            hear(self.axis, node, message)
+            decode(self.axis, node, message)
             return
         match message:
             case SetAxisState(state):
@@ -170,7 +170,7 @@ class Twin05(OdriveTwin):
 
     def provoke(self, code: int) -> None:
         """See the base."""
-        if code not in COMPLAINTS05:
+        if code not in FAULT_TABLE05:
             raise ValueError(f"firmware 0.5.x has no fault {code:#x}")
         base, bit = code >> BASE_SHIFT << BASE_SHIFT, code % (1 << BASE_SHIFT)
         if base == AXIS_BASE:
@@ -197,10 +197,10 @@ class Twin05(OdriveTwin):
         if self.errors:
             self.axis.armed = False
 
-    def tell(self, cmd: int) -> AnyMessage | None:
+    def report(self, cmd: int) -> AnyMessage | None:
         """See the base."""
-        tells = _TELLS.get(cmd)
-        return tells(self) if tells is not None else None
+        reports = _REPORTS.get(cmd)
+        return reports(self) if reports is not None else None
 
 
 def _heartbeat(twin: Twin05) -> Heartbeat05:
@@ -221,7 +221,7 @@ def _counts(twin: Twin05) -> GetEncoderCount:
     return GetEncoderCount((shadow + 2**31) % 2**32 - 2**31, math.floor(twin.servo.shaft * cpr + 0.5) % cpr)
 
 
-_TELLS: dict[int, Callable[[Twin05], AnyMessage]] = {
+_REPORTS: dict[int, Callable[[Twin05], AnyMessage]] = {
     cmd_of(Heartbeat05): _heartbeat,
     cmd_of(GetMotorError): lambda twin: GetMotorError(twin.motor_errors),
     cmd_of(GetEncoderError): lambda twin: GetEncoderError(twin.encoder_errors),

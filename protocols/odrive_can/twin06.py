@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from protocols.messages import MILLISECOND, Nanos
 from protocols.odrive_can.codec import BROADCAST, AnyMessage, cmd_of
 from protocols.odrive_can.decoder import addressed, assign, obey
-from protocols.odrive_can.faults import COMPLAINTS06, Error, Result
+from protocols.odrive_can.faults import FAULT_TABLE06, Error, Result
 from protocols.odrive_can.messages import (
     Address,
     AxisState,
@@ -77,17 +77,17 @@ class Twin06(OdriveTwin):
         """Discovery goes to the broadcast node; a device without an address answers nothing else."""
         discovery = node == BROADCAST and cmd == cmd_of(Address)
         if discovery or (node == self.axis.node and node != BROADCAST):
-            self.reply(self.tell(cmd))
+            self.reply(self.report(cmd))
 
-    def hear(self, t: Nanos, node: int, message: AnyMessage) -> None:
+    def handle(self, t: Nanos, node: int, message: AnyMessage) -> None:
         """See the base."""
         if isinstance(message, Address):
             if assign(self.axis, node, message):
                 self.reply(Address(self.axis.node, self.axis.serial, 0))
         elif addressed(self.axis, node, message):
-            self._hear(t, message)
+            self._handle(t, message)
 
-    def _hear(self, t: Nanos, message: AnyMessage) -> None:
+    def _handle(self, t: Nanos, message: AnyMessage) -> None:
         if isinstance(message, FEEDS):
             self._fed = t
         match message:
@@ -141,7 +141,7 @@ class Twin06(OdriveTwin):
 
     def provoke(self, code: int) -> None:
         """See the base."""
-        if code not in COMPLAINTS06:
+        if code not in FAULT_TABLE06:
             raise ValueError(f"firmware 0.6.x has no fault {code:#x}")
         self.trip(Error(code))
 
@@ -159,10 +159,10 @@ class Twin06(OdriveTwin):
         if self.errors & Error.INITIALIZING and now >= self.initializing_until:
             self.errors &= ~Error.INITIALIZING
 
-    def tell(self, cmd: int) -> AnyMessage | None:
+    def report(self, cmd: int) -> AnyMessage | None:
         """See the base."""
-        tells = _TELLS.get(cmd)
-        return tells(self) if tells is not None else None
+        reports = _REPORTS.get(cmd)
+        return reports(self) if reports is not None else None
 
     def due(self) -> Nanos | None:
         """See the base."""
@@ -182,7 +182,7 @@ def _heartbeat(twin: Twin06) -> Heartbeat:
     return Heartbeat(twin.errors, state, twin.result, int(twin.servo.trajectory_done))
 
 
-_TELLS: dict[int, Callable[[Twin06], AnyMessage]] = {
+_REPORTS: dict[int, Callable[[Twin06], AnyMessage]] = {
     cmd_of(GetVersion): _version,
     cmd_of(Heartbeat): _heartbeat,
     cmd_of(GetError): lambda twin: GetError(twin.errors, twin.disarm_reason),

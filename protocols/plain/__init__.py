@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import get_args
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import COMMANDS, MILLISECOND, Command, ReadParameter, Request, Scan
 from protocols.plain import codec
-from protocols.plain.decoder import PlainEar
+from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import OFFLINE, Options, PlainDriver
-from protocols.plain.settings import COMPLAINTS, Settings
+from protocols.plain.settings import FAULT_TABLE, Settings
 from protocols.plain.twin import twin
 from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
 
@@ -22,20 +22,20 @@ SENSOR_PERIOD = 100 * MILLISECOND
 """Of the slowest sensor that is usual; what a robot waits for is in its own file."""
 
 
-def messages(wire: Wire) -> tuple[str, ...]:
+def messages(frame: Frame) -> tuple[str, ...]:
     """The kinds of the words that whole messages to a device hold."""
-    bodies = codec.Stream().feed(wire) if isinstance(wire, bytes) else []
+    bodies = codec.Stream().feed(frame) if isinstance(frame, bytes) else []
     said = [codec.read(body, 0, "") for body in bodies]
     return tuple(type(word).__name__ for word in said if isinstance(word, Command | Request))
 
 
-def read_only(wire: Wire) -> bool:
+def read_only(frame: Frame) -> bool:
     """Whether these bytes are whole messages that only ask: Scan, ReadParameter."""
-    if not isinstance(wire, bytes):
+    if not isinstance(frame, bytes):
         return False
     stream = codec.Stream()
-    bodies = stream.feed(wire)
-    whole = sum(len(codec.frame(body)) for body in bodies) == len(wire)
+    bodies = stream.feed(frame)
+    whole = sum(len(codec.frame(body)) for body in bodies) == len(frame)
     asked = [codec.read(body, 0, "") for body in bodies]
     return whole and all(isinstance(word, Scan | ReadParameter) for word in asked)
 
@@ -65,7 +65,7 @@ def spec(device: Device) -> Spec:
         watchdog=Watchdog(patience if motor and patience else None, enabled=motor and patience > 0),
         holds_unattended=motor and not patience,
         stop_clears_faults=False,
-        faults=COMPLAINTS if motor else {},
+        faults=FAULT_TABLE if motor else {},
     )
 
 
@@ -87,7 +87,7 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=PlainDriver,
-    ear=PlainEar,
+    decoder=PlainDecoder,
     twin=twin,
     messages=messages,
     vectors=("gateway.fixtures", "vectors/plain.json"),

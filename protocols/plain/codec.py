@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 
 from protocols import messages
 from protocols.message_codec import CODES, Kind, kind_of, pack_fields, unpack_fields
-from protocols.messages import Nanos, Word
+from protocols.messages import Message, Nanos
 
 NAME = "plain"
 SYNC = b"\xa5\x57"
@@ -126,7 +126,7 @@ def _normalise(values: list[Any]) -> None:
 # -- messages on a stream ------------------------------------------------------------------------------
 
 
-def message(address: int, word: Word, now: Nanos = 0) -> bytes:
+def message(address: int, word: Message, now: Nanos = 0) -> bytes:
     """A word to or from the device at this address, as it stands on a stream.
 
     `now` is the moment of sending: a measurement's `t` becomes its age. Raises ValueError as `pack`
@@ -152,7 +152,7 @@ def frame(body: bytes) -> bytes:
     return _HEAD.pack(SYNC, len(body), len(body) ^ 0xFFFF) + body + _TAIL.pack(zlib.crc32(body))
 
 
-def read(body: bytes, t: Nanos, name: str) -> Word | None:
+def read(body: bytes, t: Nanos, name: str) -> Message | None:
     """The word in a message's body, about the device called `name`, that came in at `t`; or None."""
     found = unpack_fields(body[1:])
     if found is None:

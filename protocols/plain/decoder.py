@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import Command, Nanos, Request
 from protocols.plain import codec
 from protocols.plugin import Device
 
 
-class PlainEar:
+class PlainDecoder:
     """What plain devices would obey. A motor in fault hears a command too, and does not obey it."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
@@ -27,12 +27,12 @@ class PlainEar:
         self._names = {a: name for a, name in self._names.items() if name != device.name}
         self._names[device.address] = device.name
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
         """The words in the messages that are complete with this wire."""
-        if not isinstance(wire, bytes):
+        if not isinstance(frame, bytes):
             return []
-        heard = [self._read(t, body) for body in self._stream.feed(wire)]
-        return [word for word in heard if word is not None]
+        received = [self._read(t, body) for body in self._stream.feed(frame)]
+        return [word for word in received if word is not None]
 
     def _read(self, t: Nanos, body: bytes) -> Command | Request | None:
         name = self._names.get(body[0], "")

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
-from protocols.frames import BusState, Wire
+from protocols.frames import BusState, Frame
 from protocols.messages import (
     MILLISECOND,
     Command,
@@ -37,8 +37,8 @@ from protocols.messages import (
     Stop,
 )
 from protocols.plain import codec
-from protocols.plugin import Device, Tally
-from protocols.request_queue import Refusals
+from protocols.plugin import Device, RxCounters
+from protocols.request_queue import RejectionFilter
 
 ANSWER: Nanos = 200 * MILLISECOND
 """How long a device may take to answer a request, and how long a scan listens."""
@@ -58,13 +58,13 @@ class Options:
 
 
 @dataclass(slots=True)
-class _Seat:
+class _DeviceState:
     """What the driver knows of one device."""
 
     name: str
     motor: bool
-    claimed: bool = False
-    heard: Nanos | None = None
+    owned: bool = False
+    received: Nanos | None = None
     """When it last spoke, or when we began to listen."""
     offline: bool = False
     faults: list[int] = field(default_factory=list)
@@ -77,26 +77,26 @@ class PlainDriver:
     """The driver of all plain devices on one serial line."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
-        self.tally = Tally()
+        self.counters = RxCounters()
         self._stream = codec.Stream()
-        self._seats = {d.address: _Seat(d.name, d.options.kind == "motor") for d in devices}
+        self._seats = {d.address: _DeviceState(d.name, d.options.kind == "motor") for d in devices}
         self._addresses = {d.name: d.address for d in devices}
-        self._refusals = Refusals()
+        self._refusals = RejectionFilter()
         self._line: list[tuple[Nanos, Scan | SetId]] = []
         """Requests to the whole line: when they end."""
         self._serials: dict[int, int] = {}
         """Serial numbers found since the last scan, by address."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """The events in the messages that are complete with these bytes."""
-        if not isinstance(wire, bytes):
-            self.tally.foreign += 1
+        if not isinstance(frame, bytes):
+            self.counters.ignored += 1
             return []
         stream = self._stream
         bad, noise = stream.bad, stream.noise
-        events = [event for body in stream.feed(wire) for event in self._hear(t, body)]
-        self.tally.bad += stream.bad - bad
-        self.tally.foreign += stream.noise - noise
+        events = [event for body in stream.feed(frame) for event in self._handle(t, body)]
+        self.counters.malformed += stream.bad - bad
+        self.counters.ignored += stream.noise - noise
         return events
 
     def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- silence is counted from what was heard
@@ -106,39 +106,39 @@ class PlainDriver:
             for seat in self._seats.values():
                 seat.faults.clear()
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Each word that its device takes becomes one message; the others are refused."""
         events: list[Event] = []
-        wires: list[Wire] = []
+        frames: list[Frame] = []
         for word in words:
             if isinstance(word, Stop):
                 for seat in self._seats.values():
-                    seat.claimed = seat.motor
+                    seat.owned = seat.motor
                 continue
-            wire, reason = self._message(now, word)
-            events += self._refusals.hear(now, word, reason)
-            wires += wire
-        return events + self._impatient(now), wires
+            frame, reason = self._message(now, word)
+            events += self._refusals.handle(now, word, reason)
+            frames += frame
+        return events + self._impatient(now), frames
 
     def due(self) -> Nanos | None:
         """When a request has waited, or a motor been silent, for too long."""
         moments = [end for end, _ in self._line]
         for seat in self._seats.values():
             moments += seat.asked.values()
-            if seat.motor and seat.heard is not None and not seat.offline:
-                moments.append(seat.heard + OFFLINE)
+            if seat.motor and seat.received is not None and not seat.offline:
+                moments.append(seat.received + OFFLINE)
         return min(moments, default=None)
 
     # -- down ------------------------------------------------------------------------------------------
 
-    def _message(self, now: Nanos, word: Command | Request) -> tuple[list[Wire], str]:
+    def _message(self, now: Nanos, word: Command | Request) -> tuple[list[Frame], str]:
         """What goes out for a word, and why it is refused, "" if it is not."""
         try:
             address = self._address(word)
-            wire = codec.message(address, word)
+            frame = codec.message(address, word)
         except ValueError as error:
             return [], str(error)
-        return [wire] if self._say(now, address, word) else [], ""
+        return [frame] if self._say(now, address, word) else [], ""
 
     def _address(self, word: Command | Request) -> int:
         """The address that a word goes to. ValueError: it can go to none."""
@@ -159,11 +159,11 @@ class PlainDriver:
             return True
         seat = self._seats[address]
         if isinstance(word, Idle):
-            return seat.claimed
+            return seat.owned
         if isinstance(word, codec.MotorRequest):
             seat.asked[type(word).__name__] = now + ANSWER
         else:
-            seat.claimed = True
+            seat.owned = True
         return True
 
     def _impatient(self, now: Nanos) -> list[Event]:
@@ -173,8 +173,8 @@ class PlainDriver:
             for request in late:
                 del seat.asked[request]
                 events.append(Refused(now, request, seat.name, f"no answer in {ANSWER // MILLISECOND} ms"))
-            seat.heard = now if seat.heard is None else seat.heard
-            if seat.motor and not seat.offline and now - seat.heard >= OFFLINE:
+            seat.received = now if seat.received is None else seat.received
+            if seat.motor and not seat.offline and now - seat.received >= OFFLINE:
                 seat.offline = True
                 events.append(State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms"))
         ended = [word for end, word in self._line if end <= now]
@@ -188,24 +188,24 @@ class PlainDriver:
 
     # -- up --------------------------------------------------------------------------------------------
 
-    def _hear(self, t: Nanos, body: bytes) -> Sequence[Event]:
+    def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
         seat = self._seats.get(body[0])
         word = codec.read(body, t, seat.name if seat else "")
         if isinstance(word, Found) and word.protocol == codec.NAME and word.address == body[0]:
-            self.tally.heard += 1
+            self.counters.accepted += 1
             return self._found(word)
         # A command on the way up is somebody's echo (RS-485), a stranger's message is not for us.
         if seat is None or isinstance(word, Command | Request):
-            self.tally.foreign += 1
+            self.counters.ignored += 1
             return []
         if not isinstance(word, Told if seat.motor else Measured):
-            self.tally.bad += 1
+            self.counters.malformed += 1
             return []
-        self.tally.heard += 1
-        seat.heard, seat.offline = t, False
+        self.counters.accepted += 1
+        seat.received, seat.offline = t, False
         return [word] if self._news(seat, word) else []
 
-    def _news(self, seat: _Seat, word: Event) -> bool:
+    def _news(self, seat: _DeviceState, word: Event) -> bool:
         """Remember what the device says; whether it says anything new."""
         if isinstance(word, Done | Refused):
             seat.asked.pop(word.request, None)
@@ -224,7 +224,7 @@ class PlainDriver:
         before = self._serials.get(word.address, word.serial)
         if before != word.serial:
             said = f"{word.detail}; address {word.address} is also held by {before}"
-            word = replace(word, detail=said, twice=True)
+            word = replace(word, detail=said, duplicate_address=True)
         if word.serial is not None:
             self._serials[word.address] = word.serial
         events: list[Event] = [word]

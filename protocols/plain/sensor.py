@@ -10,10 +10,10 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import Command, Event, Fix, Found, Imu, LaserScan, Nanos, Request, Scan, SetId, Torque
 from protocols.plain import codec
-from protocols.plain.decoder import PlainEar
+from protocols.plain.decoder import PlainDecoder
 from protocols.plugin import Device
 
 
@@ -22,18 +22,18 @@ class PlainSensor:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._ear = PlainEar([device])
+        self._decoder = PlainDecoder([device])
         self._answers: list[Event] = []
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """Answer Scan and SetId."""
-        for word in self._ear.hear(t, wire):
+        for word in self._decoder.decode(t, frame):
             device = to_all(self._device, word, t, self._answers)
             if device is not self._device:
                 self._device = device
-                self._ear.follow(device)
+                self._decoder.follow(device)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Tell what the world shows to this sensor, each measurement at once."""
         shown = [w for w in truth if isinstance(w, Imu | LaserScan | Fix) and w.sensor == self._device.name]
         said = [*self._answers, *shown]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from protocols.plugin import Complaint
+from protocols.plugin import FaultInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +45,11 @@ class Settings:
                 raise ValueError(f"{name} must be more than zero, not {getattr(self, name)}")
 
 
-COMPLAINTS = {
-    1: Complaint(
+FAULT_TABLE = {
+    1: FaultInfo(
         "watchdog expired", "no command came within watchdog_ms", "find why the host fell silent, then clear"
     ),
-    2: Complaint("emergency stop", "asked for by the host", "clear when it is safe"),
+    2: FaultInfo("emergency stop", "asked for by the host", "clear when it is safe"),
 }
 """What a motor may complain of, by code."""
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -41,9 +41,9 @@ from protocols.messages import (
     seconds,
 )
 from protocols.plain import codec
-from protocols.plain.decoder import PlainEar
+from protocols.plain.decoder import PlainDecoder
 from protocols.plain.sensor import PlainSensor, messages_of, to_all
-from protocols.plain.settings import COMPLAINTS, WRITABLE, Settings
+from protocols.plain.settings import FAULT_TABLE, WRITABLE, Settings
 from protocols.plugin import Device, Twin
 
 BOOT: Nanos = 50 * MILLISECOND
@@ -56,7 +56,7 @@ class PlainMotor:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._settings: Settings = device.settings
-        self._ear = PlainEar([device])
+        self._decoder = PlainDecoder([device])
         self._now: Nanos | None = None
         self._mode = Mode.READY
         self._ready_at: Nanos = 0
@@ -79,10 +79,10 @@ class PlainMotor:
         self._state_at: Nanos = 0
         self._answers: list[Event] = []
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """Obey what these bytes complete, at once; answers go out with the next step."""
         self._watch(t)
-        for word in self._ear.hear(t, wire):
+        for word in self._decoder.decode(t, frame):
             if isinstance(word, Command):
                 self._obey(t, word)
             elif isinstance(word, codec.MotorRequest):
@@ -91,9 +91,9 @@ class PlainMotor:
                 device = to_all(self._device, word, t, self._answers)
                 if device is not self._device:
                     self._device = device
-                self._ear.follow(device)
+                self._decoder.follow(device)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the loop with the shaft as it is, and say what is due."""
         for word in truth:
             if isinstance(word, Feedback) and word.motor == self._device.name and _measured(word):
@@ -123,7 +123,7 @@ class PlainMotor:
 
     def provoke(self, code: int) -> None:
         """Trip a fault at the next moment that the firmware lives through."""
-        if code not in COMPLAINTS:
+        if code not in FAULT_TABLE:
             raise ValueError(f"a plain motor has no fault {code}")
         self._provoked = code
 
@@ -156,8 +156,8 @@ class PlainMotor:
             self._mode, self._state_at, self._integral = mode, t, 0.0
 
     def _trip(self, t: Nanos, code: int) -> None:
-        said = COMPLAINTS[code]
-        self._fault = Fault(self._device.name, t, code, said.name, said.cause, said.cure)
+        said = FAULT_TABLE[code]
+        self._fault = Fault(self._device.name, t, code, said.name, said.cause, said.remedy)
         self._command = Idle(self._device.name)
         self._enter(t, Mode.FAULT)
 

@@ -100,12 +100,12 @@ def test_the_document_says_of_each_row_what_was_measured_or_why_not(run: Run) ->
         assert set(row) == {"group", "what", "ours", "not_run", "beside", "target"}
         assert (row["ours"] is None) == bool(row["not_run"])
         for side in (row, *row["beside"]):
-            told = side["ours"] if side is row else side["theirs"]
-            assert (told is None) == bool(side["not_run"])
-            if told is not None:
-                assert set(told) == {"median", "p99", "samples", "unit"}
-                assert 0.0 < told["median"] <= told["p99"] < math.inf
-                assert told["samples"] >= 1
+            reported = side["ours"] if side is row else side["theirs"]
+            assert (reported is None) == bool(side["not_run"])
+            if reported is not None:
+                assert set(reported) == {"median", "p99", "samples", "unit"}
+                assert 0.0 < reported["median"] <= reported["p99"] < math.inf
+                assert reported["samples"] >= 1
 
 
 def test_ratios_are_finite_and_theirs_by_ours(run: Run) -> None:
@@ -153,9 +153,9 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_is_measured(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["bench", "--json", str(tmp_path / "no" / "figures.json")]) == 2
-    told = capsys.readouterr()
-    assert "figures.json" in told.err
-    assert "measuring" not in told.out
+    reported = capsys.readouterr()
+    assert "figures.json" in reported.err
+    assert "measuring" not in reported.out
 
 
 # -- measuring ------------------------------------------------------------------------------------
@@ -422,7 +422,7 @@ def test_polling_costs_no_steps_of_its_own() -> None:
     _, ticks = steps.drive(twelve, lambda motor: Velocity(motor, 5.0), 2)
     settled = [tick for tick in ticks if SECOND <= tick.now < 2 * SECOND]
     assert len(settled) == 200
-    asked = sum(isinstance(p.wire, CanFrame) and p.wire.remote for t in settled for p in t.outputs.packets)
+    asked = sum(isinstance(p.frame, CanFrame) and p.frame.remote for t in settled for p in t.outputs.packets)
     assert 12 * 4 * 4 <= asked <= 12 * 4 * 6
 
 

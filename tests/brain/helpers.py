@@ -166,8 +166,8 @@ class Office:
         angles: Floats = np.linspace(-pi, pi, 360, endpoint=False)
         ranges = beams(self.boxes, (at.x, at.y), np.asarray(angles + self.pose.yaw, np.float64))
         noisy = np.maximum(ranges + self._rng.normal(0.0, self.noise.range, 360), 0.0)
-        told = np.where(ranges < 10.0, np.minimum(noisy, 10.0), 10.0)
-        return LaserScan("lidar", self.now, -pi, 2.0 * pi / 360.0, 0.1, 10.0, tuple(told.tolist()))
+        reported = np.where(ranges < 10.0, np.minimum(noisy, 10.0), 10.0)
+        return LaserScan("lidar", self.now, -pi, 2.0 * pi / 360.0, 0.1, 10.0, tuple(reported.tolist()))
 
     def _events(self) -> list[Event]:
         events: list[Event] = []

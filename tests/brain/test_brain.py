@@ -17,7 +17,7 @@ from brain.belief import BrainState
 from brain.bodies.differential import wrap
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
-from brain.driving import Driving
+from brain.driving import BaseBrain
 from brain.perception.grid import GridSettings
 from brain.perception.perception import PerceptionSettings
 from protocols.messages import (
@@ -344,13 +344,13 @@ def carrier() -> Brain:
 
 def test_a_joint_that_the_base_carries_has_targets_of_its_own() -> None:
     office, brain = Office(), carrier()
-    told = Feedback("mast", office.now, 0.0, 0.0)
+    reported = Feedback("mast", office.now, 0.0, 0.0)
     there = Position("mast", 0.5)
     steps: list[tuple[list[Command | Drive], Command]] = [([], Idle("mast")), ([there], there), ([], there)]
     steps.append(([Drive(0.2, 0.0)], there))
     for asked, wanted in steps:
-        told = replace(told, t=office.now + TICK)
-        commands = brain.step(office.now + TICK, [*office.step([]), told], asked, "")
+        reported = replace(reported, t=office.now + TICK)
+        commands = brain.step(office.now + TICK, [*office.step([]), reported], asked, "")
         assert [command.motor for command in commands] == ["left", "mast", "right"]
         assert commands[1] == wanted
     assert list(brain.step(office.now, office.step([]), [], "by hand")) == [
@@ -362,8 +362,8 @@ def test_a_joint_that_the_base_carries_has_targets_of_its_own() -> None:
 
 def test_a_joint_that_the_base_carries_loses_its_target_by_silence_and_the_base_goes_on() -> None:
     office, brain = Office(), carrier()
-    heard = [*office.step([]), Feedback("mast", office.now, 0.0, 0.0)]
-    commands = brain.step(office.now, heard, [Velocity("mast", 1.0)], "")
+    received = [*office.step([]), Feedback("mast", office.now, 0.0, 0.0)]
+    commands = brain.step(office.now, received, [Velocity("mast", 1.0)], "")
     assert commands[1] == Velocity("mast", 1.0)
     for _ in range(20):
         commands = brain.step(office.now, office.step([]), [], "")
@@ -399,7 +399,7 @@ def test_belief_tells_goal_path_and_version() -> None:
 def test_an_estimate_is_carried_on_to_now_by_its_own_speeds_but_not_far() -> None:
     trip = driving()
     body, estimate = trip.brain._body, trip.brain.belief().estimate
-    assert isinstance(body, Driving)
+    assert isinstance(body, BaseBrain)
     assert estimate is not None
     for late, span in ((0, 0.0), (40, 0.04), (100, 0.1), (900, 0.1)):
         there = body._pose(estimate.t + late * MILLISECOND)

@@ -41,18 +41,18 @@ def all_at(t: Nanos) -> dict[str, Event]:
     }
 
 
-def heard(settings: HealthSettings = SETTINGS) -> Health:
+def received(settings: HealthSettings = SETTINGS) -> Health:
     health = Health(["left", "right"], ["lidar", "imu", "gps"], TIMEOUTS, settings)
-    health.hear(list(all_at(0).values()))
+    health.observe(list(all_at(0).values()))
     return health
 
 
 def test_what_is_missing_at_the_start_is_named() -> None:
     health = Health(["left", "right"], ["lidar"], TIMEOUTS, SETTINGS)
     assert health.missing() == "feedback of left, feedback of right, a reading of lidar"
-    health.hear([feedback(0), Feedback("right", 0, voltage=24.0), scan(0)])
+    health.observe([feedback(0), Feedback("right", 0, voltage=24.0), scan(0)])
     assert health.missing() == "feedback of right"
-    health.hear([feedback(0, "right")])
+    health.observe([feedback(0, "right")])
     assert health.missing() == ""
 
 
@@ -70,43 +70,43 @@ def test_each_source_goes_slow_and_then_stands_by_shares_of_its_own_timeout(
     name: str, word: str, slow: str, stand: str
 ) -> None:
     """And says the figure that it has passed, in ms."""
-    for age, level, told in (
+    for age, level, reported in (
         (float(slow) * MS, Level.WELL, ""),
         (float(slow) * MS + 1, Level.SLOW, slow),
         (float(stand) * MS, Level.SLOW, slow),
         (float(stand) * MS + 1, Level.STAND, stand),
     ):
-        health = heard()
+        health = received()
         now = round(age)
-        health.hear([event for who, event in all_at(now).items() if who != name])
+        health.observe([event for who, event in all_at(now).items() if who != name])
         verdict = health.judge(now, {})
         assert verdict.level is level, age
-        assert verdict.reason == (told and f"{name}: no {word} for more than {told} ms")
+        assert verdict.reason == (reported and f"{name}: no {word} for more than {reported} ms")
 
 
 def test_the_shares_are_settings() -> None:
-    health = heard(HealthSettings(slow_age=0.1, stand_age=1.0))
+    health = received(HealthSettings(slow_age=0.1, stand_age=1.0))
     for age, level in ((70, Level.WELL), (71, Level.SLOW), (700, Level.SLOW), (701, Level.STAND)):
         assert health.source(age * MS, "lidar").level is level, age
 
 
 def test_better_is_believed_after_a_while_only() -> None:
-    health = heard()
+    health = received()
     late = 351 * MS
 
     def judge(now: Nanos) -> Level:
-        health.hear([event for who, event in all_at(now).items() if who != "lidar"])
+        health.observe([event for who, event in all_at(now).items() if who != "lidar"])
         return health.judge(now, {}).level
 
     assert judge(late) is Level.SLOW
-    health.hear([scan(late)])
+    health.observe([scan(late)])
     levels = [judge(late + i * 10 * MILLISECOND) for i in range(36)]
     assert levels[:30] == [Level.SLOW] * 30
     assert levels[30:] == [Level.WELL] * 6
 
 
 def test_what_stays_bad_is_gone_and_what_comes_back_is_well_again() -> None:
-    health = heard()
+    health = received()
     now = SECOND
     assert health.judge(now, {}).level is Level.STAND
     assert health.judge(now + SETTINGS.give_up - 1, {}).level is Level.STAND
@@ -114,7 +114,7 @@ def test_what_stays_bad_is_gone_and_what_comes_back_is_well_again() -> None:
     back = now + SETTINGS.give_up
     for _ in range(2):
         back += SETTINGS.recover - MILLISECOND
-        health.hear(list(all_at(back).values()))
+        health.observe(list(all_at(back).values()))
         levels = health.judge(back, {}).level, health.source(back, "lidar").level
         assert levels[1] is Level.WELL
     assert levels[0] is Level.WELL
@@ -125,11 +125,11 @@ def test_what_stays_bad_is_gone_and_what_comes_back_is_well_again() -> None:
 )
 def test_measurements_that_do_not_fit_count(refused: int, level: Level) -> None:
     """Consistency: it is not enough that a source speaks; what it says must be believable."""
-    health = heard()
+    health = received()
     health.judge(0, {"imu": 7})
     for i in range(1, 101):
         now = i * 10 * MILLISECOND
-        health.hear(list(all_at(now).values()))
+        health.observe(list(all_at(now).values()))
     verdict = health.judge(SECOND, {"imu": 7 + refused})
     assert verdict.level is level
     assert (
@@ -139,30 +139,30 @@ def test_measurements_that_do_not_fit_count(refused: int, level: Level) -> None:
 
 
 def test_a_motor_in_fault_is_gone_at_once_until_it_says_otherwise() -> None:
-    health = heard()
-    health.hear([State("left", 0, Mode.FAULT, "DC_BUS_UNDER_VOLTAGE"), State("other", 0, Mode.FAULT)])
+    health = received()
+    health.observe([State("left", 0, Mode.FAULT, "DC_BUS_UNDER_VOLTAGE"), State("other", 0, Mode.FAULT)])
     verdict = health.judge(0, {})
     assert (verdict.level, verdict.reason) == (Level.GONE, "left is in fault: DC_BUS_UNDER_VOLTAGE")
-    health.hear([State("left", 0, Mode.READY)])
+    health.observe([State("left", 0, Mode.READY)])
     assert health.source(0, "left").level is Level.WELL
 
 
 def test_a_motor_that_initialises_is_missing_at_the_start_though_it_is_heard() -> None:
     """Of two wheels, one would turn alone."""
-    health = heard()
-    health.hear(
+    health = received()
+    health.observe(
         [State("right", 0, Mode.INITIALISING, "asking it what it is"), State("other", 0, Mode.INITIALISING)]
     )
     assert health.missing() == "right to initialise: asking it what it is"
-    health.hear([State("right", 0, Mode.READY)])
+    health.observe([State("right", 0, Mode.READY)])
     assert health.missing() == ""
-    health.hear([State("right", 1, Mode.INITIALISING, "calibrating")])  # as some do when they are armed
+    health.observe([State("right", 1, Mode.INITIALISING, "calibrating")])  # as some do when they are armed
     assert health.source(0, "right").level is Level.WELL
 
 
 def test_an_old_measurement_that_comes_late_makes_nothing_younger() -> None:
-    health = heard()
-    health.hear([scan(500 * MILLISECOND), scan(100 * MILLISECOND)])
+    health = received()
+    health.observe([scan(500 * MILLISECOND), scan(100 * MILLISECOND)])
     assert health.source(600 * MILLISECOND, "lidar").level is Level.WELL
 
 

@@ -51,9 +51,9 @@ def test_a_bag_without_odometry_is_told_what_there_is(recording: Callable[[str],
     assert BODY is not None
     path = recording(TILTED)
     assert is_foreign(path)
-    with pytest.raises(BagError) as told:
+    with pytest.raises(BagError) as reported:
         read(path, BagTopics("/odom", {"imu": "/imu_dat"}, "/position_gps"), BODY)
-    assert str(told.value).splitlines() == [
+    assert str(reported.value).splitlines() == [
         f"{path}: odometry: no topic '/odom'",
         f"{path}: sensors.imu: no topic '/imu_dat'; did you mean '/imu_data'?",
         "there is",

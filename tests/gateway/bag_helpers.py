@@ -177,22 +177,22 @@ def drive(
     """A base that drives a slalom at 1 m/s for `length` s near the equator, and turns by a share `slip`
     less than its wheels say. Odometry at 10 Hz, IMU at 30 Hz (`rate`: what its axes show of a turn), GPS
     (0.3 m) at 2.5 Hz, each with the stamp of its moment, and written down later, the IMU latest."""
-    dice = np.random.Generator(np.random.PCG64(seed))
-    true = told = Pose(0.0, 0.0, 0.5)
+    random = np.random.Generator(np.random.PCG64(seed))
+    true = reported = Pose(0.0, 0.0, 0.5)
     said: list[Said] = []
     step = 10 * MILLISECOND
     for tick in range(round(length * 100.0)):
         t, now = START + tick * step, tick / 100.0
         turn = 0.4 * math.sin(now / 3.0) + 0.1
         if tick % 10 == 0:
-            said.append(odometry(t, 1.0, turn, told, logged=t + MILLISECOND))
+            said.append(odometry(t, 1.0, turn, reported, logged=t + MILLISECOND))
         if tick % 3 == 0:
-            noise = float(dice.normal(0.0, 0.01))
+            noise = float(random.normal(0.0, 0.01))
             said.append(imu(t, rate(turn * (1.0 - slip) + noise), logged=t + 25 * MILLISECOND))
         if tick % 40 == 0:
-            east, north = true.x + dice.normal(0.0, 0.3), true.y + dice.normal(0.0, 0.3)
+            east, north = true.x + random.normal(0.0, 0.3), true.y + random.normal(0.0, 0.3)
             said.append(fix(t, float(north / METRES_NORTH), float(east / METRES), logged=t + 2 * MILLISECOND))
-        true, told = arc(true, 0.01, turn * (1.0 - slip) * 0.01), arc(told, 0.01, turn * 0.01)
+        true, reported = arc(true, 0.01, turn * (1.0 - slip) * 0.01), arc(reported, 0.01, turn * 0.01)
     return sorted(said, key=lambda one: one.logged)
 
 

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from gateway import config
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, ear_of
+from gateway.core.step import Gateway, decoder_of
 from gateway.recording import read, tick_codec
 from gateway.recording.recover import salvage
 from gateway.replay.compare import compare
@@ -107,7 +107,7 @@ def replays(path: Path) -> None:
     robot = _robot(recording.robot_text)
     gateway = Gateway(robot)
     verdict = compare(
-        recording, gateway.step, gateway.belief, lambda bus: ear_of(robot, bus), buses=robot.buses
+        recording, gateway.step, gateway.belief, lambda bus: decoder_of(robot, bus), buses=robot.buses
     )
     assert not verdict.differences, verdict.text()
     assert not verdict.unread

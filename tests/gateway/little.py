@@ -20,8 +20,8 @@ from brain.perception.mount import Mount
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import Recorder
 from gateway.recording.ros_views import Views
-from gateway.recording.tick_writer import Sheet
-from protocols.frames import BusState, CanFrame, Packet, Wire
+from gateway.recording.tick_writer import TickWriter
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.message_codec import CODES
 from protocols.messages import (
     MILLISECOND,
@@ -32,11 +32,11 @@ from protocols.messages import (
     Feedback,
     Goal,
     LaserScan,
+    Message,
     Mode,
     Nanos,
     Request,
     Velocity,
-    Word,
 )
 
 PERIOD = 5 * MILLISECOND
@@ -59,8 +59,8 @@ class Little:
     def step(self, now: Nanos, inputs: Inputs) -> Outputs:
         events: list[Event] = []
         for packet in inputs.packets:
-            if isinstance(packet.wire, CanFrame) and packet.wire.id == FEEDBACK_ID:
-                (self.position,) = struct.unpack("<f", packet.wire.data[:4])
+            if isinstance(packet.frame, CanFrame) and packet.frame.id == FEEDBACK_ID:
+                (self.position,) = struct.unpack("<f", packet.frame.data[:4])
                 self.t, self.seen = packet.t, self.seen + 1
                 events.append(Feedback("left", packet.t, self.position))
         for word in inputs.asked:
@@ -83,9 +83,9 @@ class Little:
 class LittleEar:
     """What the wheel obeys."""
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
-        if isinstance(wire, CanFrame) and wire.id == COMMAND_ID:
-            return (Velocity("left", struct.unpack("<f", wire.data[:4])[0]),)
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+        if isinstance(frame, CanFrame) and frame.id == COMMAND_ID:
+            return (Velocity("left", struct.unpack("<f", frame.data[:4])[0]),)
         return ()
 
 
@@ -131,9 +131,9 @@ def record(path: Path, count: int, *, facts: dict[str, str] | None = None) -> li
 
 def record_in_chunks(path: Path, count: int) -> None:
     """The same without the recorder's threads, so that its chunks always end at the same ticks."""
-    sheet = Sheet(path, ROBOT, {}, Views(MOUNTS))
-    told = [sheet.add(tick, belief) for tick, belief in life(count)]
-    assert not any((*told, sheet.finish()))
+    sheet = TickWriter(path, ROBOT, {}, Views(MOUNTS))
+    reported = [sheet.add(tick, belief) for tick, belief in life(count)]
+    assert not any((*reported, sheet.finish()))
 
 
 def bare_belief() -> Belief:
@@ -174,7 +174,7 @@ def _of(hint: object) -> st.SearchStrategy[Any]:
     return st.one_of(*(_of(a) for a in arguments))
 
 
-def words(kinds: Sequence[type[Word]]) -> st.SearchStrategy[Any]:
+def words(kinds: Sequence[type[Message]]) -> st.SearchStrategy[Any]:
     """Any word of these kinds."""
     return st.one_of(*(st.builds(k, **{n: _of(h) for n, h in get_type_hints(k).items()}) for k in kinds))
 
@@ -182,7 +182,7 @@ def words(kinds: Sequence[type[Word]]) -> st.SearchStrategy[Any]:
 EVENTS = tuple(get_args(Event))
 ASKED = tuple(kind for kind in CODES.values() if kind not in EVENTS)
 
-wires: st.SearchStrategy[Wire] = st.one_of(
+frames: st.SearchStrategy[Frame] = st.one_of(
     st.binary(max_size=70),
     st.builds(
         CanFrame,
@@ -194,7 +194,7 @@ wires: st.SearchStrategy[Wire] = st.one_of(
         brs=st.booleans(),
     ),
 )
-packets = st.lists(st.builds(Packet, t=int64, bus=text, wire=wires), max_size=4).map(tuple)
+packets = st.lists(st.builds(Packet, t=int64, bus=text, frame=frames), max_size=4).map(tuple)
 notes = st.lists(st.builds(Note, st.sampled_from(("info", "warning", "error")), text, text), max_size=3)
 ticks: st.SearchStrategy[Tick] = st.builds(
     Tick,

@@ -11,7 +11,7 @@ from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Note, Tick
-from gateway.runtime.loop import Account, live
+from gateway.runtime.loop import LoopStats, live
 from protocols.messages import SECOND, Asked, Command, Nanos
 
 BENCH = """
@@ -48,7 +48,7 @@ class Rig:
         self.clock = SimulatedClock()
         self.world: TwinWorld = open_world(self.robot, self.robot.seed)
         self.gateway = Gateway(self.robot)
-        self.account = Account()
+        self.account = LoopStats()
         self.ticks: list[Tick] = []
         self._waiting: list[Asked] = []
         self._live = live(
@@ -89,21 +89,21 @@ class Rig:
         return self.world.world.shaft(motor)[1]
 
 
-def told(ticks: Sequence[Tick], *about: str) -> list[Note]:
+def reported(ticks: Sequence[Tick], *about: str) -> list[Note]:
     """What was said to a person, of everything or of some."""
     return [note for tick in ticks for note in tick.outputs.notes if not about or note.about in about]
 
 
 def said(rig: Rig, ticks: Sequence[Tick], bus: str = "can0") -> list[tuple[Nanos, Command]]:
     """What the devices of a bus would obey of what was sent, by an ear of their own language."""
-    from gateway.core.step import ear_of
+    from gateway.core.step import decoder_of
 
-    ear = ear_of(rig.robot, bus)
+    decoder = decoder_of(rig.robot, bus)
     return [
         (tick.now, word)
         for tick in ticks
         for packet in tick.outputs.packets
         if packet.bus == bus
-        for word in ear.hear(packet.t, packet.wire)
+        for word in decoder.decode(packet.t, packet.frame)
         if isinstance(word, Command)
     ]

@@ -150,7 +150,7 @@ class Runs:
             text=True,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         )
-        assert self._heard() == "ready"
+        assert self._received() == "ready"
 
     def __enter__(self) -> Self:
         return self
@@ -170,20 +170,20 @@ class Runs:
             assert self._server.stdin
             self._server.stdin.write(f"{robot}\t{file}\t{path}\t{typed}\n")
             self._server.stdin.flush()
-            pid = int(self._heard())
+            pid = int(self._received())
             for _ in range(round(PATIENCE / 0.001)):
                 if board.cells[1] != NOTHING:
                     break
                 time.sleep(0.001)
             queued = _watch(pid, after)
             os.kill(pid, signal.SIGKILL)
-            assert self._heard() == str(-signal.SIGKILL), "it did not live until it was killed"
+            assert self._received() == str(-signal.SIGKILL), "it did not live until it was killed"
             first, last = board.cells
         path.unlink()
         assert last != NOTHING
         return Killed(first, last, queued)
 
-    def _heard(self) -> str:
+    def _received(self) -> str:
         assert self._server.stdout
         return self._server.stdout.readline().rstrip("\n")
 

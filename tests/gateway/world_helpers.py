@@ -33,7 +33,7 @@ interface = "twin"
 protocol = "plain"
 bus = "motors"
 gear = 8.0
-safe = "idle"
+stop_action = "idle"
 limits = {{ velocity = 20.0, acceleration = 60.0, torque = 2.0 }}
 options = {{ kind = "motor" }}
 settings = {{ torque_limit = 0.2, torque_constant = 0.1 }}

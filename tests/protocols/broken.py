@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -20,24 +20,24 @@ from protocols.messages import (
     Feedback,
     Idle,
     LaserScan,
+    Message,
     Nanos,
     Position,
     ReadParameter,
     Request,
     Torque,
     Velocity,
-    Word,
 )
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.plain import codec, plugin
-from protocols.plain.decoder import PlainEar
+from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
 from protocols.plugin import Device, Plugin
 
-Sent = tuple[Sequence[Event], Sequence[Wire]]
+Sent = tuple[Sequence[Event], Sequence[Frame]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +91,11 @@ class MixesUpMotors(PlainDriver):
     """What two motors are told in one step goes out in one order to sorted addresses."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, wires = super().send(now, words)
-        if len(words) == len(wires) == 2 and all(isinstance(w, Velocity) for w in words):
-            (one, other) = (codec.Stream().feed(each)[0] for each in _bytes(wires))
-            wires = [codec.frame(one[:1] + other[1:]), codec.frame(other[:1] + one[1:])]
-        return events, wires
+        events, frames = super().send(now, words)
+        if len(words) == len(frames) == 2 and all(isinstance(w, Velocity) for w in words):
+            (one, other) = (codec.Stream().feed(each)[0] for each in _bytes(frames))
+            frames = [codec.frame(one[:1] + other[1:]), codec.frame(other[:1] + one[1:])]
+        return events, frames
 
 
 class ForgetsIdle(PlainDriver):
@@ -111,7 +111,7 @@ class ForgetsIdle(PlainDriver):
 class WholeUnits(PlainMotor):
     """The twin measures whole thousandths of a radian (an integer division in the field)."""
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         whole = [
             replace(w, position=math.floor(w.position * 1000) / 1000)
             if isinstance(w, Feedback) and w.position is not None and math.isfinite(w.position)
@@ -124,16 +124,16 @@ class WholeUnits(PlainMotor):
 class FromTheFuture(PlainDriver):
     """Stamps what it hears with a time that has not come."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return [replace(e, t=e.t + 1) if isinstance(e, Feedback) else e for e in super().receive(t, wire)]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return [replace(e, t=e.t + 1) if isinstance(e, Feedback) else e for e in super().receive(t, frame)]
 
 
 class NamesTheOther(PlainDriver):
     """Tells alpha's measurements as beta's and the other way round."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         swap = {"alpha": "beta", "beta": "alpha"}
-        events = super().receive(t, wire)
+        events = super().receive(t, frame)
         return [
             replace(e, motor=swap.get(e.motor, e.motor)) if isinstance(e, Feedback) else e for e in events
         ]
@@ -142,8 +142,8 @@ class NamesTheOther(PlainDriver):
 class SingleRanges(PlainDriver):
     """Ranges of a scan lose what a float32 cannot hold."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return [_single(e) if isinstance(e, LaserScan) else e for e in super().receive(t, wire)]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return [_single(e) if isinstance(e, LaserScan) else e for e in super().receive(t, frame)]
 
 
 def _single(scan: LaserScan) -> LaserScan:
@@ -156,43 +156,43 @@ def _single(scan: LaserScan) -> LaserScan:
 class Raises(PlainDriver):
     """Takes a certain byte for granted."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        if isinstance(wire, bytes) and wire[:1] not in (b"\xa5", b""):
-            raise IndexError(wire[0])
-        return super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        if isinstance(frame, bytes) and frame[:1] not in (b"\xa5", b""):
+            raise IndexError(frame[0])
+        return super().receive(t, frame)
 
 
-class EarRaises(PlainEar):
+class EarRaises(PlainDecoder):
     """The ear expects bytes and gets a frame."""
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
-        if isinstance(wire, CanFrame):
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+        if isinstance(frame, CanFrame):
             raise TypeError("bytes expected")
-        return super().hear(t, wire)
+        return super().decode(t, frame)
 
 
-class EarFillsUp(PlainEar):
+class EarFillsUp(PlainDecoder):
     """The ear keeps what it does not understand, and has room for twenty."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
         self._kept: list[CanFrame] = []
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
-        if isinstance(wire, CanFrame):
-            self._kept.append(wire)
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+        if isinstance(frame, CanFrame):
+            self._kept.append(frame)
             if len(self._kept) > 20:
                 raise OverflowError("no room")
-        return super().hear(t, wire)
+        return super().decode(t, frame)
 
 
 class CountsTwice(PlainDriver):
     """A message with a wrong CRC is counted as bad, and its bytes once more as noise."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        before = self.tally.bad
-        events = super().receive(t, wire)
-        self.tally.foreign += self.tally.bad - before
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        before = self.counters.malformed
+        events = super().receive(t, frame)
+        self.counters.ignored += self.counters.malformed - before
         return events
 
 
@@ -223,10 +223,10 @@ class _Credulous(codec.Stream):
 class LosesTheNext(PlainDriver):
     """After a bad message it throws away all it has."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        before = self.tally.bad
-        events = super().receive(t, wire)
-        if self.tally.bad > before:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        before = self.counters.malformed
+        events = super().receive(t, frame)
+        if self.counters.malformed > before:
             self._stream.drop()
             events = list(events)[: len(events) // 2]
         return events
@@ -235,17 +235,17 @@ class LosesTheNext(PlainDriver):
 class NeedsWholeMessages(PlainDriver):
     """Reads each piece of the stream as if it began with a message."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
         self._stream.drop()
         return events
 
 
-class EarNeedsWholeMessages(PlainEar):
+class EarNeedsWholeMessages(PlainDecoder):
     """The same, in the ear."""
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
-        words = super().hear(t, wire)
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+        words = super().decode(t, frame)
         self._stream.drop()
         return words
 
@@ -256,18 +256,18 @@ class EarNeedsWholeMessages(PlainEar):
 class HearsStrangers(PlainDriver):
     """Takes any device's feedback for its first motor's."""
 
-    def _hear(self, t: Nanos, body: bytes) -> Sequence[Event]:
+    def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
         if body[0] not in self._seats and len(body) > 20:
             body = bytes((min(self._seats),)) + body[1:]
-        return super()._hear(t, body)
+        return super()._handle(t, body)
 
 
 class ObeysStrangers(PlainMotor):
     """The device does not look at the address."""
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
-        bodies = codec.Stream().feed(wire) if isinstance(wire, bytes) else []
-        super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        bodies = codec.Stream().feed(frame) if isinstance(frame, bytes) else []
+        super().receive(t, frame)
         for body in bodies:
             if body[0] > 2:
                 super().receive(t, codec.frame(bytes((self._device.address,)) + body[1:]))
@@ -291,7 +291,7 @@ class AlwaysIdles(PlainDriver):
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         for seat in self._seats.values():
-            seat.claimed = True
+            seat.owned = True
         return super().send(now, words)
 
 
@@ -299,19 +299,19 @@ class SaysNothing(PlainDriver):
     """Puts wires without bytes on the line: harmless, and not what the spec says."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, wires = super().send(now, words)
-        return events, [*wires, b""]
+        events, frames = super().send(now, words)
+        return events, [*frames, b""]
 
 
 class TwinSpeaksCan(PlainMotor):
     """A device on a serial line that puts out CAN frames besides."""
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
-        torques, wires = super().step(now, truth)
-        return torques, [*wires, CanFrame(1)] if len(wires) > 1 else wires
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+        torques, frames = super().step(now, truth)
+        return torques, [*frames, CanFrame(1)] if len(frames) > 1 else frames
 
 
-def clamps(word: Word) -> Any:
+def clamps(word: Message) -> Any:
     """NaN is full speed: max(-5, min(5, nan)) is 5."""
     if not isinstance(word, Velocity):
         return word
@@ -328,8 +328,8 @@ class ClampsNan(PlainDriver):
 class TellsNan(PlainDriver):
     """Tells something that is not finite for what was not measured."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
         return [replace(e, temperature=math.nan) if isinstance(e, Feedback) else e for e in events]
 
 
@@ -356,8 +356,8 @@ class CountsDrivers(PlainDriver):
         type(self).made += 1
         self.odd = type(self).made % 2
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
         return [replace(e, current=1.0) if self.odd and isinstance(e, Feedback) else e for e in events]
 
 
@@ -398,20 +398,20 @@ class TwinSharesState(PlainMotor):
 
     shared: ClassVar[list[Event]] = []
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
-        super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        super().receive(t, frame)
         type(self).shared += self._answers
         self._answers = []
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         self._answers, type(self).shared = list(type(self).shared), []
         return super().step(now, truth)
 
 
-def _bytes(wires: Sequence[Wire]) -> Iterator[bytes]:
-    for wire in wires:
-        assert isinstance(wire, bytes)
-        yield wire
+def _bytes(frames: Sequence[Frame]) -> Iterator[bytes]:
+    for frame in frames:
+        assert isinstance(frame, bytes)
+        yield frame
 
 
 # -- on CAN --------------------------------------------------------------------------------------------
@@ -420,36 +420,36 @@ def _bytes(wires: Sequence[Wire]) -> Iterator[bytes]:
 class IgnoresFormat(OdriveDriver):
     """Takes a 29-bit id for the 11-bit id of the same number."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return super().receive(t, replace(wire, extended=False) if isinstance(wire, CanFrame) else wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return super().receive(t, replace(frame, extended=False) if isinstance(frame, CanFrame) else frame)
 
 
 class PadsShortFrames(OdriveDriver):
     """Reads on where a frame has ended."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        if isinstance(wire, CanFrame) and wire.data:
-            wire = replace(wire, data=wire.data.ljust(8, b"\0"))
-        return super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        if isinstance(frame, CanFrame) and frame.data:
+            frame = replace(frame, data=frame.data.ljust(8, b"\0"))
+        return super().receive(t, frame)
 
 
 class DoesNotCountStrangers(OdriveDriver):
     """Drops what is not its own without a word."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        foreign = self.tally.foreign
-        events = super().receive(t, wire)
-        self.tally.foreign = foreign
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        foreign = self.counters.ignored
+        events = super().receive(t, frame)
+        self.counters.ignored = foreign
         return events
 
 
 class LearnsFromBadFrames(OdriveDriver):
     """A frame of a wrong length tells nothing, but its device counts as heard."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        bad = self.tally.bad
-        events = super().receive(t, wire)
-        if self.tally.bad > bad:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        bad = self.counters.malformed
+        events = super().receive(t, frame)
+        if self.counters.malformed > bad:
             for node in self.nodes.values():
                 node.forget()
         return events
@@ -459,17 +459,17 @@ class SaysWhatItDoesNotList(OdriveDriver):
     """A frame of an id that the spec does not have."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, wires = super().send(now, words)
-        return events, [*wires, CanFrame(0x7FF, b"hello")] if wires else wires
+        events, frames = super().send(now, words)
+        return events, [*frames, CanFrame(0x7FF, b"hello")] if frames else frames
 
 
 class FindsByArming(OdriveDriver):
     """Looks for devices by setting their state, as a test in the field does."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, wires = super().send(now, words)
+        events, frames = super().send(now, words)
         arm = CanFrame(min(self.nodes) << 5 | 0x07, b"\1\0\0\0")
-        return events, wires if words or now % 64_000_000 else [*wires, arm]
+        return events, frames if words or now % 64_000_000 else [*frames, arm]
 
 
 def _can(kind: type[OdriveDriver]) -> Plugin:
@@ -480,8 +480,8 @@ def _driver(kind: type[PlainDriver], base: Plugin = motors) -> Plugin:
     return replace(base, name=kind.__name__, driver=kind)
 
 
-def _ear(kind: type[PlainEar]) -> Plugin:
-    return replace(motors, name=kind.__name__, ear=kind)
+def _decoder(kind: type[PlainDecoder]) -> Plugin:
+    return replace(motors, name=kind.__name__, decoder=kind)
 
 
 def _twin(kind: type[PlainMotor]) -> Plugin:
@@ -498,13 +498,13 @@ BROKEN: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(NamesTheOther), ("measurements", "jump", "disarm", "watchdog", "blind", "faults", "attach")),
     (_driver(SingleRanges, sensors), ("measurements",)),
     (_driver(Raises), ("bytes", "streams", "finite")),
-    (_ear(EarRaises), ("bytes", "obeyed")),
-    (_ear(EarFillsUp), ("bytes",)),
+    (_decoder(EarRaises), ("bytes", "obeyed")),
+    (_decoder(EarFillsUp), ("bytes",)),
     (_driver(CountsTwice), ("counts",)),
     (_driver(BelievesBadBytes), ("counts",)),
     (_driver(LosesTheNext), ("counts", "streams")),
     (_driver(NeedsWholeMessages), ("streams",)),
-    (_ear(EarNeedsWholeMessages), ("streams",)),
+    (_decoder(EarNeedsWholeMessages), ("streams",)),
     (_driver(HearsStrangers), ("strangers",)),
     (_twin(ObeysStrangers), ("strangers",)),
     (_driver(ClearsFaultsUnasked), ("unclaimed", "faults", "scan")),

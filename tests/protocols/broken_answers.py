@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import (
     MILLISECOND,
     Command,
@@ -19,7 +19,7 @@ from protocols.messages import (
     State,
     WriteParameter,
 )
-from protocols.plain.decoder import PlainEar
+from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import PlainDriver
 from protocols.plugin import Plugin
 from tests.protocols.broken import Sent, motors
@@ -28,12 +28,12 @@ from tests.protocols.broken import Sent, motors
 class Alters(PlainDriver):
     """A driver whose events are altered on their way up."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return [each for event in super().receive(t, wire) for each in self.altered(event)]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return [each for event in super().receive(t, frame) for each in self.altered(event)]
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, wires = super().send(now, words)
-        return [each for event in events for each in self.altered(event)], wires
+        events, frames = super().send(now, words)
+        return [each for event in events for each in self.altered(event)], frames
 
     def altered(self, event: Event) -> Sequence[Event]:
         return [event]
@@ -81,17 +81,17 @@ class OnlySaysDone(Alters):
     """What is to be written is never sent, and yet done."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, wires = super().send(now, [w for w in words if not isinstance(w, WriteParameter)])
+        events, frames = super().send(now, [w for w in words if not isinstance(w, WriteParameter)])
         written = [w for w in words if isinstance(w, WriteParameter)]
-        return [*events, *(Done(now, "WriteParameter", w.motor) for w in written)], wires
+        return [*events, *(Done(now, "WriteParameter", w.motor) for w in written)], frames
 
 
 class NeverGivesUp(PlainDriver):
     """A driver that waits for ever for what a silent device does not answer."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, wires = super().send(now, words)
-        return [e for e in events if not (isinstance(e, Refused) and "no answer" in e.reason)], wires
+        events, frames = super().send(now, words)
+        return [e for e in events if not (isinstance(e, Refused) and "no answer" in e.reason)], frames
 
 
 class DueLongAgo(PlainDriver):
@@ -111,11 +111,11 @@ class OfflineWithoutTime(Alters):
         return [replace(event, t=missing) if silent else event]
 
 
-class NoName(PlainEar):
+class NoName(PlainDecoder):
     """The ear hears words for nobody."""
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:
-        words = super().hear(t, wire)
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+        words = super().decode(t, frame)
         return [replace(w, parameter=None) if isinstance(w, WriteParameter) else w for w in words]  # type: ignore[arg-type]  # as above
 
 
@@ -133,6 +133,6 @@ BROKEN_ANSWERS: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(NeverGivesUp), ("answers",)),
     (_driver(DueLongAgo), ("answers",)),
     (_driver(OfflineWithoutTime), ("answers", "blind")),
-    (replace(motors, name=NoName.__name__, ear=NoName), ("answers",)),
+    (replace(motors, name=NoName.__name__, decoder=NoName), ("answers",)),
 )
 """Each with all the clauses that find it."""

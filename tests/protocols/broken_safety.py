@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -38,7 +38,7 @@ from protocols.plain.twin import PlainMotor
 from protocols.plugin import Device, Plugin
 from tests.protocols.broken import Sent, motors
 
-Words = Sequence[Command | Request]
+Messages = Sequence[Command | Request]
 
 
 class Knowing(PlainDriver):
@@ -49,8 +49,8 @@ class Knowing(PlainDriver):
         self.modes: dict[str, Mode] = {}
         self.places: dict[str, float] = {}
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
         for event in events:
             if isinstance(event, State):
                 self.modes[event.motor] = event.mode
@@ -58,12 +58,12 @@ class Knowing(PlainDriver):
                 self.places[event.motor] = event.position
         return events
 
-    def say(self, word: Command | Request) -> Wire:
+    def say(self, word: Command | Request) -> Frame:
         """A word to a device, past everything that a driver should think of."""
         return codec.message(self._addresses[getattr(word, "motor", "")], word)
 
-    def claimed(self, name: str) -> bool:
-        return self._seats[self._addresses[name]].claimed
+    def owned(self, name: str) -> bool:
+        return self._seats[self._addresses[name]].owned
 
 
 # -- jump ----------------------------------------------------------------------------------------------
@@ -72,10 +72,10 @@ class Knowing(PlainDriver):
 class FirstSetPointIsZero(Knowing):
     """The set-point is zero until the first one has been sent."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         fresh = [w.motor for w in words if isinstance(w, Position) and self.modes.get(w.motor) != Mode.ARMED]
-        events, wires = super().send(now, words)
-        return events, [*(self.say(Position(name, 0.0)) for name in fresh if self.claimed(name)), *wires]
+        events, frames = super().send(now, words)
+        return events, [*(self.say(Position(name, 0.0)) for name in fresh if self.owned(name)), *frames]
 
 
 class HoldsWhereItOnceWas(Knowing):
@@ -85,7 +85,7 @@ class HoldsWhereItOnceWas(Knowing):
         super().__init__(devices)
         self.held: dict[str, float] = {}
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         for word in words:
             if isinstance(word, Hold) and word.motor in self.places:
                 self.held.setdefault(word.motor, self.places[word.motor])
@@ -107,7 +107,7 @@ class SaysIdleOnce(PlainDriver):
         super().__init__(devices)
         self.last: dict[str, Command] = {}
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         said = [w for w in words if not (isinstance(w, Idle) and isinstance(self.last.get(w.motor), Idle))]
         self.last |= {w.motor: w for w in words if isinstance(w, Command)}
         return super().send(now, said)
@@ -116,17 +116,17 @@ class SaysIdleOnce(PlainDriver):
 class IdlesOnlyWhatItHearsArmed(Knowing):
     """Idle waits until the device has been heard to be armed."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        heard, self.modes = dict(self.modes), {}
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        received, self.modes = dict(self.modes), {}
         return super().send(
-            now, [w for w in words if not isinstance(w, Idle) or heard.get(w.motor) == Mode.ARMED]
+            now, [w for w in words if not isinstance(w, Idle) or received.get(w.motor) == Mode.ARMED]
         )
 
 
 class StopsOnlyItsOwn(PlainDriver):
     """An operator's stop does not reach what another host has armed."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         return super().send(now, [w for w in words if not isinstance(w, Stop)])
 
 
@@ -140,7 +140,7 @@ class FeedsByItself(PlainDriver):
         super().__init__(devices)
         self.last: dict[str, Command] = {}
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         self.last |= {w.motor: w for w in words if isinstance(w, Command)}
         return super().send(now, words or list(self.last.values()))
 
@@ -170,27 +170,27 @@ class TripsEarly(PlainMotor):
 class NeverMissesADevice(PlainDriver):
     """The time of silence is stored, and never looked at."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         for seat in self._seats.values():
-            seat.heard = now
+            seat.received = now
         return super().send(now, words)
 
 
 class ReadsTheLastStateForEver(Knowing):
     """Every read succeeds, with the last state if there is no newer one."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
-        return [*(Feedback(name, now, place) for name, place in self.places.items()), *events], wires
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
+        return [*(Feedback(name, now, place) for name, place in self.places.items()), *events], frames
 
 
 class ReadsZeroAtFirst(Knowing):
     """Every read succeeds, with zero if there was none yet."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         zeros = [Feedback(name, now, 0.0) for name in self._addresses if name not in self.places]
-        return [*zeros, *events], wires
+        return [*zeros, *events], frames
 
 
 class WaitsForEver(PlainDriver):
@@ -200,15 +200,15 @@ class WaitsForEver(PlainDriver):
         super().__init__(devices)
         self.waits: Nanos | None = None
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
         seats = self._seats.values()
-        if any(seat.heard is None or t - seat.heard > 100 * MILLISECOND for seat in seats):
+        if any(seat.received is None or t - seat.received > 100 * MILLISECOND for seat in seats):
             return events
         self.waits = None
         return events
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         if self.waits is not None and now - self.waits > 100 * MILLISECOND:
             return [], []
         self.waits = now if self.waits is None else self.waits
@@ -218,10 +218,10 @@ class WaitsForEver(PlainDriver):
 class HearsItself(OdriveDriver):
     """What it has sent, given back by the bus, is a sign of life of the device."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
-        if isinstance(wire, CanFrame) and not wire.extended and wire.id >> 5 in self.nodes:
-            self.nodes[wire.id >> 5].heard_at = t
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
+        if isinstance(frame, CanFrame) and not frame.extended and frame.id >> 5 in self.nodes:
+            self.nodes[frame.id >> 5].received_at = t
         return events
 
 
@@ -230,9 +230,9 @@ class LosesTheFirst(OdriveDriver):
 
     begun = False
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         begun, self.begun = self.begun, True
-        return super().receive(t, wire) if begun else []
+        return super().receive(t, frame) if begun else []
 
 
 class IgnoresAFullQueue(OdriveDriver):
@@ -249,16 +249,16 @@ class IgnoresAFullQueue(OdriveDriver):
 class IgnoresTheFaultBits(PlainDriver):
     """The state is told, what is wrong is not."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return [event for event in super().receive(t, wire) if not isinstance(event, Fault)]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return [event for event in super().receive(t, frame) if not isinstance(event, Fault)]
 
 
 class KnowsNoCure(PlainDriver):
     """Faults are told by number and name."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
-        return [replace(e, cure="") if isinstance(e, Fault) else e for e in events]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
+        return [replace(e, remedy="") if isinstance(e, Fault) else e for e in events]
 
 
 class ClearsAtEachModeSwitch(Knowing):
@@ -268,23 +268,23 @@ class ClearsAtEachModeSwitch(Knowing):
         super().__init__(devices)
         self.kinds: dict[str, type[Command]] = {}
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         before = dict(self.kinds)
         self.kinds |= {w.motor: type(w) for w in words if isinstance(w, Command)}
         switched = [name for name, kind in self.kinds.items() if before.get(name, kind) is not kind]
-        events, wires = super().send(now, words)
-        return events, [*(self.say(ClearFault(name)) for name in switched), *wires]
+        events, frames = super().send(now, words)
+        return events, [*(self.say(ClearFault(name)) for name in switched), *frames]
 
 
 class PollsByClearing(Knowing):
     """A device in fault that is to be commanded is asked for its state by clearing its fault."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         wanted = [w.motor for w in words if isinstance(w, Command) and not isinstance(w, Idle)]
         asked = [name for name in wanted if self.modes.get(name) == Mode.FAULT]
         clears = [] if now % (50 * MILLISECOND) else [self.say(ClearFault(name)) for name in asked]
-        return events, [*clears, *wires]
+        return events, [*clears, *frames]
 
 
 class ForgetsItsFault(PlainMotor):
@@ -308,47 +308,47 @@ class ConfiguresUnasked(Knowing):
         self.set_up: list[str] = []
         self.answered: list[str] = []
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = list(super().receive(t, wire))
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = list(super().receive(t, frame))
         for event in [e for e in events if isinstance(e, Done) and e.request == WriteParameter.__name__]:
             if event.name in self.set_up and event.name not in self.answered:
                 self.answered.append(event.name)
                 events.remove(event)
         return events
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         fresh = [w.motor for w in words if isinstance(w, Idle) and w.motor not in self.set_up]
         self.set_up += fresh
-        return events, [*wires, *(self.say(WriteParameter(name, "supply", 24.0)) for name in fresh)]
+        return events, [*frames, *(self.say(WriteParameter(name, "supply", 24.0)) for name in fresh)]
 
 
 class DisarmsToArm(Knowing):
     """The first command to a device is Idle, to begin from a known state."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        before = [name for name in self._addresses if self.claimed(name)]
-        events, wires = super().send(now, words)
-        fresh = [name for name in self._addresses if self.claimed(name) and name not in before]
-        return events, [*(self.say(Idle(name)) for name in fresh), *wires]
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        before = [name for name in self._addresses if self.owned(name)]
+        events, frames = super().send(now, words)
+        fresh = [name for name in self._addresses if self.owned(name) and name not in before]
+        return events, [*(self.say(Idle(name)) for name in fresh), *frames]
 
 
 class ScansByArming(Knowing):
     """Who moves is there."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         scans = any(isinstance(word, Scan) for word in words)
-        return events, [*wires, *(self.say(Hold(name)) for name in self._addresses if scans)]
+        return events, [*frames, *(self.say(Hold(name)) for name in self._addresses if scans)]
 
 
 class ScansByClearing(Knowing):
     """A device in fault might not answer: so none is left in it."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         scans = any(isinstance(word, Scan) for word in words)
-        return events, [*(self.say(ClearFault(name)) for name in self._addresses if scans), *wires]
+        return events, [*(self.say(ClearFault(name)) for name in self._addresses if scans), *frames]
 
 
 def _driver(kind: type[PlainDriver]) -> Plugin:

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.message_codec import KINDS, pack_fields
 from protocols.messages import (
     MILLISECOND,
@@ -32,13 +32,13 @@ from protocols.odrive_can.codec import cmd_of
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.messages import GetIq, SetAxisState
 from protocols.plain import codec
-from protocols.plain.decoder import PlainEar
+from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
 from protocols.plugin import Device, Plugin
 from tests.protocols.broken import Sent, motors
 
-Words = Sequence[Command | Request]
+Messages = Sequence[Command | Request]
 
 
 # -- normal --------------------------------------------------------------------------------------------
@@ -47,8 +47,8 @@ Words = Sequence[Command | Request]
 class SaysMinusZero(PlainDriver):
     """Says a velocity as it comes, −0.0 and denormals too."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         exact = [
             w for w in words if isinstance(w, Velocity) and abs(w.velocity) < codec.TINY and w.torque == 0.0
         ]
@@ -58,14 +58,14 @@ class SaysMinusZero(PlainDriver):
             )
             for w in exact
         ]
-        return events, [*wires, *said]
+        return events, [*frames, *said]
 
 
 class TellsMinusZero(PlainDriver):
     """Counts current the other way round: no current is −0.0."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
         return [
             replace(e, current=-e.current) if isinstance(e, Feedback) and e.current is not None else e
             for e in events
@@ -75,11 +75,11 @@ class TellsMinusZero(PlainDriver):
 class TellsDenormals(OdriveDriver):
     """Reads a current as it stands in the frame."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        events = super().receive(t, wire)
-        if not isinstance(wire, CanFrame) or wire.id & 0x1F != cmd_of(GetIq) or len(wire.data) != 8:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
+        if not isinstance(frame, CanFrame) or frame.id & 0x1F != cmd_of(GetIq) or len(frame.data) != 8:
             return events
-        (measured,) = struct.unpack("<f", wire.data[4:])
+        (measured,) = struct.unpack("<f", frame.data[4:])
         return [replace(e, current=measured) if isinstance(e, Feedback) else e for e in events]
 
 
@@ -114,7 +114,7 @@ class ForgivesABit(PlainDriver):
         self._stream = _Lenient()
 
 
-class EarForgivesABit(PlainEar):
+class EarForgivesABit(PlainDecoder):
     """The same, in the ear."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
@@ -125,11 +125,11 @@ class EarForgivesABit(PlainEar):
 # -- obeyed --------------------------------------------------------------------------------------------
 
 
-class DeafToClear(PlainEar):
+class DeafToClear(PlainDecoder):
     """The ear does not know a word that the device obeys."""
 
-    def hear(self, t: Nanos, wire: Wire) -> Words:
-        return [word for word in super().hear(t, wire) if not isinstance(word, ClearFault)]
+    def decode(self, t: Nanos, frame: Frame) -> Messages:
+        return [word for word in super().decode(t, frame) if not isinstance(word, ClearFault)]
 
 
 class PushesTheOtherWay(PlainMotor):
@@ -146,22 +146,28 @@ class PushesTheOtherWay(PlainMotor):
 class NeverCountsDevices(OdriveDriver):
     """Who holds an address is not its business."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return [e for e in super().receive(t, wire) if not (isinstance(e, Found) and e.twice)]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return [e for e in super().receive(t, frame) if not (isinstance(e, Found) and e.duplicate_address)]
 
 
 class SaysItInWordsOnly(OdriveDriver):
     """Tells it in the text, where no program finds it."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return [replace(e, twice=False) if isinstance(e, Found) else e for e in super().receive(t, wire)]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return [
+            replace(e, duplicate_address=False) if isinstance(e, Found) else e
+            for e in super().receive(t, frame)
+        ]
 
 
 class AccusesEverybody(OdriveDriver):
     """Takes each answer to the roll call for another device."""
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return [replace(e, twice=True) if isinstance(e, Found) else e for e in super().receive(t, wire)]
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return [
+            replace(e, duplicate_address=True) if isinstance(e, Found) else e
+            for e in super().receive(t, frame)
+        ]
 
 
 # -- replies -------------------------------------------------------------------------------------------
@@ -170,7 +176,7 @@ class AccusesEverybody(OdriveDriver):
 class OneAfterTheOther(PlainDriver):
     """Says nothing to anybody while an answer is out: who does not answer stops all."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
+    def send(self, now: Nanos, words: Messages) -> Sent:
         waiting = any(seat.asked for seat in self._seats.values())
         questions = [w for w in words if not isinstance(w, Command)]
         late = [w for w in words if isinstance(w, Command)]
@@ -184,10 +190,12 @@ class ArmsInTurn(PlainDriver):
         super().__init__(devices)
         self.order = [device.name for device in devices]
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        silent = [s.name for s in self._seats.values() if s.heard is None or now - s.heard > 40 * MILLISECOND]
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        silent = [
+            s.name for s in self._seats.values() if s.received is None or now - s.received > 40 * MILLISECOND
+        ]
         first = min((self.order.index(name) for name in silent), default=len(self.order))
-        held = self.order[first + 1 :] if any(seat.claimed for seat in self._seats.values()) else []
+        held = self.order[first + 1 :] if any(seat.owned for seat in self._seats.values()) else []
         return super().send(
             now, [w for w in words if isinstance(w, Idle) or getattr(w, "motor", "") not in held]
         )
@@ -199,29 +207,29 @@ class ArmsInTurn(PlainDriver):
 class SaysAnUnsetFrame(OdriveDriver):
     """When asked for a parameter, sends a frame whose data nobody has set."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         asked = any(isinstance(word, ReadParameter) for word in words)
         unset = CanFrame(min(self.nodes) << 5 | cmd_of(SetAxisState), b"\0\0")
-        return events, [*wires, unset] if asked else wires
+        return events, [*frames, unset] if asked else frames
 
 
 class SpeaksInLongIds(OdriveDriver):
     """Clears faults in a frame with an id of 29 bits, which nobody obeys."""
 
-    def send(self, now: Nanos, words: Words) -> Sent:
-        events, wires = super().send(now, words)
+    def send(self, now: Nanos, words: Messages) -> Sent:
+        events, frames = super().send(now, words)
         asked = any(isinstance(word, ReadParameter) for word in words)
         long = CanFrame(min(self.nodes) << 5 | 0x18, b"\0", extended=True)
-        return events, [*wires, long] if asked else wires
+        return events, [*frames, long] if asked else frames
 
 
 def _driver(kind: type[PlainDriver]) -> Plugin:
     return replace(motors, name=kind.__name__, driver=kind)
 
 
-def _ear(kind: type[PlainEar]) -> Plugin:
-    return replace(motors, name=kind.__name__, ear=kind)
+def _decoder(kind: type[PlainDecoder]) -> Plugin:
+    return replace(motors, name=kind.__name__, decoder=kind)
 
 
 def _twin(kind: type[PlainMotor]) -> Plugin:
@@ -242,8 +250,8 @@ BROKEN_WIRE: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
     (_driver(TellsMinusZero), ("normal",)),
     (_can(TellsDenormals), ("normal",)),
     (_driver(ForgivesABit), ("checksums",)),
-    (_ear(EarForgivesABit), ("checksums",)),
-    (_ear(DeafToClear), ("obeyed",)),
+    (_decoder(EarForgivesABit), ("checksums",)),
+    (_decoder(DeafToClear), ("obeyed",)),
     (_twin(PushesTheOtherWay), ("obeyed",)),
     (_can(NeverCountsDevices), ("twice",)),
     (_can(SaysItInWordsOnly), ("twice",)),

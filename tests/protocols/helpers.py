@@ -45,7 +45,7 @@ class CanBench(Generic[DriverKind, TwinKind]):
     shafts: list[Shaft]
     now: Nanos = 0
     sent: list[tuple[Nanos, CanFrame]] = field(default_factory=list)
-    heard: list[tuple[Nanos, CanFrame]] = field(default_factory=list)
+    received: list[tuple[Nanos, CanFrame]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     to_device: Callable[[CanFrame], bool] = lambda frame: True
     """Whether a frame of the driver arrives."""
@@ -87,24 +87,24 @@ class CanBench(Generic[DriverKind, TwinKind]):
             self._send(words)
         for item, twin, shaft in zip(self.devices, self.twins, self.shafts, strict=True):
             truth = Feedback(item.name, self.now, position=shaft.position, velocity=shaft.velocity)
-            torques, wires = twin.step(self.now, [truth])
+            torques, frames = twin.step(self.now, [truth])
             shaft.step(torques[0].torque)
-            for wire in wires:
-                assert isinstance(wire, CanFrame)
-                self.heard.append((self.now, wire))
-                for arrived in self.arrives(wire) if self.from_device(wire) else ():
+            for frame in frames:
+                assert isinstance(frame, CanFrame)
+                self.received.append((self.now, frame))
+                for arrived in self.arrives(frame) if self.from_device(frame) else ():
                     self.events += self.driver.receive(self.now, arrived)
         self.now += MILLISECOND
 
     def _send(self, words: Sequence[Command | Request]) -> None:
-        events, wires = self.driver.send(self.now, words)
+        events, frames = self.driver.send(self.now, words)
         self.events += events
-        for wire in wires:
-            assert isinstance(wire, CanFrame)
-            self.sent.append((self.now, wire))
-            if self.to_device(wire):
+        for frame in frames:
+            assert isinstance(frame, CanFrame)
+            self.sent.append((self.now, frame))
+            if self.to_device(frame):
                 for twin in self.twins:
-                    twin.receive(self.now, wire)
+                    twin.receive(self.now, frame)
 
 
 def of(kind: type[EventKind], events: Sequence[Event]) -> list[EventKind]:

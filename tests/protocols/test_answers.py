@@ -6,7 +6,15 @@ import pytest
 
 from protocols.messages import Command, Done, Hold, Position, Refused, Request, Scan, Velocity, Zero
 from protocols.plugin import Range
-from protocols.request_queue import SMALLEST, Refusals, UnderWay, Waiting, out_of_range, refusal, subject
+from protocols.request_queue import (
+    SMALLEST,
+    PendingRequest,
+    RejectionFilter,
+    RequestQueue,
+    out_of_range,
+    refusal,
+    subject,
+)
 
 RANGES = {"Velocity.velocity": Range(-10.0, 20.0, 0.0)}
 
@@ -33,30 +41,30 @@ def test_what_may_reach_a_wire(command: Command, reason: str) -> None:
 
 
 def test_a_refusal_is_told_when_its_reason_is_new_and_once_for_each_motor() -> None:
-    refusals = Refusals()
+    refusals = RejectionFilter()
     said = [("m", "a"), ("m", "a"), ("n", "a"), ("m", "b"), ("m", ""), ("m", "b"), ("n", "a")]
-    told = [refusals.hear(t, Hold(motor), reason) for t, (motor, reason) in enumerate(said)]
-    assert [[(r.t, r.name, r.reason) for r in each] for each in told] == [
+    reported = [refusals.handle(t, Hold(motor), reason) for t, (motor, reason) in enumerate(said)]
+    assert [[(r.t, r.name, r.reason) for r in each] for each in reported] == [
         [(0, "m", "a")], [], [(2, "n", "a")], [(3, "m", "b")], [], [(5, "m", "b")], [],
     ]  # fmt: skip
 
 
 def test_a_request_is_refused_as_often_as_it_comes_and_changes_nothing_for_commands() -> None:
-    refusals = Refusals()
+    refusals = RejectionFilter()
     words: list[Command | Request] = [Hold("m"), Zero("m"), Zero("m"), Hold("m")]
-    assert [len(refusals.hear(0, word, "a")) for word in words] == [1, 1, 1, 0]
-    assert refusals.hear(0, Zero("m"), "") == refusals.hear(0, Hold("m"), "a") == []
+    assert [len(refusals.handle(0, word, "a")) for word in words] == [1, 1, 1, 0]
+    assert refusals.handle(0, Zero("m"), "") == refusals.handle(0, Hold("m"), "a") == []
 
 
 def test_a_request_under_way_ends_by_its_own_name() -> None:
-    waiting = UnderWay(Zero("m"), "m", 1, 9, 5)
+    waiting = PendingRequest(Zero("m"), "m", 1, 9, 5)
     assert waiting.done(7, "at 0") == Done(7, "Zero", "m", "at 0")
     assert waiting.refuse(9, "no answer") == Refused(9, "Zero", "m", "no answer")
 
 
 def test_requests_wait_in_order_until_they_end_or_their_deadline_passes() -> None:
-    waiting: Waiting[UnderWay] = Waiting()
-    first, second = UnderWay(Zero("a"), "a", 0, 10, 4), UnderWay(Zero("a"), "a", 0, 7, 9)
+    waiting: RequestQueue[PendingRequest] = RequestQueue()
+    first, second = PendingRequest(Zero("a"), "a", 0, 10, 4), PendingRequest(Zero("a"), "a", 0, 7, 9)
     assert waiting.due() == []
     assert waiting.add(first) == waiting.add(second) == []
     assert waiting.due() == [4, 7]
@@ -69,8 +77,8 @@ def test_requests_wait_in_order_until_they_end_or_their_deadline_passes() -> Non
 
 
 def test_the_one_that_ends_is_that_one_and_not_its_equal() -> None:
-    waiting: Waiting[UnderWay] = Waiting()
-    first, second = (UnderWay(Zero("a"), "a", 0, 10, 4) for _ in range(2))
+    waiting: RequestQueue[PendingRequest] = RequestQueue()
+    first, second = (PendingRequest(Zero("a"), "a", 0, 10, 4) for _ in range(2))
     waiting.add(first)
     waiting.add(second)
     waiting.end(second)
@@ -78,15 +86,18 @@ def test_the_one_that_ends_is_that_one_and_not_its_equal() -> None:
 
 
 def test_what_is_not_begun_does_not_wait_and_what_waits_has_a_limit() -> None:
-    waiting: Waiting[UnderWay] = Waiting()
+    waiting: RequestQueue[PendingRequest] = RequestQueue()
     no = refusal(3, Zero("a"), "not now")
     assert waiting.add(no) == [no]
     assert list(waiting) == []
-    for _ in range(Waiting.MOST):
+    for _ in range(RequestQueue.MOST):
         assert waiting.full() == ""
-        waiting.add(UnderWay(Scan("can0"), "can0", 0, 10, 4))
+        waiting.add(PendingRequest(Scan("can0"), "can0", 0, 10, 4))
     assert waiting.full() == "too many requests are under way"
-    assert waiting.drop(5, "the bus is off") == [Refused(5, "Scan", "can0", "the bus is off")] * Waiting.MOST
+    assert (
+        waiting.drop(5, "the bus is off")
+        == [Refused(5, "Scan", "can0", "the bus is off")] * RequestQueue.MOST
+    )
     assert waiting.full() == ""
 
 

@@ -11,10 +11,10 @@ from typing import Any, Literal
 import pytest
 
 from protocols.conformance import CLAUSES, Clause, Result, check, table, variants
-from protocols.conformance.bench import Rehearsal, Shaft, close, finite, rehearse, shortest
+from protocols.conformance.bench import Bench, Shaft, close, finite, make_bench, shortest
 from protocols.conformance.case import Case, Failure, Inapplicable
-from protocols.conformance.random import Dice
-from protocols.frames import CanFrame, Wire
+from protocols.conformance.random import Random
+from protocols.frames import CanFrame, Frame
 from protocols.messages import Feedback, LaserScan, Velocity
 from protocols.plugin import Plugin, Range, load_all
 from tests.protocols.broken import HoldsAGenerator, motors, sensors
@@ -41,8 +41,8 @@ def test_every_installed_plugin_keeps_the_contract(plugin: Plugin) -> None:
 
 
 def test_the_page_tells_of_every_clause() -> None:
-    told = re.findall(r"^\| `(\w+)` \| [^|]+ \| [^|]+ \|$", PAGE, re.M)
-    assert sorted(told) == sorted(NAMES)
+    reported = re.findall(r"^\| `(\w+)` \| [^|]+ \| [^|]+ \|$", PAGE, re.M)
+    assert sorted(reported) == sorted(NAMES)
     assert f"{len(BROKEN)} of them" in PAGE
 
 
@@ -174,8 +174,8 @@ def test_other_addresses_can_be_given() -> None:
 
 
 def test_shortest_keeps_only_what_still_fails() -> None:
-    def fails(wire: Wire) -> bool:
-        data = wire.data if isinstance(wire, CanFrame) else wire
+    def fails(raw: Frame) -> bool:
+        data = raw.data if isinstance(raw, CanFrame) else raw
         return b"\7" in data and len(data) >= 3
 
     assert shortest(b"abc\7defgh\7ij", fails) in (b"\0\7\0", b"\0\0\7", b"\7\0\0")
@@ -186,21 +186,21 @@ def test_shortest_keeps_only_what_still_fails() -> None:
 
 def test_dice_are_those_of_the_paper_and_repeat() -> None:
     # The first numbers of seed 1234567, as in the reference implementation's well-known test.
-    dice = Dice(1234567)
-    assert [dice.bits() for _ in range(3)] == [
+    random = Random(1234567)
+    assert [random.bits() for _ in range(3)] == [
         6457827717110365317,
         3203168211198807973,
         9817491932198370423,
     ]
-    assert Dice(5).bytes(20) == Dice(5).bytes(20)
-    assert sorted(Dice(5).shuffled(range(50))) == list(range(50))
-    assert Dice(5).shuffled(range(50)) != list(range(50))
-    assert {Dice(n).below(3) for n in range(50)} == {0, 1, 2}
-    assert all(2.0 <= Dice(n).uniform(2.0, 3.0) < 3.0 for n in range(50))
+    assert Random(5).bytes(20) == Random(5).bytes(20)
+    assert sorted(Random(5).shuffled(range(50))) == list(range(50))
+    assert Random(5).shuffled(range(50)) != list(range(50))
+    assert {Random(n).below(3) for n in range(50)} == {0, 1, 2}
+    assert all(2.0 <= Random(n).uniform(2.0, 3.0) < 3.0 for n in range(50))
 
 
 @pytest.mark.parametrize(
-    ("said", "heard", "bounds", "near"),
+    ("said", "received", "bounds", "near"),
     [
         (1.0, 1.0, Range(-1.0, 1.0, 0.0), True),
         (1.0, 1.01, Range(-1.0, 1.0, 0.01), True),
@@ -211,8 +211,8 @@ def test_dice_are_those_of_the_paper_and_repeat() -> None:
         (0.0, None, Range(-1.0, 1.0, 1.0), False),
     ],
 )
-def test_close(said: float, heard: float | None, bounds: Range, near: bool) -> None:
-    assert close(said, heard, bounds) is near
+def test_close(said: float, received: float | None, bounds: Range, near: bool) -> None:
+    assert close(said, received, bounds) is near
 
 
 def test_finite_looks_into_everything() -> None:
@@ -242,20 +242,22 @@ def test_a_shaft_obeys_newton_and_stands_still_when_locked() -> None:
 
 def test_torn_messages_all_arrive_in_order() -> None:
     whole, torn = _stage(), _stage()
-    torn.tearing = Dice(3)
-    one = [wire for _ in range(300) for wire in whole.step([Velocity("alpha", 1.0)]).down]
-    other = [wire for _ in range(300) for wire in torn.step([Velocity("alpha", 1.0)]).down]
+    torn.tearing = Random(3)
+    one = [frame for _ in range(300) for frame in whole.step([Velocity("alpha", 1.0)]).down]
+    other = [frame for _ in range(300) for frame in torn.step([Velocity("alpha", 1.0)]).down]
     assert len(set(map(len, map(str, other)))) > 3
-    stream = b"".join(wire for wire in other if isinstance(wire, bytes)) + torn.torn["down"]
-    assert stream == b"".join(wire for wire in one if isinstance(wire, bytes))
+    stream = b"".join(frame for frame in other if isinstance(frame, bytes)) + torn.torn["down"]
+    assert stream == b"".join(frame for frame in one if isinstance(frame, bytes))
 
 
-def _stage() -> Rehearsal:
-    return rehearse(motors, motors.options(), (1, 2), ("alpha", "beta"))
+def _stage() -> Bench:
+    return make_bench(motors, motors.options(), (1, 2), ("alpha", "beta"))
 
 
 def test_arming_ends_when_a_device_does_not_arm() -> None:
-    deaf = replace(motors, ear=motors.ear, twin=lambda device, seed: sensors.twin(_as_sensor(device), seed))
+    deaf = replace(
+        motors, decoder=motors.decoder, twin=lambda device, seed: sensors.twin(_as_sensor(device), seed)
+    )
     (commands,) = check(deaf, clauses=clauses(["commands"]))
     assert commands.outcome == "failed"
     assert "does not arm" in commands.text

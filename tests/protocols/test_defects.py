@@ -50,4 +50,4 @@ def test_a_defect_of_the_field_is_found(number: int, what: str, name: str, claus
     (result,) = check(BY_NAME[name], clauses=[each for each in CLAUSES if each.name == clause])
     assert result.outcome == "failed", f"defect {number}, {what}: {result}"
     assert result.text
-    assert result.wires or result.words, "a counterexample in bytes or words"
+    assert result.frames or result.words, "a counterexample in bytes or words"

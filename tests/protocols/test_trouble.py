@@ -47,8 +47,12 @@ def test_a_cable_can_be_cut_in_either_direction() -> None:
     on = running(2)
     on.cables["alpha"].up = False
     on.step()
-    heard = [e for _ in range(400) for e in on.step([Velocity("alpha", 1.0), Velocity("beta", 1.0)]).events]
-    assert {getattr(event, "motor", "") for event in heard if type(event).__name__ == "Feedback"} == {"beta"}
+    received = [
+        e for _ in range(400) for e in on.step([Velocity("alpha", 1.0), Velocity("beta", 1.0)]).events
+    ]
+    assert {getattr(event, "motor", "") for event in received if type(event).__name__ == "Feedback"} == {
+        "beta"
+    }
     assert abs(torque_of(on.step())) > 0.0
     on.cables["alpha"].down = False
     on.wait(300, [Velocity("alpha", 1.0), Velocity("beta", 1.0)])
@@ -78,10 +82,10 @@ def test_what_is_dropped_reaches_nobody() -> None:
     on = running()
     on.host.dropping = True
     step = on.step([Torque("alpha", 0.5)])
-    assert (step.down, step.heard) == ((), ())
+    assert (step.down, step.received) == ((), ())
     on.host.dropping = False
     on.host.bus(on.now, BusState.UP)
-    assert on.step([Torque("alpha", 0.5)]).heard == (Torque("alpha", 0.5),)
+    assert on.step([Torque("alpha", 0.5)]).received == (Torque("alpha", 0.5),)
 
 
 def test_a_fresh_host_beside_another_tells_for_itself_alone() -> None:
@@ -90,7 +94,7 @@ def test_a_fresh_host_beside_another_tells_for_itself_alone() -> None:
     on.host.other, on.host.others_words = before.host.driver, [Velocity("alpha", 1.0)]
     assert on.until(lambda _: on.mode() is Mode.ARMED, 300)
     step = on.step()
-    assert step.heard == (Velocity("alpha", 1.0),)
+    assert step.received == (Velocity("alpha", 1.0),)
     assert on.host.sent == ()
 
 

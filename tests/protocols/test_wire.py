@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.frames import BusState, CanFrame, Frame, Packet
 
 # candump's own notation: id in three or eight digits, # or ##flags, data in upper case, R for a request
 # (linux-can/can-utils `lib.h`, sprint_canframe and parse_canframe).
@@ -47,7 +47,7 @@ def test_the_notation_loses_nothing(frame: CanFrame, text: str) -> None:
 
 def test_frames_that_differ_in_anything_differ() -> None:
     base = CanFrame(0x123, b"\1")
-    others: list[Wire] = [
+    others: list[Frame] = [
         CanFrame(0x124, b"\1"),
         CanFrame(0x123, b"\2"),
         CanFrame(0x123, b"\1", extended=True),

@@ -13,10 +13,10 @@ from protocols.conformance.case import Case
 from protocols.conformance.duplicates import Pair
 from protocols.conformance.normal import normal
 from protocols.conformance.obeyed import _push
-from protocols.conformance.random import Dice
+from protocols.conformance.random import Random
 from protocols.conformance.reference_vectors import SOURCE
 from protocols.conformance.replies import TROUBLES, Mishap
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import (
     Command,
     Event,
@@ -40,12 +40,12 @@ class Talker:
 
     count: int = 0
     shown: list[float | None] = field(default_factory=list)
-    heard: list[Wire] = field(default_factory=list)
+    received: list[Frame] = field(default_factory=list)
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
-        self.heard.append(wire)
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        self.received.append(frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         self.shown += [event.position for event in truth if isinstance(event, Feedback)]
         self.count += 1
         return [Torque("m", float(self.count))], [self.count.to_bytes(2)]
@@ -59,12 +59,12 @@ class Talker:
 
 def suffered(what: str, steps: int, trouble: int) -> list[int]:
     """The numbers that arrive of a talker that is in trouble for so many of its steps."""
-    mishap = Mishap(Talker(), dict(TROUBLES)[what], Dice(0))
+    mishap = Mishap(Talker(), dict(TROUBLES)[what], Random(0))
     arrived: list[int] = []
     for at in range(steps):
         mishap.on = at < trouble
-        wires = mishap.step(at * STEP, ())[1]
-        arrived += [int.from_bytes(wire) for wire in wires if isinstance(wire, bytes)]
+        frames = mishap.step(at * STEP, ())[1]
+        arrived += [int.from_bytes(frame) for frame in frames if isinstance(frame, bytes)]
     return arrived
 
 
@@ -84,10 +84,10 @@ def test_a_pair_hears_the_same_stands_apart_and_hears_itself() -> None:
     one, other = Talker(), Talker(count=10)
     pair = Pair(one, other)
     pair.receive(0, b"hello")
-    torques, wires = pair.step(1, [Feedback("m", 1, 1.0, 0.0)])
+    torques, frames = pair.step(1, [Feedback("m", 1, 1.0, 0.0)])
     assert torques == [Torque("m", 1.0)]
-    assert wires == (b"\0\1", b"\0\x0b")
-    assert (one.heard, other.heard) == ([b"hello", b"\0\x0b"], [b"hello", b"\0\1"])
+    assert frames == (b"\0\1", b"\0\x0b")
+    assert (one.received, other.received) == ([b"hello", b"\0\x0b"], [b"hello", b"\0\1"])
     assert one.shown == [1.0]
     assert other.shown != [1.0]
     assert (pair.due(), pair.last) == (1, (b"\0\1", b"\0\x0b"))
@@ -160,8 +160,8 @@ def test_a_failure_shows_few_wires_or_words_and_comes_again(plugin: Plugin, find
     first, again = (_failed(check(plugin, 3, clauses=[finder])) for _ in range(2))
     assert first == again
     assert first.seed == 3
-    assert first.wires or first.words
-    assert len(first.wires) <= 6
+    assert first.frames or first.words
+    assert len(first.frames) <= 6
     assert len(first.words) <= 4
 
 
@@ -176,5 +176,5 @@ def test_a_case_keeps_its_day() -> None:
     assert case.day is case.day
     assert case.specs is case.specs
     assert len(case.day) > 500
-    assert any(said.heard for said in case.day)
+    assert any(said.received for said in case.day)
     assert case.part(100) == 100

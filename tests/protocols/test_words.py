@@ -9,11 +9,11 @@ from typing import Any, get_args
 import pytest
 
 from protocols import messages
-from protocols.messages import COMMANDS, SECOND, Command, Feedback, Mode, Velocity, Word, seconds
+from protocols.messages import COMMANDS, SECOND, Command, Feedback, Message, Mode, Velocity, seconds
 from tests.protocols.plain.samples import VECTORS, word_of
 
-KINDS: tuple[Any, ...] = get_args(Word)
-SAMPLES: list[Word] = [word_of(row) for row in VECTORS["packed"]]
+KINDS: tuple[Any, ...] = get_args(Message)
+SAMPLES: list[Message] = [word_of(row) for row in VECTORS["packed"]]
 
 
 def test_there_is_a_sample_of_every_word() -> None:

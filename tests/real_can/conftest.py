@@ -76,7 +76,7 @@ def two_controllers() -> Iterator[Callable[[int], tuple[str, str]]]:
 
 
 @contextmanager
-def wire(bitrate: int) -> Iterator[tuple[str, str]]:
+def frame(bitrate: int) -> Iterator[tuple[str, str]]:
     """Two ends of one wire: of two controllers at that bit rate; with 0, of a virtual interface."""
     if bitrate:
         with two_controllers() as bring_up:

@@ -89,10 +89,10 @@ def run(parts: Parts, job: Sequence[str], limit: float = TIME_LIMIT) -> int:
         initramfs = _initramfs(Path(folder), parts)
         reason = _boot(_qemu(parts, initramfs, share), limit)
         status = share / "status"
-        told = status.read_text().strip() if status.exists() else ""
+        reported = status.read_text().strip() if status.exists() else ""
     print(f"machine: {time.monotonic() - began:.0f} s in all", flush=True)
-    if told.isdigit() and not reason:
-        return int(told)
+    if reported.isdigit() and not reason:
+        return int(reported)
     print(f"machine: FAILED: {reason or 'it ended without a result'}", flush=True)
     return 1
 

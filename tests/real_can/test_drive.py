@@ -15,7 +15,7 @@ import pytest
 from gateway.recording import read
 from protocols.frames import CanFrame, Packet
 from tests.real_can.candump import Seen, candump, in_order, parse
-from tests.real_can.conftest import wire
+from tests.real_can.conftest import frame
 from tests.real_can.pair import SHIPPED, Pair, on_the_wire, rover
 from tests.real_can.programs import Program
 
@@ -79,7 +79,7 @@ def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     recording, log = folder / "drive.mcap", folder / "candump.log"
     asked = ("--goal", "0.4,0.1", "--record", str(recording))
     with (
-        wire(robot.bitrate) as ends,
+        frame(robot.bitrate) as ends,
         candump(ends[0], log),
         driving(folder, robot, ends, *asked) as (run, twin),
     ):
@@ -107,12 +107,12 @@ def test_recording_is_replayed_to_the_same_bytes(drive: Drive, tmp_path: Path) -
 def test_candump_reads_what_we_sent(drive: Drive) -> None:
     ticks = list(read(drive.recording).ticks)
     sent = [frame_of(p) for tick in ticks for p in tick.outputs.packets if p.bus == "can0"]
-    heard = [frame_of(p) for tick in ticks for p in tick.inputs.packets if p.bus == "can0"]
+    received = [frame_of(p) for tick in ticks for p in tick.inputs.packets if p.bus == "can0"]
     seen = [one.frame for one in drive.seen]
     assert len(sent) > 50
     assert in_order(sent, seen)
-    assert in_order(heard, seen)
-    theirs = {(frame.id, frame.remote) for frame in heard}
+    assert in_order(received, seen)
+    theirs = {(frame.id, frame.remote) for frame in received}
     ours = {(frame.id, frame.remote) for frame in sent} - theirs
     assert len(ours) >= drive.robot.ids
     assert {frame.fd for frame in sent} == drive.robot.kinds
@@ -120,5 +120,5 @@ def test_candump_reads_what_we_sent(drive: Drive) -> None:
 
 
 def frame_of(packet: Packet) -> CanFrame:
-    assert isinstance(packet.wire, CanFrame)
-    return packet.wire
+    assert isinstance(packet.frame, CanFrame)
+    return packet.frame

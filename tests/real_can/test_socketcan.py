@@ -25,8 +25,8 @@ Open = Callable[[BusSettings], SocketcanBus]
 Controllers = Callable[[int], tuple[str, str]]
 
 
-def settings(name: str, heard: tuple[tuple[int, int], ...] = ()) -> BusSettings:
-    return BusSettings(name, "can", f"socketcan:{name}", bitrate=1_000_000, heard=heard)
+def settings(name: str, receive_filter: tuple[tuple[int, int], ...] = ()) -> BusSettings:
+    return BusSettings(name, "can", f"socketcan:{name}", bitrate=1_000_000, receive_filter=receive_filter)
 
 
 def fast(name: str) -> BusSettings:
@@ -46,21 +46,21 @@ def opened() -> Iterator[Open]:
         yield open_one
 
 
-def wires(packets: Sequence[Packet]) -> list[object]:
-    return [packet.wire for packet in packets]
+def frames_of(packets: Sequence[Packet]) -> list[object]:
+    return [packet.frame for packet in packets]
 
 
-def hear(bus: Bus, count: int = 1, patience: int = SECOND) -> list[Packet]:
+def handle(bus: Bus, count: int = 1, patience: int = SECOND) -> list[Packet]:
     """Read until so many frames have come, or for so long."""
-    heard: list[Packet] = []
+    received: list[Packet] = []
     until = CLOCK.now() + patience
-    while len(heard) < count and CLOCK.now() < until:
-        heard += bus.read(CLOCK.now())[1]
+    while len(received) < count and CLOCK.now() < until:
+        received += bus.read(CLOCK.now())[1]
         time.sleep(0.002)
-    return heard
+    return received
 
 
-def told(bus: Bus, for_: int) -> list[BusState]:
+def reported(bus: Bus, for_: int) -> list[BusState]:
     """What it tells of itself, read every 5 ms for so long."""
     states: list[BusState] = []
     until = CLOCK.now() + for_
@@ -105,7 +105,7 @@ FRAMES = [
 def test_frames_cross_in_order_and_own_ones_are_not_heard(vcan0: str, opened: Open) -> None:
     one, other = opened(settings(vcan0)), opened(settings(vcan0))
     one.write(CLOCK.now(), FRAMES)
-    assert wires(hear(other, len(FRAMES))) == FRAMES
+    assert frames_of(handle(other, len(FRAMES))) == FRAMES
     assert one.read(CLOCK.now()) == ([], [])
 
 
@@ -113,9 +113,9 @@ def test_frames_cross_in_order_and_own_ones_are_not_heard(vcan0: str, opened: Op
 def test_frames_cross_a_wire_between_two_controllers(controllers: Controllers, opened: Open) -> None:
     one, other = (opened(settings(name)) for name in controllers(1_000_000))
     one.write(CLOCK.now(), FRAMES)
-    assert wires(hear(other, len(FRAMES))) == FRAMES
+    assert frames_of(handle(other, len(FRAMES))) == FRAMES
     other.write(CLOCK.now(), FRAMES[::-1])
-    assert wires(hear(one, len(FRAMES))) == FRAMES[::-1]
+    assert frames_of(handle(one, len(FRAMES))) == FRAMES[::-1]
     assert (one.bad, other.bad, one.dropped, other.dropped) == (0, 0, 0, 0)
 
 
@@ -141,7 +141,7 @@ def test_another_process_is_heard_and_hears_us(vcan0: str, opened: Open) -> None
     ) as dump:
         time.sleep(0.5)
         subprocess.run(["cansend", vcan0, "345#DEADBEEF"], check=True)
-        assert wires(hear(bus)) == [CanFrame(0x345, b"\xde\xad\xbe\xef")]
+        assert frames_of(handle(bus)) == [CanFrame(0x345, b"\xde\xad\xbe\xef")]
         bus.write(CLOCK.now(), [CanFrame(0x12, b"\x01"), CanFrame(0x1ABCDEF0, b"\x02", extended=True)])
         said, _ = dump.communicate()
     assert [line.split()[-1] for line in said.splitlines()] == ["345#DEADBEEF", "012#01", "1ABCDEF0#02"]
@@ -152,7 +152,7 @@ def test_a_flood_from_another_process_arrives_whole(vcan0: str, opened: Open) ->
     bus = opened(settings(vcan0))
     count = 3000
     subprocess.run(["cangen", vcan0, "-g", "0", "-n", str(count), "-I", "i", "-L", "8", "-i"], check=True)
-    packets = hear(bus, count)
+    packets = handle(bus, count)
     assert len(packets) == count
     assert [p.t for p in packets] == sorted(p.t for p in packets)
     assert (bus.missed, bus.bad) == (0, 0)
@@ -165,11 +165,11 @@ def test_frames_that_come_faster_than_they_are_read_are_counted_exactly(
     count, frame = 16_000, CanFrame(1, bytes(8))
     for _ in range(count // 1000):
         one.write(CLOCK.now(), [frame] * 1000)
-    heard = len(hear(other, count))
-    assert heard < count
+    received = len(handle(other, count))
+    assert received < count
     one.write(CLOCK.now(), [frame])  # the kernel tells with the next frame
-    assert len(hear(other)) == 1
-    assert other.missed == count - heard
+    assert len(handle(other)) == 1
+    assert other.missed == count - received
     assert f"{other.missed} frames came faster than they were read, and are lost" in caplog.text
 
 
@@ -186,10 +186,10 @@ def test_can_fd_with_and_without_the_switched_bit_rate_beside_classic_frames(
         CanFrame(2, b"classic"),
     ]
     one.write(CLOCK.now(), frames)
-    assert wires(hear(other, 3)) == frames
-    assert wires(hear(classic)) == [CanFrame(2, b"classic")]
+    assert frames_of(handle(other, 3)) == frames
+    assert frames_of(handle(classic)) == [CanFrame(2, b"classic")]
     one.write(CLOCK.now(), [CanFrame(3, b"ten bytes!", fd=True, brs=True)])
-    assert wires(hear(other)) == [CanFrame(3, b"ten bytes!\0\0", fd=True, brs=True)]
+    assert frames_of(handle(other)) == [CanFrame(3, b"ten bytes!\0\0", fd=True, brs=True)]
 
 
 def test_candump_sees_the_switched_bit_rate(vcan0: str, opened: Open) -> None:
@@ -208,7 +208,7 @@ def test_a_can_fd_frame_on_a_classic_bus_is_refused_and_said_once(
 ) -> None:
     one, other = opened(settings(vcan0)), opened(settings(vcan0))
     one.write(CLOCK.now(), [CanFrame(1, b"", fd=True)] * 3 + [CanFrame(2)])
-    assert wires(hear(other)) == [CanFrame(2)]
+    assert frames_of(handle(other)) == [CanFrame(2)]
     assert one.dropped == 3
     assert caplog.text.count("a frame was refused: 001##0: Invalid argument") == 1
 
@@ -278,13 +278,13 @@ def test_a_controller_that_only_listens_is_told(
 
 def test_the_kernel_lets_in_what_is_asked_for_and_error_frames(vcan0: str, opened: Open) -> None:
     talker = opened(settings(vcan0))
-    some = opened(settings(vcan0, heard=((0x021, 0x1FFFFFFF), (0x006, 0x01F))))
+    some = opened(settings(vcan0, receive_filter=((0x021, 0x1FFFFFFF), (0x006, 0x01F))))
     frames = [CanFrame(number, b"x") for number in range(0x800)]
     talker.write(CLOCK.now(), frames)
     expected = [frame for frame in frames if frame.id == 0x021 or frame.id & 0x1F == 6]
-    assert wires(hear(some, len(frames), SECOND // 5)) == expected
+    assert frames_of(handle(some, len(frames), SECOND // 5)) == expected
     subprocess.run(["cansend", vcan0, "20000040#0000000000000000"], check=True)
-    assert told(some, SECOND // 5) == [BusState.OFF]
+    assert reported(some, SECOND // 5) == [BusState.OFF]
 
 
 # -- the state of the line ----------------------------------------------------------------------------
@@ -301,7 +301,7 @@ def test_error_frames_become_states(vcan0: str, opened: Open) -> None:
         ("20000100#0000000000000000", [BusState.BACK]),
     ):
         subprocess.run(["cansend", vcan0, what], check=True)
-        assert told(bus, 100 * MILLISECOND) == state
+        assert reported(bus, 100 * MILLISECOND) == state
     assert bus.errors["bus-off"] == 1
 
 
@@ -313,7 +313,7 @@ def go_down_and_up(name: str, bus: SocketcanBus, talker: Callable[[CanFrame], No
     before = bus.dropped
     bus.write(CLOCK.now(), [CanFrame(2), CanFrame(3)])
     assert bus.dropped == before + 2
-    assert told(bus, SECOND // 2) == []
+    assert reported(bus, SECOND // 2) == []
     ip("link", "set", name, "up")
     talker(CanFrame(4, b"early"))
     came = CLOCK.now()
@@ -324,9 +324,9 @@ def go_down_and_up(name: str, bus: SocketcanBus, talker: Callable[[CanFrame], No
         states += more
         packets += arrived
         time.sleep(0.01)
-    states += told(bus, 2 * OFTEN)
+    states += reported(bus, 2 * OFTEN)
     assert states == [BusState.BACK]
-    assert wires(packets) == [CanFrame(4, b"early")]
+    assert frames_of(packets) == [CanFrame(4, b"early")]
     assert packets[0].t <= came + MILLISECOND
 
 
@@ -347,7 +347,7 @@ def test_a_controller_that_goes_down_and_comes_up(controllers: Controllers, open
     bus, far = opened(settings(one)), opened(settings(other))
     go_down_and_up(one, bus, lambda frame: far.write(CLOCK.now(), [frame]))
     bus.write(CLOCK.now(), [CanFrame(5)])
-    assert wires(hear(far, 2)) == [CanFrame(1), CanFrame(5)]
+    assert frames_of(handle(far, 2)) == [CanFrame(1), CanFrame(5)]
 
 
 @pytest.mark.controllers
@@ -359,24 +359,24 @@ def test_one_that_is_up_again_before_anybody_looked_was_gone_all_the_same(
     bus.read(CLOCK.now())
     ip("link", "set", one, "down")
     ip("link", "set", one, "up")
-    assert told(bus, SECOND // 2) == [BusState.GONE, BusState.BACK]
+    assert reported(bus, SECOND // 2) == [BusState.GONE, BusState.BACK]
 
 
 def test_an_interface_that_is_removed_and_made_again(vcan0: str, opened: Open) -> None:
     bus = opened(settings(vcan0))
     bus.read(CLOCK.now())
     ip("link", "delete", vcan0)
-    assert told(bus, SECOND // 2) == [BusState.GONE]
+    assert reported(bus, SECOND // 2) == [BusState.GONE]
     bus.write(CLOCK.now(), [CanFrame(1)])
     ip("link", "add", "dev", vcan0, "type", "vcan")
-    assert told(bus, SECOND // 2) == []  # there, but down
+    assert reported(bus, SECOND // 2) == []  # there, but down
     ip("link", "set", vcan0, "up")
-    assert told(bus, SECOND // 2) == [BusState.BACK]
+    assert reported(bus, SECOND // 2) == [BusState.BACK]
     other = opened(settings(vcan0))
     bus.write(CLOCK.now(), [CanFrame(2)])
-    assert wires(hear(other)) == [CanFrame(2)]
+    assert frames_of(handle(other)) == [CanFrame(2)]
     other.write(CLOCK.now(), [CanFrame(3)])
-    assert wires(hear(bus)) == [CanFrame(3)]
+    assert frames_of(handle(bus)) == [CanFrame(3)]
 
 
 # -- full queues ----------------------------------------------------------------------------------
@@ -393,8 +393,8 @@ def test_a_full_queue_of_the_kernel_is_told_once_and_the_newest_goes_out(
         bus.write(CLOCK.now(), [CanFrame(number, b"old") for number in range(60)])
         bus.write(CLOCK.now(), [CanFrame(number, b"new") for number in range(40, 60)])
         assert bus.read(CLOCK.now())[0] == [BusState.FULL]
-        assert told(bus, SECOND + CALM + SECOND // 2) == [BusState.UP]
-    assert wires(hear(far, 60)) == [CanFrame(n, b"old" if n < 40 else b"new") for n in range(60)]
+        assert reported(bus, SECOND + CALM + SECOND // 2) == [BusState.UP]
+    assert frames_of(handle(far, 60)) == [CanFrame(n, b"old" if n < 40 else b"new") for n in range(60)]
     assert bus.dropped == 20
     assert f"sudo ip link set {one} txqueuelen 100" in caplog.text
 
@@ -415,12 +415,12 @@ def test_a_long_queue_of_the_kernel_does_not_fill_with_old_commands(
             bus.write(now, [CanFrame(1, data)])
             bus.read(CLOCK.now())
             time.sleep(0.005)
-        told(bus, SECOND // 10)  # the last one may wait for room
-        heard = hear(far, 400, SECOND // 2)
+        reported(bus, SECOND // 10)  # the last one may wait for room
+        received = handle(far, 400, SECOND // 2)
     assert bus.dropped > 150  # sleeping 5 ms may take 8
-    ages = [p.t - sent[p.wire.data] for p in heard if isinstance(p.wire, CanFrame)]
+    ages = [p.t - sent[p.frame.data] for p in received if isinstance(p.frame, CanFrame)]
     assert len(ages) == 400 - bus.dropped
     assert max(ages) < 20 * PATIENCE
-    newest = heard[-1].wire
+    newest = received[-1].frame
     assert isinstance(newest, CanFrame)
     assert newest.data == (399).to_bytes(2, "big")

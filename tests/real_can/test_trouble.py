@@ -14,7 +14,7 @@ import pytest
 
 from protocols.frames import CanFrame
 from tests.real_can.candump import candump, parse
-from tests.real_can.conftest import ip, wire
+from tests.real_can.conftest import frame, ip
 from tests.real_can.pair import rover
 
 AXIS_STATE, VELOCITY, IDLE = 0x07, 0x0D, 1
@@ -31,7 +31,7 @@ def test_interface_goes_down_and_comes_back_while_driving(bitrate: int, tmp_path
     """The motors have no watchdog, and go on turning meanwhile."""
     log = tmp_path / "candump.log"
     with (
-        wire(bitrate) as ends,
+        frame(bitrate) as ends,
         candump(ends[1], log),
         rover(tmp_path, bitrate, ends, "--goal", "1.4,0") as (run, twin),
     ):
@@ -84,7 +84,7 @@ def flood(interface: str) -> Iterator[None]:
 
 
 def test_flood_of_foreign_frames_disturbs_nothing(tmp_path: Path) -> None:
-    with wire(0) as ends, rover(tmp_path, 0, ends, "--goal", "0.4,0") as (run, twin):
+    with frame(0) as ends, rover(tmp_path, 0, ends, "--goal", "0.4,0") as (run, twin):
         run.until("rover runs")
         with flood(ends[0]):
             run.until("goal 1 reached", patience=30.0)
@@ -95,8 +95,8 @@ def test_flood_of_foreign_frames_disturbs_nothing(tmp_path: Path) -> None:
     assert status == 0, run.text
     counted = re.search(r"can0: (\d+) messages heard, (\d+) bad, (\d+) foreign", said)
     assert counted is not None, said
-    heard, bad, foreign = map(int, counted.groups())
-    assert heard > 100
+    received, bad, foreign = map(int, counted.groups())
+    assert received > 100
     assert bad == 0
     assert foreign > 300
     assert "fault" not in run.text

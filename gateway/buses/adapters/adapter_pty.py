@@ -15,7 +15,7 @@ from gateway.buses.adapters import fdcanusb, slcan
 from gateway.buses.adapters.pty import Pty, open_pty
 from gateway.core.clock import Clock
 from gateway.core.robot import BusSettings
-from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Nanos
 
 
@@ -36,7 +36,7 @@ class Adapter(Protocol):
         """Bytes from the serial line: the frames that go onto the bus, and the answers."""
         ...
 
-    def tell(self, t: Nanos, frame: CanFrame) -> bytes:
+    def report(self, t: Nanos, frame: CanFrame) -> bytes:
         """What the serial line gets of a frame on the bus."""
         ...
 
@@ -71,9 +71,9 @@ class _Port:
             self.pty.write(answers)
         return frames
 
-    def tell(self, t: Nanos, frame: CanFrame) -> None:
+    def report(self, t: Nanos, frame: CanFrame) -> None:
         lost = self.pty.dropped
-        if line := self.adapter.tell(t, frame):
+        if line := self.adapter.report(t, frame):
             self.pty.write(line)
         self.adapter.overrun = self.adapter.overrun or self.pty.dropped > lost
 
@@ -113,15 +113,15 @@ class AdapterPty:
                 packets.append(Packet(now, self.name, frame))
                 for other in self._ports:
                     if other is not port:
-                        other.tell(now, frame)
+                        other.report(now, frame)
         return self._changes(), packets
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Frames for everybody on the bus."""
-        for wire in wires:
-            assert isinstance(wire, CanFrame), f"{self.name} is a CAN bus"
+        for frame in frames:
+            assert isinstance(frame, CanFrame), f"{self.name} is a CAN bus"
             for port in self._ports:
-                port.tell(now, wire)
+                port.report(now, frame)
 
     def close(self) -> None:
         """Hang up; the paths are gone with it."""

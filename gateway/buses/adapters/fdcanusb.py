@@ -51,7 +51,7 @@ def sealed(line: bytes) -> bytes:
     return b"%s *%02X" % (line, checksum(line + b" "))
 
 
-def unsealed(line: bytes) -> tuple[bytes, bool | None]:
+def unprotected(line: bytes) -> tuple[bytes, bool | None]:
     """A line without its checksum, and whether that was right; None if it had none."""
     found = SEAL.fullmatch(line)
     if found is None:
@@ -150,7 +150,7 @@ class Adapter:
         self._rest = bytearray() if self._skipping else bytearray(rest)
         return frames, bytes(answers)
 
-    def tell(self, t: Nanos, frame: CanFrame) -> bytes:  # noqa: ARG002 -- an adapter may stamp; this one does not
+    def report(self, t: Nanos, frame: CanFrame) -> bytes:  # noqa: ARG002 -- an adapter may stamp; this one does not
         """What the serial line gets of a frame on the bus; nothing if the adapter does not hear it."""
         return self._line(told_of(frame)) if self.open and not self.wrong_rate else b""
 
@@ -169,7 +169,7 @@ class Adapter:
         """What a line says, if it is whole."""
         if self._skipping or len(line) > LONGEST:
             raise _Refusal("line too long")
-        content, right = unsealed(line)
+        content, right = unprotected(line)
         if right is False or (right is None and self.sealed):
             self.bad_checksums += 1
             raise _Refusal("checksum missing" if right is None else "checksum mismatch")

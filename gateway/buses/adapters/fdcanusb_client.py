@@ -20,7 +20,7 @@ import can
 import serial
 from serial.tools.list_ports import comports
 
-from gateway.buses.adapters.fdcanusb import ENDS, LONGEST, command_of, heard_of, sealed, unsealed
+from gateway.buses.adapters.fdcanusb import ENDS, LONGEST, command_of, heard_of, sealed, unprotected
 from protocols.frames import CanFrame
 
 log = logging.getLogger("gateway")
@@ -130,16 +130,16 @@ class FdcanusbInterface(can.BusABC):
             skipped, self._skipping = self._skipping, False
             if skipped or len(line) > LONGEST:
                 raise ValueError("a line too long")
-            if line and (frame := self._hear(line)) is not None:
+            if line and (frame := self._handle(line)) is not None:
                 return frame
         if len(self._in) > LONGEST:
             self._in.clear()
             self._skipping = True
         return None
 
-    def _hear(self, line: bytes) -> CanFrame | None:
+    def _handle(self, line: bytes) -> CanFrame | None:
         """A frame that a line tells of; what else it says is heeded. Raises ValueError for a bad one."""
-        content, right = unsealed(line)
+        content, right = unprotected(line)
         text = content.decode("latin-1")
         if right is False or (right is None and self._seals):
             raise ValueError("a checksum is wrong or missing")

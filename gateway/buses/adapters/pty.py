@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from gateway.buses import BusError
 from gateway.core.clock import Clock
 from gateway.core.robot import BusSettings
-from protocols.frames import BusState, Packet, Wire
+from protocols.frames import BusState, Frame, Packet
 from protocols.messages import Nanos
 
 MOST_READ = 65536
@@ -51,20 +51,20 @@ class Pty:
     def read(self) -> bytes:
         """What has come in; looks also whether somebody is there."""
         events = self._poll.poll(0)
-        told = events[0][1] if events else 0
-        here = not told & (select.POLLHUP | select.POLLERR)
-        data = self._receive() if told & select.POLLIN else b""
+        reported = events[0][1] if events else 0
+        here = not reported & (select.POLLHUP | select.POLLERR)
+        data = self._receive() if reported & select.POLLIN else b""
         if self.connected and not here:
             self._hang_up()
         self.connected = here
         self._flush()
         return data
 
-    def write(self, wire: bytes) -> None:
+    def write(self, frame: bytes) -> None:
         """Bytes for the other end, in order."""
         if not self.connected:
             return
-        self._waiting.append(wire)
+        self._waiting.append(frame)
         self._flush()
         while len(self._waiting) > 1 + self._begun and sum(map(len, self._waiting)) > MOST_WAITING:
             del self._waiting[int(self._begun)]
@@ -89,13 +89,13 @@ class Pty:
 
     def _flush(self) -> None:
         while self._waiting:
-            wire = self._waiting.popleft()
+            frame = self._waiting.popleft()
             try:
-                taken = os.write(self._end, wire) if wire else 0
+                taken = os.write(self._end, frame) if frame else 0
             except OSError:  # it takes no more (EAGAIN), or has just hung up, which the next read finds out
                 taken = 0
-            if taken < len(wire):
-                self._waiting.appendleft(wire[taken:])
+            if taken < len(frame):
+                self._waiting.appendleft(frame[taken:])
                 self._begun = self._begun or taken > 0
                 return
             self._begun = False
@@ -134,18 +134,18 @@ class SerialPty:
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         """The bytes that have come in, stamped now. BACK and GONE: somebody opens, closes the other end."""
         data = self.pty.read()
-        told: list[BusState] = []
+        reported: list[BusState] = []
         state = BusState.BACK if self.pty.connected else BusState.GONE
         if state is not self._state:
-            told.append(state)
+            reported.append(state)
             self._state = state
-        return told, [Packet(now, self.name, data)] if data else []
+        return reported, [Packet(now, self.name, data)] if data else []
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:  # noqa: ARG002 -- bytes have no stamp
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:  # noqa: ARG002 -- bytes have no stamp
         """Bytes for the other end."""
-        for wire in wires:
-            assert isinstance(wire, bytes), f"{self.name} is a serial line"
-            self.pty.write(wire)
+        for frame in frames:
+            assert isinstance(frame, bytes), f"{self.name} is a serial line"
+            self.pty.write(frame)
 
     def close(self) -> None:
         """Hang up."""

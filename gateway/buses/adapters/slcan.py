@@ -134,7 +134,7 @@ class Adapter:
         self._rest = bytearray() if self._skipping else bytearray(rest)
         return frames, bytes(answers)
 
-    def tell(self, t: Nanos, frame: CanFrame) -> bytes:
+    def report(self, t: Nanos, frame: CanFrame) -> bytes:
         """What the serial line gets of a frame on the bus; nothing if the adapter does not hear it."""
         if not self.open or self.wrong_rate:
             return b""

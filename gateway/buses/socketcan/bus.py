@@ -32,7 +32,7 @@ from gateway.buses.stamps import Stamps
 from gateway.buses.states import Outbox, States
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
-from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 log = logging.getLogger("gateway")
@@ -73,25 +73,25 @@ def open_socketcan(settings: BusSettings, clock: Clock, *, listen_only: bool = F
     name = settings.interface.partition(":")[2]
     device = Device(name)
     try:
-        wire = _open(settings, device.link(), listen_only)
+        frame = _open(settings, device.link(), listen_only)
     except BusError:
         device.close()
         raise
-    return SocketcanBus(settings, clock, wire, device, listen_only=listen_only)
+    return SocketcanBus(settings, clock, frame, device, listen_only=listen_only)
 
 
 def _open(settings: BusSettings, link: Link | None, listen_only: bool) -> Opened:
-    wire = open_interface(settings, listen_only=listen_only)
-    assert isinstance(wire, PythonCan)
+    frame = open_interface(settings, listen_only=listen_only)
+    assert isinstance(frame, PythonCan)
     if link is not None and not listen_only:
         try:
             check_fit(settings, link)
         except BusError:
-            wire.shutdown()
+            frame.shutdown()
             raise
         if link.listen_only:
             log.warning("%s: %s only listens (listen-only on): nothing goes out", settings.name, link.name)
-    return wire
+    return frame
 
 
 class SocketcanBus:
@@ -101,7 +101,7 @@ class SocketcanBus:
         self,
         settings: BusSettings,
         clock: Clock,
-        wire: Opened,
+        frame: Opened,
         device: Interface,
         *,
         listen_only: bool = False,
@@ -128,7 +128,7 @@ class SocketcanBus:
         self._stuck = False
         self._said: set[str] = set()
         self._missed_told = 0
-        self._socket: RawSocket | None = RawSocket(wire)
+        self._socket: RawSocket | None = RawSocket(frame)
         self._number = self._standing_number()
         self._link = device.link()
         if self._link is not None and self._link.state is not None:
@@ -157,16 +157,16 @@ class SocketcanBus:
         self._flush(now)
         return self._states.take(now), packets
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Put frames on the bus, in order; whatever finds no room waits."""
         assert not self._listen_only, f"{self.name} is listened to"
         self._flush(now)
-        for wire in wires:
-            assert isinstance(wire, CanFrame), f"{self.name} is a CAN bus"
+        for frame in frames:
+            assert isinstance(frame, CanFrame), f"{self.name} is a CAN bus"
             if self._states.dead:
                 self._lost += 1
-            elif self._stuck or self._outbox or not self._send(wire, now):
-                self._outbox.put(wire)
+            elif self._stuck or self._outbox or not self._send(frame, now):
+                self._outbox.put(frame)
 
     def close(self) -> None:
         """Give the interface back; what waits, the safe word above all, is tried once more."""
@@ -188,7 +188,7 @@ class SocketcanBus:
             self._refuse("ValueError", str(error))
         except OSError as error:
             if error.errno in _FULL:
-                self._tell_queue()
+                self._report_queue()
                 self._states.full(now)
                 return False
             if not self._died(error):
@@ -218,7 +218,7 @@ class SocketcanBus:
                 self._outbox.put_back(frame)
                 return
 
-    def _tell_queue(self) -> None:
+    def _report_queue(self) -> None:
         link = self._link
         if link is not None and link.queue < SHORT_QUEUE:
             holds = f"the kernel's transmit queue of {link.name} holds {link.queue} frames"
@@ -237,7 +237,7 @@ class SocketcanBus:
         stamps.begin(now, clock.system_offset() if isinstance(clock, WallClock) else None)
         for _ in range(MOST_READ):
             try:
-                stamp, wire = receive()
+                stamp, frame = receive()
             except BlockingIOError:
                 stamps.end()
                 break
@@ -246,16 +246,16 @@ class SocketcanBus:
                 if error.errno in _DOWN:  # said once, and what came before it is still there
                     continue
                 break
-            if isinstance(wire, CanFrame):
-                packets.append(Packet(stamps.move(stamp), name, wire))
+            if isinstance(frame, CanFrame):
+                packets.append(Packet(stamps.move(stamp), name, frame))
             else:
-                self._hear_error(wire)
+                self._on_error(frame)
         if self.missed != self._missed_told:
             count, self._missed_told = self.missed - self._missed_told, self.missed
             log.warning("%s: %d frames came faster than they were read, and are lost", name, count)
         return packets
 
-    def _hear_error(self, error: CanError) -> None:
+    def _on_error(self, error: CanError) -> None:
         new = [kind for kind in kinds(error) if kind not in self.errors]
         self.errors.update(kinds(error))
         if new:
@@ -273,9 +273,9 @@ class SocketcanBus:
             self._outbox.clear()
             self._taken = False
             if line is BusState.OFF:
-                self._tell_restart()
+                self._report_restart()
 
-    def _tell_restart(self) -> None:
+    def _report_restart(self) -> None:
         link = self._link
         if link is None or link.restart_ms is None:
             return

@@ -69,9 +69,9 @@ class RawSocket:
                     stamp = seconds * SECOND + nanos
                 elif kind == _SO_RXQ_OVFL:  # all that were ever lost, modulo 2**32
                     self.missed += (_COUNT.unpack_from(data)[0] - self.missed) % (1 << 32)
-            wire = unpack(raw)
-            if wire is not None:
-                return stamp, wire
+            frame = unpack(raw)
+            if frame is not None:
+                return stamp, frame
             self.bad += 1
 
     def send(self, frame: CanFrame) -> None:

@@ -24,7 +24,7 @@ from gateway.sim.files import STEP, BenchFile, ShaftFile
 from gateway.sim.load import load_world
 from gateway.sim.shafts import Shaft
 from gateway.sim.world import World
-from protocols.frames import BusState, Packet, Wire
+from protocols.frames import BusState, Frame, Packet
 from protocols.messages import Event, Feedback, Nanos
 from protocols.plugin import Twin
 
@@ -53,7 +53,7 @@ class Node:
     """The shaft of a double, which is not part of the world."""
     mute: bool = False
     """It neither hears nor is heard: its plug is out."""
-    heard: bool = False
+    received: bool = False
     """Something came in since it last ran."""
     readings: list[Event] = field(default_factory=list)
     """What the world shows, and the twin has not yet taken."""
@@ -81,13 +81,13 @@ class TwinBus:
         packets, self._packets = self._packets, []
         return states, packets
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
         """Queue wires; they go out from `now` on, as the bus falls free."""
         self._world.advance(now)
         if self._gone:
             return
-        for wire in wires:
-            if not self._out.send(now, HOST, wire) and not self._full:
+        for frame in frames:
+            if not self._out.send(now, HOST, frame) and not self._full:
                 self._full = True
                 self._states.append(BusState.FULL)
 
@@ -110,19 +110,19 @@ class TwinBus:
 
     def _arrive(self, sent: Sent) -> None:
         if sent.sender != HOST and not self._gone:
-            self._packets.append(Packet(sent.t, self.name, sent.wire))
+            self._packets.append(Packet(sent.t, self.name, sent.frame))
         if sent.sender != HOST and self._in is not self._out:
             return
         for node in self.nodes:
             if node.name != sent.sender and not node.mute:
-                node.twin.receive(sent.t, sent.wire)
-                node.heard = True
+                node.twin.receive(sent.t, sent.frame)
+                node.received = True
 
-    def say(self, now: Nanos, node: Node, wires: Sequence[Wire]) -> None:
+    def say(self, now: Nanos, node: Node, frames: Sequence[Frame]) -> None:
         """A device puts wires on the bus."""
         if not node.mute:
-            for wire in wires:
-                self._in.send(now, node.name, wire)
+            for frame in frames:
+                self._in.send(now, node.name, frame)
 
     def lose(self) -> None:
         """The host's interface vanishes: nothing goes out or comes in."""
@@ -210,20 +210,20 @@ class TwinWorld:
         position, velocity = (shaft.position, shaft.velocity) if shaft else self.world.shaft(node.part.name)
         counted = math.floor(position * ratio / self._count) * self._count
         truth = Feedback(node.part.name, t, counted, velocity * ratio)
-        torques, wires = node.twin.step(t, (truth,))
-        if wires:
-            bus.say(t, node, wires)
+        torques, frames = node.twin.step(t, (truth,))
+        if frames:
+            bus.say(t, node, frames)
         return sum(torque.torque for torque in torques if torque.motor == node.part.name) * ratio
 
     def _run_sensor(self, t: Nanos, node: Node, bus: TwinBus) -> None:
         """Let a sensor's firmware run, if there is anything for it to do."""
-        if not (node.readings or node.heard):
+        if not (node.readings or node.received):
             due = node.twin.due()
             if due is None or due > t:
                 return
-        shown, node.readings, node.heard = node.readings, [], False
-        _, wires = node.twin.step(t, shown)
-        bus.say(t, node, wires)
+        shown, node.readings, node.received = node.readings, [], False
+        _, frames = node.twin.step(t, shown)
+        bus.say(t, node, frames)
 
     # -- faults ----------------------------------------------------------------------------------------
 

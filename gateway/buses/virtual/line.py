@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from gateway.buses.frame_time import priority, wire_time
+from gateway.buses.frame_time import frame_time, priority
 from gateway.buses.lengths import padded
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import Nanos
 
 
@@ -23,7 +23,7 @@ class Sent:
 
     t: Nanos
     sender: str
-    wire: Wire
+    frame: Frame
 
 
 class Line:
@@ -38,13 +38,13 @@ class Line:
         """How many wires wait or are on their way."""
         self._free: Nanos | None = None
 
-    def send(self, t: Nanos, sender: str, wire: Wire) -> bool:
+    def send(self, t: Nanos, sender: str, frame: Frame) -> bool:
         """Queue a wire. False if the sender's queue was full, and its oldest wire was dropped for it."""
         queue = self._waiting.setdefault(sender, deque())
         full = len(queue) >= self.limit
         if full:
             queue.popleft()
-        queue.append(Sent(t, sender, padded(wire) if isinstance(wire, CanFrame) and wire.fd else wire))
+        queue.append(Sent(t, sender, padded(frame) if isinstance(frame, CanFrame) and frame.fd else frame))
         self.pending += not full
         return not full
 
@@ -66,12 +66,12 @@ class Line:
             if start > until:
                 break
             heads = [queue[0] for queue in self._waiting.values() if queue and queue[0].t <= start]
-            best = min(heads, key=lambda head: (priority(head.wire), head.t))
-            end = start + wire_time(best.wire, self.bitrate, self.data_bitrate)
+            best = min(heads, key=lambda head: (priority(head.frame), head.t))
+            end = start + frame_time(best.frame, self.bitrate, self.data_bitrate)
             if end > until:
                 break
             self._waiting[best.sender].popleft()
             self.pending -= 1
             self._free = end
-            arrived.append(Sent(end, best.sender, best.wire))
+            arrived.append(Sent(end, best.sender, best.frame))
         return arrived

@@ -8,19 +8,19 @@ is marked, with the clause of `gateway protocols check` that tells whether it is
 
 from __future__ import annotations
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import MILLISECOND, ClearFault, Idle, Velocity
 from protocols.plugin import Device, FeedbackKind, Plugin, Spec, Watchdog
 
 from .codec import NAME, STATUS_PERIOD
 from .driver import OFFLINE, RANGES, MotorDriver, Options
-from .ear import MotorEar, messages
+from .ear import MotorDecoder, messages
 from .faults import FAULTS
 from .framing import BUS, COMMAND, MAX_ADDRESS, STATUS, ids
 from .twin import MotorTwin, Settings
 
 
-def read_only(_wire: Wire) -> bool:
+def read_only(_frame: Frame) -> bool:
     """Whether a wire neither moves, arms, clears nor configures anything.
 
     FILL IN (clause "unclaimed"): what the driver may say before the first command, such as polling. This
@@ -67,7 +67,7 @@ plugin = Plugin(
     settings=Settings,
     spec=spec,
     driver=MotorDriver,
-    ear=MotorEar,
+    decoder=MotorDecoder,
     twin=MotorTwin,
     messages=messages,
     vectors=(__name__, "vectors.json"),

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocols.frames import BusState, Wire
+from protocols.frames import BusState, Frame
 from protocols.messages import (
     MILLISECOND,
     SECOND,
@@ -33,8 +33,8 @@ from protocols.messages import (
     Stop,
     Velocity,
 )
-from protocols.plugin import Device, Range, Tally
-from protocols.request_queue import Refusals, out_of_range, subject
+from protocols.plugin import Device, Range, RxCounters
+from protocols.request_queue import RejectionFilter, out_of_range, subject
 
 from . import codec
 from .codec import NAME, DeviceMode, Order
@@ -64,13 +64,13 @@ class Options:
 
 
 @dataclass(slots=True)
-class _Seat:
+class _DeviceState:
     """What the driver knows of one device."""
 
     name: str
     address: int
-    claimed: bool = False
-    heard: Nanos | None = None
+    owned: bool = False
+    received: Nanos | None = None
     """When it last spoke, or when we began to listen."""
     mode: Mode | None = None
     """As it was last told."""
@@ -88,22 +88,22 @@ class MotorDriver:
     """The driver of all devices of this language on one bus."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
-        self._seats = {device.address: _Seat(device.name, device.address) for device in devices}
+        self._seats = {device.address: _DeviceState(device.name, device.address) for device in devices}
         self._names = {seat.name: seat for seat in self._seats.values()}
-        self.tally = Tally()
-        self._refusals = Refusals()
-        self._reader = Reader(STATUS, tuple(self._seats), self.tally)
+        self.counters = RxCounters()
+        self._refusals = RejectionFilter()
+        self._reader = Reader(STATUS, tuple(self._seats), self.counters)
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         """What the wire says of our devices."""
         events: list[Event] = []
-        for address, payload in self._reader.read(wire):
+        for address, payload in self._reader.read(frame):
             status = codec.read_status(payload)
             if status is None:
-                self.tally.bad += 1
+                self.counters.malformed += 1
                 continue
-            self.tally.heard += 1
-            events += self._hear(t, self._seats[address], status)
+            self.counters.accepted += 1
+            events += self._handle(t, self._seats[address], status)
         return events
 
     def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- silence is counted from what was heard
@@ -113,25 +113,25 @@ class MotorDriver:
             for seat in self._seats.values():
                 seat.fault = 0
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         """Each word that a device takes becomes one message; the others are refused."""
         events: list[Event] = []
-        wires: list[Wire] = []
+        frames: list[Frame] = []
         for word in words:
             if isinstance(word, Stop):
                 for seat in self._seats.values():
-                    seat.claimed = True
+                    seat.owned = True
                 continue
             reason = self._wrong(word)
-            events += self._refusals.hear(now, word, reason)
-            wires += [] if reason else self._say(now, word)
-        return events + self._impatient(now), wires
+            events += self._refusals.handle(now, word, reason)
+            frames += [] if reason else self._say(now, word)
+        return events + self._impatient(now), frames
 
     def due(self) -> Nanos | None:
         """When a request has waited, or a device been silent, for too long."""
         seats = self._seats.values()
         answers = [seat.clearing for seat in seats if seat.clearing is not None]
-        silences = [s.heard + OFFLINE for s in seats if s.heard is not None and s.mode != Mode.OFFLINE]
+        silences = [s.received + OFFLINE for s in seats if s.received is not None and s.mode != Mode.OFFLINE]
         return min(answers + silences, default=None)
 
     # -- down ------------------------------------------------------------------------------------------
@@ -144,14 +144,14 @@ class MotorDriver:
             return out_of_range(word, RANGES)
         return "" if isinstance(word, ClearFault) else "the device cannot do that"
 
-    def _say(self, now: Nanos, word: Command | Request) -> list[Wire]:
+    def _say(self, now: Nanos, word: Command | Request) -> list[Frame]:
         """What a word that may reach the wire puts there."""
         seat = self._names[subject(word)]
-        if isinstance(word, Idle) and not seat.claimed:
+        if isinstance(word, Idle) and not seat.owned:
             return []
         order = codec.command(Order.STOP)
         if isinstance(word, Velocity):
-            seat.claimed, order = True, codec.command(Order.RUN, word.velocity)
+            seat.owned, order = True, codec.command(Order.RUN, word.velocity)
         elif isinstance(word, ClearFault):
             seat.clearing, order = now + ANSWER, codec.command(Order.CLEAR)
         return [message(COMMAND, seat.address, order)]
@@ -165,23 +165,23 @@ class MotorDriver:
                 events.append(
                     Refused(now, "ClearFault", seat.name, f"no answer in {ANSWER // MILLISECOND} ms")
                 )
-            seat.heard = now if seat.heard is None else seat.heard
-            if seat.mode != Mode.OFFLINE and now - seat.heard >= OFFLINE:
+            seat.received = now if seat.received is None else seat.received
+            if seat.mode != Mode.OFFLINE and now - seat.received >= OFFLINE:
                 seat.mode = Mode.OFFLINE
                 events.append(State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms"))
         return events
 
     # -- up --------------------------------------------------------------------------------------------
 
-    def _hear(self, t: Nanos, seat: _Seat, status: codec.Status) -> list[Event]:
+    def _handle(self, t: Nanos, seat: _DeviceState, status: codec.Status) -> list[Event]:
         events: list[Event] = []
-        mode, seat.heard = MODES[status.mode], t
+        mode, seat.received = MODES[status.mode], t
         if mode != seat.mode:
             seat.mode = mode
             events.append(State(seat.name, t, mode, status.mode.name.lower()))
         if status.fault and status.fault != seat.fault:
-            told = FAULTS[status.fault]
-            events.append(Fault(seat.name, t, status.fault, told.name, told.cause, told.cure))
+            reported = FAULTS[status.fault]
+            events.append(Fault(seat.name, t, status.fault, reported.name, reported.cause, reported.remedy))
         seat.fault = status.fault
         if seat.clearing is not None and not status.fault:
             seat.clearing = None
@@ -189,7 +189,7 @@ class MotorDriver:
         return [*events, *_twice(t, seat), Feedback(seat.name, t, status.position, status.velocity)]
 
 
-def _twice(t: Nanos, seat: _Seat) -> list[Event]:
+def _twice(t: Nanos, seat: _DeviceState) -> list[Event]:
     """Twice as many messages as one device sends are two devices'."""
     if seat.since is None or t < seat.since:
         seat.since, seat.count = t, 0
@@ -200,4 +200,4 @@ def _twice(t: Nanos, seat: _Seat) -> list[Event]:
     many = seat.count * codec.STATUS_PERIOD > 1.5 * span
     seat.since, seat.count = t, 0
     said = f"address {seat.address} is held by more than one device: they speak too often for one"
-    return [Found(t, NAME, seat.address, None, said, twice=True)] if many else []
+    return [Found(t, NAME, seat.address, None, said, duplicate_address=True)] if many else []

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import ClearFault, Command, Idle, Nanos, Request, Velocity
 from protocols.plugin import Device
 
@@ -19,27 +19,27 @@ from .codec import Order
 from .framing import COMMAND, MAX_ADDRESS, Reader
 
 
-class MotorEar:
+class MotorDecoder:
     """What the devices of this language on one bus would obey."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._names = {device.address: device.name for device in devices}
         self._reader = Reader(COMMAND, tuple(self._names))
 
-    def hear(self, t: Nanos, wire: Wire) -> Sequence[Command | Request]:  # noqa: ARG002 -- nothing here ages
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:  # noqa: ARG002 -- nothing here ages
         """The words in this wire."""
         words: list[Command | Request] = []
-        for address, payload in self._reader.read(wire):
+        for address, payload in self._reader.read(frame):
             read = codec.read_command(payload)
             if read is not None:
                 words.append(_word(self._names[address], *read))
         return words
 
 
-def messages(wire: Wire) -> Sequence[str]:
+def messages(frame: Frame) -> Sequence[str]:
     """The names of the messages to a device in this wire."""
     reader = Reader(COMMAND, range(1, MAX_ADDRESS + 1))
-    found = [codec.read_command(payload) for _, payload in reader.read(wire)]
+    found = [codec.read_command(payload) for _, payload in reader.read(frame)]
     return [read[0].name.lower() for read in found if read]
 
 

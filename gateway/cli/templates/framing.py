@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Literal
 
-from protocols.frames import CanFrame, Wire
-from protocols.plugin import Tally
+from protocols.frames import CanFrame, Frame
+from protocols.plugin import RxCounters
 
 from .codec import SIZE
 
@@ -29,7 +29,7 @@ def ids(kind: int, address: int) -> frozenset[int]:
     return frozenset({kind + address})
 
 
-def message(kind: int, address: int, payload: bytes) -> Wire:
+def message(kind: int, address: int, payload: bytes) -> Frame:
     """A payload on its way to or from an address."""
     return CanFrame(kind + address, payload, fd=FD, brs=FD)
 
@@ -37,20 +37,20 @@ def message(kind: int, address: int, payload: bytes) -> Wire:
 class Reader:
     """Takes wires apart into (address, payload), and counts the others: not for us, or spoilt."""
 
-    def __init__(self, kind: int, addresses: Collection[int], tally: Tally | None = None) -> None:
+    def __init__(self, kind: int, addresses: Collection[int], counters: RxCounters | None = None) -> None:
         self._addresses = {kind + address: address for address in addresses}
-        self.tally = tally or Tally()
+        self.counters = counters or RxCounters()
 
-    def read(self, wire: Wire) -> list[tuple[int, bytes]]:
+    def read(self, frame: Frame) -> list[tuple[int, bytes]]:
         """What is in this wire for these addresses, of the right length."""
-        ours = isinstance(wire, CanFrame) and not wire.extended and not wire.remote and wire.fd is FD
-        if not isinstance(wire, CanFrame) or not ours or wire.id not in self._addresses:
-            self.tally.foreign += 1
+        ours = isinstance(frame, CanFrame) and not frame.extended and not frame.remote and frame.fd is FD
+        if not isinstance(frame, CanFrame) or not ours or frame.id not in self._addresses:
+            self.counters.ignored += 1
             return []
-        if len(wire.data) != SIZE:
-            self.tally.bad += 1
+        if len(frame.data) != SIZE:
+            self.counters.malformed += 1
             return []
-        return [(self._addresses[wire.id], wire.data)]
+        return [(self._addresses[frame.id], frame.data)]
 
     def drop(self) -> None:
         """Forget a message begun, since its rest will not come: a frame comes whole."""

@@ -17,8 +17,8 @@ import struct
 from collections.abc import Collection
 from typing import Literal
 
-from protocols.frames import Wire
-from protocols.plugin import Tally
+from protocols.frames import Frame
+from protocols.plugin import RxCounters
 
 from . import codec
 
@@ -39,7 +39,7 @@ def ids(_kind: int, _address: int) -> frozenset[int]:
     return frozenset()
 
 
-def message(kind: int, address: int, payload: bytes) -> Wire:
+def message(kind: int, address: int, payload: bytes) -> Frame:
     """A payload on its way to or from an address."""
     body = _HEAD.pack(SYNC, kind, address) + payload
     return body + _CRC.pack(binascii.crc_hqx(body, 0))
@@ -51,27 +51,27 @@ class Reader:
     Counted is once what is not for us: each message to somebody else, each run of bytes that is no message;
     and as bad each message whose CRC is wrong. The search goes on right behind a false start."""
 
-    def __init__(self, kind: int, addresses: Collection[int], tally: Tally | None = None) -> None:
+    def __init__(self, kind: int, addresses: Collection[int], counters: RxCounters | None = None) -> None:
         self._start = bytes((SYNC, kind))
         self._addresses = frozenset(addresses)
-        self.tally = tally or Tally()
+        self.counters = counters or RxCounters()
         self._held = b""
         self._skipping = False
         """Whether the run of bytes that is being skipped has been counted."""
 
-    def read(self, wire: Wire) -> list[tuple[int, bytes]]:
+    def read(self, frame: Frame) -> list[tuple[int, bytes]]:
         """What is complete with these bytes, for these addresses."""
-        if not isinstance(wire, bytes):
-            self.tally.foreign += 1
+        if not isinstance(frame, bytes):
+            self.counters.ignored += 1
             return []
-        held, at, found = self._held + wire, 0, list[tuple[int, bytes]]()
+        held, at, found = self._held + frame, 0, list[tuple[int, bytes]]()
         while True:
             at = self._skip(held, at)
             whole = held[at : at + SIZE]
             if len(whole) < SIZE:
                 break
             if binascii.crc_hqx(whole[: -_CRC.size], 0) != _CRC.unpack(whole[-_CRC.size :])[0]:
-                self.tally.bad += 1
+                self.counters.malformed += 1
                 self._skipping = True
                 at += 1
                 continue
@@ -80,7 +80,7 @@ class Reader:
             if whole[2] in self._addresses:
                 found.append((whole[2], whole[_HEAD.size : -_CRC.size]))
             else:
-                self.tally.foreign += 1
+                self.counters.ignored += 1
         self._held = held[at:]
         return found
 
@@ -94,6 +94,6 @@ class Reader:
         while start < len(held) and not self._start.startswith(held[start : start + 2]):
             start += 1
         if start > at and not self._skipping:
-            self.tally.foreign += 1
+            self.counters.ignored += 1
             self._skipping = True
         return start

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from protocols.frames import Wire
+from protocols.frames import Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -29,7 +29,7 @@ from protocols.plugin import Device
 
 from . import codec
 from .codec import STATUS_PERIOD, DeviceMode, Status
-from .ear import MotorEar
+from .ear import MotorDecoder
 from .faults import FAULTS
 from .framing import STATUS, message
 
@@ -60,7 +60,7 @@ class MotorTwin:
     def __init__(self, device: Device, seed: int) -> None:  # noqa: ARG002 -- nothing in it is random
         self._name, self._address = device.name, device.address
         self._settings: Settings = device.settings
-        self._ear = MotorEar([device])
+        self._decoder = MotorDecoder([device])
         self._mode = DeviceMode.READY
         self._fault = 0
         self._wanted = 0.0
@@ -74,10 +74,10 @@ class MotorTwin:
         self._next: Nanos = 0
         """When the next status goes out."""
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
+    def receive(self, t: Nanos, frame: Frame) -> None:
         """Obey, at once."""
         self._watch(t)
-        for word in self._ear.hear(t, wire):
+        for word in self._decoder.decode(t, frame):
             match word:
                 case Velocity() if self._mode != DeviceMode.FAULT:
                     self._mode, self._wanted, self._fed = DeviceMode.RUNNING, word.velocity, t
@@ -89,7 +89,7 @@ class MotorTwin:
                 case _:
                     pass
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         """Run the velocity loop, and tell the status when it is due."""
         for word in truth:
             if isinstance(word, Feedback) and word.motor == self._name:
@@ -143,12 +143,12 @@ class MotorTwin:
         self._gathered = _cut(self._gathered + self._settings.velocity_integral * error * dt, limit)
         return _cut(self._settings.velocity_gain * error + self._gathered, limit)
 
-    def _status(self, now: Nanos) -> list[Wire]:
+    def _status(self, now: Nanos) -> list[Frame]:
         if now < self._next:
             return []
         self._next += STATUS_PERIOD * ((now - self._next) // STATUS_PERIOD + 1)
-        told = Status(self._mode, self._fault, self._velocity, self._position)
-        return [message(STATUS, self._address, codec.status(told))]
+        reported = Status(self._mode, self._fault, self._velocity, self._position)
+        return [message(STATUS, self._address, codec.status(reported))]
 
 
 def _cut(value: float, limit: float) -> float:

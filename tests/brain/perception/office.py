@@ -179,7 +179,7 @@ def drive(
     for step in range(120_000):
         before = perception.estimate, perception.raw
         events = rover.step(*speeds)
-        perception.hear(rover.now, [event for event in events if _mounted(event, mounts)])
+        perception.observe(rover.now, [event for event in events if _mounted(event, mounts)])
         estimate = perception.estimate
         if before[0] is not None and estimate is not None:
             _measure(result, before[0].pose, before[1])

@@ -14,15 +14,15 @@ from brain.perception.measurement import Verdict, gyro, wheels
 from protocols.messages import MILLISECOND
 
 
-def driven(told: float, really: float, seed: int, readings: int = 2000) -> Ekf:
+def driven(reported: float, really: float, seed: int, readings: int = 2000) -> Ekf:
     """A base that turns at random, whose gyro has a noise of `really` and tells of `told`, rad/s."""
-    dice = np.random.Generator(np.random.PCG64(seed))
+    random = np.random.Generator(np.random.PCG64(seed))
     settings = EkfSettings(start_sigma=1e-6, bias_sigma=1e-9, bias_noise=0.0, angular_noise=0.5)
     ekf = Ekf(settings)
-    rate = float(dice.normal(0.0, 1.0))
+    rate = float(random.normal(0.0, 1.0))
     for step in range(1, readings + 1):
-        rate += float(dice.normal(0.0, 0.5 * np.sqrt(0.01)))
-        ekf.hear(gyro("imu", 10 * step * MILLISECOND, rate + float(dice.normal(0.0, really)), told))
+        rate += float(random.normal(0.0, 0.5 * np.sqrt(0.01)))
+        ekf.observe(gyro("imu", 10 * step * MILLISECOND, rate + float(random.normal(0.0, really)), reported))
     return ekf
 
 
@@ -48,16 +48,16 @@ def test_a_sensor_that_tells_of_too_much_noise_is_seen() -> None:
 def test_a_refused_measurement_counts_and_a_late_one_once() -> None:
     ekf = Ekf(EkfSettings())
     for step in range(1, 11):
-        ekf.hear(gyro("imu", 100 * step * MILLISECOND, 0.0, 0.01))
-    assert ekf.hear(gyro("imu", 1010 * MILLISECOND, 50.0, 0.01)) is Verdict.REFUSED
+        ekf.observe(gyro("imu", 100 * step * MILLISECOND, 0.0, 0.01))
+    assert ekf.observe(gyro("imu", 1010 * MILLISECOND, 50.0, 0.01)) is Verdict.REFUSED
     before = deepcopy(ekf.nis)
     assert before["imu"].count == 11
     assert before["imu"].mean > 1000
     # put in its place before what came after it, which is applied again but not judged again
-    assert ekf.hear(wheels("left", 950 * MILLISECOND, 0.0, 0.0, np.eye(2) * 1e-2)) is Verdict.ACCEPTED
+    assert ekf.observe(wheels("left", 950 * MILLISECOND, 0.0, 0.0, np.eye(2) * 1e-2)) is Verdict.ACCEPTED
     assert ekf.nis["imu"] == before["imu"]
     assert (ekf.nis["left"].count, ekf.nis["left"].freedom) == (1, 2)
-    assert ekf.hear(gyro("imu", 1, 0.0, 0.01)) is not Verdict.ACCEPTED
+    assert ekf.observe(gyro("imu", 1, 0.0, 0.01)) is not Verdict.ACCEPTED
     assert ekf.nis["imu"] == before["imu"]
 
 

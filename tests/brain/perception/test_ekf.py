@@ -33,8 +33,8 @@ def some_state(rng: np.random.Generator) -> Floats:
 def fed(belief: Ekf, until: Nanos = 1 * SECOND) -> Ekf:
     """A filter that stood still for a while."""
     for t in range(0, until, 10 * MS):
-        belief.hear(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
-        belief.hear(gyro("imu", t + 5 * MS, 0.0, 0.01))
+        belief.observe(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
+        belief.observe(gyro("imu", t + 5 * MS, 0.0, 0.01))
     return belief
 
 
@@ -96,7 +96,7 @@ def test_an_update_equals_the_joseph_form(seed: int) -> None:
     H, R = measurement.matrix, measurement.noise
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     left = np.eye(SIZE) - K @ H
-    assert belief.hear(measurement) is Verdict.ACCEPTED
+    assert belief.observe(measurement) is Verdict.ACCEPTED
     assert belief.state == pytest.approx(x + K @ (measurement.value - H @ x), abs=1e-15), f"seed {seed}"
     assert belief.covariance == pytest.approx(left @ P @ left.T + K @ R @ K.T, abs=1e-15), f"seed {seed}"
 
@@ -104,7 +104,7 @@ def test_an_update_equals_the_joseph_form(seed: int) -> None:
 def test_the_librarys_mahalanobis_is_not_nought() -> None:
     """filterpy 1.4.5 said 0.0 always (rlabbe/filterpy#188), and a gate on it never refused anything."""
     belief = Ekf(EkfSettings(start_sigma=3.0))
-    belief.hear(gyro("imu", 0, 0.0, 0.01))
+    belief.observe(gyro("imu", 0, 0.0, 0.01))
     before = belief.covariance[X, X]
     H = np.eye(SIZE)[[X]]
     distance = belief._update(Measurement("x", 0, np.array([10.0]), H, np.array([[16.0]])))
@@ -125,7 +125,7 @@ def test_a_refused_measurement_changes_nothing() -> None:
     belief = fed(Ekf(EkfSettings()))
     x, P, t = belief.state.copy(), belief.covariance.copy(), belief.t
     assert t is not None
-    assert belief.hear(gyro("imu", t, 1.0, 0.01)) is Verdict.REFUSED
+    assert belief.observe(gyro("imu", t, 1.0, 0.01)) is Verdict.REFUSED
     assert (belief.state == x).all()
     assert (belief.covariance == P).all()
 
@@ -138,8 +138,8 @@ def test_a_vector_is_gated_as_a_vector() -> None:
     value = belief.state[[V, W]] + 1.9 * deviation
     alone = copy.deepcopy(belief)
     v, w = (float(n) for n in value)
-    assert alone.hear(wheels("left", belief.t, v, float(belief.state[W]), WHEEL_NOISE)) is Verdict.ACCEPTED
-    assert belief.hear(wheels("left", belief.t, v, w, WHEEL_NOISE)) is Verdict.REFUSED
+    assert alone.observe(wheels("left", belief.t, v, float(belief.state[W]), WHEEL_NOISE)) is Verdict.ACCEPTED
+    assert belief.observe(wheels("left", belief.t, v, w, WHEEL_NOISE)) is Verdict.REFUSED
 
 
 def test_no_gate_locks_the_filter_out() -> None:
@@ -148,8 +148,8 @@ def test_no_gate_locks_the_filter_out() -> None:
     verdicts: list[Verdict] = []
     for i in range(40):
         t = 1 * SECOND + 100 * i * MS
-        belief.hear(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
-        verdicts.append(belief.hear(located("lidar", t, Pose(2.0, 0.0, 0.0), POSE_NOISE)))
+        belief.observe(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
+        verdicts.append(belief.observe(located("lidar", t, Pose(2.0, 0.0, 0.0), POSE_NOISE)))
     assert verdicts[:10] == [Verdict.REFUSED] * 10
     assert Verdict.FORCED in verdicts[10:12]
     assert verdicts[-5:] == [Verdict.ACCEPTED] * 5
@@ -160,9 +160,9 @@ def test_wheels_that_spin_on_the_spot_are_found_out() -> None:
     """They say 0.3 m/s, the outside says that nothing moves: the slip is doubted, and learnt to be all."""
     belief = fed(Ekf(EkfSettings()))
     for t in range(1000 * MS, 4000 * MS, 10 * MS):
-        belief.hear(wheels("left", t, min(0.3, 1e-9 * (t - SECOND)), 0.0, WHEEL_NOISE))
+        belief.observe(wheels("left", t, min(0.3, 1e-9 * (t - SECOND)), 0.0, WHEEL_NOISE))
         if t % (100 * MS) == 0:
-            belief.hear(located("lidar", t, Pose(0.0, 0.0, 0.0), POSE_NOISE))
+            belief.observe(located("lidar", t, Pose(0.0, 0.0, 0.0), POSE_NOISE))
     assert belief.state[X] == pytest.approx(0.0, abs=0.03)
     assert belief.state[SLIP] == pytest.approx(1.0, abs=0.1)
 
@@ -170,9 +170,9 @@ def test_wheels_that_spin_on_the_spot_are_found_out() -> None:
 def test_how_long_a_sensor_has_been_refused() -> None:
     belief = fed(Ekf(EkfSettings()))
     assert belief.refused_for("lidar", SECOND) == 0.0
-    belief.hear(located("lidar", 1000 * MS, Pose(2.0, 0.0, 0.0), POSE_NOISE))
+    belief.observe(located("lidar", 1000 * MS, Pose(2.0, 0.0, 0.0), POSE_NOISE))
     assert belief.refused_for("lidar", 1250 * MS) == pytest.approx(0.25)
-    belief.hear(located("lidar", 1050 * MS, Pose(0.0, 0.0, 0.0), POSE_NOISE))
+    belief.observe(located("lidar", 1050 * MS, Pose(0.0, 0.0, 0.0), POSE_NOISE))
     assert belief.refused_for("lidar", 1250 * MS) == 0.0
 
 
@@ -181,7 +181,7 @@ def test_being_believed_once_ends_the_lockouts_count() -> None:
     verdicts = []
     for i in range(30):  # every fifth is good
         pose = Pose(0.0 if i % 5 == 4 else 2.0, 0.0, 0.0)
-        verdicts.append(belief.hear(located("lidar", 1 * SECOND + 100 * i * MS, pose, POSE_NOISE)))
+        verdicts.append(belief.observe(located("lidar", 1 * SECOND + 100 * i * MS, pose, POSE_NOISE)))
     assert Verdict.FORCED not in verdicts
     assert verdicts.count(Verdict.ACCEPTED) == 6
 
@@ -200,9 +200,9 @@ def test_nan_never_enters(bad: float, spoilt: Callable[[float, Nanos], Measureme
     belief = fed(Ekf(EkfSettings()))
     assert belief.t is not None
     x = belief.state.copy()
-    assert belief.hear(spoilt(bad, belief.t + MS)) is Verdict.NOT_FINITE
+    assert belief.observe(spoilt(bad, belief.t + MS)) is Verdict.NOT_FINITE
     assert (belief.state == x).all()
-    assert belief.hear(gyro("imu", belief.t + 2 * MS, 0.0, 0.01)) is Verdict.ACCEPTED
+    assert belief.observe(gyro("imu", belief.t + 2 * MS, 0.0, 0.01)) is Verdict.ACCEPTED
 
 
 # -- time --------------------------------------------------------------------------------------
@@ -226,11 +226,11 @@ def test_late_measurements_are_put_in_their_place(seed: int) -> None:
     said = a_drive(seed)
     in_order, shuffled = Ekf(EkfSettings()), Ekf(EkfSettings())
     for measurement in said:
-        in_order.hear(measurement)
+        in_order.observe(measurement)
     rng = random(100 + seed)
     late = {id(m): m.t + int(rng.integers(0, 100)) * MS for m in said[1:]}
     for measurement in [said[0], *sorted(said[1:], key=lambda m: late[id(m)])]:
-        assert shuffled.hear(measurement) is Verdict.ACCEPTED
+        assert shuffled.observe(measurement) is Verdict.ACCEPTED
     assert shuffled.t == in_order.t
     assert shuffled.state == pytest.approx(in_order.state, abs=1e-12), f"seed {seed}"
     assert shuffled.covariance == pytest.approx(in_order.covariance, abs=1e-12), f"seed {seed}"
@@ -239,9 +239,9 @@ def test_late_measurements_are_put_in_their_place(seed: int) -> None:
 def test_a_late_measurement_keeps_old_verdicts() -> None:
     belief, without = fed(Ekf(EkfSettings())), fed(Ekf(EkfSettings()))
     for one in (belief, without):
-        assert one.hear(gyro("imu", 1010 * MS, 5.0, 0.01)) is Verdict.REFUSED
-        one.hear(gyro("imu", 1020 * MS, 0.0, 0.01))
-    belief.hear(wheels("left", 1015 * MS, 0.0, 0.0, WHEEL_NOISE))
+        assert one.observe(gyro("imu", 1010 * MS, 5.0, 0.01)) is Verdict.REFUSED
+        one.observe(gyro("imu", 1020 * MS, 0.0, 0.01))
+    belief.observe(wheels("left", 1015 * MS, 0.0, 0.0, WHEEL_NOISE))
     assert belief.t == without.t == 1020 * MS
     assert abs(belief.state[W]) < 0.01  # what was refused stays refused
 
@@ -249,7 +249,7 @@ def test_a_late_measurement_keeps_old_verdicts() -> None:
 def test_a_measurement_that_is_too_late_is_refused() -> None:
     belief = fed(Ekf(EkfSettings()))
     x = belief.state.copy()
-    assert belief.hear(gyro("imu", 300 * MS, 0.0, 0.01)) is Verdict.LATE
+    assert belief.observe(gyro("imu", 300 * MS, 0.0, 0.01)) is Verdict.LATE
     assert (belief.state == x).all()
 
 
@@ -265,11 +265,11 @@ def test_a_widened_measurement_is_repeated_alike() -> None:
     extra = wheels("left", 1995 * MS, 0.0, 0.0, WHEEL_NOISE)
     for one in (late, ordered):
         for t in range(1000 * MS, 2000 * MS, 10 * MS):
-            one.hear(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
+            one.observe(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
             if t % (100 * MS) == 0:
-                assert one.hear(replace(jump, t=t)) is Verdict.REFUSED
-    assert [late.hear(said) for said in (jump, extra)] == [Verdict.FORCED, Verdict.ACCEPTED]
-    assert [ordered.hear(said) for said in (extra, jump)] == [Verdict.ACCEPTED, Verdict.FORCED]
+                assert one.observe(replace(jump, t=t)) is Verdict.REFUSED
+    assert [late.observe(said) for said in (jump, extra)] == [Verdict.FORCED, Verdict.ACCEPTED]
+    assert [ordered.observe(said) for said in (extra, jump)] == [Verdict.ACCEPTED, Verdict.FORCED]
     assert late.state[X] > 0.5
     assert late.state == pytest.approx(ordered.state, abs=0.02)
 
@@ -277,7 +277,7 @@ def test_a_widened_measurement_is_repeated_alike() -> None:
 def test_a_past_state_can_be_asked_for() -> None:
     belief = Ekf(EkfSettings())
     for t in range(0, 1 * SECOND, 10 * MS):
-        belief.hear(wheels("left", t, 0.5, 0.0, WHEEL_NOISE))
+        belief.observe(wheels("left", t, 0.5, 0.0, WHEEL_NOISE))
     now, then = belief.at(990 * MS), belief.at(890 * MS)
     assert now is not None
     assert then is not None
@@ -296,26 +296,26 @@ def test_a_past_state_can_be_asked_for() -> None:
 def test_yaw_wraps() -> None:
     belief = Ekf(EkfSettings(start_yaw=3.1))
     for i in range(300):
-        belief.hear(wheels("left", i * 10 * MS, 0.0, 1.0, np.diag([1e-4, 1e-6])))
+        belief.observe(wheels("left", i * 10 * MS, 0.0, 1.0, np.diag([1e-4, 1e-6])))
         assert -math.pi < belief.state[YAW] <= math.pi
     assert belief.state[YAW] == pytest.approx(wrap(3.1 + 2.99), abs=0.03)
     assert belief.t is not None
     pose = Pose(float(belief.state[X]), 0.0, wrap(float(belief.state[YAW])))
-    assert belief.hear(located("lidar", belief.t, pose, POSE_NOISE)) is Verdict.ACCEPTED
+    assert belief.observe(located("lidar", belief.t, pose, POSE_NOISE)) is Verdict.ACCEPTED
 
 
 def test_a_heading_across_the_seam_is_no_contradiction() -> None:
     belief = fed(Ekf(EkfSettings(start_yaw=math.pi - 0.001)))
     assert belief.t is not None
     said = located("lidar", belief.t, Pose(0.0, 0.0, -math.pi + 0.001), POSE_NOISE)
-    assert belief.hear(said) is Verdict.ACCEPTED
+    assert belief.observe(said) is Verdict.ACCEPTED
     assert abs(belief.state[YAW]) > 3.13
 
 
 def test_wheels_and_gyro_alone_leave_the_slip_alone() -> None:
     belief = Ekf(EkfSettings())
     for measurement in a_drive(1):
-        belief.hear(measurement)
+        belief.observe(measurement)
     assert belief.state[SLIP] == 0.0
     assert belief.covariance[SLIP, SLIP] >= EkfSettings().slip_sigma ** 2
 
@@ -324,9 +324,9 @@ def test_an_outside_reference_tells_the_slip() -> None:
     belief = Ekf(EkfSettings())
     for i in range(1000):
         t = i * 10 * MS
-        belief.hear(wheels("left", t, 0.5, 0.0, WHEEL_NOISE))
+        belief.observe(wheels("left", t, 0.5, 0.0, WHEEL_NOISE))
         if i % 10 == 0:
-            belief.hear(located("lidar", t, Pose(0.5 * 0.96 * seconds(t), 0.0, 0.0), POSE_NOISE))
+            belief.observe(located("lidar", t, Pose(0.5 * 0.96 * seconds(t), 0.0, 0.0), POSE_NOISE))
     assert belief.state[SLIP] == pytest.approx(0.04, abs=0.005)
 
 
@@ -334,7 +334,7 @@ def test_a_gyro_at_rest_tells_its_bias() -> None:
     belief = Ekf(EkfSettings())
     rng = random(3)
     for i in range(200):
-        belief.hear(resting("imu", i * 5 * MS, 0.02 + 0.01 * rng.normal(), 0.01))
+        belief.observe(resting("imu", i * 5 * MS, 0.02 + 0.01 * rng.normal(), 0.01))
     assert belief.state[BIAS] == pytest.approx(0.02, abs=0.002)
     assert math.sqrt(belief.covariance[BIAS, BIAS]) == pytest.approx(0.01 / math.sqrt(200), rel=0.05)
     assert belief.state[W] == 0.0
@@ -344,8 +344,8 @@ def test_resting_wheels_tell_the_gyros_bias() -> None:
     belief = Ekf(EkfSettings())
     rng = random(3)
     for i in range(2000):
-        belief.hear(wheels("left", i * 10 * MS, 0.0, 0.0, np.diag([1e-6, 1e-6])))
-        belief.hear(gyro("imu", i * 10 * MS + MS, 0.02 + 0.01 * rng.normal(), 0.01))
+        belief.observe(wheels("left", i * 10 * MS, 0.0, 0.0, np.diag([1e-6, 1e-6])))
+        belief.observe(gyro("imu", i * 10 * MS + MS, 0.02 + 0.01 * rng.normal(), 0.01))
     assert belief.state[BIAS] == pytest.approx(0.02, abs=0.003)
 
 
@@ -358,11 +358,11 @@ def test_the_covariance_stays_one(seed: int) -> None:
         kind = rng.integers(0, 10)
         if kind == 0:
             pose = Pose(*(float(n) for n in belief.state[POSE] + 0.01 * rng.normal(size=3)))
-            belief.hear(located("lidar", t, pose, np.eye(3) * 1e-12))
+            belief.observe(located("lidar", t, pose, np.eye(3) * 1e-12))
         elif kind < 5:
-            belief.hear(gyro("imu", t, float(rng.normal()), 1e-5))
+            belief.observe(gyro("imu", t, float(rng.normal()), 1e-5))
         else:
-            belief.hear(wheels("left", t, float(rng.normal()), float(rng.normal()), np.eye(2) * 1e-10))
+            belief.observe(wheels("left", t, float(rng.normal()), float(rng.normal()), np.eye(2) * 1e-10))
         covariance = belief.covariance
         assert np.isfinite(covariance).all(), f"seed {seed}"
         assert (covariance == covariance.T).all(), f"seed {seed}"
@@ -373,11 +373,11 @@ def test_a_copy_goes_on_alike() -> None:
     said = a_drive(2)
     one = Ekf(EkfSettings())
     for measurement in said[:200]:
-        one.hear(measurement)
+        one.observe(measurement)
     other = copy.deepcopy(one)
     for measurement in said[200:]:
-        one.hear(measurement)
-        other.hear(measurement)
+        one.observe(measurement)
+        other.observe(measurement)
     assert (one.state == other.state).all()
     assert (one.covariance == other.covariance).all()
 
@@ -398,7 +398,7 @@ def simulated(rng: np.random.Generator, runs: int = 30) -> tuple[Floats, Floats]
     for run in range(runs):
         truth = sigmas * rng.normal(size=SIZE)
         belief = Ekf(MODEL)
-        belief.hear(wheels("left", 0, *_pair(truth[[V, W]], rng), WHEEL_NOISE))
+        belief.observe(wheels("left", 0, *_pair(truth[[V, W]], rng), WHEEL_NOISE))
         for step in range(1, 161):
             t = step * 50 * MS
             for _ in range(5):
@@ -411,7 +411,7 @@ def simulated(rng: np.random.Generator, runs: int = 30) -> tuple[Floats, Floats]
             elif step % 2:
                 said = gyro("imu", t, float(truth[W] + truth[BIAS] + 0.01 * rng.normal()), 0.01)
             nis[len(said.value)].append(_nis(belief, said))
-            belief.hear(said)
+            belief.observe(said)
             if step % 20 == 0:
                 error = belief.state - truth
                 error[YAW] = wrap(float(error[YAW]))

@@ -12,10 +12,10 @@ from tests.brain.perception.office import BODY
 MS = MILLISECOND
 
 
-def heard(odometry: Odometry, *reports: tuple[str, Nanos, float | None]) -> list[Travel]:
+def received(odometry: Odometry, *reports: tuple[str, Nanos, float | None]) -> list[Travel]:
     travels: list[Travel] = []
     for motor, t, angle in reports:
-        more, trouble = odometry.hear(Feedback(motor, t, angle))
+        more, trouble = odometry.observe(Feedback(motor, t, angle))
         assert trouble == ""
         travels += more
     return travels
@@ -26,7 +26,7 @@ def new() -> Odometry:
 
 
 def test_reports_at_one_time_are_one_travel() -> None:
-    travels = heard(
+    travels = received(
         new(), ("left", 0, 1.0), ("right", 0, 2.0), ("left", 10 * MS, 1.1), ("right", 10 * MS, 2.3)
     )
     assert [(t.since, t.t) for t in travels] == [(0, 10 * MS)]
@@ -38,7 +38,7 @@ def test_the_right_wheel_is_interpolated_to_the_lefts_times() -> None:
     odometry = new()
     travels: list[Travel] = []
     for i in range(50):
-        travels += heard(odometry, ("left", 10 * i * MS, 0.02 * i), ("right", (10 * i + 3) * MS, 0.02 * i))
+        travels += received(odometry, ("left", 10 * i * MS, 0.02 * i), ("right", (10 * i + 3) * MS, 0.02 * i))
     assert len(travels) == 48
     for travel in travels:
         assert travel.t - travel.since == 10 * MS
@@ -56,7 +56,7 @@ def test_travels_add_up_to_the_angles(seed: int) -> None:
         if random.random() > 0.2
     ]
     odometry = new()
-    travels = heard(odometry, *sorted(reports, key=lambda report: report[1]))
+    travels = received(odometry, *sorted(reports, key=lambda report: report[1]))
     assert all(a.t == b.since for a, b in pairwise(travels)), f"seed {seed}"
     angle = {t: position for motor, t, position in reports if motor == "left"}
     way = angle[travels[-1].t] - angle[travels[0].since]
@@ -67,10 +67,10 @@ def test_travels_add_up_to_the_angles(seed: int) -> None:
 
 def test_a_missing_wheel_gives_no_travel_and_is_made_up_for_when_it_comes_back() -> None:
     odometry = new()
-    heard(odometry, ("left", 0, 0.0), ("right", 0, 0.0))
+    received(odometry, ("left", 0, 0.0), ("right", 0, 0.0))
     for i in range(1, 101):
-        assert heard(odometry, ("left", 10 * i * MS, 0.01 * i)) == []
-    travels = heard(odometry, ("right", 1 * SECOND, 1.0))
+        assert received(odometry, ("left", 10 * i * MS, 0.01 * i)) == []
+    travels = received(odometry, ("right", 1 * SECOND, 1.0))
     assert sum(travel.left for travel in travels) == pytest.approx(1.0)
     assert sum(travel.right for travel in travels) == pytest.approx(1.0)
 
@@ -79,28 +79,30 @@ def test_a_missing_wheel_gives_no_travel_and_is_made_up_for_when_it_comes_back()
 def test_a_wheel_that_stays_away_costs_no_memory_and_no_way(mute: str) -> None:
     odometry = new()
     other = "right" if mute == "left" else "left"
-    heard(odometry, ("left", 0, 0.0), ("right", 0, 0.0))
+    received(odometry, ("left", 0, 0.0), ("right", 0, 0.0))
     reports = 3 * LONGEST
     for i in range(1, reports + 1):
-        heard(odometry, (other, 10 * i * MS, 0.01 * i))
+        received(odometry, (other, 10 * i * MS, 0.01 * i))
     assert sum(len(wheel.samples) for wheel in odometry._wheels.values()) <= LONGEST + 1
     last = 10 * reports * MS
-    travels = heard(odometry, (mute, last, 0.5))
+    travels = received(odometry, (mute, last, 0.5))
     assert travels[0].since == 0
     assert sum(getattr(travel, other) for travel in travels) == pytest.approx(0.01 * reports)
     assert sum(getattr(travel, mute) for travel in travels) == pytest.approx(0.5)
 
 
 def test_no_position_is_no_report() -> None:
-    assert heard(new(), ("left", 0, None), ("right", 0, None), ("left", MS, None)) == []
+    assert received(new(), ("left", 0, None), ("right", 0, None), ("left", MS, None)) == []
 
 
 def test_a_jump_is_a_new_zero() -> None:
     """A device that was reset and counts from 0 again does not throw the robot across the room."""
     odometry = new()
-    heard(odometry, ("left", 0, 40.0), ("right", 0, 40.0), ("left", 10 * MS, 40.1), ("right", 10 * MS, 40.1))
-    assert odometry.hear(Feedback("left", 20 * MS, 0.0)) == ([], "position jumped")
-    travels = heard(odometry, ("right", 20 * MS, 40.2), ("left", 30 * MS, 0.1), ("right", 30 * MS, 40.3))
+    received(
+        odometry, ("left", 0, 40.0), ("right", 0, 40.0), ("left", 10 * MS, 40.1), ("right", 10 * MS, 40.1)
+    )
+    assert odometry.observe(Feedback("left", 20 * MS, 0.0)) == ([], "position jumped")
+    travels = received(odometry, ("right", 20 * MS, 40.2), ("left", 30 * MS, 0.1), ("right", 30 * MS, 40.3))
     assert [(t.since, t.t) for t in travels] == [(20 * MS, 30 * MS)]
     assert (travels[0].left, travels[0].right) == pytest.approx((0.1, 0.1))
 
@@ -108,34 +110,34 @@ def test_a_jump_is_a_new_zero() -> None:
 def test_the_fastest_wheel_does_not_jump() -> None:
     odometry = new()
     for i in range(20):
-        heard(odometry, ("left", 10 * i * MS, BODY.wheel_speed * 0.01 * i), ("right", 10 * i * MS, 0.0))
+        received(odometry, ("left", 10 * i * MS, BODY.wheel_speed * 0.01 * i), ("right", 10 * i * MS, 0.0))
 
 
 def test_what_is_refused() -> None:
     odometry = new()
-    heard(odometry, ("left", 10 * MS, 1.0))
+    received(odometry, ("left", 10 * MS, 1.0))
     for bad in (math.nan, math.inf):
-        assert odometry.hear(Feedback("left", 20 * MS, bad)) == ([], "not finite")
-    assert odometry.hear(Feedback("left", 9 * MS, 1.0)) == ([], "out of order")
-    assert odometry.hear(Feedback("left", 10 * MS, 1.1)) == ([], "out of order")
-    assert odometry.hear(Feedback("left", 10 * MS, 1.0)) == ([], "")  # the same, told twice
+        assert odometry.observe(Feedback("left", 20 * MS, bad)) == ([], "not finite")
+    assert odometry.observe(Feedback("left", 9 * MS, 1.0)) == ([], "out of order")
+    assert odometry.observe(Feedback("left", 10 * MS, 1.1)) == ([], "out of order")
+    assert odometry.observe(Feedback("left", 10 * MS, 1.0)) == ([], "")  # the same, told twice
 
 
 def test_reports_at_1_khz_are_joined() -> None:
     odometry = new()
     travels: list[Travel] = []
     for i in range(101):
-        travels += heard(odometry, ("left", i * MS, 0.001 * i), ("right", i * MS, 0.002 * i))
+        travels += received(odometry, ("left", i * MS, 0.001 * i), ("right", i * MS, 0.002 * i))
     assert {t.t - t.since for t in travels} == {4 * MS}
     assert sum(t.right for t in travels) == pytest.approx(0.2)
 
 
 def test_a_copy_goes_on_alike() -> None:
     odometry = new()
-    heard(odometry, ("left", 0, 0.0), ("right", 0, 0.0), ("left", 10 * MS, 0.1))
+    received(odometry, ("left", 0, 0.0), ("right", 0, 0.0), ("left", 10 * MS, 0.1))
     twin = copy.deepcopy(odometry)
     news = ("right", 10 * MS, 0.1)
-    assert heard(odometry, news) == heard(twin, news) != []
+    assert received(odometry, news) == received(twin, news) != []
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def run(
 ) -> Perception:
     for i in range(steps):
         part = min(1.0, (i + 1) / 40)  # full speed after 0.2 s
-        perception.hear(rover.now + 5 * MS, rover.step(part * linear, part * angular))
+        perception.observe(rover.now + 5 * MS, rover.step(part * linear, part * angular))
     return perception
 
 
@@ -51,7 +51,7 @@ def reports(t: Nanos, left: float = 0.0, right: float = 0.0, rate: float = 0.0) 
 
 def rested(perception: Perception, until: Nanos = 1 * SECOND) -> Perception:
     for t in range(0, until, 10 * MS):
-        perception.hear(t, reports(t))
+        perception.observe(t, reports(t))
     return perception
 
 
@@ -147,24 +147,24 @@ def test_a_scan_counts_at_its_own_time() -> None:
 def test_a_scan_waits_for_the_estimate() -> None:
     belief = rested(new())
     scan = scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 1050 * MS)
-    belief.hear(1000 * MS, [scan])
+    belief.observe(1000 * MS, [scan])
     assert belief.map.version == 0
     assert belief.last("lidar") == 1050 * MS
-    belief.hear(1060 * MS, reports(1060 * MS))
+    belief.observe(1060 * MS, reports(1060 * MS))
     assert belief.map.version == 1
 
 
 def test_a_scan_does_not_wait_for_ever() -> None:
     belief = new()
-    belief.hear(0, [scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 0)])
-    belief.hear(600 * MS, [])
+    belief.observe(0, [scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 0)])
+    belief.observe(600 * MS, [])
     assert belief.ledger["lidar"] == {"no estimate for its time": 1}
     assert belief.map.version == 0
 
 
 def test_a_scan_from_long_ago_is_refused() -> None:
     belief = rested(new(), 3 * SECOND)
-    belief.hear(3 * SECOND, [scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 1 * SECOND)])
+    belief.observe(3 * SECOND, [scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 1 * SECOND)])
     assert belief.ledger["lidar"] == {"too late": 1}
 
 
@@ -172,8 +172,8 @@ def test_the_order_within_one_step_does_not_matter() -> None:
     one, other = new(), new()
     for t in range(0, 1 * SECOND, 10 * MS):
         events = reports(t, 1e-9 * t, 1.2e-9 * t, 0.1)
-        one.hear(t, events)
-        other.hear(t, events[::-1])
+        one.observe(t, events)
+        other.observe(t, events[::-1])
     assert pose(one) == pose(other)
 
 
@@ -183,10 +183,10 @@ def test_the_order_within_one_step_does_not_matter() -> None:
 def test_no_estimate_before_both_wheels_have_moved_on() -> None:
     belief = new()
     known = [belief.estimate is not None]
-    belief.hear(0, [Feedback("left", 0, 1.0), Imu("imu", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))])
+    belief.observe(0, [Feedback("left", 0, 1.0), Imu("imu", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))])
     known.append(belief.estimate is not None)
     for t in (10 * MS, 20 * MS):
-        belief.hear(t, reports(t, 1.0, 2.0))
+        belief.observe(t, reports(t, 1.0, 2.0))
         known.append(belief.estimate is not None)
     assert known == [False, False, False, True]
     assert pose(belief) == Pose(0.0, 0.0, 0.0)
@@ -217,7 +217,7 @@ def test_a_wheel_that_falls_silent_and_comes_back() -> None:
     run(rover, belief, 200, 0.3)
     for _ in range(60):
         events = rover.step(0.3, 0.0)
-        belief.hear(rover.now, [e for e in events if not (isinstance(e, Feedback) and e.motor == "right")])
+        belief.observe(rover.now, [e for e in events if not (isinstance(e, Feedback) and e.motor == "right")])
     silent = belief.last("right")
     assert silent is not None
     assert rover.now - silent > 250 * MS
@@ -257,7 +257,7 @@ def test_the_gyros_mounting_counts(mount: Mount, axis: Sequence[float]) -> None:
         turn = 0.5 * 0.22 / 0.05 / 2.0 * way
         x, y, z = (a * rate for a in axis)
         wheels = [Feedback("left", t, 5.0 * way - turn), Feedback("right", t, 5.0 * way + turn)]
-        belief.hear(t, [*wheels, Imu("imu", t, (x, y, z), (0.0, 0.0, 9.81))])
+        belief.observe(t, [*wheels, Imu("imu", t, (x, y, z), (0.0, 0.0, 9.81))])
     assert belief.estimate is not None
     assert belief.estimate.angular == pytest.approx(0.5, abs=0.01)
     assert belief.rejected["imu"] < 10
@@ -274,13 +274,13 @@ def test_a_robot_turned_by_hand_is_not_at_rest() -> None:
     """The wheels rest, the gyro tells of a turn: that is no bias."""
     belief = rested(new())
     for t in range(1000 * MS, 1500 * MS, 10 * MS):
-        belief.hear(t, reports(t, rate=0.5))
+        belief.observe(t, reports(t, rate=0.5))
     assert abs(belief.gyro_bias) < 0.05
 
 
 def test_a_second_gyro_is_told_that_it_is_not_used() -> None:
     belief = Perception(BODY, {"imu": Mount(), "other": Mount()}, SETTINGS)
-    belief.hear(0, [Imu(name, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)) for name in ("imu", "other")])
+    belief.observe(0, [Imu(name, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)) for name in ("imu", "other")])
     assert belief.ledger == {"left": {}, "right": {}, "imu": {}, "other": {"not used beside another gyro": 1}}
 
 
@@ -299,8 +299,8 @@ def test_what_is_not_finite_never_enters(bad: float) -> None:
         replace(scan, range_max=bad),
         replace(scan, ranges=()),
     ]
-    belief.hear(1 * SECOND, rubbish)
-    belief.hear(1010 * MS, [*reports(1010 * MS), replace(scan, t=1005 * MS, ranges=(bad,) * 360)])
+    belief.observe(1 * SECOND, rubbish)
+    belief.observe(1010 * MS, [*reports(1010 * MS), replace(scan, t=1005 * MS, ranges=(bad,) * 360)])
     assert belief.ledger["left"] == {"not finite": 1}
     assert belief.ledger["imu"] == {"not finite": 1}
     assert belief.ledger["lidar"] == {"not a scan": 4}
@@ -313,7 +313,7 @@ def test_what_is_not_finite_never_enters(bad: float) -> None:
 def test_a_scan_told_twice_counts_once() -> None:
     belief = rested(new())
     scan = scan_at(OFFICE, Pose(0.0, 0.0, 0.0), MOUNTS["lidar"], 900 * MS)
-    belief.hear(1 * SECOND, [scan, scan])
+    belief.observe(1 * SECOND, [scan, scan])
     assert belief.map.version == 1
     assert belief.ledger["lidar"] == {"out of order": 1}
 
@@ -366,7 +366,7 @@ def test_what_contradicts_the_map_is_not_drawn_until_it_lasts() -> None:
 def test_foreign_words_are_no_concern() -> None:
     belief = rested(new())
     before = pose(belief)
-    belief.hear(
+    belief.observe(
         1 * SECOND,
         [
             Feedback("arm", 1 * SECOND, 0.3),
@@ -382,7 +382,7 @@ def test_foreign_words_are_no_concern() -> None:
 
 def test_last_is_of_motion() -> None:
     belief = new()
-    belief.hear(20 * MS, [Feedback("left", 10 * MS, 1.0), Feedback("left", 20 * MS, temperature=40.0)])
+    belief.observe(20 * MS, [Feedback("left", 10 * MS, 1.0), Feedback("left", 20 * MS, temperature=40.0)])
     assert belief.last("left") == 10 * MS
     assert belief.last("right") is None
 

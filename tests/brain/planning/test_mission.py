@@ -7,7 +7,7 @@ import pytest
 
 from brain.planning.line import Line, Point
 from brain.planning.mission import Mission
-from brain.planning.planner import Path, Toward
+from brain.planning.planner import FrontierPath, Path
 from brain.planning.survey import PlannerSettings
 from protocols.messages import MILLISECOND, SECOND, Drive, Goal, Nanos
 from tests.brain.planning.test_planner import RADIUS, Paper, two_rooms
@@ -181,7 +181,7 @@ def test_exploring_reaches_a_goal_behind_what_is_not_known_yet() -> None:
             grid.version += 1
         day.tick()
         path = day.mission.path
-        explored |= isinstance(path, Toward)
+        explored |= isinstance(path, FrontierPath)
         if path is None:
             continue
         line = Line(path.points)
@@ -203,7 +203,7 @@ def test_an_edge_that_stays_unknown_is_given_up_and_exploring_ends() -> None:
     day.tick(Goal(4.0, 0.0))
     for _ in range(10_000):
         day.tick()
-        if isinstance(day.mission.path, Toward):
+        if isinstance(day.mission.path, FrontierPath):
             day.here = day.mission.path.points[-1]
             day.mission.arrived(day.now)
         if not day.busy():
@@ -219,7 +219,7 @@ def test_the_path_is_watched_while_another_is_being_planned() -> None:
     day = Day(grid, (0.0, -1.4))
     day.tick(Goal(4.0, -1.0))
     day.run(0.5)
-    assert isinstance(day.mission.path, Toward)
+    assert isinstance(day.mission.path, FrontierPath)
     day.mission.settings = PlannerSettings(expansions_per_step=1)
     day.run(0.6)
     grid.occupied[10:30, 25] = True

@@ -12,7 +12,7 @@ import pytest
 from brain.planning.astar import Searching
 from brain.planning.costmap import BLOCKED, FREE, UNKNOWN, Costmap, Mask, build, dilated
 from brain.planning.line import Line, Point
-from brain.planning.planner import Answer, NoPath, Path, Planning, Toward, shortcut
+from brain.planning.planner import Answer, FrontierPath, NoPath, Path, Planning, shortcut
 from brain.planning.survey import PlannerSettings, nearest, survey
 
 RADIUS = 0.25
@@ -120,7 +120,7 @@ def test_unknown_goal_is_gone_toward_over_known_ground_only() -> None:
     unknown[:, 31:] = True
     grid = Paper(two_rooms(), unknown)
     found = answer(grid, (0.0, -1.0), (4.0, -1.0))
-    assert isinstance(found, Toward)
+    assert isinstance(found, FrontierPath)
     costmap = survey(grid, RADIUS, PlannerSettings(), standing=(0.0, -1.0))
     assert all(costmap.level_at(*p) >= FREE for p in samples(found.points))
     assert found.points[-1][0] == pytest.approx(2.05)

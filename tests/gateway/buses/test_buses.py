@@ -79,7 +79,7 @@ def test_one_read_is_bounded_and_loses_nothing(pair: tuple[Bus, Bus]) -> None:
     one.write(0, frames)
     first, second = other.read(1)[1], other.read(2)[1]
     assert (len(first), len(second)) == (MOST_READ, 10)
-    assert [packet.wire for packet in (*first, *second)] == frames
+    assert [packet.frame for packet in (*first, *second)] == frames
 
 
 def test_the_systems_stamp_is_moved_onto_the_clock_and_never_runs_backwards() -> None:
@@ -101,7 +101,7 @@ def test_the_systems_stamp_is_moved_onto_the_clock_and_never_runs_backwards() ->
         other.close()
 
 
-class Wire(can.BusABC):
+class Frame(can.BusABC):
     """A back end that fails as told: what no healthy bus can be made to do."""
 
     def __init__(self) -> None:
@@ -122,12 +122,12 @@ class Wire(can.BusABC):
 
 
 @pytest.fixture
-def broken() -> Iterator[tuple[CanBus, Wire]]:
-    wire = Wire()
-    bus = CanBus(CAN, SimulatedClock(), wire)
-    yield bus, wire
+def broken() -> Iterator[tuple[CanBus, Frame]]:
+    frame = Frame()
+    bus = CanBus(CAN, SimulatedClock(), frame)
+    yield bus, frame
     bus.close()
-    wire.shutdown()
+    frame.shutdown()
 
 
 @pytest.mark.parametrize(
@@ -140,48 +140,48 @@ def broken() -> Iterator[tuple[CanBus, Wire]]:
     ids=["ENOBUFS", "select", "timeout"],
 )
 def test_a_full_queue_is_told_once_and_the_newest_command_wins(
-    broken: tuple[CanBus, Wire], full: Exception
+    broken: tuple[CanBus, Frame], full: Exception
 ) -> None:
-    bus, wire = broken
-    wire.failure = full
+    bus, frame = broken
+    frame.failure = full
     bus.write(0, [CanFrame(1, b"old"), CanFrame(2, b"kept"), CanFrame(1, b"newer")])
     bus.write(1, [CanFrame(1, b"newest")])
     assert bus.read(2) == ([BusState.FULL], [])
     assert bus.read(3) == ([], [])
-    assert wire.sent == []
-    wire.failure = None
+    assert frame.sent == []
+    frame.failure = None
     bus.write(4, [CanFrame(3, b"after")])
-    assert wire.sent == [CanFrame(2, b"kept"), CanFrame(1, b"newest"), CanFrame(3, b"after")]
+    assert frame.sent == [CanFrame(2, b"kept"), CanFrame(1, b"newest"), CanFrame(3, b"after")]
     assert bus.dropped == 2
     assert bus.read(CALM) == ([], [])
     assert bus.read(3 + CALM) == ([BusState.UP], [])
 
 
-def test_without_a_jam_frames_of_one_id_all_go_out(broken: tuple[CanBus, Wire]) -> None:
-    bus, wire = broken
+def test_without_a_jam_frames_of_one_id_all_go_out(broken: tuple[CanBus, Frame]) -> None:
+    bus, frame = broken
     frames = [CanFrame(1, bytes([n])) for n in range(4)]
     bus.write(0, frames)
-    assert wire.sent == frames
+    assert frame.sent == frames
 
 
-def test_the_queue_is_bounded(broken: tuple[CanBus, Wire]) -> None:
-    bus, wire = broken
-    wire.failure = can.CanOperationError("full", errno.ENOBUFS)
+def test_the_queue_is_bounded(broken: tuple[CanBus, Frame]) -> None:
+    bus, frame = broken
+    frame.failure = can.CanOperationError("full", errno.ENOBUFS)
     frames = [CanFrame(n) for n in range(MOST_WAITING + 3)]
     bus.write(0, frames)
-    wire.failure = None
+    frame.failure = None
     bus.read(1)
-    assert wire.sent == frames[3:]
+    assert frame.sent == frames[3:]
     assert bus.dropped == 3
 
 
 def test_an_interface_that_vanishes_is_told_and_what_waited_is_thrown_away(
-    broken: tuple[CanBus, Wire],
+    broken: tuple[CanBus, Frame],
 ) -> None:
-    bus, wire = broken
-    wire.failure = can.CanOperationError("full", errno.ENOBUFS)
+    bus, frame = broken
+    frame.failure = can.CanOperationError("full", errno.ENOBUFS)
     bus.write(0, [CanFrame(1, b"stale")])
-    wire.failure = can.CanOperationError("Network is down", errno.ENETDOWN)
+    frame.failure = can.CanOperationError("Network is down", errno.ENETDOWN)
     assert bus.read(1) == ([BusState.FULL, BusState.GONE], [])
     bus.write(2, [CanFrame(1, b"lost")])
     assert bus.read(SECOND) == ([], [])
@@ -190,21 +190,21 @@ def test_an_interface_that_vanishes_is_told_and_what_waited_is_thrown_away(
         assert bus.read(1 + SECOND) == ([BusState.BACK], [])
         assert other.read(2 * SECOND) == ([], [])
         bus.write(2 * SECOND, [CanFrame(1, b"new")])
-        assert [packet.wire for packet in other.read(2 * SECOND)[1]] == [CanFrame(1, b"new")]
+        assert [packet.frame for packet in other.read(2 * SECOND)[1]] == [CanFrame(1, b"new")]
     finally:
         other.close()
-    assert wire.sent == []
+    assert frame.sent == []
     assert bus.dropped == 2
 
 
 def test_an_interface_that_hears_itself_is_not_believed() -> None:
-    wire = Wire()
+    raw = Frame()
     settings = BusSettings("can0", "can", "udp_multicast:239.74.163.2", bitrate=500_000)
-    bus = CanBus(settings, SimulatedClock(), wire)
+    bus = CanBus(settings, SimulatedClock(), raw)
     ours, theirs = CanFrame(1, b"ours"), CanFrame(2, b"theirs")
     bus.write(0, [ours, ours])
-    wire.incoming = [as_message(frame) for frame in (ours, theirs, ours, ours)]
-    assert [packet.wire for packet in bus.read(1)[1]] == [theirs, ours]
+    raw.incoming = [as_message(frame) for frame in (ours, theirs, ours, ours)]
+    assert [packet.frame for packet in bus.read(1)[1]] == [theirs, ours]
     bus.close()
 
 
@@ -217,13 +217,13 @@ def error_frame(what: int, controller: int = 0) -> can.Message:
     return can.Message(arbitration_id=what, data=data, is_error_frame=True)
 
 
-def test_error_frames_are_states_and_never_data(broken: tuple[CanBus, Wire]) -> None:
-    bus, wire = broken
-    wire.incoming = [error_frame(0x004, 0x20), error_frame(0x004, 0x20), error_frame(0x002)]
+def test_error_frames_are_states_and_never_data(broken: tuple[CanBus, Frame]) -> None:
+    bus, frame = broken
+    frame.incoming = [error_frame(0x004, 0x20), error_frame(0x004, 0x20), error_frame(0x002)]
     assert bus.read(0) == ([BusState.PASSIVE], [])
-    wire.incoming = [error_frame(0x004, 0x40)]
+    frame.incoming = [error_frame(0x004, 0x40)]
     assert bus.read(1) == ([BusState.UP], [])
-    wire.incoming = [error_frame(0x040), error_frame(0x100)]
+    frame.incoming = [error_frame(0x040), error_frame(0x100)]
     assert bus.read(2) == ([BusState.OFF, BusState.BACK], [])
 
 
@@ -254,14 +254,14 @@ def test_an_adapter_on_a_serial_line_acknowledges_and_stutters() -> None:
         assert sent.endswith(b"O\rt123201FF\rr0120\r")
         os.write(device, b"z\r\rz\rt0452AABB\rtXYZ\rt0\rz\rT123456780\rt04")
         frames = [CanFrame(0x45, b"\xaa\xbb"), CanFrame(0x12345678, extended=True)]
-        heard: list[object] = []
+        received: list[object] = []
         for _ in range(100_000):
-            heard += [packet.wire for packet in bus.read(1)[1]]
-            if len(heard) == 2:
+            received += [packet.frame for packet in bus.read(1)[1]]
+            if len(received) == 2:
                 break
-        assert heard == frames
+        assert received == frames
         os.write(device, b"61CC\r")
-        assert [packet.wire for packet in poll(lambda: bus.read(2)[1])] == [CanFrame(0x46, b"\xcc")]
+        assert [packet.frame for packet in poll(lambda: bus.read(2)[1])] == [CanFrame(0x46, b"\xcc")]
         assert bus.bad == 2
         os.close(device)
         assert poll(lambda: list(bus.read(3)[0])) == [BusState.GONE]
@@ -346,8 +346,8 @@ def line() -> Iterator[tuple[int, SerialBus, BusSettings]]:
         os.close(device)
 
 
-def heard(bus: Bus, now: int) -> bytes:
-    return b"".join(p.wire for p in bus.read(now)[1] if isinstance(p.wire, bytes))
+def received(bus: Bus, now: int) -> bytes:
+    return b"".join(p.frame for p in bus.read(now)[1] if isinstance(p.frame, bytes))
 
 
 def test_bytes_go_both_ways_unchanged(line: tuple[int, SerialBus, BusSettings]) -> None:
@@ -356,7 +356,7 @@ def test_bytes_go_both_ways_unchanged(line: tuple[int, SerialBus, BusSettings]) 
     os.write(device, everything)
     got = b""
     while len(got) < len(everything):
-        got += poll(lambda: heard(bus, 3))
+        got += poll(lambda: received(bus, 3))
     assert got == everything
     bus.write(4, [everything, b"tail"])
     assert poll(lambda: os.read(device, 1000)) == everything + b"tail"
@@ -374,9 +374,9 @@ def test_a_line_that_nobody_reads_drops_whole_wires_and_stays_in_step(
     line: tuple[int, SerialBus, BusSettings],
 ) -> None:
     device, bus, _ = line
-    wires = [bytes([n % 251]) * 97 for n in range(1000)]
-    for wire in wires:
-        bus.write(0, [wire])
+    frames = [bytes([n % 251]) * 97 for n in range(1000)]
+    for frame in frames:
+        bus.write(0, [frame])
     assert bus.read(1)[0] == [BusState.FULL]
     assert bus.dropped > 0
     got = b""
@@ -390,7 +390,7 @@ def test_a_line_that_nobody_reads_drops_whole_wires_and_stays_in_step(
     assert len(got) == 97 * (1000 - bus.dropped)
     pieces = [got[at : at + 97] for at in range(0, len(got), 97)]
     assert all(len(set(piece)) == 1 for piece in pieces)
-    assert pieces[-1] == wires[-1]
+    assert pieces[-1] == frames[-1]
     assert 1000 - bus.dropped >= MOST_BYTES // 97
 
 
@@ -421,7 +421,7 @@ def test_a_port_that_comes_back_is_told(tmp_path: Path) -> None:
         assert bus.read(SECOND // 2) == ([], [])
         assert bus.read(SECOND) == ([BusState.BACK], [])
         os.write(second[0], b"hello again")
-        assert poll(lambda: heard(bus, SECOND)) == b"hello again"
+        assert poll(lambda: received(bus, SECOND)) == b"hello again"
     finally:
         bus.close()
         os.close(second[0])

@@ -30,7 +30,7 @@ UP, PASSIVE, OFF, FULL, GONE, BACK = BusState
 
 
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("said", "reported"),
     [
         ([UP], []),
         ([PASSIVE, PASSIVE, UP], [PASSIVE, UP]),
@@ -47,25 +47,25 @@ UP, PASSIVE, OFF, FULL, GONE, BACK = BusState
     ],
     ids=str,
 )
-def test_each_change_is_told_once(said: list[BusState], told: list[BusState]) -> None:
+def test_each_change_is_told_once(said: list[BusState], reported: list[BusState]) -> None:
     states = States()
     for state in said:
         if state is FULL:
             states.full(0)
         else:
             states.set(state)
-    assert states.take(1) == told
+    assert states.take(1) == reported
     assert states.take(2) == []
 
 
 def test_a_jam_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_line_is_told() -> None:
     for line, after in ((UP, UP), (PASSIVE, PASSIVE)):
         states = States()
-        told = []
+        reported = []
         for tick in range(400):  # every tick's last frame finds no room: told once
             states.full(tick * 5 * MILLISECOND)
-            told += states.take(tick * 5 * MILLISECOND)
-        assert told == [FULL]
+            reported += states.take(tick * 5 * MILLISECOND)
+        assert reported == [FULL]
         states.set(line)
         last = 399 * 5 * MILLISECOND
         assert states.take(last + CALM - 1) == []
@@ -75,7 +75,7 @@ def test_a_jam_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_line_is
 def test_whatever_happens_what_was_told_last_is_what_is_so() -> None:
     """Over random histories: no state twice in a row, and BACK exactly where OFF or GONE ends."""
     for seed in range(200):
-        random, states, told = Random(seed), States(), []
+        random, states, reported = Random(seed), States(), []
         now = 0
         for _ in range(60):
             now += random.randrange(2 * CALM)
@@ -83,11 +83,11 @@ def test_whatever_happens_what_was_told_last_is_what_is_so() -> None:
                 states.full(now)
             else:
                 states.set(state)
-            told += states.take(now)
-        told += states.take(now + CALM)
-        assert all(a is not b for a, b in pairwise(told)), seed
+            reported += states.take(now)
+        reported += states.take(now + CALM)
+        assert all(a is not b for a, b in pairwise(reported)), seed
         shown = UP
-        for state in told:
+        for state in reported:
             assert (state is BACK) <= (shown in (OFF, GONE)), seed
             shown = UP if state is BACK else state
         assert shown is states.line, seed
@@ -240,11 +240,11 @@ def test_no_bytes_raise() -> None:
     random = Random(7)
     seen = set()
     for _ in range(5000):
-        wire = unpack(random.randbytes(random.choice([0, 8, 15, 16, 16, 17, 71, 72, 72])))
-        seen.add(type(wire).__name__)
-        if isinstance(wire, CanError):
-            assert sentence(wire)
-            state_of(wire)
+        frame = unpack(random.randbytes(random.choice([0, 8, 15, 16, 16, 17, 71, 72, 72])))
+        seen.add(type(frame).__name__)
+        if isinstance(frame, CanError):
+            assert sentence(frame)
+            state_of(frame)
     assert seen == {"CanFrame", "CanError", "NoneType"}
     assert unpack(struct.pack("=IB3x8s", 1, 9, b"")) is None
     assert unpack(struct.pack("=IBB2x64s", 1, 65, 0, b"")) is None
@@ -255,9 +255,9 @@ def test_no_bytes_raise() -> None:
 
 def error(classes: int, *data: int) -> CanError:
     raw = struct.pack("=IB3x8s", 0x2000_0000 | classes, 8, bytes(data))
-    wire = unpack(raw)
-    assert isinstance(wire, CanError)
-    return wire
+    frame = unpack(raw)
+    assert isinstance(frame, CanError)
+    return frame
 
 
 ERRORS: list[tuple[CanError, BusState | None, str]] = [
@@ -286,11 +286,11 @@ ERRORS: list[tuple[CanError, BusState | None, str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("heard", "state", "words"), ERRORS, ids=[words for _, _, words in ERRORS])
-def test_error_frames_in_states_and_in_words(heard: CanError, state: BusState | None, words: str) -> None:
-    assert state_of(heard) is state
-    assert sentence(heard) == words
-    assert all("counter" not in kind for kind in kinds(heard))
+@pytest.mark.parametrize(("received", "state", "words"), ERRORS, ids=[words for _, _, words in ERRORS])
+def test_error_frames_in_states_and_in_words(received: CanError, state: BusState | None, words: str) -> None:
+    assert state_of(received) is state
+    assert sentence(received) == words
+    assert all("counter" not in kind for kind in kinds(received))
 
 
 def test_every_bit_of_an_error_frame_has_words() -> None:
@@ -303,15 +303,15 @@ def test_every_bit_of_an_error_frame_has_words() -> None:
 
 # -- rtnetlink -------------------------------------------------------------------------------------
 
-ANSWERS: list[dict[str, Any]] = json.loads((files("gateway.fixtures") / "vectors" / "rtnetlink.json").read_text())[
-    "answers"
-]
+ANSWERS: list[dict[str, Any]] = json.loads(
+    (files("gateway.fixtures") / "vectors" / "rtnetlink.json").read_text()
+)["answers"]
 
 
-def link_of(told: dict[str, Any]) -> Link:
-    state = told["state"] and BusState(told["state"])
-    count = told["counters"] and tuple(told["counters"])
-    return Link(**{**told, "state": state, "counters": count})
+def link_of(reported: dict[str, Any]) -> Link:
+    state = reported["state"] and BusState(reported["state"])
+    count = reported["counters"] and tuple(reported["counters"])
+    return Link(**{**reported, "state": state, "counters": count})
 
 
 @pytest.mark.parametrize("row", ANSWERS, ids=[row["what"] for row in ANSWERS])

@@ -19,7 +19,15 @@ from moteus.transport_device import Frame
 from gateway.buses import Bus, BusError
 from gateway.buses.adapters import fdcanusb_client
 from gateway.buses.adapters.adapter_pty import AdapterPty
-from gateway.buses.adapters.fdcanusb import Adapter, checksum, command_of, heard_of, sealed, told_of, unsealed
+from gateway.buses.adapters.fdcanusb import (
+    Adapter,
+    checksum,
+    command_of,
+    heard_of,
+    sealed,
+    told_of,
+    unprotected,
+)
 from gateway.buses.can import CanBus, open_can
 from gateway.buses.lengths import LENGTHS
 from gateway.core.clock import SimulatedClock
@@ -99,13 +107,13 @@ def theirs(frame: CanFrame) -> Frame:
     return Frame(frame.id, frame.data, len(frame.data), frame.extended, frame.fd, frame.brs)
 
 
-@pytest.mark.parametrize(("frame", "command", "told"), LINES, ids=[line for _, line, _ in LINES])
-def test_a_frame_is_its_lines_in_both_directions(frame: CanFrame, command: str, told: str) -> None:
+@pytest.mark.parametrize(("frame", "command", "reported"), LINES, ids=[line for _, line, _ in LINES])
+def test_a_frame_is_its_lines_in_both_directions(frame: CanFrame, command: str, reported: str) -> None:
     assert command_of(frame) == command
     assert Adapter(RATE, DATA_RATE).feed(command.encode() + b"\n") == ([frame], b"OK\r\n")
-    assert told_of(frame) == told
-    assert heard_of(told) == frame
-    assert Adapter(RATE, DATA_RATE).tell(0, frame) == told.encode() + b"\r\n"
+    assert told_of(frame) == reported
+    assert heard_of(reported) == frame
+    assert Adapter(RATE, DATA_RATE).report(0, frame) == reported.encode() + b"\r\n"
 
 
 def test_checksums_are_the_vendors() -> None:
@@ -133,8 +141,10 @@ def test_what_the_vendors_client_sends_is_what_we_send_and_what_the_adapter_hear
         assert written.data == (sealed(line) if checksums else line) + b"\n"
         assert frames_heard == [frame]
     else:
-        assert unsealed(written.data.strip())[0] == line.removesuffix(b"f")
-        assert [(heard.id, heard.data, heard.fd) for heard in frames_heard] == [(frame.id, frame.data, True)]
+        assert unprotected(written.data.strip())[0] == line.removesuffix(b"f")
+        assert [(received.id, received.data, received.fd) for received in frames_heard] == [
+            (frame.id, frame.data, True)
+        ]
 
 
 @settings(deadline=None, derandomize=True)
@@ -144,7 +154,7 @@ def test_what_the_adapter_tells_is_read_by_the_vendors_client_and_by_us(
 ) -> None:
     adapter = Adapter(RATE, DATA_RATE)
     adapter.sealed = checksums
-    line, had, right = vendor._strip_and_validate_checksum(adapter.tell(0, frame).strip())
+    line, had, right = vendor._strip_and_validate_checksum(adapter.report(0, frame).strip())
     assert (had, right) == (checksums, checksums)
     read = vendors_client(checksums=checksums)[0]._parse_frame(line)
     assert (read.arbitration_id, read.data, read.is_fd) == (frame.id, frame.data, frame.fd)
@@ -210,9 +220,9 @@ def test_what_is_not_told_of_a_frame_is_taken_as_the_vendor_takes_it() -> None:
 def test_what_is_asked_is_answered_and_what_cannot_be_is_refused(sent: bytes, answers: bytes) -> None:
     for pieces in ([sent], [bytes([byte]) for byte in sent], [sent[:7], sent[7:]]):
         adapter = Adapter(RATE, DATA_RATE)
-        told = [adapter.feed(piece) for piece in pieces]
-        assert b"".join(answer for _, answer in told) == answers
-        assert [frame for heard, _ in told for frame in heard] == []
+        reported = [adapter.feed(piece) for piece in pieces]
+        assert b"".join(answer for _, answer in reported) == answers
+        assert [frame for received, _ in reported for frame in received] == []
         assert adapter.refused == answers.count(b"ERR")
 
 
@@ -250,7 +260,7 @@ def test_an_adapter_of_another_rate_neither_hears_nor_is_heard() -> None:
     assert adapter.feed(b"can off\nconf set can.fd_bitrate 2000000\ncan on\n") == ([], b"OK\r\n" * 3)
     assert adapter.wrong_rate
     assert adapter.feed(b"can send 1 01\n") == ([], b"OK\r\n")
-    assert adapter.tell(0, CanFrame(1)) == b""
+    assert adapter.report(0, CanFrame(1)) == b""
     adapter.feed(b"conf set can.fd_bitrate 5000000\n")
     assert adapter.wrong_rate  # until it goes on the bus anew
     adapter.feed(b"can off\ncan on\n")
@@ -267,7 +277,7 @@ def test_once_a_checksum_always_checksums() -> None:
     adapter = Adapter(RATE, DATA_RATE)
     assert adapter.feed(SEND + b"\n") == ([FRAME], b"OK\r\n")
     assert adapter.feed(sealed(SEND) + b"\n") == ([FRAME], sealed(b"OK") + b"\r\n")
-    assert adapter.tell(0, FRAME) == sealed(told_of(FRAME).encode()) + b"\r\n"
+    assert adapter.report(0, FRAME) == sealed(told_of(FRAME).encode()) + b"\r\n"
     assert adapter.bad_checksums == 0
     assert adapter.feed(SEND + b"\n") == ([], sealed(b"ERR checksum missing") + b"\r\n")
     assert (adapter.refused, adapter.bad_checksums) == (1, 1)
@@ -283,10 +293,10 @@ def test_a_bad_checksum_changes_nothing_and_is_counted() -> None:
             continue  # then it is two lines
         adapter = Adapter(RATE, DATA_RATE)
         adapter.feed(sealed(b"can off") + b"\n" + sealed(b"can on") + b"\n")
-        heard, answer = adapter.feed(bytes(wrong) + b"\n")
+        received, answer = adapter.feed(bytes(wrong) + b"\n")
         if wrong.upper() == line.upper() and wrong[:-3] == line[:-3]:
             continue  # a hex digit in the other case is the same checksum
-        assert (heard, answer[:3], adapter.bad_checksums) == ([], b"ERR", 1), bytes(wrong)
+        assert (received, answer[:3], adapter.bad_checksums) == ([], b"ERR", 1), bytes(wrong)
         counted += 1
     assert counted > 8 * len(line) - 16
 
@@ -318,8 +328,11 @@ def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[byte
     data = b"".join(pieces)
     whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
     said = whole.feed(data)
-    told = [parted.feed(piece) for piece in cut(data, cuts)]
-    assert ([f for heard, _ in told for f in heard], b"".join(answer for _, answer in told)) == said
+    reported = [parted.feed(piece) for piece in cut(data, cuts)]
+    assert (
+        [f for received, _ in reported for f in received],
+        b"".join(answer for _, answer in reported),
+    ) == said
     assert (parted.open, parted.sealed, parted.refused) == (whole.open, whole.sealed, whole.refused)
     lines = [line for line in data.replace(b"\r", b"\n").split(b"\n")[:-1] if line]
     assert said[1].count(b"\r\n") == len(lines)
@@ -356,9 +369,9 @@ EVERY = [frame for frame, _, _ in LINES]
 def meet(ours: Bus, bus: AdapterPty) -> None:
     bus.read(0)
     ours.write(1, EVERY)
-    assert [packet.wire for packet in bus.read(1)[1]] == EVERY
+    assert [packet.frame for packet in bus.read(1)[1]] == EVERY
     bus.write(2, EVERY)
-    assert [packet.wire for packet in ours.read(2)[1]] == EVERY
+    assert [packet.frame for packet in ours.read(2)[1]] == EVERY
     ours.write(3, EVERY[:1])
 
 
@@ -368,7 +381,7 @@ def test_our_own_end_meets_the_adapter_in_both_directions(bus: AdapterPty) -> No
         assert ours.bad == 0
     states, packets = bus.read(4)
     assert states == [BusState.GONE]
-    assert [packet.wire for packet in packets] == EVERY[:1]  # the last word arrives
+    assert [packet.frame for packet in packets] == EVERY[:1]  # the last word arrives
 
 
 @pytest.mark.usefixtures("known")
@@ -386,8 +399,8 @@ def test_what_one_program_says_another_on_slcan_hears(bus: AdapterPty) -> None:
         ours.write(0, EVERY)
         other.write(0, EVERY[::-1])
         bus.read(0)
-        assert [packet.wire for packet in other.read(1)[1]] == EVERY
-        assert [packet.wire for packet in ours.read(1)[1]] == EVERY[::-1]
+        assert [packet.frame for packet in other.read(1)[1]] == EVERY
+        assert [packet.frame for packet in ours.read(1)[1]] == EVERY[::-1]
 
 
 def test_a_frame_without_data_is_refused_and_said_once(
@@ -397,7 +410,7 @@ def test_a_frame_without_data_is_refused_and_said_once(
         bus.read(0)
         for turn in range(3):
             ours.write(turn, [CanFrame(0x80), CanFrame(0x81, b"\x01")])
-            assert [packet.wire for packet in bus.read(turn)[1]] == [CanFrame(0x81, b"\x01")]
+            assert [packet.frame for packet in bus.read(turn)[1]] == [CanFrame(0x81, b"\x01")]
             assert ours.read(turn) == ([], [])
     assert caplog.messages == [f"fdcanusb {bus.paths[0]} answers: ERR insufficient options"]
 
@@ -410,7 +423,7 @@ class Port:
         self.pty = self.adapter._ports[0].pty
         self.path = self.pty.path
 
-    def heard(self) -> bytes:
+    def received(self) -> bytes:
         return self.pty.read()
 
     def says(self, ours: CanBus, data: bytes, now: int = 0) -> tuple[list[BusState], list[Packet]]:
@@ -428,7 +441,7 @@ def port() -> Iterator[Port]:
 
 def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_reading(port: Port) -> None:
     with closing(opened(port.path)) as ours:
-        port.heard()
+        port.received()
         good = sealed(told_of(FRAME).encode()) + b"\r\n"
         wrong = good.replace(b"123", b"124")
         lines = [
@@ -452,24 +465,24 @@ def test_our_end_raises_nothing_on_any_bytes_cut_anywhere(pieces: list[bytes], c
     for parts in ([data], list(cut(data, cuts))):
         port = Port()
         with closing(port.adapter), closing(opened(port.path)) as ours:
-            port.heard()
-            heard = [packet.wire for part in parts for packet in port.says(ours, part)[1]]
-            counts.append((heard, ours.bad))
+            port.received()
+            received = [packet.frame for part in parts for packet in port.says(ours, part)[1]]
+            counts.append((received, ours.bad))
     assert counts[0] == counts[1]
 
 
 def test_checksums_follow_what_the_adapter_complains_of(port: Port) -> None:
     with closing(opened(port.path)) as ours:
-        port.heard()
+        port.received()
         ours.write(0, [FRAME])
-        assert port.heard() == sealed(SEND) + b"\n"
+        assert port.received() == sealed(SEND) + b"\n"
         port.says(ours, b"ERR unknown flag\r\n")  # as one that knows no checksums takes it
         ours.write(0, [FRAME])
-        assert port.heard() == SEND + b"\n"
+        assert port.received() == SEND + b"\n"
         assert port.says(ours, told_of(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
         port.says(ours, b"ERR checksum required\r\n")
         ours.write(0, [FRAME])
-        assert port.heard() == sealed(SEND) + b"\n"
+        assert port.received() == sealed(SEND) + b"\n"
 
 
 def test_who_only_listens_hears_an_adapter_that_nobody_has_asked_for_checksums(bus: AdapterPty) -> None:
@@ -478,7 +491,7 @@ def test_who_only_listens_hears_an_adapter_that_nobody_has_asked_for_checksums(b
     source = open_source(at(bus.paths[0]), SimulatedClock())
     bus.read(0)
     bus.write(1, EVERY)
-    assert [packet.wire for packet in source.read(1)[1]] == EVERY
+    assert [packet.frame for packet in source.read(1)[1]] == EVERY
     assert bus.read(2)[1] == []  # it has said nothing
     source.close()
 
@@ -487,10 +500,10 @@ def test_who_only_listens_hears_an_adapter_that_nobody_has_asked_for_checksums(b
 def test_an_adapter_that_is_off_the_bus_is_put_on_it(port: Port) -> None:
     with closing(opened(port.path)) as ours:
         ours.read(0)
-        assert port.heard() == b"conf get can.bitrate\nconf get can.fd_bitrate\n"
+        assert port.received() == b"conf get can.bitrate\nconf get can.fd_bitrate\n"
         ours.write(0, [FRAME])
         port.says(ours, b"ERR not in BusOn state\r\n")
-        assert port.heard() == SEND + b"\ncan on\n"
+        assert port.received() == SEND + b"\ncan on\n"
 
 
 @pytest.mark.usefixtures("known")
@@ -499,7 +512,7 @@ def test_an_adapter_of_another_bit_rate_is_told_with_what_to_do(
 ) -> None:
     with closing(opened(port.path)) as ours, caplog.at_level(logging.ERROR):
         ours.read(0)
-        port.heard()
+        port.received()
         port.says(ours, b"1000000\r\n2000000\r\n")
         assert ours.bad == 0
     (said,) = caplog.messages
@@ -510,8 +523,8 @@ def test_an_adapter_of_another_bit_rate_is_told_with_what_to_do(
 
 
 def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
-    heard: list[CanFrame] = []
-    told: list[BusState] = []
+    received: list[CanFrame] = []
+    reported: list[BusState] = []
     with closing(opened(bus.paths[0])) as ours:
         bus.read(0)
         for number in range(5000):
@@ -519,11 +532,11 @@ def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterP
         assert ours.read(5000)[0] == [BusState.FULL]
         for turn in range(1000):
             now = turn * SECOND // 200
-            heard += [p.wire for p in bus.read(now)[1] if isinstance(p.wire, CanFrame)]
-            told += ours.read(now)[0]
-    assert told == [BusState.UP]
-    assert 50 < len(heard) < 5000
-    assert [int.from_bytes(frame.data, "big") for frame in heard[-3:]] == [4997, 4998, 4999]
+            received += [p.frame for p in bus.read(now)[1] if isinstance(p.frame, CanFrame)]
+            reported += ours.read(now)[0]
+    assert reported == [BusState.UP]
+    assert 50 < len(received) < 5000
+    assert [int.from_bytes(frame.data, "big") for frame in received[-3:]] == [4997, 4998, 4999]
 
 
 def test_what_cannot_be_opened_is_a_sentence_and_what_vanishes_is_told_and_looked_for(
@@ -552,7 +565,7 @@ def test_what_cannot_be_opened_is_a_sentence_and_what_vanishes_is_told_and_looke
         assert ours.read(2 * SECOND)[0] == [BusState.BACK]
         assert second.read(0)[0] == [BusState.BACK]
         ours.write(2 * SECOND, EVERY)
-        assert [packet.wire for packet in second.read(1)[1]] == EVERY
+        assert [packet.frame for packet in second.read(1)[1]] == EVERY
         ours.close()
 
 
@@ -564,19 +577,19 @@ async def serving(
     bus: AdapterPty, answer: Callable[[CanFrame], list[CanFrame]]
 ) -> AsyncIterator[list[CanFrame]]:
     """While inside, a device answers on the bus; what it has heard."""
-    heard: list[CanFrame] = []
+    received: list[CanFrame] = []
 
     async def serve() -> None:
         while True:
             for packet in bus.read(0)[1]:
-                assert isinstance(packet.wire, CanFrame)
-                heard.append(packet.wire)
-                bus.write(0, answer(packet.wire))
+                assert isinstance(packet.frame, CanFrame)
+                received.append(packet.frame)
+                bus.write(0, answer(packet.frame))
             await asyncio.sleep(0.001)
 
     task = asyncio.get_running_loop().create_task(serve())
     try:
-        yield heard
+        yield received
     finally:
         task.cancel()
 
@@ -589,7 +602,7 @@ def test_the_vendors_client_asks_and_is_answered_with_checksums(bus: AdapterPty)
 
     async def talk() -> tuple[list[CanFrame], list[bytes]]:
         client = vendor.FdcanusbDevice(bus.paths[0])
-        async with serving(bus, lambda frame: [reply] if frame == asked else []) as heard:
+        async with serving(bus, lambda frame: [reply] if frame == asked else []) as received:
             answers = []
             for _ in range(3):
                 request = vendor.FdcanusbDevice.Request(
@@ -598,10 +611,10 @@ def test_the_vendors_client_asks_and_is_answered_with_checksums(bus: AdapterPty)
                 await client.transaction([request])
                 answers += [bytes(frame.data) for frame in request.responses]
             client.close()
-        return heard, answers
+        return received, answers
 
-    heard, answers = asyncio.run(talk())
-    assert heard == [asked] * 3
+    received, answers = asyncio.run(talk())
+    assert received == [asked] * 3
     assert answers == [reply.data] * 3
 
 

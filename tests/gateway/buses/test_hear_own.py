@@ -1,4 +1,4 @@
-"""`hear = "own"`: what the kernel then keeps back changes nothing that a driver understands."""
+"""`receive_filter = "own"`: what the kernel then keeps back changes nothing that a driver understands."""
 
 from __future__ import annotations
 
@@ -18,42 +18,42 @@ TEXT = resources.find("robots", "diffbot").read_text()
 
 
 def own(text: str = TEXT) -> Robot:
-    return config.loads(text.replace("[buses.can0]", '[buses.can0]\nhear = "own"', 1))
+    return config.loads(text.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "own"', 1))
 
 
-def let_in(heard: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
+def let_in(received: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
     """As the kernel chooses (linux/can.h): one choice that fits is enough."""
-    return not heard or any(frame.id & mask == number & mask for number, mask in heard)
+    return not received or any(frame.id & mask == number & mask for number, mask in received)
 
 
 def test_everything_is_heard_unless_the_file_says_otherwise() -> None:
-    assert config.loads(TEXT).buses["can0"].heard == ()
-    text = TEXT.replace("[buses.can0]", '[buses.can0]\nhear = "all"', 1)
-    assert config.loads(text).buses["can0"].heard == ()
+    assert config.loads(TEXT).buses["can0"].receive_filter == ()
+    text = TEXT.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "all"', 1)
+    assert config.loads(text).buses["can0"].receive_filter == ()
 
 
 def test_own_is_what_the_specs_expect_and_overhear() -> None:
     robot = own()
-    heard = robot.buses["can0"].heard
-    assert robot.buses["sensors"].heard == ()
+    received = robot.buses["can0"].receive_filter
+    assert robot.buses["sensors"].receive_filter == ()
     specs = [motor.spec for motor in robot.motors.values()]
-    assert all(let_in(heard, CanFrame(number)) for spec in specs for number in spec.expects)
-    assert not let_in(heard, CanFrame(0x7F0))
-    assert 0 < sum(let_in(heard, CanFrame(number)) for number in range(0x800)) < 0x800 // 4
+    assert all(let_in(received, CanFrame(number)) for spec in specs for number in spec.expects)
+    assert not let_in(received, CanFrame(0x7F0))
+    assert 0 < sum(let_in(received, CanFrame(number)) for number in range(0x800)) < 0x800 // 4
 
 
 def test_a_serial_line_and_another_word_are_mistakes() -> None:
     with pytest.raises(ConfigError, match="a serial bus has no ids"):
-        config.loads(TEXT.replace("[buses.sensors]", '[buses.sensors]\nhear = "own"', 1))
-    with pytest.raises(ConfigError, match="hear"):
-        config.loads(TEXT.replace("[buses.can0]", '[buses.can0]\nhear = "mine"', 1))
+        config.loads(TEXT.replace("[buses.sensors]", '[buses.sensors]\nreceive_filter = "own"', 1))
+    with pytest.raises(ConfigError, match="receive_filter"):
+        config.loads(TEXT.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "mine"', 1))
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_driver_is_told_the_same_by_what_is_let_in(seed: int) -> None:
     """Random frames of every 11-bit id, of the right length more often than not, before and during a scan."""
     robot = own()
-    (plugin, devices), heard = _of_can0(robot), robot.buses["can0"].heard
+    (plugin, devices), received = _of_can0(robot), robot.buses["can0"].receive_filter
     all_, some = plugin.driver(devices), plugin.driver(devices)
     random, kept_back = Random(seed), 0
     said: tuple[list[Event], list[Event]] = ([], [])
@@ -62,19 +62,22 @@ def test_a_driver_is_told_the_same_by_what_is_let_in(seed: int) -> None:
         number = random.randrange(0x800)
         frame = CanFrame(number, _data(random, number), remote=random.random() < 0.02)
         said[0].extend(all_.receive(now, frame))
-        if let_in(heard, frame):
+        if let_in(received, frame):
             said[1].extend(some.receive(now, frame))
         else:
             kept_back += 1
         if n % 5 == 0:
             words = [Scan("can0")] if n == 5000 else []
             for driver, events in zip((all_, some), said, strict=True):
-                told, _ = driver.send(now, words)
-                events.extend(told)
+                reported, _ = driver.send(now, words)
+                events.extend(reported)
     assert said[0] == said[1]
     assert len(said[0]) > 100
-    assert (some.tally.heard, some.tally.bad) == (all_.tally.heard, all_.tally.bad)
-    assert all_.tally.foreign == some.tally.foreign + kept_back > kept_back > 5_000
+    assert (some.counters.accepted, some.counters.malformed) == (
+        all_.counters.accepted,
+        all_.counters.malformed,
+    )
+    assert all_.counters.ignored == some.counters.ignored + kept_back > kept_back > 5_000
 
 
 def _of_can0(robot: Robot) -> tuple[Plugin, list[Device]]:

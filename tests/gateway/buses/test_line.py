@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.buses.frame_time import frame_bits, priority, wire_time
+from gateway.buses.frame_time import frame_bits, frame_time, priority
 from gateway.buses.virtual.line import Line
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND
 
 MBIT = 1_000_000
 
 
 @pytest.mark.parametrize(
-    ("wire", "nanos"),
+    ("frame", "nanos"),
     [
         # Davis et al. 2007, table 1 and eq. 1: 8 bytes are at most 135 bits (standard), 160 (extended).
         (CanFrame(0x123, bytes(8)), 135_000),
@@ -25,20 +25,20 @@ MBIT = 1_000_000
         (b"", 0),
     ],
 )
-def test_how_long_a_wire_takes_at_one_megabit(wire: Wire, nanos: int) -> None:
-    assert wire_time(wire, MBIT) == nanos
-    assert wire_time(wire, MBIT // 2) == 2 * nanos
+def test_how_long_a_wire_takes_at_one_megabit(frame: Frame, nanos: int) -> None:
+    assert frame_time(frame, MBIT) == nanos
+    assert frame_time(frame, MBIT // 2) == 2 * nanos
 
 
 def test_can_fd_switches_its_data_phase() -> None:
     long = CanFrame(1, bytes(64), fd=True, brs=True)
     slow, fast = frame_bits(long)
     assert fast > 64 * 8
-    assert wire_time(long, MBIT, 5 * MBIT) == slow * 1000 + fast * 200
-    assert wire_time(CanFrame(1, bytes(64), fd=True), MBIT, 5 * MBIT) == (slow + fast) * 1000
-    assert wire_time(long, MBIT) == (slow + fast) * 1000
+    assert frame_time(long, MBIT, 5 * MBIT) == slow * 1000 + fast * 200
+    assert frame_time(CanFrame(1, bytes(64), fd=True), MBIT, 5 * MBIT) == (slow + fast) * 1000
+    assert frame_time(long, MBIT) == (slow + fast) * 1000
     with pytest.raises(ValueError, match="carries nothing"):
-        wire_time(b"", 0)
+        frame_time(b"", 0)
 
 
 def bits_of(frame: CanFrame) -> tuple[int, int]:
@@ -94,11 +94,11 @@ def test_can_fd_data_fill_a_length_that_there_is() -> None:
     line = Line(MBIT, 5 * MBIT)
     for length in (8, 9, 13, 33, 49):
         line.send(0, "a", CanFrame(1, b"\x50" * length, fd=True, brs=True))
-    arrived = [sent.wire for sent in line.run(MILLISECOND)]
-    assert [len(wire.data) for wire in arrived if isinstance(wire, CanFrame)] == [8, 12, 16, 48, 64]
+    arrived = [sent.frame for sent in line.run(MILLISECOND)]
+    assert [len(frame.data) for frame in arrived if isinstance(frame, CanFrame)] == [8, 12, 16, 48, 64]
     assert arrived[1] == CanFrame(1, b"\x50" * 9 + bytes(3), fd=True, brs=True)
     nine, twelve = (CanFrame(1, bytes(n), fd=True, brs=True) for n in (9, 12))
-    assert wire_time(nine, MBIT, 5 * MBIT) == wire_time(twelve, MBIT, 5 * MBIT)
+    assert frame_time(nine, MBIT, 5 * MBIT) == frame_time(twelve, MBIT, 5 * MBIT)
 
 
 def test_frames_of_both_kinds_share_a_bus() -> None:
@@ -131,7 +131,7 @@ def test_frames_contend_and_each_sender_keeps_its_order() -> None:
         for frame in sent:
             assert line.send(0, name, frame)
     arrived = line.run(MILLISECOND)
-    assert [(sent.sender, getattr(sent.wire, "id", None)) for sent in arrived] == [
+    assert [(sent.sender, getattr(sent.frame, "id", None)) for sent in arrived] == [
         ("b", 5),
         ("b", 5),
         ("a", 9),
@@ -163,14 +163,14 @@ def test_what_arrives_does_not_hang_on_how_often_one_looks() -> None:
     moments = np.sort(rng.integers(0, 20 * MILLISECOND, 150)).tolist()
     ids = rng.integers(0, 0x7FF, 150).tolist()
 
-    def arrivals(step: int) -> list[tuple[int, str, Wire]]:
+    def arrivals(step: int) -> list[tuple[int, str, Frame]]:
         line, seen, index = Line(MBIT), [], 0
         for now in range(0, 60 * MILLISECOND, step):
             while index < len(moments) and moments[index] <= now:
                 line.send(moments[index], "abc"[index % 3], CanFrame(ids[index], bytes(8)))
                 index += 1
             seen += line.run(now)
-        return [(sent.t, sent.sender, sent.wire) for sent in seen]
+        return [(sent.t, sent.sender, sent.frame) for sent in seen]
 
     often = arrivals(10_000)
     assert len(often) == 150
@@ -183,7 +183,7 @@ def test_a_full_queue_drops_the_oldest_and_says_so() -> None:
     assert line.send(0, "a", CanFrame(2))
     assert not line.send(0, "a", CanFrame(3))
     assert line.waiting("a") == 2
-    assert [sent.wire for sent in line.run(MILLISECOND)] == [CanFrame(2), CanFrame(3)]
+    assert [sent.frame for sent in line.run(MILLISECOND)] == [CanFrame(2), CanFrame(3)]
     line.send(MILLISECOND, "a", CanFrame(4))
     line.clear()
     assert line.run(2 * MILLISECOND) == []

@@ -11,13 +11,13 @@ from mcap.reader import make_reader
 
 from gateway import config
 from gateway.__main__ import main
-from gateway.core.step import Gateway, ear_of
+from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Outputs
 from gateway.recording import read
 from gateway.replay.compare import compare
 from protocols.frames import BusState, CanFrame
 from protocols.messages import SECOND, Command, Feedback, Idle, Mode, Nanos, Velocity
-from tests.gateway.rig import Rig, told
+from tests.gateway.rig import Rig, reported
 
 MIXED = """
 name = "mixed"
@@ -27,7 +27,7 @@ world = "bench"
 kind = "canfd"
 bitrate = 1_000_000
 data_bitrate = 5_000_000
-mixed = "acknowledged"
+shared_bus = "acknowledged"
 interface = "twin"
 [defaults.motors]
 bus = "can0"
@@ -69,30 +69,32 @@ def test_each_motor_turns_and_obeys_nobody_else(rig: Rig) -> None:
         ticks = rig.run(0.8, Velocity(turning, 2.0))
         assert rig.velocity(turning) == pytest.approx(2.0, abs=0.1)
         assert all(abs(rig.velocity(name)) < 0.02 for name in MOTORS if name != turning)
-        ear = ear_of(rig.robot, "can0")
+        decoder = decoder_of(rig.robot, "can0")
         obeyed = {
             word.motor
             for tick in ticks
             for packet in tick.outputs.packets
-            for word in ear.hear(packet.t, packet.wire)
+            for word in decoder.decode(packet.t, packet.frame)
             if isinstance(word, Command) and not isinstance(word, Idle)
         }
         assert obeyed == {turning}
         rig.run(0.5, Idle(turning))
-    assert [note for note in told(rig.ticks) if note.level == "error"] == []
+    assert [note for note in reported(rig.ticks) if note.level == "error"] == []
 
 
 def test_every_frame_is_counted_once_by_every_language_and_is_understood_by_one(rig: Rig) -> None:
     rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
     received = sum(len(tick.inputs.packets) for tick in rig.ticks)
-    tallies = {language: tally for _, language, tally in rig.gateway.tallies()}
-    assert list(tallies) == list(MOTORS.values())
-    assert [tally.heard + tally.bad + tally.foreign for tally in tallies.values()] == [received] * 3
-    assert sum(tally.heard for tally in tallies.values()) == received
-    assert all(tally.bad == 0 and tally.heard > 200 for tally in tallies.values())
+    rx_counters = {language: counters for _, language, counters in rig.gateway.rx_counters()}
+    assert list(rx_counters) == list(MOTORS.values())
+    assert [
+        counters.accepted + counters.malformed + counters.ignored for counters in rx_counters.values()
+    ] == [received] * 3
+    assert sum(counters.accepted for counters in rx_counters.values()) == received
+    assert all(counters.malformed == 0 and counters.accepted > 200 for counters in rx_counters.values())
     for packets in ("inputs", "outputs"):
-        wires = [p.wire for tick in rig.ticks for p in getattr(tick, packets).packets]
-        kinds = {(w.fd, w.brs, w.extended) for w in wires if isinstance(w, CanFrame)}
+        frames = [p.frame for tick in rig.ticks for p in getattr(tick, packets).packets]
+        kinds = {(w.fd, w.brs, w.extended) for w in frames if isinstance(w, CanFrame)}
         assert kinds == {(False, False, False), (True, True, True)}
 
 
@@ -105,8 +107,8 @@ def test_a_bus_that_vanishes_and_comes_back_is_told_to_all_of_them(rig: Rig) -> 
     rig.world.restore("can0")
     ticks = rig.run(1.5)
     assert [state for tick in ticks for _, state in tick.inputs.states] == [BusState.BACK]
-    heard = {e.motor for tick in ticks[-100:] for e in tick.outputs.events if isinstance(e, Feedback)}
-    assert heard == set(MOTORS)
+    received = {e.motor for tick in ticks[-100:] for e in tick.outputs.events if isinstance(e, Feedback)}
+    assert received == set(MOTORS)
     assert all(abs(rig.velocity(name)) < 0.05 for name in ("servo", "drive"))  # their watchdogs saw to that
 
 
@@ -125,8 +127,8 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     ways = ("to_can_bus", "to_can_bus_fd", "from_can_bus", "from_can_bus_fd")
     assert {f"/can0/{way}" for way in ways} <= topics
 
-    told = read(recording)
-    robot_told = config.loads(told.robot_text)
+    reported = read(recording)
+    robot_told = config.loads(reported.robot_text)
     gateway = Gateway(robot_told)
     spoilt: list[CanFrame] = []
 
@@ -134,14 +136,16 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
         """The gateway, but that the last bit of one CAN FD frame that it says is another one."""
         outputs = gateway.step(now, inputs)
         for at, packet in enumerate(outputs.packets):
-            wire = packet.wire
-            if isinstance(wire, CanFrame) and wire.fd and now > SECOND // 2 and not spoilt:
-                spoilt.append(wire)
-                wrong = replace(packet, wire=replace(wire, data=wire.data[:-1] + bytes([wire.data[-1] ^ 1])))
+            frame = packet.frame
+            if isinstance(frame, CanFrame) and frame.fd and now > SECOND // 2 and not spoilt:
+                spoilt.append(frame)
+                wrong = replace(
+                    packet, frame=replace(frame, data=frame.data[:-1] + bytes([frame.data[-1] ^ 1]))
+                )
                 return replace(outputs, packets=(*outputs.packets[:at], wrong, *outputs.packets[at + 1 :]))
         return outputs
 
-    verdict = compare(told, step, gateway.belief, lambda bus: ear_of(robot_told, bus))
+    verdict = compare(reported, step, gateway.belief, lambda bus: decoder_of(robot_told, bus))
     assert (verdict.differing, verdict.ok) == (1, False)
     assert verdict.first is not None
     assert str(spoilt[0]) in verdict.first.text

@@ -49,7 +49,7 @@ def over_slcan(path: str) -> PythonCanDevice:
 async def session(device: FdcanusbDevice | PythonCanDevice) -> list[float]:
     """Find both, turn one of them until it says that it turns, stop it; the velocities told, in rev/s."""
     transport = Transport([device])
-    told: list[float] = []
+    reported: list[float] = []
     try:
         found = await transport.discover()
         assert sorted(info.can_id for info in found) == [1, 2]
@@ -61,15 +61,15 @@ async def session(device: FdcanusbDevice | PythonCanDevice) -> list[float]:
             state = await servo.set_position(
                 position=math.nan, velocity=0.5, watchdog_timeout=5.0, maximum_torque=1.0, query=True
             )
-            told.append(state.values[Register.VELOCITY])
-            if state.values[Register.MODE] == Mode.POSITION and abs(told[-1] - 0.5) < 0.01:
+            reported.append(state.values[Register.VELOCITY])
+            if state.values[Register.MODE] == Mode.POSITION and abs(reported[-1] - 0.5) < 0.01:
                 break
         await servo.set_stop(query=True)
         state = await servo.query()
         assert state.values[Register.MODE] == Mode.STOPPED
     finally:
         transport.close()
-    return told
+    return reported
 
 
 @pytest.mark.timeout(240)
@@ -90,8 +90,8 @@ def test_the_vendors_controller_turns_the_twin(
         async def talk() -> list[float]:
             return await session(opened(str(link / "can0")))
 
-        told = asyncio.run(talk())
-        assert told[-1] == pytest.approx(0.5, abs=0.01)
+        reported = asyncio.run(talk())
+        assert reported[-1] == pytest.approx(0.5, abs=0.01)
         twin.until("can0: somebody is there", "left: armed", "left: ready", "can0: nobody is there any more")
         status, text = twin.end(signal.SIGTERM)
         assert status == 0, text

@@ -78,7 +78,7 @@ def test_a_frame_is_its_line_in_both_directions(frame: CanFrame, line: str) -> N
     assert frame_of(line.lower().replace(line[0].lower(), line[0], 1)) == frame
     answer = b"Z\r" if frame.extended else b"z\r"
     assert opened().feed(line.encode() + b"\r") == ([frame], answer)
-    assert opened().tell(0, frame) == line.encode() + b"\r"
+    assert opened().report(0, frame) == line.encode() + b"\r"
 
 
 @settings(deadline=None, derandomize=True)
@@ -91,12 +91,12 @@ def test_the_vectors_are_what_we_hear_and_say() -> None:
     """Bytes of python-can 4.6.1 over a pty, in the order in which it said them; each with its source."""
     assert all("python-can 4.6.1" in vector["source"] for vector in VECTORS)
     adapter = Adapter(RATE, DATA_RATE)
-    heard: dict[str, tuple[list[CanFrame], bytes]] = {}
+    received: dict[str, tuple[list[CanFrame], bytes]] = {}
     said: list[str] = []
     for vector in VECTORS:
         data, meaning = bytes.fromhex(vector["data"]), vector["meaning"]
         if vector["direction"] == "to_device":
-            heard[vector["name"]] = adapter.feed(data)
+            received[vector["name"]] = adapter.feed(data)
         elif "id" in meaning:
             frame = CanFrame(
                 meaning["id"],
@@ -104,10 +104,10 @@ def test_the_vectors_are_what_we_hear_and_say() -> None:
                 meaning.get("extended", False),
                 meaning.get("rtr", False),
             )
-            assert adapter.tell(0, frame) == data
+            assert adapter.report(0, frame) == data
             said.append(vector["name"])
     assert said == ["rx_t10081122334455667788", "rx_T000002904DEADBEEF", "rx_r7E60"]
-    assert heard == {
+    assert received == {
         "open_1M#0": ([], b"\r"),
         "open_1M#4": ([], b"\r"),
         "open_1M#6": ([], b"\r"),
@@ -160,9 +160,9 @@ def test_the_vectors_are_what_we_hear_and_say() -> None:
 def test_what_is_asked_is_answered_and_what_cannot_be_rings(sent: bytes, answers: bytes) -> None:
     for pieces in ([sent], [bytes([byte]) for byte in sent], [sent[:7], sent[7:]]):
         adapter = Adapter(RATE, DATA_RATE)
-        told = [adapter.feed(piece) for piece in pieces]
-        assert b"".join(answer for _, answer in told) == answers
-        assert [frame for heard, _ in told for frame in heard] == []
+        reported = [adapter.feed(piece) for piece in pieces]
+        assert b"".join(answer for _, answer in reported) == answers
+        assert [frame for received, _ in reported for frame in received] == []
 
 
 def test_bus_timing_registers_of_the_manual() -> None:
@@ -182,7 +182,7 @@ def test_an_adapter_of_another_rate_neither_hears_nor_is_heard() -> None:
     adapter.feed(b"S8\rO\r")
     assert adapter.wrong_rate
     assert adapter.feed(b"t1230\r") == ([], b"\a")
-    assert adapter.tell(0, CanFrame(1)) == b""
+    assert adapter.report(0, CanFrame(1)) == b""
     assert adapter.feed(b"C\rS6\rO\rt1230\r") == ([CanFrame(0x123)], b"\r\r\rz\r")
 
 
@@ -194,10 +194,10 @@ def test_timestamps_are_milliseconds_of_a_minute_and_only_where_asked_for() -> N
     adapter = Adapter(RATE)
     adapter.feed(b"Z1\rO\r")
     frame = CanFrame(0x100, b"\x01")
-    assert adapter.tell(1234 * MILLISECOND, frame) == b"t100101" + b"04D2\r"
-    assert adapter.tell(60_001 * MILLISECOND, frame) == b"t100101" + b"0001\r"
+    assert adapter.report(1234 * MILLISECOND, frame) == b"t100101" + b"04D2\r"
+    assert adapter.report(60_001 * MILLISECOND, frame) == b"t100101" + b"0001\r"
     adapter.feed(b"C\rZ0\rO\r")
-    assert adapter.tell(0, frame) == b"t100101\r"
+    assert adapter.report(0, frame) == b"t100101\r"
 
 
 def test_a_loss_is_told_once_by_the_flags() -> None:
@@ -227,8 +227,8 @@ def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[byte
     at = turn = 0
     while at < len(data):
         size = cuts[turn % len(cuts)]
-        heard, answers = cut.feed(data[at : at + size])
-        frames_cut += heard
+        received, answers = cut.feed(data[at : at + size])
+        frames_cut += received
         answers_cut += answers
         at, turn = at + size, turn + 1
     assert (frames_cut, answers_cut) == (frames_whole, answers_whole)
@@ -291,9 +291,9 @@ def test_who_opens_a_pty_finds_nothing_that_was_said_before(pty: Pty) -> None:
 def test_a_reader_that_does_not_read_loses_whole_old_wires_and_nothing_stands_still(pty: Pty) -> None:
     other = open_path(pty.path)
     pty.read()
-    wires = [b"%06d:" % number + b"x" * 93 for number in range(1000)]
-    for wire in wires:
-        pty.write(wire)
+    frames = [b"%06d:" % number + b"x" * 93 for number in range(1000)]
+    for frame in frames:
+        pty.write(frame)
     assert pty.dropped > 500
     got = b""
     for _ in range(1000):
@@ -304,8 +304,8 @@ def test_a_reader_that_does_not_read_loses_whole_old_wires_and_nothing_stands_st
     os.close(other)
     whole = [got[at : at + 100] for at in range(0, len(got), 100)]
     assert len(whole) == 1000 - pty.dropped
-    assert [wire for wire in wires if wire in whole] == whole
-    assert whole[-1] == wires[-1]
+    assert [frame for frame in frames if frame in whole] == whole
+    assert whole[-1] == frames[-1]
 
 
 def test_a_serial_bus_on_a_pty_tells_who_comes_and_goes() -> None:
@@ -333,10 +333,10 @@ def client(path: str, **options: Any) -> slcanBus:
     return slcanBus(path, sleep_after_open=0.0, timeout=0.0, **options)
 
 
-def heard_by(wire: can.BusABC, seconds: float = 1.0) -> can.Message | None:
+def heard_by(frame: can.BusABC, seconds: float = 1.0) -> can.Message | None:
     """The next frame; acknowledgements are none."""
     for _ in range(100):
-        message = wire.recv(seconds / 100)
+        message = frame.recv(seconds / 100)
         if message is not None:
             return message
     return None
@@ -354,16 +354,16 @@ def message_of(frame: CanFrame) -> can.Message:
 
 
 def test_python_can_speaks_with_the_adapter_in_both_directions(bus: AdapterPty) -> None:
-    wire = client(bus.paths[0], bitrate=RATE)
+    raw = client(bus.paths[0], bitrate=RATE)
     assert bus.read(0) == ([BusState.BACK], [])
     for frame, _ in FRAMES:
-        wire.send(message_of(frame))
+        raw.send(message_of(frame))
         assert bus.read(1) == ([], [Packet(1, "can0", frame)])
         bus.write(2, [frame])
-        told = heard_by(wire)
-        assert told is not None
-        assert told.equals(message_of(frame), timestamp_delta=None, check_direction=False)
-    wire.shutdown()
+        reported = heard_by(raw)
+        assert reported is not None
+        assert reported.equals(message_of(frame), timestamp_delta=None, check_direction=False)
+    raw.shutdown()
     assert bus.read(3) == ([BusState.GONE], [])
 
 
@@ -372,9 +372,9 @@ def test_what_one_program_says_the_other_hears_and_not_itself(bus: AdapterPty) -
     bus.read(0)
     first.send(message_of(FRAMES[0][0]))
     bus.read(1)
-    told = heard_by(second)
-    assert told is not None
-    assert told.arbitration_id == 0x123
+    reported = heard_by(second)
+    assert reported is not None
+    assert reported.arbitration_id == 0x123
     assert heard_by(first, 0.05) is None
     first.shutdown()
     assert bus.read(2)[0] == []  # the second is still there
@@ -390,20 +390,20 @@ def test_a_program_that_hangs_up_without_a_word_leaves_a_closed_adapter(bus: Ada
         bus.write(turn, [CanFrame(0x1, b"old news")])
         os.close(other)
         assert bus.read(turn)[0] == [BusState.GONE]
-    wire = client(bus.paths[0])
+    frame = client(bus.paths[0])
     bus.read(9)
-    wire.send(message_of(FRAMES[0][0]))
+    frame.send(message_of(FRAMES[0][0]))
     assert bus.read(9)[1] == [Packet(9, "can0", FRAMES[0][0])]
-    assert heard_by(wire, 0.05) is None
-    wire.shutdown()
+    assert heard_by(frame, 0.05) is None
+    frame.shutdown()
 
 
 def test_another_bit_rate_is_told(bus: AdapterPty) -> None:
-    wire = client(bus.paths[0], bitrate=500_000)
+    frame = client(bus.paths[0], bitrate=500_000)
     assert bus.read(0)[0] == [BusState.PASSIVE]
-    wire.set_bitrate(RATE)
+    frame.set_bitrate(RATE)
     assert bus.read(1)[0] == [BusState.BACK]
-    wire.shutdown()
+    frame.shutdown()
 
 
 def test_a_slow_program_loses_the_oldest_frames_and_the_flags_say_so(bus: AdapterPty) -> None:
@@ -436,19 +436,19 @@ def test_our_own_end_meets_the_adapter_in_both_directions(bus: AdapterPty) -> No
     with closing(open_can(settings, SimulatedClock())) as ours:
         bus.read(0)
         ours.write(1, every)
-        assert [packet.wire for packet in bus.read(1)[1]] == every
+        assert [packet.frame for packet in bus.read(1)[1]] == every
         bus.write(2, every)
-        assert [packet.wire for packet in ours.read(2)[1]] == every
+        assert [packet.frame for packet in ours.read(2)[1]] == every
         ours.write(3, every[:1])
     states, packets = bus.read(4)
     assert states == [BusState.GONE]
-    assert [packet.wire for packet in packets] == every[:1]  # the last word arrives
+    assert [packet.frame for packet in packets] == every[:1]  # the last word arrives
 
 
 def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
     settings = BusSettings("can0", "can", f"slcan:{bus.paths[0]}", RATE)
-    heard: list[CanFrame] = []
-    told: list[BusState] = []
+    received: list[CanFrame] = []
+    reported: list[BusState] = []
     with closing(open_can(settings, SimulatedClock())) as ours:
         bus.read(0)
         for number in range(5000):
@@ -456,11 +456,11 @@ def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterP
         assert ours.read(5000)[0] == [BusState.FULL]
         for turn in range(1000):
             now = turn * 5 * MILLISECOND
-            heard += [p.wire for p in bus.read(now)[1] if isinstance(p.wire, CanFrame)]
-            told += ours.read(now)[0]
-    assert told == [BusState.UP]
-    assert 100 < len(heard) < 5000
-    assert [int.from_bytes(frame.data, "big") for frame in heard[-3:]] == [4997, 4998, 4999]
+            received += [p.frame for p in bus.read(now)[1] if isinstance(p.frame, CanFrame)]
+            reported += ours.read(now)[0]
+    assert reported == [BusState.UP]
+    assert 100 < len(received) < 5000
+    assert [int.from_bytes(frame.data, "big") for frame in received[-3:]] == [4997, 4998, 4999]
 
 
 def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:

@@ -65,7 +65,7 @@ class Kernel:
 class Rig:
     bus: SocketcanBus
     ours: socket.socket
-    wire: socket.socket
+    frame: socket.socket
     kernel: Kernel
 
 
@@ -95,10 +95,10 @@ FRAMES = [
 
 def test_frames_go_both_ways_whole_and_in_order(rig: Rig) -> None:
     rig.bus.write(1, FRAMES)
-    assert [rig.wire.recv(100) for _ in FRAMES] == [pack(frame) for frame in FRAMES]
+    assert [rig.frame.recv(100) for _ in FRAMES] == [pack(frame) for frame in FRAMES]
     for frame in FRAMES:
-        rig.wire.send(pack(frame))
-    rig.wire.send(b"no frame at all")
+        rig.frame.send(pack(frame))
+    rig.frame.send(b"no frame at all")
     assert rig.bus.read(5) == ([], [Packet(5, "can0", frame) for frame in FRAMES])
     assert rig.bus.read(6) == ([], [])
     assert (rig.bus.bad, rig.bus.missed, rig.bus.dropped) == (1, 0, 0)
@@ -127,7 +127,7 @@ def test_one_read_is_bounded(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert MOST_READ > 1_000_000 / 55 * 0.1  # the shortest frame of 11-bit id has 47 bits and more
     monkeypatch.setattr(socketcan, "MOST_READ", 3)
     for number in range(5):
-        rig.wire.send(pack(CanFrame(number)))
+        rig.frame.send(pack(CanFrame(number)))
     assert [len(rig.bus.read(now)[1]) for now in range(3)] == [3, 2, 0]
 
 
@@ -145,7 +145,7 @@ def test_a_queue_that_is_full_keeps_the_newest_of_each_id_and_tells_it_once(
     for tick in range(1, 200):
         while True:
             try:
-                sent.append(rig.wire.recv(100))
+                sent.append(rig.frame.recv(100))
             except BlockingIOError:
                 break
         now = 2 * MILLISECOND + tick * 5 * MILLISECOND
@@ -163,46 +163,46 @@ def test_a_queue_that_is_full_keeps_the_newest_of_each_id_and_tells_it_once(
 def test_what_the_kernel_holds_for_too_long_gets_no_company(rig: Rig) -> None:
     """Nobody takes what was sent: as with a controller that nobody acknowledges, behind a long queue."""
     step = 5 * MILLISECOND
-    told: list[BusState] = []
+    reported: list[BusState] = []
     for tick in range(40):
         rig.bus.write(tick * step, [CanFrame(1, bytes([tick]))])
-        told += rig.bus.read(tick * step)[0]
-    assert told == [BusState.FULL]
+        reported += rig.bus.read(tick * step)[0]
+    assert reported == [BusState.FULL]
     stale: list[bytes] = []
     while len(stale) < 100:
         try:
-            stale.append(rig.wire.recv(100))
+            stale.append(rig.frame.recv(100))
         except BlockingIOError:
             break
     assert len(stale) <= PATIENCE // step + 1
     rig.bus.read(40 * step)
-    assert rig.wire.recv(100) == pack(CanFrame(1, bytes([39])))
+    assert rig.frame.recv(100) == pack(CanFrame(1, bytes([39])))
     assert rig.bus.dropped == 40 - len(stale) - 1
     rig.bus.write(41 * step, [CanFrame(1, b"on")])
-    assert rig.wire.recv(100) == pack(CanFrame(1, b"on"))
+    assert rig.frame.recv(100) == pack(CanFrame(1, b"on"))
 
 
 def test_error_frames_are_states_and_words_and_never_data(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
-    heard = [error_frame(0x004, 0, 0x20), error_frame(0x028), error_frame(0x028), error_frame(0x040)]
+    received = [error_frame(0x004, 0, 0x20), error_frame(0x028), error_frame(0x028), error_frame(0x040)]
     with caplog.at_level(logging.INFO, "gateway"):
-        for raw in heard:
-            rig.wire.send(raw)
+        for raw in received:
+            rig.frame.send(raw)
         assert rig.bus.read(0) == ([BusState.PASSIVE, BusState.OFF], [])
     assert caplog.text.count("nobody acknowledged what was sent") == 1
     assert rig.bus.errors["nobody acknowledged what was sent"] == 2
     assert "sudo ip link set can0 type can restart;" in caplog.text
     assert "restart-ms 100" in caplog.text
     rig.bus.write(1, [CanFrame(1, b"lost")])
-    rig.wire.send(error_frame(0x100))
+    rig.frame.send(error_frame(0x100))
     assert rig.bus.read(2) == ([BusState.BACK], [])
     rig.bus.write(3, [CanFrame(1, b"new")])
-    assert rig.wire.recv(100) == pack(CanFrame(1, b"new"))
+    assert rig.frame.recv(100) == pack(CanFrame(1, b"new"))
     assert rig.bus.dropped == 1
 
 
 def test_a_controller_that_restarts_by_itself_is_said_to(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.bus._link = replace(LINK, restart_ms=100)
-    rig.wire.send(error_frame(0x040))
+    rig.frame.send(error_frame(0x040))
     with caplog.at_level(logging.WARNING, "gateway"):
         rig.bus.read(0)
     assert "can0 starts again by itself 100 ms after bus-off" in caplog.text
@@ -226,11 +226,11 @@ def test_an_interface_that_goes_down_and_comes_up_keeps_what_it_heard(rig: Rig) 
     assert rig.bus.read(SECOND) == ([BusState.GONE], [])
     rig.bus.write(SECOND, [CanFrame(1, b"stale")])
     rig.kernel.standing_ = Standing(7, up=True, running=True)
-    rig.wire.send(pack(CanFrame(5)))
+    rig.frame.send(pack(CanFrame(5)))
     now = SECOND + OFTEN
     assert rig.bus.read(now) == ([BusState.BACK], [Packet(now, "can0", CanFrame(5))])
     with pytest.raises(BlockingIOError):
-        rig.wire.recv(100)
+        rig.frame.recv(100)
     assert rig.bus.dropped == 1
 
 
@@ -277,7 +277,7 @@ def test_one_that_comes_back_set_up_otherwise_stays_gone(rig: Rig, caplog: pytes
 
 
 def test_what_the_other_end_of_a_dead_socket_says_is_told_and_not_raised(rig: Rig) -> None:
-    rig.wire.close()
+    rig.frame.close()
     rig.bus.write(1, [CanFrame(1)])  # ECONNREFUSED: no error of an interface; the frame is refused
     assert rig.bus.read(2)[0] == []
     assert rig.bus.dropped == 1
@@ -287,7 +287,7 @@ def test_what_is_no_frame_is_refused_and_said_once(rig: Rig, caplog: pytest.LogC
     with caplog.at_level(logging.WARNING, "gateway"):
         rig.bus.write(1, [CanFrame(0x800), CanFrame(0x801), CanFrame(1, b"good")])
     assert caplog.text.count("a frame was refused") == 1
-    assert rig.wire.recv(100) == pack(CanFrame(1, b"good"))
+    assert rig.frame.recv(100) == pack(CanFrame(1, b"good"))
     assert rig.bus.dropped == 2
 
 
@@ -297,17 +297,17 @@ def test_the_safe_word_that_waits_goes_out_on_closing() -> None:
     bus = SocketcanBus(SETTINGS, SimulatedClock(), End(ours), Kernel())
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)
     bus.write(0, [CanFrame(number) for number in range(50)])
-    heard: list[bytes] = []
-    while len(heard) < 2:
-        heard.append(theirs.recv(100))
+    received: list[bytes] = []
+    while len(received) < 2:
+        received.append(theirs.recv(100))
     bus.close()
     while True:
         try:
-            heard.append(theirs.recv(100))
+            received.append(theirs.recv(100))
         except (BlockingIOError, ConnectionResetError):
             break
-    assert len(heard) > 2 + 2
-    assert heard == [pack(CanFrame(number)) for number in range(len(heard))]
+    assert len(received) > 2 + 2
+    assert received == [pack(CanFrame(number)) for number in range(len(received))]
     theirs.close()
 
 

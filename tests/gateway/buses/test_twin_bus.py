@@ -13,7 +13,7 @@ import pytest
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.robot import Motor, Robot, Sensor
 from gateway.sim.world import World, WorldError, WorldFile, load_world, loads_world
-from protocols.frames import BusState, Packet, Wire
+from protocols.frames import BusState, Frame, Packet
 from protocols.messages import (
     MILLISECOND,
     Command,
@@ -35,7 +35,7 @@ from tests.gateway.world_helpers import ROOM, WALLS, robot, scene
 
 PERIOD = 5 * MILLISECOND
 BENCH = 'kind = "bench"\nname = "bench"\n'
-Words = Sequence[Command | Scan]
+Messages = Sequence[Command | Scan]
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Rig:
     states: list[tuple[str, BusState]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
-    def run(self, steps: int, say: Callable[[Nanos], Words] | None = None, period: Nanos = PERIOD) -> Rig:
+    def run(self, steps: int, say: Callable[[Nanos], Messages] | None = None, period: Nanos = PERIOD) -> Rig:
         """So many steps; what `say` gives is said to the motors at each."""
         for _ in range(steps):
             for name, bus in self.twins.buses.items():
@@ -57,10 +57,10 @@ class Rig:
                 self.states += [(name, state) for state in states]
                 for packet in packets:
                     self.packets.append(packet)
-                    self.events += self.drivers[name].receive(packet.t, packet.wire)
+                    self.events += self.drivers[name].receive(packet.t, packet.frame)
             if say:
-                _, wires = self.drivers["motors"].send(self.now, say(self.now))
-                self.twins.buses["motors"].write(self.now, wires)
+                _, frames = self.drivers["motors"].send(self.now, say(self.now))
+                self.twins.buses["motors"].write(self.now, frames)
             self.now += period
         return self
 
@@ -90,7 +90,7 @@ def bench(text: str = "") -> WorldFile:
     return loads_world(BENCH + text)
 
 
-def drive(left: float, right: float) -> Callable[[Nanos], Words]:
+def drive(left: float, right: float) -> Callable[[Nanos], Messages]:
     """At the devices' shafts: gear 8, and the right motor is mounted the other way round."""
     return lambda _: [Velocity("left", 8.0 * left), Velocity("right", -8.0 * right)]
 
@@ -117,9 +117,9 @@ def test_turning_left_is_right_wheel_forward() -> None:
 
 
 def test_encoders_count() -> None:
-    told = [e.position for e in rig(bench()).run(300, drive(3.0, 3.0)).events if isinstance(e, Feedback)]
+    reported = [e.position for e in rig(bench()).run(300, drive(3.0, 3.0)).events if isinstance(e, Feedback)]
     count = 2.0 * math.pi / 16384
-    counts = [position / count for position in told if position is not None]
+    counts = [position / count for position in reported if position is not None]
     assert len({round(value) for value in counts}) > 100
     assert max(abs(value - round(value)) for value in counts) < 1e-6
 
@@ -152,9 +152,9 @@ def test_a_wall_stalls_the_robot() -> None:
     stuck = rig(scene(ROOM + WALLS)).run(1500, drive(8.0, 8.0))
     assert stuck.twins.world.contacts() >= 1
     assert stuck.twins.world.truth().x == pytest.approx(1.8, abs=0.02)
-    told = stuck.last("left").torque
-    assert told is not None
-    assert abs(told) > 0.05
+    reported = stuck.last("left").torque
+    assert reported is not None
+    assert abs(reported) > 0.05
 
 
 # -- order and time -------------------------------------------------------------------------------------
@@ -175,11 +175,11 @@ def test_packets_come_in_order_and_never_from_the_future() -> None:
 
 
 def test_measurements_bring_the_time_at_which_they_were_taken() -> None:
-    heard = rig().run(200)
-    scans = [event for event in heard.events if isinstance(event, LaserScan)]
+    received = rig().run(200)
+    scans = [event for event in received.events if isinstance(event, LaserScan)]
     assert len(scans) == 10
-    wires = [len(p.wire) for p in heard.packets if p.bus == "sensors" and isinstance(p.wire, bytes)]
-    late = max(wires) * 10 * 1_000_000_000 / 3_000_000
+    frames = [len(p.frame) for p in received.packets if p.bus == "sensors" and isinstance(p.frame, bytes)]
+    late = max(frames) * 10 * 1_000_000_000 / 3_000_000
     for index, scan in enumerate(scans):
         assert 0 <= scan.t - index * 100 * MILLISECOND <= late + MILLISECOND
 
@@ -229,17 +229,17 @@ def test_a_copy_goes_on_alike() -> None:
 class Spy:
     """A twin that keeps what it was shown and what it said."""
 
-    def __init__(self, name: str, inner: Twin, shown: list[tuple[str, Event]], said: list[Wire]) -> None:
+    def __init__(self, name: str, inner: Twin, shown: list[tuple[str, Event]], said: list[Frame]) -> None:
         self.name, self.inner, self.shown, self.said = name, inner, shown, said
 
-    def receive(self, t: Nanos, wire: Wire) -> None:
-        self.inner.receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        self.inner.receive(t, frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Wire]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         self.shown += [(self.name, event) for event in truth]
-        torques, wires = self.inner.step(now, truth)
-        self.said += wires
-        return torques, wires
+        torques, frames = self.inner.step(now, truth)
+        self.said += frames
+        return torques, frames
 
     def due(self) -> Nanos | None:
         return self.inner.due()
@@ -250,7 +250,7 @@ class Spy:
 
 def test_nothing_but_shafts_and_readings_reaches_a_packet() -> None:
     shown: list[tuple[str, Event]] = []
-    said: list[Wire] = []
+    said: list[Frame] = []
 
     def spied(plugin: Plugin) -> Plugin:
         def twin(device: Device, seed: int) -> Twin:
@@ -276,9 +276,9 @@ def test_nothing_but_shafts_and_readings_reaches_a_packet() -> None:
             assert (event.torque, event.current, event.voltage) == (None, None, None)
         if isinstance(event, Imu):
             assert event.orientation is None
-    twice = {id(wire) for wire in said}
+    twice = {id(frame) for frame in said}
     assert len(driven.packets) > 500
-    assert all(id(packet.wire) in twice for packet in driven.packets), "every packet is what a twin said"
+    assert all(id(packet.frame) in twice for packet in driven.packets), "every packet is what a twin said"
 
 
 # -- faults ---------------------------------------------------------------------------------------------
@@ -329,9 +329,9 @@ def test_a_second_device_with_the_same_address_answers_too() -> None:
     start = driven.now
     driven.run(200, drive(4.0, 4.0))
     both = heard_since(driven, start, "left")
-    told = [e for e in both if isinstance(e, Feedback) and e.position is not None]
-    assert len(told) > 1.8 * alone
-    jumps = [abs((b.position or 0.0) - (a.position or 0.0)) for a, b in pairwise(told)]
+    reported = [e for e in both if isinstance(e, Feedback) and e.position is not None]
+    assert len(reported) > 1.8 * alone
+    jumps = [abs((b.position or 0.0) - (a.position or 0.0)) for a, b in pairwise(reported)]
     assert max(jumps) > 10.0, "the double turns a shaft of its own"
 
 
@@ -360,9 +360,9 @@ def test_a_full_queue_tells_full_once_and_up_again() -> None:
 
 def test_a_closed_bus_sends_nothing() -> None:
     driven = rig(bench()).run(100, drive(4.0, 4.0))
-    _, wires = driven.drivers["motors"].send(driven.now, [Velocity("left", 50.0)])
+    _, frames = driven.drivers["motors"].send(driven.now, [Velocity("left", 50.0)])
     driven.twins.buses["motors"].close()
-    driven.twins.buses["motors"].write(driven.now, wires)
+    driven.twins.buses["motors"].write(driven.now, frames)
     driven.run(100)
     assert abs(driven.twins.world.shaft("left")[1]) < 3.0
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 
-from gateway.buses.frame_time import wire_time
+from gateway.buses.frame_time import frame_time
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.config import load
 from gateway.core.robot import Robot
@@ -41,11 +41,11 @@ class Host:
         for _ in range(steps):
             _, packets = self.bus.read(self.now)
             for packet in packets:
-                self.events += self.driver.receive(packet.t, packet.wire)
+                self.events += self.driver.receive(packet.t, packet.frame)
             self.packets += packets
-            events, wires = self.driver.send(self.now, say())
+            events, frames = self.driver.send(self.now, say())
             self.events += events
-            self.bus.write(self.now, wires)
+            self.bus.write(self.now, frames)
             self.now += PERIOD
         return self
 
@@ -65,10 +65,10 @@ def test_the_committed_robot_drives_through_its_office() -> None:
     assert abs(pose.y) < 0.05
     assert host.modes("left")[-1] is Mode.ARMED
     assert host.twins.world.contacts() == 0
-    told = [
+    reported = [
         e for e in host.events if isinstance(e, Feedback) and e.motor == "right" and e.velocity is not None
     ]
-    assert told[-1].velocity == pytest.approx(-40.0, rel=0.05)
+    assert reported[-1].velocity == pytest.approx(-40.0, rel=0.05)
 
 
 def test_overload_stalls_at_the_current_limit() -> None:
@@ -88,10 +88,10 @@ def test_frames_take_their_time_and_are_the_motors_own() -> None:
     expected = set().union(*(motor.spec.expects for motor in host.robot.motors.values()))
     assert len(host.packets) > 250
     for before, packet in pairwise(host.packets):
-        assert packet.t - before.t >= wire_time(packet.wire, 1_000_000)
+        assert packet.t - before.t >= frame_time(packet.frame, 1_000_000)
     for packet in host.packets:
-        assert isinstance(packet.wire, CanFrame)
-        assert packet.wire.id in expected
+        assert isinstance(packet.frame, CanFrame)
+        assert packet.frame.id in expected
 
 
 def test_a_reset_motor_is_not_armed_any_more() -> None:

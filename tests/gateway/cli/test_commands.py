@@ -137,9 +137,9 @@ def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
     robot, recording = tmp_path / "rig.toml", tmp_path / "run.mcap"
     robot.write_text(BENCH)
     assert main(["run", str(robot), "--fast", "--dry-run", "--seconds", "1", "--record", str(recording)]) == 0
-    heard = [event for tick in read(recording).ticks for event in tick.outputs.events]
-    assert heard  # the twins report by themselves
-    assert all(getattr(event, "velocity", None) in (None, 0.0) for event in heard)
+    received = [event for tick in read(recording).ticks for event in tick.outputs.events]
+    assert received  # the twins report by themselves
+    assert all(getattr(event, "velocity", None) in (None, 0.0) for event in received)
 
 
 def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import pytest
 
 from gateway import config
-from gateway.core.step import Gateway, ear_of
+from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
 from gateway.recording import Recording, Step, read
 from gateway.replay.compare import Verdict, compare
@@ -103,9 +103,9 @@ def test_what_went_in_is_frames_and_bytes_that_hold_no_pose(drive: Drive) -> Non
     packets = [packet for tick in ticks for packet in tick.inputs.packets]
     assert len(packets) > 10_000
     assert {packet.bus for packet in packets} == set(robot.buses)
-    heard = [event for tick in ticks for event in tick.outputs.events]
-    assert {type(event) for event in heard} <= {Feedback, State, Imu, LaserScan}
-    assert all(event.orientation is None for event in heard if isinstance(event, Imu))
+    received = [event for tick in ticks for event in tick.outputs.events]
+    assert {type(event) for event in received} <= {Feedback, State, Imu, LaserScan}
+    assert all(event.orientation is None for event in received if isinstance(event, Imu))
 
 
 def test_nothing_that_steps_can_reach_the_world() -> None:
@@ -186,7 +186,7 @@ def judge(recording: Recording, text: str) -> Verdict:
         recording,
         made.step,
         made.belief,
-        lambda bus: ear_of(robot, bus),
+        lambda bus: decoder_of(robot, bus),
         robot_text=text,
         mounts=mounts,
         buses=robot.buses,
@@ -218,11 +218,11 @@ def test_the_same_file_by_command_with_one_gain_changed_exits_with_1(drive: Driv
 def flipped(tick: Tick) -> Tick | None:
     """The tick with one bit of its first encoder frame flipped: the sign of the velocity."""
     for i, packet in enumerate(tick.inputs.packets):
-        wire = packet.wire
-        if isinstance(wire, CanFrame) and wire.id & 0x1F == 0x09 and len(wire.data) == 8:
-            data = bytes([*wire.data[:7], wire.data[7] ^ 0x80])
+        frame = packet.frame
+        if isinstance(frame, CanFrame) and frame.id & 0x1F == 0x09 and len(frame.data) == 8:
+            data = bytes([*frame.data[:7], frame.data[7] ^ 0x80])
             packets = list(tick.inputs.packets)
-            packets[i] = Packet(packet.t, packet.bus, replace(wire, data=data))
+            packets[i] = Packet(packet.t, packet.bus, replace(frame, data=data))
             return replace(tick, inputs=replace(tick.inputs, packets=tuple(packets)))
     return None
 

@@ -26,9 +26,9 @@ from gateway.cli.terminal.keys import AGAIN, CREEP, FIRST, KEYS, Held, Key, pars
 from gateway.cli.terminal.screen import Line
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, ear_of
+from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
-from gateway.runtime.loop import Account, signals
+from gateway.runtime.loop import LoopStats, signals
 from gateway.runtime.session import Session
 from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Nanos, Velocity
 from tests.gateway.rig import BENCH
@@ -217,12 +217,12 @@ class Bench:
 
     def obeyed(self) -> list[tuple[Nanos, Command]]:
         """What any device of the whole robot would obey of what was sent."""
-        ear = ear_of(self.whole, "can0")
+        decoder = decoder_of(self.whole, "can0")
         return [
             (packet.t, word)
             for tick in self.ticks
             for packet in tick.outputs.packets
-            for word in ear.hear(packet.t, packet.wire)
+            for word in decoder.decode(packet.t, packet.frame)
             if isinstance(word, Command)
         ]
 
@@ -242,7 +242,7 @@ class Recorded(Session):
         assert isinstance(buses, dict)
         assert twins is None
         assert recorder is None
-        super().__init__(robot, gateway, clock, buses, None, None, Account())
+        super().__init__(robot, gateway, clock, buses, None, None, LoopStats())
         self._ticks = ticks
 
     def _keep(self, tick: Tick, belief: object) -> None:
@@ -260,18 +260,18 @@ def held(sense: bytes, since: float, until: float) -> list[tuple[float, bytes]]:
 def test_nothing_but_read_only_frames_goes_out_before_the_first_key() -> None:
     bench = Bench([(0.5, b"x"), (1.0, b"q")]).drive()
     read_only = bench.whole.motors["left"].spec.read_only
-    sent = [packet.wire for tick in bench.ticks for packet in tick.outputs.packets]
+    sent = [packet.frame for tick in bench.ticks for packet in tick.outputs.packets]
     assert sent
-    assert all(read_only(wire) for wire in sent)
+    assert all(read_only(frame) for frame in sent)
     assert bench.turned() == 0.0
 
 
 def test_the_motor_turns_while_a_key_is_held_and_at_no_other_time() -> None:
     bench = Bench([*held(b"\x1b[C", 0.5, 2.0), (3.0, b"q")]).drive()
-    told = [(t, word.velocity / 8.0) for t, word in bench.obeyed() if isinstance(word, Velocity)]
-    assert max(velocity for _, velocity in told) == pytest.approx(1.0)  # 5 % of 20 rad/s
-    assert all(velocity == 0.0 for t, velocity in told if t < 0.5 * SECOND or t > 2.2 * SECOND)
-    assert all(velocity > 0.0 for t, velocity in told if 0.6 * SECOND < t < 2.0 * SECOND)
+    reported = [(t, word.velocity / 8.0) for t, word in bench.obeyed() if isinstance(word, Velocity)]
+    assert max(velocity for _, velocity in reported) == pytest.approx(1.0)  # 5 % of 20 rad/s
+    assert all(velocity == 0.0 for t, velocity in reported if t < 0.5 * SECOND or t > 2.2 * SECOND)
+    assert all(velocity > 0.0 for t, velocity in reported if 0.6 * SECOND < t < 2.0 * SECOND)
     assert bench.turned() == pytest.approx(0.5 * CREEP + 1.0 + AGAIN / SECOND, abs=0.1)
     assert any(" → 1.00 rad/s | armed | " in text for text in bench.shown)
 
@@ -511,11 +511,11 @@ def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it() -> None:
             finally:
                 terminal.close()
             twin.send_signal(signal.SIGTERM)
-            told, _ = twin.communicate(timeout=20)
+            reported, _ = twin.communicate(timeout=20)
         finally:
             twin.kill()
-    assert "left: armed" in told, told
-    assert "left: ready" in told.partition("left: armed")[2], told
+    assert "left: armed" in reported, reported
+    assert "left: ready" in reported.partition("left: armed")[2], reported
 
 
 def test_under_nohup_the_end_of_the_terminal_is_no_reason_to_leave() -> None:

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 from gateway.cli.listing import LABEL, WIDTH, listing
-from gateway.cli.scores import Score
 from protocols.plugin import Device, Plugin, Spec, load, load_all
 
 LABELS = ["devices", "bus", "commands", "feedback", "watchdog", "trust", "mutants"]
 
 
-def blocks(*plugins: Plugin, score: Score | None = None) -> dict[str, dict[str, str]]:
+def blocks(*plugins: Plugin) -> dict[str, dict[str, str]]:
     """By language, what stands behind each label, its lines joined."""
     found: dict[str, dict[str, str]] = {}
-    for block in "\n".join(listing(plugins, lambda _: score)).split("\n\n"):
+    for block in "\n".join(listing(plugins)).split("\n\n"):
         name, *lines = block.splitlines()
         rows: dict[str, str] = {}
         for line in lines:
@@ -28,10 +27,10 @@ def blocks(*plugins: Plugin, score: Score | None = None) -> dict[str, dict[str, 
 
 def test_every_installed_language_tells_all() -> None:
     plugins, _ = load_all()
-    told = blocks(*plugins)
-    assert list(told) == [plugin.name for plugin in plugins]
+    reported = blocks(*plugins)
+    assert list(reported) == [plugin.name for plugin in plugins]
     for plugin in plugins:
-        rows = told[plugin.name]
+        rows = reported[plugin.name]
         assert list(rows) == LABELS
         assert all(rows.values())
         assert (rows["devices"], rows["trust"]) == (plugin.title, plugin.trust)
@@ -48,21 +47,10 @@ def test_a_watchdog_that_is_off_is_not_none_because_somebody_acknowledges_it() -
     assert blocks(load("odrive_can"))["odrive_can"]["watchdog"] == "off as the device comes"
 
 
-def test_the_score_says_what_it_is_worth() -> None:
-    def told(score: Score | None) -> str:
-        return blocks(load("plain"), score=score)["plain"]["mutants"]
-
-    assert told(None) == "never tried"
-    assert told(Score(913, 1000, 0, 87, 1000, current=True)) == "91 % of 1000 tried"
-    assert told(Score(913, 1000, 0, 87, 2000, current=True)) == "91 % of 1000 tried (2000 in all)"
-    old = Score(913, 1000, 0, 87, 2000, current=False)
-    assert told(old) == "91 % of 1000 tried (2000 in all), sources changed since"
-
-
 def test_a_spec_that_raises_is_named_and_hinders_nobody() -> None:
     def spec(_: Device) -> Spec:
         raise RuntimeError("boom")
 
-    told = blocks(replace(load("plain"), name="broken", spec=spec), load("odrive_can"))
-    assert told["broken"]["spec"] == "raises RuntimeError: boom"
-    assert told["odrive_can"]["bus"] == "can"
+    reported = blocks(replace(load("plain"), name="broken", spec=spec), load("odrive_can"))
+    assert reported["broken"]["spec"] == "raises RuntimeError: boom"
+    assert reported["odrive_can"]["bus"] == "can"

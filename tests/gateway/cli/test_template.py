@@ -11,7 +11,7 @@ import pytest
 from gateway.cli import templates
 from gateway.cli.templates import codec, framing, framing_serial
 from protocols.conformance import check, table
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     SECOND,
@@ -27,7 +27,7 @@ from protocols.messages import (
     Velocity,
     Zero,
 )
-from protocols.plugin import Device, Tally
+from protocols.plugin import Device, RxCounters
 
 
 @pytest.mark.parametrize("seed", [3])
@@ -39,7 +39,7 @@ def test_it_keeps_every_clause_that_needs_no_knowledge_of_the_device(seed: int) 
 # -- bytes, made here by struct alone ------------------------------------------------------------------
 
 RUN = struct.pack("<Bxxxf", 1, 2.5)
-TOLD = struct.pack("<BBhf", 1, 0, -250, 7.5)
+REPORTED = struct.pack("<BBhf", 1, 0, -250, 7.5)
 
 
 def sealed(body: bytes) -> bytes:
@@ -50,26 +50,26 @@ def test_payloads() -> None:
     assert codec.command(codec.Order.RUN, 2.5) == RUN
     assert codec.read_command(RUN) == (codec.Order.RUN, 2.5)
     status = codec.Status(codec.DeviceMode.RUNNING, 0, -2.5, 7.5)
-    assert codec.status(status) == TOLD
-    assert codec.read_status(TOLD) == status
-    assert {len(RUN), len(TOLD)} == {codec.SIZE}
+    assert codec.status(status) == REPORTED
+    assert codec.read_status(REPORTED) == status
+    assert {len(RUN), len(REPORTED)} == {codec.SIZE}
 
 
 def test_frames() -> None:
     assert framing.message(framing.COMMAND, 5, RUN) == CanFrame(0x105, RUN)
-    assert framing.message(framing.STATUS, 5, TOLD) == CanFrame(0x205, TOLD)
-    assert framing.Reader(framing.STATUS, [5]).read(CanFrame(0x205, TOLD)) == [(5, TOLD)]
+    assert framing.message(framing.STATUS, 5, REPORTED) == CanFrame(0x205, REPORTED)
+    assert framing.Reader(framing.STATUS, [5]).read(CanFrame(0x205, REPORTED)) == [(5, REPORTED)]
 
 
 def test_messages_on_a_stream() -> None:
     assert framing_serial.message(framing_serial.COMMAND, 5, RUN) == sealed(b"\xa5\x01\x05" + RUN)
-    message = sealed(b"\xa5\x02\x05" + TOLD)
-    tally = Tally()
-    reader = framing_serial.Reader(framing_serial.STATUS, [5], tally)
-    stream = b"\xa5" + message + b"xy" + message[:-1] + b"\0" + sealed(b"\xa5\x02\x06" + TOLD) + message
+    message = sealed(b"\xa5\x02\x05" + REPORTED)
+    counters = RxCounters()
+    reader = framing_serial.Reader(framing_serial.STATUS, [5], counters)
+    stream = b"\xa5" + message + b"xy" + message[:-1] + b"\0" + sealed(b"\xa5\x02\x06" + REPORTED) + message
     found = [each for at in range(len(stream)) for each in reader.read(stream[at : at + 1])]
-    assert found == [(5, TOLD), (5, TOLD)]
-    assert (tally.bad, tally.foreign) == (1, 3)
+    assert found == [(5, REPORTED), (5, REPORTED)]
+    assert (counters.malformed, counters.ignored) == (1, 3)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 100.1, -1e30])
@@ -82,7 +82,7 @@ def test_what_no_device_can_have_said_is_no_status(payload: tuple[int, int, int,
     assert codec.read_status(struct.pack("<BBhf", *payload)) is None
 
 
-def said(mode: codec.DeviceMode, *rest: float) -> Wire:
+def said(mode: codec.DeviceMode, *rest: float) -> Frame:
     fault, velocity, position = rest
     return framing.message(
         framing.STATUS, 1, codec.status(codec.Status(mode, int(fault), velocity, position))
@@ -92,16 +92,18 @@ def said(mode: codec.DeviceMode, *rest: float) -> Wire:
 # -- what the driver tells -----------------------------------------------------------------------------
 
 
-def told(*wires: Wire) -> list[object]:
+def reported(*frames: Frame) -> list[object]:
     driver = templates.plugin.driver(
         [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
     )
-    return [event for at, wire in enumerate(wires) for event in driver.receive(at * 10 * MILLISECOND, wire)]
+    return [
+        event for at, frame in enumerate(frames) for event in driver.receive(at * 10 * MILLISECOND, frame)
+    ]
 
 
 def test_a_status_in_words() -> None:
     tripped = said(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
-    state, fault, feedback = told(tripped)
+    state, fault, feedback = reported(tripped)
     assert state == State("m", 0, Mode.FAULT, "fault")
     assert isinstance(fault, Fault)
     assert (fault.code, fault.name) == (codec.WATCHDOG, "watchdog")
@@ -110,13 +112,13 @@ def test_a_status_in_words() -> None:
 
 @pytest.mark.parametrize(("devices", "found"), [(1, 0), (2, 1)])
 def test_two_devices_at_one_address_are_noticed_by_how_often_they_speak(devices: int, found: int) -> None:
-    wire = said(codec.DeviceMode.READY, 0, 0.0, 0.0)
+    frame = said(codec.DeviceMode.READY, 0, 0.0, 0.0)
     driver = templates.plugin.driver(
         [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
     )
     times = range(0, SECOND + 1, codec.STATUS_PERIOD)
-    events = [e for t in times for _ in range(devices) for e in driver.receive(t, wire)]
-    twice = [event for event in events if isinstance(event, Found) and event.twice]
+    events = [e for t in times for _ in range(devices) for e in driver.receive(t, frame)]
+    twice = [event for event in events if isinstance(event, Found) and event.duplicate_address]
     assert len(twice) == found
 
 
@@ -132,9 +134,9 @@ def test_what_must_not_be_said_is_refused_with_a_sentence_and_once(value: float,
     driver = templates.plugin.driver(
         [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
     )
-    (refused,), wires = driver.send(0, [Velocity("m", value)])
+    (refused,), frames = driver.send(0, [Velocity("m", value)])
     assert getattr(refused, "reason", "") == reason
-    assert not wires
+    assert not frames
     assert driver.send(1, [Velocity("m", value)]) == ([], [])
 
 
@@ -152,6 +154,6 @@ def test_what_it_cannot_do_is_refused(word: Command | Request, reason: str) -> N
     driver = templates.plugin.driver(
         [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
     )
-    (refused,), wires = driver.send(0, [word])
+    (refused,), frames = driver.send(0, [word])
     assert getattr(refused, "reason", "") == reason
-    assert not wires
+    assert not frames

@@ -50,8 +50,8 @@ bus = "can0"
 address = 1
 gear = 8.0                    # turns of the motor per turn of the joint
 sign = 1                      # -1: the motor is mounted the other way round
-silent = "idle"               # what a silent brain means: idle | hold
-safe = "idle"                 # the last word on stop, fault and exit: idle | hold
+on_command_timeout = "idle"   # when no command arrives in time: idle | hold
+stop_action = "idle"          # what stops the motor on stop, fault and exit: idle | hold | brake
 on_fault = "stop"             # stop: the whole robot stops | continue: the rest goes on
 command_timeout_ms = 100      # age of the brain's command after which the joint says its safe word
 feedback_timeout_ms = 100     # age of feedback after which the joint is blind
@@ -70,8 +70,8 @@ bus = "can0"
 address = 2
 gear = 8.0
 sign = -1
-silent = "idle"
-safe = "idle"
+on_command_timeout = "idle"
+stop_action = "idle"
 on_fault = "stop"
 command_timeout_ms = 100
 feedback_timeout_ms = 100
@@ -114,7 +114,7 @@ max_angular_acceleration = 4.0
 """
 
 
-def told(text: str, find: Any = plugin.load, *, with_world: bool = False) -> list[str]:
+def reported(text: str, find: Any = plugin.load, *, with_world: bool = False) -> list[str]:
     """The mistakes in a file called r.toml, one line each; [] if it is right."""
     try:
         loads(text, "r.toml", find, with_world=with_world)
@@ -281,10 +281,10 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
     "motors.left.sign": [
         ("sign = 1 ", "sign = 0 ", "found 0, expected 1 or -1"),
     ],
-    "motors.left.silent": [
+    "motors.left.on_command_timeout": [
         (
-            'silent = "idle"',
-            'silent = "idel"',
+            'on_command_timeout = "idle"',
+            'on_command_timeout = "idel"',
             "found \"idel\", expected 'idle' or 'hold'; did you mean 'idle'?",
         ),
     ],
@@ -399,8 +399,8 @@ ROWS = [(key, *row) for key, rows in MISTAKES.items() for row in rows]
 )
 def test_a_mistake_is_told_with_its_key_and_what_is_right(key: str, old: str, new: str, said: str) -> None:
     text = changed(old, new)
-    found = [line for line in told(text) if re.match(rf"r\.toml:\d+: {re.escape(key)}: ", line)]
-    assert len(found) == 1, told(text)
+    found = [line for line in reported(text) if re.match(rf"r\.toml:\d+: {re.escape(key)}: ", line)]
+    assert len(found) == 1, reported(text)
     assert said in found[0]
     if "missing" not in said and "too" not in said:
         number = int(found[0].split(":")[1])
@@ -425,7 +425,7 @@ def test_all_of_them_at_once_in_the_order_of_the_file() -> None:
     ]:
         text = changed(old, new, text)
         keys.append(key)
-    found = told(text + "\n[brain.plan]\n", with_world=True)
+    found = reported(text + "\n[brain.plan]\n", with_world=True)
     assert [line.split(": ")[1] for line in found] == [*keys, "brain.plan"]
     numbers = [int(line.split(":")[1]) for line in found]
     assert numbers == sorted(numbers)
@@ -440,7 +440,7 @@ def test_all_of_them_at_once_in_the_order_of_the_file() -> None:
 def test_what_a_driver_says_of_its_devices_together_is_a_mistake_like_any_other() -> None:
     text = resources.find("robots", "diffbot_cia402").read_text("utf-8")
     text = text.replace("sync_ms = 10", "sync_ms = 20", 1).replace("gear = 8.0", "gear = 0.0", 1)
-    mistakes = told(text)
+    mistakes = reported(text)
     assert len(mistakes) == 2
     assert any("motors.left.gear: " in one for one in mistakes)
     said = "buses.can0: cia402: sync_ms must be the same for all drives of one bus: it is 20 for left and 10"
@@ -452,20 +452,22 @@ def test_a_driver_that_raises_is_named_with_what_it_raises() -> None:
         raise RuntimeError("boom")
 
     broken = dataclasses.replace(plugin.load("odrive_can"), driver=driver)
-    (mistake,) = told(BENCH, lambda name: broken if name == "odrive_can" else plugin.load(name))
+    (mistake,) = reported(BENCH, lambda name: broken if name == "odrive_can" else plugin.load(name))
     assert "buses.can0: odrive_can is broken: its driver raises RuntimeError: boom" in mistake
 
 
 def test_a_mistake_in_a_default_is_told_once_where_it_stands() -> None:
     text = changed("gear = 8.0", "gear = 0", BENCH)
     number = line_of(text, "gear = 0")
-    assert told(text) == [f"r.toml:{number}: defaults.motors.gear: found 0, expected a number greater than 0"]
+    assert reported(text) == [
+        f"r.toml:{number}: defaults.motors.gear: found 0, expected a number greater than 0"
+    ]
 
 
 def test_what_is_no_toml_is_told_with_its_line() -> None:
-    (said,) = told(changed("rate_hz = 200", "rate_hz = = 200"))
+    (said,) = reported(changed("rate_hz = 200", "rate_hz = = 200"))
     assert re.match(r"r\.toml:3: not TOML: .*line 3", said)
-    (twice,) = told(changed("gear = 8.0", "gear = 8.0\ngear = 9.0"))
+    (twice,) = reported(changed("gear = 8.0", "gear = 8.0\ngear = 9.0"))
     assert "not TOML: Cannot overwrite a value" in twice
 
 
@@ -473,7 +475,7 @@ def test_what_is_no_toml_is_told_with_its_line() -> None:
     "text", ["", "name = 'x'", "motors = 5\nbuses = []\nsensors = 'x'\nbrain = 1\ndefaults = 2"]
 )
 def test_what_is_missing_altogether_is_told(text: str) -> None:
-    found = "\n".join(told(text))
+    found = "\n".join(reported(text))
     for key in ("buses", "motors", "brain"):
         assert re.search(rf"^r\.toml(:\d+)?: {key}", found, re.MULTILINE), found
 
@@ -488,15 +490,15 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
 
 def test_a_missing_world_matters_to_a_run_and_not_to_a_replay(tmp_path: Path) -> None:
     text = changed("office", str(tmp_path / "gone.toml"))
-    assert told(text) == []
-    (said,) = told(text, with_world=True)
+    assert reported(text) == []
+    (said,) = reported(text, with_world=True)
     assert "world: there is no file" in said
 
 
 @settings(deadline=None)
 @given(st.text(max_size=300))
 def test_no_text_does_anything_but_raise_config_error(text: str) -> None:
-    assert told(text)
+    assert reported(text)
 
 
 @settings(deadline=None, max_examples=40)
@@ -504,7 +506,7 @@ def test_no_text_does_anything_but_raise_config_error(text: str) -> None:
     st.sampled_from(ROVER.splitlines()), st.sampled_from(["", "x = 1", "= 3", "[motors.left]", "bus = {}"])
 )
 def test_any_line_may_be_wrong(line: str, instead: str) -> None:
-    told(ROVER.replace(line, instead, 1))
+    reported(ROVER.replace(line, instead, 1))
 
 
 # -- protocols of others -----------------------------------------------------------------------
@@ -537,29 +539,32 @@ def with_stranger(text: str, **changes: Any) -> list[str]:
     made = stranger(**changes)
     text = re.sub(r"\[motors.left.options\].*\nwatchdog = .*\n", "", text)
     text = changed('protocol = "odrive_can"', 'protocol = "stranger"', text)
-    return told(text, lambda name: made if name == "stranger" else plugin.load(name))
+    return reported(text, lambda name: made if name == "stranger" else plugin.load(name))
 
 
 def test_hold_cannot_be_the_last_word_of_a_device_that_lets_go() -> None:
-    text = changed('safe = "idle"', 'safe = "hold"')
-    assert told(text) == []
-    (said,) = with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset(), listens=())
-    assert 'motors.left.safe: found "hold", expected "idle": with nobody feeding it' in said
+    text = changed('stop_action = "idle"', 'stop_action = "hold"')
+    assert reported(text) == []
+    (said,) = with_stranger(
+        text, holds_unattended=False, sends=frozenset(), expects=frozenset(), obeys_also=()
+    )
+    assert 'motors.left.stop_action: found "hold", expected "idle": with nobody feeding it' in said
 
 
 def test_a_silent_brain_may_mean_hold_on_any_device_for_the_joint_goes_on_feeding_it() -> None:
-    text = changed('silent = "idle"', 'silent = "hold"')
+    text = changed('on_command_timeout = "idle"', 'on_command_timeout = "hold"')
     assert (
-        with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset(), listens=()) == []
+        with_stranger(text, holds_unattended=False, sends=frozenset(), expects=frozenset(), obeys_also=())
+        == []
     )
 
 
 def test_a_brake_needs_a_device_that_takes_a_velocity() -> None:
-    text = changed('safe = "idle"', 'safe = "brake"')
-    assert told(text) == []
-    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "listens": ()}
+    text = changed('stop_action = "idle"', 'stop_action = "brake"')
+    assert reported(text) == []
+    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "obeys_also": ()}
     (said,) = with_stranger(text, commands=frozenset({Idle, Torque}), **free)
-    assert 'motors.left.safe: found "brake", expected "idle"' in said
+    assert 'motors.left.stop_action: found "brake", expected "idle"' in said
 
 
 SEVERAL = (
@@ -578,14 +583,14 @@ SEVERAL = (
             {"sends": {0x5F}},
             "0x05F (it would obey what 'left' is sent)",
         ),  # of its node, if not in its language
-        ({"listens": ((0x42, 0x7FF),)}, "0x042 ('left' would obey what it is sent)"),
+        ({"obeys_also": ((0x42, 0x7FF),)}, "0x042 ('left' would obey what it is sent)"),
         ({"sends": {0x42}}, "0x042 (each would obey what the other is sent)"),
         ({"expects": {0x42}}, "0x042 (it would obey what 'left' reports there)"),
         ({"sends": set(range(0x41, 0x48)), "expects": {0x55}}, SEVERAL),
     ],
 )
 def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: str) -> None:
-    ids: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "listens": ()}
+    ids: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "obeys_also": ()}
     assert with_stranger(ROVER, **ids) == []
     (said,) = with_stranger(ROVER, **ids | changes)
     said = said.partition(": ")[2]
@@ -597,7 +602,7 @@ def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: s
 
 def test_two_languages_do_not_report_on_one_id() -> None:
     motors = loads(ROVER).motors
-    ids: dict[str, Any] = {"expects": frozenset({0x41}), "listens": ()}
+    ids: dict[str, Any] = {"expects": frozenset({0x41}), "obeys_also": ()}
     left, right = (
         dataclasses.replace(motor, spec=dataclasses.replace(motor.spec, sends=frozenset({number}), **ids))
         for number, motor in enumerate(motors.values())
@@ -609,7 +614,7 @@ def test_two_languages_do_not_report_on_one_id() -> None:
 
 def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
     """As of an ODrive with is_extended."""
-    ids: dict[str, Any] = {"sends": frozenset({0x41, 0x1041}), "expects": frozenset({0x47}), "listens": ()}
+    ids: dict[str, Any] = {"sends": frozenset({0x41, 0x1041}), "expects": frozenset({0x47}), "obeys_also": ()}
     assert len(with_stranger(ROVER, **ids, extended=frozenset({0x1041}))) == 1
     assert len(with_stranger(ROVER, **ids, extended=None)) == 1
     assert with_stranger(ROVER, **ids, extended=frozenset({0x41, 0x1041, 0x47})) == []
@@ -622,17 +627,17 @@ def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
 
 def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -> None:
     fd = changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 5_000_000')
-    assert told(fd) == []
-    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "listens": (), "bus": "canfd"}
+    assert reported(fd) == []
+    free: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "obeys_also": (), "bus": "canfd"}
     assert with_stranger(fd, **free) == []
     (said,) = with_stranger(ROVER, **free)
     assert "motors.left.bus: stranger needs a bus of kind canfd, and 'can0' is can" in said
 
 
 def test_the_data_phase_of_can_fd_is_not_the_slower_one() -> None:
-    (said,) = told(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 500_000'))
+    (said,) = reported(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 500_000'))
     assert "buses.can0.data_bitrate: found 500000, expected at least the bitrate of 1000000" in said
-    assert told(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 1_000_000')) == []
+    assert reported(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 1_000_000')) == []
 
 
 def test_a_broken_protocol_is_named_with_its_distribution() -> None:
@@ -641,7 +646,7 @@ def test_a_broken_protocol_is_named_with_its_distribution() -> None:
             raise UnknownProtocol(name, [name], Broken(name, "their-package", "ImportError: no module"))
         return plugin.load(name)
 
-    found = told(ROVER, find)
+    found = reported(ROVER, find)
     assert len(found) == 2
     assert "protocol 'odrive_can' of their-package is broken: ImportError: no module" in found[0]
 
@@ -658,8 +663,8 @@ def test_the_watchdog_is_told_at_every_start_until_it_is_acknowledged() -> None:
 
 def mixed(text: str, **changes: Any) -> list[str]:
     """The cautions of a robot whose left motor speaks a language of somebody else's, with ids of its own."""
-    own: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "overhears": ()}
-    own["listens"] = ()
+    own: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "receives_also": ()}
+    own["obeys_also"] = ()
     made = stranger(**own | changes)
     text = re.sub(r"\[motors.left.options\].*\nwatchdog = .*\n", "", text)
     text = changed('protocol = "odrive_can"', 'protocol = "stranger"', text)
@@ -677,8 +682,8 @@ def test_classic_can_beside_can_fd_is_told_until_it_is_acknowledged() -> None:
     assert said.startswith(
         "can0: left speaks CAN FD, and right classic CAN alone; the controller of right must"
     )
-    assert said.endswith('If so, write mixed = "acknowledged" under [buses.can0]')
-    assert mixed(changed('kind = "can" ', f'{FD}\nmixed = "acknowledged"'), bus="canfd") == []
+    assert said.endswith('If so, write shared_bus = "acknowledged" under [buses.can0]')
+    assert mixed(changed('kind = "can" ', f'{FD}\nshared_bus = "acknowledged"'), bus="canfd") == []
 
 
 def test_what_another_language_takes_for_its_own_is_told_until_it_is_acknowledged() -> None:
@@ -686,8 +691,8 @@ def test_what_another_language_takes_for_its_own_is_told_until_it_is_acknowledge
     expects = frozenset({0x181, 0x701, 0x582})
     (said,) = mixed(ROVER, expects=expects, sends=frozenset({0x202}))
     assert said.startswith("left: odrive_can takes what it sends on 0x181, 0x701 for words of its own kind")
-    assert mixed(changed('kind = "can" ', 'kind = "can"\nmixed = "acknowledged"'), expects=expects) == []
-    (said,) = mixed(ROVER, overhears=((0x41, 0x7FF), (0x55, 0x7FF)))
+    assert mixed(changed('kind = "can" ', 'kind = "can"\nshared_bus = "acknowledged"'), expects=expects) == []
+    (said,) = mixed(ROVER, receives_also=((0x41, 0x7FF), (0x55, 0x7FF)))
     assert said.startswith("right: stranger takes what it sends on 0x041, 0x055 for words")
 
 
@@ -832,8 +837,8 @@ def test_a_dataclass_from_a_table() -> None:
         "pair": [1, 2],
         "either": "x",
     }
-    outer, told = made(table)
-    assert told == []
+    outer, reported = made(table)
+    assert reported == []
     assert outer == Outer(
         3,
         Inner(5.0, 2.0, 2_500_000),
@@ -849,7 +854,7 @@ def test_a_dataclass_from_a_table() -> None:
 
 def test_every_mistake_in_a_dataclass() -> None:
     names = "count, inner, perhaps, named, colour, mode, words, pair, either, length"
-    outer, told = made(
+    outer, reported = made(
         {
             "inner": {"a": -1, "b": 0, "patience_ms": 0, "c": 1},
             "perhaps": {"patience": 5},
@@ -864,7 +869,7 @@ def test_every_mistake_in_a_dataclass() -> None:
         }
     )
     assert outer is None
-    assert sorted(told) == sorted(
+    assert sorted(reported) == sorted(
         [
             "perhaps.patience: unknown key; did you mean 'patience_ms' (milliseconds)?",
             "count: missing; expected an integer",

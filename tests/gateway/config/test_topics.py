@@ -13,7 +13,7 @@ FIRST = ROBOT[: ROBOT.index("[bag]")].count("\n") + 2
 """The line of the table's first key."""
 
 
-def told(text: str) -> list[str]:
+def reported(text: str) -> list[str]:
     with pytest.raises(ConfigError) as error:
         loads(text, "r.toml")
     return str(error.value).splitlines()
@@ -74,11 +74,11 @@ MISTAKES = [
 def test_every_mistake_is_told_where_it_stands(table: str, mistakes: list[str]) -> None:
     lines = [FIRST - 1 + number for number in range(5)]
     expected = [text.replace("{}", str(lines[0])).format(*lines) for text in mistakes]
-    assert told(ROBOT.replace(TABLE, table)) == expected
+    assert reported(ROBOT.replace(TABLE, table)) == expected
 
 
 def test_a_table_that_is_none() -> None:
-    (said,) = told("bag = 3\n" + ROBOT.replace(TABLE, ""))
+    (said,) = reported("bag = 3\n" + ROBOT.replace(TABLE, ""))
     assert said == "r.toml:1: bag: found 3, expected a table"
 
 
@@ -91,7 +91,7 @@ def test_a_robot_in_words_tells_its_topics_and_how_its_imu_stands() -> None:
 
 def test_bare_joints_have_no_use_for_a_bag() -> None:
     text = resources.find("robots", "bench").read_text() + '\n[bag]\nodometry = "/o"\n'
-    (said,) = told(text)
+    (said,) = reported(text)
     assert said.endswith(
         "bag: a bag moves a base on wheels, and the body is 'joints'; expected no such table"
     )

@@ -33,8 +33,8 @@ def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: s
     assert "by the true pose: 1 of 1" in text
     assert "touched: 0" in text
     recording = tmp_path / "demo.mcap"
-    wires = [packet.wire for tick in read(recording).ticks for packet in tick.outputs.packets]
-    fd = {wire.fd for wire in wires if isinstance(wire, CanFrame)}
+    frames = [packet.frame for tick in read(recording).ticks for packet in tick.outputs.packets]
+    fd = {frame.fd for frame in frames if isinstance(frame, CanFrame)}
     assert fd == {language == "moteus" for language in ROBOTS[name]}
     judged = gateway("replay", str(recording))
     assert judged.returncode == 0, judged.stdout + judged.stderr
@@ -50,15 +50,15 @@ def test_three_languages_move_at_once_on_one_bus() -> None:
     rig.run(1.5)
     rig.run(0.01, Position("mast", 0.5))
     rig.run(2.5, Goal(0.4, 0.0))
-    told = {motor: joint.mode for motor, joint in rig.gateway.joints.items()}
-    assert told == dict.fromkeys(("left", "right", "mast"), Mode.ARMED)
+    reported = {motor: joint.mode for motor, joint in rig.gateway.joints.items()}
+    assert reported == dict.fromkeys(("left", "right", "mast"), Mode.ARMED)
     assert rig.world.world.shaft("mast")[0] == pytest.approx(0.5, abs=0.01)
     assert rig.world.world.truth().x > 0.2
-    counted = {language: tally for bus, language, tally in rig.gateway.tallies() if bus == "can0"}
+    counted = {language: counters for bus, language, counters in rig.gateway.rx_counters() if bus == "can0"}
     assert set(counted) == {"cia402", "moteus", "odrive_can"}
-    for tally in counted.values():
-        assert tally.bad == 0
-        assert min(tally.heard, tally.foreign) > 100
+    for counters in counted.values():
+        assert counters.malformed == 0
+        assert min(counters.accepted, counters.ignored) > 100
 
 
 def test_a_robot_that_is_not_of_these_is_not_forgotten() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from gateway.core.step import Gateway, ear_of
+from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Outputs
 from protocols.messages import (
     ClearFault,
@@ -29,7 +29,7 @@ from protocols.messages import (
     Torque,
     Velocity,
 )
-from tests.gateway.rig import BENCH, Rig, said, told
+from tests.gateway.rig import BENCH, Rig, reported, said
 
 DRIVEN = (Velocity("left", 5.0), Velocity("right", -5.0))
 
@@ -53,9 +53,9 @@ def driven(rig: Rig) -> Rig:
 
 def test_until_commanded_only_read_only_wires_go_out(rig: Rig) -> None:
     spec = rig.robot.motors["left"].spec
-    sent = [packet.wire for tick in rig.ticks for packet in tick.outputs.packets]
+    sent = [packet.frame for tick in rig.ticks for packet in tick.outputs.packets]
     assert sent
-    assert all(spec.read_only(wire) for wire in sent)
+    assert all(spec.read_only(frame) for frame in sent)
     assert all(joint.mode is Mode.READY for joint in rig.gateway.joints.values())
 
 
@@ -96,7 +96,7 @@ def test_a_motor_that_falls_silent_gets_a_sentence_and_the_rest_goes_on_if_the_f
 ) -> None:
     driven.world.silence("right")  # on_fault = "continue"
     ticks = driven.run(1.0)
-    (fault,) = [n for n in told(ticks, "right") if n.level == "error"]
+    (fault,) = [n for n in reported(ticks, "right") if n.level == "error"]
     assert "silent: no feedback for" in fault.text
     assert "cable" in fault.text
     first = next(t for t in ticks if fault in t.outputs.notes)
@@ -129,7 +129,7 @@ def test_a_motor_that_comes_back_does_not_start_by_itself(driven: Rig) -> None:
 def test_a_motor_that_restarts_gets_a_sentence_and_the_safe_word(driven: Rig) -> None:
     driven.world.reset("left")
     ticks = driven.run(1.0)
-    (fault,) = [n for n in told(ticks, "left") if n.level == "error"]
+    (fault,) = [n for n in reported(ticks, "left") if n.level == "error"]
     assert "disarmed itself" in fault.text
     assert "a restart" in fault.text
     assert driven.gateway.joints["right"].mode is Mode.READY  # left stops the robot
@@ -138,9 +138,9 @@ def test_a_motor_that_restarts_gets_a_sentence_and_the_safe_word(driven: Rig) ->
 def test_a_second_node_with_the_same_address_gets_a_sentence_and_the_safe_word(driven: Rig) -> None:
     driven.world.duplicate("left")
     ticks = driven.run(1.0)
-    faults = [n for n in told(ticks, "left") if n.level == "error"]
+    faults = [n for n in reported(ticks, "left") if n.level == "error"]
     assert any("held twice" in n.text for n in faults)
-    warned = [n.text for n in told(ticks, "scan") if n.level == "warning"]
+    warned = [n.text for n in reported(ticks, "scan") if n.level == "warning"]
     assert warned
     assert all("more than one device holds this address" in text for text in warned)
     assert not [w for _, w in said(driven, ticks[-50:]) if not isinstance(w, Idle)]
@@ -148,7 +148,7 @@ def test_a_second_node_with_the_same_address_gets_a_sentence_and_the_safe_word(d
 
 def test_estop_is_a_fault_in_the_vendors_words_until_it_is_cleared(driven: Rig) -> None:
     ticks = driven.run(0.5, Estop("left"))
-    assert any("ESTOP_REQUESTED" in n.text for n in told(ticks, "left"))
+    assert any("ESTOP_REQUESTED" in n.text for n in reported(ticks, "left"))
     assert "ESTOP_REQUESTED" in driven.gateway.why_stopped()
     ticks = driven.run(1.0, *DRIVEN)
     assert not [w for _, w in said(driven, ticks) if not isinstance(w, Idle)]
@@ -160,7 +160,7 @@ def test_estop_is_a_fault_in_the_vendors_words_until_it_is_cleared(driven: Rig) 
 
 def test_requests_are_answered_done_or_refused_in_words(rig: Rig) -> None:
     ticks = rig.run(3.0, Reboot("left"), Home("left"), Reboot("lefft"), ClearFault("right"), Scan("can0"))
-    texts = [f"{n.about}: {n.text}" for n in told(ticks)]
+    texts = [f"{n.about}: {n.text}" for n in reported(ticks)]
     assert any(t.startswith("left: Reboot: done") for t in texts)
     assert "left: Home: refused: its protocol cannot do this" in texts
     assert "lefft: Reboot: refused: there is no motor 'lefft'; there are left, right" in texts
@@ -173,7 +173,7 @@ def test_limits_and_gains_are_set_while_it_runs_or_refused_in_words(driven: Rig)
         1.0, Set("left.limits.velocity", 2.0), Set("left.limits.torque", math.nan), Set("wing", 1.0)
     )
     assert driven.velocity("left") == pytest.approx(2.0, abs=0.1)
-    texts = [n.text for n in told(ticks, "operator")]
+    texts = [n.text for n in reported(ticks, "operator")]
     assert texts[0] == "left.limits.velocity = 2"
     assert "positive finite" in texts[1]
     assert "begins with neither of brain, left, right" in texts[2]
@@ -182,10 +182,10 @@ def test_limits_and_gains_are_set_while_it_runs_or_refused_in_words(driven: Rig)
 def test_a_lost_bus_and_one_that_is_back_are_told_and_nothing_starts_by_itself(driven: Rig) -> None:
     driven.world.lose("can0")
     ticks = driven.run(0.5)
-    assert any("has vanished" in n.text for n in told(ticks, "can0"))
+    assert any("has vanished" in n.text for n in reported(ticks, "can0"))
     driven.world.restore("can0")
     ticks = driven.run(1.0)
-    assert any("is back" in n.text for n in told(ticks, "can0"))
+    assert any("is back" in n.text for n in reported(ticks, "can0"))
     assert not [w for _, w in said(driven, ticks) if not isinstance(w, Idle)]
 
 
@@ -212,14 +212,14 @@ def test_a_brain_that_says_nan_moves_nothing_and_it_is_told(
     monkeypatch.setattr(rig.gateway, "brain", NanBrain(bad))
     monkeypatch.setattr(rig.gateway, "belief", lambda: belief)
     ticks = rig.run(0.3)
-    assert any("not finite" in n.text and n.level == "error" for n in told(ticks, "left"))
-    assert all(rig.robot.motors["left"].spec.read_only(p.wire) for t in ticks for p in t.outputs.packets)
+    assert any("not finite" in n.text and n.level == "error" for n in reported(ticks, "left"))
+    assert all(rig.robot.motors["left"].spec.read_only(p.frame) for t in ticks for p in t.outputs.packets)
     assert rig.gateway.joints["left"].not_finite > 0
 
 
 def test_a_command_for_a_body_is_refused_by_bare_joints(rig: Rig) -> None:
     ticks = rig.run(0.2, Drive(0.1, 0.0))
-    assert any("efused" in n.text for n in told(ticks, "brain"))
+    assert any("efused" in n.text for n in reported(ticks, "brain"))
 
 
 def test_a_copy_of_the_gateway_goes_on_the_same(driven: Rig) -> None:
@@ -255,8 +255,8 @@ def test_an_operators_stop_is_also_for_a_motor_that_somebody_else_has_armed(driv
     assert theirs.joints["left"].mode is Mode.ARMED
     ticks = driven.run(0.3)
     for tick in ticks:  # a second host hears the same bus, and has commanded nothing
-        heard = ours.step(tick.now, Inputs(packets=tick.inputs.packets))
-        assert not _idles(driven, heard)
+        received = ours.step(tick.now, Inputs(packets=tick.inputs.packets))
+        assert not _idles(driven, received)
     last = driven.clock.now()
     assert ours.joints["left"].mode is Mode.ARMED
     assert _idles(driven, ours.step(last, Inputs(asked=(Stop(),)))) == ["left", "right"]
@@ -272,6 +272,6 @@ def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Ri
 
 def _idles(rig: Rig, outputs: Outputs) -> list[str]:
     """Which motors would obey an Idle in these outputs."""
-    ear = ear_of(rig.robot, "can0")
-    words = [word for p in outputs.packets for word in ear.hear(p.t, p.wire)]
+    decoder = decoder_of(rig.robot, "can0")
+    words = [word for p in outputs.packets for word in decoder.decode(p.t, p.frame)]
     return [word.motor for word in words if isinstance(word, Idle)]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.core.joint import BLIND, LEFT, Joint, JointSettings
+from gateway.core.joint import DISARMED_ITSELF, FEEDBACK_LOST, Joint, JointSettings
 from gateway.core.limits import Limits
 from protocols.messages import (
     MILLISECOND,
@@ -40,7 +40,7 @@ def spec(*commands: type[Command]) -> Spec:
         kind="motor",
         sends=frozenset(),
         expects=frozenset(),
-        read_only=lambda _wire: False,
+        read_only=lambda _frame: False,
         feedback=FeedbackKind.CYCLIC,
         feedback_period=10 * MS,
         offline_after=100 * MS,
@@ -64,15 +64,15 @@ def joint(
     limits = Limits(velocity=10.0, acceleration=50.0, torque=2.0, position=position)
     settings = JointSettings(limits, gear, 1 if sign > 0 else -1, "hold" if silent == "hold" else "idle")
     if safe != "idle":
-        settings = replace(settings, safe="hold" if safe == "hold" else "brake")
+        settings = replace(settings, stop_action="hold" if safe == "hold" else "brake")
     return Joint("m", settings, spec())
 
 
 def armed(made: Joint, position: float = 0.0, velocity: float = 0.0) -> Joint:
     """Heard at t = 0, at rest, armed."""
     ratio = made.settings.gear * made.settings.sign
-    made.hear(Feedback("m", 0, position * ratio, velocity * ratio))
-    made.hear(State("m", 0, Mode.ARMED))
+    made.on_event(Feedback("m", 0, position * ratio, velocity * ratio))
+    made.on_event(State("m", 0, Mode.ARMED))
     return made
 
 
@@ -85,15 +85,15 @@ def drive(
         now: Nanos = i * STEP
         fed = plant(out[-1]) if plant and out else made.feedback
         ratio = made.settings.gear * made.settings.sign
-        made.hear(Feedback("m", now, (fed.position or 0.0) * ratio, (fed.velocity or 0.0) * ratio))
+        made.on_event(Feedback("m", now, (fed.position or 0.0) * ratio, (fed.velocity or 0.0) * ratio))
         out.append(made.allow(now, said, stopped=False))
     return out
 
 
 def test_the_device_turns_gear_times_as_far_the_other_way_round_if_it_is_mounted_so() -> None:
     made = armed(joint(gear=8.0, sign=-1), position=1.0)
-    heard = made.hear(Feedback("m", 0, position=-16.0, velocity=-8.0, torque=-0.25))
-    assert heard == Feedback("m", 0, position=2.0, velocity=1.0, torque=2.0)
+    received = made.on_event(Feedback("m", 0, position=-16.0, velocity=-8.0, torque=-0.25))
+    assert received == Feedback("m", 0, position=2.0, velocity=1.0, torque=2.0)
     (out,) = drive(made, Torque("m", 1.6), 1)
     assert isinstance(out, Torque)
     assert out.torque == pytest.approx(-0.2)
@@ -112,7 +112,7 @@ def test_power_is_the_same_on_both_sides_of_the_gear(gear: float, sign: int, tor
 def test_nothing_but_idle_before_the_device_was_heard() -> None:
     made = joint()
     assert made.allow(STEP, Velocity("m", 1.0), stopped=False) == Idle("m")
-    assert not made.claimed
+    assert not made.owned
     assert not made.faults
 
 
@@ -133,8 +133,8 @@ def test_the_first_velocity_is_near_the_measured_one() -> None:
 
 def test_an_unarmed_joint_does_not_wind_up_its_profile() -> None:
     made = joint()
-    made.hear(Feedback("m", 0, 0.0, 0.0))
-    made.hear(State("m", 0, Mode.READY))
+    made.on_event(Feedback("m", 0, 0.0, 0.0))
+    made.on_event(State("m", 0, Mode.READY))
     out = drive(made, Velocity("m", 10.0), 50)
     assert out[-1] == out[0] == Velocity("m", 50.0 * 0.005)
 
@@ -178,20 +178,20 @@ def test_a_velocity_towards_the_end_of_travel_brakes_before_it_and_stops_at_it()
 def test_torque_is_clamped_and_not_given_beyond_the_speed_limit_or_the_end_of_travel() -> None:
     made = armed(joint(position=(-1.0, 1.0)))
     assert made.allow(STEP, Torque("m", 99.0), stopped=False) == Torque("m", 2.0)
-    made.hear(Feedback("m", STEP, 0.0, 12.0))
+    made.on_event(Feedback("m", STEP, 0.0, 12.0))
     assert made.allow(2 * STEP, Torque("m", 1.0), stopped=False) == Torque("m", 0.0)
     assert made.allow(2 * STEP, Torque("m", -1.0), stopped=False) == Torque("m", -1.0)
-    made.hear(Feedback("m", 2 * STEP, 1.1, 0.0))
+    made.on_event(Feedback("m", 2 * STEP, 1.1, 0.0))
     assert made.allow(3 * STEP, Torque("m", 1.0), stopped=False) == Torque("m", 0.0)
 
 
 @pytest.mark.parametrize("command", [Position("m", 1.0), Velocity("m", 1.0), Torque("m", 0.1)], ids=repr)
 def test_nothing_moves_where_the_position_must_be_known_and_is_not(command: Command) -> None:
     made = joint(position=(-1.0, 2.0))
-    made.hear(Feedback("m", 0, velocity=0.0))
-    made.hear(State("m", 0, Mode.ARMED))
+    made.on_event(Feedback("m", 0, velocity=0.0))
+    made.on_event(State("m", 0, Mode.ARMED))
     assert made.allow(STEP, command, stopped=False) == Idle("m")
-    made.hear(Feedback("m", STEP, position=0.5))
+    made.on_event(Feedback("m", STEP, position=0.5))
     assert made.allow(2 * STEP, command, stopped=False) != Idle("m")
 
 
@@ -224,8 +224,8 @@ def test_a_value_that_is_not_finite_is_refused_and_counted(
 @pytest.mark.parametrize("bad", BAD)
 def test_feedback_that_is_not_finite_goes_nowhere(bad: float) -> None:
     made = armed(joint(), position=1.0)
-    assert made.hear(Feedback("m", 7, position=bad)) is None
-    assert made.hear(Feedback("m", 7, velocity=0.0, torque=bad)) is None
+    assert made.on_event(Feedback("m", 7, position=bad)) is None
+    assert made.on_event(Feedback("m", 7, velocity=0.0, torque=bad)) is None
     assert made.feedback.position == 1.0
     assert made.not_finite == 2
 
@@ -241,9 +241,9 @@ def test_a_command_that_the_device_cannot_do_is_refused_by_name() -> None:
 def test_a_silent_brain_means_what_the_file_says(silent: str) -> None:
     made = armed(joint(silent=silent))
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.hear(Feedback("m", 100 * MS, 0.0, 0.0))
+    made.on_event(Feedback("m", 100 * MS, 0.0, 0.0))
     assert isinstance(made.allow(100 * MS, None, stopped=False), Velocity)
-    made.hear(Feedback("m", 110 * MS, 0.0, 0.0))
+    made.on_event(Feedback("m", 110 * MS, 0.0, 0.0))
     out = made.allow(110 * MS, None, stopped=False)
     assert out == (Hold("m") if silent == "hold" else Idle("m"))
 
@@ -263,7 +263,7 @@ def test_braking_slows_down_within_the_limit_and_then_disarms() -> None:
     while isinstance(out := made.allow(now + STEP, None, stopped=True), Velocity):
         now += STEP
         speeds.append(out.velocity)
-        made.hear(Feedback("m", now, 0.0, out.velocity))
+        made.on_event(Feedback("m", now, 0.0, out.velocity))
     assert out == Idle("m")
     assert len(speeds) == pytest.approx(5.0 / (50.0 * 0.005), abs=2)
     assert all(a - b <= 50.0 * 0.005 + 1e-9 for a, b in pairwise(speeds))
@@ -275,7 +275,7 @@ def test_braking_ends_in_bounded_time_even_if_the_shaft_does_not_slow_down() -> 
     drive(made, Velocity("m", 5.0), 1)
     out = []
     for now in range(2 * STEP, 1000 * MS, STEP):
-        made.hear(Feedback("m", now, 0.0, 5.0))
+        made.on_event(Feedback("m", now, 0.0, 5.0))
         out.append(made.allow(now, None, stopped=True))
     braked = [c for c in out if isinstance(c, Velocity)]
     assert len(braked) * STEP <= made.braking_time == 400 * MS
@@ -287,7 +287,7 @@ def test_what_cannot_be_trusted_to_brake_is_disarmed_at_once(why: str) -> None:
     made = armed(joint(safe="brake"), velocity=5.0)
     drive(made, Idle("m") if why == "idle before" else Velocity("m", 5.0), 1)
     if why == "fault":
-        made.hear(Fault("m", STEP, 1, "X"))
+        made.on_event(Fault("m", STEP, 1, "X"))
     later = 500 * MS if why == "blind" else 2 * STEP
     assert made.allow(later, None, stopped=True, last=why == "last") == Idle("m")
 
@@ -296,46 +296,46 @@ def test_a_commanded_joint_that_falls_silent_latches_and_does_not_start_by_itsel
     made = armed(joint())
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
     assert made.allow(200 * MS, Velocity("m", 1.0), stopped=False) == Idle("m")
-    assert [f.code for f in made.take_untold()] == [BLIND]
-    made.hear(Feedback("m", 205 * MS, 0.0, 0.0))
+    assert [f.code for f in made.take_unreported()] == [FEEDBACK_LOST]
+    made.on_event(Feedback("m", 205 * MS, 0.0, 0.0))
     assert made.allow(205 * MS, Velocity("m", 1.0), stopped=False) == Idle("m")
     made.clear()
     assert isinstance(made.allow(210 * MS, Velocity("m", 1.0), stopped=False), Velocity)
-    assert made.take_untold() == []
+    assert made.take_unreported() == []
 
 
 def test_how_long_a_joint_may_be_silent_is_the_robot_files_not_the_drivers() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.hear(State("m", 250 * MS, Mode.OFFLINE))  # the driver's own patience has ended
+    made.on_event(State("m", 250 * MS, Mode.OFFLINE))  # the driver's own patience has ended
     made.allow(400 * MS, Velocity("m", 1.0), stopped=False)
     assert not made.faults
     made.allow(510 * MS, Velocity("m", 1.0), stopped=False)
-    assert [f.code for f in made.faults.values()] == [BLIND]
+    assert [f.code for f in made.faults.values()] == [FEEDBACK_LOST]
 
 
 def test_a_device_that_comes_back_disarmed_from_a_short_silence_has_left() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.hear(State("m", 250 * MS, Mode.OFFLINE))
-    made.hear(State("m", 300 * MS, Mode.READY))
-    assert [f.code for f in made.faults.values()] == [LEFT]
+    made.on_event(State("m", 250 * MS, Mode.OFFLINE))
+    made.on_event(State("m", 300 * MS, Mode.READY))
+    assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
 
 
 def test_an_idle_joint_that_falls_silent_is_blind_but_not_in_fault() -> None:
     made = armed(joint())
     made.allow(200 * MS, None, stopped=False)
-    assert made.blind(200 * MS)
+    assert made.feedback_lost(200 * MS)
     assert not made.faults
 
 
 def test_a_device_that_disarms_itself_latches() -> None:
     made = armed(joint())
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.hear(State("m", 2 * STEP, Mode.INITIALISING, "INITIALIZING"))
-    assert [f.code for f in made.faults.values()] == [LEFT]
+    made.on_event(State("m", 2 * STEP, Mode.INITIALISING, "INITIALIZING"))
+    assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
     assert made.allow(3 * STEP, Velocity("m", 1.0), stopped=False) == Idle("m")
 
 
@@ -343,17 +343,17 @@ def test_a_device_that_we_disarmed_is_in_no_fault() -> None:
     made = armed(joint())
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
     made.allow(2 * STEP, Idle("m"), stopped=False)
-    made.hear(State("m", 3 * STEP, Mode.READY))
+    made.on_event(State("m", 3 * STEP, Mode.READY))
     assert not made.faults
 
 
 def test_faults_latch_once_each_and_stay_when_the_device_forgets_them() -> None:
     made = armed(joint())
     for _ in range(3):
-        made.hear(Fault("m", 1, 0x40, "MOTOR_FAILED"))
-    made.hear(Fault("m", 1, 0x80, "OTHER"))
-    made.hear(State("m", 2, Mode.READY))
-    assert [f.code for f in made.take_untold()] == [0x40, 0x80]
+        made.on_event(Fault("m", 1, 0x40, "MOTOR_FAILED"))
+    made.on_event(Fault("m", 1, 0x80, "OTHER"))
+    made.on_event(State("m", 2, Mode.READY))
+    assert [f.code for f in made.take_unreported()] == [0x40, 0x80]
     assert len(made.faults) == 2
     assert made.allow(STEP, Velocity("m", 1.0), stopped=False) == Idle("m")
 
@@ -361,9 +361,9 @@ def test_faults_latch_once_each_and_stay_when_the_device_forgets_them() -> None:
 def test_after_clearing_the_old_command_is_not_taken_up_again() -> None:
     made = armed(joint())
     made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.hear(Fault("m", 1, 1, "X"))
+    made.on_event(Fault("m", 1, 1, "X"))
     made.clear()
-    made.hear(Feedback("m", 2 * STEP, 0.0, 0.0))
+    made.on_event(Feedback("m", 2 * STEP, 0.0, 0.0))
     assert made.allow(2 * STEP, None, stopped=False) == Idle("m")
 
 

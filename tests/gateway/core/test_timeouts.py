@@ -15,7 +15,7 @@ from brain.belief import BrainState
 from gateway.config import resources
 from gateway.core.tick import Tick
 from protocols.messages import MILLISECOND, Event, Feedback, Goal, LaserScan, Nanos
-from tests.gateway.rig import Rig, told
+from tests.gateway.rig import Rig, reported
 
 DIFFBOT = resources.find("robots", "diffbot").read_text()
 LATE = 6 * MILLISECOND
@@ -107,9 +107,9 @@ def test_the_timeout_of_feedback_says_so_for_a_wheel_before_its_joint_goes_blind
         f"right: no feedback for more than {timeout_ms * 0.5:g} ms: slow",
         f"right: no feedback for more than {timeout_ms * 0.9:g} ms: standing",
     ]
-    blind = f"silent: no feedback for more than {timeout_ms} ms"
-    assert any(blind in note.text and note.level == "error" for note in told(seen.ticks, "right"))
-    assert blind in seen.rig.gateway.why_stopped()
+    feedback_lost = f"silent: no feedback for more than {timeout_ms} ms"
+    assert any(feedback_lost in note.text and note.level == "error" for note in reported(seen.ticks, "right"))
+    assert feedback_lost in seen.rig.gateway.why_stopped()
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from gateway.monitor.candidates import Tongue, anybody, choices, of_robot
 from gateway.monitor.decoder import ENOUGH, MOST_IDS, WINDOW, Listener
 from gateway.monitor.rate import Rate
 from gateway.monitor.state import Heard, Seen, at_joint
-from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import (
     MILLISECOND,
     SECOND,
@@ -51,15 +51,15 @@ class Mute:
 
     def __init__(self, tongue: Tongue) -> None:
         self._driver = tongue.driver
-        self.tally = tongue.driver.tally
+        self.counters = tongue.driver.counters
 
-    def receive(self, t: Nanos, wire: Wire) -> Sequence[Event]:
-        return self._driver.receive(t, wire)
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return self._driver.receive(t, frame)
 
     def bus(self, t: Nanos, state: BusState) -> None:
         self._driver.bus(t, state)
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Wire]]:
+    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
         raise AssertionError("a listener has asked a driver to speak")
 
     def due(self) -> Nanos | None:
@@ -78,8 +78,8 @@ def known(text: str = BENCH, *, window: Nanos | None = WINDOW) -> Listener:
     return Listener(robot.buses, muted, 0, known=True, window=window)
 
 
-def hear(listener: Listener, *wires: tuple[Nanos, Wire], bus: str = "can0") -> list[Heard]:
-    return [listener.hear(Packet(t, bus, wire)) for t, wire in wires]
+def handle(listener: Listener, *frames: tuple[Nanos, Frame], bus: str = "can0") -> list[Heard]:
+    return [listener.handle(Packet(t, bus, frame)) for t, frame in frames]
 
 
 def device(listener: Listener, name: str) -> Seen:
@@ -106,7 +106,7 @@ def drive() -> tuple[Rig, list[Packet]]:
 def test_with_a_robot_file_a_listener_knows_what_the_gateway_knows(drive: tuple[Rig, list[Packet]]) -> None:
     rig, packets = drive
     listener = known()
-    heard = [listener.hear(packet) for packet in packets]
+    received = [listener.handle(packet) for packet in packets]
     now = packets[-1].t
     for name, joint in rig.gateway.joints.items():
         seen = device(listener, name)
@@ -121,18 +121,18 @@ def test_with_a_robot_file_a_listener_knows_what_the_gateway_knows(drive: tuple[
     assert not listener.unknown(now)
     assert listener.not_understood("can0") == 0
     at_ear = [(t, at_joint(word, 8.0)) for t, word in said(rig, rig.ticks) if word.motor == "left"]
-    assert [(one.packet.t, word) for one in heard for word in one.told] == at_ear
-    assert {one.direction for one in heard} == {"from", "to"}
+    assert [(one.packet.t, word) for one in received for word in one.reported] == at_ear
+    assert {one.direction for one in received} == {"from", "to"}
 
 
 def test_rates_are_those_of_the_wire(drive: tuple[Rig, list[Packet]]) -> None:
     _, packets = drive
     listener = known()
     for packet in packets:
-        listener.hear(packet)
+        listener.handle(packet)
     now = packets[-1].t
     since = now - WINDOW
-    counted = [p.wire for p in packets if p.t > since and isinstance(p.wire, CanFrame)]
+    counted = [p.frame for p in packets if p.t > since and isinstance(p.frame, CanFrame)]
     rates = dict(listener.messages(device(listener, "left"), now))
     for number, label in ((0x029, "029 Feedback"), (0x021, "021 State")):
         true = sum(frame.id == number and not frame.remote for frame in counted) * SECOND / WINDOW
@@ -146,7 +146,7 @@ def test_without_a_window_rates_are_of_the_whole_time(drive: tuple[Rig, list[Pac
     _, packets = drive
     listener = known(window=None)
     for packet in packets:
-        listener.hear(packet)
+        listener.handle(packet)
     assert listener.buses["can0"].packets.per_second(3 * SECOND) == pytest.approx(len(packets) / 3)
 
 
@@ -155,7 +155,7 @@ def test_who_falls_silent_is_said_to_be(drive: tuple[Rig, list[Packet]]) -> None
     listener = known()
     assert "never heard" in page(listener, 0)
     for packet in packets:
-        listener.hear(packet)
+        listener.handle(packet)
     now = packets[-1].t
     assert "SILENT" not in page(listener, now)
     assert page(listener, now + 101 * MILLISECOND).count("SILENT") == 2  # feedback_timeout_ms is 100
@@ -164,29 +164,31 @@ def test_who_falls_silent_is_said_to_be(drive: tuple[Rig, list[Packet]]) -> None
 def test_faults_are_told_in_the_devices_words_and_are_past_when_it_is_well_again() -> None:
     listener = known()
     idle, current = 1, 0x1000
-    hear(listener, (0, encode(1, GetVersion(2, 5, 1, 0, 0, 6, 10, 0))))  # what its errors mean depends on it
+    handle(
+        listener, (0, encode(1, GetVersion(2, 5, 1, 0, 0, 6, 10, 0)))
+    )  # what its errors mean depends on it
     beat = [(t * 100 * MILLISECOND, encode(1, Heartbeat(0, idle, 0, 0))) for t in range(3)]
-    hear(listener, *beat)
+    handle(listener, *beat)
     assert "FAULT" not in page(listener, SECOND)
-    (heard,) = hear(listener, (300 * MILLISECOND, encode(1, Heartbeat(current, idle, 0, 0))))
+    (received,) = handle(listener, (300 * MILLISECOND, encode(1, Heartbeat(current, idle, 0, 0))))
     seen = device(listener, "left")
     (fault,) = seen.faults.values()
-    assert fault in heard.said
+    assert fault in received.said
     text = page(listener, 400 * MILLISECOND)
-    for part in (fault.name, fault.cause, fault.cure, "fault: IDLE"):
+    for part in (fault.name, fault.cause, fault.remedy, "fault: IDLE"):
         assert part
         assert part in text
-    hear(listener, (500 * MILLISECOND, encode(1, Heartbeat(0, idle, 0, 0))))
+    handle(listener, (500 * MILLISECOND, encode(1, Heartbeat(0, idle, 0, 0))))
     assert seen.faults == {}
     assert f"had a fault 300 ms ago: {fault.name}" in page(listener, 600 * MILLISECOND)
 
 
 def test_a_frame_that_is_wrong_is_counted_and_believed_of_nobody() -> None:
     listener = known()
-    (heard,) = hear(listener, (0, CanFrame(0x029, b"\x00" * 3)))
-    assert (heard.said, heard.told, heard.names) == ((), (), ("left",))
+    (received,) = handle(listener, (0, CanFrame(0x029, b"\x00" * 3)))
+    assert (received.said, received.reported, received.names) == ((), (), ("left",))
     assert listener.not_understood("can0") == 1
-    assert device(listener, "left").heard_at is None
+    assert device(listener, "left").received_at is None
 
 
 def test_words_are_moved_to_the_output_shaft() -> None:
@@ -203,15 +205,15 @@ def test_on_a_bare_bus_devices_are_found_by_trying(drive: tuple[Rig, list[Packet
     _, packets = drive
     listener, robot = bare(CAN), known()
     for packet in packets:
-        listener.hear(packet)
-        robot.hear(packet)
+        listener.handle(packet)
+        robot.handle(packet)
     assert sorted((place[0], place[2]) for place in listener.found) == [("can0", 1), ("can0", 2)]
     for (_, _, address), seen in listener.found.items():
-        told = device(robot, "left" if address == 1 else "right")
+        reported = device(robot, "left" if address == 1 else "right")
         assert seen.joint is not None
-        assert told.joint is not None
-        assert seen.joint.mode is told.joint.mode
-        position, geared = seen.joint.feedback.position, told.joint.feedback.position
+        assert reported.joint is not None
+        assert seen.joint.mode is reported.joint.mode
+        position, geared = seen.joint.feedback.position, reported.joint.feedback.position
         assert position is not None
         assert geared is not None
         assert position == pytest.approx(8.0 * geared)  # nobody knows of a gear here
@@ -225,14 +227,14 @@ def test_frames_that_only_look_like_a_device_are_a_guess() -> None:
     """Estimates alone come of any 8 bytes; a motor also tells its state."""
     listener = bare(CAN)
     frames = [(t * 10 * MILLISECOND, encode(5, GetEncoderEstimates(1.0, 0.0))) for t in range(20)]
-    heard = hear(listener, *frames)
+    received = handle(listener, *frames)
     assert not listener.found
-    assert all(one.guessed and not one.said and one.direction == "" for one in heard)
+    assert all(one.guessed and not one.said and one.direction == "" for one in received)
     ((_, seen),) = listener.unknown(SECOND)
     assert [name.endswith(":5") for name in seen.could_be] == [True]
     assert "could be" in page(listener, SECOND)
     assert "no device has been found yet" in page(listener, SECOND)
-    (heard_beat,) = hear(listener, (SECOND, encode(5, Heartbeat(0, 1, 0, 0))))
+    (heard_beat,) = handle(listener, (SECOND, encode(5, Heartbeat(0, 1, 0, 0))))
     assert len(listener.found) == 1
     assert [type(event) for event in heard_beat.said] == [State]
     assert not listener.unknown(SECOND)
@@ -242,9 +244,9 @@ def test_unknown_ids_are_listed_with_their_rates_the_busiest_first() -> None:
     listener = bare(CAN)
     for i in range(200):
         t = i * 10 * MILLISECOND
-        hear(listener, (t, CanFrame(0x12345678, bytes([i]), extended=True)))
+        handle(listener, (t, CanFrame(0x12345678, bytes([i]), extended=True)))
         if i % 10 == 0:
-            hear(listener, (t + 1, CanFrame(0x7FF, b"\x01\x02\x03")))
+            handle(listener, (t + 1, CanFrame(0x7FF, b"\x01\x02\x03")))
     now = 2 * SECOND
     ids = listener.unknown(now)
     assert [key[3] for key, _ in ids] == [0x12345678, 0x7FF]
@@ -264,7 +266,7 @@ def test_devices_on_a_serial_line_are_found_whatever_their_options() -> None:
         imu = codec.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
         motor = codec.message(3, Feedback("", 0, position=1.5)) + codec.message(3, State("", 0, Mode.ARMED))
         stream = scan + imu + motor
-        hear(listener, (t, stream[:25]), (t + MILLISECOND, stream[25:]), bus="tty")
+        handle(listener, (t, stream[:25]), (t + MILLISECOND, stream[25:]), bus="tty")
     found = {place[2]: seen for place, seen in listener.found.items()}
     assert sorted(found) == [1, 2, 3]
     assert [found[address].joint is None for address in (1, 2, 3)] == [True, True, False]
@@ -278,11 +280,11 @@ def test_what_a_tap_on_a_serial_line_hears_of_the_host_is_told_too() -> None:
     listener = bare(TTY)
     for i in range(ENOUGH):
         up = codec.message(3, Feedback("", 0, position=1.5)) + codec.message(3, State("", 0, Mode.ARMED))
-        hear(listener, (i * MILLISECOND, up), bus="tty")
-    (heard,) = hear(listener, (SECOND, codec.message(3, Velocity("", 2.0))), bus="tty")
+        handle(listener, (i * MILLISECOND, up), bus="tty")
+    (received,) = handle(listener, (SECOND, codec.message(3, Velocity("", 2.0))), bus="tty")
     (seen,) = listener.found.values()
     assert seen.command == Velocity(seen.party.name, 2.0)
-    assert heard.direction == "to"
+    assert received.direction == "to"
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -294,9 +296,9 @@ def test_any_traffic_is_survived_and_bounded(seed: int) -> None:
         extended, remote = bool(rng.integers(2)), rng.random() < 0.1
         number = int(rng.integers(0, 1 << (29 if extended else 11)))
         frame = CanFrame(number, b"" if remote else data, extended=extended, remote=remote)
-        for wire, bus in ((frame, "can0"), (rng.bytes(int(rng.integers(0, 40))), "tty")):
-            heard = listener.hear(Packet(t * MILLISECOND, bus, wire))
-            render.line(heard)
+        for raw, bus in ((frame, "can0"), (rng.bytes(int(rng.integers(0, 40))), "tty")):
+            received = listener.handle(Packet(t * MILLISECOND, bus, raw))
+            render.line(received)
     page(listener, 2 * SECOND)
     assert listener.buses["can0"].packets.total == 1500
 
@@ -304,7 +306,7 @@ def test_any_traffic_is_survived_and_bounded(seed: int) -> None:
 def test_a_flood_of_ids_does_not_fill_the_memory() -> None:
     listener = known()
     for number in range(MOST_IDS + 100):
-        listener.hear(Packet(number, "can0", CanFrame(0x10000 + number, b"", extended=True)))
+        listener.handle(Packet(number, "can0", CanFrame(0x10000 + number, b"", extended=True)))
     assert len(listener.ids) == MOST_IDS
     assert listener.buses["can0"].packets.total == MOST_IDS + 100
     assert "more unknown ids" in page(listener, SECOND)
@@ -314,9 +316,9 @@ def test_a_copy_goes_on_alike(drive: tuple[Rig, list[Packet]]) -> None:
     _, packets = drive
     listener = bare(CAN)
     for packet in packets[:400]:
-        listener.hear(packet)
+        listener.handle(packet)
     other = copy.deepcopy(listener)
-    assert [listener.hear(p) for p in packets[400:800]] == [other.hear(p) for p in packets[400:800]]
+    assert [listener.handle(p) for p in packets[400:800]] == [other.handle(p) for p in packets[400:800]]
 
 
 def test_a_change_of_a_bus_is_told_to_those_who_listen() -> None:

@@ -35,7 +35,10 @@ from protocols.plain import codec as plain
 from tests.gateway.rig import BENCH, Rig
 
 ROOT = Path(__file__).resolve().parents[3]
-LISTENERS = ("watch", "sources", "overhear", "parties", "seen", "rate", "table")
+LISTENERS = (
+    "cli/watch",
+    *(f"monitor/{name}" for name in ("sources", "decoder", "candidates", "state", "rate", "render")),
+)
 """The modules that watching is made of, beside the buses and the screen."""
 
 
@@ -85,7 +88,7 @@ def test_on_a_can_bus_not_a_single_frame_goes_out(drive: list[Packet]) -> None:
     try:
         with watching(asked("virtual:watched")) as made:
             for packet in drive:
-                other.write(packet.t, [packet.wire])
+                other.write(packet.t, [packet.frame])
                 list(lines(made, made.clock.now()))
             pages(made, made.clock.now() + SECOND, lambda _: None)
             assert made.listener.buses["watched"].packets.total == len(drive)
@@ -103,13 +106,13 @@ def test_an_adapter_on_a_serial_line_is_opened_for_listening_and_is_told_no_fram
         termios.tcsetattr(adapter, termios.TCSANOW, _raw(adapter))
         source = open_source(settings, SimulatedClock())
         os.write(adapter, b"t0213010203\r\r\a")
-        told = source.read(SECOND)
+        reported = source.read(SECOND)
         source.close()
         said = os.read(adapter, 4096).split(b"\r")
     finally:
         os.close(adapter)
         os.close(port)
-    assert told == ([], [Packet(SECOND, "can0", CanFrame(0x021, b"\x01\x02\x03"))])
+    assert reported == ([], [Packet(SECOND, "can0", CanFrame(0x021, b"\x01\x02\x03"))])
     assert set(said) == {b"C", b"S6", b"L", b""}
 
 
@@ -231,18 +234,18 @@ def test_lines_tell_time_bus_frame_and_meaning(drive: list[Packet]) -> None:
     try:
         with watching(asked("bench", ("can0", "virtual:lines"))) as made:
             for packet in drive:
-                other.write(packet.t, [packet.wire])
+                other.write(packet.t, [packet.frame])
             other.write(0, [CanFrame(0x7FF, b"\x01")])
             made.listener.state(0, "can0", BusState.UP)
-            told = [text for some in lines(made, 0) for text in some]
+            reported = [text for some in lines(made, 0) for text in some]
     finally:
         other.close()
-    assert len(told) == len(drive) + 1
-    assert told[0].startswith("(0.000000) can0 ")
-    assert any("029#0000000000000000  <- left: Feedback position 0 rad" in text for text in told)
-    assert any("-> left: Velocity" in text for text in told)
-    assert any(text.endswith("049#R  -> right") for text in told)
-    assert told[-1].endswith("7FF#01   ?")
+    assert len(reported) == len(drive) + 1
+    assert reported[0].startswith("(0.000000) can0 ")
+    assert any("029#0000000000000000  <- left: Feedback position 0 rad" in text for text in reported)
+    assert any("-> left: Velocity" in text for text in reported)
+    assert any(text.endswith("049#R  -> right") for text in reported)
+    assert reported[-1].endswith("7FF#01   ?")
 
 
 def test_the_page_is_drawn_again_and_again_and_ends_with_the_time() -> None:
@@ -310,13 +313,13 @@ def test_a_recording_gets_its_last_page(capsys: pytest.CaptureFixture[str], reco
 
 def test_a_recording_s_lines_are_all_its_frames(capsys: pytest.CaptureFixture[str], recording: Path) -> None:
     assert main(["watch", str(recording), "--lines"]) == 0
-    told = capsys.readouterr().out.splitlines()
+    reported = capsys.readouterr().out.splitlines()
     ticks = list(read(recording).ticks)
     frames = sum(len(tick.inputs.packets) + len(tick.outputs.packets) for tick in ticks)
     others = sum(len(tick.outputs.notes) + len(tick.inputs.asked) for tick in ticks)
-    assert len(told) == frames + others
-    assert sum(" can0 " in text for text in told) == frames
-    assert any("info: brain: ready" in text for text in told)
+    assert len(reported) == frames + others
+    assert sum(" can0 " in text for text in reported) == frames
+    assert any("info: brain: ready" in text for text in reported)
 
 
 def test_of_a_recording_the_first_seconds_can_be_had(
@@ -348,12 +351,12 @@ def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c() -> None:
     process = subprocess.Popen(command, stdout=other, stderr=other, stdin=other)
     os.close(other)
     try:
-        wire = plain.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
+        frame = plain.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
         clock = WallClock()
         interrupted = False
         while clock.now() < 30 * SECOND:
             line.read(0)
-            line.write(0, [wire])
+            line.write(0, [frame])
             if select.select([terminal], [], [], 0.02)[0]:
                 try:
                     shown += os.read(terminal, 65536)

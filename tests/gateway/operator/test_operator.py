@@ -180,19 +180,19 @@ class Client:
     """Somebody at the other end, who never waits."""
 
     def __init__(self, path: Path) -> None:
-        self.wire = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.wire.connect(str(path))
-        self.wire.setblocking(False)
+        self.frame = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.frame.connect(str(path))
+        self.frame.setblocking(False)
 
     def say(self, data: bytes) -> None:
-        self.wire.sendall(data)
+        self.frame.sendall(data)
 
-    def heard(self) -> str:
+    def received(self) -> str:
         """What has come so far."""
         data = b""
         while True:
             try:
-                piece = self.wire.recv(1 << 16)
+                piece = self.frame.recv(1 << 16)
             except BlockingIOError:
                 return data.decode()
             if not piece:
@@ -204,7 +204,7 @@ class Client:
 def client(operator: Operator) -> Iterator[Client]:
     made = Client(operator.path)
     yield made
-    made.wire.close()
+    made.frame.close()
 
 
 def test_the_socket_belongs_to_its_owner_alone_and_goes_with_the_operator(folder: Path) -> None:
@@ -220,12 +220,12 @@ def test_lines_are_asked_in_order_and_answered(operator: Operator, client: Clien
     assert operator.poll(status) == []
     client.say(b"goal 1 2\nnonsense\nstatus\n\nstop now\n")
     assert operator.poll(status) == [Goal(1.0, 2.0), Stop("now")]
-    answer = client.heard().splitlines()
+    answer = client.received().splitlines()
     assert answer[0] == "asked: goal 1 2"
     assert "no word 'nonsense'" in answer[1]
     assert answer[2:] == ["all is well", "really", "asked: stop now"]
     assert operator.poll(status) == []
-    assert client.heard() == ""
+    assert client.received() == ""
 
 
 def test_a_line_may_come_byte_by_byte(operator: Operator, client: Client) -> None:
@@ -238,30 +238,30 @@ def test_a_line_may_come_byte_by_byte(operator: Operator, client: Client) -> Non
 
 def test_the_last_line_needs_no_end(operator: Operator, client: Client) -> None:
     client.say(b"release")
-    client.wire.shutdown(socket.SHUT_WR)
+    client.frame.shutdown(socket.SHUT_WR)
     asked = [word for _ in range(3) for word in operator.poll(status)]
     assert asked == [Release()]
 
 
 def test_what_the_robot_says_in_the_step_after_is_heard_too(operator: Operator, client: Client) -> None:
     client.say(b"set brain.x 5\n")
-    client.wire.shutdown(socket.SHUT_WR)
+    client.frame.shutdown(socket.SHUT_WR)
     asked = operator.poll(status)
     if not asked:
         asked = operator.poll(status)
     assert asked == [Set("brain.x", 5.0)]
-    operator.tell("operator: set brain.x: refused: there is no such setting")
+    operator.report("operator: set brain.x: refused: there is no such setting")
     for _ in range(3):
         operator.poll(status)
-    heard = client.heard()
-    assert heard == "asked: set brain.x 5\noperator: set brain.x: refused: there is no such setting\n<end>"
+    received = client.received()
+    assert received == "asked: set brain.x 5\noperator: set brain.x: refused: there is no such setting\n<end>"
 
 
 def test_quit_is_told_and_leaves(operator: Operator, client: Client) -> None:
     client.say(b"quit\n")
     assert operator.poll(status) == []
     assert operator.leaving
-    assert client.heard() == "leaving\n"
+    assert client.received() == "leaving\n"
 
 
 def test_a_line_that_is_too_long_is_left_out_whole(operator: Operator, client: Client) -> None:
@@ -270,7 +270,7 @@ def test_a_line_that_is_too_long_is_left_out_whole(operator: Operator, client: C
     for _ in range(10):
         asked += operator.poll(status)
     assert asked == [Release()]
-    assert client.heard().count("longer than") == 1
+    assert client.received().count("longer than") == 1
     client.say(b"stop " + b"y" * (MOST_LINE - 10) + b"\n")
     assert operator.poll(status) == [Stop("y" * (MOST_LINE - 10))]
 
@@ -284,19 +284,19 @@ def test_clients_who_vanish_or_never_read_hurt_nobody(operator: Operator, client
     gone = [Client(operator.path) for _ in range(3)]
     for one in gone:
         one.say(b"status\ngoal 1 1\nhalf a li")
-        one.wire.close()
+        one.frame.close()
     assert operator.poll(status) == [Goal(1.0, 1.0)] * 3
     for _ in range(2000):
-        operator.tell("x" * 1000)
+        operator.report("x" * 1000)
     assert operator.poll(status) == []
     other = Client(operator.path)
     try:
         other.say(b"release\n")
         assert operator.poll(status) == [Release()]
-        assert other.heard() == "asked: release\n"
+        assert other.received() == "asked: release\n"
     finally:
-        other.wire.close()
-    assert client.heard().endswith("<end>")
+        other.frame.close()
+    assert client.received().endswith("<end>")
 
 
 def test_there_are_only_so_many_clients(operator: Operator) -> None:
@@ -305,12 +305,12 @@ def test_there_are_only_so_many_clients(operator: Operator) -> None:
     try:
         late.say(b"release\n")
         assert operator.poll(status) == []
-        crowd[0].wire.close()
+        crowd[0].frame.close()
         operator.poll(status)
         assert [w for _ in range(3) for w in operator.poll(status)] == [Release()]
     finally:
         for one in (*crowd, late):
-            one.wire.close()
+            one.frame.close()
 
 
 def test_a_socket_that_the_dead_left_is_taken_over(folder: Path) -> None:
@@ -323,7 +323,7 @@ def test_a_socket_that_the_dead_left_is_taken_over(folder: Path) -> None:
         client = Client(operator.path)
         client.say(b"stop\n")
         assert operator.poll(status) == [Stop()]
-        client.wire.close()
+        client.frame.close()
 
 
 def test_a_second_gateway_of_the_same_name_gets_a_socket_of_its_own(operator: Operator, folder: Path) -> None:
@@ -369,7 +369,7 @@ def test_the_command_lines_own_end(operator: Operator) -> None:
         while not enough.is_set():
             for word in operator.poll(status):
                 asked.append(word)
-                operator.tell("operator: so be it")
+                operator.report("operator: so be it")
 
     robot = threading.Thread(target=loop)
     robot.start()
@@ -426,11 +426,11 @@ def test_lines_on_a_terminal_are_asked(folder: Path) -> None:
 BACKGROUND = """
 import os, sys
 from pathlib import Path
-from gateway import shipped
+from gateway.config import resources
 from gateway.config import load
 from gateway.operator import Operator
 
-robot = load(shipped.find("robots", "diffbot"))
+robot = load(resources.find("robots", "diffbot"))
 terminal = os.open(sys.argv[1], os.O_RDWR)  # the first one that a session opens controls it
 child = os.fork()
 if child == 0:

@@ -16,7 +16,7 @@ from rosbags.typesys.store import Typestore
 from gateway.core.tick import Inputs, Outputs, Tick
 from gateway.recording import tick_codec
 from gateway.recording.ros_views import typestore
-from gateway.recording.tick_codec import UNSEALED, JournalError, Seals, decode, encode
+from gateway.recording.tick_codec import UNPROTECTED, DigestChain, JournalError, decode, encode
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import Feedback
 from tests.gateway import little
@@ -29,12 +29,12 @@ def store() -> Typestore:
     return made
 
 
-seals = st.builds(Seals, st.binary(min_size=16, max_size=16), st.binary(min_size=16, max_size=16))
+seals = st.builds(DigestChain, st.binary(min_size=16, max_size=16), st.binary(min_size=16, max_size=16))
 
 
 @given(little.ticks, seals)
 @settings(max_examples=300, deadline=None)
-def test_a_tick_comes_back_exactly(tick: Tick, before: Seals) -> None:
+def test_a_tick_comes_back_exactly(tick: Tick, before: DigestChain) -> None:
     data, after = encode(tick, before)
     entry = decode(data, before)
     # repr tells -0.0 from 0.0, which == does not
@@ -48,17 +48,17 @@ def test_a_tick_comes_back_exactly(tick: Tick, before: Seals) -> None:
 @settings(max_examples=200, deadline=None)
 def test_the_bytes_are_those_of_a_general_serialiser(tick: Tick) -> None:
     made = store()
-    data, _ = encode(tick, UNSEALED)
+    data, _ = encode(tick, UNPROTECTED)
     message: Any = made.deserialize_cdr(data, tick_codec.TYPE)
     assert bytes(made.serialize_cdr(message, tick_codec.TYPE, little_endian=True)) == data
     assert (message.number, message.now) == (tick.number, tick.now)
     assert [(s.bus, s.state) for s in message.states] == [(b, s.value) for b, s in tick.inputs.states]
-    for told, packet in zip(message.received, tick.inputs.packets, strict=True):
-        wire = packet.wire
-        data_in = wire.data if isinstance(wire, CanFrame) else wire
-        assert (told.t, told.bus, told.data.tobytes()) == (packet.t, packet.bus, data_in)
-        assert told.kind == isinstance(wire, CanFrame)
-        assert told.id == (wire.id if isinstance(wire, CanFrame) else 0)
+    for reported, packet in zip(message.received, tick.inputs.packets, strict=True):
+        frame = packet.frame
+        data_in = frame.data if isinstance(frame, CanFrame) else frame
+        assert (reported.t, reported.bus, reported.data.tobytes()) == (packet.t, packet.bus, data_in)
+        assert reported.kind == isinstance(frame, CanFrame)
+        assert reported.id == (frame.id if isinstance(frame, CanFrame) else 0)
     assert len(message.asked) == len(tick.inputs.asked)
     assert len(message.sent) == len(tick.outputs.packets)
     assert [n.text for n in message.notes] == [n.text for n in tick.outputs.notes]
@@ -75,7 +75,7 @@ TICK = Tick(
 
 
 @pytest.mark.parametrize(
-    ("written", "changed", "told"),
+    ("written", "changed", "reported"),
     [
         (
             "0011223344556677",
@@ -92,33 +92,33 @@ TICK = Tick(
     ],
     ids=["frame", "serial", "sent", "state"],
 )
-def test_what_was_changed_is_named(written: str, changed: str, told: str) -> None:
-    raw, _ = encode(TICK, UNSEALED)
+def test_what_was_changed_is_named(written: str, changed: str, reported: str) -> None:
+    raw, _ = encode(TICK, UNPROTECTED)
     assert raw.count(bytes.fromhex(written)) == 1
-    damage = decode(raw.replace(bytes.fromhex(written), bytes.fromhex(changed)), UNSEALED).damage()
+    damage = decode(raw.replace(bytes.fromhex(written), bytes.fromhex(changed)), UNPROTECTED).damage()
     assert len(damage) == 1
-    assert told in damage[0]
+    assert reported in damage[0]
 
 
 @pytest.mark.parametrize("bit", range(8))
 def test_any_flipped_bit_is_found(bit: int) -> None:
-    raw, after = encode(TICK, UNSEALED)
+    raw, after = encode(TICK, UNPROTECTED)
     for at in range(len(raw)):
         changed = bytearray(raw)
         changed[at] ^= 1 << bit
         try:
-            entry = decode(bytes(changed), UNSEALED)
+            entry = decode(bytes(changed), UNPROTECTED)
         except JournalError:
             continue
         assert entry.damage(), f"bit {bit} of byte {at} was flipped unseen"
-    assert decode(raw, UNSEALED).seals == after
+    assert decode(raw, UNPROTECTED).seals == after
 
 
 def test_a_tick_left_out_is_found() -> None:
-    _, first = encode(TICK, UNSEALED)
+    _, first = encode(TICK, UNPROTECTED)
     data, _ = encode(replace(TICK, number=4), first)
     assert decode(data, first).damage() == ()
-    assert "the tick before it is missing" in decode(data, UNSEALED).damage()[0]
+    assert "the tick before it is missing" in decode(data, UNPROTECTED).damage()[0]
 
 
 @given(st.binary(max_size=200))
@@ -126,16 +126,16 @@ def test_a_tick_left_out_is_found() -> None:
 def test_no_bytes_raise_anything_else(data: bytes) -> None:
     for raw in (data, b"\x00\x01\x00\x00" + data):
         with pytest.raises(JournalError):
-            decode(raw, UNSEALED)
+            decode(raw, UNPROTECTED)
 
 
 def test_a_cut_tick_is_none() -> None:
-    raw, _ = encode(TICK, UNSEALED)
+    raw, _ = encode(TICK, UNPROTECTED)
     for size in range(len(raw)):
         with pytest.raises(JournalError, match="not the bytes of a tick"):
-            decode(raw[:size], UNSEALED)
+            decode(raw[:size], UNPROTECTED)
     with pytest.raises(JournalError, match="after the last note"):
-        decode(raw + b"\0", UNSEALED)
+        decode(raw + b"\0", UNPROTECTED)
 
 
 def test_writing_a_tick_is_cheap() -> None:
@@ -145,5 +145,5 @@ def test_writing_a_tick_is_cheap() -> None:
     sent = tuple(Packet(9, "can0", CanFrame(0x0D + i, b"12345678")) for i in range(2))
     events = tuple(Feedback("left", i, 1.0, 2.0) for i in range(4))
     tick = Tick(1, 9, Inputs((), frames), Outputs(sent, events))
-    best = min(timeit.repeat(lambda: encode(tick, UNSEALED), number=200, repeat=20)) / 200
+    best = min(timeit.repeat(lambda: encode(tick, UNPROTECTED), number=200, repeat=20)) / 200
     assert best < 60e-6

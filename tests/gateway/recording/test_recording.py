@@ -26,7 +26,7 @@ from gateway.recording import Recorder, Recording, RecordingError, environment, 
 from gateway.recording.layout import FORMAT, METADATA
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.ros_views import Views
-from gateway.recording.tick_writer import Sheet
+from gateway.recording.tick_writer import TickWriter
 from protocols.messages import SetId
 from tests.gateway import little
 
@@ -61,7 +61,7 @@ def contents(made: Recording) -> str:
 def drained(recorder: Recorder) -> None:
     """Wait until the thread has taken all, and has gone idle once."""
     for _ in range(500):
-        if not recorder._waiting and not recorder._sheet.pending:
+        if not recorder._waiting and not recorder._writer.pending:
             return
         threading.Event().wait(0.01)
     raise AssertionError("the recorder did not flush within 5 s")
@@ -113,8 +113,8 @@ def test_any_change_of_a_source_is_seen(tmp_path: Path) -> None:
 
 
 def test_a_machine_without_cpuinfo_tells_its_processor(tmp_path: Path) -> None:
-    told = environment.facts(tmp_path / "none")
-    assert told["processor model name"]
+    reported = environment.facts(tmp_path / "none")
+    assert reported["processor model name"]
 
 
 def test_rosbags_reads_every_message(tmp_path: Path) -> None:
@@ -193,7 +193,7 @@ def test_an_idle_recorder_flushes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("level", "flushed"), [("error", True), ("warning", True), ("info", False)])
 def test_trouble_is_flushed_at_once(tmp_path: Path, level: Any, flushed: bool) -> None:
     path = tmp_path / "a.mcap"
-    file = Sheet(path, little.ROBOT, {}, Views())
+    file = TickWriter(path, little.ROBOT, {}, Views())
     tick = Tick(0, 0, Inputs(), Outputs((), (), (Note(level, "left", "something"),)))
     assert file.add(tick, little.bare_belief()) == ""
     assert [t.number for t in read(path).ticks] == ([0] if flushed else [])
@@ -358,7 +358,7 @@ def test_a_damaged_file_gives_a_sentence_or_the_truth(tmp_path: Path) -> None:
     ticks = little.record(path, 40)
     whole = path.read_bytes()
     generator = random.Random(7)
-    told = 0
+    reported = 0
     for _ in range(250):
         at, bit = generator.randrange(len(whole)), generator.randrange(8)
         data = bytearray(whole)
@@ -367,11 +367,11 @@ def test_a_damaged_file_gives_a_sentence_or_the_truth(tmp_path: Path) -> None:
         try:
             steps = list(read(damaged).steps)
         except RecordingError:
-            told += 1
+            reported += 1
             continue
         if not any(step.damage for step in steps):
             assert [step.tick for step in steps] == ticks[: len(steps)], f"bit {bit} of byte {at}"
-    assert told > 50
+    assert reported > 50
 
 
 def test_the_index_of_a_long_recording_costs_little_and_is_right(tmp_path: Path) -> None:

@@ -121,9 +121,9 @@ def test_what_is_recovered_says_so(recorded: Path, tmp_path: Path) -> None:
     recorded.write_bytes(recorded.read_bytes()[: chunks(recorded)[1][1] + 100])
     salvage(recorded, tmp_path / "out.mcap")
     with (tmp_path / "out.mcap").open("rb") as file:
-        told = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
-    assert told[SALVAGED]["from"] == "a.mcap"
-    assert "the file was not closed" in told[SALVAGED]["told"]
+        reported = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
+    assert reported[SALVAGED]["from"] == "a.mcap"
+    assert "the file was not closed" in reported[SALVAGED]["told"]
     assert read(tmp_path / "out.mcap").facts == read(recorded).facts
 
 

@@ -106,16 +106,16 @@ def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (rig.BENCH.replace('options = { watchdog = "acknowledged" }', ""), True),
         (rig.BENCH, False),
         (WATCHDOG, False),
     ],
 )
-def test_a_watchdog_that_is_off_is_told_at_start(text: str, told: bool) -> None:
+def test_a_watchdog_that_is_off_is_told_at_start(text: str, reported: bool) -> None:
     cautions = [caution for caution in config.cautions(config.loads(text)) if "watchdog" in caution]
-    assert [caution.split(":")[0] for caution in cautions] == (["left", "right"] if told else [])
+    assert [caution.split(":")[0] for caution in cautions] == (["left", "right"] if reported else [])
 
 
 # -- disks -------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ class Disk:
 
 
 def on_a_disk(recorder: Recorder) -> Disk:
-    file = recorder._sheet._file
+    file = recorder._writer._file
     disk = Disk(file._stream)
     file._stream = disk  # type: ignore[assignment]  # it behaves like one
     return disk
@@ -259,10 +259,10 @@ def test_a_slow_disk_costs_ticks_and_never_the_loop(tmp_path: Path, caplog: pyte
     assert len(numbers) == 600 - lost
     jumps = [b - a - 1 for a, b in pairwise(numbers) if b != a + 1]
     assert jumps == [lost], "one gap"
-    told = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
-    assert len(told) == 2
-    assert "the disk is too slow; the robot drives on" in told[0]
-    assert told[1] == f"recording: {path} goes on with tick 400: {lost} ticks are missing"
+    reported = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
+    assert len(reported) == 2
+    assert "the disk is too slow; the robot drives on" in reported[0]
+    assert reported[1] == f"recording: {path} goes on with tick 400: {lost} ticks are missing"
 
 
 def test_a_robot_on_a_dead_disk_reaches_what_it_was_told(tmp_path: Path) -> None:
@@ -341,9 +341,9 @@ def test_the_disk_is_asked_to_keep_it_by_a_thread_that_holds_up_nobody(
     recorder._syncer._thread.join(10)
 
 
-@pytest.mark.parametrize(("error", "told"), [(errno.EIO, True), (errno.EINVAL, False)])
+@pytest.mark.parametrize(("error", "reported"), [(errno.EIO, True), (errno.EINVAL, False)])
 def test_a_disk_that_loses_what_it_took_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, told: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, reported: bool
 ) -> None:
     def sync(_descriptor: int) -> None:
         raise OSError(error, os.strerror(error))
@@ -353,7 +353,7 @@ def test_a_disk_that_loses_what_it_took_is_told(
     with Recorder(tmp_path / "a.mcap", little.ROBOT, {}) as recorder:
         recorder._syncer._thread.join(10)
         assert not recorder._syncer._thread.is_alive()
-    assert ("the disk says that it lost something" in recorder.trouble) == told
+    assert ("the disk says that it lost something" in recorder.trouble) == reported
 
 
 def test_status_tells_where_it_is_recorded_and_what_is_lost(tmp_path: Path) -> None:

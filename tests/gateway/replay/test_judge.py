@@ -32,14 +32,16 @@ from protocols.messages import (
     Stop,
     Torque,
     Velocity,
-    Word,
 )
-from protocols.plugin import Ear
+from protocols.messages import (
+    Message as AnyMessage,
+)
+from protocols.plugin import CommandDecoder
 from tests.gateway import little
 from tests.gateway.little import Little
 
 
-def ear(bus: str) -> Ear:
+def decoder(bus: str) -> CommandDecoder:
     assert bus == "can0"
     return little.LittleEar()
 
@@ -51,7 +53,7 @@ def always(outputs: Outputs) -> Callable[[Nanos, Inputs], Outputs]:
 def judged(path: Path, robot: Little | None = None, **more: Any) -> Verdict:
     robot = robot or Little()
     options = {"mounts": little.MOUNTS, "robot_text": little.ROBOT, **more}
-    return compare(read(path), robot.step, robot.belief, ear, **options)
+    return compare(read(path), robot.step, robot.belief, decoder, **options)
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +133,7 @@ def test_no_packet_proves_nothing(tmp_path: Path) -> None:
     with Recorder(path, little.ROBOT, {}) as recorder:
         for number in range(5):
             recorder.record(Tick(number, number, Inputs(), Outputs()), little.bare_belief(), patient=True)
-    verdict = compare(read(path), always(Outputs()), little.bare_belief, ear)
+    verdict = compare(read(path), always(Outputs()), little.bare_belief, decoder)
     assert (verdict.ticks, verdict.ok) == (5, False)
     assert "not one packet was sent in the recording" in verdict.text()
 
@@ -205,11 +207,11 @@ def test_a_tiny_change_gets_the_digits_it_needs(recorded: Path) -> None:
 
 def test_the_ear_has_heard_all_before(recorded: Path) -> None:
     class Counting:
-        heard = 0
+        received = 0
 
-        def hear(self, t: Nanos, wire: Any) -> list[Any]:
-            self.heard += 1
-            return [Velocity("left", float(self.heard))]
+        def decode(self, t: Nanos, frame: Any) -> list[Any]:
+            self.received += 1
+            return [Velocity("left", float(self.received))]
 
     class Late(Little):
         def step(self, now: Nanos, inputs: Inputs) -> Outputs:
@@ -227,10 +229,14 @@ def test_the_ear_has_heard_all_before(recorded: Path) -> None:
 def test_a_difference_in_belief_alone_is_found(recorded: Path) -> None:
     class Dreamer(Little):
         def belief(self) -> Belief:
-            told = super().belief()
-            assert told.estimate is not None
-            moved = replace(told.estimate.pose, y=0.5 + 1e-12)
-            return replace(told, estimate=replace(told.estimate, pose=moved)) if self.seen > 150 else told
+            reported = super().belief()
+            assert reported.estimate is not None
+            moved = replace(reported.estimate.pose, y=0.5 + 1e-12)
+            return (
+                replace(reported, estimate=replace(reported.estimate, pose=moved))
+                if self.seen > 150
+                else reported
+            )
 
     verdict = judged(recorded, Dreamer())
     assert [d.kind for d in verdict.differences] == ["views"]
@@ -355,7 +361,7 @@ def test_a_flipped_bit_that_changes_nothing_is_found_too(recorded: Path, tmp_pat
 
 
 def test_a_flipped_bit_in_what_was_sent_is_found(recorded: Path, tmp_path: Path) -> None:
-    sent = next(t for t in read(recorded).ticks if t.number == 77).outputs.packets[0].wire
+    sent = next(t for t in read(recorded).ticks if t.number == 77).outputs.packets[0].frame
     assert isinstance(sent, CanFrame)
     verdict = judged(rewritten(recorded, tmp_path / "b.mcap", flip(77, sent.data, 0)))
     assert [d.kind for d in verdict.differences] == ["recording", "packets"]
@@ -369,9 +375,9 @@ def test_a_tick_written_with_false_digests_is_found(recorded: Path, tmp_path: Pa
     def change(place: int, data: bytes) -> bytes:
         if place != 200:
             return data
-        tick = tick_codec.decode(data, tick_codec.UNSEALED).tick
+        tick = tick_codec.decode(data, tick_codec.UNPROTECTED).tick
         other = replace(tick, inputs=replace(tick.inputs, packets=()))
-        return tick_codec.encode(other, tick_codec.UNSEALED)[0]
+        return tick_codec.encode(other, tick_codec.UNPROTECTED)[0]
 
     verdict = judged(rewritten(recorded, tmp_path / "b.mcap", change))
     assert verdict.differences[0].kind == "recording"
@@ -415,7 +421,7 @@ SCAN = (
         ),
     ],
 )
-def test_words_in_words(word: Word, said: str) -> None:
+def test_words_in_words(word: AnyMessage, said: str) -> None:
     assert diff.say(word) == said
 
 

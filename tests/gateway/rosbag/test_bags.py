@@ -52,9 +52,9 @@ def at(ms: float) -> int:
 
 def refusal(path: Path, topics: BagTopics | None = TOPICS) -> str:
     assert BODY is not None
-    with pytest.raises(BagError) as told:
+    with pytest.raises(BagError) as reported:
         read(path, topics, BODY)
-    return str(told.value)
+    return str(reported.value)
 
 
 # -- what becomes of a message --------------------------------------------------------------------
@@ -182,8 +182,8 @@ def test_stamps_order_and_the_bag_orders_what_has_one_stamp(tmp_path: Path, kind
         kind=kind,
     )
     late = [e for e in bag.events if e.t > START]
-    told = [e.angular_velocity[0] if isinstance(e, Imu) else getattr(e, "motor", e) for e in late]
-    assert told == ["left", "right", 0.1, "left", "right", 0.2, 0.3]
+    reported = [e.angular_velocity[0] if isinstance(e, Imu) else getattr(e, "motor", e) for e in late]
+    assert reported == ["left", "right", 0.1, "left", "right", 0.2, 0.3]
     assert [e.t for e in bag.events] == sorted(e.t for e in bag.events)
 
 
@@ -303,7 +303,7 @@ def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: 
     be judged."""
     assert BODY is not None
     seed, read_after_all, refused = 7, 0, 0
-    dice = np.random.Generator(np.random.PCG64(seed))
+    random = np.random.Generator(np.random.PCG64(seed))
     path = write(tmp_path / "x", drive(1.0), kind)
     files = [path] if path.is_file() else sorted(path.iterdir())
     for case in range(36):
@@ -311,10 +311,10 @@ def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: 
         whole = file.read_bytes()
         bad = bytearray(whole)
         if case % 3:
-            for place in dice.integers(0, len(bad), size=1 + case % 4):
-                bad[place] ^= 1 << int(dice.integers(0, 8))
+            for place in random.integers(0, len(bad), size=1 + case % 4):
+                bad[place] ^= 1 << int(random.integers(0, 8))
         else:
-            del bad[int(dice.integers(0, len(bad))) :]
+            del bad[int(random.integers(0, len(bad))) :]
         file.write_bytes(bad)
         try:
             bag = read(path, TOPICS, BODY)

@@ -69,9 +69,13 @@ def test_no_truth_is_among_the_inputs(slalom: Bag, judged: Verdict) -> None:
     """With another truth, what is believed is the same to the last bit; with none, it is too."""
     there = tuple(replace(one, latitude=one.latitude + 1e-4 * n) for n, one in enumerate(slalom.truth))
     moved = judge(replace(slalom, truth=there), rover(ON_EDGE))
-    blind = judge(replace(slalom, truth=()), rover(ON_EDGE))
+    feedback_lost = judge(replace(slalom, truth=()), rover(ON_EDGE))
     assert (moved.driven, moved.nis, moved.ledger) == (judged.driven, judged.nis, judged.ledger)
-    assert (blind.driven, blind.nis, blind.ledger) == (judged.driven, judged.nis, judged.ledger)
+    assert (feedback_lost.driven, feedback_lost.nis, feedback_lost.ledger) == (
+        judged.driven,
+        judged.nis,
+        judged.ledger,
+    )
     assert moved.believed is not None
     assert moved.believed.rms > 100.0
 
@@ -200,9 +204,9 @@ def test_what_a_person_got_wrong_is_a_sentence(
         ((str(own), "--at-most", "1"), "is no foreign bag"),
     ):
         assert replay(*arguments) == 2, arguments
-        told = capsys.readouterr()
-        assert said in told.err
-        assert not told.out
+        reported = capsys.readouterr()
+        assert said in reported.err
+        assert not reported.out
 
 
 @pytest.mark.parametrize("metres", ["-1", "nan", "inf", "three"])

@@ -47,8 +47,8 @@ def test_there_is_no_seam_at_the_date_line() -> None:
 
 
 def path(seed: int, count: int = 40) -> Floats:
-    dice = np.random.Generator(np.random.PCG64(seed))
-    steps: Floats = dice.normal(0.0, 1.0, (count, 2)).cumsum(axis=0)
+    random = np.random.Generator(np.random.PCG64(seed))
+    steps: Floats = random.normal(0.0, 1.0, (count, 2)).cumsum(axis=0)
     return steps
 
 

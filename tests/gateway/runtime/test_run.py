@@ -37,7 +37,7 @@ class SlowClock(SimulatedClock):
 
 def test_deadlines_are_absolute_and_what_was_missed_is_counted_and_not_caught_up() -> None:
     clock = SlowClock(iter([1 * MS, 1 * MS, 17 * MS, 1 * MS, 1 * MS, 1 * MS]))
-    account = loop.Account()
+    account = loop.LoopStats()
     seen = []
     for now in loop.moments(clock, 5 * MS, lambda: None, account):
         seen.append(now // MS)
@@ -52,7 +52,7 @@ def test_a_driver_that_is_due_between_two_periods_gets_a_step_of_its_own() -> No
     clock = SimulatedClock()
     due = iter([2 * MS, None, 5 * MS + 100, 7 * MS, None])
     seen = []
-    for now in loop.moments(clock, 5 * MS, lambda: next(due), loop.Account()):
+    for now in loop.moments(clock, 5 * MS, lambda: next(due), loop.LoopStats()):
         seen.append(now)
         if len(seen) == 5:
             break
@@ -62,7 +62,7 @@ def test_a_driver_that_is_due_between_two_periods_gets_a_step_of_its_own() -> No
 def test_a_driver_that_is_always_due_does_not_keep_the_loop_busy() -> None:
     clock = SimulatedClock()
     seen = []
-    for now in loop.moments(clock, 5 * MS, lambda: 0, loop.Account()):
+    for now in loop.moments(clock, 5 * MS, lambda: 0, loop.LoopStats()):
         seen.append(now)
         if now >= 20 * MS:
             break
@@ -101,7 +101,7 @@ def test_an_end_that_was_set_disarms_too() -> None:
         loop.live(rig.gateway, rig.world.buses, rig.clock, until=SECOND, ask=lambda: (Velocity("left", 5.0),))
     )
     assert ticks[-1].now < SECOND
-    assert rig.gateway.joints["left"].claimed
+    assert rig.gateway.joints["left"].owned
     assert rig.gateway.still_armed() == []
 
 

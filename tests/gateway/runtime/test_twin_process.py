@@ -30,9 +30,9 @@ from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings, Robot
 from gateway.recording import read
 from gateway.runtime import loop
-from gateway.runtime.device_log import Voices
+from gateway.runtime.device_log import DeviceLog
 from gateway.runtime.twin_process import devices, invitation, outer
-from protocols.frames import BusState, CanFrame, Packet, Wire
+from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
 from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, Rig
@@ -51,21 +51,21 @@ class Script:
     def __init__(self) -> None:
         self.coming: list[Packet] = []
         self.states: list[BusState] = []
-        self.said: list[tuple[Nanos, Wire]] = []
+        self.said: list[tuple[Nanos, Frame]] = []
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         packets, self.coming = self.coming, []
         states, self.states = self.states, []
         return states, packets
 
-    def write(self, now: Nanos, wires: Sequence[Wire]) -> None:
-        self.said += [(now, wire) for wire in wires]
+    def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
+        self.said += [(now, frame) for frame in frames]
 
     def close(self) -> None:
         pass
 
 
-class Served:
+class ServeTick:
     """A bench of twins that is served in simulated time; each `next` may come late."""
 
     def __init__(self, text: str = BENCH) -> None:
@@ -73,10 +73,10 @@ class Served:
         self.clock = SimulatedClock()
         self.twins = open_world(self.robot, 1)
         self.bus = Script()
-        self.account = loop.Service()
+        self.account = loop.ServeStats()
         self.loop = loop.serve(self.twins.buses, {"can0": self.bus}, self.clock, account=self.account)
 
-    def run(self, milliseconds: int) -> list[loop.Served]:
+    def run(self, milliseconds: int) -> list[loop.ServeTick]:
         return [next(self.loop) for _ in range(milliseconds)]
 
     def ask_version(self, t: Nanos) -> None:
@@ -88,15 +88,15 @@ class Served:
 
 
 def test_what_comes_is_heard_at_its_own_time_also_by_a_late_moment() -> None:
-    served = Served()
+    served = ServeTick()
     served.run(400)
     start = served.clock.now()
     served.clock.wait(start + 100 * MS)
     served.ask_version(start + 40 * MS)
     late = served.run(1)[0]
-    assert late.stood == 0
+    assert late.stalled_for == 0
     assert late.now == start + 100 * MS
-    answers = [packet for packet in late.said if packet.wire.id == 0x20]  # type: ignore[union-attr]
+    answers = [packet for packet in late.said if packet.frame.id == 0x20]  # type: ignore[union-attr]
     assert len(answers) == 1
     assert 40 * MS <= answers[0].t - start <= 43 * MS
     beats = [packet.t for packet in late.said]
@@ -106,44 +106,44 @@ def test_what_comes_is_heard_at_its_own_time_also_by_a_late_moment() -> None:
 
 
 def test_what_has_no_stamp_of_its_own_has_come_evenly_since_the_moment_before() -> None:
-    served = Served()
+    served = ServeTick()
     served.run(400)
     start = served.clock.now() - MS
     served.clock.wait(start + 80 * MS)
     now = served.clock.now()
     for _ in range(3):
         served.ask_version(now)
-    answers = [p.t for p in served.run(1)[0].said if p.wire.id == 0x20]  # type: ignore[union-attr]
+    answers = [p.t for p in served.run(1)[0].said if p.frame.id == 0x20]  # type: ignore[union-attr]
     assert [t - start for t in answers] == pytest.approx([21.5 * MS, 41.5 * MS, 61.5 * MS], abs=1.5 * MS)
 
 
 def test_who_stood_still_makes_up_for_nothing_and_obeys_nothing_old() -> None:
-    served = Served()
+    served = ServeTick()
     served.run(400)
-    told = len(served.bus.said)
+    reported = len(served.bus.said)
     before = served.clock.now()
     served.ask_version(before + 500 * MS)
     served.clock.wait(before + 10 * SECOND)
     moment = served.run(1)[0]
-    assert moment.stood == pytest.approx(10 * SECOND, abs=2 * MS)
-    assert (moment.heard, served.account.unheard) == ((), 1)
-    assert len(served.bus.said) - told < 5
-    assert served.account.lost == moment.stood
+    assert moment.stalled_for == pytest.approx(10 * SECOND, abs=2 * MS)
+    assert (moment.received, served.account.unreceived) == ((), 1)
+    assert len(served.bus.said) - reported < 5
+    assert served.account.lost == moment.stalled_for
     served.ask_version(served.clock.now())
-    answers = [p for m in served.run(5) for p in m.said if p.wire.id == 0x20]  # type: ignore[union-attr]
+    answers = [p for m in served.run(5) for p in m.said if p.frame.id == 0x20]  # type: ignore[union-attr]
     assert len(answers) == 1  # and goes on as if nothing had been
-    assert sum(moment.stood for moment in served.run(100)) == 0
+    assert sum(moment.stalled_for for moment in served.run(100)) == 0
 
 
 def test_states_of_the_outer_bus_are_passed_on_and_nothing_else() -> None:
-    served = Served()
+    served = ServeTick()
     served.bus.states = [BusState.GONE, BusState.BACK]
     assert served.run(1)[0].states == (("can0", BusState.GONE), ("can0", BusState.BACK))
     assert served.run(1)[0].states == ()
 
 
 def test_an_end_that_was_set_ends_it() -> None:
-    served = Served()
+    served = ServeTick()
     serving = loop.serve(served.twins.buses, {"can0": served.bus}, served.clock, until=50 * MS)
     assert [moment.now // MS for moment in serving] == list(range(50))
 
@@ -187,9 +187,9 @@ def test_two_robots_and_a_stranger_share_a_bus_and_none_obeys_another_s_word() -
     assert [rig.velocity("left") for rig in rigs] == pytest.approx(speeds, abs=0.2)
     assert [rig.velocity("right") for rig in rigs] == [0.0, 0.0]
     for rig in rigs:
-        ((_, _, tally),) = rig.gateway.tallies()
-        assert tally.bad == 0
-        assert tally.foreign > 3000
+        ((_, _, counters),) = rig.gateway.rx_counters()
+        assert counters.malformed == 0
+        assert counters.ignored > 3000
     for live in lived:
         live.close()
     for serving in served:
@@ -202,30 +202,34 @@ def test_two_robots_and_a_stranger_share_a_bus_and_none_obeys_another_s_word() -
 # -- what it says ----------------------------------------------------------------------------------
 
 
-def heard(text: str, seconds: float) -> tuple[Voices, list[tuple[int, str]]]:
+def received(text: str, seconds: float) -> tuple[DeviceLog, list[tuple[int, str]]]:
     """What the voices of a rig tell while it is armed and turns."""
     rig = Rig(text)
-    voices = Voices(rig.robot)
-    told: list[tuple[int, str]] = []
-    rig.run(0.3, at=lambda tick: told.extend(voices.hear(tick.inputs.packets)))
-    rig.run(seconds, Velocity("left", 5.0), at=lambda tick: told.extend(voices.hear(tick.inputs.packets)))
-    return voices, told
+    device_log = DeviceLog(rig.robot)
+    reported: list[tuple[int, str]] = []
+    rig.run(0.3, at=lambda tick: reported.extend(device_log.handle(tick.inputs.packets)))
+    rig.run(
+        seconds,
+        Velocity("left", 5.0),
+        at=lambda tick: reported.extend(device_log.handle(tick.inputs.packets)),
+    )
+    return device_log, reported
 
 
 def test_voices_tell_what_changes_and_what_becomes_of_armed_motors() -> None:
-    voices, told = heard(BENCH, 0.8)
-    assert told[-1] == (logging.INFO, "left: armed (CLOSED_LOOP_CONTROL)")
-    assert len(told) == len(set(told))
-    assert voices.left_armed("can0") == "left stays armed: its watchdog is off"
-    voices, _ = heard(WATCHED, 0.8)
-    assert voices.left_armed("can0") == "left will be disarmed by its watchdog in 200 ms"
+    device_log, reported = received(BENCH, 0.8)
+    assert reported[-1] == (logging.INFO, "left: armed (CLOSED_LOOP_CONTROL)")
+    assert len(reported) == len(set(reported))
+    assert device_log.left_armed("can0") == "left stays armed: its watchdog is off"
+    device_log, _ = received(WATCHED, 0.8)
+    assert device_log.left_armed("can0") == "left will be disarmed by its watchdog in 200 ms"
 
 
 def test_voices_know_the_devices_before_anybody_else_speaks() -> None:
     twins = open_world(config.loads(BENCH), 1)
-    voices = Voices(config.loads(BENCH))
-    age = voices.meet(twins.buses)
-    assert voices._modes == {"left": Mode.READY, "right": Mode.READY}
+    device_log = DeviceLog(config.loads(BENCH))
+    age = device_log.meet(twins.buses)
+    assert device_log._modes == {"left": Mode.READY, "right": Mode.READY}
     assert all(twins.world.shaft(name) == (0.0, 0.0) for name in ("left", "right"))
     assert 0 < age <= SECOND
 
@@ -307,10 +311,10 @@ def test_what_cannot_begin_is_a_sentence(
         status = main(["twin", *words])
     except SystemExit as stopped:
         status = stopped.code
-    told = capsys.readouterr().err
+    reported = capsys.readouterr().err
     assert status == 2
-    assert said in told
-    assert "Traceback" not in told
+    assert said in reported
+    assert "Traceback" not in reported
 
 
 # -- two processes ---------------------------------------------------------------------------------
@@ -354,12 +358,12 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
             assert "leaving: SIGTERM" in text
             assert "Traceback" not in text
         twin.until("can0: nobody is there any more", "sensors: nobody is there any more")
-        status, told = twin.end(signal.SIGTERM)
-        assert status == 0, told
-        assert re.search(r"\d{3,} packets heard, \d{4,} said", told)
-        assert "Traceback" not in told
-        assert "stays armed" not in told  # the safe word went out first
-        assert re.findall(r"left: (\w+)", told)[:2] == ["armed", "ready"]
+        status, reported = twin.end(signal.SIGTERM)
+        assert status == 0, reported
+        assert re.search(r"\d{3,} packets heard, \d{4,} said", reported)
+        assert "Traceback" not in reported
+        assert "stays armed" not in reported  # the safe word went out first
+        assert re.findall(r"left: (\w+)", reported)[:2] == ["armed", "ready"]
     ticks = list(read(recording).ticks)
     assert {packet.bus for tick in ticks for packet in tick.inputs.packets} == {"can0", "sensors"}
     assert main(["replay", str(recording)]) == 0
@@ -389,7 +393,7 @@ async def drive(channel: str, twin: Process) -> list[float]:
     What its waiting calls wait for is looked for at the twin: they give up after one second."""
     bus = can.Bus(interface="slcan", channel=channel, bitrate=1_000_000, sleep_after_open=0)
     client = ODriveCAN(axis_id=1, can_bus=bus)
-    told: list[float] = []
+    reported: list[float] = []
     try:
         await client.start()
         client.set_controller_mode("VELOCITY_CONTROL", "PASSTHROUGH")
@@ -399,14 +403,14 @@ async def drive(channel: str, twin: Process) -> list[float]:
         client.set_input_vel(3.0)
         for _ in range(1000):
             with contextlib.suppress(TimeoutError):
-                told.append((await client.get_encoder_estimates())["Vel_Estimate"])
-            if told and abs(told[-1] - 3.0) < 0.05:
+                reported.append((await client.get_encoder_estimates())["Vel_Estimate"])
+            if reported and abs(reported[-1] - 3.0) < 0.05:
                 break
     finally:
         await asyncio.to_thread(client.stop)
         del client._bus  # or its destructor closes the port once more, which raises
         bus.shutdown()
-    return told
+    return reported
 
 
 @pytest.mark.timeout(240)
@@ -415,8 +419,8 @@ def test_the_vendor_s_client_then_a_person_s_lines_then_the_twin_goes_and_comes_
     with Process(folder / "run", *devices_of) as twin:
         words = invited(twin, "-v")
         channel = words[-2].partition("slcan:")[2]
-        told = asyncio.run(drive(channel, twin))
-        assert told[-1] == pytest.approx(3.0, abs=0.05)
+        reported = asyncio.run(drive(channel, twin))
+        assert reported[-1] == pytest.approx(3.0, abs=0.05)
         twin.until("left: ready", "can0: nobody is there any more")
         with Process(folder / "run", *words) as robot:
             robot.until("left: ready", "right: ready")

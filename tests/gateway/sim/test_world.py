@@ -332,10 +332,10 @@ def test_a_robot_that_does_not_fit_is_told_all_at_once() -> None:
     text = ROOM.replace('motor = "left"', 'motor = "port"').replace("[imus.imu]", "[imus.imo]")
     with pytest.raises(WorldError) as caught:
         world(scene(text))
-    told = str(caught.value)
+    reported = str(caught.value)
     assert len(caught.value.mistakes) == 3
     for part in ("no motor 'port'", "no wheel 'left'", "no sensor 'imu'", "did you mean 'imo'?"):
-        assert part in told
+        assert part in reported
 
 
 def test_a_scan_is_what_the_words_say() -> None:

@@ -74,8 +74,8 @@ size = [1.0, 0.0, 1.0]
 """
     with pytest.raises(WorldError) as caught:
         loads_world(text, "bad.toml")
-    told = [(mistake.line, mistake.key) for mistake in caught.value.mistakes]
-    assert told == [
+    reported = [(mistake.line, mistake.key) for mistake in caught.value.mistakes]
+    assert reported == [
         (3, "frction"),
         (7, "body.mass"),
         (9, "lidars.lidar.beam"),
@@ -96,7 +96,7 @@ size = [1.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ('kind = "scene"\nname = [', "not TOML"),
         ('name = "x"', "kind: missing; expected 'scene' or 'bench'"),
@@ -115,10 +115,10 @@ size = [1.0, 0.0, 1.0]
         (ROOM.replace("[body]", "[body.slip]\nsigma = -0.1\n[body]"), "of at least 0"),
     ],
 )
-def test_one_mistake(text: str, told: str) -> None:
+def test_one_mistake(text: str, reported: str) -> None:
     with pytest.raises(WorldError) as caught:
         loads_world(text)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert len(caught.value.mistakes) == 1
 
 

@@ -69,21 +69,21 @@ class Bench:
 
     # -- time ---------------------------------------------------------------------------------
 
-    def run(self, steps: int, wires: Sequence[CanFrame] = ()) -> list[CanFrame]:
+    def run(self, steps: int, frames: Sequence[CanFrame] = ()) -> list[CanFrame]:
         """Steps of a millisecond; what the twin said in them. The wires reach it in the first one."""
-        heard: list[CanFrame] = []
+        received: list[CanFrame] = []
         for step in range(steps):
             self.now += MILLISECOND
-            for wire in wires if step == 0 else ():
-                self.twin.receive(self.now, wire)
+            for frame in frames if step == 0 else ():
+                self.twin.receive(self.now, frame)
             if self.beat_every and self.now % self.beat_every < MILLISECOND:
                 self.twin.receive(self.now, CanFrame(heartbeat_id(HOST), b"\x05"))
             torques, said = self.twin.step(self.now, (Feedback("m", self.now, self.position, self.velocity),))
             self.torque = sum(torque.torque for torque in torques)
-            heard += [wire for wire in said if isinstance(wire, CanFrame)]
+            received += [frame for frame in said if isinstance(frame, CanFrame)]
             self._turn(seconds(MILLISECOND))
-        self.said += heard
-        return heard
+        self.said += received
+        return received
 
     def _turn(self, dt: float) -> None:
         if self.locked:
@@ -124,7 +124,7 @@ class Bench:
         while request is not None:
             answer = self.ask(request)
             assert answer is not None, f"no answer to {request}"
-            request = transfer.hear(answer)
+            request = transfer.handle(answer)
         return transfer
 
     def read(self, key: Key) -> int:

@@ -97,8 +97,8 @@ def meaning(frame: CanFrame, drives: Sequence[Drive]) -> tuple[str, str]:
             at, said = 0, f"{own}rpdo{(frame.id >> 8) - 1}"
             for variable in pdo.map:
                 size = len(variable.get_data())
-                told = number(variable.index, variable.subindex, frame.data[at : at + size])
-                said, at = f"{said} {title(variable.index, variable.subindex)}={told}", at + size
+                reported = number(variable.index, variable.subindex, frame.data[at : at + size])
+                said, at = f"{said} {title(variable.index, variable.subindex)}={reported}", at + size
             return said.partition(" 6")[0], said
     return str(frame), str(frame)
 
@@ -193,10 +193,10 @@ class Talk:
         self.every = 10
         """ms between calls of `send`, besides those that are due."""
         self.now = BEGIN
-        self.wires: list[tuple[int, CanFrame]] = []
+        self.frames: list[tuple[int, CanFrame]] = []
         """Everything that the driver has said, with its time since the beginning."""
         self.events: list[Event] = []
-        self.frames = 0
+        self.frame_count = 0
         """How many frames the driver has heard."""
         self._runs: list[Run] = []
         self._latest: dict[str, Run] = {}
@@ -212,7 +212,7 @@ class Talk:
         """The first drive."""
         return self.drives[0]
 
-    def chapter(self, ms: int, *words: Command | Request, told: str | None = None) -> None:
+    def chapter(self, ms: int, *words: Command | Request, reported: str | None = None) -> None:
         """So many ms. Commands are said in each step, requests in the first one."""
         self._before |= {about: run.text for about, run in self._latest.items() if "rpdo" in about}
         self._runs, self._latest, self._began = [], {}, self.now
@@ -221,37 +221,37 @@ class Talk:
         commands = [word for word in words if isinstance(word, Command)]
         for at in range(ms):
             self._millisecond([*requests, *commands] if at == 0 else commands, at == 0)
-        if told is not None:
-            self._compare(textwrap.dedent(told).strip("\n").split("\n"), ms)
+        if reported is not None:
+            self._compare(textwrap.dedent(reported).strip("\n").split("\n"), ms)
 
     def bus(self, state: BusState) -> None:
         """The bus changes."""
         self.driver.bus(self.now * MILLISECOND, state)
 
-    def hear(self, *frames: CanFrame) -> None:
+    def handle(self, *frames: CanFrame) -> None:
         """These stand on the bus now, whoever said them."""
         for frame in frames:
-            self.frames += 1
-            self._told(self.driver.receive(self.now * MILLISECOND, frame))
+            self.frame_count += 1
+            self._reported(self.driver.receive(self.now * MILLISECOND, frame))
 
     def _millisecond(self, words: Sequence[Command | Request], first: bool) -> None:
         at = self.now * MILLISECOND
         for drive in self.drives:
-            self.hear(*drive.speak(self.now - BEGIN))
+            self.handle(*drive.speak(self.now - BEGIN))
         due = self.driver.due()
         if first or self.now % self.every == 0 or (due is not None and due <= at):
-            events, wires = self.driver.send(at, words)
-            self._told(events)
-            for wire in wires:
-                assert isinstance(wire, CanFrame)
-                self._said(wire)
+            events, frames = self.driver.send(at, words)
+            self._reported(events)
+            for frame in frames:
+                assert isinstance(frame, CanFrame)
+                self._said(frame)
         self.now += 1
 
-    def _said(self, wire: CanFrame) -> None:
-        self.wires.append((self.now - BEGIN, wire))
-        about, text = meaning(wire, self.drives)
+    def _said(self, frame: CanFrame) -> None:
+        self.frames.append((self.now - BEGIN, frame))
+        about, text = meaning(frame, self.drives)
         for drive in self.drives:
-            drive.hear(wire)
+            drive.handle(frame)
         read = _READ.fullmatch(text)
         if read is None:
             self._note(about, text)
@@ -260,16 +260,16 @@ class Talk:
         else:
             self._read.add(read["own"] + read["name"])
 
-    def _told(self, events: Iterable[Event]) -> None:
+    def _reported(self, events: Iterable[Event]) -> None:
         for event in events:
             self.events.append(event)
             assert getattr(event, "protocol", "cia402") == "cia402", event
             assert event.t == self.now * MILLISECOND, event
             if isinstance(event, Feedback):
                 own = f"{event.motor}." if len(self.drives) > 1 else ""
-                told = [(f.name, getattr(event, f.name)) for f in fields(event)[2:]]
+                reported = [(f.name, getattr(event, f.name)) for f in fields(event)[2:]]
                 self._measured |= {
-                    f"{own}{name}": f"{value:.5g}" for name, value in told if value is not None
+                    f"{own}{name}": f"{value:.5g}" for name, value in reported if value is not None
                 }
             else:
                 self._note("", f"< {_event(event, len(self.drives) > 1)}")
@@ -283,13 +283,15 @@ class Talk:
 
     def _ordered(self) -> list[Run]:
         """What has its place in the order: not what an RPDO goes on saying."""
-        told: set[str] = set()
+        reported: set[str] = set()
         runs = []
         for run in self._runs:
             about = run.text.partition(" 6")[0]
-            if run.text.split()[0] not in SUMMED and (about in told or run.text != self._before.get(about)):
+            if run.text.split()[0] not in SUMMED and (
+                about in reported or run.text != self._before.get(about)
+            ):
                 runs.append(run)
-            told.add(about)
+            reported.add(about)
         return runs
 
     def runs(self) -> list[Run]:
@@ -301,7 +303,7 @@ class Talk:
     def transcript(self, end: int) -> list[str]:
         """The chapter as a person would write it down."""
         summed = [("reads", self._read), ("asks", self._asked)]
-        lines = [f"{name} {' '.join(sorted(told))}" for name, told in summed if told]
+        lines = [f"{name} {' '.join(sorted(reported))}" for name, reported in summed if reported]
         measured = " ".join(f"{name}={value}" for name, value in sorted(self._measured.items()))
         return [
             *(run.said(end) for run in self._runs),
@@ -324,9 +326,9 @@ class Talk:
             lines = [line for line in wanted if line.split()[:1] == [name]]
             if lines == [f"{name} ?"]:
                 continue
-            told = [run for run in self._runs if run.text.split()[0] == name]
-            agree = len(lines) == len(told) and all(map(fits, lines, told, [end] * len(told)))
-            assert agree, f"{lines} is not {[run.said(end) for run in told]}\n{got}"
+            reported = [run for run in self._runs if run.text.split()[0] == name]
+            agree = len(lines) == len(reported) and all(map(fits, lines, reported, [end] * len(reported)))
+            assert agree, f"{lines} is not {[run.said(end) for run in reported]}\n{got}"
         for line in wanted:
             name, _, rest_of = line.partition(" ")
             known = {"reads": self._read, "asks": self._asked}.get(name)
@@ -338,12 +340,12 @@ class Talk:
 
 def _event(event: Event, several: bool) -> str:
     """An event in short: its kind and its values, without the time and the texts for people."""
-    left = ("t", "cause", "cure", "protocol") + (() if several else ("motor",))
+    left = ("t", "cause", "remedy", "protocol") + (() if several else ("motor",))
     values = [(f.name, getattr(event, f.name)) for f in fields(event) if f.name not in left]
     said = [type(event).__name__]
     for name, value in values:
-        if name == "twice" and isinstance(event, Found):
-            said += ["twice"] if value else []
+        if name == "duplicate_address" and isinstance(event, Found):
+            said += ["duplicate_address"] if value else []
         elif name == "code":
             said.append(f"{value:04X}")
         else:

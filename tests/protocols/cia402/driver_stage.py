@@ -9,8 +9,8 @@ from typing import Any
 from protocols.cia402 import plugin, sdo
 from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.options import Options, Settings
-from protocols.conformance.bench import NAMES, START, STEP, Rehearsal, Said, rehearse
-from protocols.frames import CanFrame, Wire
+from protocols.conformance.bench import NAMES, START, STEP, Bench, StepResult, make_bench
+from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Event, Feedback, Mode, Nanos, Request
 from protocols.plugin import Device
 
@@ -25,7 +25,7 @@ ALL = {"sync": Options(), "event": EVENT, "polled": POLLED, "keep": BY_SDO, "pro
 class Stage:
     """Alpha (node 1) and beta (node 2), as many as asked for."""
 
-    stage: Rehearsal
+    stage: Bench
     events: list[Event] = field(default_factory=list)
     """All but Feedback."""
     feedback: list[Feedback] = field(default_factory=list)
@@ -50,7 +50,7 @@ class Stage:
     def ms(self) -> int:
         return (self.stage.now - START) // STEP
 
-    def step(self, *words: Command | Request, stray: Sequence[Wire] = ()) -> Said:
+    def step(self, *words: Command | Request, stray: Sequence[Frame] = ()) -> StepResult:
         said = self.stage.step(words, stray_up=stray)
         self.events += [e for e in said.events if not isinstance(e, Feedback)]
         self.feedback += [e for e in said.events if isinstance(e, Feedback)]
@@ -105,7 +105,7 @@ def stage(
     options: Options | None = None, settings: Settings | None = None, count: int = 1, position: float = 0.0
 ) -> Stage:
     """Devices as they come, on shafts at a position."""
-    made = rehearse(plugin, options or Options(), (1, 2)[:count], NAMES[:count], settings or Settings())
+    made = make_bench(plugin, options or Options(), (1, 2)[:count], NAMES[:count], settings or Settings())
     for shaft in made.shafts.values():
         shaft.position = position
     return Stage(made)

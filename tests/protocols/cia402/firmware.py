@@ -175,7 +175,7 @@ class Drive:
 
     # -- the bus ------------------------------------------------------------------------------------
 
-    def hear(self, frame: CanFrame) -> None:
+    def handle(self, frame: CanFrame) -> None:
         """A frame of the host."""
         if self.dead or frame.id == 0x700 + self.node:
             return
@@ -186,10 +186,10 @@ class Drive:
             self.restart()
             return
         self.slave.receive(frame)
-        self._hear_pdo(frame)
+        self._on_pdo(frame)
         self._obey()
         if frame.id == 0x80:
-            self._tell(lambda pdo: 0 < pdo.trans_type <= 240 and self._nth(pdo.trans_type))
+            self._report(lambda pdo: 0 < pdo.trans_type <= 240 and self._nth(pdo.trans_type))
 
     def _nth(self, every: int) -> bool:
         return self.ms // 10 % every == 0
@@ -201,7 +201,7 @@ class Drive:
             self.slave.said()
             return []
         self._obey()
-        self._tell(lambda pdo: pdo.trans_type >= 254 and pdo.event_timer and ms % pdo.event_timer == 0)
+        self._report(lambda pdo: pdo.trans_type >= 254 and pdo.event_timer and ms % pdo.event_timer == 0)
         beat = self.get(0x1017)
         if beat and ms % beat == beat // 2:
             self.slave.network.sent += [CanFrame(i, bytes(d)) for i, d in self.slave.network.cyclic.items()]
@@ -232,7 +232,7 @@ class Drive:
                 pdo.read()
             self._fresh = True
 
-    def _hear_pdo(self, frame: CanFrame) -> None:
+    def _on_pdo(self, frame: CanFrame) -> None:
         if self.local.nmt.state != "OPERATIONAL":
             return
         if frame.id == 0x80:
@@ -251,7 +251,7 @@ class Drive:
             store = self.local.data_store.setdefault(variable.index, {})
             store[variable.subindex] = bytes(variable.get_data())
 
-    def _tell(self, which: Any) -> None:
+    def _report(self, which: Any) -> None:
         if self.local.nmt.state != "OPERATIONAL":
             return
         self._refresh()

@@ -51,7 +51,7 @@ class Joined(canopen.Network):
         self.cyclic[can_id] = bytes(data)
         return Timer(self, can_id)
 
-    def hear(self, frame: CanFrame) -> None:
+    def handle(self, frame: CanFrame) -> None:
         """A frame of the other side."""
         self.notify(frame.id, bytearray(frame.data), 0.0)
 
@@ -79,7 +79,7 @@ class Slave:
         self.node.nmt.state = "PRE-OPERATIONAL"
 
     def receive(self, frame: CanFrame) -> None:
-        self.network.hear(frame)
+        self.network.handle(frame)
 
     def said(self) -> list[CanFrame]:
         """What it has sent since this was last asked."""
@@ -97,6 +97,6 @@ def master(node: int) -> tuple[Joined, Any]:
     slave.said()
     remote = canopen.RemoteNode(node, dictionary(node))
     network.add_node(remote)
-    slave.network.on_sent = network.hear
-    network.on_sent = slave.network.hear
+    slave.network.on_sent = network.handle
+    network.on_sent = slave.network.handle
     return network, remote

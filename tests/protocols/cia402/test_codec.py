@@ -44,7 +44,7 @@ from protocols.cia402.profile import (
 )
 from protocols.cia402.transfer import Transfer
 from protocols.cia402.units import Units, units_of
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.reference_vectors import Vector
 from tests.protocols.cia402.vectors import VECTORS
 
@@ -52,12 +52,12 @@ SEED = 20261121
 
 
 def is_pdo(vector: Vector) -> bool:
-    return isinstance(vector.wire, CanFrame) and 0x180 <= vector.wire.id < 0x580
+    return isinstance(vector.frame, CanFrame) and 0x180 <= vector.frame.id < 0x580
 
 
 def value_of(vector: Vector) -> Message | sdo.Request | sdo.Answer | None:
     """What a vector's frame says, by its identifier; None for a PDO."""
-    frame = vector.wire
+    frame = vector.frame
     assert isinstance(frame, CanFrame)
     node = frame.id & 0x7F
     if frame.id == sdo_rx_id(node):
@@ -75,7 +75,7 @@ def bytes_of(value: Message | sdo.Request | sdo.Answer) -> bytes:
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if not is_pdo(v)], ids=lambda v: v.name)
 def test_every_vector_is_understood_and_said_alike(vector: Vector) -> None:
-    frame = vector.wire
+    frame = vector.frame
     assert isinstance(frame, CanFrame)
     value = value_of(vector)
     assert value is not None
@@ -110,20 +110,20 @@ MEANINGS: list[tuple[str, Message | sdo.Request | sdo.Answer]] = [
 def test_the_vectors_mean_what_they_say(name: str, value: Message | sdo.Request | sdo.Answer) -> None:
     vector = next(v for v in VECTORS if v.name == name)
     assert value_of(vector) == value
-    assert isinstance(vector.wire, CanFrame)
-    assert bytes_of(value) == vector.wire.data
+    assert isinstance(vector.frame, CanFrame)
+    assert bytes_of(value) == vector.frame.data
 
 
 def test_pdo_vectors() -> None:
-    by_name = {v.name: v.wire for v in VECTORS}
+    by_name = {v.name: v.frame for v in VECTORS}
     receives = packing(mapping(o.CONTROLWORD, o.MODE))
     assert by_name["rpdo1_cw_000F_mode_csp#0"] == CanFrame(rpdo_id(1, 2), receives.pack((0x0F, 8)))
-    tells = packing(mapping(o.STATUSWORD, o.MODE_DISPLAY, o.TORQUE))
+    reports = packing(mapping(o.STATUSWORD, o.MODE_DISPLAY, o.TORQUE))
     frame = by_name["tpdo1_sw0637_mode8_torque-250#0"]
     assert isinstance(frame, CanFrame)
     assert frame.id == tpdo_id(1, 2)
-    assert tells.unpack(frame.data) == (0x637, 8, -250)
-    assert tells.pack((0x637, 8, -250)) == frame.data
+    assert reports.unpack(frame.data) == (0x637, 8, -250)
+    assert reports.pack((0x637, 8, -250)) == frame.data
     entries = [v for v in VECTORS if v.name.startswith("pdo_config_write") and v.meaning["sub"]]
     written = {v.meaning["value"] for v in entries if v.meaning["index"] in (0x1600, 0x1A00)}
     assert written == {
@@ -154,11 +154,11 @@ def serve(data: bytes, transfer: Transfer, twice: bool = False) -> bytes:
                 taken, answer = taken + value, sdo.SegmentDownloaded(toggle)
             case _:
                 raise AssertionError(request)
-        heard = sdo.decode_answer(sdo.encode(answer))
-        assert heard == answer
-        request = transfer.hear(answer)
+        received = sdo.decode_answer(sdo.encode(answer))
+        assert received == answer
+        request = transfer.handle(answer)
         if twice:
-            assert transfer.hear(answer) is None
+            assert transfer.handle(answer) is None
         if request is not None:
             assert sdo.decode_request(sdo.encode(request)) == request
     return taken
@@ -188,9 +188,9 @@ def test_a_transfer_takes_only_answers_to_itself() -> None:
         sdo.SegmentDownloaded(False),
         sdo.Abort(0x6063, 0, sdo.NO_OBJECT),
     ):
-        assert transfer.hear(answer) is None
+        assert transfer.handle(answer) is None
         assert not transfer.done
-    transfer.hear(sdo.Abort(0x6064, 0, sdo.NO_OBJECT))
+    transfer.handle(sdo.Abort(0x6064, 0, sdo.NO_OBJECT))
     assert transfer.done
     assert transfer.abort == sdo.NO_OBJECT
     assert "0x06020000" in sdo.abort_text(sdo.NO_OBJECT)
@@ -199,8 +199,8 @@ def test_a_transfer_takes_only_answers_to_itself() -> None:
 def test_a_segmented_value_of_another_length_than_was_said_is_refused() -> None:
     transfer = Transfer(0x1008, 0)
     transfer.first()
-    transfer.hear(sdo.UploadStart(0x1008, 0, 9))
-    transfer.hear(sdo.UploadedSegment(False, b"seven", True))
+    transfer.handle(sdo.UploadStart(0x1008, 0, 9))
+    transfer.handle(sdo.UploadedSegment(False, b"seven", True))
     assert transfer.abort == sdo.LENGTH_MISMATCH
 
 
@@ -227,9 +227,9 @@ def test_what_does_not_fit_is_an_error() -> None:
 
 
 def test_any_eight_bytes_decode_or_are_none() -> None:
-    dice = np.random.Generator(np.random.PCG64(SEED))
+    random = np.random.Generator(np.random.PCG64(SEED))
     for _ in range(2000):
-        data = dice.bytes(8)
+        data = random.bytes(8)
         request, answer = sdo.decode_request(data), sdo.decode_answer(data)
         assert request is not None
         for value in (request, answer):
@@ -240,7 +240,7 @@ def test_any_eight_bytes_decode_or_are_none() -> None:
 
 
 @pytest.mark.parametrize(
-    "wire",
+    "frame",
     [
         b"\x01\x02",
         CanFrame(0, b"\x01"),
@@ -258,28 +258,28 @@ def test_any_eight_bytes_decode_or_are_none() -> None:
     ],
     ids=str,
 )
-def test_ill_formed_messages_are_none(wire: Wire) -> None:
-    assert decode(wire) is None
+def test_ill_formed_messages_are_none(frame: Frame) -> None:
+    assert decode(frame) is None
 
 
 # -- PDO, objects, units ---------------------------------------------------------------------------------
 
 
 def test_packing_keeps_values_whole_bytes_or_not() -> None:
-    dice = np.random.Generator(np.random.PCG64(SEED))
+    random = np.random.Generator(np.random.PCG64(SEED))
     keys = [row.key for row in OBJECTS.values() if row.mappable]
     for _ in range(300):
         chosen: list[Entry] = []
-        for at in dice.permutation(len(keys)):
+        for at in random.permutation(len(keys)):
             entry = mapping(keys[at])[0]
-            bits = entry.bits if dice.random() < 0.6 else int(dice.integers(1, entry.bits + 1))
+            bits = entry.bits if random.random() < 0.6 else int(random.integers(1, entry.bits + 1))
             if sum(e.bits for e in chosen) + bits <= 64:
                 chosen.append(Entry(entry.index, entry.sub, bits))
         pack = packing(chosen)
         values = []
         for entry, signed in zip(pack.entries, pack.signed, strict=True):
             low, high = (-(1 << entry.bits - 1), 1 << entry.bits - 1) if signed else (0, 1 << entry.bits)
-            values.append(int(dice.choice([low, high - 1, 0, int(dice.integers(low, high))])))
+            values.append(int(random.choice([low, high - 1, 0, int(random.integers(low, high))])))
         data = pack.pack(values)
         assert len(data) == pack.size
         assert pack.unpack(data) == tuple(values)
@@ -355,13 +355,13 @@ def test_units_follow_encoder_gear_and_feed() -> None:
 
 
 def test_units_both_ways_and_at_their_limits() -> None:
-    dice = np.random.Generator(np.random.PCG64(SEED))
+    random = np.random.Generator(np.random.PCG64(SEED))
     units = units_of_settings(Settings(gear_motor=7, gear_shaft=3, feed=3600, rated_torque=1270))
     for _ in range(500):
-        whole = int(dice.integers(Type.I32.low, Type.I32.high))
+        whole = int(random.integers(Type.I32.low, Type.I32.high))
         assert units.to_position(units.position(whole)) == whole
         assert units.to_velocity(units.velocity(whole)) == whole
-        torque = int(dice.integers(Type.I16.low, Type.I16.high))
+        torque = int(random.integers(Type.I16.low, Type.I16.high))
         assert units.to_torque(units.torque(torque)) == torque
     refusals: list[Callable[[], int]] = [
         lambda: units.to_position(units.position(Type.I32.high + 1)),
@@ -435,15 +435,15 @@ def test_every_state_has_a_word_of_its_own() -> None:
 
 def test_every_code_has_a_text() -> None:
     for code in range(1 << 16):
-        told = complaint(code)
-        assert told.name
+        reported = complaint(code)
+        assert reported.name
         if code in FAULTS:
-            assert told is FAULTS[code]
-            assert told.cause
-            assert told.cure
+            assert reported is FAULTS[code]
+            assert reported.cause
+            assert reported.remedy
         elif code >> 12:
-            assert told.cure
-            assert f"{code:#06x}" in told.name
+            assert reported.remedy
+            assert f"{code:#06x}" in reported.name
 
 
 def test_families_as_the_package_has_them() -> None:

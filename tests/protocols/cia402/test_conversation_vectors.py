@@ -45,7 +45,7 @@ def test_vectors_of_a_drive_that_comes_up_and_is_only_asked() -> None:
     talk = Talk()
     talk.chapter(
         100,
-        told="""
+        reported="""
         < State initialising SWITCH ON DISABLED*
         40..60 < State ready SWITCH ON DISABLED
         reads 1000 1008 1017 1018:01 1018:02 1018:03 1018:04 603F 605A 6075 6076 608F:01 608F:02 6091:01 \
@@ -62,7 +62,7 @@ def test_vectors_of_a_drive_that_comes_up_and_is_only_asked() -> None:
     talk.chapter(
         250,
         Idle("m"),  # what nobody armed is not told to disarm
-        told="""
+        reported="""
         asks 6041 6061 6064 606C 6077 6078 6079
         measures position=-3.1416 velocity=6.2832 torque=-0.25 current=1.5 voltage=23.5
         """,
@@ -75,7 +75,7 @@ def test_vectors_of_the_first_command_configure_start_and_arm_where_the_shaft_st
     talk.chapter(
         300,
         Hold("m"),
-        told=f"""{CONFIGURED}
+        reported=f"""{CONFIGURED}
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 60B2=0 …
         rpdo3 60B1=0 …
@@ -107,7 +107,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
         100,
         # -0.5·16384/τ = -1303.8; 0.25·16384/τ = 651.9; 0.125 N·m = 125 ‰
         Position("m", -0.5, 0.25, 0.125),
-        told="""
+        reported="""
         rpdo2 60FF=0 6071=0 60B2=125 …
         rpdo3 60B1=652 …
         rpdo1 6040=000F 6060=8 607A=-1304 /10
@@ -118,7 +118,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Velocity("m", -1.5, -0.06),  # -1.5·16384/τ = -3911.4
-        told="""
+        reported="""
         rpdo2 60FF=-3911 6071=0 60B2=-60 /10
         rpdo3 60B1=0 …
         rpdo1 6040=000F 6060=9 607A=* …
@@ -130,7 +130,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Torque("m", 0.25),
-        told="""
+        reported="""
         rpdo2 60FF=0 6071=250 60B2=0 /10
         rpdo1 6040=000F 6060=10 607A=* …
         < State armed OPERATION ENABLED, cyclic synchronous torque
@@ -144,7 +144,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Hold("m"),
-        told="""
+        reported="""
         rpdo2 60FF=0 6071=0 60B2=0 …
         rpdo1 6040=000F 6060=8 607A=5000 /10
         < State armed OPERATION ENABLED, cyclic synchronous position
@@ -156,7 +156,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Hold("m"),
-        told="""
+        reported="""
         still rpdo1 6040=000F 6060=8 607A=5000 /10
         sync /10
         beat ?
@@ -166,7 +166,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(  # with each SYNC, every 10 ms, comes a statusword: two must say so
         200,
         Idle("m"),
-        told="""
+        reported="""
         0 rpdo1 6040=0006 6060=8 607A=5100
         < State ready READY TO SWITCH ON
         15..27 write 1016:01 = 00000000
@@ -174,7 +174,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
         beat ?
         """,
     )
-    talk.chapter(400, Idle("m"), told="asks 6041 6061 6064 606C 6077 6078 6079")
+    talk.chapter(400, Idle("m"), reported="asks 6041 6061 6064 606C 6077 6078 6079")
     assert talk.drive.state == "READY TO SWITCH ON"
 
 
@@ -188,9 +188,9 @@ def test_vectors_of_arming_by_the_state_that_is_shown() -> None:
         drive.stand(state, 1)  # in another mode till now
         talk = Talk(drive)
         talk.chapter(100)
-        before = len(talk.wires)
+        before = len(talk.frames)
         talk.chapter(300, Hold("m"))
-        said = [wire.data for _, wire in talk.wires[before:] if wire.id == 0x202]
+        said = [frame.data for _, frame in talk.frames[before:] if frame.id == 0x202]
         assert [word for word in rest if bytes.fromhex(word)[::-1] in [data[:2] for data in said]] == rest
         assert {data[:2] for data in said} == {bytes.fromhex(word)[::-1] for word in rest}, state
         assert {data[2:] for data in said} == {b"\x08\x00\x10\x00\x00"}  # CSP, 4096: nothing else, ever
@@ -206,7 +206,7 @@ def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
     talk.chapter(
         150,
         Velocity("m", 1.0),
-        told="""
+        reported="""
         still rpdo1 6040=0007 6060=9 607A=4096 /100
         still rpdo2 60FF=0 6071=0 60B2=0 /10
         still rpdo3 60B1=0 /100
@@ -218,7 +218,7 @@ def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
     talk.chapter(
         150,
         Velocity("m", 1.0),  # 16384/τ = 2607.6
-        told="""
+        reported="""
         rpdo1 6040=000F 6060=9 607A=4096 …
         < State armed OPERATION ENABLED, cyclic synchronous velocity
         rpdo2 60FF=2608 6071=0 60B2=0 /10
@@ -239,7 +239,7 @@ def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped()
     talk.chapter(
         200,
         Idle("m"),
-        told="""
+        reported="""
         < State initialising OPERATION ENABLED, *
         < State initialising OPERATION ENABLED, cyclic synchronous position, *
         < State armed OPERATION ENABLED, cyclic synchronous position
@@ -248,7 +248,7 @@ def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped()
     talk.chapter(
         100,
         Hold("m"),  # no NMT, no mapping, no 06 or 07: it goes on in its mode
-        told="""
+        reported="""
         write 1016:01 = 007F01F4
         rpdo2 60FF=0 6071=0 …
         rpdo1 6040=000F 6060=8 607A=4096 …
@@ -263,7 +263,7 @@ def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped()
         100,
         Stop(),  # an operator's stop reaches what somebody else has armed
         Idle("m"),
-        told="""
+        reported="""
         0..10 write 6040 = 0006 …
         < State ready READY TO SWITCH ON
         """,
@@ -276,7 +276,7 @@ def test_vectors_of_a_drive_that_does_not_disarm() -> None:
     talk.chapter(
         800,
         Idle("m"),
-        told="""
+        reported="""
         0 rpdo1 6040=0006 6060=8 607A=4096 /50 until 450..500
         50 write 6040 = 0006 /50 until 450..500
         500 rpdo1 6040=0000 6060=8 607A=4096 /50
@@ -289,7 +289,7 @@ def test_vectors_of_a_drive_that_does_not_disarm() -> None:
     talk.chapter(
         200,
         Idle("m"),
-        told="""
+        reported="""
         write 6040 = 0000 …
         < State ready SWITCH ON DISABLED
         write 1016:01 = 00000000
@@ -308,7 +308,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
     talk.chapter(
         300,
         Hold("m"),
-        told="""
+        reported="""
         still rpdo1 6040=0006 6060=8 607A=4096 /10 until 80..160
         80..170 < Fault 10001 operation not enabled
         sync ?
@@ -322,7 +322,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
     talk.chapter(  # it obeys what it was told last; nothing is tried by itself
         200,
         Hold("m"),
-        told="""
+        reported="""
         < State ready READY TO SWITCH ON
         sync ?
         beat ?
@@ -332,7 +332,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
         200,
         ClearFault("m"),
         Hold("m"),
-        told="""
+        reported="""
         < Done ClearFault m
         rpdo1 6040=0007 6060=8 607A=4096 …
         < State ready SWITCHED ON
@@ -351,7 +351,7 @@ def test_vectors_of_letting_go_of_a_drive_that_hears_no_pdos() -> None:
     talk.chapter(
         100,
         Idle("m"),
-        told="""
+        reported="""
         0 write 6040 = 0006
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000

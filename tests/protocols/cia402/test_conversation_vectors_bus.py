@@ -26,7 +26,7 @@ def test_vectors_of_a_bus_that_is_gone_and_back(state: BusState) -> None:
     talk.chapter(
         100,
         Hold("m"),
-        told=f"""
+        reported=f"""
         0 < Refused ReadParameter m the bus is {state}
         0 < Refused Home m the bus is {state}
         0 < Refused Scan can0 the bus is {state}
@@ -46,7 +46,7 @@ def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_said
     talk.chapter(
         40,
         Velocity("m", 1.0),
-        told="""
+        reported="""
         < State initialising *
         < State initialising *
         sync ?
@@ -56,7 +56,7 @@ def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_said
     talk.chapter(
         160,
         Velocity("m", 1.0),  # it runs still, in the mode that is wanted: it is steered again
-        told="""
+        reported="""
         < State armed OPERATION ENABLED, cyclic synchronous velocity
         write 1016:01 = 007F01F4
         rpdo1 6040=000F 6060=9 607A=5000 …
@@ -71,36 +71,36 @@ def test_vectors_of_a_full_queue_what_may_be_lost_is_said_again() -> None:
     talk = armed(Talk(), Velocity("m", 1.0))
     talk.chapter(30, Velocity("m", 1.0))
     talk.bus(BusState.FULL)
-    mark = len(talk.wires)
+    mark = len(talk.frames)
     talk.chapter(15, Velocity("m", 1.0))
-    assert {wire.id for _, wire in talk.wires[mark:]} >= {0x202, 0x302, 0x402}
+    assert {frame.id for _, frame in talk.frames[mark:]} >= {0x202, 0x302, 0x402}
 
 
 @pytest.mark.parametrize("state", [BusState.UP, BusState.PASSIVE])
 def test_vectors_of_a_bus_that_goes_on(state: BusState) -> None:
     talk = armed(Talk())
     talk.bus(state)
-    talk.chapter(50, Hold("m"), told="still rpdo1 6040=000F 6060=8 607A=4096 /10\nsync /10\nbeat ?")
+    talk.chapter(50, Hold("m"), reported="still rpdo1 6040=000F 6060=8 607A=4096 /10\nsync /10\nbeat ?")
 
 
 # -- looking for devices --------------------------------------------------------------------------------
 
 
 def _asked(talk: Talk, mark: int) -> list[tuple[int, str]]:
-    return [(wire.id - 0x600, wire.data[1:4].hex()) for _, wire in talk.wires[mark:] if wire.id != 0x602]
+    return [(frame.id - 0x600, frame.data[1:4].hex()) for _, frame in talk.frames[mark:] if frame.id != 0x602]
 
 
 def _found(events: Sequence[Event]) -> list[tuple[int, int | None, bool, str]]:
-    return [(e.address, e.serial, e.twice, e.detail) for e in events if isinstance(e, Found)]
+    return [(e.address, e.serial, e.duplicate_address, e.detail) for e in events if isinstance(e, Found)]
 
 
 def test_vectors_of_a_scan_of_an_empty_bus() -> None:
     talk = Talk()
     talk.chapter(100)
-    mark = len(talk.wires)
+    mark = len(talk.frames)
     talk.chapter(900, Scan("can0"))
     assert _asked(talk, mark) == [(node, "001000") for node in range(1, 128) if node != 2], "1000, of each"
-    at = {wire.id: at for at, wire in talk.wires[mark:] if wire.id != 0x602}
+    at = {frame.id: at for at, frame in talk.frames[mark:] if frame.id != 0x602}
     assert max(at.values()) - min(at.values()) < 500
     assert _found(talk.events) == [
         (2, 4711, False, "m, twin402, device profile 402, vendor 0x0, product 0x192")
@@ -124,12 +124,12 @@ class Stranger(Drive):
 def with_strangers(talk: Talk, strangers: Sequence[Drive], ms: int, *words: Scan) -> None:
     """So many ms beside them."""
     for at in range(ms):
-        mark = len(talk.wires)
+        mark = len(talk.frames)
         talk.chapter(1, *(words if at == 0 else ()))
-        for _, wire in talk.wires[mark:]:
+        for _, frame in talk.frames[mark:]:
             for stranger in strangers:
-                if wire.id == 0x600 + stranger.node:
-                    stranger.hear(wire)
+                if frame.id == 0x600 + stranger.node:
+                    stranger.handle(frame)
         for stranger in strangers:
             talk.drive.extra += stranger.speak(at)
 
@@ -140,7 +140,7 @@ def test_vectors_of_a_scan_that_finds_strangers() -> None:
     poor.lack(0x1018)
     talk = Talk()
     talk.chapter(100)
-    mark = len(talk.wires)
+    mark = len(talk.frames)
     with_strangers(talk, (one, two, silent, poor), 900, Scan("can0"))
     known = "device profile 402, vendor 0x29c, product 0x1234"
     assert _found(talk.events)[1:] == [
@@ -150,10 +150,10 @@ def test_vectors_of_a_scan_that_finds_strangers() -> None:
     ]
     asked = _asked(talk, mark)
     assert [key for node, key in asked if node == 5] == ["001000", "181001", "181002", "181004"]
-    talk.hear(CanFrame(0x585, bytes.fromhex("4300100092010200")))  # nobody looks any longer
-    foreign = talk.driver.tally.foreign
-    talk.hear(CanFrame(0x585, bytes.fromhex("4300100092010200")))
-    assert talk.driver.tally.foreign == foreign + 1
+    talk.handle(CanFrame(0x585, bytes.fromhex("4300100092010200")))  # nobody looks any longer
+    foreign = talk.driver.counters.ignored
+    talk.handle(CanFrame(0x585, bytes.fromhex("4300100092010200")))
+    assert talk.driver.counters.ignored == foreign + 1
 
 
 def test_vectors_of_an_answer_that_no_scan_asked_for() -> None:
@@ -162,9 +162,9 @@ def test_vectors_of_an_answer_that_no_scan_asked_for() -> None:
     talk.chapter(200, Scan("can0"))
     counts = []
     for answer in ("4318100405000000", "4300100092010200", "4318100405000000", "4318100192010000"):
-        before = talk.driver.tally.foreign
-        talk.hear(CanFrame(0x585, bytes.fromhex(answer)))
-        counts.append(talk.driver.tally.foreign - before)
+        before = talk.driver.counters.ignored
+        talk.handle(CanFrame(0x585, bytes.fromhex(answer)))
+        counts.append(talk.driver.counters.ignored - before)
     assert counts == [1, 0, 1, 0], "a serial number; the device type, asked for; and the vendor, asked next"
 
 
@@ -208,7 +208,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         300,
         Velocity("m", 1.0),
         Velocity("n", -2.0),
-        told="""
+        reported="""
         3: rpdo2 60FF=-5215 6071=0 60B2=0 /10
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
         still 3: rpdo1 6040=000F 6060=9 607A=-4096 …
@@ -220,7 +220,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
     talk.chapter(
         200,
         Velocity("m", 1.0),  # the other is not commanded: the host's heartbeat stops for both
-        told="""
+        reported="""
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
         sync /10
         """,
@@ -229,7 +229,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         100,
         Velocity("m", 1.0),
         Idle("n"),  # once it is let go, the other's is fed again
-        told="""
+        reported="""
         3: rpdo2 60FF=0 6071=0 60B2=0
         3: rpdo1 6040=0006 6060=9 607A=-4096
         < State n ready READY TO SWITCH ON
@@ -238,13 +238,13 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         beat ?
         """,
     )
-    talk.chapter(200, Velocity("m", 1.0), told="sync /10\nbeat 127 OPERATIONAL /125..130")
+    talk.chapter(200, Velocity("m", 1.0), reported="sync /10\nbeat 127 OPERATIONAL /125..130")
     right.trip(0x2310)
     talk.chapter(
         50,
         Velocity("m", 1.0),
         Idle("n"),
-        told="""
+        reported="""
         0 < Fault n 2310 continuous over current on the output
         < State n fault FAULT
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
@@ -264,19 +264,19 @@ def test_vectors_of_drives_with_different_watchdogs_share_the_faster_heartbeat()
     talk.driver = plugin.driver(devices)
     talk.chapter(100)
     talk.chapter(300, Hold("m"), Hold("n"))
-    talk.chapter(300, Hold("m"), Hold("n"), told="sync /10\nbeat 127 OPERATIONAL /50..60")
+    talk.chapter(300, Hold("m"), Hold("n"), reported="sync /10\nbeat 127 OPERATIONAL /50..60")
     assert [left.get(0x1016, 1), right.get(0x1016, 1)] == [0x7F0190, 0x7F00C8]
 
 
 def test_vectors_of_a_bus_whose_sync_is_somebody_else_s() -> None:
     talk = Talk(sync_ms=0)
     talk.chapter(100)
-    talk.chapter(150, Hold("m"), told=None)
-    assert not [wire for _, wire in talk.wires if wire.id == 0x80]
+    talk.chapter(150, Hold("m"), reported=None)
+    assert not [frame for _, frame in talk.frames if frame.id == 0x80]
     sync = CanFrame(0x80)
     for _ in range(30):
-        talk.drive.hear(sync)
-        talk.hear(sync)
+        talk.drive.handle(sync)
+        talk.handle(sync)
         talk.chapter(10, Hold("m"))
     assert talk.drive.state == "OPERATION ENABLED"
     assert not [event for event in talk.events if isinstance(event, Found)]
@@ -285,9 +285,11 @@ def test_vectors_of_a_bus_whose_sync_is_somebody_else_s() -> None:
 def test_vectors_of_a_second_producer_of_sync_told_once() -> None:
     talk = armed(Talk())
     for _ in range(3):
-        talk.hear(CanFrame(0x80))
+        talk.handle(CanFrame(0x80))
         talk.chapter(10, Hold("m"))
-    assert [(each.address, each.twice) for each in talk.events if isinstance(each, Found)] == [(0, True)]
+    assert [(each.address, each.duplicate_address) for each in talk.events if isinstance(each, Found)] == [
+        (0, True)
+    ]
 
 
 DIFFERENT = [

@@ -17,7 +17,7 @@ def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
     talk.chapter(
         200,
         Hold("m"),  # nothing is said to it till somebody clears it
-        told="""
+        reported="""
         0..1 < Fault 2310 continuous over current on the output
         0..20 < State fault FAULT
         still rpdo1 6040=000F 6060=8 607A=4096 …
@@ -25,12 +25,12 @@ def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
         beat 127 OPERATIONAL …
         """,
     )
-    talk.chapter(50, Hold("m"), told="sync ?\nbeat ?")
+    talk.chapter(50, Hold("m"), reported="sync ?\nbeat ?")
     talk.chapter(
         200,
         ClearFault("m"),
         Hold("m"),
-        told=f"""
+        reported=f"""
         write 6040 = 0000
         write 6040 = 0080
         < State ready SWITCH ON DISABLED
@@ -40,7 +40,7 @@ def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
         """,
     )
     talk.drive.trip(0x2310)  # again is another one
-    talk.chapter(50, Hold("m"), told="< Fault 2310 *\n< State fault FAULT\nsync ?\nbeat ?")
+    talk.chapter(50, Hold("m"), reported="< Fault 2310 *\n< State fault FAULT\nsync ?\nbeat ?")
 
 
 def test_vectors_of_a_fault_without_emcy() -> None:
@@ -49,7 +49,7 @@ def test_vectors_of_a_fault_without_emcy() -> None:
     talk.chapter(
         100,
         Hold("m"),  # 603F comes with TPDO2
-        told="""
+        reported="""
         < State fault FAULT
         < Fault 7305 incremental sensor 1
         sync /10
@@ -64,7 +64,7 @@ def test_vectors_of_a_fault_that_is_asked_for() -> None:
     talk.chapter(
         200,
         Velocity("m", 1.0),
-        told="""
+        reported="""
         0..40 < State fault FAULT
         0..60 < Fault 3220 DC link under voltage
         beat ?
@@ -75,7 +75,7 @@ def test_vectors_of_a_fault_that_is_asked_for() -> None:
         200,
         ClearFault("m"),
         Velocity("m", 1.0),
-        told="""
+        reported="""
         write 6040 = 0000
         write 6040 = 0080
         < State ready SWITCH ON DISABLED
@@ -100,18 +100,18 @@ def test_vectors_of_a_fault_found_at_the_start() -> None:
     talk.chapter(
         150,
         Idle("m"),
-        told="""
+        reported="""
         < State initialising FAULT*
         < Fault 8611 following error
         < State fault FAULT
         """,
     )
-    talk.chapter(100, Hold("m"), told="")
+    talk.chapter(100, Hold("m"), reported="")
     talk.chapter(
         100,
         ClearFault("m"),
         Idle("m"),
-        told="""
+        reported="""
         write 6040 = 0000
         write 6040 = 0080
         < State ready SWITCH ON DISABLED
@@ -136,15 +136,15 @@ def test_vectors_of_a_fault_that_does_not_go(stubborn: int) -> None:
     # the same value is one line, where it was said first: 0000, 0080, and so again half a second later
     talk.chapter(3200, ClearFault("m"), Idle("m"))
     said = [
-        (at, w.data[4]) for at, w in talk.wires[-4000:] if w.id == 0x602 and w.data[:3] == b"\x2b\x40\x60"
+        (at, w.data[4]) for at, w in talk.frames[-4000:] if w.id == 0x602 and w.data[:3] == b"\x2b\x40\x60"
     ]
     begun = said[0][0]
     times = 2 if stubborn == 2 else 6
     assert [value for _, value in said] == [0x00, 0x80] * times
     assert [round((at - begun) / 250) for at, value in said if value == 0x80] == [2 * n for n in range(times)]
     wanted = [line.split(maxsplit=1) for line in end.strip().splitlines()]
-    told = [run for run in talk.runs() if run.text.startswith("< ")]
-    for (window, text), run in zip(wanted, told, strict=True):
+    reported = [run for run in talk.runs() if run.text.startswith("< ")]
+    for (window, text), run in zip(wanted, reported, strict=True):
         low, high = map(int, window.split(".."))
         assert run.text == text
         assert low <= run.times[0] <= high, run
@@ -157,7 +157,7 @@ def test_vectors_of_a_fault_cleared_before_its_statusword_tells_it() -> None:
         150,
         ClearFault("m"),
         Hold("m"),
-        told=f"""
+        reported=f"""
         0..1 < Fault 2320 short circuit or earth leakage on the output
         < State fault FAULT
         write 6040 = 0000
@@ -177,7 +177,7 @@ def test_vectors_of_a_warning_that_comes_goes_and_comes_again() -> None:
         talk.chapter(
             50,
             Hold("m"),
-            told="""
+            reported="""
             0 < Fault 4210 excess temperature device
             still rpdo1 6040=000F 6060=8 607A=4096 /10
             sync /10
@@ -185,9 +185,9 @@ def test_vectors_of_a_warning_that_comes_goes_and_comes_again() -> None:
             """,
         )
         talk.drive.say_emcy(0x4210)
-        talk.chapter(50, Hold("m"), told="sync /10\nbeat ?")
+        talk.chapter(50, Hold("m"), reported="sync /10\nbeat ?")
         talk.drive.say_emcy(0)
-        talk.chapter(50, Hold("m"), told="sync /10\nbeat ?")
+        talk.chapter(50, Hold("m"), reported="sync /10\nbeat ?")
 
 
 @pytest.mark.parametrize("family", range(16))
@@ -201,7 +201,7 @@ def test_vectors_of_codes_told_by_their_family_as_the_package_calls_it(family: i
     (fault,) = [event for event in talk.events if isinstance(event, Fault)]
     assert fault.code == code
     assert fault.name.endswith(f"({code:#06x})")
-    assert "manual" in fault.cure
+    assert "manual" in fault.remedy
     if wanted and family:  # 0x00A7 is "error reset or no error" there
         assert fault.name.startswith(wanted), (fault.name, wanted)
     elif family:
@@ -225,7 +225,7 @@ def test_vectors_of_codes_told_by_their_class(code: int, name: str) -> None:
     talk = Talk()
     talk.chapter(60)
     talk.drive.say_emcy(code)
-    talk.chapter(10, told=f"< Fault {code:04X} {name} ({code:#06x})")
+    talk.chapter(10, reported=f"< Fault {code:04X} {name} ({code:#06x})")
 
 
 def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
@@ -236,7 +236,7 @@ def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
         talk.chapter(
             150,
             Idle("m"),
-            told="""
+            reported="""
             < Fault 3210 DC link over voltage
             < State fault FAULT
             write 1016:01 = 00000000
@@ -255,7 +255,7 @@ def test_vectors_of_a_drive_that_is_no_longer_asked_to_hold_after_a_fault() -> N
         150,
         ClearFault("m"),
         Idle("m"),  # cleared, and let go: 06 stands in its RPDO
-        told="""
+        reported="""
         rpdo2 60FF=0 6071=0 60B2=0
         rpdo1 6040=0006 6060=9 607A=*
         write 6040 = 0000
@@ -276,7 +276,7 @@ def test_vectors_of_a_fault_cleared_before_the_state_is_known() -> None:
     talk.chapter(
         150,
         ClearFault("m"),
-        told="""
+        reported="""
         < State initialising FAULT*
         write 6040 = 0000
         write 6040 = 0080
@@ -294,6 +294,6 @@ def test_vectors_of_a_fault_whose_code_comes_with_the_statusword() -> None:
     drive.map(0x1800, 0x40000182, 1, 0x60410010, 0x603F0010, 0x60640020)
     talk = armed(Talk(drive))
     drive.trip(0, emcy=False)
-    talk.chapter(30, Hold("m"), told="< State fault FAULT\nsync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), reported="< State fault FAULT\nsync /10\nbeat ?")
     drive.put(0x603F, 0x7305)  # a bit later it knows why
-    talk.chapter(30, Hold("m"), told="< Fault 7305 incremental sensor 1\nsync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), reported="< Fault 7305 incremental sensor 1\nsync /10\nbeat ?")

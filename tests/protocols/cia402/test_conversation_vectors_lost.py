@@ -17,7 +17,7 @@ def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
     talk.chapter(
         350,
         Hold("m"),
-        told=f"""
+        reported=f"""
         0 < State initialising restarted
         < State initialising SWITCH ON DISABLED*
         < State ready SWITCH ON DISABLED
@@ -41,19 +41,19 @@ def test_vectors_of_silence_and_of_coming_back() -> None:
     talk.chapter(
         1000,
         Hold("m"),
-        told="""
+        reported="""
         280..310 < State offline nothing heard
         still rpdo1 6040=000F 6060=8 607A=4096 /10 until 280..310
         sync ?
         beat ?
         """,
     )
-    talk.chapter(500, Hold("m"), told="reads 1000")
+    talk.chapter(500, Hold("m"), reported="reads 1000")
     talk.drive.dead = False
     talk.chapter(
         400,
         Idle("m"),
-        told="""
+        reported="""
         0 write 6040 = 0006 …
         < State initialising READY TO SWITCH ON*
         < State ready READY TO SWITCH ON
@@ -65,9 +65,9 @@ def test_vectors_of_a_drive_that_never_answers() -> None:
     drive = Drive()
     drive.dead = True
     talk = Talk(drive, sdo_timeout_ms=50)
-    talk.chapter(400, Hold("m"), told="reads 1000")
-    talk.chapter(700, Hold("m"), told="95..110 < State offline nothing heard\nreads 1000")
-    times = [at for at, _ in talk.wires]
+    talk.chapter(400, Hold("m"), reported="reads 1000")
+    talk.chapter(700, Hold("m"), reported="95..110 < State offline nothing heard\nreads 1000")
+    times = [at for at, _ in talk.frames]
     assert {b - a for a, b in pairwise(times)} == {50}
 
 
@@ -78,7 +78,7 @@ def test_vectors_of_an_nmt_state_that_somebody_else_changes() -> None:
         talk.chapter(
             250,
             Hold("m"),
-            told="""
+            reported="""
             0..110 nmt OPERATIONAL 2
             still rpdo1 6040=000F 6060=8 607A=4096 …
             sync /10
@@ -92,7 +92,7 @@ def test_vectors_of_a_start_that_is_not_obeyed() -> None:
     talk.chapter(100)
     talk.drive.starts = 4
     talk.chapter(400, Hold("m"))
-    starts = [at for at, wire in talk.wires if wire.id == 0]
+    starts = [at for at, frame in talk.frames if frame.id == 0]
     assert [b - a for a, b in pairwise(starts)] == [100, 100, 100]
     assert talk.drive.state == "SWITCH ON DISABLED"
 
@@ -104,7 +104,7 @@ def test_vectors_of_letting_go_where_the_position_is_zero() -> None:
     talk.chapter(
         30,
         Idle("m"),
-        told="""
+        reported="""
         rpdo1 6040=0006 6060=8 607A=0
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000
@@ -121,7 +121,7 @@ def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it
     talk.chapter(
         150,
         Hold("m"),
-        told="""
+        reported="""
         < State ready SWITCH ON DISABLED
         rpdo1 6040=0006 6060=8 607A=5000 …
         < State ready READY TO SWITCH ON
@@ -138,11 +138,13 @@ def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it
 
 def test_vectors_of_a_brain_that_falls_silent() -> None:
     talk = armed(Talk())
-    talk.chapter(300, told="sync ?")  # neither set-points nor heartbeat: the drive's own watchdog is to trip
+    talk.chapter(
+        300, reported="sync ?"
+    )  # neither set-points nor heartbeat: the drive's own watchdog is to trip
     talk.chapter(
         150,
         Hold("m"),
-        told="""
+        reported="""
         still rpdo1 6040=000F 6060=8 607A=4096 …
         sync /10
         beat 127 OPERATIONAL …

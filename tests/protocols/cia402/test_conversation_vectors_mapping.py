@@ -45,7 +45,7 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
     talk.chapter(
         300,
         Hold("m"),
-        told=f"""
+        reported=f"""
         write 1017 = 50
         {configured(0x1400, 0x202, 255, *RPDO1)}
         {configured(0x1401, 0x302, 255, *RPDO2)}
@@ -65,7 +65,7 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
     talk.chapter(
         40,
         Hold("m"),
-        told="""
+        reported="""
         still rpdo1 6040=000F 6060=8 607A=4096 /10
         beat ?
         measures position=0 velocity=6.2832
@@ -76,14 +76,14 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
 def test_vectors_of_feedback_that_is_asked_for() -> None:
     talk = Talk(feedback="sdo")
     talk.chapter(100)
-    before = len(talk.wires)
+    before = len(talk.frames)
     talk.chapter(
         1000,
         Idle("m"),
-        told="reads 1018:04\nasks 6041 6061 6064 606C 6077 6078 6079",
+        reported="reads 1018:04\nasks 6041 6061 6064 606C 6077 6078 6079",
     )
-    said = [wire.data[1:3] for _, wire in talk.wires[before:]]
-    assert {wire.id for _, wire in talk.wires} == {0x602}
+    said = [frame.data[1:3] for _, frame in talk.frames[before:]]
+    assert {frame.id for _, frame in talk.frames} == {0x602}
     asked = {title: said.count(bytes.fromhex(title)[::-1]) for title in ("6064", "606C", "6041", "6077")}
     # each 10 ms; the state at least a tenth as often
     assert all(95 <= asked[title] <= 101 for title in ("6064", "606C")), asked
@@ -92,7 +92,7 @@ def test_vectors_of_feedback_that_is_asked_for() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        told=f"""
+        reported=f"""
         {configured(0x1400, 0x202, 255, *RPDO1)}
         {configured(0x1401, 0x302, 255, *RPDO2)}
         {configured(0x1402, 0x402, 255, *RPDO3)}
@@ -111,7 +111,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        told="""
+        reported="""
         nmt OPERATIONAL 2
         write 607A = 4096 …
         write 6060 = 8
@@ -126,7 +126,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     talk.chapter(
         150,
         Velocity("m", 1.0, 0.1),  # 16384/τ = 2607.6; 100 ‰
-        told="""
+        reported="""
         write 60B2 = 100
         write 60FF = 2608 /20..30
         write 6060 = 9
@@ -136,7 +136,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     talk.chapter(
         150,
         Position("m", 0.5, -1.0),  # 0.5·16384/τ = 1303.8
-        told="""
+        reported="""
         write 60B1 = -2608
         write 60B2 = 0
         write 607A = 1304 /20..30
@@ -147,7 +147,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     talk.chapter(
         150,
         Idle("m"),
-        told="""
+        reported="""
         0 write 6040 = 0006
         < State ready READY TO SWITCH ON
         """,
@@ -159,7 +159,7 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
     talk = Talk(with_pdos(kind, 10 if kind == 255 else 0), **options)
     talk.chapter(
         150,  # of a PDO that exists: identifier, type, its timer if it tells, and what is mapped
-        told="""
+        reported="""
         < *
         < State ready SWITCH ON DISABLED
         reads 1000 1008 1017 1018:01 1018:02 1018:03 1018:04 603F 605A 6075 6076 608F:01 608F:02 6091:01 \
@@ -171,7 +171,7 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
     talk.chapter(
         200,
         Hold("m"),
-        told=f"""
+        reported=f"""
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 …{ARMED}
@@ -179,11 +179,11 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
         beat 127 OPERATIONAL …
         """,
     )
-    talk.chapter(250, Hold("m"), told=f"{synced}\nbeat ?\nasks 606C 6077 6078 6079")
+    talk.chapter(250, Hold("m"), reported=f"{synced}\nbeat ?\nasks 606C 6077 6078 6079")
     talk.chapter(
         50,
         Position("m", 1.0, 1.0),  # 60B1 stands in no PDO: by SDO
-        told=f"""
+        reported=f"""
         rpdo1 6040=000F 6060=8 607A=2608 /1..10
         write 60B1 = 2608
         {synced}
@@ -207,7 +207,7 @@ def test_vectors_of_pdos_that_tell_too_seldom() -> None:
     talk.chapter(
         250,
         Hold("m"),  # what steers stays as it is
-        told=f"""{WRITTEN_FOR_SYNC}
+        reported=f"""{WRITTEN_FOR_SYNC}
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 …{ARMED}
@@ -225,7 +225,7 @@ def test_vectors_of_pdos_that_steer_too_little() -> None:
     talk.chapter(
         250,
         Hold("m"),  # RPDO1 and what tells stay as they are
-        told=f"""
+        reported=f"""
         {configured(0x1401, 0x302, 1, *RPDO2)}
         {configured(0x1402, 0x402, 1, *RPDO3)}
         write 1016:01 = 007F01F4
@@ -297,14 +297,14 @@ def test_vectors_of_odd_pdos_that_do_well(index: int, kind: int, entries: tuple[
         drive.own(0x2000, 1)
     talk = Talk(drive)
     talk.chapter(150)
-    before = len(talk.wires)
+    before = len(talk.frames)
     talk.chapter(300, Hold("m"))
-    said = [wire.data for _, wire in talk.wires[before:] if wire.id == 0x602 and wire.data[0] != 0x40]
+    said = [frame.data for _, frame in talk.frames[before:] if frame.id == 0x602 and frame.data[0] != 0x40]
     assert [data[1:4].hex() for data in said] == ["161001"], "1016:01 alone"
     assert drive.state == "OPERATION ENABLED"
     drive.put(0x6064, -8192)
     dummy = "202#0F00080010000000 /10\n" if len(entries) == 4 and index == 0x1400 else ""
-    talk.chapter(100, Hold("m"), told=f"{dummy}sync /10\nbeat ?\nmeasures position=-3.1416")
+    talk.chapter(100, Hold("m"), reported=f"{dummy}sync /10\nbeat ?\nmeasures position=-3.1416")
 
 
 def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
@@ -317,7 +317,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         50,
         Position("m", 1.0, 0.5),
-        told="""
+        reported="""
         0 < Refused Position m it has no object 60B1 *
         sync /10
         beat ?
@@ -326,7 +326,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         50,
         Velocity("m", 1.0, 0.5),
-        told="""
+        reported="""
         0 < Refused Velocity m it has no object 60B2 *
         sync /10
         beat ?
@@ -335,7 +335,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         50,
         Position("m", 1.0),
-        told="""
+        reported="""
         rpdo1 6040=000F 6060=8 607A=2608 /2..10
         sync /10
         beat ?
@@ -348,7 +348,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        told="""
+        reported="""
         nmt OPERATIONAL 2
         write 607A = 4096 …
         write 6060 = 8
@@ -371,7 +371,7 @@ def test_vectors_of_pdos_that_may_not_be_written() -> None:
     talk.chapter(
         350,
         Hold("m"),
-        told=f"""
+        reported=f"""
         write 1400:01 = 80000202
         {configured(0x1401, 0x302, 1, *RPDO2)}
         {configured(0x1402, 0x402, 1, *RPDO3)}
@@ -404,7 +404,7 @@ def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        told="""
+        reported="""
         write 1016:01 = 007F01F4
         < Fault 10005 not configured
         """,
@@ -414,7 +414,7 @@ def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
         200,
         ClearFault("m"),
         Hold("m"),
-        told=f"""
+        reported=f"""
         < Done ClearFault m
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2

@@ -269,7 +269,7 @@ class Host:
     def __init__(self, settings: Settings | None = None) -> None:
         device = Device("m", NODE, Options(), settings or Settings())
         self.axis = Axis(device, instant=True)
-        self.ear = plugin.ear([device])
+        self.decoder = plugin.decoder([device])
         self.slave = Slave(NODE)
         self.slave.said()
         self.network = Joined()
@@ -280,38 +280,38 @@ class Host:
         self.compared: list[tuple[CanFrame, list[str], list[str]]] = []
         """(request, what LocalNode answered, what the axis did)"""
         self.last = ""
-        self.network.on_sent = self._hear
+        self.network.on_sent = self._handle
 
-    def _hear(self, frame: CanFrame) -> None:
+    def _handle(self, frame: CanFrame) -> None:
         self.now += MILLISECOND
-        words = list(self.axis.hear(self.now, frame))
-        assert words == list(self.ear.hear(self.now, frame))
+        words = list(self.axis.handle(self.now, frame))
+        assert words == list(self.decoder.decode(self.now, frame))
         self.words += words
         if len(frame.data) == {0x000: 2, 0x602: 8}.get(frame.id, -1):  # it raises on others
             self.slave.receive(frame)
-        told = [answer for answer in self.slave.said() if answer.id == 0x580 + NODE]
+        reported = [answer for answer in self.slave.said() if answer.id == 0x580 + NODE]
         own = [sdo.encode(answer).hex() for answer in self.axis.answers]
         if frame.id == 0x600 + NODE:
-            self.compared.append((frame, [answer.data.hex() for answer in told], own))
+            self.compared.append((frame, [answer.data.hex() for answer in reported], own))
         self.axis.answers.clear()
-        for answer in told:
-            self.network.hear(answer)
+        for answer in reported:
+            self.network.handle(answer)
 
     def say(self, line: str) -> str:
         """Say what a line says; what is obeyed, in short. The command that stands already is left out."""
         self.words.clear()
         with contextlib.suppress(canopen.SdoAbortedError, canopen.SdoCommunicationError):
             self._say(*line.split())
-        told = []
+        reported = []
         assert {getattr(word, "motor", "") for word in self.words} <= {"m"}
         for word in self.words:
             text = _short(word)
             if text != self.last or not isinstance(word, Command):
-                told.append(text)
+                reported.append(text)
             self.last = text if isinstance(word, Command) else self.last
             if text in ("Estop", "ClearFault", "Reboot"):
                 self.last = ""
-        return "; ".join(told)
+        return "; ".join(reported)
 
     def _say(self, what: str, *rest: str) -> None:
         if what == "nmt":
@@ -352,8 +352,8 @@ class Host:
 
 def _short(word: Command | Request) -> str:
     values = [getattr(word, f.name) for f in fields(word) if f.name != "motor"]
-    told = [_number(value) if isinstance(value, float) else str(value) for value in values]
-    return " ".join([type(word).__name__, *told])
+    reported = [_number(value) if isinstance(value, float) else str(value) for value in values]
+    return " ".join([type(word).__name__, *reported])
 
 
 def _number(value: float) -> str:
@@ -364,8 +364,8 @@ def _number(value: float) -> str:
 def test_vectors_of_a_host_are_obeyed(name: str) -> None:
     host = Host()
     for at, (line, wanted) in enumerate(OBEYED[name]):
-        told = host.say(line)
-        assert wanted == "*" or told == wanted, f"{at}: {line}: {told!r}, not {wanted!r}"
+        reported = host.say(line)
+        assert wanted == "*" or reported == wanted, f"{at}: {line}: {reported!r}, not {wanted!r}"
 
 
 def test_vectors_of_a_mapping_that_is_usual() -> None:
@@ -421,8 +421,8 @@ def test_vectors_of_every_object_is_read_as_the_package_reads_it() -> None:
         with contextlib.suppress(canopen.SdoAbortedError):
             host.node.sdo.upload(index, sub)
     assert len(host.compared) > 190
-    for request, told, own in host.compared:
-        assert told == own, request
+    for request, reported, own in host.compared:
+        assert reported == own, request
 
 
 def test_vectors_of_every_object_is_written_in_its_length_alone() -> None:
@@ -435,8 +435,8 @@ def test_vectors_of_every_object_is_written_in_its_length_alone() -> None:
             with contextlib.suppress(canopen.SdoAbortedError):
                 host.node.sdo.download(index, sub, bytes(size))
     assert len(host.compared) > 600
-    for request, told, own in host.compared:
-        assert told == own, request
+    for request, reported, own in host.compared:
+        assert reported == own, request
     assert not host.words
 
 
@@ -451,8 +451,8 @@ def test_vectors_of_values_that_are_written_stand_there_afterwards() -> None:
                 host.write(index, sub, value)
                 host.node.sdo.upload(index, sub)
     assert len(host.compared) > 120
-    for request, told, own in host.compared:
-        assert told == own, request
+    for request, reported, own in host.compared:
+        assert reported == own, request
 
 
 CODED = (0x1005, 0x1029, 0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6060, 0x6098)
@@ -477,12 +477,12 @@ def test_vectors_of_pieces_are_answered_as_the_package_answers_them(name: str) -
     host = Host()
     for text in PIECES[name]:
         host.network.send_message(0x600 + NODE, bytes.fromhex(text))
-    for request, told, own in host.compared:
-        assert told == own, request
+    for request, reported, own in host.compared:
+        assert reported == own, request
 
 
 def test_vectors_of_the_drives_side_are_no_words() -> None:
-    ear = plugin.ear([DEVICE])
+    decoder = plugin.decoder([DEVICE])
     for vector in VECTORS:
         if vector.direction == "from_device":
-            assert not ear.hear(0, vector.wire), vector.name
+            assert not decoder.decode(0, vector.frame), vector.name

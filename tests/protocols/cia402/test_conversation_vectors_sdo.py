@@ -29,10 +29,10 @@ def test_vectors_of_answers_that_are_lost() -> None:
     talk = Talk(sdo_timeout_ms=30)
     talk.chapter(20)
     talk.drive.mute = True
-    before = len(talk.wires)
+    before = len(talk.frames)
     talk.chapter(300)
-    times = [at for at, _ in talk.wires[before:]]
-    asked = [wire.data[1:4].hex() for _, wire in talk.wires[before:]]
+    times = [at for at, _ in talk.frames[before:]]
+    asked = [frame.data[1:4].hex() for _, frame in talk.frames[before:]]
     assert {late - soon for soon, late in pairwise(times[1:])} == {30}
     assert len(set(asked)) > 1, "given up after three, and something else is asked"
     assert max(asked.count(key) for key in set(asked[:8])) >= 2, "repeated"
@@ -51,7 +51,7 @@ def test_vectors_of_a_write_that_is_not_answered_all_of_it_again() -> None:
     talk.chapter(300, Hold("m"))
     assert talk.drive.state == "OPERATION ENABLED"
     written = [
-        wire.data for _, wire in talk.wires if wire.id == 0x602 and wire.data[:4] == b"\x23\x00\x14\x01"
+        frame.data for _, frame in talk.frames if frame.id == 0x602 and frame.data[:4] == b"\x23\x00\x14\x01"
     ]
     assert [bool(data[7] & 0x80) for data in written] == [True, False] * 2, "begun anew with the first PDO"
 
@@ -62,7 +62,7 @@ def test_vectors_of_answers_that_come_late() -> None:
     talk = Talk(drive, feedback_ms=20)
     talk.chapter(
         1200,
-        told="""
+        reported="""
         < State initialising asking it what it is
         < State initialising SWITCH ON DISABLED*
         < State ready SWITCH ON DISABLED
@@ -90,17 +90,17 @@ def test_vectors_of_every_question_answered_twice() -> None:
     talk.chapter(
         100,
         Idle("m"),
-        told="""
-        0..50 < Found 2 4711 node id 2 is held twice: * twice
+        reported="""
+        0..50 < Found 2 4711 node id 2 is held twice: * duplicate_address
         < Fault 10002 node id is held twice
         """,
     )
-    talk.chapter(1200, Idle("m"), told="reads 1018:04")  # told once
+    talk.chapter(1200, Idle("m"), reported="reads 1018:04")  # told once
     talk.drive.copies = 1
-    talk.chapter(100, ClearFault("m"), Idle("m"), told="< Done ClearFault m")
-    talk.chapter(1200, Idle("m"), told="reads 1018:04")
+    talk.chapter(100, ClearFault("m"), Idle("m"), reported="< Done ClearFault m")
+    talk.chapter(1200, Idle("m"), reported="reads 1018:04")
     talk.drive.copies = 2
-    talk.chapter(100, Idle("m"), told="< Found *\n< Fault 10002 *")
+    talk.chapter(100, Idle("m"), reported="< Found *\n< Fault 10002 *")
 
 
 @pytest.mark.parametrize(("questions", "twice"), [(2, False), (3, True)])
@@ -109,18 +109,18 @@ def test_vectors_of_three_questions_in_a_row_answered_twice(questions: int, twic
     talk.chapter(100)
     talk.drive.doubles = questions
     talk.chapter(100)
-    assert [event.twice for event in talk.events if isinstance(event, Found)] == [True] * twice
+    assert [event.duplicate_address for event in talk.events if isinstance(event, Found)] == [True] * twice
 
 
 def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
     talk = Talk(feedback_ms=50)
     talk.chapter(900)
-    talk.hear(CanFrame(0x582, bytes.fromhex("4318100405000000")))  # nobody asked: it changes nothing
-    talk.chapter(50, told="")
+    talk.handle(CanFrame(0x582, bytes.fromhex("4318100405000000")))  # nobody asked: it changes nothing
+    talk.chapter(50, reported="")
     talk.drive.put(0x1018, 99, 4)
     talk.chapter(
         1200,
-        told="""
+        reported="""
         0..1060 < State initialising another device answers
         < State initialising asking it what it is
         < State initialising SWITCH ON DISABLED*
@@ -131,27 +131,27 @@ def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
     other.put(0x1018, 77, 4)
     other.restart()
     for _ in range(1100):  # it hears the same questions, and is a bit later
-        mark = len(talk.wires)
+        mark = len(talk.frames)
         talk.chapter(1)
-        for _, wire in talk.wires[mark:]:
-            if wire.id == 0x602 and wire.data[:4] == b"\x40\x18\x10\x04":
+        for _, raw in talk.frames[mark:]:
+            if raw.id == 0x602 and raw.data[:4] == b"\x40\x18\x10\x04":
                 other.slave.said()
-                other.slave.receive(wire)
+                other.slave.receive(raw)
                 talk.drive.extra += [frame for frame in other.slave.said() if frame.id == 0x582]
     found = [event for event in talk.events if isinstance(event, Found)]
-    assert [(each.address, each.twice) for each in found] == [(2, True)]
+    assert [(each.address, each.duplicate_address) for each in found] == [(2, True)]
 
 
 def test_vectors_of_heartbeats_that_contradict_each_other() -> None:
     beats = {state: CanFrame(0x702, bytes((state,))) for state in (5, 127)}
     talk = Talk()
     talk.chapter(60)
-    talk.hear(beats[5], beats[127], beats[127])  # it was stopped: no contradiction
-    talk.chapter(20, told="")
-    talk.hear(beats[5], beats[127], beats[5])
+    talk.handle(beats[5], beats[127], beats[127])  # it was stopped: no contradiction
+    talk.chapter(20, reported="")
+    talk.handle(beats[5], beats[127], beats[5])
     talk.chapter(0)
     found = [event for event in talk.events if isinstance(event, Found)]
-    assert [(each.address, each.serial, each.twice) for each in found] == [(2, 4711, True)]
+    assert [(each.address, each.serial, each.duplicate_address) for each in found] == [(2, 4711, True)]
 
 
 # fmt: off
@@ -191,11 +191,11 @@ ASKED: list[tuple[Request, Sequence[str]]] = [
 # fmt: on
 
 
-@pytest.mark.parametrize(("request_", "told"), ASKED)
-def test_vectors_of_parameters(request_: Request, told: Sequence[str]) -> None:
+@pytest.mark.parametrize(("request_", "reported"), ASKED)
+def test_vectors_of_parameters(request_: Request, reported: Sequence[str]) -> None:
     talk = Talk()
     talk.chapter(100)
-    talk.chapter(30, request_, told="\n".join(told))
+    talk.chapter(30, request_, reported="\n".join(reported))
 
 
 def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
@@ -207,11 +207,11 @@ def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
     talk.chapter(
         30,
         ReadParameter("m", "2000:01"),
-        told="< Parameter 2000:01 254\n< Done ReadParameter m of unknown type*",
+        reported="< Parameter 2000:01 254\n< Done ReadParameter m of unknown type*",
     )
     drive.local.data_store[0x2000] = {1: bytes(9)}
     talk.chapter(
-        30, ReadParameter("m", "2000:01"), told="< Refused ReadParameter m * is no number of its type"
+        30, ReadParameter("m", "2000:01"), reported="< Refused ReadParameter m * is no number of its type"
     )
 
 
@@ -219,15 +219,17 @@ def test_vectors_of_answers_that_do_not_tell_their_size() -> None:
     talk = Talk()
     talk.drive.unsized = True
     talk.drive.put(0x6064, 70_000)  # 26.8447 rad
-    talk.chapter(100, told="< *\n< State ready *\nmeasures position=26.845 voltage=48")
-    talk.chapter(30, ReadParameter("m", "6081"), told="< Parameter 6081 100000\n< Done *")
+    talk.chapter(100, reported="< *\n< State ready *\nmeasures position=26.845 voltage=48")
+    talk.chapter(30, ReadParameter("m", "6081"), reported="< Parameter 6081 100000\n< Done *")
 
 
 def test_vectors_of_parameters_below_zero() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive.put(0x607C, -5)
-    talk.chapter(30, ReadParameter("m", "607C"), told="< Parameter 607C -5\n< Done ReadParameter m position")
+    talk.chapter(
+        30, ReadParameter("m", "607C"), reported="< Parameter 607C -5\n< Done ReadParameter m position"
+    )
 
 
 def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
@@ -237,7 +239,7 @@ def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
         100,
         WriteParameter("m", "608F:01", 8192.0),
         Idle("m"),
-        told="""
+        reported="""
         write 608F:01 = 8192
         < Done WriteParameter m
         < State initialising SWITCH ON DISABLED*
@@ -254,7 +256,7 @@ def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
         ReadParameter("m", "6502"),
         WriteParameter("m", "6083", 7.0),
         Hold("m"),
-        told="""
+        reported="""
         < Parameter 6502 941
         < Done ReadParameter m
         write 6083 = 7
@@ -268,7 +270,7 @@ def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
         400,
         ReadParameter("m", "6502"),
         Hold("m"),
-        told="""
+        reported="""
         100..310 < Refused ReadParameter m no answer of the device
         still rpdo1 6040=000F 6060=8 607A=4096 /10
         sync /10
@@ -292,7 +294,7 @@ def test_vectors_of_a_reboot() -> None:
         150,
         Reboot("m"),
         Idle("m"),
-        told="""
+        reported="""
         0 nmt RESET 2
         < State initialising restarted
         < Done Reboot m *
@@ -301,14 +303,14 @@ def test_vectors_of_a_reboot() -> None:
         """,
     )
     talk = armed(Talk())
-    talk.chapter(20, Reboot("m"), Hold("m"), told="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?")
+    talk.chapter(20, Reboot("m"), Hold("m"), reported="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?")
     talk.chapter(200, Idle("m"))
     talk.drive.starts = 99  # NMT is lost
     talk.chapter(
         8200,
         Reboot("m"),
         Idle("m"),
-        told="""
+        reported="""
         nmt RESET 2 /2000 until 6000..8000
         8000..8010 < Refused Reboot m it showed no sign of a restart
         """,
@@ -317,19 +319,19 @@ def test_vectors_of_a_reboot() -> None:
     drive.stand("OPERATION ENABLED", 8)
     talk = Talk(drive)
     talk.chapter(100)
-    talk.chapter(20, Reboot("m"), Idle("m"), told="0 < Refused Reboot m it is armed*")
+    talk.chapter(20, Reboot("m"), Idle("m"), reported="0 < Refused Reboot m it is armed*")
 
 
 def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive.dead = True
-    talk.chapter(600, told="400..510 < State offline nothing heard")
+    talk.chapter(600, reported="400..510 < State offline nothing heard")
     talk.chapter(
         8200,
         Reboot("m"),
         ClearFault("m"),
-        told="""
+        reported="""
         0 nmt RESET 2 /2000 until 6000..8000
         3000..3010 < Refused ClearFault m no answer of the device
         8000..8010 < Refused Reboot m no answer of the device
@@ -342,19 +344,19 @@ def test_vectors_of_segments_that_another_host_broke_off() -> None:
     talk.chapter(100)
     talk.drive.mute = True
     talk.chapter(1, ReadParameter("m", "1008"))
-    while talk.wires[-1][1].data[:4] != b"\x40\x08\x10\x00":
+    while talk.frames[-1][1].data[:4] != b"\x40\x08\x10\x00":
         talk.drive.mute = False
         talk.chapter(1)
         talk.drive.mute = True
     talk.drive.slave.said()
     start = CanFrame(0x582, bytes.fromhex("4108100007000000"))
-    talk.hear(start)
+    talk.handle(start)
     talk.chapter(1)
-    assert talk.wires[-1][1].data[0] == 0x60, "the first segment is asked for"
+    assert talk.frames[-1][1].data[0] == 0x60, "the first segment is asked for"
     talk.drive.slave.said()
-    talk.hear(CanFrame(0x582, bytes.fromhex("8041600000000008")))  # of somebody's upload of 6041
+    talk.handle(CanFrame(0x582, bytes.fromhex("8041600000000008")))  # of somebody's upload of 6041
     talk.drive.mute = False
-    talk.chapter(20, told="< Done ReadParameter m twin402\nreads 1008 on")
+    talk.chapter(20, reported="< Done ReadParameter m twin402\nreads 1008 on")
 
 
 def test_vectors_of_segments_that_come_twice() -> None:
@@ -369,37 +371,37 @@ def test_vectors_of_noise_change_nothing() -> None:
     """Every independent vector from the drive's side, cut and lengthened, beside what the drive says."""
     noise: dict[CanFrame, None] = {}
     for vector in VECTORS:
-        wire = vector.wire
-        assert isinstance(wire, CanFrame)
-        if 0x580 <= wire.id < 0x600 or wire.id >= 0x700:
-            for data in (wire.data[:-1], wire.data + b"\x05", b""):
-                noise[CanFrame(wire.id, data)] = None
-        noise[CanFrame(wire.id & 0x780 | 0x21, wire.data)] = None  # another node's
-        noise[CanFrame(wire.id, wire.data, extended=True)] = None
-        noise[CanFrame(wire.id, wire.data, fd=True)] = None
+        raw = vector.frame
+        assert isinstance(raw, CanFrame)
+        if 0x580 <= raw.id < 0x600 or raw.id >= 0x700:
+            for data in (raw.data[:-1], raw.data + b"\x05", b""):
+                noise[CanFrame(raw.id, data)] = None
+        noise[CanFrame(raw.id & 0x780 | 0x21, raw.data)] = None  # another node's
+        noise[CanFrame(raw.id, raw.data, extended=True)] = None
+        noise[CanFrame(raw.id, raw.data, fd=True)] = None
     quiet, loud = armed(Talk(), Velocity("m", 1.0)), armed(Talk(), Velocity("m", 1.0))
-    beginning = loud.driver.tally.heard, loud.driver.tally.foreign + loud.driver.tally.bad
-    own = quiet.driver.tally.heard
+    beginning = loud.driver.counters.accepted, loud.driver.counters.ignored + loud.driver.counters.malformed
+    own = quiet.driver.counters.accepted
     loud.drive.extra = [frame for frame in noise if frame.id != 0x80]
     for talk in (quiet, loud):
         talk.chapter(100, Velocity("m", 1.0))
-    assert loud.wires == quiet.wires
+    assert loud.frames == quiet.frames
     assert loud.events == quiet.events
-    assert loud.driver.tally.heard - beginning[0] == quiet.driver.tally.heard - own
-    told = loud.driver.tally.foreign + loud.driver.tally.bad - beginning[1]
-    assert told == len([frame for frame in noise if frame.id != 0x80])
+    assert loud.driver.counters.accepted - beginning[0] == quiet.driver.counters.accepted - own
+    reported = loud.driver.counters.ignored + loud.driver.counters.malformed - beginning[1]
+    assert reported == len([frame for frame in noise if frame.id != 0x80])
 
 
 def test_vectors_are_counted_exactly() -> None:
     talk = armed(Talk())
-    tally = talk.driver.tally
-    assert talk.frames > 150
-    assert (tally.heard, tally.bad, tally.foreign) == (talk.frames, 0, 0)
-    before = talk.frames
-    talk.hear(CanFrame(0x182, b"\x37"), CanFrame(0x582, b"\x60"), CanFrame(0x702, b"\x06"), CanFrame(0x702))
-    talk.hear(CanFrame(0x082, bytes(7)), CanFrame(0x282, bytes(9)))  # ours, and ill-formed: 6
-    talk.hear(CanFrame(0x482, bytes(3)))  # a TPDO that was not there before: it lives
-    talk.hear(CanFrame(0x183, bytes(7)), CanFrame(0x583, bytes(8)), CanFrame(0x703, b"\x05"))
-    talk.hear(CanFrame(0x202, bytes(7)), CanFrame(0x602, bytes(8)), CanFrame(0x000, b"\x01\x02"))
-    talk.hear(CanFrame(0x182, bytes(7), extended=True), CanFrame(0x182, remote=True), CanFrame(0x7E4))
-    assert (tally.heard, tally.bad, tally.foreign) == (before + 1, 6, 9)
+    counters = talk.driver.counters
+    assert talk.frame_count > 150
+    assert (counters.accepted, counters.malformed, counters.ignored) == (talk.frame_count, 0, 0)
+    before = talk.frame_count
+    talk.handle(CanFrame(0x182, b"\x37"), CanFrame(0x582, b"\x60"), CanFrame(0x702, b"\x06"), CanFrame(0x702))
+    talk.handle(CanFrame(0x082, bytes(7)), CanFrame(0x282, bytes(9)))  # ours, and ill-formed: 6
+    talk.handle(CanFrame(0x482, bytes(3)))  # a TPDO that was not there before: it lives
+    talk.handle(CanFrame(0x183, bytes(7)), CanFrame(0x583, bytes(8)), CanFrame(0x703, b"\x05"))
+    talk.handle(CanFrame(0x202, bytes(7)), CanFrame(0x602, bytes(8)), CanFrame(0x000, b"\x01\x02"))
+    talk.handle(CanFrame(0x182, bytes(7), extended=True), CanFrame(0x182, remote=True), CanFrame(0x7E4))
+    assert (counters.accepted, counters.malformed, counters.ignored) == (before + 1, 6, 9)

@@ -16,7 +16,7 @@ def test_vectors_of_an_emergency_stop_and_its_end() -> None:
         100,
         Estop("m"),
         Hold("m"),
-        told="""
+        reported="""
         0 < Fault 10004 quick stop
         < State fault OPERATION ENABLED, cyclic synchronous position
         rpdo1 6040=0002 6060=8 607A=4096 …
@@ -27,12 +27,12 @@ def test_vectors_of_an_emergency_stop_and_its_end() -> None:
         beat ?
         """,
     )
-    talk.chapter(100, Hold("m"), told="sync /10\nbeat ?")
+    talk.chapter(100, Hold("m"), reported="sync /10\nbeat ?")
     talk.chapter(
         150,
         ClearFault("m"),
         Hold("m"),
-        told=f"""
+        reported=f"""
         < State ready SWITCH ON DISABLED
         < Done ClearFault m{AGAIN}
         sync /10
@@ -48,12 +48,12 @@ def test_vectors_of_an_emergency_stop_that_holds_is_left_without_dropping_the_lo
     talk.chapter(100, Estop("m"), Hold("m"))
     assert drive.state == "QUICK STOP ACTIVE"
     drive.put(0x6064, 4000)
-    talk.chapter(30, Hold("m"), told="sync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), reported="sync /10\nbeat ?")
     talk.chapter(
         150,
         ClearFault("m"),
         Hold("m"),
-        told="""
+        reported="""
         < State ready QUICK STOP ACTIVE
         < Done ClearFault m
         rpdo1 6040=0002 6060=8 607A=4000 …
@@ -72,7 +72,7 @@ def test_vectors_of_an_emergency_stop_by_sdo_said_till_it_is_obeyed() -> None:
         200,
         Estop("m"),
         Hold("m"),
-        told="""
+        reported="""
         0 < Fault 10004 quick stop
         0 < State fault *
         write 6040 = 0002 /50
@@ -82,7 +82,7 @@ def test_vectors_of_an_emergency_stop_by_sdo_said_till_it_is_obeyed() -> None:
     talk.chapter(
         100,
         Hold("m"),
-        told="""
+        reported="""
         write 6040 = 0002
         < State fault QUICK STOP ACTIVE
         < Done Estop m *
@@ -98,10 +98,10 @@ def test_vectors_of_a_quick_stop_that_somebody_else_has_said(holds: bool) -> Non
     drive.stand("QUICK STOP ACTIVE", 8)
     drive.since = 10**9  # it still slows down
     talk = Talk(drive, watchdog_ms=0)
-    talk.chapter(100, Idle("m"), told="< State initialising *\n< State ready QUICK STOP ACTIVE")
-    before = len(talk.wires)
+    talk.chapter(100, Idle("m"), reported="< State initialising *\n< State ready QUICK STOP ACTIVE")
+    before = len(talk.frames)
     talk.chapter(200, Hold("m"))
-    words = [w.data[0] for _, w in talk.wires[before:] if w.id == 0x202]
+    words = [w.data[0] for _, w in talk.frames[before:] if w.id == 0x202]
     order = list(dict.fromkeys(words))
     assert order == ([0x02, 0x0F] if holds else [0x00, 0x06, 0x07, 0x0F])
     assert drive.state == "OPERATION ENABLED"
@@ -117,7 +117,7 @@ def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
         700,
         Stop(),
         Idle("m"),  # 06 does not lead out of a quick stop, 00 does
-        told="""
+        reported="""
         0..10 write 6040 = 0006 /50 until 450..500
         500..510 write 6040 = 0000 …
         < State ready SWITCH ON DISABLED
@@ -133,7 +133,7 @@ def test_vectors_of_an_emergency_stop_of_a_drive_that_somebody_else_runs() -> No
     talk.chapter(
         100,
         Estop("m"),
-        told="""
+        reported="""
         0 < Fault 10004 quick stop
         0 < State fault OPERATION ENABLED*
         write 6040 = 0002
@@ -142,5 +142,5 @@ def test_vectors_of_an_emergency_stop_of_a_drive_that_somebody_else_runs() -> No
         < State fault SWITCH ON DISABLED
         """,
     )
-    talk.chapter(100, Hold("m"), told="")
-    talk.chapter(100, ClearFault("m"), told="< State ready SWITCH ON DISABLED\n< Done ClearFault m")
+    talk.chapter(100, Hold("m"), reported="")
+    talk.chapter(100, ClearFault("m"), reported="< State ready SWITCH ON DISABLED\n< Done ClearFault m")

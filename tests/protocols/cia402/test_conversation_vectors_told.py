@@ -108,18 +108,18 @@ def test_vectors_of_a_statusword_of_a_wrong_length_it_tells_nothing() -> None:
     talk.chapter(100)
     talk.drive._show = lambda: None  # type: ignore[method-assign]  # as above
     talk.drive.put_bytes(0x6041, b"\x37")
-    talk.chapter(100, told="asks 6041 6061 6064 606C 6077")
+    talk.chapter(100, reported="asks 6041 6061 6064 606C 6077")
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "reported"),
     [
         (b" drive 7 \0\0\0", "m, drive 7, "),
         (b"caf\xe9 9", "m, caf\N{REPLACEMENT CHARACTER} 9, "),
         (None, "m, device profile"),
     ],
 )
-def test_vectors_of_a_name(name: bytes | None, told: str) -> None:
+def test_vectors_of_a_name(name: bytes | None, reported: str) -> None:
     drive = Drive()
     if name is None:
         drive.lack(0x1008)
@@ -129,7 +129,7 @@ def test_vectors_of_a_name(name: bytes | None, told: str) -> None:
     talk.chapter(100)
     talk.chapter(900, Scan("can0"))
     (found,) = [event for event in talk.events if isinstance(event, Found)]
-    assert found.detail.startswith(told)
+    assert found.detail.startswith(reported)
 
 
 def test_vectors_of_a_faster_sync() -> None:
@@ -140,7 +140,7 @@ def test_vectors_of_a_faster_sync() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        told="""
+        reported="""
         still rpdo1 6040=000F 6060=8 607A=4096 /5
         still rpdo2 60FF=0 6071=0 60B2=0 /100
         still rpdo3 60B1=0 /100
@@ -158,7 +158,7 @@ def test_vectors_of_a_tpdo_that_stays_away_its_objects_are_asked_for_again() -> 
     talk.chapter(
         200,
         Hold("m"),
-        told="""
+        reported="""
         still rpdo1 6040=000F 6060=8 607A=4096 /10
         sync /10
         beat ?
@@ -184,9 +184,9 @@ def _run(slave: Slave, transfer: Transfer) -> int:
     while request is not None and count < 99:
         slave.receive(CanFrame(0x602, sdo.encode(request)))
         (answer,) = slave.said()
-        heard = sdo.decode_answer(answer.data)
-        assert heard is not None
-        request, count = transfer.hear(heard), count + 1
+        received = sdo.decode_answer(answer.data)
+        assert received is not None
+        request, count = transfer.handle(received), count + 1
     return count
 
 

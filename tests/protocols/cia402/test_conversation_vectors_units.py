@@ -82,7 +82,7 @@ def test_vectors_of_units(
     kind(drive)
     talk = Talk(drive, **options)
     talk.chapter(
-        100, told="< *\n< *\nmeasures position=1.5708 velocity=-6.2832 torque=0.5 current=-1 voltage=48"
+        100, reported="< *\n< *\nmeasures position=1.5708 velocity=-6.2832 torque=0.5 current=-1 voltage=48"
     )
     talk.chapter(200, Position("m", 1.0))
     assert drive.get(0x607A) == turned
@@ -92,7 +92,7 @@ def test_vectors_of_units(
     assert drive.get(0x6071) == torque
     drive.put(0x6064, -2 * drive.get(0x6064))
     talk.chapter(
-        50, Hold("m"), told="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10\nbeat ?\nmeasures position=-3.1416"
+        50, Hold("m"), reported="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10\nbeat ?\nmeasures position=-3.1416"
     )
 
 
@@ -104,7 +104,7 @@ def test_vectors_of_a_drive_without_rated_current_and_torque() -> None:
     talk.chapter(
         50,
         Torque("m", 0.25),
-        told="""
+        reported="""
         0 < Refused Torque m *
         sync /10
         beat ?
@@ -137,11 +137,11 @@ def test_vectors_of_what_cannot_be_commanded(kind: Callable[[Drive], None], why:
     talk = Talk(drive)
     talk.chapter(100)
     talk.chapter(100, Hold("m"))
-    told = [event for event in talk.events if isinstance(event, Fault)]
-    assert [(fault.code, why in fault.cause) for fault in told] == [(0x10003, True)]
+    reported = [event for event in talk.events if isinstance(event, Fault)]
+    assert [(fault.code, why in fault.cause) for fault in reported] == [(0x10003, True)]
     state = [event for event in talk.events if isinstance(event, State)][-1]
     assert (state.mode, why in state.detail) == ("fault", True)
-    assert {wire.data[0] for _, wire in talk.wires} <= {0x40, 0x60, 0x70}, "only uploads"
+    assert {frame.data[0] for _, frame in talk.frames} <= {0x40, 0x60, 0x70}, "only uploads"
 
 
 def test_vectors_of_a_drive_with_position_alone() -> None:
@@ -153,7 +153,7 @@ def test_vectors_of_a_drive_with_position_alone() -> None:
         talk.chapter(
             50,
             word,
-            told=f"""
+            reported=f"""
             0 < Refused {type(word).__name__} m its object 6502 (0x80) has no mode *
             sync /10
             beat ?
@@ -169,7 +169,7 @@ def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity
     talk.chapter(
         50,
         Hold("m"),
-        told="""
+        reported="""
         rpdo2 60FF=0 6071=0 60B2=0 /10
         still rpdo1 6040=000F 6060=9 607A=4096 …
         sync /10
@@ -179,7 +179,7 @@ def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity
     talk.chapter(
         50,
         Position("m", 1.0),
-        told="""
+        reported="""
         0 < Refused Position m *
         sync /10
         beat ?
@@ -206,18 +206,18 @@ REFUSED: list[tuple[Command, str]] = [
 @pytest.mark.parametrize(("word", "why"), REFUSED)
 def test_vectors_of_words_that_reach_no_wire(word: Command, why: str) -> None:
     talk = armed(Talk())
-    told = f"0 < Refused {type(word).__name__} {word.motor} {why}"
-    talk.chapter(60, word, told=f"{told}\nsync /10\nbeat ?")  # told once, as long as it stands
-    assert not [wire for _, wire in talk.wires[-3:] if wire.id == 0x202]
-    talk.chapter(20, Hold("m"), told="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?\nbeat ?")
+    reported = f"0 < Refused {type(word).__name__} {word.motor} {why}"
+    talk.chapter(60, word, reported=f"{reported}\nsync /10\nbeat ?")  # told once, as long as it stands
+    assert not [frame for _, frame in talk.frames[-3:] if frame.id == 0x202]
+    talk.chapter(20, Hold("m"), reported="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?\nbeat ?")
     if word.motor == "m":
-        talk.chapter(20, word, told=f"{told}\nsync ?\nbeat ?")
+        talk.chapter(20, word, reported=f"{reported}\nsync ?\nbeat ?")
     talk.chapter(
         20,
         SetId("can0", 4711, 3),
         ClearFault("nobody"),
         Hold("m"),
-        told="""
+        reported="""
         < Refused SetId *
         < Refused ClearFault nobody *
         sync ?

@@ -166,11 +166,11 @@ def test_pp_forgets_its_set_point_when_it_is_disabled() -> None:
     bench.control(0x00)
     bench.run(400)
     bench.velocity = 0.0
-    stood = bench.position
+    stalled_for = bench.position
     for word in (0x06, 0x07, 0x0F):
         bench.control(word)
     bench.run(500)
-    assert bench.position == pytest.approx(stood, abs=0.01)
+    assert bench.position == pytest.approx(stalled_for, abs=0.01)
 
 
 def test_pv_ramps_and_tells_standstill() -> None:
@@ -295,7 +295,7 @@ def test_the_motors_speed_is_limited_behind_its_gear() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "reported"),
     [
         (Settings(encoder_increments=4000), 1000),
         (Settings(encoder_increments=4000, gear_motor=5), 5000),
@@ -304,11 +304,11 @@ def test_the_motors_speed_is_limited_behind_its_gear() -> None:
     ],
     ids=("encoder", "gear", "feed", "feed per turns"),
 )
-def test_a_quarter_turn_in_the_drives_units(settings: Settings, told: int) -> None:
+def test_a_quarter_turn_in_the_drives_units(settings: Settings, reported: int) -> None:
     bench = Bench(settings)
     bench.position = math.tau / 4
     bench.run(2)
-    assert bench.read(o.POSITION) == told
+    assert bench.read(o.POSITION) == reported
 
 
 def test_the_encoder_counts_whole_increments() -> None:

@@ -68,8 +68,8 @@ def test_the_motion_is_told_while_the_drive_is_configured_and_armed() -> None:
     s.until(Mode.READY)
     s.until(Mode.ARMED, Hold(A))
     s.steps(50, Hold(A))
-    told = [f.t for f in s.feedback if f.position is not None]
-    gaps = [after - before for before, after in pairwise(told)]
+    reported = [f.t for f in s.feedback if f.position is not None]
+    gaps = [after - before for before, after in pairwise(reported)]
     assert max(gaps) <= 25 * MILLISECOND
     assert any(
         frame.id == 0x601 and frame.data[:3] == b"\x23\x00\x1a" for frame in s.down
@@ -125,9 +125,9 @@ def test_arms_in_every_mode_from_the_measured_position(options: str, kind: str) 
     s = stage(ALL[options], position=0.7)
     s.stage.shafts[A].locked = True
     s.until(Mode.READY)
-    heard: list[Any] = []
+    received: list[Any] = []
     for _ in range(400):
-        heard += [w for w in s.step(KINDS[kind]).heard if isinstance(w, Position | Velocity | Torque)]
+        received += [w for w in s.step(KINDS[kind]).received if isinstance(w, Position | Velocity | Torque)]
         if s.stage.armed[A] is Mode.ARMED:
             break
     enabled = s.twin.axis
@@ -135,7 +135,7 @@ def test_arms_in_every_mode_from_the_measured_position(options: str, kind: str) 
     if options != "profile" or kind not in ("position", "hold"):  # PP: nothing before its first set-point
         still: dict[str, Command] = {"velocity": Velocity(A, 0.0), "torque": Torque(A, 0.0)}
         place = enabled.units.position(enabled.units.to_position(0.7))
-        assert heard[:1] == [still.get(kind, Position(A, place))]
+        assert received[:1] == [still.get(kind, Position(A, place))]
     cyclic = {"hold": 8, "position": 8, "velocity": 9, "torque": 10}
     profile = {"hold": 1, "position": 1, "velocity": 3, "torque": 4}
     assert enabled.mode == (profile if options == "profile" else cyclic)[kind]
@@ -272,7 +272,7 @@ def test_idle_disarms_in_the_middle_of_arming(at: int) -> None:
     s.steps(at, Hold(A))
     s.steps(250, Idle(A))
     assert not s.twin.axis.enabled
-    assert not s.node.claimed
+    assert not s.node.owned
     s.until(Mode.ARMED, Hold(A))
 
 
@@ -293,8 +293,8 @@ def test_a_lost_controlword_is_said_again_by_sdo() -> None:
     s = stage()
     s.until(Mode.READY)
     s.until(Mode.ARMED, Hold(A))
-    hear = s.twin.receive
-    s.twin.receive = lambda t, wire: None if wire.id == 0x201 else hear(t, wire)
+    handle = s.twin.receive
+    s.twin.receive = lambda t, frame: None if frame.id == 0x201 else handle(t, frame)
     s.until(Mode.READY, Idle(A), most=300)
     assert (0x6040, 0, 0x06) in s.writes()
 
@@ -360,27 +360,27 @@ def test_every_frame_is_counted_once() -> None:
     s.until(Mode.ARMED, Hold(A))
     driver = s.driver
     for frame, kind in (
-        (CanFrame(0x581, b"\x4b\x41\x60\x00\x50\x02\0\0"), "heard"),
-        (CanFrame(0x581, b"\x4b\x41\x60"), "bad"),
-        (CanFrame(0x581, b"\xe0" + bytes(7)), "bad"),
-        (CanFrame(0x701, b"\x05"), "heard"),
-        (CanFrame(0x701, b"\x06"), "bad"),
-        (CanFrame(0x081, bytes(8)), "heard"),
-        (CanFrame(0x081, bytes(7)), "bad"),
-        (CanFrame(0x181, bytes(6)), "bad"),
-        (CanFrame(0x481, bytes(6)), "heard"),
-        (CanFrame(0x201, bytes(8)), "foreign"),
-        (CanFrame(0x601, bytes(8)), "foreign"),
-        (CanFrame(0x080, b""), "heard"),
-        (CanFrame(0x080, b"\1\2"), "foreign"),
-        (CanFrame(0x585, bytes(8)), "foreign"),
-        (CanFrame(0x581, bytes(8), extended=True), "foreign"),
-        (CanFrame(0x581, b"", remote=True), "foreign"),
-        (CanFrame(0x581, bytes(8), fd=True), "foreign"),
+        (CanFrame(0x581, b"\x4b\x41\x60\x00\x50\x02\0\0"), "accepted"),
+        (CanFrame(0x581, b"\x4b\x41\x60"), "malformed"),
+        (CanFrame(0x581, b"\xe0" + bytes(7)), "malformed"),
+        (CanFrame(0x701, b"\x05"), "accepted"),
+        (CanFrame(0x701, b"\x06"), "malformed"),
+        (CanFrame(0x081, bytes(8)), "accepted"),
+        (CanFrame(0x081, bytes(7)), "malformed"),
+        (CanFrame(0x181, bytes(6)), "malformed"),
+        (CanFrame(0x481, bytes(6)), "accepted"),
+        (CanFrame(0x201, bytes(8)), "ignored"),
+        (CanFrame(0x601, bytes(8)), "ignored"),
+        (CanFrame(0x080, b""), "accepted"),
+        (CanFrame(0x080, b"\1\2"), "ignored"),
+        (CanFrame(0x585, bytes(8)), "ignored"),
+        (CanFrame(0x581, bytes(8), extended=True), "ignored"),
+        (CanFrame(0x581, b"", remote=True), "ignored"),
+        (CanFrame(0x581, bytes(8), fd=True), "ignored"),
     ):
-        before = copy.copy(driver.tally)
+        before = copy.copy(driver.counters)
         driver.receive(s.stage.now, frame)
-        assert getattr(driver.tally, kind) == getattr(before, kind) + 1, str(frame)
-        assert sum(driver.tally.__getattribute__(k) for k in ("heard", "bad", "foreign")) == (
-            before.heard + before.bad + before.foreign + 1
+        assert getattr(driver.counters, kind) == getattr(before, kind) + 1, str(frame)
+        assert sum(driver.counters.__getattribute__(k) for k in ("accepted", "malformed", "ignored")) == (
+            before.accepted + before.malformed + before.ignored + 1
         )

@@ -67,13 +67,13 @@ class Pair:
         self.now += STEP
         for frame in self.slave.said():
             self.events += self.driver.receive(self.now, frame)
-        events, wires = self.driver.send(self.now, words)
+        events, frames = self.driver.send(self.now, words)
         self.events += events
-        for wire in wires:
-            assert isinstance(wire, CanFrame)
-            self.down.append(wire)
-            self.slave.receive(wire)
-            if wire.id == 0x080:
+        for raw in frames:
+            assert isinstance(raw, CanFrame)
+            self.down.append(raw)
+            self.slave.receive(raw)
+            if raw.id == 0x080:
                 self.transmit()
 
     def transmit(self) -> None:
@@ -134,13 +134,13 @@ def test_what_it_sends_as_rpdo_is_read_by_an_independent_map_and_its_tpdos_by_us
     pair.write(o.POSITION, 4096)
     pair.steps(200)
     pair.steps(100, Hold("m"))
-    heard = pair.driver.tally.heard
+    received = pair.driver.counters.accepted
     pair.write(o.STATUSWORD, 0x0231)
     pair.write(o.POSITION, 8192)
     pair.steps(30, Hold("m"))
     assert pair.driver.nodes[NODE].power is PowerState.READY
-    assert pair.driver.tally.heard > heard
-    assert pair.driver.tally.bad == 0
+    assert pair.driver.counters.accepted > received
+    assert pair.driver.counters.malformed == 0
     rpdo = pair.slave.node.rpdo[1]
     rpdo.read()
     frame = [f for f in pair.down if f.id == 0x200 + NODE][-1]
@@ -163,7 +163,7 @@ def test_is_left_alone_where_its_pdos_fit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("request_", "told"),
+    ("request_", "reported"),
     [
         (ReadParameter("m", "6081"), 100_000.0),
         (ReadParameter("m", "Profile velocity"), 100_000.0),
@@ -173,19 +173,19 @@ def test_is_left_alone_where_its_pdos_fit() -> None:
         (WriteParameter("m", "6041", 1.0), "the object can only be read (SDO abort 0x06010002)"),
     ],
 )
-def test_parameters_and_aborts_in_words(request_: Request, told: float | str) -> None:
+def test_parameters_and_aborts_in_words(request_: Request, reported: float | str) -> None:
     pair = Pair()
     pair.steps(200)
     pair.steps(1, request_)
     pair.steps(20)
-    if isinstance(told, str):
+    if isinstance(reported, str):
         refused = pair.last(Refused)
         assert isinstance(refused, Refused)
-        assert refused.reason == told
+        assert refused.reason == reported
     else:
         parameter = pair.last(Parameter)
         assert isinstance(parameter, Parameter)
-        assert parameter.value == told
+        assert parameter.value == reported
 
 
 def test_writes_are_read_back() -> None:
@@ -204,11 +204,11 @@ def test_scan_finds_a_slave_that_is_in_no_robot_file() -> None:
         now += STEP
         for frame in slave.said():
             events += driver.receive(now, frame)
-        told, wires = driver.send(now, [Scan("can0")] if at == 0 else [])
-        events += told
-        for wire in wires:
-            assert isinstance(wire, CanFrame)
-            slave.receive(wire)
+        reported, frames = driver.send(now, [Scan("can0")] if at == 0 else [])
+        events += reported
+        for raw in frames:
+            assert isinstance(raw, CanFrame)
+            slave.receive(raw)
     found = [event for event in events if type(event).__name__ == "Found"]
     assert [(f.address, f.detail) for f in found] == [  # type: ignore[union-attr]
         (NODE, "device profile 402, vendor 0x0, product 0x192")
@@ -239,11 +239,11 @@ def test_velocity_and_torque_of_the_profile_modes_stand_in_an_independent_dictio
     for at in range(900):
         for frame in drive.speak(at):
             events += driver.receive(START + at * STEP, frame)
-        told, wires = driver.send(START + at * STEP, [command] if at >= 200 else [])
-        events += told
-        for wire in wires:
-            assert isinstance(wire, CanFrame)
-            drive.hear(wire)
+        reported, frames = driver.send(START + at * STEP, [command] if at >= 200 else [])
+        events += reported
+        for raw in frames:
+            assert isinstance(raw, CanFrame)
+            drive.handle(raw)
     assert drive.state == "OPERATION ENABLED"
     assert (drive.get(0x6060), drive.get(0x60FF), drive.get(0x6071)) == (mode, velocity, torque)
     assert not [event for event in events if isinstance(event, Fault | Refused)]
@@ -263,7 +263,7 @@ def _transfer(slave: Slave, key: o.Key, data: bytes | None) -> Outcome:
         for frame in slave.said():
             answer = sdo.decode_answer(frame.data)
             assert answer is not None
-            outcome = client.hear(answer)
+            outcome = client.handle(answer)
             if outcome is not None:
                 return outcome
     raise AssertionError("no outcome")

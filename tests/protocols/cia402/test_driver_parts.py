@@ -27,7 +27,7 @@ from protocols.cia402.sdo import (
     UploadStart,
 )
 from protocols.cia402.setpoint import Values, mode_for, standstill, values_of
-from protocols.cia402.setpoint_writer import REFRESH, Outlet
+from protocols.cia402.setpoint_writer import REFRESH, SetpointWriter
 from protocols.cia402.startup import Known, units_from, value_of
 from protocols.cia402.units import Units
 from protocols.messages import MILLISECOND, Command, Hold, Idle, Position, Torque, Velocity
@@ -57,25 +57,25 @@ WORDS: tuple[tuple[Command, Mode, str, str], ...] = (
 @pytest.mark.parametrize(("command", "mode", "name", "data"), WORDS)
 def test_a_command_becomes_the_bytes_of_a_vector(command: Command, mode: Mode, name: str, data: str) -> None:
     (vector,) = [v for v in VECTORS if v.name == name]
-    outlet = Outlet()
+    outlet = SetpointWriter()
     outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
     values = values_of(command, mode, UNITS, 0)
     values |= {o.CONTROLWORD: int(Demand.ENABLE_OPERATION), o.MODE: int(mode)}
     frames = outlet.frames(0, values, o.TARGET_POSITION)
-    assert vector.wire in frames
+    assert vector.frame in frames
     assert bytes.fromhex(data) in [frame.data for frame in frames]
 
 
 def test_velocity_and_torques_share_the_second_rpdo() -> None:
     (vector,) = [v for v in VECTORS if v.name == "rpdo2_as_mapped"]
-    outlet = Outlet()
+    outlet = SetpointWriter()
     outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
     values: Values = standstill(0) | values_of(Velocity("m", counts(654_321), 0.125), Mode.CSV, UNITS, 0)
     values |= values_of(Torque("m", -0.25), Mode.CST, UNITS, 0) | {
         o.TARGET_VELOCITY: values[o.TARGET_VELOCITY],
         o.TORQUE_OFFSET: values[o.TORQUE_OFFSET],
     }
-    assert vector.wire in outlet.frames(0, values, o.TARGET_VELOCITY)
+    assert vector.frame in outlet.frames(0, values, o.TARGET_VELOCITY)
 
 
 @pytest.mark.parametrize(
@@ -189,12 +189,12 @@ def test_what_fits() -> None:
     assert mapping.commands_fit([_rpdo()], both)
     assert not mapping.commands_fit([_rpdo()], both | {o.TARGET_VELOCITY})
     assert not mapping.commands_fit([_rpdo(entries=entries(o.TARGET_POSITION))], both)
-    told = entries(o.STATUSWORD, o.POSITION)
+    reported = entries(o.STATUSWORD, o.POSITION)
     for transmission, event_ms, fits in ((1, 0, True), (240, 0, False), (0, 0, False), (255, 0, False)):
-        tpdo = Pdo("from", 1, 0x185, transmission, event_ms, told)
+        tpdo = Pdo("from", 1, 0x185, transmission, event_ms, reported)
         assert mapping.feedback_fits([tpdo], 10 * MILLISECOND, 100 * MILLISECOND) is fits
-    assert mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 20, told)], 0, 100 * MILLISECOND)
-    assert not mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 200, told)], 0, 100 * MILLISECOND)
+    assert mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 20, reported)], 0, 100 * MILLISECOND)
+    assert not mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 200, reported)], 0, 100 * MILLISECOND)
 
 
 def test_an_object_that_is_absent_is_not_mapped() -> None:
@@ -204,7 +204,7 @@ def test_an_object_that_is_absent_is_not_mapped() -> None:
 
 
 def test_set_points_go_when_they_move_or_change_and_again_after_a_while() -> None:
-    outlet = Outlet()
+    outlet = SetpointWriter()
     outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
     values = standstill(0) | {o.CONTROLWORD: 6, o.MODE: 9}
     first = outlet.frames(0, values, o.TARGET_VELOCITY)
@@ -234,29 +234,29 @@ def test_an_answer_to_something_else_is_nothing() -> None:
     client.begin(Job(Purpose.POLL, o.STATUSWORD))
     client.say(0)
     for answer in (Uploaded(0x6064, 0, b"\0"), Downloaded(0x6041, 0), Abort(0x6041, 1, 1)):
-        assert client.hear(answer) is None
-    outcome = client.hear(Uploaded(0x6041, 0, b"\x37\x06"))
+        assert client.handle(answer) is None
+    outcome = client.handle(Uploaded(0x6041, 0, b"\x37\x06"))
     assert outcome is not None
     assert outcome.value == b"\x37\x06"
-    assert client.hear(Uploaded(0x6041, 0, b"\x37\x06")) is None
+    assert client.handle(Uploaded(0x6041, 0, b"\x37\x06")) is None
 
 
 def test_segments_that_another_host_broke_off_are_asked_for_anew_at_once() -> None:
     client = Client(100)
     client.begin(Job(Purpose.READING, o.DEVICE_NAME))
-    assert client.hear(Abort(*o.POSITION, GENERAL)) is None
+    assert client.handle(Abort(*o.POSITION, GENERAL)) is None
     assert client.say(0)[0] == Upload(*o.DEVICE_NAME)
     assert client.say(1)[0] is None, "before it began, a refusal of something else is nobody's"
-    client.hear(UploadStart(*o.DEVICE_NAME, 7))
+    client.handle(UploadStart(*o.DEVICE_NAME, 7))
     for _ in range(TRIES - 1):
         assert client.say(2)[0] == UploadSegment(False)
-        assert client.hear(Abort(*o.POSITION, GENERAL)) is None
+        assert client.handle(Abort(*o.POSITION, GENERAL)) is None
         assert client.say(3)[0] == Upload(*o.DEVICE_NAME)
-        client.hear(UploadStart(*o.DEVICE_NAME, 7))
+        client.handle(UploadStart(*o.DEVICE_NAME, 7))
     client.say(4)
-    client.hear(Abort(*o.POSITION, GENERAL))
+    client.handle(Abort(*o.POSITION, GENERAL))
     assert client.say(5) == (None, None), "not for ever"
-    outcome = client.hear(UploadedSegment(False, b"twin402", True))
+    outcome = client.handle(UploadedSegment(False, b"twin402", True))
     assert outcome is not None
     assert outcome.value == b"twin402"
 
@@ -268,8 +268,8 @@ def test_only_a_release_takes_the_place_of_another() -> None:
     assert client.free(Purpose.RELEASE)
     client.begin(Job(Purpose.RELEASE, o.CONTROLWORD, b"\6\0"))
     assert not client.free(Purpose.RELEASE)
-    assert client.hear(Uploaded(*o.DEVICE_TYPE, b"\0")) is None
-    outcome = client.hear(Downloaded(*o.CONTROLWORD))
+    assert client.handle(Uploaded(*o.DEVICE_TYPE, b"\0")) is None
+    outcome = client.handle(Downloaded(*o.CONTROLWORD))
     assert outcome is not None
     assert outcome.job.purpose is Purpose.RELEASE
 
@@ -279,21 +279,21 @@ def test_answers_that_come_twice_are_counted_in_a_row() -> None:
     for count in range(1, DOUBLED + 2):
         client.begin(Job(Purpose.POLL, o.POSITION))
         client.say(0)
-        client.hear(Uploaded(*o.POSITION, bytes(4)))
+        client.handle(Uploaded(*o.POSITION, bytes(4)))
         assert client.doubled == count - 1
-        client.hear(Uploaded(*o.POSITION, bytes(4)))
+        client.handle(Uploaded(*o.POSITION, bytes(4)))
     client.begin(Job(Purpose.POLL, o.POSITION))
-    client.hear(Uploaded(*o.POSITION, bytes(4)))
+    client.handle(Uploaded(*o.POSITION, bytes(4)))
     client.begin(Job(Purpose.POLL, o.POSITION))
-    client.hear(Uploaded(*o.POSITION, bytes(4)))
+    client.handle(Uploaded(*o.POSITION, bytes(4)))
     assert client.doubled == 0
 
 
 def test_two_serial_numbers_are_two_devices_at_once() -> None:
     client = Client(100)
     client.begin(Job(Purpose.ROLL_CALL, o.SERIAL_NUMBER))
-    client.hear(Uploaded(*o.SERIAL_NUMBER, b"\1\0\0\0"))
-    client.hear(Uploaded(*o.SERIAL_NUMBER, b"\2\0\0\0"))
+    client.handle(Uploaded(*o.SERIAL_NUMBER, b"\1\0\0\0"))
+    client.handle(Uploaded(*o.SERIAL_NUMBER, b"\2\0\0\0"))
     assert client.doubled == DOUBLED
 
 
@@ -320,8 +320,8 @@ def test_what_an_upload_tells(key: o.Key, data: bytes, value: int | None) -> Non
 
 def test_units_of_the_robot_file_stand_in_for_what_a_drive_lacks() -> None:
     assert units_from({}, Options()) is None
-    told = units_from({o.RATED_CURRENT: 2000}, Options(counts_per_turn=500.0, rated_torque=0.4))
-    assert told == Units(500.0, 1.0, 0.4, 2.0)
+    reported = units_from({o.RATED_CURRENT: 2000}, Options(counts_per_turn=500.0, rated_torque=0.4))
+    assert reported == Units(500.0, 1.0, 0.4, 2.0)
     drive = {o.ENCODER_INCREMENTS: 1000, o.GEAR_MOTOR: 5, o.RATED_TORQUE: 300}
     assert units_from(drive, Options(rated_torque=9.0)) == Units(5000.0, 5.0, 0.3, 0.0)
 
@@ -333,15 +333,15 @@ def test_a_scan_asks_in_bursts_and_believes_only_what_it_asked_for() -> None:
         assert len(asked) <= BURST * (now // (10 * MILLISECOND) + 1)
         now += MILLISECOND
     assert asked == [n for n in range(1, 128) if n != 3]
-    assert not scan.hear(now, 5, Uploaded(*o.DEVICE_TYPE, bytes(4))), "too late"
+    assert not scan.handle(now, 5, Uploaded(*o.DEVICE_TYPE, bytes(4))), "too late"
     fresh = Scanner("can0", (), 0)
     fresh.say(0)
-    assert not fresh.hear(1, 100, Uploaded(*o.DEVICE_TYPE, bytes(4))), "not asked yet"
-    assert not fresh.hear(1, 2, Uploaded(*o.VENDOR_ID, bytes(4))), "not asked for"
-    assert fresh.hear(1, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
+    assert not fresh.handle(1, 100, Uploaded(*o.DEVICE_TYPE, bytes(4))), "not asked yet"
+    assert not fresh.handle(1, 2, Uploaded(*o.VENDOR_ID, bytes(4))), "not asked for"
+    assert fresh.handle(1, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
     assert fresh.say(MILLISECOND)[0].data[:4] == bytes((0x40, 0x18, 0x10, 1))
-    assert fresh.hear(2, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
-    assert fresh.twice == {2}
+    assert fresh.handle(2, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
+    assert fresh.duplicate_address == {2}
 
 
 def test_an_upload_is_the_message_of_the_vectors() -> None:

@@ -12,7 +12,7 @@ from protocols.cia402.options import Options
 from protocols.conformance import CLAUSES, check
 from protocols.frames import BusState, CanFrame
 from protocols.messages import MILLISECOND, Event, Fault, Found, Hold, Idle, Mode, Velocity
-from protocols.plugin import Tally
+from protocols.plugin import RxCounters
 from tests.protocols.cia402.driver_stage import Stage, device, driver_of, stage
 
 A = "alpha"
@@ -30,11 +30,11 @@ def armed(options: Options = OURS) -> Stage:
     return s
 
 
-def heard(s: Stage, *frames: CanFrame) -> tuple[list[Event], tuple[int, int, int]]:
+def received(s: Stage, *frames: CanFrame) -> tuple[list[Event], tuple[int, int, int]]:
     """What the driver tells of these frames, and how it counts them: heard, bad, foreign."""
-    tally = s.driver.tally = Tally()
+    counters = s.driver.counters = RxCounters()
     events = [event for frame in frames for event in s.driver.receive(s.stage.now, frame)]
-    return events, (tally.heard, tally.bad, tally.foreign)
+    return events, (counters.accepted, counters.malformed, counters.ignored)
 
 
 def syncs(s: Stage) -> list[CanFrame]:
@@ -60,7 +60,7 @@ def test_ours_goes_every_period_and_drives_say_none() -> None:
     times = []
     for _ in range(100):
         said = s.step(Hold(A))
-        times += [said.now for wire in said.down if wire == SYNC]
+        times += [said.now for raw in said.down if raw == SYNC]
     assert {b - a for a, b in pairwise(times)} == {5 * MILLISECOND}
     assert not [frame for frame in s.up if frame.id == SYNC.id]
     assert not s.of(Found)
@@ -72,13 +72,13 @@ def test_ours_goes_every_period_and_drives_say_none() -> None:
 @pytest.mark.parametrize("frame", [SYNC, CanFrame(0x080, b"\x07")], ids=["plain", "with a counter"])
 def test_another_producer_is_told_of_once_with_what_to_do(frame: CanFrame) -> None:
     s = armed()
-    events, tally = heard(s, frame, SYNC, frame)
+    events, counters = received(s, frame, SYNC, frame)
     (found,) = events
     assert isinstance(found, Found)
     assert (found.t, found.protocol, found.address, found.serial) == (s.stage.now, "cia402", 0, None)
-    assert found.twice
+    assert found.duplicate_address
     assert all(said in found.detail for said in ("SYNC", "0x080", "1005", "sync_ms = 0"))
-    assert tally == (3, 0, 0)
+    assert counters == (3, 0, 0)
 
 
 @pytest.mark.parametrize("options", THEIRS, ids=["sync_ms = 0", "event", "sdo"])
@@ -87,13 +87,13 @@ def test_a_producer_is_nobodys_business_where_we_are_none(options: Options) -> N
     s.until(Mode.READY)
     s.steps(200, Hold(A))
     assert not syncs(s)
-    assert heard(s, SYNC, SYNC) == ([], (0, 0, 2))
+    assert received(s, SYNC, SYNC) == ([], (0, 0, 2))
 
 
 def test_a_producer_is_nobodys_business_until_we_are_one_and_after() -> None:
     s = stage()
     s.until(Mode.READY)
-    assert heard(s, SYNC, SYNC) == ([], (0, 0, 2))
+    assert received(s, SYNC, SYNC) == ([], (0, 0, 2))
     s.forget()
     while not s.of(Found):
         s.step(Hold(A), stray=[SYNC])
@@ -103,7 +103,7 @@ def test_a_producer_is_nobodys_business_until_we_are_one_and_after() -> None:
     assert len(s.of(Found)) == 1
     s.until(Mode.READY, Idle(A))
     s.steps(700, Idle(A))
-    assert heard(s, SYNC) == ([], (0, 0, 1))
+    assert received(s, SYNC) == ([], (0, 0, 1))
 
 
 @pytest.mark.parametrize(
@@ -119,22 +119,22 @@ def test_a_producer_is_nobodys_business_until_we_are_one_and_after() -> None:
     ids=str,
 )
 def test_what_is_no_sync_is_foreign(frame: CanFrame) -> None:
-    assert heard(armed(), frame) == ([], (0, 0, 1))
+    assert received(armed(), frame) == ([], (0, 0, 1))
 
 
 @pytest.mark.parametrize("state", [BusState.GONE, BusState.OFF])
 def test_it_is_told_again_after_the_bus_was_gone(state: BusState) -> None:
     s = armed()
-    assert len(heard(s, SYNC)[0]) == 1
+    assert len(received(s, SYNC)[0]) == 1
     for passing in (BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP):
         s.driver.bus(s.stage.now, passing)
-    assert heard(s, SYNC) == ([], (1, 0, 0))
+    assert received(s, SYNC) == ([], (1, 0, 0))
     s.driver.bus(s.stage.now, state)
     s.driver.bus(s.stage.now, BusState.BACK)
     s.forget()
     s.steps(1000, Hold(A))
     assert syncs(s)
-    assert len(heard(s, SYNC)[0]) == 1
+    assert len(received(s, SYNC)[0]) == 1
 
 
 def test_it_stops_nobody() -> None:
@@ -152,13 +152,13 @@ def test_it_stops_nobody() -> None:
 
 @pytest.mark.parametrize(("options", "let_in"), [(OURS, True), *((options, False) for options in THEIRS)])
 def test_a_bus_that_hears_only_what_concerns_it_lets_sync_in(options: Options, *, let_in: bool) -> None:
-    overhears = plugin.spec(device(options=options)).overhears
-    assert any(number == SYNC.id and mask == 0x1FFF_FFFF for number, mask in overhears) is let_in
+    receives_also = plugin.spec(device(options=options)).receives_also
+    assert any(number == SYNC.id and mask == 0x1FFF_FFFF for number, mask in receives_also) is let_in
 
 
 def test_the_contract_wants_it_declared() -> None:
     clauses = [clause for clause in CLAUSES if clause.name == "strangers"]
-    silent = replace(plugin, spec=lambda device: replace(plugin.spec(device), overhears=()))
+    silent = replace(plugin, spec=lambda device: replace(plugin.spec(device), receives_also=()))
     (result,) = check(silent, clauses=clauses)
     assert result.outcome == "failed"
     assert "SYNC" in result.text

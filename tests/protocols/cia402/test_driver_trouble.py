@@ -43,7 +43,12 @@ def test_a_fault_is_told_with_its_words_and_cleared_only_when_asked(code: int) -
     s.until(Mode.FAULT, Hold(A))
     (fault,) = s.of(Fault)
     words = FAULTS[code]
-    assert (fault.code, fault.name, fault.cause, fault.cure) == (code, words.name, words.cause, words.cure)
+    assert (fault.code, fault.name, fault.cause, fault.remedy) == (
+        code,
+        words.name,
+        words.cause,
+        words.remedy,
+    )
     s.forget()
     s.steps(400, Hold(A))
     assert 0x80 not in [value for index, _, value in s.writes() if index == 0x6040]
@@ -181,18 +186,18 @@ def test_lost_answers_are_asked_for_again(lost: int) -> None:
 
     def lossy(now: int, truth: Any) -> Any:
         nonlocal count
-        torques, wires = step(now, truth)
+        torques, frames = step(now, truth)
         kept = []
-        for wire in wires:
+        for frame in frames:
             count += 1
-            kept += [wire] if count % lost else []
+            kept += [frame] if count % lost else []
         return torques, kept
 
     s.twin.step = lossy
     s.until(Mode.READY, most=4000)
     s.until(Mode.ARMED, Velocity(A, 1.0), most=4000)
     s.twin.step = step
-    assert s.driver.tally.bad == 0
+    assert s.driver.counters.malformed == 0
 
 
 def test_two_devices_with_one_node_id_are_noticed() -> None:
@@ -204,7 +209,7 @@ def test_two_devices_with_one_node_id_are_noticed() -> None:
     s.steps(1500)
     assert [fault.code for fault in s.of(Fault)] == [DUPLICATE_NODE]
     (found,) = s.of(Found)
-    assert found.twice
+    assert found.duplicate_address
     assert found.address == 1
 
 

@@ -10,12 +10,12 @@ import pytest
 from protocols.cia402 import messages, plugin, read_only, sdo, spec
 from protocols.cia402 import objects as o
 from protocols.cia402.codec import Heartbeat, Nmt, NmtCommand, NmtState, Sync, encode, rpdo_id, sdo_rx_id
-from protocols.cia402.decoder import Cia402Ear
+from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.objects import OBJECTS, Key, to_bytes
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import mapping, packing
 from protocols.cia402.profile import Mode
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -41,15 +41,15 @@ class Listener:
     """An ear for one drive, and a host that speaks."""
 
     def __init__(self, settings: Settings | None = None) -> None:
-        self.ear = Cia402Ear([device(settings), device(settings, NODE + 1, "n")])
+        self.decoder = Cia402Decoder([device(settings), device(settings, NODE + 1, "n")])
         self.settings = settings
 
-    def hear(self, wire: Wire) -> list[Command | Request]:
-        return list(self.ear.hear(0, wire))
+    def handle(self, frame: Frame) -> list[Command | Request]:
+        return list(self.decoder.decode(0, frame))
 
     def put(self, key: Key, value: int, node: int = NODE) -> list[Command | Request]:
         data = sdo.encode(sdo.Download(*key, to_bytes(OBJECTS[key].type, value)))
-        return self.hear(CanFrame(sdo_rx_id(node), data))
+        return self.handle(CanFrame(sdo_rx_id(node), data))
 
     def enable(self, mode: Mode) -> list[Command | Request]:
         assert self.put(o.MODE, mode) == []
@@ -109,7 +109,7 @@ def test_requests_are_heard() -> None:
     assert host.put(o.PROFILE_VELOCITY, 99) == [WriteParameter("m", "6081", 99.0)]
     assert host.put(o.PROFILE_VELOCITY, 0) == [], "refused: not obeyed"
     assert host.put((0x1400, o.TRANSMISSION), 1) == [WriteParameter("m", "1400:02", 1.0)]
-    assert host.hear(encode(Nmt(NmtCommand.RESET_NODE, 0))) == [Reboot("m"), Reboot("n")]
+    assert host.handle(encode(Nmt(NmtCommand.RESET_NODE, 0))) == [Reboot("m"), Reboot("n")]
 
 
 def test_the_other_drive_hears_its_own() -> None:
@@ -135,47 +135,51 @@ def test_an_rpdo_is_heard_when_it_takes_effect(transmission: int) -> None:
 
     def rpdo(word: int, position: int) -> list[Command | Request]:
         frame = CanFrame(rpdo_id(1, NODE), pack.pack((word, Mode.CSP, position)))
-        return [*host.hear(frame), *(host.hear(encode(Sync())) if transmission <= 240 else [])]
+        return [*host.handle(frame), *(host.handle(encode(Sync())) if transmission <= 240 else [])]
 
     assert rpdo(0x06, 0) == [], "not in operational"
-    host.hear(encode(Nmt(NmtCommand.START, NODE)))
+    host.handle(encode(Nmt(NmtCommand.START, NODE)))
     assert rpdo(0x06, 5) == rpdo(0x07, 5) == []
     assert rpdo(0x0F, 5) == [Position("m", 5 * math.tau / TURN)]
     if transmission <= 240:
-        assert host.hear(encode(Sync())) == [], "what was taken over waits no more"
-        host.hear(CanFrame(rpdo_id(1, NODE), pack.pack((0x0F, Mode.CSP, 6))))
+        assert host.handle(encode(Sync())) == [], "what was taken over waits no more"
+        host.handle(CanFrame(rpdo_id(1, NODE), pack.pack((0x0F, Mode.CSP, 6))))
         latest = pack.pack((0x0F, Mode.CSP, 7))
-        assert host.hear(CanFrame(rpdo_id(1, NODE), latest)) == []
-        assert host.hear(encode(Sync())) == [Position("m", 7 * math.tau / TURN)]
+        assert host.handle(CanFrame(rpdo_id(1, NODE), latest)) == []
+        assert host.handle(encode(Sync())) == [Position("m", 7 * math.tau / TURN)]
     assert rpdo(0x00, 5) == [Idle("m")]
 
 
 def test_ear_and_twin_take_the_same_things_to_heart() -> None:
     """Random requests: the twin's dictionary and the ear's stay the same, but for what only a drive knows."""
-    dice = np.random.Generator(np.random.PCG64(SEED))
+    random = np.random.Generator(np.random.PCG64(SEED))
     bench, host = Bench(Settings(pdos="usual")), Listener(Settings(pdos="usual"))
     deadlines = {(0x1400 + n, o.EVENT_TIMER) for n in range(4)}  # what a drive does at one, it does alone
     rows = [row for row in OBJECTS.values() if row.bits and row.access == "rw" and row.key not in deadlines]
     known = {row.key for row in rows}
     for _ in range(1500):
-        row = rows[int(dice.integers(len(rows)))]
-        value = int(dice.choice([0, 1, 5, row.type.high, int(dice.integers(row.type.low, row.type.high))]))
+        row = rows[int(random.integers(len(rows)))]
+        value = int(
+            random.choice([0, 1, 5, row.type.high, int(random.integers(row.type.low, row.type.high))])
+        )
         data = sdo.encode(sdo.Download(*row.key, to_bytes(row.type, value)))
-        wires = [
+        frames = [
             CanFrame(sdo_rx_id(NODE), data),
-            encode(Nmt(NmtCommand(int(dice.choice([1, 2, 0x80, 0x82]))), NODE)),
+            encode(Nmt(NmtCommand(int(random.choice([1, 2, 0x80, 0x82]))), NODE)),
             encode(Sync()),
-            CanFrame(rpdo_id(int(dice.integers(1, 3)), NODE), dice.bytes(8)),
+            CanFrame(rpdo_id(int(random.integers(1, 3)), NODE), random.bytes(8)),
         ]
-        wire = wires[int(dice.choice(4, p=[0.7, 0.1, 0.1, 0.1]))]
-        before = dict(host.ear.axes[0].dictionary.values)
-        words = host.hear(wire)
-        bench.run(1, [wire] if isinstance(wire, CanFrame) else [])
-        ears, twins = host.ear.axes[0].dictionary.values, bench.twin.axis.dictionary.values
-        assert {k: v for k, v in ears.items() if k in known} == {k: v for k, v in twins.items() if k in known}
+        frame = frames[int(random.choice(4, p=[0.7, 0.1, 0.1, 0.1]))]
+        before = dict(host.decoder.axes[0].dictionary.values)
+        words = host.handle(frame)
+        bench.run(1, [frame] if isinstance(frame, CanFrame) else [])
+        decoders, twins = host.decoder.axes[0].dictionary.values, bench.twin.axis.dictionary.values
+        assert {k: v for k, v in decoders.items() if k in known} == {
+            k: v for k, v in twins.items() if k in known
+        }
         if not words:
             quiet = (o.CONTROLWORD, o.MODE, *o.TARGETS)
-            assert {k: v for k, v in ears.items() if k not in quiet} == {
+            assert {k: v for k, v in decoders.items() if k not in quiet} == {
                 k: v for k, v in before.items() if k not in quiet
             }
 
@@ -184,7 +188,7 @@ def test_ear_and_twin_take_the_same_things_to_heart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wire", "harmless", "name"),
+    ("frame", "harmless", "name"),
     [
         (CanFrame(0x605, sdo.encode(sdo.Upload(0x1000, 0))), True, "SDO upload"),
         (CanFrame(0x605, sdo.encode(sdo.UploadSegment(True))), True, "SDO upload segment"),
@@ -206,9 +210,9 @@ def test_ear_and_twin_take_the_same_things_to_heart() -> None:
     ],
     ids=str,
 )
-def test_what_is_read_only_and_what_it_is_called(wire: Wire, harmless: bool, name: str) -> None:
-    assert read_only(wire) is harmless
-    assert tuple(messages(wire)) == ((name,) if name else ())
+def test_what_is_read_only_and_what_it_is_called(frame: Frame, harmless: bool, name: str) -> None:
+    assert read_only(frame) is harmless
+    assert tuple(messages(frame)) == ((name,) if name else ())
 
 
 def test_the_spec_follows_options_and_settings() -> None:

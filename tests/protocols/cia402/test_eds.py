@@ -47,14 +47,18 @@ def bench() -> Bench:
 
 @pytest.mark.parametrize("key", sorted(OBJECTS), ids=lambda k: f"{k[0]:04X}:{k[1]:02X}")
 def test_the_twin_answers_as_its_data_sheet_says(bench: Bench, key: Key) -> None:
-    told, row = variables()[key], OBJECTS[key]
-    assert (told.data_type, told.access_type, told.pdo_mappable) == (row.type.code, row.access, row.mappable)
+    reported, row = variables()[key], OBJECTS[key]
+    assert (reported.data_type, reported.access_type, reported.pdo_mappable) == (
+        row.type.code,
+        row.access,
+        row.mappable,
+    )
     read = bench.transfer(Transfer(*key))
     assert read.abort is None
     if row.type is Type.TEXT:
-        assert read.value.decode("ascii") == told.default
+        assert read.value.decode("ascii") == reported.default
         return
     value = from_bytes(row.type, read.value)
-    assert key in LIVE or value == told.default
+    assert key in LIVE or value == reported.default
     written = bench.transfer(Transfer(*key, read.value))
     assert (written.abort == sdo.READ_ONLY) is (row.access != "rw")

@@ -352,9 +352,9 @@ def test_a_tpdo_goes_with_every_nth_sync(transmission: int) -> None:
     bench.nmt(NmtCommand.START)
     bench.position = 1.0
     frames = [frame for _ in range(21) for frame in bench.sync(3)]
-    told = [pack.unpack(data) for data in bench.tpdo(1, frames)]
-    assert len(told) == 21 // transmission
-    assert told[-1] == (2608, bench.status)
+    reported = [pack.unpack(data) for data in bench.tpdo(1, frames)]
+    assert len(reported) == 21 // transmission
+    assert reported[-1] == (2608, bench.status)
 
 
 def test_type_0_goes_with_a_sync_when_something_has_changed() -> None:
@@ -522,21 +522,21 @@ def test_two_twins_of_one_seed_are_alike_and_a_copy_goes_on_the_same() -> None:
 
 
 def test_nothing_it_hears_makes_it_raise_or_give_a_torque_that_is_not_finite() -> None:
-    dice = np.random.Generator(np.random.PCG64(SEED))
+    random = np.random.Generator(np.random.PCG64(SEED))
     bench = Bench(Settings(pdos="usual"))
     bench.nmt(NmtCommand.START)
     ids = [0, 0x80, sdo_rx_id(NODE), *(rpdo_id(n, NODE) for n in (1, 2)), heartbeat_id(HOST)]
     for _ in range(4000):
-        number = int(dice.choice(ids)) if dice.random() < 0.8 else int(dice.integers(0, 0x800))
-        if number == 0 and dice.random() < 0.9:
+        number = int(random.choice(ids)) if random.random() < 0.8 else int(random.integers(0, 0x800))
+        if number == 0 and random.random() < 0.9:
             continue
-        wire = CanFrame(
+        frame = CanFrame(
             number,
-            dice.bytes(int(dice.integers(0, 9))),
-            extended=bool(dice.random() < 0.05),
-            remote=bool(dice.random() < 0.05),
+            random.bytes(int(random.integers(0, 9))),
+            extended=bool(random.random() < 0.05),
+            remote=bool(random.random() < 0.05),
         )
-        bench.twin.receive(bench.now, wire)
+        bench.twin.receive(bench.now, frame)
         torques, _ = bench.twin.step(bench.now, (Feedback("m", bench.now, 0.1, 0.0),))
         bench.now += MILLISECOND
         assert all(np.isfinite(torque.torque) for torque in torques), f"seed {SEED}"

@@ -35,7 +35,7 @@ class Ends:
         self.drive = make(NODE, dictionary(NODE))
         self.network.add_node(self.drive)
         self.network.on_sent = self.slave.receive
-        self.slave.network.on_sent = self.network.hear
+        self.slave.network.on_sent = self.network.handle
         self.slave.node.add_write_callback(self._follow)
 
     def _follow(self, index: int, data: bytes, **_: Any) -> None:
@@ -95,10 +95,10 @@ def _pdos(ends: Ends) -> None:
     drive.rpdo[1][0x6040].raw, drive.rpdo[1][0x6060].raw = 0x0F, 8
     drive.rpdo[1].transmit()
     local.tpdo.read()
-    tells = local.tpdo[1]
+    reports = local.tpdo[1]
     for index, value in ((0x6041, 0x637), (0x6061, 8), (0x6077, -250)):
-        tells[index].raw = value
-    tells.transmit()
+        reports[index].raw = value
+    reports.transmit()
 
 
 def _rest(ends: Ends) -> None:
@@ -122,8 +122,8 @@ def said() -> set[tuple[str, CanFrame]]:
 
 @pytest.mark.parametrize("vector", BOTH_ENDS, ids=lambda v: v.name)
 def test_the_package_says_it_still(vector: Vector, said: set[tuple[str, CanFrame]]) -> None:
-    assert isinstance(vector.wire, CanFrame)
-    assert (vector.direction, vector.wire) in said
+    assert isinstance(vector.frame, CanFrame)
+    assert (vector.direction, vector.frame) in said
 
 
 def test_they_are_many() -> None:

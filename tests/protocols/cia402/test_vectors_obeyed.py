@@ -9,12 +9,12 @@ import math
 
 from protocols.cia402 import objects as o
 from protocols.cia402.codec import NmtState, decode
-from protocols.cia402.decoder import Cia402Ear
+from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import entry_of
 from protocols.cia402.twin import Cia402Twin
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     Command,
@@ -55,9 +55,9 @@ ANSWERED: list[tuple[str, str]] = [
 
 
 def frame_of(name: str) -> CanFrame:
-    wire = BY_NAME[name].wire
-    assert isinstance(wire, CanFrame)
-    return wire
+    frame = BY_NAME[name].frame
+    assert isinstance(frame, CanFrame)
+    return frame
 
 
 class Drive:
@@ -68,10 +68,10 @@ class Drive:
         self.now = 0
         self.position = -123_456 / TURN * math.tau
 
-    def step(self, *wires: Wire) -> list[Wire]:
+    def step(self, *frames: Frame) -> list[Frame]:
         self.now += MILLISECOND
-        for wire in wires:
-            self.twin.receive(self.now, wire)
+        for frame in frames:
+            self.twin.receive(self.now, frame)
         return list(self.twin.step(self.now, (Feedback("m", self.now, self.position, 0.0),))[1])
 
 
@@ -83,7 +83,9 @@ def test_the_twin_answers_sdo_vectors_as_the_slave_did() -> None:
         if asked == "enable_over_sdo#2":  # in no mode the statusword has no bits of a mode
             drive.twin.axis.dictionary.values[o.MODE] = 0
         said = [
-            wire for wire in drive.step(frame_of(asked)) if isinstance(wire, CanFrame) and wire.id == 0x582
+            frame
+            for frame in drive.step(frame_of(asked))
+            if isinstance(frame, CanFrame) and frame.id == 0x582
         ]
         assert said == [frame_of(answered)], f"{asked}: {[str(s) for s in said]}"
 
@@ -99,7 +101,7 @@ def test_the_twin_tells_its_name_in_segments_as_the_vectors_have_it() -> None:
 
 def test_the_twin_boots_beats_and_clears_as_the_vectors_have_it() -> None:
     drive = Drive()
-    said = [wire for _ in range(120) for wire in drive.step()]
+    said = [frame for _ in range(120) for frame in drive.step()]
     assert said[0] == frame_of("nmt_slave_bootup#0")
     assert frame_of("heartbeat_preop") in said
     drive.twin.provoke(OVERCURRENT)
@@ -113,15 +115,15 @@ def test_the_twin_boots_beats_and_clears_as_the_vectors_have_it() -> None:
         ("nmt_stop#0", NmtState.STOPPED),
         ("nmt_enter_preop#0", NmtState.PRE_OPERATIONAL),
     ):
-        said = [*drive.step(frame_of(name)), *(wire for _ in range(110) for wire in drive.step())]
-        assert any(getattr(decode(wire), "state", None) is state for wire in said), name
+        said = [*drive.step(frame_of(name)), *(frame for _ in range(110) for frame in drive.step())]
+        assert any(getattr(decode(frame), "state", None) is state for frame in said), name
     assert frame_of("nmt_slave_bootup#0") in drive.step(frame_of("nmt_reset_comm#0"))
 
 
 def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
     drive = Drive()
     drive.step()
-    frames = [v.wire for v in VECTORS if v.name.startswith("configure_")]
+    frames = [v.frame for v in VECTORS if v.name.startswith("configure_")]
     for frame in frames:
         for said in drive.step(frame):
             assert isinstance(said, CanFrame)
@@ -137,31 +139,33 @@ def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
 
 
 def test_vectors_are_heard_as_the_words_that_they_mean() -> None:
-    ear = Cia402Ear([DEVICE])
+    decoder = Cia402Decoder([DEVICE])
 
-    def heard(name: str) -> list[Command | Request]:
-        return list(ear.hear(0, frame_of(name)))
+    def received(name: str) -> list[Command | Request]:
+        return list(decoder.decode(0, frame_of(name)))
 
-    configured = [word for v in VECTORS if v.name.startswith("configure_") for word in ear.hear(0, v.wire)]
+    configured = [
+        word for v in VECTORS if v.name.startswith("configure_") for word in decoder.decode(0, v.frame)
+    ]
     assert all(isinstance(word, WriteParameter) for word in configured)
-    assert heard("nmt_start#0") == [WriteParameter("m", "NMT state", 5.0)]
-    assert heard("nmt_start#0") == []
-    assert heard("sdo_write_target_velocity_-1000#0") == []
+    assert received("nmt_start#0") == [WriteParameter("m", "NMT state", 5.0)]
+    assert received("nmt_start#0") == []
+    assert received("sdo_write_target_velocity_-1000#0") == []
     for name in ("enable_over_sdo#2", "enable_over_sdo#5", "enable_over_sdo#7"):
-        assert heard(name) == []
-    assert heard("rpdo1_as_mapped") == [], "it waits for the SYNC"
-    assert heard("rpdo2_as_mapped") == []
-    assert heard("rpdo3_as_mapped") == []
-    words = heard("sync#0")
+        assert received(name) == []
+    assert received("rpdo1_as_mapped") == [], "it waits for the SYNC"
+    assert received("rpdo2_as_mapped") == []
+    assert received("rpdo3_as_mapped") == []
+    words = received("sync#0")
     assert words[-1] == Position("m", -123_456 / TURN * math.tau, -1000 / TURN * math.tau, 0.125)
     assert {type(word) for word in words} == {Position}
-    assert heard("sync#0") == []
-    ear.axes[0].dictionary.values |= {o.MODE: 9, o.VELOCITY_OFFSET: 0, o.TORQUE_OFFSET: 0}
-    assert heard("sdo_write_target_velocity_-1000#0") == [Velocity("m", -1000 / TURN * math.tau)]
-    assert heard("quick_stop_over_sdo#2") == [Estop("m")]
+    assert received("sync#0") == []
+    decoder.axes[0].dictionary.values |= {o.MODE: 9, o.VELOCITY_OFFSET: 0, o.TORQUE_OFFSET: 0}
+    assert received("sdo_write_target_velocity_-1000#0") == [Velocity("m", -1000 / TURN * math.tau)]
+    assert received("quick_stop_over_sdo#2") == [Estop("m")]
     for name in ("enable_over_sdo#2", "enable_over_sdo#5"):
-        assert heard(name) == []
-    assert heard("enable_over_sdo#7") == [Velocity("m", -1000 / TURN * math.tau)]
-    assert heard("disable_over_sdo#2") == [Idle("m")]
-    assert heard("sdo_probe_scan#1") == heard("sdo_read_statusword#0") == []
-    assert heard("nmt_reset_node") == [Reboot("m")]
+        assert received(name) == []
+    assert received("enable_over_sdo#7") == [Velocity("m", -1000 / TURN * math.tau)]
+    assert received("disable_over_sdo#2") == [Idle("m")]
+    assert received("sdo_probe_scan#1") == received("sdo_read_statusword#0") == []
+    assert received("nmt_reset_node") == [Reboot("m")]

@@ -100,7 +100,7 @@ SAID: dict[str, CanFrame] = {
 
 @pytest.mark.parametrize("name", SAID)
 def test_what_we_say_is_the_package_s_vector(name: str) -> None:
-    assert SAID[name] == VECTORS[name].wire
+    assert SAID[name] == VECTORS[name].frame
 
 
 def test_the_vectors_of_the_package_are_made_again() -> None:
@@ -122,15 +122,15 @@ def _told_by(vector: Vector) -> dict[int, float | None]:
     ids=lambda v: v.name,
 )
 def test_vectors_of_answers_tell_what_the_package_reads(vector: Vector) -> None:
-    assert isinstance(vector.wire, CanFrame)
-    data = vector.wire.data
-    told = decode(data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\x50"))
-    assert told is not None
+    assert isinstance(vector.frame, CanFrame)
+    data = vector.frame.data
+    reported = decode(data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\x50"))
+    assert reported is not None
     expected = _told_by(vector)
-    assert set(told.values) == set(expected)
+    assert set(reported.values) == set(expected)
     for register, value in expected.items():
-        assert told.values[register] == (None if value is None else pytest.approx(value))
-    errors = [[f"{e.register:03X}", e.number] for e in told.errors]
+        assert reported.values[register] == (None if value is None else pytest.approx(value))
+    errors = [[f"{e.register:03X}", e.number] for e in reported.errors]
     assert errors == vector.meaning["parsed_by_moteus"].get("errors", [])
 
 
@@ -272,15 +272,15 @@ def test_vectors_of_a_wrong_length_or_of_a_host_tell_nothing() -> None:
 @pytest.mark.parametrize("size", [20, 48])
 def test_damaged_vectors_are_read_by_short_cut_and_loop_alike(size: int) -> None:
     generator = np.random.Generator(np.random.PCG64(7))
-    vector = VECTORS["reply_fast" if size == 20 else "reply_full"].wire
+    vector = VECTORS["reply_fast" if size == 20 else "reply_full"].frame
     assert isinstance(vector, CanFrame)
     for _ in range(300):
         data = bytearray(vector.data)
         for at in generator.integers(0, size, 2):
             data[at] = int(generator.integers(0, 256))
-        told = decode(bytes(data))
+        reported = decode(bytes(data))
         subframes, sound = parse(bytes(data))
-        if told is None:
+        if reported is None:
             loud = [s for s in subframes if isinstance(s, Values) and s.code == REPLY]
             infinite = any(s.resolution == F32 and any(map(math.isinf, s.raw)) for s in loud)
             assert not sound or len(loud) != len(subframes) or infinite
@@ -291,7 +291,7 @@ def test_damaged_vectors_are_read_by_short_cut_and_loop_alike(size: int) -> None
             if isinstance(s, Values)
             for i, raw in enumerate(s.raw)
         }
-        assert dict(told.values) == again
+        assert dict(reported.values) == again
 
 
 def _their_write(register: int, resolution: int, value: float) -> bytes:
@@ -329,11 +329,11 @@ def test_random_vectors_of_questions_are_the_package_s() -> None:
 
 def test_what_vectors_write_is_what_the_package_reads() -> None:
     for vector in VECTORS.values():
-        if vector.direction == "to_device" and isinstance(vector.wire, CanFrame):
-            subframes, sound = parse(vector.wire.data)
+        if vector.direction == "to_device" and isinstance(vector.frame, CanFrame):
+            subframes, sound = parse(vector.frame.data)
             assert sound
             other = (
-                theirs.parse_registers(vector.wire.data) if vector.meaning.get("parsed_by_moteus") else None
+                theirs.parse_registers(vector.frame.data) if vector.meaning.get("parsed_by_moteus") else None
             )
             if other is not None:
                 mine = {k: math.nan if v is None else v for k, v in written(subframes).items() if k < 0x154}
@@ -359,7 +359,7 @@ NAMED = {
 
 @pytest.mark.parametrize("name", NAMED)
 def test_vectors_have_names(name: str) -> None:
-    assert names(VECTORS[name].wire) == NAMED[name]
+    assert names(VECTORS[name].frame) == NAMED[name]
 
 
 def test_what_is_no_vector_to_a_device_has_no_name() -> None:

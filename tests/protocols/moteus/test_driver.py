@@ -7,7 +7,7 @@ from math import inf, nan, tau
 
 import pytest
 
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -86,7 +86,7 @@ def test_feedback_is_in_si_and_of_the_time_of_the_answer() -> None:
     bench.shaft.position, bench.shaft.velocity, bench.shaft.held = rev(1.25), 0.0, True
     events = of(Feedback, bench.run(400))
     assert events[-1].position == pytest.approx(rev(1.25), abs=tau / 16384)
-    assert events[-1].t == bench.heard[-1][0]
+    assert events[-1].t == bench.received[-1][0]
     full = [e for e in events if e.voltage is not None][-1]
     assert full.voltage == pytest.approx(24.0)
     assert full.temperature == pytest.approx(25.0)
@@ -222,8 +222,8 @@ def test_a_trajectory_of_the_device_keeps_its_limits() -> None:
 )
 def test_what_must_not_pass_is_refused_once_and_says_nothing(word: Command) -> None:
     bench = ready()
-    told = of(Refused, bench.run(100, word))
-    assert len(told) == 1
+    reported = of(Refused, bench.run(100, word))
+    assert len(reported) == 1
     assert bench.said() == []
 
 
@@ -258,7 +258,7 @@ def test_idle_stops_what_we_armed_until_that_is_confirmed() -> None:
     assert set(said) == {"stop"}
     assert len(said) <= 3
     assert bench.twin.servo.mode == Mode.STOPPED
-    assert not bench.node.claimed
+    assert not bench.node.owned
 
 
 def test_a_stop_that_is_lost_is_said_again() -> None:
@@ -293,9 +293,11 @@ def test_every_fault_is_told_with_its_words_and_left_alone(code: int) -> None:
     bench.run(50, Velocity("left", 2.0))
     bench.twin.provoke(code)
     since = bench.now + 20 * MILLISECOND
-    told = of(Fault, bench.run(100))
+    reported = of(Fault, bench.run(100))
     text = FAULTS[code]
-    assert [(f.code, f.name, f.cause, f.cure) for f in told] == [(code, text.name, text.cause, text.cure)]
+    assert [(f.code, f.name, f.cause, f.remedy) for f in reported] == [
+        (code, text.name, text.cause, text.remedy)
+    ]
     bench.run(300, Position("left", 0.0))
     bench.run(300, Idle("left"))
     assert bench.said(since) == []
@@ -308,8 +310,8 @@ def test_clear_stops_and_then_it_arms_again() -> None:
     bench.run(50, Hold("left"))
     bench.twin.provoke(38)
     bench.run(50)
-    told = bench.ask(ClearFault("left"), 60)
-    assert of(Done, told)[0].request == "ClearFault"
+    reported = bench.ask(ClearFault("left"), 60)
+    assert of(Done, reported)[0].request == "ClearFault"
     assert "stop" in bench.said(bench.now - 80 * MILLISECOND)
     bench.run(100)
     assert modes(bench.events)[-1] == "armed"
@@ -319,8 +321,8 @@ def test_clear_says_no_stop_to_what_is_not_latched() -> None:
     bench = ready()
     bench.run(100, Hold("left"))
     since = bench.now
-    told = bench.ask(ClearFault("left"), 100)
-    assert len(of(Done, told)) == 1
+    reported = bench.ask(ClearFault("left"), 100)
+    assert len(of(Done, reported)) == 1
     assert "stop" not in bench.said(since)
     assert bench.twin.servo.mode == Mode.POSITION
 
@@ -340,9 +342,9 @@ def test_a_fault_that_cannot_be_cleared_is_refused_and_told_again() -> None:
     bench.twin.provoke(33)
     bench.run(50)
     bench.to_device = lambda frame: frame.data[:1] != b"\x01"
-    told = bench.ask(ClearFault("left"), 700)
-    assert of(Refused, told)[0].reason == "still in fault: motor driver fault"
-    assert len(of(Fault, told)) == 1
+    reported = bench.ask(ClearFault("left"), 700)
+    assert of(Refused, reported)[0].reason == "still in fault: motor driver fault"
+    assert len(of(Fault, reported)) == 1
 
 
 def test_what_another_host_stopped_is_still_not_commanded_before_clear() -> None:
@@ -375,7 +377,7 @@ def test_limits_that_are_active_are_no_faults() -> None:
     bench = ready()
     bench.shaft.held = True
     events = bench.run(300, Torque("left", 50.0))
-    assert bench.twin.servo.told() == 99
+    assert bench.twin.servo.reply() == 99
     assert of(Fault, events) == []
     assert modes(events)[-1] == "armed"
 
@@ -394,12 +396,12 @@ def test_what_limits_the_output_is_told_once_with_the_state_and_taken_back() -> 
 def test_limits_that_come_and_go_with_every_answer_are_told_once() -> None:
     bench = ready()
     bench.run(100, Hold("left"))
-    told = list[State]()
+    reported = list[State]()
     for i in range(500):  # at 200 Hz: none, the current, none, the torque
         frame = f"21000a2f01{'00000000' * 3}210f{(0, 99, 0, 102)[i % 4]:02x}"
         events = bench.driver.receive(bench.now + i * 5_000_000, framed(reply_id(1), bytes.fromhex(frame)))
-        told += of(State, events)
-    assert [state.detail for state in told] == [
+        reported += of(State, events)
+    assert [state.detail for state in reported] == [
         "position, limited by servo.max_current_A",
         "position, limited by servo.max_current_A and the commanded maximum torque",
     ]
@@ -430,15 +432,15 @@ def test_a_limit_from_before_the_bus_was_lost_is_not_told() -> None:
 def test_a_fault_outside_the_table_is_told_by_its_number() -> None:
     bench = ready()
     frame = framed(reply_id(1), bytes.fromhex("210001210f3f"))
-    told = of(Fault, bench.driver.receive(bench.now, frame))
-    assert [(f.code, f.name) for f in told] == [(63, "fault 63")]
+    reported = of(Fault, bench.driver.receive(bench.now, frame))
+    assert [(f.code, f.name) for f in reported] == [(63, "fault 63")]
 
 
 def test_a_device_that_does_not_arm_is_a_fault() -> None:
     bench = ready(device(settings=Settings(enable_ms=100_000)))
-    told = of(Fault, bench.run(1500, Hold("left")))
-    assert [f.code for f in told] == [NOT_ARMED]
-    assert "enabling" in told[0].cause
+    reported = of(Fault, bench.run(1500, Hold("left")))
+    assert [f.code for f in reported] == [NOT_ARMED]
+    assert "enabling" in reported[0].cause
     assert len(of(Fault, bench.run(1500, Hold("left")))) == 0
 
 
@@ -450,9 +452,9 @@ def test_a_silent_device_is_told_offline_and_heard_again() -> None:
     bench.run(100, Velocity("left", 1.0))
     bench.from_device = lambda _: False
     events = bench.run(250, Velocity("left", 1.0))
-    told = of(State, events)
-    assert [s.mode.value for s in told] == ["offline"]
-    assert 199 * MILLISECOND <= told[0].t - (bench.node.heard_at or 0) <= 206 * MILLISECOND
+    reported = of(State, events)
+    assert [s.mode.value for s in reported] == ["offline"]
+    assert 199 * MILLISECOND <= reported[0].t - (bench.node.received_at or 0) <= 206 * MILLISECOND
     since = bench.now
     bench.run(100, Velocity("left", 1.0))
     assert bench.said(since) == []
@@ -469,9 +471,9 @@ def test_a_bus_that_was_gone_is_begun_anew(state: BusState) -> None:
     bench.ask(ClearFault("left"))
     bench.driver.bus(bench.now, state)
     assert bench.node.mode is None
-    told = bench.run(5)
-    assert bool(of(Refused, told)) == (state is not BusState.BACK)
-    assert modes([*told, *bench.run(50)])[-1] == "armed"
+    reported = bench.run(5)
+    assert bool(of(Refused, reported)) == (state is not BusState.BACK)
+    assert modes([*reported, *bench.run(50)])[-1] == "armed"
 
 
 def test_a_full_queue_says_a_velocity_s_place_again() -> None:
@@ -509,7 +511,7 @@ def test_one_device_s_answers_hold_up_nobody(trouble: str) -> None:
     if trouble != "lost":
         assert bench.shafts[0].velocity == pytest.approx(5.0, rel=0.05)
     assert not of(Fault, bench.events)
-    assert bench.driver.tally.bad == 0
+    assert bench.driver.counters.malformed == 0
 
 
 def test_several_devices_one_frame_each_a_cycle() -> None:
@@ -529,16 +531,16 @@ def test_a_prefix_and_a_host_id_are_used_both_ways() -> None:
     bench = ready(device(options=options, address=100))
     bench.run(100, Velocity("left", 2.0))
     assert {f.id for _, f in bench.sent} == {0x1ABC8364}
-    assert {f.id for _, f in bench.heard} == {0x1ABC6403}
-    assert bench.driver.tally.heard == len(bench.heard)
+    assert {f.id for _, f in bench.received} == {0x1ABC6403}
+    assert bench.driver.counters.accepted == len(bench.received)
     assert modes(bench.events)[-1] == "armed"
 
 
 def test_other_frames_are_counted_and_change_nothing() -> None:
     bench = ready()
     before = copy.deepcopy(bench.driver)
-    good = bench.heard[-1][1]
-    foreign: list[Wire] = [
+    good = bench.received[-1][1]
+    foreign: list[Frame] = [
         b"\x01\x02",
         CanFrame(good.id, good.data[:8]),
         CanFrame(good.id, good.data, extended=True, fd=True),
@@ -547,10 +549,10 @@ def test_other_frames_are_counted_and_change_nothing() -> None:
         bench.sent[-1][1],
     ]
     bad = [CanFrame(good.id, data, fd=True) for data in (b"\x21", b"\x60", good.data[:17], FAST, bytes(20))]
-    for wire in (*foreign, *bad):
-        assert bench.driver.receive(bench.now, wire) == []
-    assert bench.driver.tally.foreign == before.tally.foreign + len(foreign)
-    assert bench.driver.tally.bad == before.tally.bad + len(bad)
+    for frame in (*foreign, *bad):
+        assert bench.driver.receive(bench.now, frame) == []
+    assert bench.driver.counters.ignored == before.counters.ignored + len(foreign)
+    assert bench.driver.counters.malformed == before.counters.malformed + len(bad)
     assert bench.driver.send(bench.now, [Hold("left")]) == before.send(bench.now, [Hold("left")])
 
 
@@ -561,7 +563,7 @@ def test_an_id_that_is_held_twice_is_noticed_and_told_once() -> None:
     bench.shafts.append(copy.deepcopy(bench.shaft))
     events = bench.run(11_000)
     found = of(Found, events)
-    assert [f.twice for f in found] == [True, True]
+    assert [f.duplicate_address for f in found] == [True, True]
     assert len({f.serial for f in found}) == 2
     assert [f.code for f in of(Fault, events)] == [HELD_TWICE]
     bench.twins.pop()

@@ -23,7 +23,7 @@ from protocols.messages import (
 )
 from protocols.moteus import plugin
 from protocols.moteus.codec import F32, INT8, REPLY, Ask, Values, command_id, encode, framed, write
-from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.registers import Mode, Register
@@ -36,8 +36,8 @@ KT = 8.27 / 304
 LIMITS = Limits(0.1)
 
 
-def hear(data: bytes, to: int = 1, settings: Settings | None = None) -> list[Command | Request]:
-    return list(MoteusEar([device(settings=settings)]).hear(0, framed(command_id(to), data)))
+def handle(data: bytes, to: int = 1, settings: Settings | None = None) -> list[Command | Request]:
+    return list(MoteusDecoder([device(settings=settings)]).decode(0, framed(command_id(to), data)))
 
 
 def mode(value: Mode, *rest: bytes) -> bytes:
@@ -85,89 +85,93 @@ def mode(value: Mode, *rest: bytes) -> bytes:
     ],
 )
 def test_what_a_frame_makes_a_device_do(data: bytes, words: list[Command | Request]) -> None:
-    assert hear(data, settings=Settings(uuid=UUID)) == words
+    assert handle(data, settings=Settings(uuid=UUID)) == words
 
 
 def test_two_commands_in_a_frame_are_one() -> None:
-    assert hear(move(0.5, 0.0, 0.0, LIMITS) + STOP) == [Idle("left")]
+    assert handle(move(0.5, 0.0, 0.0, LIMITS) + STOP) == [Idle("left")]
 
 
 def test_who_is_addressed() -> None:
-    ear = MoteusEar([device("left", 1), device("right", 2), device("far", 2, options=Options(can_prefix=3))])
-    assert ear.hear(0, framed(command_id(2), STOP)) == [Idle("right")]
-    assert ear.hear(0, framed(command_id(2, 5, 3), STOP)) == [Idle("far")]
-    assert ear.hear(0, framed(command_id(0x7F), STOP)) == [Idle("left"), Idle("right")]
-    assert ear.hear(0, framed(2, STOP)) == [Idle("right")]
-    assert ear.hear(0, CanFrame(2, STOP, extended=True)) == [Idle("right")]
-    for wire in (b"\x01\x00\x00", CanFrame(0x82, STOP, fd=True), CanFrame(2, b"", remote=True)):
-        assert ear.hear(0, wire) == []
+    decoder = MoteusDecoder(
+        [device("left", 1), device("right", 2), device("far", 2, options=Options(can_prefix=3))]
+    )
+    assert decoder.decode(0, framed(command_id(2), STOP)) == [Idle("right")]
+    assert decoder.decode(0, framed(command_id(2, 5, 3), STOP)) == [Idle("far")]
+    assert decoder.decode(0, framed(command_id(0x7F), STOP)) == [Idle("left"), Idle("right")]
+    assert decoder.decode(0, framed(2, STOP)) == [Idle("right")]
+    assert decoder.decode(0, CanFrame(2, STOP, extended=True)) == [Idle("right")]
+    for frame in (b"\x01\x00\x00", CanFrame(0x82, STOP, fd=True), CanFrame(2, b"", remote=True)):
+        assert decoder.decode(0, frame) == []
 
 
 def test_a_mask_chooses_by_uuid() -> None:
-    ear = MoteusEar([device("left", 1, Settings(uuid=UUID)), device("right", 2, Settings(uuid="f" * 32))])
+    decoder = MoteusDecoder(
+        [device("left", 1, Settings(uuid=UUID)), device("right", 2, Settings(uuid="f" * 32))]
+    )
     uuid = bytes.fromhex(UUID)
-    assert ear.hear(0, framed(0x7F, masked(uuid[:8], STOP))) == [Idle("left")]
-    assert ear.hear(0, framed(0x7F, masked(uuid, console("conf set id.id 9")))) == [
+    assert decoder.decode(0, framed(0x7F, masked(uuid[:8], STOP))) == [Idle("left")]
+    assert decoder.decode(0, framed(0x7F, masked(uuid, console("conf set id.id 9")))) == [
         SetId("", serial_of(uuid), 9)
     ]
-    assert ear.hear(0, framed(9, STOP)) == [Idle("left")]
-    assert ear.hear(0, framed(1, STOP)) == []
+    assert decoder.decode(0, framed(9, STOP)) == [Idle("left")]
+    assert decoder.decode(0, framed(1, STOP)) == []
 
 
 def test_an_ear_without_uuids_tells_what_one_of_them_would_do() -> None:
-    ear = MoteusEar([device("left", 1)])
+    decoder = MoteusDecoder([device("left", 1)])
     uuid = bytes.fromhex(UUID)
-    assert ear.hear(0, framed(0x7F, masked(uuid[:8], console("conf set id.id 9")))) == [
+    assert decoder.decode(0, framed(0x7F, masked(uuid[:8], console("conf set id.id 9")))) == [
         SetId("", serial_of(uuid), 9)
     ]
-    assert ear.hear(0, framed(0x7F, masked(uuid[:8], DISCOVER))) == []
-    assert ear.hear(0, framed(1, STOP)) == [Idle("left")]  # whose id it was, is not known
+    assert decoder.decode(0, framed(0x7F, masked(uuid[:8], DISCOVER))) == []
+    assert decoder.decode(0, framed(1, STOP)) == [Idle("left")]  # whose id it was, is not known
 
 
 def test_a_console_line_may_come_in_pieces() -> None:
-    ear = MoteusEar([device(settings=Settings(uuid=UUID))])
+    decoder = MoteusDecoder([device(settings=Settings(uuid=UUID))])
     line = b"conf set id.id 7\n"
     pieces = [framed(1, b"\x40\x01" + bytes((len(p),)) + p) for p in (line[:7], line[7:])]
-    assert [len(ear.hear(0, piece)) for piece in pieces] == [0, 1]
-    assert ear.hear(0, framed(7, b"\x40\x02\x05conf\n" + STOP)) == [Idle("left")]
+    assert [len(decoder.decode(0, piece)) for piece in pieces] == [0, 1]
+    assert decoder.decode(0, framed(7, b"\x40\x02\x05conf\n" + STOP)) == [Idle("left")]
 
 
 def test_vectors_of_commands_are_heard_as_they_are_meant() -> None:
-    heard = {
-        vector.name: MoteusEar([device(address=5)]).hear(0, vector.wire)
+    received = {
+        vector.name: MoteusDecoder([device(address=5)]).decode(0, vector.frame)
         for vector in vectors_of(plugin)
         if vector.direction == "to_device"
     }
-    (position,) = heard["position_0.5rev_vel0.2_tq1.5_query"]
+    (position,) = received["position_0.5rev_vel0.2_tq1.5_query"]
     assert isinstance(position, Position)
     assert (position.position, position.velocity) == pytest.approx((0.5 * tau, 0.2 * tau))
-    (push_,) = heard["current_q2A"]
+    (push_,) = received["current_q2A"]
     assert isinstance(push_, Torque)
     assert push_.torque == pytest.approx(2.0 * KT)
-    (left_on,) = heard["torque_only_kp0_kd0_ff0.3"]
+    (left_on,) = received["torque_only_kp0_kd0_ff0.3"]
     assert isinstance(left_on, Velocity)
     assert left_on.torque == pytest.approx(0.3)
-    assert heard["stop_no_reply"] == [Idle("left")]
-    assert heard["brake"] == [Velocity("left", 0.0)]
-    assert heard["rezero_nearest_0"] == [Zero("left")]
-    assert heard["query_default"] == []
-    assert heard["discover_broadcast_0x7f"] == []
+    assert received["stop_no_reply"] == [Idle("left")]
+    assert received["brake"] == [Velocity("left", 0.0)]
+    assert received["rezero_nearest_0"] == [Zero("left")]
+    assert received["query_default"] == []
+    assert received["discover_broadcast_0x7f"] == []
 
 
 def test_ear_and_twin_hear_the_same_registers() -> None:
     """Random frames of random registers: the command that the ear has is the one that the firmware runs."""
     generator = np.random.Generator(np.random.PCG64(3))
     for _ in range(200):
-        ear, twin = MoteusEar([device()]), MoteusTwin(device(), 0)
+        decoder, twin = MoteusDecoder([device()]), MoteusTwin(device(), 0)
         twin.step(0, [Feedback("left", 0, 0.0, 0.0)])
         frame = framed(command_id(1), _random_frame(generator))
-        words = ear.hear(MILLISECOND, frame)
+        words = decoder.decode(MILLISECOND, frame)
         twin.receive(MILLISECOND, frame)
-        assert repr(ear.axes[0].command) == repr(twin.axis.command)
-        assert ear.axes[0].mode == twin.axis.mode
+        assert repr(decoder.axes[0].command) == repr(twin.axis.command)
+        assert decoder.axes[0].mode == twin.axis.mode
         if any(isinstance(word, Command) for word in words):
-            assert repr(twin.servo.command) == repr(ear.axes[0].command)
-            assert twin.servo.wanted == ear.axes[0].mode
+            assert repr(twin.servo.command) == repr(decoder.axes[0].command)
+            assert twin.servo.wanted == decoder.axes[0].mode
 
 
 def _random_frame(generator: np.random.Generator) -> bytes:

@@ -15,7 +15,7 @@ from protocols.frames import CanFrame
 from protocols.messages import Estop, Hold, Idle, Impedance, Position, Reboot, Torque, Velocity
 from protocols.moteus import bench, driver, plugin, spec
 from protocols.moteus.codec import command_id, framed
-from protocols.moteus.faults import FAULTS, LIMITS, complaint_of
+from protocols.moteus.faults import FAULTS, LIMITS, fault_info_of
 from protocols.moteus.messages import DISCOVER, IDENTIFY, STOP, Limits, ask, console, masked, move
 from protocols.moteus.options import Options, Settings, limits_of
 from protocols.moteus.registers import Register
@@ -44,7 +44,7 @@ def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected()
         bench_.run(100, word)
     specs = [spec(item) for item in bench_.devices]
     assert {f.id for _, f in bench_.sent} <= specs[0].sends | specs[1].sends
-    assert {f.id for _, f in bench_.heard} <= specs[0].expects | specs[1].expects
+    assert {f.id for _, f in bench_.received} <= specs[0].expects | specs[1].expects
     assert specs[0].sends & specs[1].sends == {0x807F}
 
 
@@ -166,10 +166,10 @@ def test_settings_may_be_nan_where_the_device_s_may() -> None:
 
 def test_every_fault_has_all_its_words() -> None:
     for code in (*FAULTS, 77):
-        text = complaint_of(code)
+        text = fault_info_of(code)
         assert text.name
         assert text.cause
-        assert text.cure
+        assert text.remedy
     assert not set(FAULTS) & set(LIMITS)
 
 
@@ -182,4 +182,4 @@ def test_both_sides_of_a_sample_come_to_the_same(sample: bench.Sample) -> None:
 def test_the_ear_and_the_twin_are_the_plugin_s() -> None:
     twin = plugin.twin(device(), 0)
     assert twin.step(0, [])[1] == []
-    assert plugin.ear([device()]).hear(0, CanFrame(1, STOP, fd=True)) == [Idle("left")]
+    assert plugin.decoder([device()]).decode(0, CanFrame(1, STOP, fd=True)) == [Idle("left")]

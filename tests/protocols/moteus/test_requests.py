@@ -53,14 +53,14 @@ def with_stranger(address: int = 9, settings: Settings | None = None) -> Bench:
 def test_a_scan_finds_known_and_unknown_devices_by_one_question() -> None:
     bench = with_stranger()
     since = bench.now
-    told = bench.ask(Scan("can0"), 1000)
-    found = {f.address: f for f in of(Found, told)}
+    reported = bench.ask(Scan("can0"), 1000)
+    found = {f.address: f for f in of(Found, reported)}
     assert set(found) == {1, 9}
     assert found[1].detail.startswith("left, model 030404, firmware 1.3.4; UUID ")
     assert found[9].detail.startswith("UUID ")
     assert [found[a].serial for a in (1, 9)] == [serial_of(twin.uuid) for twin in bench.twins]
-    assert not any(f.twice for f in found.values())
-    assert of(Done, told)[0].detail == "2 devices"
+    assert not any(f.duplicate_address for f in found.values())
+    assert of(Done, reported)[0].detail == "2 devices"
     asked = [f for t, f in bench.sent if t >= since and f.id == 0x807F]
     assert {f.data.rstrip(b"\x50") for f in asked} == {DISCOVER}
     assert all(f.data.startswith(DISCOVER) for f in asked)
@@ -68,13 +68,13 @@ def test_a_scan_finds_known_and_unknown_devices_by_one_question() -> None:
 
 def test_a_device_without_a_uuid_is_found_too() -> None:
     bench = with_stranger()
-    bench.twins[1].receive = lambda t, wire: None  # type: ignore[method-assign]
+    bench.twins[1].receive = lambda t, frame: None  # type: ignore[method-assign]
     bench.ask(Scan("can0"))
     bench.run(5)
     old = bytes.fromhex("31d0020131d1020131d2020131d3020131d8020150505050")[:24]
 
-    told = list(bench.driver.receive(bench.now, framed(0x900, old)))
-    assert [(f.address, f.serial, f.detail) for f in of(Found, told)] == [
+    reported = list(bench.driver.receive(bench.now, framed(0x900, old)))
+    assert [(f.address, f.serial, f.detail) for f in of(Found, reported)] == [
         (9, None, "it has no UUID: older firmware")
     ]
 
@@ -83,13 +83,17 @@ def test_two_devices_with_one_id_are_both_found() -> None:
     bench = with_stranger(1)
     found = of(Found, bench.ask(Scan("can0"), 1000))
     assert len({f.serial for f in found}) == 2
-    assert any(f.twice for f in found)
+    assert any(f.duplicate_address for f in found)
 
 
 def test_the_answer_to_another_host_s_question_is_not_found() -> None:
     bench = with_stranger()
     bench.ask(Scan("can0"))
-    asked = [f for _, f in bench.heard if (told := decode(f.data)) and Register.MODEL_NUMBER in told.values]
+    asked = [
+        f
+        for _, f in bench.received
+        if (reported := decode(f.data)) and Register.MODEL_NUMBER in reported.values
+    ]
     assert asked
     assert of(Found, bench.driver.receive(bench.now, framed(0x900, asked[0].data))) == []
 
@@ -100,9 +104,9 @@ def test_the_answer_to_another_host_s_question_is_not_found() -> None:
 def test_an_id_is_given_by_serial_number_and_confirmed_by_the_device() -> None:
     bench = with_stranger()
     serial = serial_of(bench.twins[1].uuid)
-    told = bench.ask(SetId("can0", serial, 12), 300)
-    assert [d.request for d in of(Done, told)] == ["SetId"]
-    assert "conf_write" in of(Done, told)[0].detail
+    reported = bench.ask(SetId("can0", serial, 12), 300)
+    assert [d.request for d in of(Done, reported)] == ["SetId"]
+    assert "conf_write" in of(Done, reported)[0].detail
     assert [twin.axis.address for twin in bench.twins] == [1, 12]
 
 
@@ -121,8 +125,8 @@ def test_an_id_is_not_given_away_nor_taken_from_what_runs() -> None:
     assert "is held by" in of(Refused, bench.ask(SetId("can0", mine, 2)))[0].reason
     bench.run(50, Hold("left"), Idle("right"))
     assert "armed" in of(Refused, bench.ask(SetId("can0", mine, 5)))[0].reason
-    told = bench.ask(SetId("can0", 77, 5), 1600)
-    assert "no device with serial number 000000000000004D" in of(Refused, told)[0].reason
+    reported = bench.ask(SetId("can0", 77, 5), 1600)
+    assert "no device with serial number 000000000000004D" in of(Refused, reported)[0].reason
 
 
 # -- zero ------------------------------------------------------------------------------------------
@@ -131,8 +135,8 @@ def test_an_id_is_not_given_away_nor_taken_from_what_runs() -> None:
 def test_zero_is_confirmed_by_the_position() -> None:
     bench = ready()
     bench.shaft.position = rev(2.3)  # answers on their way still say 0
-    told = bench.ask(Zero("left"), 100)
-    assert [d.request for d in of(Done, told)] == ["Zero"]
+    reported = bench.ask(Zero("left"), 100)
+    assert [d.request for d in of(Done, reported)] == ["Zero"]
     assert bench.twin.servo.position == pytest.approx(0.0, abs=1e-3)
     bench.run(500, Hold("left"))
     assert bench.shaft.position == pytest.approx(rev(2.3), abs=0.01)
@@ -160,9 +164,9 @@ def test_zero_is_refused_while_armed() -> None:
 )
 def test_registers_are_read_by_name_and_number(name: str, value: float) -> None:
     bench = ready()
-    told = bench.ask(ReadParameter("left", name), 50)
-    assert [p.value for p in of(Parameter, told)] == [pytest.approx(value, abs=0.1)]
-    assert of(Done, told) == []  # the parameter is the answer
+    reported = bench.ask(ReadParameter("left", name), 50)
+    assert [p.value for p in of(Parameter, reported)] == [pytest.approx(value, abs=0.1)]
+    assert of(Done, reported) == []  # the parameter is the answer
 
 
 @pytest.mark.parametrize(
@@ -193,9 +197,9 @@ def test_registers_are_read_by_name_and_number(name: str, value: float) -> None:
 )
 def test_what_cannot_be_is_refused_with_the_reason(request_: Request, reason: str) -> None:
     bench = ready()
-    told = of(Refused, bench.ask(request_, 100))
-    assert len(told) == 1
-    assert reason in told[0].reason
+    reported = of(Refused, bench.ask(request_, 100))
+    assert len(reported) == 1
+    assert reason in reported[0].reason
 
 
 def test_an_output_is_set_and_the_configuration_saved() -> None:
@@ -238,31 +242,31 @@ def writing(name: str, value: float) -> Bench:
 def test_an_answer_that_was_under_way_does_not_end_a_write() -> None:
     """It holds the register, and its value is from before; the device then refuses the write."""
     bench = writing("home_state", 2.0)
-    told = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, 2)))
-    assert [of(Done, each) + of(Refused, each) for each in told[:2]] == [[], []]
-    assert of(Refused, told[2])[0].reason == "the device does not take it (read only)"
+    reported = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, 2)))
+    assert [of(Done, each) + of(Refused, each) for each in reported[:2]] == [[], []]
+    assert of(Refused, reported[2])[0].reason == "the device does not take it (read only)"
 
 
 def test_an_answer_that_was_under_way_does_not_end_a_write_to_the_twin() -> None:
     bench = ready(device(settings=Settings(reply_delay_us=15_000)))
-    told = bench.ask(WriteParameter("left", "position", 0.0), 60)
-    assert of(Done, told) == []
-    assert [r.reason for r in of(Refused, told)] == ["the device does not take it (read only)"]
+    reported = bench.ask(WriteParameter("left", "position", 0.0), 60)
+    assert of(Done, reported) == []
+    assert [r.reason for r in of(Refused, reported)] == ["the device does not take it (read only)"]
 
 
 def test_a_write_is_done_when_the_device_holds_what_was_written() -> None:
     bench = writing(hex(GPIO), 5.0)
-    told = answered(bench, ORDINARY, reads(GPIO, 4.0), reads(GPIO, 5.0), reads(GPIO, 5.0))
-    assert [of(Done, each) for each in told] == [[], [], [Done(bench.now, "WriteParameter", "left")], []]
+    reported = answered(bench, ORDINARY, reads(GPIO, 4.0), reads(GPIO, 5.0), reads(GPIO, 5.0))
+    assert [of(Done, each) for each in reported] == [[], [], [Done(bench.now, "WriteParameter", "left")], []]
 
 
 def test_a_write_after_which_the_device_holds_something_else_is_refused_with_both_values() -> None:
     bench = writing(hex(GPIO), 5.0)
     assert of(Done, answered(bench, reads(GPIO, 7.0))[0]) == []
     bench.to_device = lambda frame: frame.data[:3] != b"\x0d\x5c\x00"
-    told = bench.run(700)
-    assert of(Done, told) == []
-    assert [r.reason for r in of(Refused, told)] == ["the device holds 7 there, not 5"]
+    reported = bench.run(700)
+    assert of(Done, reported) == []
+    assert [r.reason for r in of(Refused, reported)] == ["the device holds 7 there, not 5"]
 
 
 @pytest.mark.parametrize("value", [0.1, 1e-7, -123456.789, 3e38])
@@ -274,14 +278,14 @@ def test_what_a_binary32_makes_of_a_number_is_what_was_written(value: float) -> 
 def test_a_register_that_cannot_be_read_is_written_when_its_question_is_answered() -> None:
     bench = writing("set_output_exact", 1.5)
     unreadable = encode(Error(READ_ERROR, Register.SET_OUTPUT_EXACT, 1))
-    told = answered(bench, ORDINARY, unreadable)
-    assert [len(of(Done, each)) for each in told] == [0, 1]
+    reported = answered(bench, ORDINARY, unreadable)
+    assert [len(of(Done, each)) for each in reported] == [0, 1]
 
 
 def test_the_configuration_is_saved_whatever_id_the_device_tells() -> None:
     bench = writing("conf_write", 1.0)
-    told = answered(bench, ORDINARY, reads(Register.MULTIPLEX_ID, 5.0))
-    assert [len(of(Done, each)) for each in told] == [0, 1]
+    reported = answered(bench, ORDINARY, reads(Register.MULTIPLEX_ID, 5.0))
+    assert [len(of(Done, each)) for each in reported] == [0, 1]
 
 
 @pytest.mark.parametrize("name", ["conf_write", "set_output_nearest", "require_reindex"])
@@ -308,8 +312,8 @@ def test_what_moves_or_stops_a_running_device_is_not_written(name: str) -> None:
 def test_every_request_ends(request_: Request, within: int) -> None:
     bench = ready()
     bench.to_device = lambda _: False
-    told = of(Refused, bench.ask(request_, within + 10))
-    assert [r.request for r in told] == [type(request_).__name__]
+    reported = of(Refused, bench.ask(request_, within + 10))
+    assert [r.request for r in reported] == [type(request_).__name__]
     assert list(bench.driver._waiting) == []
 
 
@@ -318,15 +322,15 @@ def test_a_zero_that_does_not_become_zero_is_refused() -> None:
     bench.shaft.position = rev(3.0)
     bench.run(20)
     bench.to_device = lambda frame: b"\xb1\x02" not in frame.data
-    told = bench.ask(Zero("left"), 700)
-    assert "did not become zero" in of(Refused, told)[0].reason
+    reported = bench.ask(Zero("left"), 700)
+    assert "did not become zero" in of(Refused, reported)[0].reason
 
 
 def test_a_read_that_is_answered_by_other_frames_only_is_refused() -> None:
     bench = ready()
     bench.to_device = lambda frame: frame.data[:1] != b"\x1d"
-    told = bench.ask(ReadParameter("left", "power"), 700)
-    assert of(Refused, told)[0].reason == "the device did not answer this"
+    reported = bench.ask(ReadParameter("left", "power"), 700)
+    assert of(Refused, reported)[0].reason == "the device did not answer this"
 
 
 def test_too_many_requests_are_refused() -> None:
@@ -334,15 +338,15 @@ def test_too_many_requests_are_refused() -> None:
     bench.to_device = lambda _: False
     for _ in range(32):
         bench.driver.send(bench.now, [ReadParameter("left", "voltage")])
-    told, _ = bench.driver.send(bench.now, [ReadParameter("left", "voltage")])
-    assert "too many" in of(Refused, told)[0].reason
+    reported, _ = bench.driver.send(bench.now, [ReadParameter("left", "voltage")])
+    assert "too many" in of(Refused, reported)[0].reason
 
 
 def test_questions_to_all_go_out_once_for_each_prefix() -> None:
     bench = ready(device("left", 1), device("right", 2, options=Options(can_prefix=3)))
     since = bench.now
-    told = bench.ask(Scan("can0"), 50)
+    reported = bench.ask(Scan("can0"), 50)
     ids = {f.id for t, f in bench.sent if t >= since and f.id & 0x7F == 0x7F}
     assert ids == {0x807F, 0x3807F}
-    assert {f.address for f in of(Found, told)} == {1, 2}
+    assert {f.address for f in of(Found, reported)} == {1, 2}
     assert bench.now - since == 50 * MILLISECOND

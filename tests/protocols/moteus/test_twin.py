@@ -55,9 +55,9 @@ class Rig:
         out: list[CanFrame] = []
         for _ in range(milliseconds):
             truth = Feedback("left", self.now, self.shaft.position, self.shaft.velocity)
-            torques, wires = self.twin.step(self.now, [truth])
+            torques, frames = self.twin.step(self.now, [truth])
             self.shaft.step(torques[0].torque)
-            out += [w for w in wires if isinstance(w, CanFrame)]
+            out += [w for w in frames if isinstance(w, CanFrame)]
             self.now += MILLISECOND
         return out
 
@@ -66,17 +66,17 @@ class Rig:
         self.twin.receive(self.now, framed(command_id(to), data))
         return self.run(milliseconds)
 
-    def tell(self, register: int, resolution: int = F32) -> Raw | None:
+    def report(self, register: int, resolution: int = F32) -> Raw | None:
         """One register, as the wire has it; None for an error."""
         (answer,) = self.say(encode(Ask(register, resolution, 1)))
-        (told,) = subframes(answer)
-        return told.raw[0] if isinstance(told, Values) else None
+        (reported,) = subframes(answer)
+        return reported.raw[0] if isinstance(reported, Values) else None
 
     def value(self, register: int) -> float | None:
         """One register, as a quantity."""
         (answer,) = self.say(encode(Ask(register, F32, 1)))
-        told = decode(answer.data)
-        return told.values[register] if told else None
+        reported = decode(answer.data)
+        return reported.values[register] if reported else None
 
     @property
     def mode(self) -> int:
@@ -100,9 +100,9 @@ def test_a_command_is_answered_as_things_stood_before_it() -> None:
     rig = Rig()
     rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     (answer,) = rig.say(STOP + FAST)
-    told = decode(answer.data)
-    assert told is not None
-    assert told.values[Register.MODE] == Mode.POSITION
+    reported = decode(answer.data)
+    assert reported is not None
+    assert reported.values[Register.MODE] == Mode.POSITION
     assert rig.mode == Mode.STOPPED
 
 
@@ -115,7 +115,7 @@ def test_only_a_stop_leaves_fault_and_timeout(latched: Mode) -> None:
         rig.say(mode(value), milliseconds=20)
         assert rig.mode == latched
     rig.say(STOP)
-    assert (rig.mode, rig.tell(Register.FAULT, INT8)) == (Mode.STOPPED, 0)
+    assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.STOPPED, 0)
     rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     assert rig.mode == Mode.POSITION
 
@@ -131,7 +131,7 @@ def test_every_fault_can_be_provoked_and_gives_no_torque(code: int, running: boo
     if code == TIMEOUT:
         assert rig.mode == Mode.TIMEOUT
         return
-    assert (rig.mode, rig.tell(Register.FAULT, INT8)) == (Mode.FAULT, code)
+    assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.FAULT, code)
     assert rig.twin.servo.torque() == 0.0
 
 
@@ -207,7 +207,7 @@ def test_the_commanded_torque_is_the_limit_and_is_told() -> None:
     rig.shaft.held = True
     rig.say(move(5.0, 0.0, 0.0, Limits(10.0, 0.125)), milliseconds=50)
     assert rig.twin.servo.torque() == pytest.approx(0.125, rel=1e-3)
-    assert rig.tell(Register.FAULT, INT8) == 102
+    assert rig.report(Register.FAULT, INT8) == 102
 
 
 def test_the_current_is_limited_and_told() -> None:
@@ -215,7 +215,7 @@ def test_the_current_is_limited_and_told() -> None:
     rig.shaft.held = True
     rig.say(push(0.0, 9.0, LIMITS), milliseconds=50)
     assert rig.value(Register.Q_CURRENT) == pytest.approx(40.0, rel=1e-3)
-    assert rig.tell(Register.FAULT, INT16) == 99
+    assert rig.report(Register.FAULT, INT16) == 99
     assert rig.mode == Mode.POSITION
 
 
@@ -266,11 +266,11 @@ def test_a_trajectory_keeps_its_limits_and_says_when_it_is_done() -> None:
     rig = Rig()
     limits = Limits(10.0, None, 1.0, 4.0)
     rig.say(move(1.0, 0.0, 0.0, limits), milliseconds=400)
-    assert rig.tell(Register.TRAJECTORY_COMPLETE, INT8) == 0
+    assert rig.report(Register.TRAJECTORY_COMPLETE, INT8) == 0
     fastest = max(_velocity_of(rig) for _ in range(700))
     assert fastest == pytest.approx(1.0, rel=0.02)
     rig.run(1500)
-    assert rig.tell(Register.TRAJECTORY_COMPLETE, INT8) == 1
+    assert rig.report(Register.TRAJECTORY_COMPLETE, INT8) == 1
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(1.0, abs=1e-3)
 
 
@@ -301,7 +301,7 @@ def test_a_stop_position_ends_a_velocity_and_does_not_go_with_limits() -> None:
     rig.say(mode(Mode.POSITION, write(0x20, None, 2.0), stop), milliseconds=600)
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(0.25)
     rig.say(mode(Mode.POSITION, write(0x20, None, 2.0), write(0x26, 0.25, 10.0, 1.0)), milliseconds=5)
-    assert (rig.mode, rig.tell(Register.FAULT, INT8)) == (Mode.FAULT, 45)
+    assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.FAULT, 45)
 
 
 # -- bounds and watches ------------------------------------------------------------------------------
@@ -312,7 +312,7 @@ def test_starting_outside_the_bounds_is_a_fault_unless_they_are_ignored() -> Non
     rig.shaft.position = rev(0.7)
     rig.run(5)
     rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
-    assert (rig.mode, rig.tell(Register.FAULT, INT8)) == (Mode.FAULT, 39)
+    assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.FAULT, 39)
     rig.say(STOP)
     ignore = write(Register.COMMAND_IGNORE_POSITION_BOUNDS, 1.0, resolution=INT8)
     rig.say(mode(Mode.POSITION, write(0x20, 0.7), write(0x27, 10.0), ignore), milliseconds=20)
@@ -326,13 +326,13 @@ def test_a_set_point_is_kept_within_the_bounds_and_torque_outwards_fades() -> No
     rig.shaft.position, rig.shaft.held = rev(0.53), True
     rig.say(push(0.53, 0.5, LIMITS), milliseconds=20)
     assert rig.twin.servo.torque() == pytest.approx(0.0, abs=1e-3)
-    assert rig.tell(Register.FAULT, INT8) == 103
+    assert rig.report(Register.FAULT, INT8) == 103
 
 
 def test_bounds_that_it_cannot_count_are_a_fault() -> None:
     rig = Rig(Settings(position_max=40000.0))
     rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
-    assert rig.tell(Register.FAULT, INT8) == 48
+    assert rig.report(Register.FAULT, INT8) == 48
 
 
 @pytest.mark.parametrize(
@@ -349,7 +349,7 @@ def test_what_it_watches_over(settings: Settings, code: int) -> None:
     rig = Rig(settings)
     rig.shaft.held = True
     rig.say(move(1.0, 0.5, 0.0, LIMITS), milliseconds=30)
-    assert (rig.mode, rig.tell(Register.FAULT, INT8)) == (Mode.FAULT, code)
+    assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.FAULT, code)
 
 
 def test_it_grows_warm_and_gives_less() -> None:
@@ -358,7 +358,7 @@ def test_it_grows_warm_and_gives_less() -> None:
     rig.say(push(0.0, 9.0, LIMITS), milliseconds=9000)
     assert 26.0 < rig.twin.servo.temperature < 40.0
     assert rig.twin.servo.iq < 39.0
-    assert rig.tell(Register.FAULT, INT8) == 100
+    assert rig.report(Register.FAULT, INT8) == 100
 
 
 def test_above_its_highest_velocity_the_torque_falls() -> None:
@@ -366,7 +366,7 @@ def test_above_its_highest_velocity_the_torque_falls() -> None:
     rig.shaft.load = 0.0
     rig.say(push(0.0, 0.5, LIMITS), milliseconds=1500)
     assert rig.shaft.velocity / tau < 6.0
-    assert rig.tell(Register.FAULT, INT8) == 96
+    assert rig.report(Register.FAULT, INT8) == 96
 
 
 # -- watchdog ------------------------------------------------------------------------------------------
@@ -432,18 +432,18 @@ def test_answers_are_rounded_by_their_width(
     rig = Rig()
     rig.shaft.position = rev(position)
     rig.run(5)
-    assert rig.tell(Register.POSITION, resolution) == pytest.approx(raw)
+    assert rig.report(Register.POSITION, resolution) == pytest.approx(raw)
     scale = (0.5, 0.1, 0.001, 1.0)[resolution]
-    assert rig.tell(Register.VOLTAGE, resolution) == pytest.approx(voltage / scale)
+    assert rig.report(Register.VOLTAGE, resolution) == pytest.approx(voltage / scale)
 
 
 def test_what_does_not_fit_saturates_and_what_is_none_is_not_given() -> None:
     rig = Rig()
     rig.shaft.position = rev(-99.0)
     rig.run(5)
-    assert [rig.tell(Register.POSITION, r) for r in (INT8, INT16)] == [-127, -32767]
-    assert rig.tell(Register.CONTROL_POSITION, INT8) == -128
-    raw = rig.tell(Register.CONTROL_POSITION, F32)
+    assert [rig.report(Register.POSITION, r) for r in (INT8, INT16)] == [-127, -32767]
+    assert rig.report(Register.CONTROL_POSITION, INT8) == -128
+    raw = rig.report(Register.CONTROL_POSITION, F32)
     assert raw is not None
     assert isnan(raw)
 
@@ -469,26 +469,26 @@ def test_unknown_registers_are_errors_and_their_neighbours_are_told() -> None:
 def test_model_firmware_serial_and_uuid_are_int32_only() -> None:
     settings = Settings(uuid="0123456789abcdeffedcba9876543210", firmware="0.4.21", model=0x1234)
     rig = Rig(settings)
-    assert rig.tell(Register.FIRMWARE_VERSION, INT32) == 0x000415
-    assert rig.tell(Register.MODEL_NUMBER, INT32) == 0x1234
-    assert rig.tell(Register.REGISTER_MAP_VERSION, INT32) == 5
-    assert rig.tell(Register.UUID1, INT32) == int.from_bytes(bytes.fromhex("01234567"), "little")
-    assert rig.tell(Register.SERIAL_NUMBER1, INT32) == int.from_bytes(bytes.fromhex("10325476"), "little")
+    assert rig.report(Register.FIRMWARE_VERSION, INT32) == 0x000415
+    assert rig.report(Register.MODEL_NUMBER, INT32) == 0x1234
+    assert rig.report(Register.REGISTER_MAP_VERSION, INT32) == 5
+    assert rig.report(Register.UUID1, INT32) == int.from_bytes(bytes.fromhex("01234567"), "little")
+    assert rig.report(Register.SERIAL_NUMBER1, INT32) == int.from_bytes(bytes.fromhex("10325476"), "little")
     for register in (Register.FIRMWARE_VERSION, Register.UUID1, Register.SERIAL_NUMBER3):
-        assert rig.tell(register, INT16) is None
-    assert rig.tell(Register.MULTIPLEX_ID, INT32) is None
+        assert rig.report(register, INT16) is None
+    assert rig.report(Register.MULTIPLEX_ID, INT32) is None
 
 
 def test_every_other_register_that_is_told() -> None:
     rig = Rig()
     rig.say(move(0.1, 0.0, 0.0, LIMITS), milliseconds=10)
     for register in range(0x72):
-        if rig.tell(register) is None:
+        if rig.report(register) is None:
             assert register in {
                 *(0x08, 0x09, 0x13, 0x17, 0x1F, 0x2E, 0x2F, *range(0x35, 0x38), 0x3E, 0x3F),
                 *(*range(0x49, 0x50), *range(0x52, 0x58), *range(0x59, 0x70), 0x71),
             }
-    assert rig.tell(Register.MILLISECOND_COUNTER, INT16) is not None
+    assert rig.report(Register.MILLISECOND_COUNTER, INT16) is not None
 
 
 def test_an_answer_is_no_longer_than_a_frame() -> None:
@@ -500,12 +500,12 @@ def test_an_answer_is_no_longer_than_a_frame() -> None:
 
 def test_the_output_is_set_and_the_home_state_follows() -> None:
     rig = Rig()
-    assert rig.tell(Register.HOME_STATE, INT8) == 1
+    assert rig.report(Register.HOME_STATE, INT8) == 1
     rig.say(write(Register.SET_OUTPUT_EXACT, 2.5))
     assert rig.value(Register.POSITION) == pytest.approx(2.5)
-    assert rig.tell(Register.HOME_STATE, INT8) == 2
+    assert rig.report(Register.HOME_STATE, INT8) == 2
     rig.say(write(Register.REQUIRE_REINDEX, 1.0))
-    assert rig.tell(Register.HOME_STATE, INT8) == 0
+    assert rig.report(Register.HOME_STATE, INT8) == 0
 
 
 def test_recapturing_takes_the_set_point_to_the_shaft() -> None:
@@ -607,14 +607,14 @@ def test_the_console_gives_the_device_another_id() -> None:
     rig.run(1)
     assert rig.twin.axis.address == 9
     (answer,) = rig.say(bytes.fromhex("420130"), to=9)
-    told = decode(answer.data)
-    assert told is not None
-    assert told.console == b"OK\r\n"
+    reported = decode(answer.data)
+    assert reported is not None
+    assert reported.console == b"OK\r\n"
     rig.say(console("conf get id.id") + console("conf write") + console("d stop"), to=9)
     (answer,) = rig.say(bytes.fromhex("420130"), to=9)
-    told = decode(answer.data)
-    assert told is not None
-    assert told.console == b"9\r\nOK\r\nERR unknown command\r\n"
+    reported = decode(answer.data)
+    assert reported is not None
+    assert reported.console == b"9\r\nOK\r\nERR unknown command\r\n"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from math import tau
 
 import pytest
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -35,7 +35,7 @@ from tests.protocols.helpers import of
 from tests.protocols.moteus.from_package import UUID
 from tests.protocols.moteus.helpers import device, rev
 
-VECTORS = {vector.name: vector.wire for vector in vectors_of(plugin)}
+VECTORS = {vector.name: vector.frame for vector in vectors_of(plugin)}
 LIMITED = Options(max_torque=1.5, velocity_limit=4.0 * tau, acceleration_limit=20.0 * tau)
 NO_ACCEL = replace(LIMITED, acceleration_limit=0.0)
 AT = "21000a" + "2f010000803e0000000000000000" + "210f00"
@@ -52,20 +52,20 @@ class Talk:
         self.reply = reply_id(address, self.options.host_id, self.options.can_prefix)
         self.say()
 
-    def hear(self, data: str | Wire) -> list[Event]:
-        wire = framed(self.reply, bytes.fromhex(data)) if isinstance(data, str) else data
-        return list(self.driver.receive(self.now, wire))
+    def handle(self, data: str | Frame) -> list[Event]:
+        frame = framed(self.reply, bytes.fromhex(data)) if isinstance(data, str) else data
+        return list(self.driver.receive(self.now, frame))
 
     def say(self, *words: Command | Request) -> list[CanFrame]:
         self.now += 5 * MILLISECOND
         sent = self.driver.send(self.now, words)[1]
-        return [wire for wire in sent if isinstance(wire, CanFrame)]
+        return [frame for frame in sent if isinstance(frame, CanFrame)]
 
     def running(self) -> Talk:
         """In position control, and its details known for now."""
-        self.hear(AT)
+        self.handle(AT)
         self.say()
-        self.hear(AT)
+        self.handle(AT)
         return self
 
 
@@ -89,7 +89,7 @@ def test_a_command_is_the_vector_of_its_values(name: str, options: Options, word
     talk = Talk(options).running()
     for _ in range(5):
         talk.say(word)
-        talk.hear(AT)
+        talk.handle(AT)
     assert talk.say(word) == [VECTORS[name]]
 
 
@@ -101,10 +101,10 @@ def test_now_and_then_the_details_are_asked_for_as_in_the_vector(
     name: str, options: Options, word: Command
 ) -> None:
     talk = Talk(options).running()
-    said: list[Wire] = []
+    said: list[Frame] = []
     for _ in range(41):  # 205 ms
         said += talk.say(word)
-        talk.hear(AT)
+        talk.handle(AT)
     assert said.count(VECTORS[name]) == 1
 
 
@@ -120,9 +120,9 @@ def test_now_and_then_the_details_are_asked_for_as_in_the_vector(
 def test_a_stop_is_the_vector(name: str, options: Options, address: int) -> None:
     talk = Talk(options, address).running()
     talk.say(POSITION)
-    talk.hear(AT)
+    talk.handle(AT)
     assert talk.say(Idle("left"))[0] == VECTORS[name]
-    talk.hear(AT.replace("21000a", "210001", 1))  # in fault meanwhile: no other stop goes out ...
+    talk.handle(AT.replace("21000a", "210001", 1))  # in fault meanwhile: no other stop goes out ...
     assert VECTORS[name] not in [f for _ in range(20) for f in talk.say(Idle("left"))]
     assert VECTORS[name] in talk.say(ClearFault("left"))  # ... but the operator's
 
@@ -146,29 +146,29 @@ def test_a_scan_and_an_id_are_the_vectors() -> None:
 def test_answers_of_vectors_are_told_in_si() -> None:
     talk = Talk()
     motion = Feedback("left", talk.now, -0.125 * tau, 1.5 * tau, -0.75)
-    assert talk.hear(VECTORS["reply_fast"]) == [
+    assert talk.handle(VECTORS["reply_fast"]) == [
         motion,
         State("left", talk.now, Mode.ARMED, "position"),
     ]
-    (detailed,) = talk.hear(VECTORS["reply_full"])
+    (detailed,) = talk.handle(VECTORS["reply_full"])
     assert isinstance(detailed, Feedback)
     assert detailed.temperature == pytest.approx(41.3)
     assert replace(detailed, temperature=None) == replace(motion, current=10.0, voltage=24.5)
-    (plain,) = talk.hear(VECTORS["query_default_reply"])
+    (plain,) = talk.handle(VECTORS["query_default_reply"])
     assert plain == replace(motion, voltage=24.5, temperature=41.0)
 
 
 def test_vectors_that_are_not_given_tell_no_number() -> None:
     talk = Talk()
-    assert of(Feedback, talk.hear(VECTORS["reply_nan"])) == []
+    assert of(Feedback, talk.handle(VECTORS["reply_nan"])) == []
     assert not [f for f in talk.say(POSITION) if f.data[:1] == b"\x01"]  # where it is, is not known
-    assert talk.hear(VECTORS["reply_int8_nan"]) == []
-    assert talk.driver.tally.heard == 2
+    assert talk.handle(VECTORS["reply_int8_nan"]) == []
+    assert talk.driver.counters.accepted == 2
 
 
 def test_the_vector_of_a_fault_is_told_with_its_words() -> None:
     talk = Talk()
-    _, fault, state = talk.hear(VECTORS["reply_fast_fault"])
+    _, fault, state = talk.handle(VECTORS["reply_fast_fault"])
     assert isinstance(fault, Fault)
     assert (fault.code, fault.name) == (38, "over temperature")
     assert state == State("left", talk.now, Mode.FAULT, "fault")
@@ -178,9 +178,9 @@ def test_the_vector_of_a_fault_is_told_with_its_words() -> None:
 def test_the_vector_of_a_uuid_is_found_by_a_scan() -> None:
     talk = Talk().running()
     talk.say(Scan("can0"))
-    (found,) = of(Found, talk.hear(VECTORS["reply_uuid"]))
-    assert (found.address, found.serial, found.twice) == (5, 0x0123456789ABCDEF, False)
+    (found,) = of(Found, talk.handle(VECTORS["reply_uuid"]))
+    assert (found.address, found.serial, found.duplicate_address) == (5, 0x0123456789ABCDEF, False)
     assert "01234567-89ab-cdef-fedc-ba9876543210" in found.detail
-    assert of(Found, talk.hear(VECTORS["reply_uuid"])) == []
-    (other,) = of(Found, talk.hear(VECTORS["reply_errors"]))
+    assert of(Found, talk.handle(VECTORS["reply_uuid"])) == []
+    (other,) = of(Found, talk.handle(VECTORS["reply_errors"]))
     assert (other.serial, other.detail.split("; ")[1]) == (None, "it has no UUID: older firmware")

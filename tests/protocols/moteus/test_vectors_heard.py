@@ -6,7 +6,7 @@ from math import tau
 
 import pytest
 
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -33,7 +33,7 @@ from protocols.messages import (
     Zero,
 )
 from protocols.moteus import plugin
-from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.faults import FAULTS
 from protocols.moteus.messages import names
 from protocols.moteus.options import Settings, serial_of
@@ -102,14 +102,14 @@ def test_what_a_device_makes_of_a_vector(name: str) -> None:
     said, words = WORDS[name]
     assert ", ".join(names(VECTORS[name])) == said
     for uuid in ("", UUID.hex()):
-        heard = MoteusEar([device("m", 5, Settings(uuid=uuid))]).hear(0, VECTORS[name])
-        assert [type(word) for word in heard] == [type(word) for word in words]
-        for one, other in zip(heard, words, strict=True):
+        received = MoteusDecoder([device("m", 5, Settings(uuid=uuid))]).decode(0, VECTORS[name])
+        assert [type(word) for word in received] == [type(word) for word in words]
+        for one, other in zip(received, words, strict=True):
             assert _plain(one) == pytest.approx(_plain(other))
     if name not in ("set_id_by_uuid", "stop_by_whole_uuid"):
         return
     for uuid in ("f" * 32, UUID[:4].hex() + "f" * 24, "f" * 8 + UUID[4:].hex()):
-        assert MoteusEar([device("m", 5, Settings(uuid=uuid))]).hear(0, VECTORS[name]) == []
+        assert MoteusDecoder([device("m", 5, Settings(uuid=uuid))]).decode(0, VECTORS[name]) == []
 
 
 def _plain(word: Command | Request) -> dict[str, str | float]:
@@ -126,10 +126,10 @@ def test_every_vector_that_a_device_obeys_is_in_the_table() -> None:
 
 
 def test_vectors_to_others_are_not_heard() -> None:
-    ear = MoteusEar([device("m", 5), device("n", 6)])
+    decoder = MoteusDecoder([device("m", 5), device("n", 6)])
     for name in ("stop_id_100", "stop_prefix", "doc_example_request_id1", "reply_fast"):
-        assert ear.hear(0, VECTORS[name]) == []
-    assert ear.hear(0, VECTORS["stop_no_reply"]) == [Idle("m")]
+        assert decoder.decode(0, VECTORS[name]) == []
+    assert decoder.decode(0, VECTORS["stop_no_reply"]) == [Idle("m")]
 
 
 # -- conversations -------------------------------------------------------------------------------------
@@ -138,15 +138,15 @@ def test_vectors_to_others_are_not_heard() -> None:
 def talk() -> Talk:
     """At rest, its identity told."""
     it = Talk()
-    it.hear(VECTORS["reply_stopped"])
+    it.handle(VECTORS["reply_stopped"])
     assert VECTORS["identify"] in it.say()
-    assert it.hear(VECTORS["reply_identity"]) == []
+    assert it.handle(VECTORS["reply_identity"]) == []
     return it
 
 
-def told(it: Talk, *wires: str) -> list[Event]:
+def reported(it: Talk, *frames: str) -> list[Event]:
     """What the vectors tell, without measurements."""
-    events = [event for wire in wires for event in it.hear(VECTORS[wire])]
+    events = [event for frame in frames for event in it.handle(VECTORS[frame])]
     return [event for event in events if not isinstance(event, Feedback)]
 
 
@@ -156,7 +156,7 @@ def waits(it: Talk, milliseconds: int) -> list[Event]:
     for _ in range(milliseconds // 5):
         it.now += 5_000_000
         said, _sent = it.driver.send(it.now, ())
-        events += [*said, *(e for e in it.hear(VECTORS["reply_stopped"]) if not isinstance(e, Feedback))]
+        events += [*said, *(e for e in it.handle(VECTORS["reply_stopped"]) if not isinstance(e, Feedback))]
     return events
 
 
@@ -202,9 +202,9 @@ def test_a_request_and_its_answer_as_vectors(
 ) -> None:
     it = talk()
     assert VECTORS[vector] in it.say(request_)
-    assert told(it, "reply_stopped", "reply_uuid") == []
-    assert told(it, answer) == [_at(it.now, event) for event in expected]
-    assert told(it, answer) == []
+    assert reported(it, "reply_stopped", "reply_uuid") == []
+    assert reported(it, answer) == [_at(it.now, event) for event in expected]
+    assert reported(it, answer) == []
     assert VECTORS[vector] not in it.say()
 
 
@@ -227,12 +227,12 @@ def test_zero_as_vectors() -> None:
     assert isinstance(frame, CanFrame)
     said = it.say(Zero("left"))
     assert any(f.data.startswith(frame.data.rstrip(b"\x50")) for f in said)
-    assert told(it, "reply_zeroed") == []  # from before
-    assert told(it, "reply_output_taken", "reply_stopped") == []
-    assert told(it, "reply_zeroed") == [Done(it.now, "Zero", "left")]
+    assert reported(it, "reply_zeroed") == []  # from before
+    assert reported(it, "reply_output_taken", "reply_stopped") == []
+    assert reported(it, "reply_zeroed") == [Done(it.now, "Zero", "left")]
     it.say(Zero("left"))
     refused = Refused(it.now, "Zero", "left", "the device does not take it (read only)")
-    assert told(it, "reply_output_refused") == [refused]
+    assert reported(it, "reply_output_refused") == [refused]
     it.say(Zero("left"))
     said_ = "its position did not become zero: is it turning?"
     assert waits(it, 600) == [Refused(it.now, "Zero", "left", said_)]
@@ -241,28 +241,28 @@ def test_zero_as_vectors() -> None:
 def test_clearing_a_fault_as_vectors() -> None:
     it = talk()
     text = FAULTS[38]
-    fault = Fault("left", it.now, 38, text.name, text.cause, text.cure)
-    assert told(it, "reply_fast_fault") == [fault, State("left", it.now, Mode.FAULT, "fault")]
-    assert told(it, "reply_fast_fault") == []
+    fault = Fault("left", it.now, 38, text.name, text.cause, text.remedy)
+    assert reported(it, "reply_fast_fault") == [fault, State("left", it.now, Mode.FAULT, "fault")]
+    assert reported(it, "reply_fast_fault") == []
     stopped = VECTORS["stop_with_query"]
     assert stopped not in [*it.say(Idle("left")), *it.say(Hold("left"))]
     assert stopped in it.say(ClearFault("left"))
-    assert told(it, "reply_fast_fault") == []
+    assert reported(it, "reply_fast_fault") == []
     ready = State("left", it.now, Mode.READY, "stopped")
     fault_no_more = State("left", it.now, Mode.FAULT, "stopped, not cleared yet")
-    assert told(it, "reply_stopped") in (
+    assert reported(it, "reply_stopped") in (
         [ready, Done(it.now, "ClearFault", "left")],
         [fault_no_more, ready, Done(it.now, "ClearFault", "left")],
     )
     text = FAULTS[11]
-    timeout = Fault("left", it.now, 11, text.name, text.cause, text.cure)
-    assert told(it, "reply_timeout") == [timeout, State("left", it.now, Mode.FAULT, "timeout")]
+    timeout = Fault("left", it.now, 11, text.name, text.cause, text.remedy)
+    assert reported(it, "reply_timeout") == [timeout, State("left", it.now, Mode.FAULT, "timeout")]
     it.say(ClearFault("left"))
     events: list[Event] = []
     for _ in range(120):
         it.now += 5_000_000
         events += it.driver.send(it.now, ())[0]
-        events += told(it, "reply_timeout")
+        events += reported(it, "reply_timeout")
     assert Refused(it.now, "ClearFault", "left", "still in fault: timeout") in events
     assert len([e for e in events if isinstance(e, Fault)]) <= 1
 
@@ -273,11 +273,11 @@ def test_a_device_that_does_not_arm_as_vectors() -> None:
     for _ in range(220):
         it.now += 5_000_000
         events += it.driver.send(it.now, [Hold("left")])[0]
-        events += told(it, "reply_enabling")
+        events += reported(it, "reply_enabling")
     (fault,) = (e for e in events if isinstance(e, Fault))
     assert (fault.motor, fault.code, fault.name) == ("left", 0x101, "did not arm")
     assert fault.cause == "it stayed in mode enabling for 1000 ms"
-    assert fault.cure == "look at it with the vendor's tool (tview), then clear"
+    assert fault.remedy == "look at it with the vendor's tool (tview), then clear"
     states = [(s.mode, s.detail) for s in events if isinstance(s, State)]
     assert states == [(Mode.READY, "enabling"), (Mode.FAULT, "enabling, not cleared yet")]
     assert 1_000_000_000 < fault.t - it.now + 220 * 5_000_000 <= 1_020_000_000
@@ -288,23 +288,23 @@ def test_a_scan_as_vectors() -> None:
     it.say(Scan("can0"))
     printed = "01234567-89ab-cdef-fedc-ba9876543210"
     ours = f"left, model 030404, firmware 1.3.4; UUID {printed}"
-    assert told(it, "reply_uuid") == [Found(it.now, "moteus", 5, serial_of(UUID), ours)]
+    assert reported(it, "reply_uuid") == [Found(it.now, "moteus", 5, serial_of(UUID), ours)]
     other = Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")
-    assert told(it, "reply_identity_id_9") == []  # another host's question
-    assert told(it, "reply_uuid_id_9", "reply_uuid_id_9") == [other]
-    assert told(it, "reply_id_100") == []
+    assert reported(it, "reply_identity_id_9") == []  # another host's question
+    assert reported(it, "reply_uuid_id_9", "reply_uuid_id_9") == [other]
+    assert reported(it, "reply_id_100") == []
     (done,) = waits(it, 800)
     assert done == Done(it.now, "Scan", "can0", "2 devices")
-    assert told(it, "reply_uuid_id_9") == []
+    assert reported(it, "reply_uuid_id_9") == []
 
 
 def test_an_id_is_given_as_vectors() -> None:
     it = talk()
     said = it.say(SetId("can0", serial_of(UUID), 9))
     assert VECTORS["discover_by_uuid"] in said
-    assert told(it, "reply_uuid") == []
+    assert reported(it, "reply_uuid") == []
     detail = "not saved yet: write conf_write 1 to keep it after power-off"
-    assert told(it, "reply_uuid_id_9") == [Done(it.now, "SetId", "can0", detail)]
+    assert reported(it, "reply_uuid_id_9") == [Done(it.now, "SetId", "can0", detail)]
     it.say(SetId("can0", serial_of(UUID), 9))
     reason = "no device with serial number 0123456789ABCDEF took the id"
     assert waits(it, 1500) == [Refused(it.now, "SetId", "can0", reason)]
@@ -315,13 +315,13 @@ def test_two_uuids_at_one_id_as_vectors() -> None:
     one, other = "01234567-89ab-cdef-fedc-ba9876543210", "10325476-98ba-dcfe-efcd-ab8967452301"
     said = f"id 5 is held twice: by {one} and {other}"
     cause = f"two devices answer to it: UUIDs {one} and {other}"
-    cure = "take one off the bus, or give it another id (SetId with its serial number)"
-    assert told(it, "reply_uuid_other") == [
+    remedy = "take one off the bus, or give it another id (SetId with its serial number)"
+    assert reported(it, "reply_uuid_other") == [
         Found(it.now, "moteus", 5, serial_of(UUID), said, True),
         Found(it.now, "moteus", 5, serial_of(UUID[::-1]), said, True),
-        Fault("left", it.now, 0x100, "id 5 is held twice", cause, cure),
+        Fault("left", it.now, 0x100, "id 5 is held twice", cause, remedy),
     ]
-    assert told(it, "reply_uuid", "reply_uuid_other") == []
+    assert reported(it, "reply_uuid", "reply_uuid_other") == []
 
 
 def test_a_motor_that_nobody_has_is_refused_beside_vectors() -> None:
@@ -329,7 +329,7 @@ def test_a_motor_that_nobody_has_is_refused_beside_vectors() -> None:
     assert it.driver.send(it.now, [Idle("nobody")])[0] == [
         Refused(it.now, "Idle", "nobody", "no such motor on this bus")
     ]
-    assert told(it, "reply_stopped") == []
+    assert reported(it, "reply_stopped") == []
 
 
 def test_a_velocity_begins_where_the_vector_says_that_the_shaft_is() -> None:
@@ -337,9 +337,9 @@ def test_a_velocity_begins_where_the_vector_says_that_the_shaft_is() -> None:
     first = it.say(Velocity("left", -1.5 * tau, 0.125))[0]
     assert first == VECTORS["position_watchdog_0.1s"]
     for _ in range(2):
-        it.hear(AT)
+        it.handle(AT)
         assert it.say(Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["position_watchdog_0.1s"]
-    it.hear(AT)
+    it.handle(AT)
     assert it.say(Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["velocity_watchdog_0.1s"]
 
 
@@ -347,11 +347,11 @@ def test_vectors_of_other_shapes_are_foreign_or_bad() -> None:
     it = talk()
     frame = VECTORS["reply_fast"]
     assert isinstance(frame, CanFrame)
-    heard = it.driver.tally.heard
-    others: list[Wire] = [frame.data, VECTORS["reply_id_100"], VECTORS["stop_with_query"]]
-    assert [event for wire in others for event in it.hear(wire)] == []
-    assert it.driver.tally.foreign == len(others)
-    assert it.driver.tally.heard == heard
+    received = it.driver.counters.accepted
+    others: list[Frame] = [frame.data, VECTORS["reply_id_100"], VECTORS["stop_with_query"]]
+    assert [event for raw in others for event in it.handle(raw)] == []
+    assert it.driver.counters.ignored == len(others)
+    assert it.driver.counters.accepted == received
 
 
 def test_a_bus_that_goes_ends_what_was_asked_for_beside_vectors() -> None:
@@ -363,7 +363,7 @@ def test_a_bus_that_goes_ends_what_was_asked_for_beside_vectors() -> None:
         Refused(it.now - 5_000_000, "ReadParameter", "left", "the bus is gone"),
         Refused(it.now - 5_000_000, "Scan", "can0", "the bus is gone"),
     ]
-    assert told(it, "reply_power") == []
+    assert reported(it, "reply_power") == []
 
 
 def test_what_runs_as_the_vector_says_is_given_no_id_and_no_zero() -> None:
@@ -379,24 +379,24 @@ def test_a_device_is_asked_who_it_is_every_five_seconds_once_the_vector_has_told
     it = Talk()
     before = 0
     for _ in range(60):  # 300 ms, and no answer to this
-        it.hear(VECTORS["reply_stopped"])
+        it.handle(VECTORS["reply_stopped"])
         before += VECTORS["identify"] in it.say()
     assert before == 3
-    it.hear(VECTORS["reply_identity"])
+    it.handle(VECTORS["reply_identity"])
     after = 0
     for _ in range(2200):  # 11 s
         after += VECTORS["identify"] in it.say()
-        it.hear(VECTORS["reply_stopped"])
+        it.handle(VECTORS["reply_stopped"])
     assert after == 3
 
 
 def test_two_uuids_are_told_again_after_clear_as_vectors() -> None:
     it = talk()
-    assert len(told(it, "reply_uuid_other")) == 3
+    assert len(reported(it, "reply_uuid_other")) == 3
     it.say(ClearFault("left"))
-    assert [type(e) for e in told(it, "reply_stopped")] == [Done]
-    assert told(it, "reply_uuid") == []
-    assert len(told(it, "reply_uuid_other")) == 3
+    assert [type(e) for e in reported(it, "reply_stopped")] == [Done]
+    assert reported(it, "reply_uuid") == []
+    assert len(reported(it, "reply_uuid_other")) == 3
 
 
 def test_numbers_next_to_nothing_in_a_vector_are_nothing() -> None:
@@ -404,7 +404,7 @@ def test_numbers_next_to_nothing_in_a_vector_are_nothing() -> None:
     assert isinstance(frame, CanFrame)
     tiny = bytes.fromhex("01000080")
     data = frame.data[:5] + 3 * tiny + frame.data[17:]
-    (feedback, _) = talk().hear(CanFrame(frame.id, data, False, False, True, True))
+    (feedback, _) = talk().handle(CanFrame(frame.id, data, False, False, True, True))
     assert isinstance(feedback, Feedback)
     assert str((feedback.position, feedback.velocity, feedback.torque)) == "(0.0, 0.0, 0.0)"
 
@@ -427,12 +427,12 @@ def test_a_stop_ends_with_its_second_answer_as_vectors() -> None:
     it.say(Hold("left"))
     stop = VECTORS["stop_with_query"]
     assert it.say(Idle("left"))[0] == stop
-    it.hear(AT)  # how things stood before it
+    it.handle(AT)  # how things stood before it
     said = [frame for _ in range(4) for frame in it.say(Idle("left"))]
     assert said.count(stop) == 1  # every 20 ms
-    it.hear(VECTORS["reply_stopped"])
+    it.handle(VECTORS["reply_stopped"])
     assert stop in [frame for _ in range(4) for frame in it.say(Idle("left"))]  # one answer may be an old one
-    it.hear(VECTORS["reply_stopped"])
+    it.handle(VECTORS["reply_stopped"])
     assert stop not in [frame for _ in range(40) for frame in it.say(Idle("left"))]
 
 
@@ -441,5 +441,5 @@ def test_a_mode_that_a_vector_does_not_give_tells_no_state() -> None:
         frame = VECTORS[name]
         assert isinstance(frame, CanFrame)
         data = frame.data[:mode] + b"\x80" + frame.data[mode + 1 :]
-        events = Talk().hear(CanFrame(frame.id, data, False, False, True, True))
+        events = Talk().handle(CanFrame(frame.id, data, False, False, True, True))
         assert [type(event) for event in events] == [Feedback]

@@ -27,7 +27,7 @@ from protocols.moteus.options import Options, serial_of
 from tests.protocols.moteus.from_package import UUID
 from tests.protocols.moteus.helpers import device
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_heard import talk, told
+from tests.protocols.moteus.test_vectors_heard import reported, talk
 from tests.protocols.moteus.test_vectors_told import frame, later
 
 # -- silence and questions ---------------------------------------------------------------------------
@@ -41,10 +41,10 @@ def moments(
     now = start
     asked, events = list[tuple[int, str]](), list[Event]()
     while now < start + milliseconds * MILLISECOND:
-        told_, wires = driver.send(now, ())
+        told_, frames = driver.send(now, ())
         events += told_
-        asked += [((now - start) // MILLISECOND, w.data.hex()) for w in wires if isinstance(w, CanFrame)]
-        if hears and wires:
+        asked += [((now - start) // MILLISECOND, w.data.hex()) for w in frames if isinstance(w, CanFrame)]
+        if hears and frames:
             events += driver.receive(now, VECTORS["reply_stopped"])
         due = driver.due()
         assert due is not None
@@ -80,18 +80,18 @@ def test_silence_is_told_once_and_asked_after_beside_vectors(start: Nanos) -> No
 def test_silence_after_a_vector_forgets_who_is_armed() -> None:
     it = Talk().running()
     it.say(Hold("left"))
-    heard = it.now
-    it.hear(AT)
+    received = it.now
+    it.handle(AT)
     events: list[Event] = []
     while not events:
         it.now += MILLISECOND
-        told_, wires = it.driver.send(it.now, [Hold("left")])
+        told_, frames = it.driver.send(it.now, [Hold("left")])
         events += told_
-        commands = [w for w in wires if getattr(w, "data", b"")[:3] == b"\x01\x00\x0a"]
+        commands = [w for w in frames if getattr(w, "data", b"")[:3] == b"\x01\x00\x0a"]
         assert commands
-    assert events == [State("left", heard + 200 * MILLISECOND, Mode.OFFLINE, "nothing heard")]
+    assert events == [State("left", received + 200 * MILLISECOND, Mode.OFFLINE, "nothing heard")]
     assert [w for w in it.say(Hold("left")) if w.data[:1] == b"\x01"] == []
-    assert told(it, "reply_stopped") == [State("left", it.now, Mode.READY, "stopped")]
+    assert reported(it, "reply_stopped") == [State("left", it.now, Mode.READY, "stopped")]
     assert [w.data[:3] for w in it.say(Hold("left"))][:1] == [b"\x01\x00\x0a"]
 
 
@@ -100,11 +100,11 @@ def test_who_it_is_is_asked_again_when_it_comes_back_as_in_vectors() -> None:
         it = talk()
         assert VECTORS["identify"] not in it.say()
         it.driver.bus(it.now, state)
-        it.hear(VECTORS["reply_stopped"])
+        it.handle(VECTORS["reply_stopped"])
         assert VECTORS["identify"] in it.say()
     it = talk()
     it.driver.bus(it.now, BusState.FULL)
-    it.hear(VECTORS["reply_stopped"])
+    it.handle(VECTORS["reply_stopped"])
     assert VECTORS["identify"] not in it.say()
 
 
@@ -113,7 +113,7 @@ def test_requests_outlive_a_bus_that_comes_back_or_is_full_beside_vectors() -> N
         it = talk()
         it.say(ReadParameter("left", "power"))
         it.driver.bus(it.now, state)
-        assert [type(event).__name__ for event in told(it, "reply_power")] == ["Parameter"]
+        assert [type(event).__name__ for event in reported(it, "reply_power")] == ["Parameter"]
     it = talk()
     it.say(ReadParameter("left", "power"))
     it.driver.bus(it.now, BusState.OFF)
@@ -129,16 +129,16 @@ def test_a_uuid_without_more_is_as_good_as_the_vector() -> None:
     it.say(Scan("can0"))
     printed = "01234567-89ab-cdef-fedc-ba9876543210"
     words = "2804d002" + UUID.hex()
-    assert it.hear(frame(words, 0x900)) == [Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")]
-    assert it.hear(frame(words + "21d80200", 0xA00)) == []  # all zero bytes, perhaps: not to be told apart
-    assert it.hear(frame("2803d002" + UUID[:12].hex(), 0xB00)) == []
+    assert it.handle(frame(words, 0x900)) == [Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")]
+    assert it.handle(frame(words + "21d80200", 0xA00)) == []  # all zero bytes, perhaps: not to be told apart
+    assert it.handle(frame("2803d002" + UUID[:12].hex(), 0xB00)) == []
     none = "31d00201" + "31d80201"
-    assert it.hear(frame(none, 0xC00)) == [
+    assert it.handle(frame(none, 0xC00)) == [
         Found(it.now, "moteus", 12, None, "it has no UUID: older firmware")
     ]
-    assert it.hear(frame("300f02", 0xD00)) == []
+    assert it.handle(frame("300f02", 0xD00)) == []
     twice = f"UUID {'-'.join(('10325476', '98ba', 'dcfe', 'efcd', 'ab8967452301'))}; id 9 is held twice"
-    assert it.hear(frame("2804d002" + UUID[::-1].hex(), 0x900)) == [
+    assert it.handle(frame("2804d002" + UUID[::-1].hex(), 0x900)) == [
         Found(it.now, "moteus", 9, serial_of(UUID[::-1]), twice, True)
     ]
 
@@ -147,7 +147,7 @@ def test_a_uuid_without_more_is_as_good_as_the_vector() -> None:
 def test_answers_to_others_are_not_found_beside_vectors(identifier: int) -> None:
     it = talk()
     it.say(Scan("can0"))
-    assert it.hear(frame("2804d002" + UUID.hex() + "21d80201", identifier)) == []
+    assert it.handle(frame("2804d002" + UUID.hex() + "21d80201", identifier)) == []
 
 
 def test_what_a_scan_says_of_a_device_of_ours_beside_vectors() -> None:
@@ -158,17 +158,17 @@ def test_what_a_scan_says_of_a_device_of_ours_beside_vectors() -> None:
         ("298002" + "04030300", "firmware not known yet"),
         ("298102" + "04030100", "model 030304, firmware 1.3.4"),
     ):
-        it.hear(frame(data))
+        it.handle(frame(data))
         it.say(Scan("can0"))
-        (found,) = told(it, "reply_uuid")
+        (found,) = reported(it, "reply_uuid")
         assert isinstance(found, Found)
         assert found.detail == f"left, {title}; {uuid}"
         while not any(isinstance(event, Done) for event in later(it)):
-            it.hear(VECTORS["reply_stopped"])
+            it.handle(VECTORS["reply_stopped"])
     other = Talk()
-    other.hear(frame("298102" + "04030100"))
+    other.handle(frame("298102" + "04030100"))
     other.say(Scan("can0"))
-    (found,) = told(other, "reply_uuid")
+    (found,) = reported(other, "reply_uuid")
     assert isinstance(found, Found)
     assert found.detail == f"left, model 000000, firmware 1.3.4; {uuid}"
 
@@ -178,16 +178,16 @@ def test_when_a_scan_asks_and_ends_beside_vectors() -> None:
     times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
     for at in range(170):
         it.now += 5 * MILLISECOND
-        said, wires = it.driver.send(it.now, [Scan("can0")] if not at else [])
+        said, frames = it.driver.send(it.now, [Scan("can0")] if not at else [])
         events += said
         times += [
-            (it.now - start) // MILLISECOND for wire in wires if wire == VECTORS["discover_broadcast_0x7f"]
+            (it.now - start) // MILLISECOND for frame in frames if frame == VECTORS["discover_broadcast_0x7f"]
         ]
-        it.hear(VECTORS["reply_stopped"])
+        it.handle(VECTORS["reply_stopped"])
     assert times == [0, 200, 400, 600]
     assert events == [Done(start + 800 * MILLISECOND, "Scan", "can0", "0 devices")]
     it.say(Scan("can0"))
-    told(it, "reply_uuid")
+    reported(it, "reply_uuid")
     ends = [e for _ in range(170) for e in later(it) if isinstance(e, Done)]
     assert [e.detail for e in ends] == ["1 device"]
 
@@ -197,10 +197,10 @@ def test_when_an_id_is_given_beside_vectors() -> None:
     times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
     for at in range(320):
         it.now += 5 * MILLISECOND
-        said, wires = it.driver.send(it.now, [SetId("can0", serial_of(UUID), 9)] if not at else [])
+        said, frames = it.driver.send(it.now, [SetId("can0", serial_of(UUID), 9)] if not at else [])
         events += said
-        times += [(it.now - start) // MILLISECOND for wire in wires if wire == VECTORS["discover_by_uuid"]]
-        it.hear(VECTORS["reply_stopped"])
+        times += [(it.now - start) // MILLISECOND for frame in frames if frame == VECTORS["discover_by_uuid"]]
+        it.handle(VECTORS["reply_stopped"])
     assert times == [150 * i for i in range(10)]
     reason = "no device with serial number 0123456789ABCDEF took the id"
     assert events == [Refused(start + 1500 * MILLISECOND, "SetId", "can0", reason)]
@@ -210,7 +210,7 @@ def test_a_uuid_that_was_heard_long_ago_is_no_second_device_beside_vectors() -> 
     for late, twice in ((10 * SECOND, True), (10 * SECOND + 1, False)):
         it = talk()
         it.now += late
-        events = told(it, "reply_uuid_other")
+        events = reported(it, "reply_uuid_other")
         assert any(isinstance(event, Found) for event in events) == twice
 
 
@@ -225,9 +225,9 @@ def test_a_device_that_was_given_another_id_of_ours_is_no_second_one_beside_vect
 def test_all_prefixes_in_use_are_asked_beside_vectors() -> None:
     options = Options(can_prefix=0x1ABC, host_id=3)
     driver = MoteusDriver([device("left", 5), device("far", 6, options=options), device("n", 7)], RANGES)
-    wires = driver.send(1, [Scan("can0")])[1]
+    frames = driver.send(1, [Scan("can0")])[1]
     data = bytes.fromhex("1804d00211d802")
-    assert [w.id for w in wires if isinstance(w, CanFrame) and w.data == data] == [0x807F, 0x1ABC837F]
+    assert [w.id for w in frames if isinstance(w, CanFrame) and w.data == data] == [0x807F, 0x1ABC837F]
     found = driver.receive(2, frame("2804d002" + UUID.hex(), 0x1ABC0903))
     assert [type(event) for event in found] == [Found]
     assert reply_id(9, 3, 0x1ABC) == 0x1ABC0903

@@ -6,7 +6,7 @@ from math import tau
 
 import pytest
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     Command,
@@ -20,7 +20,7 @@ from protocols.messages import (
     WriteParameter,
     Zero,
 )
-from protocols.moteus.decoder import MoteusEar
+from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.messages import names
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.twin import MoteusTwin
@@ -164,12 +164,12 @@ def test_a_device_obeys_bytes_as_in_vectors(
     data: str, words: list[Command | Request], said: tuple[str, ...]
 ) -> None:
     for identifier in (5, 0x8005, 0x8305, 0x7F):
-        ear = MoteusEar([device("m", 5, Settings(uuid=UUID.hex()))])
-        heard = ear.hear(0, frame(data, identifier))
-        assert [_texts(word) for word in heard] == [_texts(word) for word in words]
+        decoder = MoteusDecoder([device("m", 5, Settings(uuid=UUID.hex()))])
+        received = decoder.decode(0, frame(data, identifier))
+        assert [_texts(word) for word in received] == [_texts(word) for word in words]
         expected = [number for word in words for number in _numbers(word)]
-        told = [number for word in heard for number in _numbers(word)]
-        assert told == pytest.approx(expected, rel=1e-6, abs=1e-12)
+        reported = [number for word in received for number in _numbers(word)]
+        assert reported == pytest.approx(expected, rel=1e-6, abs=1e-12)
         assert names(frame(data, identifier)) == said
 
 
@@ -185,7 +185,7 @@ def _numbers(word: Command | Request) -> list[float]:
     return [value for value in _values(word) if not isinstance(value, str)]
 
 
-OTHERS: list[Wire] = [
+OTHERS: list[Frame] = [
     bytes.fromhex("010000"),
     CanFrame(5, bytes.fromhex("010000"), False, True, True),
     frame("010000", 6),
@@ -196,31 +196,31 @@ OTHERS: list[Wire] = [
 ]
 
 
-@pytest.mark.parametrize("wire", OTHERS, ids=str)
-def test_what_is_for_others_beside_vectors(wire: Wire) -> None:
-    ear = MoteusEar([device("m", 5)])
-    assert ear.hear(0, wire) == []
+@pytest.mark.parametrize("frame", OTHERS, ids=str)
+def test_what_is_for_others_beside_vectors(frame: Frame) -> None:
+    decoder = MoteusDecoder([device("m", 5)])
+    assert decoder.decode(0, frame) == []
 
 
 def test_who_obeys_beside_vectors() -> None:
     far = device("far", 5, options=Options(can_prefix=0x1ABC))
-    ear = MoteusEar([device("m", 5), device("n", 6), far])
-    assert ear.hear(0, frame("010000", 0x7F)) == [Idle("m"), Idle("n")]
-    assert ear.hear(0, frame("010000", 0x1ABC_807F)) == [Idle("far")]
-    assert ear.hear(0, CanFrame(6, bytes.fromhex("010000"), True, False, False)) == [Idle("n")]
+    decoder = MoteusDecoder([device("m", 5), device("n", 6), far])
+    assert decoder.decode(0, frame("010000", 0x7F)) == [Idle("m"), Idle("n")]
+    assert decoder.decode(0, frame("010000", 0x1ABC_807F)) == [Idle("far")]
+    assert decoder.decode(0, CanFrame(6, bytes.fromhex("010000"), True, False, False)) == [Idle("n")]
 
 
 def test_pieces_of_a_console_line_beside_vectors() -> None:
     whole = b"x" * 300 + b"\nconf write\r\nconf set id.id 7\n"
-    ear = MoteusEar([device("m", 5, Settings(uuid=UUID.hex()))])
-    heard = [w for byte in whole for w in ear.hear(0, frame(f"400101{byte:02x}"))]
-    assert heard == [parameter("conf_write", 1.0), SetId("", SERIAL, 7)]
-    assert ear.hear(0, frame("010000", 5)) == []
-    assert ear.hear(0, frame("010000", 7)) == [Idle("m")]
+    decoder = MoteusDecoder([device("m", 5, Settings(uuid=UUID.hex()))])
+    received = [w for byte in whole for w in decoder.decode(0, frame(f"400101{byte:02x}"))]
+    assert received == [parameter("conf_write", 1.0), SetId("", SERIAL, 7)]
+    assert decoder.decode(0, frame("010000", 5)) == []
+    assert decoder.decode(0, frame("010000", 7)) == [Idle("m")]
     long = b"conf write" + b" " * 246 + b"conf write"
-    again = [w for byte in long for w in ear.hear(0, frame(f"400101{byte:02x}", 7))]
+    again = [w for byte in long for w in decoder.decode(0, frame(f"400101{byte:02x}", 7))]
     assert again == []
-    assert ear.hear(0, frame("4001010a", 7)) == [parameter("conf_write", 1.0)]  # of 256 bytes, the last
+    assert decoder.decode(0, frame("4001010a", 7)) == [parameter("conf_write", 1.0)]  # of 256 bytes, the last
 
 
 MASK = "0ad402" + UUID[:8].hex()
@@ -246,8 +246,10 @@ MASK = "0ad402" + UUID[:8].hex()
     ],
 )
 def test_masks_of_uuids_beside_vectors(data: str, words: list[Command | Request]) -> None:
-    ear = MoteusEar([device("m", 5, Settings(uuid=UUID.hex())), device("n", 6, Settings(uuid="f" * 32))])
-    assert [word for word in ear.hear(0, frame(data, 0x7F)) if "n" not in _texts(word)] == words
+    decoder = MoteusDecoder(
+        [device("m", 5, Settings(uuid=UUID.hex())), device("n", 6, Settings(uuid="f" * 32))]
+    )
+    assert [word for word in decoder.decode(0, frame(data, 0x7F)) if "n" not in _texts(word)] == words
 
 
 @pytest.mark.parametrize(
@@ -262,10 +264,10 @@ def test_masks_of_uuids_beside_vectors(data: str, words: list[Command | Request]
     ],
 )
 def test_an_id_given_to_whom_it_concerns_beside_vectors(data: str, words: list[Command | Request]) -> None:
-    ear = MoteusEar([device("m", 5)])
-    assert ear.hear(0, frame(data, 0x7F)) == words
+    decoder = MoteusDecoder([device("m", 5)])
+    assert decoder.decode(0, frame(data, 0x7F)) == words
     renamed = 9 if not data.startswith(("0ad4", "09d4", "0804")) else 5
-    assert ear.hear(0, frame("010000", renamed)) == [Idle("m")]
+    assert decoder.decode(0, frame("010000", renamed)) == [Idle("m")]
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ from protocols.messages import (
 from protocols.moteus.codec import FLOAT_MAX
 from protocols.moteus.registers import NAMES
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_heard import talk, told
+from tests.protocols.moteus.test_vectors_heard import reported, talk
 
 STILL = "it is armed, and would jump: say idle first"
 COMMANDS_OWN = "that register is what commands are for"
@@ -82,7 +82,7 @@ def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
     kind = type(request_).__name__
     of_whom = getattr(request_, "motor", "") or getattr(request_, "bus", "")
     assert asked(it, request_) == [Refused(it.now, kind, of_whom, reason)]
-    assert told(it, "reply_stopped", "reply_uuid", "reply_power") == []
+    assert reported(it, "reply_stopped", "reply_uuid", "reply_power") == []
 
 
 @pytest.mark.parametrize(
@@ -116,11 +116,11 @@ def test_a_request_is_the_bytes_of_its_vector_until_it_is_given_up(request_: Req
     another = VECTORS["reply_uuid" if data == "1d07" else "reply_power"]
     for at in range(130):
         it.now += 5_000_000
-        said, wires = it.driver.send(it.now, [request_] if not at else [])
+        said, frames = it.driver.send(it.now, [request_] if not at else [])
         events += said
-        here = [wire for wire in wires if getattr(wire, "data", b"").startswith(plain)]
+        here = [frame for frame in frames if getattr(frame, "data", b"").startswith(plain)]
         times += [it.now - start for _ in here]
-        events += it.hear(another)
+        events += it.handle(another)
     assert times == [60_000_000 * i for i in range(10)]
     (refused,) = events
     assert isinstance(refused, Refused)
@@ -137,7 +137,7 @@ def test_edges_of_ids_and_serial_numbers_beside_vectors() -> None:
 @pytest.mark.parametrize("mode", range(16))
 def test_what_may_be_asked_in_the_mode_that_a_vector_tells(mode: int) -> None:
     it = Talk()
-    it.hear(AT.replace("21000a", f"2100{mode:02x}", 1))
+    it.handle(AT.replace("21000a", f"2100{mode:02x}", 1))
     running = mode not in (0, 1, 11)
     asks: tuple[tuple[Request, str, str], ...] = (
         (Zero("left"), "left", STILL),
@@ -166,7 +166,7 @@ def test_what_may_be_asked_before_the_first_vector() -> None:
 def test_what_we_have_commanded_is_as_good_as_armed_whatever_the_vector_tells() -> None:
     it = talk()
     asked(it, Hold("left"))
-    it.hear(VECTORS["reply_stopped"])
+    it.handle(VECTORS["reply_stopped"])
     assert asked(it, Zero("left")) == [Refused(it.now, "Zero", "left", STILL)]
     assert asked(it, write("set_output_exact")) == [Refused(it.now, "WriteParameter", "left", STILL)]
     assert asked(it, write("conf_write")) == [
@@ -220,9 +220,9 @@ def test_a_command_that_is_no_vector_is_refused_once(word: Command, reason: str)
 def test_a_command_at_the_edge_is_still_a_vector(word: Command) -> None:
     it = Talk().running()
     it.now += 5_000_000
-    events, wires = it.driver.send(it.now, [word])
+    events, frames = it.driver.send(it.now, [word])
     assert events == []
-    assert [wire for wire in wires if getattr(wire, "data", b"").startswith(b"\x01\x00\x0a")] != []
+    assert [frame for frame in frames if getattr(frame, "data", b"").startswith(b"\x01\x00\x0a")] != []
 
 
 def test_thirty_two_requests_wait_for_a_vector_and_no_more() -> None:
@@ -233,15 +233,15 @@ def test_thirty_two_requests_wait_for_a_vector_and_no_more() -> None:
     reason = "too many requests are under way"
     assert events == [Refused(it.now, "ReadParameter", "left", reason)]
     assert asked(it, Scan("can0")) == [Refused(it.now, "Scan", "can0", reason)]
-    assert len(told(it, "reply_power")) == 32
+    assert len(reported(it, "reply_power")) == 32
     assert asked(it, Scan("can0")) == []
 
 
 def test_an_answer_ends_only_what_it_answers_beside_vectors() -> None:
     it = talk()
     it.say(ReadParameter("left", "power"), ReadParameter("left", "voltage"), ClearFault("left"))
-    assert [type(event) for event in told(it, "reply_stopped")] == [Done]
-    assert [getattr(event, "parameter", "") for event in told(it, "reply_power")] == ["power"]
+    assert [type(event) for event in reported(it, "reply_stopped")] == [Done]
+    assert [getattr(event, "parameter", "") for event in reported(it, "reply_power")] == ["power"]
     it.now += SECOND
     said = "the device did not answer this"
     assert it.driver.send(it.now, ())[0][:1] == [Refused(it.now, "ReadParameter", "left", said)]

@@ -21,7 +21,7 @@ from protocols.messages import (
     Zero,
 )
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_heard import talk, told
+from tests.protocols.moteus.test_vectors_heard import reported, talk
 
 # -- arming, set-points and stops --------------------------------------------------------------------
 
@@ -49,11 +49,11 @@ def test_arming_as_in_vectors(word: Command, first: str, then: str) -> None:
     it = talk()
     for vector in ("reply_stopped", "reply_stopped", "reply_enabling", "reply_enabling"):
         assert command(it, word).startswith(first)
-        it.hear(VECTORS[vector])
+        it.handle(VECTORS[vector])
     assert command(it, word).startswith(first)
-    it.hear(AT)
+    it.handle(AT)
     assert command(it, word).startswith(then)
-    it.hear(AT)
+    it.handle(AT)
     assert command(it, word).startswith(then)
 
 
@@ -61,11 +61,11 @@ def test_a_hold_stays_where_the_vector_had_it_first() -> None:
     it = Talk().running()
     held = MOVE + "0000803e" + "00000000" * 2
     assert command(it, Hold("left")).startswith(held)
-    it.hear(AT.replace("0000803e", "0000003f", 1))
+    it.handle(AT.replace("0000803e", "0000003f", 1))
     assert command(it, Hold("left")).startswith(held)
     it.say(Position("left", tau))
     assert command(it, Hold("left")).startswith(MOVE + "0000003f" + "00000000" * 2)
-    it.hear(AT)
+    it.handle(AT)
     it.say(Idle("left"))
     assert command(it, Hold("left")).startswith(held)
 
@@ -77,13 +77,13 @@ def test_a_velocity_starts_at_the_shaft_after_anything_else_beside_vectors() -> 
         it = Talk().running()
         for _ in range(5):
             it.say(Velocity("left", tau))
-            it.hear(AT)
+            it.handle(AT)
         assert command(it, Velocity("left", tau)).startswith(free)
         it.say(other)
-        it.hear(AT)
+        it.handle(AT)
         for _ in range(3):
             assert command(it, Velocity("left", tau)).startswith(placed)
-            it.hear(AT)
+            it.handle(AT)
         assert command(it, Velocity("left", tau)).startswith(free)
     it.driver.bus(it.now, BusState.FULL)
     assert command(it, Velocity("left", tau)).startswith(placed)
@@ -96,7 +96,7 @@ def stops(it: Talk, steps: int, word: Command | Request, *, hears: str = "") -> 
         sent = it.say(word)
         found += [at for f in sent if f.data[:3] == b"\x01\x00\x00"]
         if hears:
-            it.hear(VECTORS[hears])
+            it.handle(VECTORS[hears])
     return found
 
 
@@ -109,7 +109,7 @@ def test_stops_are_repeated_until_vectors_confirm_them() -> None:
     assert stops(it, 9, Idle("left")) == []  # nobody has commanded it
     it.say(Hold("left"))
     it.say(Idle("left"))
-    it.hear(VECTORS["reply_timeout"])
+    it.handle(VECTORS["reply_timeout"])
     assert stops(it, 20, Idle("left")) == []
     it = Talk().running()
     it.say(Hold("left"))
@@ -121,10 +121,10 @@ def test_stops_are_repeated_until_vectors_confirm_them() -> None:
 def test_idle_lets_go_of_a_device_in_timeout_as_the_vector_says() -> None:
     it = Talk().running()
     it.say(Hold("left"))
-    told(it, "reply_timeout")
+    reported(it, "reply_timeout")
     assert stops(it, 9, Idle("left"), hears="reply_timeout") == []
     it.say(ClearFault("left"))
-    assert len(told(it, "reply_stopped")) >= 2
+    assert len(reported(it, "reply_stopped")) >= 2
     assert stops(it, 9, Idle("left"), hears="reply_stopped") == []
     assert it.say(Zero("left"))[0].data[:3] == b"\x0d\xb1\x02"  # it is not ours any more
 
@@ -132,8 +132,8 @@ def test_idle_lets_go_of_a_device_in_timeout_as_the_vector_says() -> None:
 def test_an_operator_s_stop_reaches_what_we_did_not_arm_beside_vectors() -> None:
     it = Talk().running()
     it.now += 5 * MILLISECOND
-    events, wires = it.driver.send(it.now, [Stop("now"), Idle("left")])
+    events, frames = it.driver.send(it.now, [Stop("now"), Idle("left")])
     assert events == []
-    assert VECTORS["stop_with_query"] in wires
+    assert VECTORS["stop_with_query"] in frames
     it = Talk().running()
     assert stops(it, 3, Idle("left")) == []

@@ -7,7 +7,7 @@ from math import tau
 
 import pytest
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -28,7 +28,7 @@ from protocols.moteus.faults import FAULTS
 from protocols.moteus.options import Options
 from protocols.moteus.reply import decode
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_heard import talk, told
+from tests.protocols.moteus.test_vectors_heard import reported, talk
 
 
 def frame(data: str, identifier: int = 0x500) -> CanFrame:
@@ -39,7 +39,7 @@ def frame(data: str, identifier: int = 0x500) -> CanFrame:
 
 def plain(it: Talk, data: str) -> Feedback:
     """The one measurement in an answer."""
-    (event,) = it.hear(frame(data))
+    (event,) = it.handle(frame(data))
     assert isinstance(event, Feedback)
     return event
 
@@ -82,9 +82,9 @@ def test_measurements_beside_vectors(data: str, fields: dict[str, float]) -> Non
 @pytest.mark.parametrize("data", ["2d04" + "00002041", "2d01" + "0000c07f", "210c01", "", "50", "41010161"])
 def test_answers_without_a_measurement_beside_vectors(data: str) -> None:
     it = talk()
-    before = it.driver.tally.heard
-    assert it.hear(frame(data)) == []
-    assert it.driver.tally.heard == before + 1
+    before = it.driver.counters.accepted
+    assert it.handle(frame(data)) == []
+    assert it.driver.counters.accepted == before + 1
 
 
 @pytest.mark.parametrize(
@@ -108,9 +108,9 @@ def test_answers_without_a_measurement_beside_vectors(data: str) -> None:
 )
 def test_answers_that_are_none_beside_vectors(data: str) -> None:
     it = talk()
-    before = (it.driver.tally.bad, it.driver.tally.heard)
-    assert it.hear(frame(data)) == []
-    assert (it.driver.tally.bad, it.driver.tally.heard) == (before[0] + 1, before[1])
+    before = (it.driver.counters.malformed, it.driver.counters.accepted)
+    assert it.handle(frame(data)) == []
+    assert (it.driver.counters.malformed, it.driver.counters.accepted) == (before[0] + 1, before[1])
 
 
 @pytest.mark.parametrize("size", range(65))
@@ -234,14 +234,14 @@ NAMES = (
 def test_the_mode_that_a_vector_tells(number: int) -> None:
     it = Talk()
     data = AT.replace("21000a", f"2100{number:02x}", 1)
-    events = [event for event in it.hear(data) if isinstance(event, State)]
+    events = [event for event in it.handle(data) if isinstance(event, State)]
     ready = number in (0, 2, 3, 4)
     mode = Mode.FAULT if number in (1, 11) else Mode.READY if ready else Mode.ARMED
     assert events == [State("left", it.now, mode, NAMES[number].replace("_", " "))]
-    assert [event for event in it.hear(data) if not isinstance(event, Feedback)] == []
+    assert [event for event in it.handle(data) if not isinstance(event, Feedback)] == []
     if number in (1, 11):
         stopped = f"{NAMES[0]}, not cleared yet"
-        assert told(it, "reply_stopped") == [State("left", it.now, Mode.FAULT, stopped)]
+        assert reported(it, "reply_stopped") == [State("left", it.now, Mode.FAULT, stopped)]
 
 
 @pytest.mark.parametrize("code", [code for code in FAULTS if code < 0x100 and code != 11])
@@ -249,31 +249,31 @@ def test_a_fault_of_a_vector_is_told_with_its_code(code: int) -> None:
     it = talk()
     text = FAULTS[code]
     data = "210001" + "2f01" + "00000000" * 3 + f"210f{code:02x}"
-    fault = Fault("left", it.now, code, text.name, text.cause, text.cure)
-    events = [event for event in it.hear(data) if not isinstance(event, Feedback)]
+    fault = Fault("left", it.now, code, text.name, text.cause, text.remedy)
+    events = [event for event in it.handle(data) if not isinstance(event, Feedback)]
     assert events == [fault, State("left", it.now, Mode.FAULT, "fault")]
 
 
 def test_a_fault_that_no_vector_names_is_told_by_its_number() -> None:
-    fault = talk().hear(frame("210001210f7e"))[0]
+    fault = talk().handle(frame("210001210f7e"))[0]
     assert isinstance(fault, Fault)
     assert (fault.code, fault.name) == (126, "fault 126")
     assert fault.cause == "a code that this driver does not know: newer firmware?"
-    assert fault.cure == "look it up in the vendor's register reference, then clear"
+    assert fault.remedy == "look it up in the vendor's register reference, then clear"
 
 
 def test_a_fault_whose_code_no_vector_has_told_waits_for_it() -> None:
     it = talk()
-    assert it.hear(frame("210001")) == [State("left", it.now, Mode.FAULT, "fault")]
+    assert it.handle(frame("210001")) == [State("left", it.now, Mode.FAULT, "fault")]
     assert [f for _ in range(9) for f in it.say(Hold("left")) if f.data[:1] == b"\x01"] == []
-    (fault,) = it.hear(frame("210001210f26"))
+    (fault,) = it.handle(frame("210001210f26"))
     assert isinstance(fault, Fault)
     assert fault.code == 38
-    assert it.hear(frame("210001")) == []
-    (other,) = it.hear(frame("210001210f21"))
+    assert it.handle(frame("210001")) == []
+    (other,) = it.handle(frame("210001210f21"))
     assert isinstance(other, Fault)
     assert other.code == 33
-    timeout, state = talk().hear(frame("21000b"))
+    timeout, state = talk().handle(frame("21000b"))
     assert isinstance(timeout, Fault)
     assert isinstance(state, State)
     assert (timeout.code, state.mode, state.detail) == (11, Mode.FAULT, "timeout")
@@ -282,12 +282,12 @@ def test_a_fault_whose_code_no_vector_has_told_waits_for_it() -> None:
 def test_a_fault_ends_what_was_going_on_beside_vectors() -> None:
     it = Talk().running()
     it.say(Velocity("left", 1.0))
-    it.hear(VECTORS["reply_fast_fault"])
+    it.handle(VECTORS["reply_fast_fault"])
     for _ in range(9):
         assert [f for f in it.say(Velocity("left", 1.0)) if f.data[:1] == b"\x01"] == []
-        it.hear(VECTORS["reply_fast_fault"])
+        it.handle(VECTORS["reply_fast_fault"])
     it.say(ClearFault("left"))
-    ended = told(it, "reply_stopped")
+    ended = reported(it, "reply_stopped")
     assert ended[-1] == Done(it.now, "ClearFault", "left")
     first = it.say(Velocity("left", 1.0))[0]
     assert first.data.hex().startswith("01000a0f200000803e0000000000000000")  # where the shaft is, at rest
@@ -295,18 +295,18 @@ def test_a_fault_ends_what_was_going_on_beside_vectors() -> None:
 
 def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
     it = talk()
-    told(it, "reply_fast_fault")
+    reported(it, "reply_fast_fault")
     it.say(ClearFault("left"))
     events: list[Event] = []
     for _ in range(119):
         it.now += 5 * MILLISECOND
         events += it.driver.send(it.now, ())[0]
-        events += told(it, "reply_fast_fault")
+        events += reported(it, "reply_fast_fault")
     assert events == []
     it.now += 5 * MILLISECOND
     (refused,) = it.driver.send(it.now, ())[0]
     assert refused == Refused(it.now, "ClearFault", "left", "still in fault: over temperature")
-    again = told(it, "reply_fast_fault")
+    again = reported(it, "reply_fast_fault")
     assert [type(event) for event in again] == [Fault, State]
     it.say(ClearFault("left"))
     start = it.now
@@ -325,9 +325,9 @@ def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
 def test_a_zero_is_near_enough_beside_vectors(place: str, near: bool) -> None:
     it = talk()
     it.say(Zero("left"))
-    assert it.hear(frame("2d01" + "00000000")) != []  # from before: a measurement, and no more
-    it.hear(frame("31b10201"))
-    events = it.hear(frame("2d01" + place))
+    assert it.handle(frame("2d01" + "00000000")) != []  # from before: a measurement, and no more
+    it.handle(frame("31b10201"))
+    events = it.handle(frame("2d01" + place))
     assert [type(e) for e in events if not isinstance(e, Feedback)] == ([Done] if near else [])
 
 
@@ -338,7 +338,7 @@ def test_what_is_foreign_beside_vectors() -> None:
     it = talk()
     good = VECTORS["reply_fast"]
     assert isinstance(good, CanFrame)
-    others: list[Wire] = [
+    others: list[Frame] = [
         good.data,
         CanFrame(0x500, good.data[:8], False, False, False),
         CanFrame(0x500, b"", False, True, False),
@@ -346,13 +346,13 @@ def test_what_is_foreign_beside_vectors() -> None:
         CanFrame(0x600, good.data, False, False, True, True),
         CanFrame(0x8500, good.data, True, False, True, True),
     ]
-    for at, wire in enumerate(others, 1):
-        assert it.hear(wire) == []
-        assert it.driver.tally.foreign == at
+    for at, frame in enumerate(others, 1):
+        assert it.handle(frame) == []
+        assert it.driver.counters.ignored == at
     far = Talk(Options(can_prefix=1))
     wide = CanFrame(0x1_0500, good.data, True, False, True, True)
-    assert len(far.hear(wide)) == 2
-    assert (far.driver.tally.heard, far.driver.tally.foreign) == (1, 0)
+    assert len(far.handle(wide)) == 2
+    assert (far.driver.counters.accepted, far.driver.counters.ignored) == (1, 0)
 
 
 def test_a_release_asks_nothing_beside_vectors() -> None:

@@ -90,11 +90,11 @@ class Bus:
                 twin.receive(self.now, frame)
         for twin, shaft in zip(self.twins, self.shafts, strict=True):
             truth = Feedback(twin.device.name, self.now, shaft.position, shaft.velocity)
-            torques, wires = twin.step(self.now, [truth])
+            torques, frames = twin.step(self.now, [truth])
             shaft.step(torques[0].torque)
-            for wire in wires:
-                assert isinstance(wire, CanFrame)
-                self._send(wire)
+            for raw in frames:
+                assert isinstance(raw, CanFrame)
+                self._send(raw)
         self.now += MILLISECOND
 
     def _send(self, frame: CanFrame) -> None:
@@ -144,10 +144,10 @@ def session(bus: Bus, talk: Callable[[Transport], Awaitable[None]]) -> None:
 async def until(state: Callable[[], Awaitable[Any]], true: Callable[[Any], bool]) -> Any:
     """Ask until it is so."""
     for _ in range(2000):
-        told = await state()
-        if true(told.values):
-            return told
-    raise AssertionError(f"in 2000 answers not: {told}")
+        reported = await state()
+        if true(reported.values):
+            return reported
+    raise AssertionError(f"in 2000 answers not: {reported}")
 
 
 def test_every_public_call_of_the_controller_is_known() -> None:
@@ -164,13 +164,13 @@ def test_the_controller_drives_a_twin(bus: Bus) -> None:
 
     async def drive(transport: Transport) -> None:
         c = moteus.Controller(id=5, transport=transport)
-        told = await c.query()
-        assert told.id == 5
-        assert (told.values[Register.MODE], told.values[Register.FAULT]) == (Mode.STOPPED, 0)
-        assert told.values[Register.VOLTAGE] == pytest.approx(24.0, abs=0.5)
+        reported = await c.query()
+        assert reported.id == 5
+        assert (reported.values[Register.MODE], reported.values[Register.FAULT]) == (Mode.STOPPED, 0)
+        assert reported.values[Register.VOLTAGE] == pytest.approx(24.0, abs=0.5)
         position: Callable[[], Awaitable[Any]] = lambda: c.set_position(position=0.5, query=True)  # noqa: E731
-        told = await until(position, lambda v: abs(v[Register.POSITION] - 0.5) < 0.02)
-        assert told.values[Register.MODE] == Mode.POSITION
+        reported = await until(position, lambda v: abs(v[Register.POSITION] - 0.5) < 0.02)
+        assert reported.values[Register.MODE] == Mode.POSITION
         turning: Callable[[], Awaitable[Any]] = lambda: c.set_position(  # noqa: E731
             position=math.nan, velocity=1.5, maximum_torque=1.0, query=True
         )
@@ -212,8 +212,8 @@ def test_the_controller_drives_a_twin(bus: Bus) -> None:
         await c.set_output(position=0.25, cmd=Register.SET_OUTPUT_EXACT, query=True)
         await c.set_require_reindex()
         wanted = {Register.HOME_STATE: mp.INT8, Register.MILLISECOND_COUNTER: mp.INT32}
-        told = await c.custom_query(wanted)
-        assert told.values[Register.HOME_STATE] == 0
+        reported = await c.custom_query(wanted)
+        assert reported.values[Register.HOME_STATE] == 0
 
     session(bus, drive)
 
@@ -226,8 +226,8 @@ def test_faults_and_timeouts_are_seen_and_left_by_a_stop(bus: Bus) -> None:
         held: Callable[[], Awaitable[Any]] = lambda: c.set_position(position=0.0, query=True)  # noqa: E731
         await until(held, lambda v: v[Register.MODE] == Mode.POSITION)
         twin.provoke(38)
-        told = await until(held, lambda v: v[Register.MODE] == Mode.FAULT)
-        assert told.values[Register.FAULT] == 38
+        reported = await until(held, lambda v: v[Register.MODE] == Mode.FAULT)
+        assert reported.values[Register.FAULT] == 38
         with pytest.raises(moteus.FaultError, match="code=38"):
             await c.set_position_wait_complete(position=0.0)
         await c.set_stop()

@@ -40,15 +40,15 @@ def _frame(
 
 
 @cache
-def meaning(wire: CanFrame, line: str = "0.6") -> str:
+def meaning(frame: CanFrame, line: str = "0.6") -> str:
     """A frame as cantools reads it: node, name, values."""
-    node, cmd = f"{'x' if wire.extended else ''}{wire.id >> 5}", wire.id & 0x1F
+    node, cmd = f"{'x' if frame.extended else ''}{frame.id >> 5}", frame.id & 0x1F
     message = BY_CMD[line].get(cmd)
-    if wire.remote:
+    if frame.remote:
         return f"{node}?{message.name[6:] if message else hex(cmd)}"
     if message is None or cmd == ADDRESS:
-        return f"{node}:{cmd:#04x} {wire.data.hex()}".rstrip()
-    values = message.decode(wire.data, decode_choices=False)
+        return f"{node}:{cmd:#04x} {frame.data.hex()}".rstrip()
+    values = message.decode(frame.data, decode_choices=False)
     return " ".join([f"{node}:{message.name[6:]}", *(f"{value:g}" for value in values.values())])
 
 

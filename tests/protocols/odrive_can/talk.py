@@ -30,7 +30,7 @@ from protocols.odrive_can import RANGES
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.plugin import Device
 from tests.protocols.odrive_can.conversation import device, frame, meaning
-from tests.protocols.odrive_can.transcript import Line, difference, expectation, told
+from tests.protocols.odrive_can.transcript import Line, difference, expectation, reported
 
 ROUTINE = frozenset(
     {
@@ -123,19 +123,19 @@ class Talk:
         self.place(node=node, extended=extended)
         self.answer("Get_Bus_Voltage_Current", node, Bus_Voltage=24.0)
 
-    def tell(self, name: str, node: int = 3, extended: bool = False, **signals: float) -> None:
+    def report(self, name: str, node: int = 3, extended: bool = False, **signals: float) -> None:
         """A device says this now, once."""
-        self.hear(frame(name, self.line_of(node), node, extended, **signals))
+        self.handle(frame(name, self.line_of(node), node, extended, **signals))
 
     def line_of(self, node: int) -> str:
         """In which a node is spoken with."""
         return self.others.get(node, self.line)
 
-    def hear(self, *wires: CanFrame) -> None:
+    def handle(self, *frames: CanFrame) -> None:
         """These frames come now."""
-        for wire in wires:
+        for frame in frames:
             self._came += 1
-            self._told(self.driver.receive(self.now * MILLISECOND, wire))
+            self._reported(self.driver.receive(self.now * MILLISECOND, frame))
 
     def mute(self, node: int = 3) -> None:
         """From now on a device says nothing."""
@@ -161,10 +161,10 @@ class Talk:
 
     def _millisecond(self, words: tuple[Command, ...]) -> None:
         arrived, self._coming = self._coming, []
-        self.hear(*arrived)
+        self.handle(*arrived)
         for (name, node), (since, period, extended, signals) in list(self.cyclic.items()):
             if period and (self.now - since) % period == 0:
-                self.tell(name, node, extended, **signals)
+                self.report(name, node, extended, **signals)
         due = self.driver.due()
         at = self.now * MILLISECOND
         if (self.every and self.now % self.every == 0) or (due is not None and due <= at):
@@ -174,33 +174,33 @@ class Talk:
     def _send(self, words: Sequence[Command | Request]) -> None:
         self._claimed = self._claimed or any(not isinstance(word, Idle) for word in words)
         self._clearing = self._clearing or any(isinstance(word, ClearFault) for word in words)
-        events, wires = self.driver.send(self.now * MILLISECOND, words)
+        events, frames = self.driver.send(self.now * MILLISECOND, words)
         due = self.driver.due()
         pressing = due is not None and due <= self.now * MILLISECOND
         assert not (pressing and self._pressing), "it has just been called, and wants to be again and again"
         self._pressing = pressing
-        self._told(events)
+        self._reported(events)
         said = []
-        for wire in wires:
-            assert isinstance(wire, CanFrame)
-            assert wire.remote or self._claimed, "something other than a question, unasked"
-            text = meaning(wire, self.line_of(wire.id >> 5))
+        for frame in frames:
+            assert isinstance(frame, CanFrame)
+            assert frame.remote or self._claimed, "something other than a question, unasked"
+            text = meaning(frame, self.line_of(frame.id >> 5))
             assert self._clearing or "Clear_Errors" not in text, "errors are cleared unasked"
-            if not wire.remote or self._asked(text, wire):
+            if not frame.remote or self._asked(text, frame):
                 said.append(text)
         counted = [(text, len(list(same))) for text, same in groupby(said)]
         self._said(" | ".join(f"{count} × {text}" if count > 1 else text for text, count in counted))
 
-    def _asked(self, text: str, wire: CanFrame) -> bool:
+    def _asked(self, text: str, raw: CanFrame) -> bool:
         """A question goes out; whether it stands in the transcript."""
-        node, cmd = wire.id >> 5, wire.id & 0x1F
+        node, cmd = raw.id >> 5, raw.id & 0x1F
         name = {0: "Get_Version", 6: "Address"}.get(cmd, text.partition("?")[2])  # not in the DBC of 0.5.x
         assert name in TOLD_BY_DEVICES, "a remote frame of a host's message"
-        assert name != "Address" or (node == 63 and not wire.extended), "an axis of 0.5.x would obey it"
+        assert name != "Address" or (node == 63 and not raw.extended), "an axis of 0.5.x would obey it"
         self.questions.setdefault(f"{node}?{name}", []).append(self.now)
         if (name, node) in self.answers:
             line = "0.6" if name == "Get_Version" else self.line_of(node)
-            self._coming.append(frame(name, line, node, wire.extended, **self.answers[name, node]))
+            self._coming.append(frame(name, line, node, raw.extended, **self.answers[name, node]))
         return name not in ROUTINE or name in self.shown
 
     # -- the transcript --------------------------------------------------------------------------
@@ -216,9 +216,9 @@ class Talk:
             self._going_on = Line(">", text, at, at)
             self.lines.append(self._going_on)
 
-    def _told(self, events: Sequence[Event]) -> None:
+    def _reported(self, events: Sequence[Event]) -> None:
         for event in events:
-            text = told(event)
+            text = reported(event)
             if event.t != self.now * MILLISECOND:
                 text += f" @{event.t / MILLISECOND - self.began:g}"
             if isinstance(event, Feedback):
@@ -234,20 +234,20 @@ class Talk:
             else:
                 self.lines.append(line)
 
-    def tells(self, transcript: str, bad: int = 0, foreign: int = 0) -> None:
+    def reports(self, transcript: str, bad: int = 0, foreign: int = 0) -> None:
         """This was said and told since the last stage, and so many frames were bad and foreign."""
         wrong = difference(self.lines, expectation(transcript))
         assert not wrong, wrong
-        tally = self.driver.tally
-        assert tally.heard + tally.bad + tally.foreign == self._came
-        assert (tally.bad - self._counted[0], tally.foreign - self._counted[1]) == (bad, foreign)
+        counters = self.driver.counters
+        assert counters.accepted + counters.malformed + counters.ignored == self._came
+        assert (counters.malformed - self._counted[0], counters.ignored - self._counted[1]) == (bad, foreign)
         self.stage()
 
     def stage(self) -> None:
         """A stage begins; whatever was said before is not looked at."""
         self.lines.clear()
         self.began, self._going_on, self._paused = self.now, None, False
-        self._counted = (self.driver.tally.bad, self.driver.tally.foreign)
+        self._counted = (self.driver.counters.malformed, self.driver.counters.ignored)
 
 
 def standing(**options: Any) -> Talk:

@@ -245,34 +245,34 @@ DBC_FIELDS: dict[type[Any], tuple[str, ...]] = {
 SPANS = {"b": 1, "B": 0xFF, "c": 0, "H": 0xFFFF, "I": 0xFFFFFFFF, "S": (1 << 48) - 1}
 
 
-def random_value(code: str, dice: Generator) -> float | int:
+def random_value(code: str, random: Generator) -> float | int:
     if code in SPANS:
-        return int(dice.integers(0, SPANS[code], endpoint=True))
+        return int(random.integers(0, SPANS[code], endpoint=True))
     if code == "m":
-        return int(dice.integers(-32768, 32767, endpoint=True)) * 0.001
-    exponent = float(dice.uniform(-30, 30))
-    return float(math.copysign(10.0**exponent, dice.uniform(-1, 1)))
+        return int(random.integers(-32768, 32767, endpoint=True)) * 0.001
+    exponent = float(random.uniform(-30, 30))
+    return float(math.copysign(10.0**exponent, random.uniform(-1, 1)))
 
 
 @pytest.mark.parametrize("layout", TABLES["0.6"].layouts, ids=lambda layout: layout.message.__name__)
 def test_cantools_says_and_understands_the_same(layout: Layout) -> None:
     seed = 20261121 + layout.cmd
-    dice = Generator(PCG64(seed))
+    random = Generator(PCG64(seed))
     theirs = DBC.get_message_by_name(f"Axis{NODE}_{DBC_NAMES[layout.message]}")
     signals = DBC_FIELDS.get(layout.message) or tuple(
         s.name for s in sorted(theirs.signals, key=lambda s: int(s.start))
     )
     for turn in range(100):
-        values = [random_value(code, dice) for code in layout.codes]
+        values = [random_value(code, random) for code in layout.codes]
         message = layout.message(*values)
         frame = encode(NODE, message)
-        told = dict(zip(signals, values[: len(signals)], strict=True))
+        reported = dict(zip(signals, values[: len(signals)], strict=True))
         where = f"seed {seed}, turn {turn}: {message}"
         assert frame.id == theirs.frame_id, where
-        assert frame.data == theirs.encode(told), where
+        assert frame.data == theirs.encode(reported), where
         if layout.codes:
             back = theirs.decode(frame.data, decode_choices=False)
-            for name, value in told.items():
+            for name, value in reported.items():
                 assert math.isclose(back[name], value, rel_tol=2**-23, abs_tol=1e-9), where
         directions = ["to_device", "from_device"] if layout.direction == "both" else [layout.direction]
         for direction in directions:

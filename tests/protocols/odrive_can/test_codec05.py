@@ -173,34 +173,34 @@ ORDER05 = {
 )
 def test_cantools_says_and_understands_the_same(row: Layout) -> None:
     seed = 20261121 + row.cmd
-    dice = Generator(PCG64(seed))
+    random = Generator(PCG64(seed))
     theirs = DBC.get_message_by_name(f"Axis{NODE}_{NAMES[row.message]}")
     signals = ORDER05.get(row.message) or tuple(
         s.name for s in sorted(theirs.signals, key=lambda s: int(s.start))
     )
     assert len(signals) == len(row.codes)
     for turn in range(100):
-        values = [random05(row.message, code, dice) for code in row.codes]
+        values = [random05(row.message, code, random) for code in row.codes]
         message = row.message(*values)
         frame = encode(NODE, message)
-        told = dict(zip(signals, values, strict=True))
+        reported = dict(zip(signals, values, strict=True))
         where = f"seed {seed}, turn {turn}: {message}"
         assert frame.id == theirs.frame_id, where
-        assert frame.data == theirs.encode(told), where
+        assert frame.data == theirs.encode(reported), where
         if row.codes:
             back = theirs.decode(frame.data, decode_choices=False)
-            for name, value in told.items():
+            for name, value in reported.items():
                 assert math.isclose(back[name], value, rel_tol=2**-23, abs_tol=1e-9), where
         assert close(said(frame, row.direction), message), where
 
 
-def random05(kind: type[Any], code: str, dice: Generator) -> float | int:
+def random05(kind: type[Any], code: str, random: Generator) -> float | int:
     if kind in SPANS:
         low, high = SPANS[kind]
-        return int(dice.integers(low, high, endpoint=True))
+        return int(random.integers(low, high, endpoint=True))
     if code == "7":
-        return int(dice.integers(0, 2))
-    return random_value(code, dice)
+        return int(random.integers(0, 2))
+    return random_value(code, random)
 
 
 def test_the_known_bugs_of_the_dbc_are_still_there_and_not_ours() -> None:
@@ -283,16 +283,16 @@ def test_extended_identifiers_have_the_same_shift_and_are_another_node(address: 
 
 def test_a_line_that_is_not_known_holds_only_what_both_mean_the_same_by() -> None:
     """Each message of a device means the same under "" and under the line that sent it, or nothing."""
-    dice = Generator(PCG64(5))
+    random = Generator(PCG64(5))
     for line in ("0.5", "0.6"):
         for row in TABLES[line].layouts:
             if row.direction == "to_device":
                 continue
-            data = bytes([NODE]) + struct.pack("<ff", *dice.uniform(-9, 9, 2))[1:]
+            data = bytes([NODE]) + struct.pack("<ff", *random.uniform(-9, 9, 2))[1:]
             frame = CanFrame(NODE << 5 | row.cmd, data)
-            blind, known = decode_from_device(frame, ""), decode_from_device(frame, line)
-            if isinstance(blind, messages.Beacon):
+            feedback_lost, known = decode_from_device(frame, ""), decode_from_device(frame, line)
+            if isinstance(feedback_lost, messages.Beacon):
                 assert isinstance(known, messages.Heartbeat | messages05.Heartbeat05)
-                assert (blind.error, blind.state) == (known.error, known.state)
+                assert (feedback_lost.error, feedback_lost.state) == (known.error, known.state)
             elif row.cmd not in (0x00, 0x06):
-                assert blind is None or blind == known
+                assert feedback_lost is None or feedback_lost == known

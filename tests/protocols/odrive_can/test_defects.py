@@ -119,7 +119,7 @@ def test_8_all_fault_bits_of_one_heartbeat_are_told_with_text() -> None:
     word = sum(error for error in Error)
     faults = of(Fault, bench.driver.receive(bench.now, encode(1, Heartbeat(word, 1, 3, 0))))
     assert [f.name for f in faults] == [error.name for error in Error if error is not Error.INITIALIZING]
-    assert all(f.cause and f.cure for f in faults)
+    assert all(f.cause and f.remedy for f in faults)
 
 
 def test_9_nothing_is_cleared_without_a_request() -> None:
@@ -164,11 +164,11 @@ def test_12_feedback_is_as_old_as_its_frame_and_none_is_made_up() -> None:
 
 def test_13_fractions_of_a_unit_survive_the_way_there_and_back() -> None:
     seed = 13
-    dice = Generator(PCG64(seed))
+    random = Generator(PCG64(seed))
     bench = ready()
     bench.run(400, Position("left", 0.0))
     for turn in range(50):
-        position = float(dice.uniform(-3.0, 3.0))
+        position = float(random.uniform(-3.0, 3.0))
         bench.run(5, Position("left", position))
         assert bench.twin.axis.position == pytest.approx(turns(position), rel=1e-6), (seed, turn)
     bench.run(2000, Position("left", 0.123))

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -253,7 +253,7 @@ def test_every_error_bit_is_told_in_the_vendor_s_words(error: Error) -> None:
     (fault,) = of(Fault, events)
     assert (fault.code, fault.name) == (error, error.name)
     assert fault.cause
-    assert fault.cure
+    assert fault.remedy
     assert modes(events) == ["fault"]
     again = bench.driver.receive(bench.now + 1, encode(1, Heartbeat(error, 1, 0, 0)))
     assert of(Fault, again) == []
@@ -436,8 +436,8 @@ def test_a_firmware_line_that_nobody_knows_is_told_and_never_armed() -> None:
     bench = Bench([device()])
     bench.from_device = lambda frame: frame.id & 0x1F != 0
     bench.run(1)
-    told = list(bench.driver.receive(bench.now, encode(1, GetVersion(2, 5, 1, 0, 0, 7, 1, 0))))
-    events = told + bench.run(1000, Velocity("left", 1.0))
+    reported = list(bench.driver.receive(bench.now, encode(1, GetVersion(2, 5, 1, 0, 0, 7, 1, 0))))
+    events = reported + bench.run(1000, Velocity("left", 1.0))
     (fault,) = of(Fault, events)
     assert (fault.code, fault.name) == (WRONG_FIRMWARE, "firmware 0.7.1")
     assert of(State, events)[-1].mode is Mode.FAULT
@@ -487,9 +487,9 @@ def test_current_voltage_temperature_and_torque_are_polled_slowly() -> None:
         ("voltage", 24.0),
         ("temperature", 25.0),
     ):
-        told = [getattr(e, name) for e in events if getattr(e, name) is not None]
-        assert 4 <= len(told) <= 6, name
-        assert told[-1] == pytest.approx(value, rel=0.02), name
+        reported = [getattr(e, name) for e in events if getattr(e, name) is not None]
+        assert 4 <= len(reported) <= 6, name
+        assert reported[-1] == pytest.approx(value, rel=0.02), name
     assert len([1 for t, f in bench.sent if t >= start and f.remote]) <= 24
 
 
@@ -536,28 +536,28 @@ def test_one_silent_device_does_not_hinder_the_other() -> None:
 def test_every_wire_is_counted_once() -> None:
     bench = Bench([device()])
     good = encode(1, Heartbeat(0, 1, 0, 0))
-    cases: list[tuple[Wire, str]] = [
-        (good, "heard"),
-        (encode(9, Address(9, 5, 0)), "heard"),
-        (CanFrame(good.id, good.data[:6]), "bad"),
-        (CanFrame(0x29, b"\xff" * 8), "bad"),
-        (CanFrame(good.id, good.data + b"\0"), "bad"),
-        (encode(2, Heartbeat(0, 1, 0, 0)), "foreign"),
-        (CanFrame(good.id, good.data, extended=True), "foreign"),
-        (CanFrame(good.id, good.data, fd=True), "foreign"),
-        (CanFrame(0x29, remote=True), "foreign"),
-        (CanFrame(0x29), "foreign"),
-        (encode(1, CLOSED), "foreign"),
-        (encode(0x3F, Address(4, 77)), "foreign"),
-        (CanFrame(0x28, bytes(8)), "foreign"),
-        (b"serial", "foreign"),
+    cases: list[tuple[Frame, str]] = [
+        (good, "accepted"),
+        (encode(9, Address(9, 5, 0)), "accepted"),
+        (CanFrame(good.id, good.data[:6]), "malformed"),
+        (CanFrame(0x29, b"\xff" * 8), "malformed"),
+        (CanFrame(good.id, good.data + b"\0"), "malformed"),
+        (encode(2, Heartbeat(0, 1, 0, 0)), "ignored"),
+        (CanFrame(good.id, good.data, extended=True), "ignored"),
+        (CanFrame(good.id, good.data, fd=True), "ignored"),
+        (CanFrame(0x29, remote=True), "ignored"),
+        (CanFrame(0x29), "ignored"),
+        (encode(1, CLOSED), "ignored"),
+        (encode(0x3F, Address(4, 77)), "ignored"),
+        (CanFrame(0x28, bytes(8)), "ignored"),
+        (b"serial", "ignored"),
     ]
-    for wire, count in cases:
-        before = copy.deepcopy(bench.driver.tally)
-        bench.driver.receive(5, wire)
-        after = bench.driver.tally
-        rose = [n for n in ("heard", "bad", "foreign") if getattr(after, n) != getattr(before, n)]
-        assert rose == [count], wire
+    for frame, count in cases:
+        before = copy.deepcopy(bench.driver.counters)
+        bench.driver.receive(5, frame)
+        after = bench.driver.counters
+        rose = [n for n in ("accepted", "malformed", "ignored") if getattr(after, n) != getattr(before, n)]
+        assert rose == [count], frame
 
 
 def test_what_a_host_sends_changes_no_state() -> None:
@@ -582,7 +582,7 @@ def test_a_copied_driver_goes_on_as_the_original_does() -> None:
     twin = copy.deepcopy(bench)
     assert bench.run(700, Velocity("left", 8.0)) == twin.run(700, Velocity("left", 8.0))
     assert bench.sent == twin.sent
-    assert bench.heard == twin.heard
+    assert bench.received == twin.received
 
 
 def test_due_is_always_ahead_after_send() -> None:

@@ -130,7 +130,7 @@ def test_an_extended_axis_is_driven_with_extended_identifiers_beside_a_standard_
     bench = ready(axis("far", 0xFEDCBA, extended=True), axis("left", 1), axis("double", 1, extended=True))
     bench.run(600, Velocity("far", 5.0), Velocity("left", 6.0), Velocity("double", -7.0))
     assert [shaft.velocity for shaft in bench.shafts] == pytest.approx([5.0, 6.0, -7.0], abs=0.5)
-    assert bench.driver.tally.bad == bench.driver.tally.foreign == 0
+    assert bench.driver.counters.malformed == bench.driver.counters.ignored == 0
     assert of(Fault, bench.events) == []
     spec = plugin.spec(bench.devices[0])
     far = {frame.id for _, frame in bench.sent if frame.extended and frame.id >> 5 == 0xFEDCBA}
@@ -178,12 +178,12 @@ def test_every_bit_of_every_word_is_told_once_with_cause_and_cure(
         if message:
             events += bench.driver.receive(bench.now + turn, encode(1, message(int(bit))))
     faults = of(Fault, events)
-    told = {fault.code: fault for fault in faults}
-    assert len(told) == len(faults) == (2 if message else 1)
-    fault = told[base + int(bit)]
+    reported = {fault.code: fault for fault in faults}
+    assert len(reported) == len(faults) == (2 if message else 1)
+    fault = reported[base + int(bit)]
     assert str(bit.name) in fault.name
     assert fault.cause
-    assert fault.cure
+    assert fault.remedy
     assert modes(events)[-1] == "fault"
 
 
@@ -337,12 +337,12 @@ def test_every_readable_parameter_is_read_or_waited_for(parameter: str) -> None:
     bench.shaft.position = radians(-0.5)
     bench.run(50)
     events = bench.ask(ReadParameter("left", parameter), 250)
-    (told,) = of(Parameter, events)
+    (reported,) = of(Parameter, events)
     assert isinstance(ends(events)[-1], Done)
-    assert math.isfinite(told.value)
+    assert math.isfinite(reported.value)
     expected = {"Bus_Voltage": 24.0, "Axis_State": 1, "Shadow_Count": -8192, "Count_in_CPR": 8192}
     if parameter in expected:
-        assert told.value == pytest.approx(expected[parameter], rel=1e-3)
+        assert reported.value == pytest.approx(expected[parameter], rel=1e-3)
 
 
 def test_a_scan_of_a_bus_of_this_line_sends_nothing_and_names_what_it_hears() -> None:
@@ -408,7 +408,7 @@ def test_a_restart_is_refused_while_somebody_else_runs_the_other_axis() -> None:
     for message in (SetControllerMode(ControlMode.VELOCITY, 1), CLOSED):
         other.receive(bench.now, encode(2, message))
     bench.run(300)
-    assert not bench.driver.nodes[2].claimed
+    assert not bench.driver.nodes[2].owned
     (end,) = ends(bench.ask(Reboot("left"), 300))
     assert isinstance(end, Refused)
     assert "right, which is armed" in end.reason
@@ -461,4 +461,4 @@ def test_a_copied_driver_goes_on_as_the_original_does() -> None:
     twin = copy.deepcopy(bench)
     assert bench.run(700, Velocity("left", 8.0)) == twin.run(700, Velocity("left", 8.0))
     assert bench.sent == twin.sent
-    assert bench.heard == twin.heard
+    assert bench.received == twin.received

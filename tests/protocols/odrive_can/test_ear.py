@@ -7,7 +7,7 @@ import struct
 import pytest
 from numpy.random import PCG64, Generator
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     ClearFault,
@@ -26,7 +26,7 @@ from protocols.messages import (
 from protocols.messages import Estop as EstopWord
 from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can.codec import BROADCAST, encode, radians
-from protocols.odrive_can.decoder import OdriveEar
+from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.messages import (
     Address,
     ClearErrors,
@@ -55,28 +55,30 @@ from tests.protocols.odrive_can.helpers import device
 CLOSED, IDLE = SetAxisState(8), SetAxisState(1)
 
 
-def heard(ear: OdriveEar, *messages: Message, node: int = 1) -> list[Command | Request]:
-    return [word for message in messages for word in ear.hear(0, encode(node, message))]
+def received(decoder: OdriveDecoder, *messages: Message, node: int = 1) -> list[Command | Request]:
+    return [word for message in messages for word in decoder.decode(0, encode(node, message))]
 
 
 def test_setpoints_are_obeyed_only_in_closed_loop_and_in_their_mode() -> None:
-    ear = OdriveEar([device()])
-    assert heard(ear, SetControllerMode(2, 1), SetInputVel(2.0, 0.5)) == []
-    assert heard(ear, CLOSED) == [Velocity("left", radians(2.0), 0.5)]
-    assert heard(ear, SetInputVel(3.0, 0.25)) == [Velocity("left", radians(3.0), 0.25)]
-    assert heard(ear, SetControllerMode(1, 1)) == [Torque("left", 0.25)]
-    assert heard(ear, SetInputTorque(0.75)) == [Torque("left", 0.75)]
-    assert heard(ear, SetControllerMode(3, 1)) == [Hold("left")]
-    assert heard(ear, SetInputPos(1.5, 0.25, -0.5)) == [Position("left", radians(1.5), radians(0.25), -0.5)]
-    assert heard(ear, IDLE) == [Idle("left")]
-    assert heard(ear, SetInputPos(1.0, 0.0, 0.0)) == []
-    assert heard(ear, CLOSED) == [Hold("left")]
+    decoder = OdriveDecoder([device()])
+    assert received(decoder, SetControllerMode(2, 1), SetInputVel(2.0, 0.5)) == []
+    assert received(decoder, CLOSED) == [Velocity("left", radians(2.0), 0.5)]
+    assert received(decoder, SetInputVel(3.0, 0.25)) == [Velocity("left", radians(3.0), 0.25)]
+    assert received(decoder, SetControllerMode(1, 1)) == [Torque("left", 0.25)]
+    assert received(decoder, SetInputTorque(0.75)) == [Torque("left", 0.75)]
+    assert received(decoder, SetControllerMode(3, 1)) == [Hold("left")]
+    assert received(decoder, SetInputPos(1.5, 0.25, -0.5)) == [
+        Position("left", radians(1.5), radians(0.25), -0.5)
+    ]
+    assert received(decoder, IDLE) == [Idle("left")]
+    assert received(decoder, SetInputPos(1.0, 0.0, 0.0)) == []
+    assert received(decoder, CLOSED) == [Hold("left")]
 
 
 def test_inactive_inputs_and_voltage_control_give_no_word() -> None:
-    ear = OdriveEar([device()])
-    assert heard(ear, SetControllerMode(2, 0), CLOSED, SetInputVel(2.0, 0.0)) == []
-    assert heard(ear, SetControllerMode(0, 1), SetInputTorque(1.0)) == []
+    decoder = OdriveDecoder([device()])
+    assert received(decoder, SetControllerMode(2, 0), CLOSED, SetInputVel(2.0, 0.0)) == []
+    assert received(decoder, SetControllerMode(0, 1), SetInputTorque(1.0)) == []
 
 
 @pytest.mark.parametrize(
@@ -118,27 +120,27 @@ def test_inactive_inputs_and_voltage_control_give_no_word() -> None:
     ids=lambda value: type(value).__name__ if not isinstance(value, list) else "",
 )
 def test_what_clears_restarts_or_configures(message: Message, words: list[Request]) -> None:
-    assert heard(OdriveEar([device()]), message) == words
+    assert received(OdriveDecoder([device()]), message) == words
 
 
 def test_broadcasts_reach_all_and_other_nodes_none() -> None:
-    ear = OdriveEar([device("left", 1), device("right", 2)])
-    assert heard(ear, Reboot(0), node=BROADCAST) == [RebootWord("left"), RebootWord("right")]
-    assert heard(ear, ClearErrors(0), node=BROADCAST) == [ClearFault("left"), ClearFault("right")]
-    assert heard(ear, CLOSED, IDLE, Estop(), node=BROADCAST) == []
-    assert heard(ear, IDLE, node=3) == []
-    assert heard(ear, IDLE, node=2) == [Idle("right")]
+    decoder = OdriveDecoder([device("left", 1), device("right", 2)])
+    assert received(decoder, Reboot(0), node=BROADCAST) == [RebootWord("left"), RebootWord("right")]
+    assert received(decoder, ClearErrors(0), node=BROADCAST) == [ClearFault("left"), ClearFault("right")]
+    assert received(decoder, CLOSED, IDLE, Estop(), node=BROADCAST) == []
+    assert received(decoder, IDLE, node=3) == []
+    assert received(decoder, IDLE, node=2) == [Idle("right")]
 
 
 def test_a_node_id_given_out_is_followed() -> None:
-    ear = OdriveEar([device(settings=Settings(serial_number=77)), device("right", 2)])
-    assert heard(ear, Address(9, 77), node=BROADCAST) == [SetId("", 77, 9)]
-    assert heard(ear, IDLE, node=9) == [Idle("left")]
-    assert heard(ear, IDLE, node=1) == []
+    decoder = OdriveDecoder([device(settings=Settings(serial_number=77)), device("right", 2)])
+    assert received(decoder, Address(9, 77), node=BROADCAST) == [SetId("", 77, 9)]
+    assert received(decoder, IDLE, node=9) == [Idle("left")]
+    assert received(decoder, IDLE, node=1) == []
 
 
 @pytest.mark.parametrize(
-    "wire",
+    "frame",
     [
         CanFrame(0x27, remote=True),
         CanFrame(0x29, remote=True),
@@ -150,16 +152,16 @@ def test_a_node_id_given_out_is_followed() -> None:
         b"serial",
     ],
 )
-def test_what_no_device_obeys_gives_no_word(wire: Wire) -> None:
-    ear = OdriveEar([device()])
-    heard(ear, SetControllerMode(2, 1), CLOSED)
-    assert list(ear.hear(0, wire)) == []
+def test_what_no_device_obeys_gives_no_word(frame: Frame) -> None:
+    decoder = OdriveDecoder([device()])
+    received(decoder, SetControllerMode(2, 1), CLOSED)
+    assert list(decoder.decode(0, frame)) == []
 
 
 def test_ear_and_twin_agree_on_random_traffic() -> None:
     """An ear beside a healthy twin remembers the same after every frame, whatever the frames are."""
     seed = 7
-    dice = Generator(PCG64(seed))
+    random = Generator(PCG64(seed))
     makers: list[Message] = [CLOSED, CLOSED, IDLE, SetInputVel(1.0, 0.0), SetInputPos(0.1, 0.0, 0.0)]
     makers += [
         SetInputTorque(0.01),
@@ -167,15 +169,15 @@ def test_ear_and_twin_agree_on_random_traffic() -> None:
         SetControllerMode(2, 1),
         SetControllerMode(3, 1),
     ]
-    ear, twin = OdriveEar([device()]), Twin06(device(), 0)
+    decoder, twin = OdriveDecoder([device()]), Twin06(device(), 0)
     for turn in range(3000):
-        node = 1 if dice.random() < 0.9 else int(dice.integers(0, 64))
-        frame = encode(node, makers[int(dice.integers(0, len(makers)))])
-        length = int(dice.integers(0, 9)) if dice.random() < 0.2 else len(frame.data)
-        if dice.random() < 0.1:
-            frame = CanFrame(int(dice.integers(0, 0x20)) | 0x20 & ~0x16, dice.bytes(length))
+        node = 1 if random.random() < 0.9 else int(random.integers(0, 64))
+        frame = encode(node, makers[int(random.integers(0, len(makers)))])
+        length = int(random.integers(0, 9)) if random.random() < 0.2 else len(frame.data)
+        if random.random() < 0.1:
+            frame = CanFrame(int(random.integers(0, 0x20)) | 0x20 & ~0x16, random.bytes(length))
         if frame.id & 0x1F in (0x02, 0x16, 0x18, 0x1F) or frame.id >> 5 == BROADCAST:
             continue
-        ear.hear(turn, frame)
+        decoder.decode(turn, frame)
         twin.receive(turn * MILLISECOND, frame)
-        assert repr(ear.axes[0]) == repr(twin.axis), f"seed {seed}, turn {turn}: {frame}"
+        assert repr(decoder.axes[0]) == repr(twin.axis), f"seed {seed}, turn {turn}: {frame}"

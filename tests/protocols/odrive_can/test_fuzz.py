@@ -10,7 +10,7 @@ from typing import Literal
 import pytest
 from numpy.random import PCG64, Generator
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import (
     MILLISECOND,
     Command,
@@ -35,17 +35,17 @@ TURNS = 4000
 EXTREMES = (0.0, -0.0, 1e-40, 1.0, -1.0, 3.4e38, -3.4e38, math.nan, math.inf, -math.inf)
 
 
-def random_wire(dice: Generator) -> Wire:
+def random_wire(random: Generator) -> Frame:
     """Mostly ids of node 1, broadcasts and neighbours; now and then what does not belong on a CAN bus."""
-    if dice.random() < 0.02:
-        return dice.bytes(int(dice.integers(0, 40)))
-    node = int(dice.choice([1, 1, 1, 1, 2, 63, int(dice.integers(0, 64))]))
-    length = 8 if dice.random() < 0.7 else int(dice.integers(0, 65))
-    data = dice.bytes(length)
-    if length == 8 and dice.random() < 0.5:
-        data = struct.pack("<ff", *(EXTREMES[int(dice.integers(0, len(EXTREMES)))] for _ in range(2)))
-    flags = [dice.random() < 0.05 for _ in range(3)]
-    return CanFrame(node << 5 | int(dice.integers(0, 32)), data, *flags)
+    if random.random() < 0.02:
+        return random.bytes(int(random.integers(0, 40)))
+    node = int(random.choice([1, 1, 1, 1, 2, 63, int(random.integers(0, 64))]))
+    length = 8 if random.random() < 0.7 else int(random.integers(0, 65))
+    data = random.bytes(length)
+    if length == 8 and random.random() < 0.5:
+        data = struct.pack("<ff", *(EXTREMES[int(random.integers(0, len(EXTREMES)))] for _ in range(2)))
+    flags = [random.random() < 0.05 for _ in range(3)]
+    return CanFrame(node << 5 | int(random.integers(0, 32)), data, *flags)
 
 
 def finite(event: Event) -> bool:
@@ -56,7 +56,7 @@ def finite(event: Event) -> bool:
 @pytest.mark.parametrize("firmware", ["auto", "0.5", "0.6"])
 def test_the_driver_survives_any_traffic(firmware: Literal["auto", "0.5", "0.6"]) -> None:
     seed = 1
-    dice = Generator(PCG64(seed))
+    random = Generator(PCG64(seed))
     driver = OdriveDriver([device(options=Options(firmware=firmware))], RANGES)
     words: list[Command | Request] = [
         Velocity("left", 1.0),
@@ -66,18 +66,18 @@ def test_the_driver_survives_any_traffic(firmware: Literal["auto", "0.5", "0.6"]
         WriteParameter("left", "Pos_Gain", 3.0),
     ]
     for turn in range(TURNS):
-        wire = random_wire(dice)
-        events = driver.receive(turn * MILLISECOND, wire)
-        assert all(finite(event) for event in events), (seed, turn, wire)
-        tally = driver.tally
-        assert tally.heard + tally.bad + tally.foreign == turn + 1, (seed, turn, wire)
-        told, wires = driver.send(turn * MILLISECOND, [words[int(dice.integers(0, len(words)))]])
-        assert all(finite(event) for event in told)
-        for sent in wires:
+        frame = random_wire(random)
+        events = driver.receive(turn * MILLISECOND, frame)
+        assert all(finite(event) for event in events), (seed, turn, frame)
+        counters = driver.counters
+        assert counters.accepted + counters.malformed + counters.ignored == turn + 1, (seed, turn, frame)
+        reported, frames = driver.send(turn * MILLISECOND, [words[int(random.integers(0, len(words)))]])
+        assert all(finite(event) for event in reported)
+        for sent in frames:
             assert isinstance(sent, CanFrame)
             line = driver.nodes[1].identity.line or "0.6"
             assert sent.remote or decode_to_device(sent, line) is not None, (seed, turn, str(sent))
-    assert min(driver.tally.heard, driver.tally.bad, driver.tally.foreign) > 50
+    assert min(driver.counters.accepted, driver.counters.malformed, driver.counters.ignored) > 50
 
 
 @pytest.mark.parametrize("line", ["0.5", "0.6"])
@@ -85,19 +85,19 @@ def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited(
     line: Literal["0.5", "0.6"],
 ) -> None:
     seed = 2
-    dice = Generator(PCG64(seed))
+    random = Generator(PCG64(seed))
     twin = made(device(options=Options(firmware=line)), seed)
     limit = twin.settings.current_hard_max * twin.settings.torque_constant
     for turn in range(TURNS):
         now = turn * MILLISECOND
-        wire = random_wire(dice)
-        if isinstance(wire, CanFrame) and wire.id & 0x1F in (0x06, 0x16, 0x1F):
+        frame = random_wire(random)
+        if isinstance(frame, CanFrame) and frame.id & 0x1F in (0x06, 0x16, 0x1F):
             continue  # it would be gone: renamed, restarting, or in its boot loader
-        twin.receive(now, wire)
+        twin.receive(now, frame)
         if turn % 50 == 0:
             for message in (SetControllerMode(1 + turn // 50 % 3, 1 + turn // 150 % 6), SetAxisState(8)):
                 twin.receive(now, encode(1, message))
-        torques, wires = twin.step(now, [Feedback("left", now, position=turn * 0.01, velocity=10.0)])
-        assert math.isfinite(torques[0].torque), (seed, turn, wire)
-        assert abs(torques[0].torque) <= limit, (seed, turn, wire)
-        assert all(isinstance(told, CanFrame) and len(told.data) == 8 for told in wires)
+        torques, frames = twin.step(now, [Feedback("left", now, position=turn * 0.01, velocity=10.0)])
+        assert math.isfinite(torques[0].torque), (seed, turn, frame)
+        assert abs(torques[0].torque) <= limit, (seed, turn, frame)
+        assert all(isinstance(reported, CanFrame) and len(reported.data) == 8 for reported in frames)

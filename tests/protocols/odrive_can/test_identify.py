@@ -67,7 +67,7 @@ def test_a_line_that_is_named_and_wrong_is_a_fault_and_nothing_but_questions_goe
     (fault,) = of(Fault, bench.events)
     assert (fault.code, fault.name) == (WRONG_FIRMWARE, name)
     assert fault.cause
-    assert says in fault.cure
+    assert says in fault.remedy
     assert of(State, bench.events)[-1].mode is Mode.FAULT
     assert all(frame.remote for _, frame in bench.sent)
     assert {frame.id for _, frame in bench.sent} <= plugin.spec(bench.devices[0]).sends
@@ -152,10 +152,10 @@ def test_both_lines_share_a_bus() -> None:
     assert lines == {"left": "0.6", "right": "0.5", "third": "0.5"}
     assert [shaft.velocity for shaft in bench.shafts] == pytest.approx([4.0, 5.0, 6.0], abs=0.5)
     assert of(Fault, bench.events) == []
-    assert bench.driver.tally.bad == 0
+    assert bench.driver.counters.malformed == 0
     assert {event.motor for event in of(Feedback, bench.events) if event.temperature is not None} == {"left"}
-    told = [event.motor for event in of(Feedback, bench.events) if event.current is not None]
-    assert set(told) == {"left", "right", "third"}
+    reported = [event.motor for event in of(Feedback, bench.events) if event.current is not None]
+    assert set(reported) == {"left", "right", "third"}
 
 
 def test_only_questions_that_no_line_obeys_go_out_before_it_is_known() -> None:
@@ -231,17 +231,17 @@ def test_a_listener_reads_states_and_faults_of_a_device_that_another_host_drives
     bench = Bench([made(line)])
     bench.run(1500, Velocity("left", 5.0))
     listener = plugin.driver([made(line)])
-    bench.heard.clear()
+    bench.received.clear()
     bench.run(300, Velocity("left", 5.0))
     bench.twins[0].trip(Error.ESTOP_REQUESTED)
     bench.run(300, Velocity("left", 5.0))
-    frames = [(t, f) for t, f in bench.heard if f.id != 0x20]  # no answer to Get_Version among them
+    frames = [(t, f) for t, f in bench.received if f.id != 0x20]  # no answer to Get_Version among them
     events = [event for t, frame in frames for event in listener.receive(t, frame)]
     assert modes(events)[0] == "armed"
     assert modes(events)[-1] == "fault"
     assert "ESTOP_REQUESTED" in {fault.name for fault in of(Fault, events)}
-    _, wires = listener.send(bench.now, [Velocity("left", 5.0)])
-    assert all(isinstance(wire, CanFrame) and wire.remote for wire in wires)
+    _, outgoing = listener.send(bench.now, [Velocity("left", 5.0)])
+    assert all(isinstance(raw, CanFrame) and raw.remote for raw in outgoing)
 
 
 def test_an_operator_s_clear_waits_until_the_line_is_known() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.odrive_can import plugin
 from protocols.odrive_can.codec import BROADCAST, LINE05, LINE06, encode, frame_id
 from protocols.odrive_can.message_names import messages_in
@@ -26,11 +26,11 @@ def test_a_vector_has_the_name_that_its_source_gives_it(vector: object) -> None:
         name = f"ask for {name}"
     elif name in MARKED and not vector.entry["data"]:
         name += " (0.5.x)"
-    assert name in messages_in(vector.wire)
+    assert name in messages_in(vector.frame)
 
 
 @pytest.mark.parametrize(
-    ("wire", "names"),
+    ("frame", "names"),
     [
         (CanFrame(frame_id(1, 0x19), b"\0" * 8), ("Set_Absolute_Position", "Set_Linear_Count")),
         (CanFrame(frame_id(1, 0x16), b"\0"), ("Reboot",)),
@@ -49,8 +49,8 @@ def test_a_vector_has_the_name_that_its_source_gives_it(vector: object) -> None:
     ],
     ids=str,
 )
-def test_names(wire: Wire, names: tuple[str, ...]) -> None:
-    assert messages_in(wire) == names
+def test_names(frame: Frame, names: tuple[str, ...]) -> None:
+    assert messages_in(frame) == names
 
 
 def test_every_message_to_a_device_that_we_encode_has_a_name() -> None:

@@ -19,10 +19,10 @@ from tests.protocols.odrive_can.helpers import device, ready
 Told = list[tuple[Nanos, float, float]]
 
 
-def first(told: Told) -> int | None:
+def first(reported: Told) -> int | None:
     """Which of these made it certain that there are two shafts."""
     places = Places()
-    return next((at for at, place in enumerate(told) if places.hear(*place)), None)
+    return next((at for at, place in enumerate(reported) if places.handle(*place)), None)
 
 
 def every(period_ms: int, places: list[tuple[float, float]]) -> Told:
@@ -36,7 +36,7 @@ def vibration(amplitude: float, hertz: float) -> list[tuple[float, float]]:
 
 
 @pytest.mark.parametrize(
-    ("told", "at"),
+    ("reported", "at"),
     [
         (every(10, [(0.0, 0.0), (1.0, 0.0)] * 20), LEAPS + 1),
         (every(5, [(0.0, 0.0), (2.0 * APART, 0.0)] * 20), LEAPS + 1),
@@ -45,12 +45,12 @@ def vibration(amplitude: float, hertz: float) -> list[tuple[float, float]]:
     ],
     ids=["far apart", "just apart", "one speaks more often", "one turns"],
 )
-def test_two_shafts_are_noticed(told: Told, at: int) -> None:
-    assert first(told) == at
+def test_two_shafts_are_noticed(reported: Told, at: int) -> None:
+    assert first(reported) == at
 
 
 @pytest.mark.parametrize(
-    "told",
+    "reported",
     [
         every(10, [(at * 0.3, 30.0) for at in range(500)]),
         every(10, [(0.0, 0.0)] * 20 + [(5.0, 0.0)] * 20 + [(0.0, 0.0)] * 20),
@@ -61,8 +61,8 @@ def test_two_shafts_are_noticed(told: Told, at: int) -> None:
     ],
     ids=["turning", "a new zero", "a loose encoder", "noise", "seldom", *["vibration"] * 6],
 )
-def test_one_shaft_is_believed_to_be_one(told: Told) -> None:
-    assert first(told) is None
+def test_one_shaft_is_believed_to_be_one(reported: Told) -> None:
+    assert first(reported) is None
 
 
 @pytest.mark.parametrize("bunch", [1, 2, 3, 5])
@@ -84,7 +84,7 @@ def test_two_devices_with_one_serial_number_are_noticed_by_their_places(
     bench.twins.append(kind(device(options=options), 7))
     bench.shafts.append(Shaft(inertia=1e-4, friction=1e-4, position=3.0))
     events = bench.run(400)
-    assert [(found.address, found.twice) for found in of(Found, events)] == [(1, True)]
+    assert [(found.address, found.duplicate_address) for found in of(Found, events)] == [(1, True)]
     assert [fault.code for fault in of(Fault, events)] == [DUPLICATE_NODE]
     assert "positions contradict" in of(Fault, events)[0].cause
 

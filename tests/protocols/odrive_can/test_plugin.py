@@ -54,7 +54,7 @@ def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected()
     sends = spec(bench.devices[0]).sends | spec(bench.devices[1]).sends
     expects = spec(bench.devices[0]).expects | spec(bench.devices[1]).expects
     assert {frame.id for _, frame in bench.sent} <= sends
-    assert {frame.id for _, frame in bench.heard} <= expects
+    assert {frame.id for _, frame in bench.received} <= expects
     assert not spec(bench.devices[0]).sends & spec(bench.devices[1]).sends - {0x7E6}
 
 
@@ -146,15 +146,15 @@ def test_words_survive_the_wire_within_the_declared_resolution(quantity: str) ->
     for share in (-1.0, -0.999999, -0.5, -1e-3, -1e-9, 0.0, 1e-9, 1e-3, 0.123456789, 0.5, 0.999999, 1.0):
         value = allowed.high * share
         bench.ask(WriteParameter("nobody", "", 0.0))  # a send outside the tick changes nothing
-        _, wires = bench.driver.send(bench.now, [Position("left", **{"position": 0.0, quantity: value})])
-        frames = [w for w in wires if isinstance(w, CanFrame) and w.id == 0x2C]
-        ears = plugin.ear([device()])
+        _, outgoing = bench.driver.send(bench.now, [Position("left", **{"position": 0.0, quantity: value})])
+        frames = [w for w in outgoing if isinstance(w, CanFrame) and w.id == 0x2C]
+        decoders = plugin.decoder([device()])
         for message in (encode(1, SetInputPos(0.0, 0.0, 0.0)), encode(1, SetAxisState(8))):
-            ears.hear(0, message)
-        ears.hear(0, CanFrame(0x2B, bytes.fromhex("0300000001000000")))
-        (heard,) = ears.hear(0, frames[-1])
-        assert isinstance(heard, Position)
-        error = abs(getattr(heard, quantity) - value)
+            decoders.decode(0, message)
+        decoders.decode(0, CanFrame(0x2B, bytes.fromhex("0300000001000000")))
+        (received,) = decoders.decode(0, frames[-1])
+        assert isinstance(received, Position)
+        error = abs(getattr(received, quantity) - value)
         assert error <= allowed.resolution + allowed.relative * abs(value), value
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from protocols.messages import ClearFault, Fault, Idle, Velocity
 from protocols.odrive_can import spec
-from protocols.odrive_can.faults import COMPLAINTS06, DUPLICATE_NODE, PROCEDURE, Error
-from protocols.odrive_can.faults05 import COMPLAINTS05
+from protocols.odrive_can.faults import DUPLICATE_NODE, FAULT_TABLE06, PROCEDURE, Error
+from protocols.odrive_can.faults05 import FAULT_TABLE05
 from protocols.odrive_can.options import Options
-from protocols.plugin import Complaint
+from protocols.plugin import FaultInfo
 from tests.protocols.helpers import of
 from tests.protocols.odrive_can.helpers import Bench, device, ready
 
@@ -24,7 +24,7 @@ def armed(options: Options) -> Bench:
 
 
 ARMED = {options: armed(options) for options in (Options(), Options(firmware="0.5"))}
-CASES = [(Options(), code) for code in COMPLAINTS06] + [(Options(firmware="0.5"), c) for c in COMPLAINTS05]
+CASES = [(Options(), code) for code in FAULT_TABLE06] + [(Options(firmware="0.5"), c) for c in FAULT_TABLE05]
 
 
 @pytest.mark.parametrize(("options", "code"), CASES)
@@ -37,17 +37,19 @@ def test_a_provoked_fault_disarms_is_told_as_the_contract_has_it_and_is_cleared(
     assert [twin.axis.armed for twin in bench.twins] == [True]
     bench.twins[0].provoke(code)
     assert [twin.axis.armed for twin in bench.twins] == [False]
-    told = {fault.code: fault for fault in of(Fault, bench.run(250))}
-    assert told[code] == Fault("left", told[code].t, code, complaint.name, complaint.cause, complaint.cure)
-    assert set(told) <= set(spec(left).faults)
+    reported = {fault.code: fault for fault in of(Fault, bench.run(250))}
+    assert reported[code] == Fault(
+        "left", reported[code].t, code, complaint.name, complaint.cause, complaint.remedy
+    )
+    assert set(reported) <= set(spec(left).faults)
     bench.words = (Idle("left"),)
     bench.ask(ClearFault("left"), 200)
     assert not of(Fault, bench.run(150))
 
 
 def test_codes_mean_one_thing_whichever_the_line() -> None:
-    assert not COMPLAINTS05.keys() & COMPLAINTS06.keys()
-    assert all(isinstance(said, Complaint) and said.cause and said.cure for said in COMPLAINTS06.values())
+    assert not FAULT_TABLE05.keys() & FAULT_TABLE06.keys()
+    assert all(isinstance(said, FaultInfo) and said.cause and said.remedy for said in FAULT_TABLE06.values())
 
 
 @pytest.mark.parametrize("code", [0, 3, Error.INITIALIZING, PROCEDURE + 14, DUPLICATE_NODE, 1 << 60, -1])

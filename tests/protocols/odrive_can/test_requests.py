@@ -180,13 +180,13 @@ def test_a_device_that_does_not_come_back_from_a_reboot() -> None:
 def test_every_readable_parameter_is_read(parameter: str) -> None:
     bench = ready()
     events = bench.ask(ReadParameter("left", parameter), 100)
-    (told,) = of(Parameter, events)
-    assert told.parameter == parameter
-    assert math.isfinite(told.value)
+    (reported,) = of(Parameter, events)
+    assert reported.parameter == parameter
+    assert math.isfinite(reported.value)
     assert isinstance(ends(events)[0], Done)
     expected = {"Fw_Version_Minor": 6, "Bus_Voltage": 24.0, "Axis_State": 1, "FET_Temperature": 25.0}
     if parameter in expected:
-        assert told.value == pytest.approx(expected[parameter], rel=1e-3)
+        assert reported.value == pytest.approx(expected[parameter], rel=1e-3)
 
 
 def test_a_sensor_that_is_not_fitted_is_refused() -> None:

@@ -60,7 +60,7 @@ def test_a_conversation_that_is_not_as_expected_fails() -> None:
     with pytest.raises(
         AssertionError, match="and should be\n10 > 3:Set_Input_Vel 1 0\nin\n0 > 3:Set_Controller"
     ):
-        talk.tells("""
+        talk.reports("""
             0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
             10 > 3:Set_Input_Vel 1 0
         """)
@@ -69,4 +69,4 @@ def test_a_conversation_that_is_not_as_expected_fails() -> None:
 def test_a_frame_that_is_counted_otherwise_fails() -> None:
     talk = standing()
     with pytest.raises(AssertionError):
-        talk.tells("", foreign=1)
+        talk.reports("", foreign=1)

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import pytest
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Event, Feedback, Nanos
 from protocols.odrive_can.codec import BROADCAST, TABLES, cmd_of, decode_from_device, encode, radians, turns
 from protocols.odrive_can.faults import Error, Result
@@ -67,8 +67,8 @@ class Stand:
             truth: list[Event] = [
                 Feedback("left", self.now, position=self.shaft.position, velocity=self.shaft.velocity)
             ]
-            torques, wires = self.twin.step(self.now, truth)
-            self.frames += [(self.now, wire) for wire in wires if isinstance(wire, CanFrame)]
+            torques, frames = self.twin.step(self.now, truth)
+            self.frames += [(self.now, frame) for frame in frames if isinstance(frame, CanFrame)]
             self.shaft.step(torques[0].torque)
             self.now += MILLISECOND
 
@@ -86,10 +86,10 @@ class Stand:
         assert isinstance(beats[-1], Heartbeat)
         return beats[-1]
 
-    def say_raw(self, wire: Wire) -> None:
-        self.twin.receive(self.now, wire)
+    def say_raw(self, frame: Frame) -> None:
+        self.twin.receive(self.now, frame)
 
-    def told(self, cmd: int) -> list[Nanos]:
+    def reported(self, cmd: int) -> list[Nanos]:
         return [t for t, frame in self.frames if frame.id & 0x1F == cmd]
 
 
@@ -157,8 +157,8 @@ def test_the_disarm_reason_is_told_until_cleared() -> None:
         stand.say_raw(CanFrame(0x23, remote=True))
         stand.run(1)
         assert decode_from_device(stand.frames[-1][1]) == expected or stand.frames[-1][1].id != 0x23
-        told = [decode_from_device(f) for _, f in stand.frames if f.id == 0x23]
-        assert told[-1] == expected
+        reported = [decode_from_device(f) for _, f in stand.frames if f.id == 0x23]
+        assert reported[-1] == expected
         stand.say(ClearErrors(0))
 
 
@@ -177,17 +177,17 @@ def test_cyclic_messages_keep_their_rates() -> None:
     stand = Stand(Settings(heartbeat_msg_rate_ms=50, encoder_msg_rate_ms=20, iq_msg_rate_ms=100))
     stand.run(1000)
     for cmd, period in ((0x01, 50), (0x09, 20), (0x14, 100)):
-        times = stand.told(cmd)
+        times = stand.reported(cmd)
         assert {b - a for a, b in pairwise(times)} == {period * MILLISECOND}
         assert len(times) == 1000 // period
-    assert stand.told(0x17) == []
+    assert stand.reported(0x17) == []
 
 
 def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
     stand = Stand()
     stand.run(1000)
-    assert len(stand.told(0x01)) == 10
-    assert len(stand.told(0x09)) == 100
+    assert len(stand.reported(0x01)) == 10
+    assert len(stand.reported(0x09)) == 100
     assert {frame.id for _, frame in stand.frames} == {0x21, 0x29}
 
 
@@ -212,7 +212,7 @@ def test_what_is_not_for_it_changes_nothing() -> None:
         repr(stand.twin.servo.gains),
     )
     state = encode(1, IDLE)
-    frames: list[Wire] = [
+    frames: list[Frame] = [
         CanFrame(state.id, state.data, extended=True),
         CanFrame(state.id, state.data, fd=True),
         CanFrame(state.id, remote=True),
@@ -228,8 +228,8 @@ def test_what_is_not_for_it_changes_nothing() -> None:
         CanFrame(0x27, state.data + b"\0"),
         b"\x00\x01",
     ]
-    for wire in frames:
-        stand.say_raw(wire)
+    for frame in frames:
+        stand.say_raw(frame)
     assert (repr(stand.twin.axis), repr(stand.twin.servo.gains)) == before
 
 
@@ -249,9 +249,11 @@ def test_what_it_tells_is_rounded_to_binary32() -> None:
     stand.shaft.position = radians(123456.789012345)
     stand.shaft.held = True
     stand.run(200)
-    told = [m for m in (decode_from_device(f) for _, f in stand.frames) if isinstance(m, GetEncoderEstimates)]
-    assert told[-1].position == struct.unpack("<f", struct.pack("<f", stand.twin.servo.position))[0]
-    assert told[-1].position == pytest.approx(123456.789, abs=0.01)
+    reported = [
+        m for m in (decode_from_device(f) for _, f in stand.frames) if isinstance(m, GetEncoderEstimates)
+    ]
+    assert reported[-1].position == struct.unpack("<f", struct.pack("<f", stand.twin.servo.position))[0]
+    assert reported[-1].position == pytest.approx(123456.789, abs=0.01)
 
 
 def test_feed_forwards_arrive_in_thousandths() -> None:
@@ -321,7 +323,7 @@ def test_an_expired_watchdog_disarms_and_heartbeats_go_on_with_the_error() -> No
     beat = stand.heartbeat()
     assert encode(3, beat).data.hex()[:12] == "000000010103"
     stand.run(300)
-    assert stand.told(0x01)[-1] >= stand.now - 101 * MILLISECOND
+    assert stand.reported(0x01)[-1] >= stand.now - 101 * MILLISECOND
 
 
 def test_the_watchdog_is_off_by_default_and_sleeps_while_idle() -> None:
@@ -517,8 +519,8 @@ def test_the_encoder_counts() -> None:
 def asked(stand: Stand, kind: type[Message]) -> Message:
     stand.say_raw(CanFrame(0x20 | cmd_of(kind), remote=True))
     stand.run(1)
-    told = [m for m in (decode_from_device(f) for _, f in stand.frames) if isinstance(m, kind)]
-    return told[-1]
+    reported = [m for m in (decode_from_device(f) for _, f in stand.frames) if isinstance(m, kind)]
+    return reported[-1]
 
 
 def test_the_supply_sags_with_power_and_rises_with_braking() -> None:
@@ -617,8 +619,8 @@ def test_the_seed_moves_the_phase_of_cyclic_messages_only() -> None:
     for seed in range(5):
         stand = Stand(seed=seed)
         stand.run(300)
-        phases.add(stand.told(0x01)[0])
-        assert len(stand.told(0x01)) == 3
+        phases.add(stand.reported(0x01)[0])
+        assert len(stand.reported(0x01)) == 3
     assert len(phases) > 1
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from protocols.frames import CanFrame, Wire
+from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, ClearFault, Feedback, Nanos
 from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can import twin as made
@@ -19,7 +19,7 @@ from protocols.odrive_can.codec import (
     radians,
     turns,
 )
-from protocols.odrive_can.decoder import OdriveEar
+from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import AxisError, ControllerError, MotorError
 from protocols.odrive_can.messages import (
@@ -68,16 +68,16 @@ class Stand:
 
     def say(self, *messages: AnyMessage, node: int | None = None) -> None:
         for message in messages:
-            self.hear(encode(self.node if node is None else node, message))
+            self.handle(encode(self.node if node is None else node, message))
 
-    def hear(self, wire: Wire) -> None:
-        self.twin.receive(self.now, wire)
+    def handle(self, frame: Frame) -> None:
+        self.twin.receive(self.now, frame)
 
     def run(self, milliseconds: int) -> None:
         for _ in range(milliseconds):
             truth = Feedback("left", self.now, position=self.shaft.position, velocity=self.shaft.velocity)
-            torques, wires = self.twin.step(self.now, [truth])
-            self.frames += [(self.now, wire) for wire in wires if isinstance(wire, CanFrame)]
+            torques, frames = self.twin.step(self.now, [truth])
+            self.frames += [(self.now, frame) for frame in frames if isinstance(frame, CanFrame)]
             self.shaft.step(torques[0].torque)
             self.now += MILLISECOND
 
@@ -90,26 +90,26 @@ class Stand:
 
     def beat(self) -> Heartbeat05:
         """The next heartbeat."""
-        before = len(self.told(0x01))
-        while len(self.told(0x01)) == before:
+        before = len(self.reported(0x01))
+        while len(self.reported(0x01)) == before:
             self.run(1)
-        told = decode_from_device(self.told(0x01)[-1][1], "0.5")
-        assert isinstance(told, Heartbeat05)
-        return told
+        reported = decode_from_device(self.reported(0x01)[-1][1], "0.5")
+        assert isinstance(reported, Heartbeat05)
+        return reported
 
     def errors(self) -> int:
         """The axis' error bits."""
         return int(self.twin.errors)
 
-    def told(self, cmd: int) -> list[tuple[Nanos, CanFrame]]:
+    def reported(self, cmd: int) -> list[tuple[Nanos, CanFrame]]:
         return [(t, frame) for t, frame in self.frames if frame.id & 0x1F == cmd]
 
     def asked(self, cmd: int, frame: CanFrame | None = None) -> AnyMessage | None:
         """The answer to a remote frame (or another one) of this command."""
-        before = len(self.told(cmd))
-        self.hear(frame or CanFrame(0x20 | cmd, remote=True))
+        before = len(self.reported(cmd))
+        self.handle(frame or CanFrame(0x20 | cmd, remote=True))
         self.run(1)
-        new = self.told(cmd)[before:]
+        new = self.reported(cmd)[before:]
         return decode_from_device(new[-1][1], "0.5") if new else None
 
 
@@ -228,8 +228,8 @@ def test_asking_for_closed_loop_again_starts_position_control_afresh() -> None:
 def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
     stand = Stand()
     stand.run(1000)
-    assert len(stand.told(0x01)) == 10
-    assert len(stand.told(0x09)) == 100
+    assert len(stand.reported(0x01)) == 10
+    assert len(stand.reported(0x09)) == 100
     assert {frame.id for _, frame in stand.frames} == {0x21, 0x29}
 
 
@@ -252,10 +252,10 @@ def test_the_cyclic_messages_of_the_line_keep_their_rates() -> None:
     stand = Stand(settings)
     stand.run(1000)
     for cmd, period in (periods | {0x15: 500}).items():
-        times = [t for t, _ in stand.told(cmd)]
+        times = [t for t, _ in stand.reported(cmd)]
         assert len(times) == 1000 // period, cmd
         assert {b - a for a, b in pairwise(times)} <= {period * MILLISECOND}
-    assert stand.told(0x00) == []
+    assert stand.reported(0x00) == []
 
 
 @pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
@@ -263,8 +263,8 @@ def test_the_cyclic_messages_of_the_line_keep_their_rates() -> None:
 def test_every_message_but_the_heartbeat_is_told_when_asked(cmd: int, remote: bool) -> None:
     stand = Stand(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
     stand.run(5)
-    told = stand.asked(cmd, CanFrame(0x20 | cmd, remote=remote))
-    assert type(told) is TABLES["0.5"].from_device[cmd].message
+    reported = stand.asked(cmd, CanFrame(0x20 | cmd, remote=remote))
+    assert type(reported) is TABLES["0.5"].from_device[cmd].message
     assert len(stand.frames) == 1
     assert len(stand.frames[0][1].data) == 8
 
@@ -281,7 +281,7 @@ def test_the_roll_call_of_0_6_is_not_answered() -> None:
     stand = Stand()
     stand.run(1)
     stand.frames.clear()
-    stand.hear(CanFrame(0x7E6, remote=True))
+    stand.handle(CanFrame(0x7E6, remote=True))
     stand.run(5)
     assert {frame.id & 0x1F for _, frame in stand.frames} <= {0x01, 0x09}
 
@@ -305,9 +305,9 @@ def test_counts_are_signed_and_wrap_and_are_set() -> None:
     assert stand.asked(0x0A) == GetEncoderCount(-10240, 6144)
     stand.say(SetLinearCount(-5))
     assert stand.asked(0x0A) == GetEncoderCount(-5, 6144)
-    told = stand.asked(0x09)
-    assert isinstance(told, GetEncoderEstimates)
-    assert told.position == pytest.approx(-5 / 8192, abs=1e-7)
+    reported = stand.asked(0x09)
+    assert isinstance(reported, GetEncoderEstimates)
+    assert reported.position == pytest.approx(-5 / 8192, abs=1e-7)
     stand.say(SetLinearCount(2**31 - 1))
     stand.shaft.position = radians(-1.0)
     stand.run(5)
@@ -351,16 +351,14 @@ def test_an_extended_axis_hears_and_speaks_extended_identifiers_only(address: in
         assert not twin.axis.armed
     twin.receive(1, state)
     assert twin.axis.armed
-    _, wires = twin.step(200 * MILLISECOND, [])
-    assert {(wire.id >> 5, wire.extended) for wire in wires if isinstance(wire, CanFrame)} == {
-        (address, True)
-    }
+    _, frames = twin.step(200 * MILLISECOND, [])
+    assert {(raw.id >> 5, raw.extended) for raw in frames if isinstance(raw, CanFrame)} == {(address, True)}
 
 
 def test_a_standard_axis_does_not_hear_extended_identifiers() -> None:
     stand = Stand()
     stand.run(5)
-    stand.hear(encode(1 | EXTENDED, Estop()))
+    stand.handle(encode(1 | EXTENDED, Estop()))
     assert stand.beat().error == 0
 
 
@@ -391,10 +389,10 @@ def test_the_ear_knows_the_board() -> None:
         device("right", 2, Settings(other_axis=1), V05),
         device("other", 3, Settings(), V05),
     ]
-    ear = OdriveEar(pair)
-    assert list(ear.hear(0, encode(1, ClearErrors05()))) == [ClearFault("left"), ClearFault("right")]
-    assert list(ear.hear(0, encode(2, Reboot05()))) == [RebootWord("left"), RebootWord("right")]
-    assert list(ear.hear(0, encode(3, ClearErrors05()))) == [ClearFault("other")]
+    decoder = OdriveDecoder(pair)
+    assert list(decoder.decode(0, encode(1, ClearErrors05()))) == [ClearFault("left"), ClearFault("right")]
+    assert list(decoder.decode(0, encode(2, Reboot05()))) == [RebootWord("left"), RebootWord("right")]
+    assert list(decoder.decode(0, encode(3, ClearErrors05()))) == [ClearFault("other")]
 
 
 # -- watchdog, reboot ---------------------------------------------------------------------------------
@@ -417,7 +415,7 @@ WATCHED = Settings(enable_watchdog=True, watchdog_timeout=0.1)
 def test_any_frame_to_the_axis_feeds_its_watchdog(frame: CanFrame) -> None:
     stand = Stand(WATCHED).armed()
     for _ in range(6):
-        stand.hear(frame)
+        stand.handle(frame)
         stand.run(80)
     assert stand.twin.axis.armed
 
@@ -426,12 +424,12 @@ def test_frames_to_others_do_not_feed_it_and_expiry_is_0x800_and_idle_with_heart
     stand = Stand(WATCHED).armed()
     for _ in range(6):
         stand.say(SetInputVel(0.0, 0.0), node=2)
-        stand.hear(encode(1 | EXTENDED, SetInputVel(0.0, 0.0)))
+        stand.handle(encode(1 | EXTENDED, SetInputVel(0.0, 0.0)))
         stand.run(50)
     assert stand.beat() == Heartbeat05(0x800, AxisState.IDLE, 0, 0, 0, 1)
-    before = len(stand.told(0x01))
+    before = len(stand.reported(0x01))
     stand.run(1000)
-    assert len(stand.told(0x01)) - before == 10
+    assert len(stand.reported(0x01)) - before == 10
 
 
 def test_the_watchdog_runs_while_idle_too() -> None:

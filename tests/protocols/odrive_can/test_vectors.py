@@ -67,7 +67,7 @@ def test_cantools_encodes_it_anew(vector: Vector) -> None:
     known = {signal.name for signal in message.signals}
     assert set(values) <= known
     data = message.encode(dict.fromkeys(known, 0) | values, scaling=True, strict=True)
-    assert CanFrame(message.frame_id, data, bool(message.is_extended_frame)) == vector.wire
+    assert CanFrame(message.frame_id, data, bool(message.is_extended_frame)) == vector.frame
 
 
 def test_every_vector_names_a_source_and_most_are_regenerated() -> None:

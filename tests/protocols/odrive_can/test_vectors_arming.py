@@ -21,7 +21,7 @@ def test_vectors_of_a_position_to_a_device_that_stands_elsewhere() -> None:
     talk.run(50, Position("left", ROUND))
     talk.beat(8)
     talk.run(20, Position("left", ROUND))
-    talk.tells("""
+    talk.reports("""
         0 < left position -1.5708, velocity 0
         0 > 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos -0.25 0 0 | 3:Set_Axis_State 8
         10…40 > 3:Set_Input_Pos -0.25 0 0
@@ -36,7 +36,7 @@ def test_vectors_of_another_mode_while_it_arms() -> None:
     talk.run(20, Torque("left", 1.0))
     talk.beat(8)
     talk.run(20, Torque("left", 1.0))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
         10 > 3:Set_Input_Vel 0 0
         20 > 3:Set_Controller_Mode 1 1 | 3:Set_Input_Torque 0
@@ -53,7 +53,7 @@ def test_vectors_of_two_axes_of_0_5_that_are_armed_and_let_go() -> None:
     talk.beat(8)
     talk.beat(8, node=4)
     talk.run(50, *words)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
             | 4:Set_Controller_Mode 1 1 | 4:Set_Input_Torque 0 | 4:Set_Axis_State 8
         10…40 > 3:Set_Input_Vel 0 0 | 4:Set_Input_Torque 0
@@ -64,7 +64,7 @@ def test_vectors_of_two_axes_of_0_5_that_are_armed_and_let_go() -> None:
     talk.beat(1, node=4)
     talk.run(200, *words)
     # It tells no reason, so none is asked for; only a fresh sequence arms it, arm_retry_ms after the last.
-    talk.tells("""
+    talk.reports("""
         0 < State axis4 ready: IDLE, left closed loop by itself
         0 > 3:Set_Input_Vel 1 0 | 4:Set_Controller_Mode 1 1 | 4:Set_Input_Torque 0
         10…90 > 3:Set_Input_Vel 1 0 | 4:Set_Input_Torque 0
@@ -77,7 +77,7 @@ def test_vectors_of_two_axes_of_0_5_that_are_armed_and_let_go() -> None:
     talk.beat(1)
     talk.run(200, Idle("axis3"), Idle("axis4"))
     # Axis 4 is heard to be idle at 100 and 200, axis 3 too.
-    talk.tells("""
+    talk.reports("""
         0…50/50 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1
         100 < State axis3 ready: IDLE
         100…150/50 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1
@@ -91,7 +91,7 @@ def test_vectors_of_one_that_is_let_go_and_wanted_again_at_once() -> None:
     talk.run(40, Velocity("left", ROUND))
     talk.beat(1)
     talk.run(20, Velocity("left", ROUND))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Axis_State 1
         10 > 3:Set_Input_Vel 1 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 1 0
         20…40 > 3:Set_Input_Vel 1 0
@@ -107,7 +107,7 @@ def test_vectors_of_a_device_that_refuses_to_arm() -> None:
     talk.beat(1, Procedure_Result=14)
     talk.run(400, Hold("left"))
     # The first heartbeat after the request may be from before it.
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
         10…40 > 3:Set_Input_Pos 0 0 0
         50 < State left ready: IDLE, NOT_CALIBRATED
@@ -115,10 +115,10 @@ def test_vectors_of_a_device_that_refuses_to_arm() -> None:
         150 < Fault left 0x10000000e NOT_CALIBRATED: motor or encoder is not calibrated
     """)
     talk.run(300, Idle("left"))
-    talk.tells("0…150/50 > 3:Set_Axis_State 1")  # heartbeats at 0 (before), 100 and 200
+    talk.reports("0…150/50 > 3:Set_Axis_State 1")  # heartbeats at 0 (before), 100 and 200
     talk.run(60, Hold("left"))
     # Idle came in between: it is tried again.
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
         10…50 > 3:Set_Input_Pos 0 0 0
     """)
@@ -129,7 +129,7 @@ def test_vectors_of_a_device_that_does_not_care() -> None:
     talk.beat(1, Procedure_Result=2)
     talk.run(1300, Torque("left", 1.0))
     # CANCELLED may be left from an earlier request: no verdict. Five tries, each with its time, then a fault.
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE, CANCELLED
         0 > 3:Set_Controller_Mode 1 1 | 3:Set_Input_Torque 0 | 3:Set_Axis_State 8
         10…190 > 3:Set_Input_Torque 0
@@ -145,7 +145,7 @@ def test_vectors_of_a_device_that_does_not_care() -> None:
     """)
     talk.ask(ClearFault("left"))
     talk.run(100, Torque("left", 1.0))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Clear_Errors 0
         0 < Done ClearFault left:*
         0 > 3:Set_Input_Torque 0 | 3:Set_Axis_State 8
@@ -161,7 +161,7 @@ def test_vectors_of_a_device_that_obeys_the_last_try() -> None:
     talk.beat(8)
     talk.run(20, Torque("left", 1.0))
     # The fifth was at -100.
-    talk.tells("""
+    talk.reports("""
         0…80 > 3:Set_Input_Torque 0
         90 < State left armed: CLOSED_LOOP_CONTROL
         90…100 > 3:Set_Input_Torque 1
@@ -195,14 +195,14 @@ def test_vectors_of_results_that_are_verdicts(result: int) -> None:
         f"100 < Fault left {(1 << 32) + result:#x} {name}: *",
     ]
     no_verdict = result == 16 or name in LEFT_OVER
-    talk.tells("\n".join([state, *(["0…140 > 3:Set_Input_Pos 0 0 0"] if no_verdict else verdict)]))
+    talk.reports("\n".join([state, *(["0…140 > 3:Set_Input_Pos 0 0 0"] if no_verdict else verdict)]))
 
 
 def test_vectors_of_arming_again_after_a_clearing() -> None:
     talk = standing(arm_retry_ms=100)
     talk.beat(1, Procedure_Result=14)
     talk.run(300, Hold("left"))
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE, NOT_CALIBRATED
         0 > 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
         10…90 > 3:Set_Input_Pos 0 0 0
@@ -212,7 +212,7 @@ def test_vectors_of_arming_again_after_a_clearing() -> None:
     """)
     talk.ask(ClearFault("left"))
     talk.run(300, Hold("left"))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Clear_Errors 0
         0 < Done ClearFault left:*
         0 > 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
@@ -233,7 +233,7 @@ def test_vectors_of_a_verdict_on_the_second_arming() -> None:
     talk.stage()
     talk.beat(1, Procedure_Result=14)
     talk.run(210, Hold("left"))
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE, NOT_CALIBRATED, left closed loop by itself
         0 > 3?Get_Error
         10 > 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0 0 0 | 3:Set_Axis_State 8
@@ -252,7 +252,7 @@ def test_vectors_of_a_result_that_is_no_verdict_since_it_armed() -> None:
     talk.stage()
     talk.beat(1, Procedure_Result=12)
     talk.run(350)
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE, HOMING_WITHOUT_ENDSTOP, left closed loop by itself
         0 > 3?Get_Error
         100 < State left ready: IDLE, HOMING_WITHOUT_ENDSTOP

@@ -183,7 +183,7 @@ def test_vectors_of_questions_while_it_is_driven() -> None:
     talk.run(200)
     talk.stage()
     talk.run(400, Velocity("left", 0.0))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Input_Vel 0 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0
         20…380 > 3:Set_Input_Vel 0 0
     """)

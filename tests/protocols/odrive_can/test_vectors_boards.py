@@ -24,7 +24,7 @@ from tests.protocols.odrive_can.talk import standing05
 def test_vectors_of_what_0_5_cannot_do_over_can() -> None:
     talk = standing05()
     talk.ask(SetId("can0", SERIAL, 5), WriteParameter("axis3", "save_configuration", 1.0))
-    talk.tells("""
+    talk.reports("""
         0 < Refused SetId can0: firmware 0.5.x tells no serial numbers over CAN*
         0 < Refused WriteParameter axis3: firmware 0.5.x cannot do this over CAN*
     """)
@@ -40,7 +40,7 @@ def test_vectors_of_clearing_and_zeroing_an_axis_of_0_5() -> None:
     talk.ask(Zero("axis3"))
     talk.run(10)
     # A clearing reaches the whole board, and says so.
-    talk.tells("""
+    talk.reports("""
         0 < Fault axis3 0x5000000000800 WATCHDOG_TIMER_EXPIRED: *
         0 < State axis3 fault: IDLE
         100 > 4:Clear_Errors
@@ -58,7 +58,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
     talk.ask(Reboot("axis3"), Reboot("axis4"))
     talk.beat(node=4)
     talk.run(50)
-    talk.tells("""
+    talk.reports("""
         0 < State axis4 armed: CLOSED_LOOP_CONTROL
         50 < Refused Reboot axis3: *axis4, which is armed*
         50 < Refused Reboot axis4: it is armed*
@@ -72,7 +72,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
     talk.up05(4)
     talk.run(300)
     # 0.5.x restarts without a word: its silence shows it. Done when it can be asked for something again.
-    talk.tells("""
+    talk.reports("""
         0 > 3:Reboot
         240 < State axis3 offline: nothing heard
         240 < State axis4 offline: nothing heard
@@ -88,7 +88,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_we_drive() -> None:
     talk = standing05(4)
     talk.run(20, Velocity("axis4", 0.0))
     talk.ask(Reboot("axis3"))
-    talk.tells("""
+    talk.reports("""
         0 > 4:Set_Controller_Mode 2 1 | 4:Set_Input_Vel 0 0 | 4:Set_Axis_State 8
         10 > 4:Set_Input_Vel 0 0
         20 < Refused Reboot axis3: *axis4, which is armed*
@@ -96,7 +96,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_we_drive() -> None:
     talk.run(200, Idle("axis4"))
     talk.ask(Reboot("axis3"))
     # Heartbeats at 80 and 180 say that it is idle.
-    talk.tells("""
+    talk.reports("""
         0…150/50 > 4:Set_Axis_State 1
         200 > 3:Reboot
     """)
@@ -110,7 +110,7 @@ def test_vectors_of_an_estop_and_a_question_of_0_5() -> None:
     talk.beat(1, 0x5000)
     talk.run(100)
     # Estop is not in the DBC of 0.5.x. A heartbeat cannot be asked for there, and comes by itself.
-    talk.tells("""
+    talk.reports("""
         0 > 3:0x02
         0 < Fault axis3 0x5000000001000 MIN_ENDSTOP_PRESSED: *
         0 < State axis3 fault: IDLE

@@ -18,44 +18,44 @@ def test_vectors_of_a_device_that_falls_while_it_runs() -> None:
     talk.beat(1, Procedure_Result=3)
     talk.run(150, Velocity("left", 0.0))
     # Told, and only a question: arming again might wipe the reason.
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE, DISARMED, left closed loop by itself
         0 > 3?Get_Error
         100 < State left ready: IDLE, DISARMED
         100 > 3?Get_Error
     """)
-    talk.tell("Get_Error", Active_Errors=0, Disarm_Reason=0x200 | 0x1)
-    talk.tell("Get_Error", Active_Errors=0, Disarm_Reason=0x100)
+    talk.report("Get_Error", Active_Errors=0, Disarm_Reason=0x200 | 0x1)
+    talk.report("Get_Error", Active_Errors=0, Disarm_Reason=0x100)
     talk.run(50, Velocity("left", 0.0))
     # INITIALIZING is no fault; a reason that was not asked for is history. Then a fresh sequence.
-    talk.tells("""
+    talk.reports("""
         0 < Fault left 0x200 DC_BUS_UNDER_VOLTAGE: it disarmed the axis: *
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
         10…40 > 3:Set_Input_Vel 0 0
     """)
     talk.beat(8)
     talk.run(100, Velocity("left", 0.0))
-    talk.tells("""
+    talk.reports("""
         0 < State left armed: CLOSED_LOOP_CONTROL
         0…90 > 3:Set_Input_Vel 0 0
     """)
     talk.beat(1, 0x2000200, Procedure_Result=3)
     talk.run(600, Velocity("left", 0.0))
     # In fault: not armed, not cleared. An answer that never comes is not waited for for ever.
-    talk.tells("""
+    talk.reports("""
         0 < Fault left 0x200 DC_BUS_UNDER_VOLTAGE: *
         0 < Fault left 0x2000000 ESTOP_REQUESTED: *
         0 < State left fault: IDLE, DISARMED
         0…400/100 > 3?Get_Error
     """)
-    talk.tell("Get_Error", Active_Errors=0x2000280, Disarm_Reason=0)
-    talk.tells("0 < Fault left 0x80 error bit 0x80: *")
+    talk.report("Get_Error", Active_Errors=0x2000280, Disarm_Reason=0)
+    talk.reports("0 < Fault left 0x80 error bit 0x80: *")
     talk.beat(1, 0x200)
     talk.run(100)
-    talk.tells("0 < State left fault: IDLE")
+    talk.reports("0 < State left fault: IDLE")
     talk.beat(1, 0x2000200)
     talk.run(100)
-    talk.tells("0 < Fault left 0x2000000 ESTOP_REQUESTED: *")  # it was gone, and came again
+    talk.reports("0 < Fault left 0x2000000 ESTOP_REQUESTED: *")  # it was gone, and came again
 
 
 def test_vectors_of_one_that_falls_and_is_let_go() -> None:
@@ -65,7 +65,7 @@ def test_vectors_of_one_that_falls_and_is_let_go() -> None:
     talk.beat(1, Procedure_Result=3)
     talk.run(200, Idle("left"))
     # Idle does not wipe the reason: arming would.
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE, DISARMED, left closed loop by itself
         0 > 3:Set_Axis_State 1 | 3?Get_Error
         1 < Fault left 0x1000000 WATCHDOG_TIMER_EXPIRED: it disarmed the axis: *
@@ -74,7 +74,7 @@ def test_vectors_of_one_that_falls_and_is_let_go() -> None:
         100…150/50 > 3:Set_Axis_State 1
     """)
     talk.run(100, Idle("left"))
-    talk.tells("")  # heard to be idle at 100 and 200
+    talk.reports("")  # heard to be idle at 100 and 200
 
 
 def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
@@ -85,7 +85,7 @@ def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
     talk.run(100, Velocity("left", ROUND))
     talk.beat(8)
     talk.run(100, Velocity("left", ROUND))
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         100 < State left initialising: IDLE
         200 < State left ready: IDLE
@@ -103,7 +103,7 @@ def test_vectors_of_one_that_is_silent_in_the_midst_of_motion() -> None:
     talk.up(state=8)
     talk.run(200, Velocity("left", ROUND))
     # Heard last at -10. What it is is asked anew, every 100 ms; then it is taken over.
-    talk.tells("""
+    talk.reports("""
         0…230 > 3:Set_Input_Vel 1 0
         240 < State left offline: nothing heard
         240 > 3:Set_Input_Vel 1 0
@@ -118,7 +118,7 @@ def test_vectors_of_one_that_is_silent_in_the_midst_of_motion() -> None:
     talk.up()
     talk.run(300, Idle("left"))
     # Idle goes out to what was ours, heard or not, until two heartbeats confirm it: at 350 and 450.
-    talk.tells("""
+    talk.reports("""
         0…250/50 > 3:Set_Axis_State 1
         290 < State left offline: nothing heard
         300 > 3:Set_Axis_State 1
@@ -139,7 +139,7 @@ def test_vectors_of_two_devices_on_a_bus_that_fails() -> None:
     talk.beat(8)
     talk.beat(8, node=4)
     talk.run(50, *words)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
             | 4:Set_Controller_Mode 3 1 | 4:Set_Input_Pos 0 0 0 | 4:Set_Axis_State 8
         10…40 > 3:Set_Input_Vel 0 0 | 4:Set_Input_Pos 0 0 0
@@ -152,7 +152,7 @@ def test_vectors_of_two_devices_on_a_bus_that_fails() -> None:
     talk.bus(BusState.PASSIVE)
     talk.run(20, *words)
     # Our frames may be lost: the mode is said again. An error-passive controller loses none.
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Input_Vel 1 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 1 0
             | 4:Set_Input_Pos 0 0 0 | 4:Set_Controller_Mode 3 1 | 4:Set_Input_Pos 0 0 0
         10…40 > 3:Set_Input_Vel 1 0 | 4:Set_Input_Pos 0 0 0
@@ -162,7 +162,7 @@ def test_vectors_of_two_devices_on_a_bus_that_fails() -> None:
     talk.mute(3)
     talk.mute(4)
     talk.run(40, *words)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Clear_Errors 0
         0 < Refused ClearFault left: the bus is gone
     """)
@@ -171,7 +171,7 @@ def test_vectors_of_two_devices_on_a_bus_that_fails() -> None:
     talk.up(4, state=8)
     talk.run(200, Idle("left"), Hold("right"))
     # Asked anew what they are; but Idle goes out at once to what was ours.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
         0 < State right initialising: CLOSED_LOOP_CONTROL, asking for its firmware
         0…50/50 > 3:Set_Axis_State 1
@@ -190,7 +190,7 @@ def test_vectors_of_a_bus_that_was_off_while_a_device_arms() -> None:
     talk.bus(BusState.OFF)
     talk.run(110, Velocity("left", 1.0))
     # Frames were lost: a fresh sequence, as soon as it is known again.
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
         10 > 3:Set_Input_Vel 0 0
         100 < State left ready: IDLE

@@ -23,7 +23,7 @@ def test_vectors_of_an_axis_of_0_5_whose_parts_complain() -> None:
     talk = standing05()
     talk.beat(8)
     talk.run(100, Velocity("axis3", 0.0))
-    talk.tells("""
+    talk.reports("""
         0 < State axis3 armed: CLOSED_LOOP_CONTROL
         0 > 3:Set_Input_Vel 0 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0
         10…90 > 3:Set_Input_Vel 0 0
@@ -32,7 +32,7 @@ def test_vectors_of_an_axis_of_0_5_whose_parts_complain() -> None:
     talk.answer("Get_Motor_Error", Motor_Error=0x1001)
     talk.run(100, Velocity("axis3", 0.0))
     # Axis: 5 << 48, motor: 1 << 48. In fault: nothing is said but the question that its flag points to.
-    talk.tells("""
+    talk.reports("""
         0 < Fault axis3 0x5000000000040 MOTOR_FAILED: *
         0 < State axis3 fault: IDLE
         0 > 3?Get_Motor_Error
@@ -43,16 +43,16 @@ def test_vectors_of_an_axis_of_0_5_whose_parts_complain() -> None:
     talk.answer("Get_Controller_Error", Controller_Error=1)
     talk.run(600, Velocity("axis3", 0.0))
     # Only what is new. Encoder 2 << 48, controller 3 << 48; the encoder's word does not come.
-    talk.tells("""
+    talk.reports("""
         0 < Fault axis3 0x5000000000100 ENCODER_FAILED: *
         0 < Fault axis3 0x5000000000200 CONTROLLER_FAILED: *
         0 > 3?Get_Encoder_Error | 3?Get_Controller_Error
         1 < Fault axis3 0x3000000000001 controller OVERSPEED: *
         100…400/100 > 3?Get_Encoder_Error
     """)
-    talk.tell("Get_Encoder_Error", Encoder_Error=4)
-    talk.tell("Get_Encoder_Error", Encoder_Error=6)
-    talk.tells("""
+    talk.report("Get_Encoder_Error", Encoder_Error=4)
+    talk.report("Get_Encoder_Error", Encoder_Error=6)
+    talk.reports("""
         0 < Fault axis3 0x2000000000004 encoder NO_RESPONSE: *
         0 < Fault axis3 0x2000000000002 encoder CPR_POLEPAIRS_MISMATCH: *
     """)
@@ -60,7 +60,7 @@ def test_vectors_of_an_axis_of_0_5_whose_parts_complain() -> None:
     talk.answer("Get_Sensorless_Error", Sensorless_Error=1)
     talk.run(100)
     # It has no flag of its own: the axis' bit points to it. Sensorless: 4 << 48.
-    talk.tells("""
+    talk.reports("""
         0 < Fault axis3 0x5000000000080 SENSORLESS_ESTIMATOR_FAILED: *
         0 > 3?Get_Sensorless_Error
         1 < Fault axis3 0x4000000000001 sensorless UNSTABLE_GAIN: *
@@ -73,15 +73,15 @@ def test_vectors_of_an_axis_of_0_5_whose_parts_complain() -> None:
     """
     talk.beat(1, 0x40, Motor_Error_Flag=1)
     talk.run(100)
-    talk.tells(again)  # it was gone, and came again
+    talk.reports(again)  # it was gone, and came again
     talk.ask(ClearFault("axis3"))
     talk.run(700)
-    talk.tells("""
+    talk.reports("""
         0…480-599/100-150 > 3:Clear_Errors
         600 < Refused ClearFault axis3: still in fault: MOTOR_FAILED
     """)
     talk.run(100)
-    talk.tells(again)  # what stays is told again, with all its words
+    talk.reports(again)  # what stays is told again, with all its words
 
 
 def test_vectors_of_an_axis_of_0_5_whose_invalid_state_is_taken_back() -> None:
@@ -90,7 +90,7 @@ def test_vectors_of_an_axis_of_0_5_whose_invalid_state_is_taken_back() -> None:
     talk.run(50, Velocity("axis3", 0.0))
     talk.beat(1, 1)
     talk.run(100, Velocity("axis3", 0.0))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
         10…40 > 3:Set_Input_Vel 0 0
         50 < Fault axis3 0x5000000000001 INVALID_STATE: *
@@ -99,7 +99,7 @@ def test_vectors_of_an_axis_of_0_5_whose_invalid_state_is_taken_back() -> None:
     talk.run(50, Idle("axis3"))
     talk.beat()
     talk.run(200, Idle("axis3"))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Axis_State 1
         50 < State axis3 ready: IDLE
         50…100/50 > 3:Set_Axis_State 1
@@ -117,8 +117,8 @@ def test_vectors_of_every_bit_of_a_heartbeat(line: str, base: int) -> None:
         talk.beat(1, bit)
         talk.run(100)
         # INITIALIZING is a state: see the restarts.
-        told = [] if word in ("NONE", "INITIALIZING") else [f"Fault {name} {base + bit:#x} {word}"]
-        assert faults(talk) == told
+        reported = [] if word in ("NONE", "INITIALIZING") else [f"Fault {name} {base + bit:#x} {word}"]
+        assert faults(talk) == reported
 
 
 @pytest.mark.parametrize(
@@ -137,10 +137,12 @@ def test_vectors_of_every_bit_of_a_part_of_0_5(message: str, number: int, bit: i
     talk = standing05()
     talk.answer(f"Get_{message}", **{message: sum(known)})
     flag = {f"{part}_Error_Flag": 1} if part != "Sensorless" else {}
-    talk.tell("Heartbeat", 3, False, Axis_State=1, Axis_Error=bit, **flag)
+    talk.report("Heartbeat", 3, False, Axis_State=1, Axis_Error=bit, **flag)
     talk.run(10)
-    told = [f"Fault axis3 {(number << 48) + value:#x} {part.lower()} {word}" for value, word in known.items()]
-    assert faults(talk)[1:] == told
+    reported = [
+        f"Fault axis3 {(number << 48) + value:#x} {part.lower()} {word}" for value, word in known.items()
+    ]
+    assert faults(talk)[1:] == reported
 
 
 @pytest.mark.parametrize("line", ["0.5", "0.6"])
@@ -153,6 +155,6 @@ def test_vectors_of_every_state(line: str) -> None:
         talk.beat(state)
         talk.run(10)
         mode = {"IDLE": "ready", "CLOSED_LOOP_CONTROL": "armed"}.get(word, "initialising")
-        talk.tells(f"0 < State {name} {mode}: {word}" if word != "IDLE" else "")
+        talk.reports(f"0 < State {name} {mode}: {word}" if word != "IDLE" else "")
         talk.beat()
         talk.run(100)

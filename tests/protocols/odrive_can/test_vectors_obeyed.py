@@ -22,17 +22,17 @@ from protocols.messages import (
     Hold,
     Home,
     Idle,
+    Message,
     Position,
     Reboot,
     SetId,
     Torque,
     Velocity,
-    Word,
     WriteParameter,
     Zero,
 )
 from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode
-from protocols.odrive_can.decoder import OdriveEar
+from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.layout import FLOAT_MAX
 from protocols.odrive_can.messages import Address, Ask, GetEncoderEstimates, SetInputPos, SetInputVel
 from protocols.odrive_can.messages05 import AskAdcVoltage
@@ -42,23 +42,23 @@ from tests.protocols.odrive_can.conversation import frame
 
 SERIAL = 0x385F34733330
 ROUND = math.tau
-Line = tuple[str, dict[str, Any], list[Word]]
+Line = tuple[str, dict[str, Any], list[Message]]
 
 
-def ear(line: str = "0.6", **settings: Any) -> OdriveEar:
+def decoder(line: str = "0.6", **settings: Any) -> OdriveDecoder:
     """Of left at node 3 and right at node 4."""
     options = Options(firmware="0.5" if line == "0.5" else "0.6")
     names = (("left", 3, SERIAL), ("right", 4, SERIAL + 1))
-    return OdriveEar(
+    return OdriveDecoder(
         [Device(name, node, options, Settings(serial, **settings)) for name, node, serial in names]
     )
 
 
-def obeyed(listener: OdriveEar, line: str, said: Sequence[Line], node: int = 3) -> None:
+def obeyed(listener: OdriveDecoder, line: str, said: Sequence[Line], node: int = 3) -> None:
     """What each frame means, one after the other."""
     for name, signals, words in said:
-        heard = listener.hear(0, frame(name, line, node, **signals))
-        assert list(heard) == words, name
+        received = listener.decode(0, frame(name, line, node, **signals))
+        assert list(received) == words, name
 
 
 def setting(name: str, value: float) -> WriteParameter:
@@ -124,9 +124,9 @@ COMMON: list[Line] = [
 
 @pytest.mark.parametrize("line", ["0.5", "0.6"])
 def test_vectors_of_a_day_of_either_line(line: str) -> None:
-    listener = ear(line)
+    listener = decoder(line)
     obeyed(listener, line, COMMON)
-    again: list[Word] = [Hold("left")] if line == "0.5" else [Position("left", 3 * ROUND)]
+    again: list[Message] = [Hold("left")] if line == "0.5" else [Position("left", 3 * ROUND)]
     obeyed(
         listener,
         line,
@@ -150,14 +150,14 @@ ARMS: list[Line] = [("Set_Axis_State", {"Axis_Requested_State": 8}, [Velocity("l
         ("Reboot", "0.5", Reboot("left")),
     ],
 )
-def test_vectors_of_what_disarms(name: str, line: str, word: Word) -> None:
-    listener = ear(line)
+def test_vectors_of_what_disarms(name: str, line: str, word: Message) -> None:
+    listener = decoder(line)
     obeyed(listener, line, [*DISARMS, *ARMS, (name, {}, [word]), *DISARMS, *ARMS])
 
 
 def test_vectors_of_0_6_alone() -> None:
     obeyed(
-        ear(),
+        decoder(),
         "0.6",
         [
             ("Set_Absolute_Position", {"Position": 0}, [Zero("left")]),
@@ -171,7 +171,7 @@ def test_vectors_of_0_6_alone() -> None:
 
 def test_vectors_of_0_5_alone() -> None:
     obeyed(
-        ear("0.5"),
+        decoder("0.5"),
         "0.5",
         [
             ("Set_Linear_Count", {"Position": 0}, [Zero("left")]),
@@ -187,51 +187,51 @@ def test_vectors_of_0_5_alone() -> None:
 def test_vectors_of_a_board_with_two_axes() -> None:
     options = Options(firmware="0.5")
     pairs = (("left", 3, 4), ("right", 4, 3), ("far", 9, -1))
-    listener = OdriveEar(
+    listener = OdriveDecoder(
         [Device(name, node, options, Settings(node, other_axis=other)) for name, node, other in pairs]
     )
-    assert listener.hear(0, frame("Clear_Errors", "0.5")) == [ClearFault("left"), ClearFault("right")]
-    assert listener.hear(0, frame("Reboot", "0.5", 4)) == [Reboot("left"), Reboot("right")]
-    assert listener.hear(0, frame("Reboot", "0.5", 9)) == [Reboot("far")]
-    assert listener.hear(0, frame("Set_Axis_State", "0.5", 4, Axis_Requested_State=1)) == [Idle("right")]
-    assert listener.hear(0, frame("Set_Axis_Node_ID", "0.5", 4, Axis_Node_ID=7)) == [SetId("", 4, 7)]
-    assert listener.hear(0, frame("Clear_Errors", "0.5", 4)) == []
-    assert listener.hear(0, frame("Clear_Errors", "0.5", 7)) == [ClearFault("left"), ClearFault("right")]
-    assert listener.hear(0, frame("Clear_Errors", "0.5", 0x3F)) == []
+    assert listener.decode(0, frame("Clear_Errors", "0.5")) == [ClearFault("left"), ClearFault("right")]
+    assert listener.decode(0, frame("Reboot", "0.5", 4)) == [Reboot("left"), Reboot("right")]
+    assert listener.decode(0, frame("Reboot", "0.5", 9)) == [Reboot("far")]
+    assert listener.decode(0, frame("Set_Axis_State", "0.5", 4, Axis_Requested_State=1)) == [Idle("right")]
+    assert listener.decode(0, frame("Set_Axis_Node_ID", "0.5", 4, Axis_Node_ID=7)) == [SetId("", 4, 7)]
+    assert listener.decode(0, frame("Clear_Errors", "0.5", 4)) == []
+    assert listener.decode(0, frame("Clear_Errors", "0.5", 7)) == [ClearFault("left"), ClearFault("right")]
+    assert listener.decode(0, frame("Clear_Errors", "0.5", 0x3F)) == []
 
 
 def test_vectors_of_a_board_as_it_comes() -> None:
     """Node ids 0 and 1."""
     options = Options(firmware="0.5")
     pairs = (("left", 0, 1), ("right", 1, 0))
-    listener = OdriveEar(
+    listener = OdriveDecoder(
         [Device(name, node, options, Settings(node + 1, other_axis=other)) for name, node, other in pairs]
     )
     for node in (0, 1):
         both = [ClearFault("left"), ClearFault("right")]
-        assert listener.hear(0, frame("Clear_Errors", "0.5", node)) == both
+        assert listener.decode(0, frame("Clear_Errors", "0.5", node)) == both
 
 
 def test_vectors_of_extended_identifiers() -> None:
     options = Options(firmware="0.5", is_extended=True)
     pairs = (("left", 3, 0x30004), ("right", 0x30004, 3))
-    listener = OdriveEar(
+    listener = OdriveDecoder(
         [Device(name, node, options, Settings(node, other_axis=other)) for name, node, other in pairs]
     )
     both = [ClearFault("left"), ClearFault("right")]
-    assert listener.hear(0, frame("Clear_Errors", "0.5")) == []
-    assert listener.hear(0, frame("Clear_Errors", "0.5", extended=True)) == both
-    assert listener.hear(0, frame("Clear_Errors", "0.5", 0x30004, extended=True)) == both
+    assert listener.decode(0, frame("Clear_Errors", "0.5")) == []
+    assert listener.decode(0, frame("Clear_Errors", "0.5", extended=True)) == both
+    assert listener.decode(0, frame("Clear_Errors", "0.5", 0x30004, extended=True)) == both
     renames = frame("Set_Axis_Node_ID", "0.5", 3, True, Axis_Node_ID=0x50005)
-    assert listener.hear(0, renames) == [SetId("", 3, 0x50005)]
-    assert listener.hear(0, frame("Clear_Errors", "0.5", 0x50005, extended=True)) == both
-    assert listener.hear(0, frame("Clear_Errors", "0.5", 3, extended=True)) == []
+    assert listener.decode(0, renames) == [SetId("", 3, 0x50005)]
+    assert listener.decode(0, frame("Clear_Errors", "0.5", 0x50005, extended=True)) == both
+    assert listener.decode(0, frame("Clear_Errors", "0.5", 3, extended=True)) == []
 
 
 def test_vectors_of_both_lines_on_one_bus() -> None:
     """Each hears what is for its node, in its own language."""
     new, old = Options(firmware="0.6"), Options(firmware="0.5")
-    listener = OdriveEar(
+    listener = OdriveDecoder(
         [
             Device("new", 3, new, Settings(3)),
             Device("old", 4, old, Settings(4)),
@@ -239,9 +239,9 @@ def test_vectors_of_both_lines_on_one_bus() -> None:
         ]
     )
     for name, node, line in (("new", 3, "0.6"), ("old", 4, "0.5"), ("newer", 5, "0.6")):
-        assert listener.hear(0, frame("Clear_Errors", line, node)) == [ClearFault(name)]
-    assert listener.hear(0, frame("Set_Linear_Count", "0.5", 4)) == [Zero("old")]
-    assert listener.hear(0, frame("Set_Absolute_Position", "0.6", 3)) == [Zero("new")]
+        assert listener.decode(0, frame("Clear_Errors", line, node)) == [ClearFault(name)]
+    assert listener.decode(0, frame("Set_Linear_Count", "0.5", 4)) == [Zero("old")]
+    assert listener.decode(0, frame("Set_Absolute_Position", "0.6", 3)) == [Zero("new")]
 
 
 def given(serial: int, node: int, to: int = 0x3F) -> CanFrame:
@@ -250,38 +250,38 @@ def given(serial: int, node: int, to: int = 0x3F) -> CanFrame:
 
 
 def test_vectors_of_node_ids_that_are_given_out() -> None:
-    listener = ear()
-    assert listener.hear(0, given(SERIAL, 5, to=3)) == []
-    assert listener.hear(0, given(SERIAL, 0x40)) == []
-    assert listener.hear(0, given(SERIAL + 9, 6)) == []
-    assert listener.hear(0, given(SERIAL, 5)) == [SetId("", SERIAL, 5)]
-    assert listener.hear(0, frame("Clear_Errors", node=3)) == []
-    assert listener.hear(0, frame("Clear_Errors", node=5)) == [ClearFault("left")]
+    listener = decoder()
+    assert listener.decode(0, given(SERIAL, 5, to=3)) == []
+    assert listener.decode(0, given(SERIAL, 0x40)) == []
+    assert listener.decode(0, given(SERIAL + 9, 6)) == []
+    assert listener.decode(0, given(SERIAL, 5)) == [SetId("", SERIAL, 5)]
+    assert listener.decode(0, frame("Clear_Errors", node=3)) == []
+    assert listener.decode(0, frame("Clear_Errors", node=5)) == [ClearFault("left")]
     # Who holds an id that another is given vacates it.
-    assert listener.hear(0, given(SERIAL, 4)) == [SetId("", SERIAL, 4), SetId("", SERIAL + 1, 0x3F)]
-    assert listener.hear(0, frame("Set_Pos_Gain", node=4, Pos_Gain=1)) == [setting("Pos_Gain", 1.0)]
-    assert listener.hear(0, given(SERIAL, 0x3F)) == [SetId("", SERIAL, 0x3F)]
-    assert listener.hear(0, given(SERIAL + 9, 0x3F)) == []
-    assert listener.hear(0, frame("Clear_Errors", node=0x3F)) == [ClearFault("left"), ClearFault("right")]
-    assert listener.hear(0, frame("Reboot", node=0x3F)) == [Reboot("left"), Reboot("right")]
-    assert listener.hear(0, frame("Estop", node=9)) == []
+    assert listener.decode(0, given(SERIAL, 4)) == [SetId("", SERIAL, 4), SetId("", SERIAL + 1, 0x3F)]
+    assert listener.decode(0, frame("Set_Pos_Gain", node=4, Pos_Gain=1)) == [setting("Pos_Gain", 1.0)]
+    assert listener.decode(0, given(SERIAL, 0x3F)) == [SetId("", SERIAL, 0x3F)]
+    assert listener.decode(0, given(SERIAL + 9, 0x3F)) == []
+    assert listener.decode(0, frame("Clear_Errors", node=0x3F)) == [ClearFault("left"), ClearFault("right")]
+    assert listener.decode(0, frame("Reboot", node=0x3F)) == [Reboot("left"), Reboot("right")]
+    assert listener.decode(0, frame("Estop", node=9)) == []
 
 
 @pytest.mark.parametrize(
-    ("wire", "line"),
+    ("frame", "line"),
     [
         (CanFrame(0x67, b"\1\0\0\0", remote=False), "0.6"),
         (CanFrame(0x67, b"\1"), "0.6"),
         (CanFrame(0x67, b"\1\0\0\0"), "0.5"),
     ],
 )
-def test_vectors_of_short_frames_are_read_as_if_zeros_followed(wire: CanFrame, line: str) -> None:
+def test_vectors_of_short_frames_are_read_as_if_zeros_followed(frame: CanFrame, line: str) -> None:
     """As vendor hosts send Set_Axis_State, with 4 bytes."""
-    assert ear(line).hear(0, wire) == [Idle("left")]
+    assert decoder(line).decode(0, frame) == [Idle("left")]
 
 
 @pytest.mark.parametrize(
-    ("wire", "line", "words"),
+    ("frame", "line", "words"),
     [
         (CanFrame(0x67, b"\1\0\0\0\0\0\0\0", fd=True), "0.6", []),
         (CanFrame(0x67, b"\1\0\0\0\0\0\0\0\0"), "0.6", []),
@@ -293,8 +293,8 @@ def test_vectors_of_short_frames_are_read_as_if_zeros_followed(wire: CanFrame, l
         (CanFrame(0x74), "0.6", []),
     ],
 )
-def test_vectors_of_frames_of_other_kinds(wire: CanFrame, line: str, words: list[Word]) -> None:
-    assert ear(line).hear(0, wire) == words
+def test_vectors_of_frames_of_other_kinds(frame: CanFrame, line: str, words: list[Message]) -> None:
+    assert decoder(line).decode(0, frame) == words
 
 
 # -- numbers at their edges, packed by struct -----------------------------------------------------------
@@ -323,8 +323,8 @@ def test_vectors_of_numbers_at_the_edges_of_binary32(said: float, carried: float
     assert (encode(3, SetInputVel(said, 1.0)).data, encode(3, SetInputVel(1.0, said)).data) == both
     assert encode(3, SetInputPos(said, 0.0, 0.0)).data == struct.pack("<fhh", carried, 0, 0)
     if abs(said) <= FLOAT_MAX and said != BELOW and said != -BELOW:
-        told = decode_from_device(CanFrame(0x69, both[0])), decode_from_device(CanFrame(0x69, both[1]))
-        assert told == (GetEncoderEstimates(carried, 1.0), GetEncoderEstimates(1.0, carried))
+        reported = decode_from_device(CanFrame(0x69, both[0])), decode_from_device(CanFrame(0x69, both[1]))
+        assert reported == (GetEncoderEstimates(carried, 1.0), GetEncoderEstimates(1.0, carried))
         assert decode_to_device(CanFrame(0x6C, struct.pack("<fhh", said, 0, 0))) == SetInputPos(carried, 0, 0)
 
 
@@ -332,10 +332,10 @@ def test_vectors_of_numbers_at_the_edges_of_binary32(said: float, carried: float
 def test_vectors_of_denormals(bits: int) -> None:
     tiny, one = struct.pack("<I", bits), struct.pack("<f", 1.0)
     for data, wanted in ((tiny + one, (0.0, 1.0)), (one + tiny, (1.0, 0.0))):
-        told = decode_from_device(CanFrame(0x69, data))
-        assert told == GetEncoderEstimates(*wanted)
-        assert isinstance(told, GetEncoderEstimates)
-        assert math.copysign(1.0, told.position) == math.copysign(1.0, told.velocity) == 1.0
+        reported = decode_from_device(CanFrame(0x69, data))
+        assert reported == GetEncoderEstimates(*wanted)
+        assert isinstance(reported, GetEncoderEstimates)
+        assert math.copysign(1.0, reported.position) == math.copysign(1.0, reported.velocity) == 1.0
     said = decode_to_device(CanFrame(0x6C, tiny + bytes(4)))
     assert isinstance(said, SetInputPos)
     assert math.copysign(1.0, said.position) == 1.0
@@ -380,16 +380,16 @@ def test_vectors_of_what_is_not_finite_are_no_messages(value: float) -> None:
 def test_vectors_of_frames_that_are_too_short_or_too_long(cmd: int) -> None:
     fewest = 7 if cmd == 0x01 else 8
     for count in range(11):
-        told = decode_from_device(CanFrame(0x60 | cmd, bytes(count)))
-        assert (told is not None) == (fewest <= count <= 8)
+        reported = decode_from_device(CanFrame(0x60 | cmd, bytes(count)))
+        assert (reported is not None) == (fewest <= count <= 8)
 
 
 @pytest.mark.parametrize(("last", "connection"), [("", None), ("00", 0), ("07", 7)])
 def test_vectors_of_a_connection_that_is_told_or_not(last: str, connection: int | None) -> None:
     """Firmware before 0.6.11 leaves the byte out (ODriveArduino@f52eef5 `src/can_simple_messages.hpp`)."""
-    told = CanFrame(0x66, bytes.fromhex("03303373345f38" + last))
-    assert decode_from_device(told) == Address(3, SERIAL, connection)
-    given_out = CanFrame(0x7E6, told.data)
+    reported = CanFrame(0x66, bytes.fromhex("03303373345f38" + last))
+    assert decode_from_device(reported) == Address(3, SERIAL, connection)
+    given_out = CanFrame(0x7E6, reported.data)
     assert decode_to_device(given_out) == Address(3, SERIAL, connection)
 
 

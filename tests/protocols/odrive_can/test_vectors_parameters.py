@@ -24,8 +24,10 @@ NOT_READABLE = {
 
 def readable(line: str) -> dict[str, str]:
     """Each signal that a device tells, and its message, as the DBC has them."""
-    told = [row for row in MESSAGES[line].values() if any("ODrive" in sender for sender in row.senders)]
-    names = [(s.name, row.name[6:]) for row in told for s in row.signals if row.name[6:] not in NOT_READABLE]
+    reported = [row for row in MESSAGES[line].values() if any("ODrive" in sender for sender in row.senders)]
+    names = [
+        (s.name, row.name[6:]) for row in reported for s in row.signals if row.name[6:] not in NOT_READABLE
+    ]
     return dict(names)
 
 
@@ -58,8 +60,8 @@ def test_vectors_of_every_parameter_that_is_read(line: str) -> None:
         talk.stage()
         talk.ask(ReadParameter(motor, name))
         talk.run(9)
-        told = [f"3?{message}", f"Parameter {motor} {name} {values[message][name]:g}"]
-        assert answered(talk) == [*told, f"Done ReadParameter {motor}: "]
+        reported = [f"3?{message}", f"Parameter {motor} {name} {values[message][name]:g}"]
+        assert answered(talk) == [*reported, f"Done ReadParameter {motor}: "]
 
 
 def test_vectors_of_a_heartbeat_s_parameters_of_0_5() -> None:
@@ -81,10 +83,10 @@ def test_vectors_of_a_heartbeat_s_parameters_of_0_5() -> None:
     assert set(values) == {name for name, message in readable("0.5").items() if message == "Heartbeat"}
     talk.ask(*(ReadParameter("axis3", name) for name in values))
     talk.run(1)
-    told = [
+    reported = [
         (f"Parameter axis3 {name} {value}", "Done ReadParameter axis3: ") for name, value in values.items()
     ]
-    wanted = [text for pair in told for text in pair]
+    wanted = [text for pair in reported for text in pair]
     assert [text for text in answered(talk) if "?" not in text] == wanted
     assert "3?Heartbeat" not in talk.questions
 
@@ -119,7 +121,7 @@ def test_vectors_of_parameters_that_are_not_told() -> None:
     talk = standing()
     talk.ask(ReadParameter("left", "nothing"), ReadParameter("nobody", "Iq_Measured"))
     talk.ask(ReadParameter("left", "Motor_Error"))  # of 0.5.x
-    talk.tells("""
+    talk.reports("""
         0 < Refused ReadParameter left: CANSimple does not tell 'nothing'; it tells *Iq_Measured*
         0 < Refused ReadParameter nobody: *
         0 < Refused ReadParameter left: CANSimple does not tell 'Motor_Error'; *
@@ -133,7 +135,7 @@ def test_vectors_of_a_parameter_whose_answer_is_lost() -> None:
     talk.answer("Get_Error", Disarm_Reason=0x200)
     talk.run(100)
     # An old reason is history, and no fault.
-    talk.tells("""
+    talk.reports("""
         0…240/100-150 > 3?Get_Error
         201-260 < Parameter left Disarm_Reason 512
         201-260 < Done ReadParameter left:*
@@ -146,7 +148,7 @@ def test_vectors_of_a_parameter_of_one_that_restarts_meanwhile() -> None:
     talk.ask(ReadParameter("left", "Disarm_Reason"))
     talk.beat(1, 1)
     talk.run(650)
-    talk.tells("""
+    talk.reports("""
         0 > 3?Get_Error
         0 < State left initialising: IDLE, asking for its firmware
         100 < State left initialising: IDLE
@@ -173,12 +175,12 @@ def test_vectors_of_a_parameter_that_is_written(line: str, message: str, name: s
     talk, motor = (standing(), "left") if line == "0.6" else (standing05(), "axis3")
     talk.ask(WriteParameter(motor, name, 0.125))
     talk.run(10)
-    talk.tells(f"""
+    talk.reports(f"""
         0 > 3:{message} 0.125
         0 < Done WriteParameter {motor}: sent; the device does not confirm it
     """)
     talk.ask(WriteParameter(motor, name, 0.0))
-    talk.tells(f"0 > 3:{message} 0")
+    talk.reports(f"0 > 3:{message} 0")
 
 
 @pytest.mark.parametrize(("message", "first", "second"), PAIRS)
@@ -186,12 +188,12 @@ def test_vectors_of_parameters_that_travel_in_pairs(message: str, first: str, se
     """The first is kept until its partner is written too; from then on each is written with the other."""
     talk = standing()
     talk.ask(WriteParameter("left", second, 0.25))
-    talk.tells(f"0 < Refused WriteParameter left: *write {first} too; {second} is kept for it")
+    talk.reports(f"0 < Refused WriteParameter left: *write {first} too; {second} is kept for it")
     talk.ask(WriteParameter("left", first, 0.125))
     talk.run(100)
     talk.ask(WriteParameter("left", second, 0.5))
     talk.run(10)
-    talk.tells(f"""
+    talk.reports(f"""
         0 > 3:{message} 0.125 0.25
         0 < Done WriteParameter left: sent; the device does not confirm it
         100 > 3:{message} 0.125 0.5
@@ -204,7 +206,7 @@ def test_vectors_of_what_must_not_be_written() -> None:
     for value in (-1.0, math.nan, math.inf):
         talk.ask(WriteParameter("left", "Pos_Gain", value))
     talk.ask(WriteParameter("left", "nothing", 1.0), WriteParameter("left", "save_configuration", 2.0))
-    talk.tells("""
+    talk.reports("""
         0 < Refused WriteParameter left: -1.0 is not *
         0 < Refused WriteParameter left: nan is not *
         0 < Refused WriteParameter left: inf is not *

@@ -34,7 +34,7 @@ def test_vectors_of_a_zero() -> None:
     talk.run(150)
     talk.place(-0.04)
     talk.run(20)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Absolute_Position 0
         0 < left position 0.376991, velocity 0
         100-150 > 3:Set_Absolute_Position 0
@@ -48,7 +48,7 @@ def test_vectors_of_a_zero_of_a_shaft_that_is_elsewhere() -> None:
     talk.place(2.0)
     talk.ask(Zero("left"))
     talk.run(650)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Absolute_Position 0
         0 < left position 12.5664, velocity 0
         100-150…480-599/100-150 > 3:Set_Absolute_Position 0
@@ -64,7 +64,7 @@ def test_vectors_of_an_estop_and_a_clearing() -> None:
     talk.beat(1, 0x2000100, Procedure_Result=3)
     talk.run(100)
     # Another fault is no answer.
-    talk.tells("""
+    talk.reports("""
         0 > 3:Estop
         0 < Fault left 0x100 DC_BUS_OVER_VOLTAGE: *
         0 < State left fault: IDLE
@@ -76,21 +76,21 @@ def test_vectors_of_an_estop_and_a_clearing() -> None:
     talk.run(150)
     talk.beat()
     talk.run(100)
-    talk.tells("""
+    talk.reports("""
         0…120/100-150 > 3:Clear_Errors 0
         150 < State left ready: IDLE
         150 < Done ClearFault left:*
     """)
     talk.beat(1, 0x2000000)
     talk.run(100)
-    talk.tells("""
+    talk.reports("""
         0 < Fault left 0x2000000 ESTOP_REQUESTED: *
         0 < State left fault: IDLE
     """)
     talk.ask(ClearFault("left"))
     talk.run(710)
     # What stays is told again, with all its words.
-    talk.tells("""
+    talk.reports("""
         0…480-599/100-150 > 3:Clear_Errors 0
         600 < Refused ClearFault left: still in fault: ESTOP_REQUESTED
         600-700 < Fault left 0x2000000 ESTOP_REQUESTED: *
@@ -100,7 +100,7 @@ def test_vectors_of_an_estop_and_a_clearing() -> None:
 def test_vectors_of_requests_that_no_device_of_this_language_knows() -> None:
     talk = standing()
     talk.ask(Home("left"), Release(), Set("gains.left", 1.0), Zero("nobody"))
-    talk.tells("""
+    talk.reports("""
         0 < Refused Home left: *
         0 < Refused Release : *
         0 < Refused Set : *
@@ -118,7 +118,7 @@ def test_vectors_of_a_restart_that_is_seen() -> None:
     talk.beat(1, 1)
     talk.run(300)
     # INITIALIZING: restarted, and not up yet.
-    talk.tells("""
+    talk.reports("""
         0…2000/2000 > 3:Reboot 0
         2340-2350 < State left offline: nothing heard
         3000 < State left initialising: IDLE, asking for its firmware
@@ -126,7 +126,7 @@ def test_vectors_of_a_restart_that_is_seen() -> None:
     """)
     talk.beat(1, 0)
     talk.run(200)
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE
         0 < Done Reboot left: it has restarted
     """)
@@ -144,7 +144,7 @@ def test_vectors_of_a_saving_and_the_pause_that_shows_it() -> None:
     talk.beat()
     talk.run(50)
     # 390 ms may be two heartbeats lost and a late one; 410 are a pause.
-    talk.tells("""
+    talk.reports("""
         0 > 3:Reboot 1
         800 < Done WriteParameter left: it has restarted
     """)
@@ -154,7 +154,7 @@ def test_vectors_of_a_restart_that_is_not_seen() -> None:
     talk = standing()
     talk.ask(Reboot("left"))
     talk.run(8100)
-    talk.tells("""
+    talk.reports("""
         0…6000/2000 > 3:Reboot 0
         8000 < Refused Reboot left: it showed no sign of a restart
     """)
@@ -164,12 +164,12 @@ def test_vectors_of_requests_to_a_device_that_runs() -> None:
     talk = standing()
     talk.beat(8)
     talk.run(50)
-    talk.tells("0 < State left armed: CLOSED_LOOP_CONTROL")
+    talk.reports("0 < State left armed: CLOSED_LOOP_CONTROL")
     talk.ask(Zero("left"), Reboot("left"), WriteParameter("left", "save_configuration", 1.0))
     talk.ask(SetId("can0", SERIAL, 3))
-    talk.hear(DISCOVERED)
+    talk.handle(DISCOVERED)
     talk.ask(SetId("can0", SERIAL, 5))
-    talk.tells("""
+    talk.reports("""
         0 < Refused Zero left: it is armed*
         0 < Refused Reboot left: it is armed*
         0 < Refused WriteParameter left: it is armed*
@@ -177,7 +177,7 @@ def test_vectors_of_requests_to_a_device_that_runs() -> None:
     """)
     talk.ask(WriteParameter("left", "Pos_Gain", 1.0))
     talk.run(100)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Pos_Gain 1
         50 < Done WriteParameter left: sent; the device does not confirm it
     """)
@@ -188,7 +188,7 @@ def test_vectors_of_requests_to_a_device_that_arms() -> None:
     talk.run(10, Velocity("left", 0.0))
     talk.stage()
     talk.ask(Zero("left"), Reboot("left"), WriteParameter("left", "save_configuration", 1.0))
-    talk.tells("""
+    talk.reports("""
         0 < Refused Zero left: it is armed*
         0 < Refused Reboot left: it is armed*
         0 < Refused WriteParameter left: it is armed*
@@ -202,7 +202,7 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
     talk.ask(ReadParameter("left", "Iq_Measured"), Reboot("left"), ClearFault("left"), Estop("left"))
     talk.run(700)
     # An emergency stop does not wait for the firmware to be known; all lines have the same.
-    talk.tells("""
+    talk.reports("""
         0 < Refused ReadParameter left: its firmware is not known, or not what the robot file says
         0 < Refused Reboot left: its firmware is not known, or not what the robot file says
         0…120/100-150 > 3:Estop
@@ -216,7 +216,7 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
     talk.ask(ClearFault("left"), Estop("left"))
     talk.run(650)
     # Its firmware is not known: clearing has another length in each line, and does not go out.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         50…530-649/100-150 > 3:Estop
         650 < Refused ClearFault left: its firmware is not known
@@ -229,7 +229,7 @@ def test_vectors_of_requests_to_one_that_falls_silent() -> None:
     talk.mute()
     talk.ask(ReadParameter("left", "Electrical_Power"), Zero("left"), WriteParameter("left", "Pos_Gain", 1.0))
     talk.run(650)
-    talk.tells("""
+    talk.reports("""
         0…120/100-150 > 3?Get_Powers | 3:Set_Absolute_Position 0 | 3:Set_Pos_Gain 1
         240 < State left offline: nothing heard
         240…480-599/100-150 > 3?Get_Powers | 3:Set_Absolute_Position 0 | 3:Set_Pos_Gain 1
@@ -246,7 +246,7 @@ def test_vectors_of_too_many_requests() -> None:
     talk.bus(BusState.OFF)
     talk.mute()
     talk.run(10)
-    talk.tells("""
+    talk.reports("""
         0 > 31 × 3?Get_Powers
         0 < Refused ReadParameter left: too many requests are under way
         0 < Refused Scan can1: too many requests are under way
@@ -264,4 +264,4 @@ def test_vectors_of_a_restart_beside_a_device_of_0_6_that_runs() -> None:
     talk.run(200)
     talk.stage()
     talk.ask(Reboot("left"))
-    talk.tells("0 > 3:Reboot 0")
+    talk.reports("0 > 3:Reboot 0")

@@ -20,7 +20,7 @@ from tests.protocols.odrive_can.talk import ROUND, Talk, standing
 def test_vectors_of_a_device_that_comes_up_is_read_and_falls_silent() -> None:
     talk = Talk([device(offline_ms=300)])
     talk.run(260)
-    talk.tells("")  # nobody there, and not for offline_ms yet
+    talk.reports("")  # nobody there, and not for offline_ms yet
     talk.up()
     talk.answer("Get_Iq", Iq_Setpoint=1.0, Iq_Measured=2.0)
     talk.answer("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
@@ -29,7 +29,7 @@ def test_vectors_of_a_device_that_comes_up_is_read_and_falls_silent() -> None:
     talk.run(320)
     # Asked for its version every 100 ms, and for its supply, as both lines tell it; then the next heartbeat
     # counts, and each of the others is polled once in poll_ms.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         0-100 < left voltage 24
@@ -38,17 +38,17 @@ def test_vectors_of_a_device_that_comes_up_is_read_and_falls_silent() -> None:
         101-301 < left temperature 50
         101-301 < left torque 0.5
     """)
-    talk.tell("Get_Temperature", FET_Temperature=41.0, Motor_Temperature=math.nan)
-    talk.tell("Get_Temperature", FET_Temperature=math.nan, Motor_Temperature=math.nan)
-    talk.tell("Get_Powers", Electrical_Power=3.0)
-    talk.tells("0 < left temperature 41")  # NaN: no sensor
+    talk.report("Get_Temperature", FET_Temperature=41.0, Motor_Temperature=math.nan)
+    talk.report("Get_Temperature", FET_Temperature=math.nan, Motor_Temperature=math.nan)
+    talk.report("Get_Powers", Electrical_Power=3.0)
+    talk.reports("0 < left temperature 41")  # NaN: no sensor
     talk.mute()
     talk.run(400)
-    talk.tells("290-300 < State left offline: nothing heard")
+    talk.reports("290-300 < State left offline: nothing heard")
     talk.up()
     talk.run(210)
     # Silent, so it may have been replaced: asked anew.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         100-200 < State left ready: IDLE
     """)
@@ -58,7 +58,7 @@ def test_vectors_of_one_that_never_comes_up() -> None:
     talk = Talk([device()])
     talk.run(400, Velocity("left", 1.0))
     talk.run(200, Idle("left"))
-    talk.tells("250 < State left offline: nothing heard")
+    talk.reports("250 < State left offline: nothing heard")
 
 
 def test_vectors_of_arming_steering_and_letting_go() -> None:
@@ -66,21 +66,21 @@ def test_vectors_of_arming_steering_and_letting_go() -> None:
     talk.place(0.5)
     talk.run(100, Velocity("left", ROUND))
     # Mode 2 (velocity), input 1 (passthrough); a set-point that does not move it; state 8.
-    talk.tells("""
+    talk.reports("""
         0 < left position 3.14159, velocity 0
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
         10…90 > 3:Set_Input_Vel 0 0
     """)
     talk.beat(8, Procedure_Result=1)
     talk.run(40, Velocity("left", ROUND, 0.25))
-    talk.tells("""
+    talk.reports("""
         0 < State left armed: CLOSED_LOOP_CONTROL
         0…30 > 3:Set_Input_Vel 1 0.25
     """)
     talk.place(0.75, 1.0)
     talk.run(40, Position("left", 2 * ROUND, ROUND, -0.5))
     # No stale input is obeyed when the mode changes, and entering position control may replace the input.
-    talk.tells("""
+    talk.reports("""
         0 < left position 4.71239, velocity 6.28319
         0 > 3:Set_Input_Pos 2 1 -0.5 | 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 2 1 -0.5
         10…30 > 3:Set_Input_Pos 2 1 -0.5
@@ -89,25 +89,25 @@ def test_vectors_of_arming_steering_and_letting_go() -> None:
     talk.place(1.0)
     talk.run(20, Hold("left"))
     # Where it was measured when the word was first said.
-    talk.tells("""
+    talk.reports("""
         0…10 > 3:Set_Input_Pos 0.75 0 0
         20 < left position 6.28319, velocity 0
         20…30 > 3:Set_Input_Pos 0.75 0 0
     """)
     talk.run(20, Torque("left", 0.125))
     talk.run(20, Hold("left"))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Input_Torque 0.125 | 3:Set_Controller_Mode 1 1 | 3:Set_Input_Torque 0.125
         10 > 3:Set_Input_Torque 0.125
         20 > 3:Set_Input_Pos 1 0 0 | 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 1 0 0
         30 > 3:Set_Input_Pos 1 0 0
     """)
     talk.run(60, Idle("left"))
-    talk.tells("0…50/50 > 3:Set_Axis_State 1")
+    talk.reports("0…50/50 > 3:Set_Axis_State 1")
     talk.beat(1)
     talk.run(300, Idle("left"))
     # Last said at 50, 10 ms ago; until two heartbeats say that it is disarmed: the second comes at 100.
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE
         40…90/50 > 3:Set_Axis_State 1
     """)
@@ -125,7 +125,7 @@ def test_vectors_of_commands_that_must_not_reach_the_wire() -> None:
     talk.run(20, Position("left", 0.0, -206.0))  # 32.8 turns/s, and int16 ends at 32.767
     talk.run(20, Velocity("left", ROUND))
     # Each is told once, however often it is said; mode 2 is still the device's.
-    talk.tells("""
+    talk.reports("""
         0 < Refused Impedance left: *no impedance control
         20 < Refused Velocity left: velocity is inf
         40 < Refused Velocity left: velocity 7000 *
@@ -134,7 +134,7 @@ def test_vectors_of_commands_that_must_not_reach_the_wire() -> None:
         100…110 > 3:Set_Input_Vel 1 0
     """)
     talk.run(10, Velocity("left", math.inf))
-    talk.tells("0 < Refused Velocity left: velocity is inf")  # it was good in between
+    talk.reports("0 < Refused Velocity left: velocity is inf")  # it was good in between
 
 
 @pytest.mark.parametrize(
@@ -162,13 +162,13 @@ def test_vectors_of_commands_at_the_edges_of_what_the_wire_carries(
     talk.run(10, Idle("left"))
     name = type(command).__name__
     if not said:
-        talk.tells(f"""
+        talk.reports(f"""
             0 < State left armed: CLOSED_LOOP_CONTROL
             0 < Refused {name} left: *lies outside*
         """)
         return
     mode = {"Torque": 1, "Velocity": 2, "Position": 3}[name]
-    talk.tells(f"""
+    talk.reports(f"""
         0 < State left armed: CLOSED_LOOP_CONTROL
         0 > 3:{said} | 3:Set_Controller_Mode {mode} 1 | 3:{said}
         10 > 3:{said}
@@ -182,12 +182,12 @@ def test_vectors_of_a_device_that_runs_already() -> None:
     talk.beat(8)
     talk.place(0.5)
     talk.run(100, Idle("left"))
-    talk.tells("""
+    talk.reports("""
         0 < State left armed: CLOSED_LOOP_CONTROL
         0 < left position 3.14159, velocity 0
     """)
     talk.run(100, Hold("left"))
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Input_Pos 0.5 0 0 | 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0.5 0 0
         10…90 > 3:Set_Input_Pos 0.5 0 0
     """)
@@ -201,7 +201,7 @@ def test_vectors_of_one_whose_version_comes_before_its_first_heartbeat() -> None
     talk.beat(8)
     talk.run(50, Hold("left"))
     # From its first heartbeat on it is known, and driven.
-    talk.tells("""
+    talk.reports("""
         0 < left position 3.14159, velocity 0
         50 < State left armed: CLOSED_LOOP_CONTROL
         50 > 3:Set_Input_Pos 0.5 0 0 | 3:Set_Controller_Mode 3 1 | 3:Set_Input_Pos 0.5 0 0
@@ -216,18 +216,18 @@ def test_vectors_of_a_stop_that_reaches_what_somebody_else_has_armed() -> None:
     talk.run(200)
     talk.stage()
     talk.run(100, Idle("left"), Idle("right"))
-    talk.tells("")  # not ours
+    talk.reports("")  # not ours
     talk.ask(Stop())
     talk.run(20, Idle("left"), Idle("right"))
-    talk.tells("0 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1")
+    talk.reports("0 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1")
     talk.bus(BusState.FULL)
     talk.run(60, Idle("left"), Idle("right"))
     # What the bus dropped is said again at once.
-    talk.tells("0…50/50 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1")
+    talk.reports("0…50/50 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1")
     talk.beat()
     talk.run(220, Idle("left"), Idle("right"))
     # Last said 10 ms ago. Left is heard to be idle at 0 and 100, right (since FULL) at 20 and 120.
-    talk.tells("""
+    talk.reports("""
         0 < State left ready: IDLE
         40…90/50 > 3:Set_Axis_State 1 | 4:Set_Axis_State 1
     """)
@@ -236,7 +236,7 @@ def test_vectors_of_a_stop_that_reaches_what_somebody_else_has_armed() -> None:
 def test_vectors_of_frames_that_are_not_for_us() -> None:
     talk = standing()
     estimates = frame("Get_Encoder_Estimates", Pos_Estimate=1.0)
-    for wire in (
+    for raw in (
         replace(estimates, id=0x89),  # node 4
         replace(estimates, extended=True),
         replace(estimates, fd=True),
@@ -244,12 +244,12 @@ def test_vectors_of_frames_that_are_not_for_us() -> None:
         CanFrame(estimates.id),  # a question, too
         frame("Set_Input_Vel", Input_Vel=1.0),  # of another host
     ):
-        talk.hear(wire)
-    talk.tells("", foreign=6)
+        talk.handle(raw)
+    talk.reports("", foreign=6)
 
 
 @pytest.mark.parametrize(
-    "wire",
+    "raw",
     [
         CanFrame(0x69, bytes(7)),
         CanFrame(0x61, bytes(6)),
@@ -259,16 +259,16 @@ def test_vectors_of_frames_that_are_not_for_us() -> None:
         frame("Get_Torques", Torque_Estimate=math.nan),
     ],
 )
-def test_vectors_of_frames_that_are_bad(wire: CanFrame) -> None:
+def test_vectors_of_frames_that_are_bad(raw: CanFrame) -> None:
     """They change nothing, and do not count as a sign of life."""
     talk = standing()
-    talk.hear(wire)
-    talk.tells("", bad=1)
+    talk.handle(raw)
+    talk.reports("", bad=1)
     talk.mute()
     talk.run(100)
-    talk.hear(wire)
+    talk.handle(raw)
     talk.run(200)
-    talk.tells("240 < State left offline: nothing heard", bad=1)
+    talk.reports("240 < State left offline: nothing heard", bad=1)
 
 
 def test_vectors_of_states_that_are_neither_idle_nor_closed_loop() -> None:
@@ -279,7 +279,7 @@ def test_vectors_of_states_that_are_neither_idle_nor_closed_loop() -> None:
     talk.run(100)
     talk.beat(1, Procedure_Result=1)
     talk.run(100)
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: LOCKIN_SPIN
         100 < State left initialising: axis state 40, procedure result 40
         200 < State left ready: IDLE

@@ -17,28 +17,28 @@ from tests.protocols.odrive_can.talk import Talk, standing
 def test_vectors_of_two_that_answer_the_roll_call() -> None:
     talk = standing()
     for serial in (10, 11, 10, 11):
-        talk.hear(address(3, serial))
+        talk.handle(address(3, serial))
     twice = """
         0 < Found 3 00000000000A twice: node id 3 is held twice: by 00000000000A and 00000000000B
         0 < Found 3 00000000000B twice: node id 3 is held twice: by 00000000000A and 00000000000B
         0 < Fault left 0x200000000 node id 3 is held twice: *00000000000A and 00000000000B
     """
-    talk.tells(twice)
+    talk.reports(twice)
     # Of others it is found, and no motor's fault; who has no node id yet is not alone with that.
     for serial in (12, 13):
-        talk.hear(address(7, serial), address(63, serial + 2))
-    talk.tells("""
+        talk.handle(address(7, serial), address(63, serial + 2))
+    talk.reports("""
         0 < Found 7 00000000000C twice: *
         0 < Found 7 00000000000D twice: *
     """)
     talk.ask(ClearFault("left"))
     talk.run(10)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Clear_Errors 0
         0 < Done ClearFault left:*
     """)
-    talk.hear(address(3, 11))
-    talk.tells(twice)
+    talk.handle(address(3, 11))
+    talk.reports(twice)
 
 
 def test_vectors_of_one_that_was_replaced_and_of_one_that_moved() -> None:
@@ -48,13 +48,13 @@ def test_vectors_of_one_that_was_replaced_and_of_one_that_moved() -> None:
     talk.up(4)
     talk.run(200)
     talk.stage()
-    talk.hear(address(3, 10))
+    talk.handle(address(3, 10))
     talk.run(10_001)
-    talk.hear(address(3, 11), address(4, 11), address(3, 12))
-    talk.tells("")
+    talk.handle(address(3, 11), address(4, 11), address(3, 12))
+    talk.reports("")
     talk.run(10_000)
-    talk.hear(address(4, 13))
-    talk.tells("""
+    talk.handle(address(4, 13))
+    talk.reports("""
         10000 < Found 4 00000000000B twice: node id 4 is held twice: by 00000000000B and 00000000000D
         10000 < Found 4 00000000000D twice: node id 4 is held twice: by 00000000000B and 00000000000D
         10000 < Fault right 0x200000000 node id 4 is held twice: *00000000000B and 00000000000D
@@ -80,14 +80,14 @@ def test_vectors_of_heartbeats_that_contradict_each_other(
 ) -> None:
     """The fourth shows it; it is told once, and the roll is called at once."""
     talk = Talk([device(poll_ms=0)])
-    talk.hear(frame("Get_Version", Fw_Version_Minor=6))
+    talk.handle(frame("Get_Version", Fw_Version_Minor=6))
     for state, error in beats:
-        talk.tell("Heartbeat", Axis_State=state, Axis_Error=error << 8)
+        talk.report("Heartbeat", Axis_State=state, Axis_Error=error << 8)
         talk.run(50)
-    told = [str(line) for line in talk.lines if "held twice" in line.text or "Found" in line.text]
+    reported = [str(line) for line in talk.lines if "held twice" in line.text or "Found" in line.text]
     why = "its heartbeats contradict each other in turn"
     assert (
-        told
+        reported
         == [
             f"150 < Found 3 ? twice: {why}",
             f"150 < Fault left 0x200000000 node id 3 is held twice: {why}",
@@ -100,9 +100,9 @@ def test_vectors_of_heartbeats_that_contradict_each_other(
 def test_vectors_of_heartbeats_with_extended_identifiers_that_contradict_each_other() -> None:
     talk = Talk([device(poll_ms=0, firmware="0.5", is_extended=True)], "0.5")
     for state in (8, 1, 8, 1):
-        talk.tell("Heartbeat", extended=True, Axis_State=state)
+        talk.report("Heartbeat", extended=True, Axis_State=state)
         talk.run(50)
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
         50 < State left initialising: IDLE, asking for its firmware
         100 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
@@ -119,9 +119,9 @@ def test_vectors_of_heartbeats_that_we_asked_for() -> None:
         talk.run(20, Velocity("left", 0.0))
         talk.beat(state)
         talk.run(80, Velocity("left", 0.0))
-        talk.tell("Get_Error")
+        talk.report("Get_Error")
     for state in (8, 1, 8, 1):
-        talk.tell("Heartbeat", Axis_State=state)
+        talk.report("Heartbeat", Axis_State=state)
         talk.run(20, Idle("left"))
     assert not [line for line in talk.lines if "held twice" in line.text]
 
@@ -151,13 +151,13 @@ def test_vectors_of_places_that_contradict_each_other(
     talk.version()
     talk.beat()
     talk.run(10)
-    told: list[int] = []
+    reported: list[int] = []
     for at in range(40):
-        talk.tell("Get_Encoder_Estimates", Pos_Estimate=places[at % len(places)])
+        talk.report("Get_Encoder_Estimates", Pos_Estimate=places[at % len(places)])
         talk.run(every)
-        if not told and any("positions contradict" in line.text for line in talk.lines):
-            told.append(at)
-    assert told == [twice] * bool(twice)
+        if not reported and any("positions contradict" in line.text for line in talk.lines):
+            reported.append(at)
+    assert reported == [twice] * bool(twice)
     assert sum(line.text.startswith("Fault") for line in talk.lines) == bool(twice)
 
 
@@ -167,7 +167,7 @@ def test_vectors_of_a_shaft_that_turns_so_fast_that_it_may_be_anywhere(velocity:
     talk = standing()
     talk.cycle(0, "Get_Encoder_Estimates")
     for at in range(30):
-        talk.tell("Get_Encoder_Estimates", Pos_Estimate=0.55 * (at % 2), Vel_Estimate=velocity)
+        talk.report("Get_Encoder_Estimates", Pos_Estimate=0.55 * (at % 2), Vel_Estimate=velocity)
         talk.run(10)
     assert any("contradict" in line.text for line in talk.lines) == twice
 
@@ -175,14 +175,14 @@ def test_vectors_of_a_shaft_that_turns_so_fast_that_it_may_be_anywhere(velocity:
 def test_vectors_of_places_that_are_told_again_after_a_clearing() -> None:
     talk = standing()
     talk.cycle(0, "Get_Encoder_Estimates")
-    told = []
+    reported = []
     for at in range(40):
         if at == 20:
             talk.ask(ClearFault("left"))
-        talk.tell("Get_Encoder_Estimates", Pos_Estimate=at % 2)
+        talk.report("Get_Encoder_Estimates", Pos_Estimate=at % 2)
         talk.run(10)
-        told += [at for line in talk.lines if "Fault" in line.text and "held twice" in line.text]
+        reported += [at for line in talk.lines if "Fault" in line.text and "held twice" in line.text]
         talk.stage()
     # The eighth leap back is the tenth estimate here; after the clearing they are counted anew.
-    assert len(told) == 2
-    assert told[0] < 20 <= told[1]
+    assert len(reported) == 2
+    assert reported[0] < 20 <= reported[1]

@@ -28,7 +28,7 @@ def test_vectors_of_firmware_0_6(expected: str) -> None:
         1 < Fault left 0x300000000 firmware 0.6.10: *the robot file says 0.5
         1 < State left fault: IDLE
     """
-    talk.tells(f"""
+    talk.reports(f"""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         {wrong.strip() if expected == "0.5" else ""}
@@ -40,7 +40,7 @@ def test_vectors_of_firmware_0_6(expected: str) -> None:
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
         10…90 > 3:Set_Input_Vel 0 0
     """
-    talk.tells(armed if expected != "0.5" else "")
+    talk.reports(armed if expected != "0.5" else "")
 
 
 @pytest.mark.parametrize(("expected", "answers"), [("auto", 5), ("0.6", 5), ("0.5", 2)])
@@ -50,7 +50,7 @@ def test_vectors_of_firmware_0_5(expected: str, answers: int) -> None:
     talk.up05()
     known = 100 * (answers - 1) + 1
     talk.run(known)
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
@@ -60,7 +60,7 @@ def test_vectors_of_firmware_0_5(expected: str, answers: int) -> None:
         0 < Fault left 0x300000000 firmware 0.5.x: *
         0 < State left fault: IDLE
     """
-    talk.tells(wrong if expected == "0.6" else "99 < State left ready: IDLE")
+    talk.reports(wrong if expected == "0.6" else "99 < State left ready: IDLE")
     talk.run(99, Velocity("left", 0.0))
     assert bool(talk.lines) == (expected != "0.6")
 
@@ -71,9 +71,9 @@ def test_vectors_of_a_question_that_is_answered_twice() -> None:
     talk.up05()
     talk.run(50)
     for _ in range(10):
-        talk.tell("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
+        talk.report("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
     talk.run(100)
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
@@ -86,7 +86,7 @@ def test_vectors_of_a_device_that_answers_nothing() -> None:
     talk.place()
     talk.run(1300, Velocity("left", 1.0))
     # Silence proves nothing: a fault, and no guess.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         900-1100 < Fault left 0x300000000 firmware unknown: *
@@ -97,7 +97,7 @@ def test_vectors_of_a_device_that_answers_nothing() -> None:
     talk.version()
     talk.run(200)
     # Clearing goes out when its language is known.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         301-400 > 3:Clear_Errors 0
         400 < State left ready: IDLE
@@ -110,10 +110,10 @@ def test_vectors_of_a_device_that_answers_the_roll_call_but_not_get_version() ->
     talk.beat()
     talk.place()
     talk.answer("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
-    talk.hear(address(3, 10))
+    talk.handle(address(3, 10))
     talk.run(1150)
     # No 0.5.x does: then it is not one, however often it answers the other question.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
@@ -129,7 +129,7 @@ def test_vectors_of_a_device_that_is_not_what_the_robot_file_says() -> None:
     talk.answer("Get_Motor_Error", Motor_Error=1)
     talk.run(550, Velocity("left", 1.0))
     # Its heartbeats can be read then; its parts are not asked.
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
@@ -144,7 +144,7 @@ def test_vectors_of_a_line_that_this_driver_does_not_speak() -> None:
     talk.up()
     talk.version(minor=7)
     talk.run(150, Velocity("left", 1.0))
-    talk.tells("""
+    talk.reports("""
         0 < State left initialising: IDLE, asking for its firmware
         0 < left position 0, velocity 0
         1 < Fault left 0x300000000 firmware 0.7.10: *
@@ -154,12 +154,12 @@ def test_vectors_of_a_line_that_this_driver_does_not_speak() -> None:
     talk.ask(ClearFault("left"))
     talk.run(150)
     # Its firmware was updated; it is asked anew. Heartbeats at 50 and 150.
-    talk.tells("""
+    talk.reports("""
         50 < State left ready: IDLE
         1-149 > 3:Clear_Errors 0
     """)
     talk.run(10)
-    talk.tells("0 < Done ClearFault left:*")
+    talk.reports("0 < Done ClearFault left:*")
 
 
 @pytest.mark.parametrize("expected", ["auto", "0.5"])
@@ -168,9 +168,9 @@ def test_vectors_of_an_axis_of_0_5_that_is_replaced_by_0_6(expected: str) -> Non
     talk.up05()
     talk.run(600)
     talk.stage()
-    talk.hear(frame("Get_Version", Fw_Version_Minor=6, Fw_Version_Revision=9))
+    talk.handle(frame("Get_Version", Fw_Version_Minor=6, Fw_Version_Revision=9))
     talk.run(300, Velocity("left", 1.0))
-    talk.tells("""
+    talk.reports("""
         0 < Fault left 0x300000000 firmware 0.6.9: *replaced, or two at one node id
         0 < State left fault: IDLE
     """)
@@ -183,7 +183,7 @@ def test_vectors_of_a_device_of_0_6_that_is_replaced_by_0_5_while_it_is_off() ->
     talk.line = "0.5"
     talk.up05()
     talk.run(600)
-    talk.tells("""
+    talk.reports("""
         240 < State left offline: nothing heard
         300 < State left initialising: IDLE, asking for its firmware
         300-401 < left voltage 24
@@ -200,7 +200,7 @@ def test_vectors_of_both_lines_on_one_bus() -> None:
     talk.stage()
     talk.ask(Zero("left"), Zero("axis"), ClearFault("left"), ClearFault("axis"))
     talk.run(10)
-    talk.tells("""
+    talk.reports("""
         0 > 3:Set_Absolute_Position 0 | 4:Set_Linear_Count 0 | 3:Clear_Errors 0 | 4:Clear_Errors
         0 < Done ClearFault left:*
         0 < Done Zero left:*
@@ -210,7 +210,7 @@ def test_vectors_of_both_lines_on_one_bus() -> None:
     talk.beat(1, 0x1000)
     talk.beat(1, 0x1000, node=4)
     talk.run(10)
-    talk.tells("""
+    talk.reports("""
         0 < Fault left 0x1000 CURRENT_LIMIT_VIOLATION: *
         0 < State left fault: IDLE
         0 < Fault axis 0x5000000001000 MIN_ENDSTOP_PRESSED: *
@@ -229,7 +229,7 @@ UNREAD = "State left initialising: IDLE"
 
 
 @pytest.mark.parametrize(
-    ("line", "signals", "told"),
+    ("line", "signals", "reported"),
     [
         ("0.5", {}, [UNREAD]),
         ("0.5", {"Trajectory_Done_Flag": 1}, [READY]),
@@ -276,14 +276,14 @@ UNREAD = "State left initialising: IDLE"
     ],
 )
 def test_vectors_of_heartbeats_that_tell_the_line_by_their_shape(
-    line: str, signals: dict[str, Any], told: list[str]
+    line: str, signals: dict[str, Any], reported: list[str]
 ) -> None:
     """Read where only one line can have sent them; that is never enough to command."""
     talk = Talk([device(poll_ms=0)], line)
-    talk.tell("Heartbeat", **({"Axis_State": 1} | signals))
+    talk.report("Heartbeat", **({"Axis_State": 1} | signals))
     suffix = ", asking for its firmware"
-    talk.tells("\n".join(f"0 < {text}{suffix if text.startswith('State') else ': *'}" for text in told))
-    talk.tell("Get_Encoder_Estimates")
+    talk.reports("\n".join(f"0 < {text}{suffix if text.startswith('State') else ': *'}" for text in reported))
+    talk.report("Get_Encoder_Estimates")
     talk.run(1, Velocity("left", 1.0))
     assert all(":" not in said.text for said in talk.lines if said.way == ">")
 
@@ -301,7 +301,7 @@ def test_vectors_of_heartbeats_that_tell_the_line_by_their_shape(
 )
 def test_vectors_of_heartbeats_that_no_line_would_send(data: str, mode: str) -> None:
     talk = Talk([device(poll_ms=0)])
-    talk.hear(CanFrame(0x61, bytes.fromhex(data)))
+    talk.handle(CanFrame(0x61, bytes.fromhex(data)))
     assert talk.lines[-1].text == f"State left {mode}: IDLE, asking for its firmware"
 
 
@@ -313,19 +313,19 @@ def test_vectors_of_an_axis_with_extended_identifiers(node: int) -> None:
     talk = Talk([device("axis", node, firmware="0.5", is_extended=True, poll_ms=0)], "0.5")
     talk.up05(node, extended=True)
     talk.run(200)
-    talk.tells("""
+    talk.reports("""
         0 < State axis initialising: IDLE, asking for its firmware
         0 < axis position 0, velocity 0
         1 < axis voltage 24
     """)
-    talk.tell("Heartbeat", 4, Axis_State=8)
-    talk.tell("Heartbeat", 4, extended=True, Axis_State=8)
-    talk.tells("", foreign=2)
+    talk.report("Heartbeat", 4, Axis_State=8)
+    talk.report("Heartbeat", 4, extended=True, Axis_State=8)
+    talk.reports("", foreign=2)
     talk.run(20, Velocity("axis", 1.0))
     talk.ask(ClearFault("axis"))
     talk.beat(node=node, extended=True)
     talk.run(10, Idle("axis"))
-    talk.tells(f"""
+    talk.reports(f"""
         0 < State axis ready: IDLE
         0 > x{node}:Set_Controller_Mode 2 1 | x{node}:Set_Input_Vel 0 0 | x{node}:Set_Axis_State 8
         10 > x{node}:Set_Input_Vel 0 0
@@ -346,16 +346,16 @@ def test_vectors_of_one_node_id_in_both_formats() -> None:
     )
     for _ in range(2):
         for extended in (False, True):
-            talk.tell("Heartbeat", extended=extended, Axis_State=1)
-            talk.tell("Get_Encoder_Estimates", extended=extended, Pos_Estimate=0.5 * extended)
+            talk.report("Heartbeat", extended=extended, Axis_State=1)
+            talk.report("Get_Encoder_Estimates", extended=extended, Pos_Estimate=0.5 * extended)
         talk.run(100)
-        talk.tell("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
+        talk.report("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
     # Only the standard one has answered, twice as asked.
     talk.stage()
-    talk.tell("Heartbeat", Axis_State=1)
-    talk.tell("Heartbeat", extended=True, Axis_State=1)
+    talk.report("Heartbeat", Axis_State=1)
+    talk.report("Heartbeat", extended=True, Axis_State=1)
     talk.run(10, Velocity("standard", 0.0), Velocity("extended", 0.0))
-    talk.tells("""
+    talk.reports("""
         0 < State standard ready: IDLE
         0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
     """)

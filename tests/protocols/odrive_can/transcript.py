@@ -97,7 +97,7 @@ def difference(lines: Sequence[Line], wanted: Sequence[str]) -> str:
     return ""
 
 
-def told(event: Event) -> str:
+def reported(event: Event) -> str:
     """An event in a line."""
     match event:
         case Feedback(motor):
@@ -105,9 +105,9 @@ def told(event: Event) -> str:
             return f"{motor} " + ", ".join(f"{name} {value:g}" for name, value in values if value is not None)
         case State(motor, _, mode, detail):
             return f"State {motor} {mode}: {detail}"
-        case Fault(motor, _, code, name, cause, cure):
+        case Fault(motor, _, code, name, cause, remedy):
             assert cause, name
-            assert cure, name
+            assert remedy, name
             return f"Fault {motor} {code:#x} {name}: {cause}"
         case Found(_, protocol, address, serial, detail, twice):
             assert protocol == "odrive_can"

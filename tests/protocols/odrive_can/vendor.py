@@ -54,12 +54,12 @@ class Bench(Generic[TwinKind]):
             self.twin.receive(self.behind, frame)
         while self.behind < now:
             truth = Feedback("left", self.behind, position=self.shaft.position, velocity=self.shaft.velocity)
-            torques, wires = self.twin.step(self.behind, [truth])
+            torques, frames = self.twin.step(self.behind, [truth])
             self.shaft.step(torques[0].torque)
             self.behind += 1_000_000
-            for wire in wires:
-                assert isinstance(wire, CanFrame)
-                self.bus.send(can.Message(arbitration_id=wire.id, data=wire.data, is_extended_id=False))
+            for raw in frames:
+                assert isinstance(raw, CanFrame)
+                self.bus.send(can.Message(arbitration_id=raw.id, data=raw.data, is_extended_id=False))
 
 
 async def until(true: Callable[[], bool], what: str) -> None:
@@ -104,8 +104,8 @@ class Session(Generic[TwinKind]):
         await self.call("set_traj_accel_limits", 30.0, 31.0)
         await self.call("set_traj_inertia", 0.001)
         await until(lambda: gains.inertia == pytest.approx(0.001), "the gains arrive")
-        told = (gains.vel_limit, gains.current_soft_max, gains.pos_gain, gains.vel_gain)
-        assert (*told, gains.vel_integrator_gain) == pytest.approx((35.0, 25.0, 19.0, 0.15, 0.3))
+        reported = (gains.vel_limit, gains.current_soft_max, gains.pos_gain, gains.vel_gain)
+        assert (*reported, gains.vel_integrator_gain) == pytest.approx((35.0, 25.0, 19.0, 0.15, 0.3))
         assert (gains.trap_vel_limit, gains.trap_accel_limit, gains.trap_decel_limit) == (12.0, 30.0, 31.0)
 
     async def steer(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from protocols.conformance.bench import Rehearsal, Said, Shaft
+from protocols.conformance.bench import Bench, Shaft, StepResult
 from protocols.messages import Command, Event, Request
 from protocols.plain import plugin
 from protocols.plain.driver import Options
@@ -16,7 +16,7 @@ MOTOR = Options("motor")
 SENSOR = Options("sensor")
 
 
-def bench(*, sensors: Sequence[str] = (), motors: Sequence[str] = ("m",), **settings: Any) -> Rehearsal:
+def bench(*, sensors: Sequence[str] = (), motors: Sequence[str] = ("m",), **settings: Any) -> Bench:
     """Motors from address 1 on, sensors from address 101 on; serial numbers are ten times the address."""
     named = [(name, 1 + at, MOTOR) for at, name in enumerate(motors)]
     named += [(name, 101 + at, SENSOR) for at, name in enumerate(sensors)]
@@ -24,21 +24,21 @@ def bench(*, sensors: Sequence[str] = (), motors: Sequence[str] = ("m",), **sett
         Device(name, address, options, Settings(serial=10 * address, **settings))
         for name, address, options in named
     )
-    return Rehearsal(
+    return Bench(
         tuple(plugin.spec(device) for device in devices),
         devices,
         plugin.driver(devices),
-        plugin.ear(devices),
+        plugin.decoder(devices),
         [plugin.twin(device, 0) for device in devices],
         {device.name: Shaft() for device in devices},
     )
 
 
-def told(said: Sequence[Said], kind: type[Event] | tuple[type[Event], ...]) -> list[Any]:
+def reported(said: Sequence[StepResult], kind: type[Event] | tuple[type[Event], ...]) -> list[Any]:
     """All events of a kind, in order."""
     return [event for step in said for event in step.events if isinstance(event, kind)]
 
 
-def ask(stage: Rehearsal, *words: Command | Request, steps: int = 10) -> list[Said]:
+def ask(stage: Bench, *words: Command | Request, steps: int = 10) -> list[StepResult]:
     """Say words once, then listen."""
     return [stage.step(words), *stage.steps(steps)]

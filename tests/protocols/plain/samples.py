@@ -12,15 +12,17 @@ from hypothesis import strategies as st
 
 from protocols import messages
 from protocols.message_codec import CODES
-from protocols.messages import Mode, Word
+from protocols.messages import Message, Mode
 
-VECTORS: dict[str, Any] = json.loads((files("gateway.fixtures") / "vectors" / "words.json").read_text("utf-8"))
+VECTORS: dict[str, Any] = json.loads(
+    (files("gateway.fixtures") / "vectors" / "messages.json").read_text("utf-8")
+)
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 INTS = st.integers(-(2**63), 2**64 - 1)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
-def word_of(row: dict[str, Any]) -> Word:
+def word_of(row: dict[str, Any]) -> Message:
     """The word that a row of the vectors names."""
     kind = getattr(messages, row["word"])
     values: dict[str, Any] = {
@@ -28,7 +30,7 @@ def word_of(row: dict[str, Any]) -> Word:
     }
     if "mode" in values:
         values["mode"] = Mode(values["mode"])
-    word: Word = kind(**values)
+    word: Message = kind(**values)
     return word
 
 
@@ -50,7 +52,7 @@ def _strategy(hint: object) -> st.SearchStrategy[Any]:
     return st.tuples(*(_strategy(item) for item in items))
 
 
-def words_of(kind: type[Word]) -> st.SearchStrategy[Word]:
+def words_of(kind: type[Message]) -> st.SearchStrategy[Message]:
     """Words of a kind, with any values that they may hold."""
     hints = get_type_hints(kind)
     return st.builds(kind, *(_strategy(hints[f.name]) for f in fields(kind)))

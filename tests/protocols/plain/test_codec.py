@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from protocols import messages
 from protocols.message_codec import CODES, pack, unpack
-from protocols.messages import Feedback, LaserScan, Mode, SetId, State, Torque, Velocity, Word
+from protocols.messages import Feedback, LaserScan, Message, Mode, SetId, State, Torque, Velocity
 from tests.protocols.plain.published import packed, ranges
 from tests.protocols.plain.samples import ANY_WORD, VECTORS, word_of
 
@@ -23,7 +23,7 @@ def ids(row: dict[str, Any]) -> str:
     return str(row.get("why") or row["word"])
 
 
-def bits(word: Word) -> str:
+def bits(word: Message) -> str:
     """A word as text that tells 0.0 from -0.0."""
     return repr(word)
 
@@ -38,7 +38,7 @@ def test_vector_both_ways(row: dict[str, Any]) -> None:
 
 
 def test_every_word_has_a_code_and_a_vector() -> None:
-    every = {kind for alias in (messages.Word,) for kind in get_args(alias)}
+    every = {kind for alias in (messages.Message,) for kind in get_args(alias)}
     assert set(CODES.values()) == every
     assert {row["word"] for row in PACKED} == {kind.__name__ for kind in every}
 
@@ -57,7 +57,7 @@ def test_a_vector_that_is_no_word_is_none(row: dict[str, Any]) -> None:
 
 @settings(max_examples=600)
 @given(ANY_WORD)
-def test_any_word_survives_bit_for_bit_and_has_one_encoding(word: Word) -> None:
+def test_any_word_survives_bit_for_bit_and_has_one_encoding(word: Message) -> None:
     data = pack(word)
     read = unpack(data)
     assert read is not None
@@ -74,7 +74,7 @@ def test_no_bytes_raise(data: bytes) -> None:
 
 @settings(max_examples=600)
 @given(ANY_WORD, st.data())
-def test_no_damage_raises_or_lets_a_wrong_value_through(word: Word, data: st.DataObject) -> None:
+def test_no_damage_raises_or_lets_a_wrong_value_through(word: Message, data: st.DataObject) -> None:
     packed = bytearray(pack(word))
     for _ in range(data.draw(st.integers(1, 4))):
         packed[data.draw(st.integers(0, len(packed) - 1))] = data.draw(st.integers(0, 255))
@@ -117,7 +117,7 @@ def test_there_is_no_vector_of_what_is_no_word(word: Any) -> None:
         pack(word)
 
 
-EDGES: list[tuple[Word, bytes]] = [
+EDGES: list[tuple[Message, bytes]] = [
     (SetId("b", -(2**63), 2**64 - 1), packed("SetId", "b", -(2**63), 2**64 - 1)),
     (SetId("b", 0, -1), packed("SetId", "b", 0, -1)),
     (
@@ -129,7 +129,7 @@ EDGES: list[tuple[Word, bytes]] = [
 
 
 @pytest.mark.parametrize(("word", "data"), EDGES)
-def test_a_vector_at_the_edges_both_ways(word: Word, data: bytes) -> None:
+def test_a_vector_at_the_edges_both_ways(word: Message, data: bytes) -> None:
     assert pack(word) == data
     assert unpack(data) == word
 

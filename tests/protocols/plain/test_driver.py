@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from protocols.conformance.bench import Rehearsal
+from protocols.conformance.bench import Bench
 from protocols.frames import BusState, CanFrame
 from protocols.messages import (
     MILLISECOND,
@@ -40,13 +40,13 @@ from protocols.messages import (
 )
 from protocols.plain import codec, plugin
 from protocols.plain.driver import ANSWER, OFFLINE
-from protocols.plugin import Tally
-from tests.protocols.plain.bench import ask, bench, told
+from protocols.plugin import RxCounters
+from tests.protocols.plain.bench import ask, bench, reported
 
 T = 1_000_000_000
 
 
-def heard(stage: Rehearsal, *messages: bytes, t: int = T) -> list[Any]:
+def received(stage: Bench, *messages: bytes, t: int = T) -> list[Any]:
     return [event for data in messages for event in stage.driver.receive(t, data)]
 
 
@@ -56,7 +56,7 @@ def heard(stage: Rehearsal, *messages: bytes, t: int = T) -> list[Any]:
 def test_measurements_are_stamped_with_the_packets_time_less_their_age() -> None:
     stage = bench(sensors=["imu"], motors=[])
     word = Imu("", 400, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))
-    assert heard(stage, codec.message(101, word, now=1000)) == [
+    assert received(stage, codec.message(101, word, now=1000)) == [
         Imu("imu", T - 600, word.angular_velocity, word.linear_acceleration)
     ]
 
@@ -64,7 +64,7 @@ def test_measurements_are_stamped_with_the_packets_time_less_their_age() -> None
 def test_each_address_has_its_own_name() -> None:
     stage = bench(motors=["left", "right"])
     words = [codec.message(address, Feedback("", 0, float(address))) for address in (2, 1)]
-    assert heard(stage, *words) == [Feedback("right", T, 2.0), Feedback("left", T, 1.0)]
+    assert received(stage, *words) == [Feedback("right", T, 2.0), Feedback("left", T, 1.0)]
 
 
 # Who says what, and how it is counted: heard, bad, foreign.
@@ -90,12 +90,12 @@ COUNTED: list[tuple[str, bytes | CanFrame, tuple[int, int, int]]] = [
 ]
 
 
-@pytest.mark.parametrize(("wire", "tally"), [c[1:] for c in COUNTED], ids=[c[0] for c in COUNTED])
-def test_counted(wire: bytes | CanFrame, tally: tuple[int, int, int]) -> None:
+@pytest.mark.parametrize(("frame", "counters"), [c[1:] for c in COUNTED], ids=[c[0] for c in COUNTED])
+def test_counted(frame: bytes | CanFrame, counters: tuple[int, int, int]) -> None:
     stage = bench(sensors=["lidar"])
-    events = stage.driver.receive(T, wire)
-    assert stage.driver.tally == Tally(*tally)
-    assert len(events) == tally[0]
+    events = stage.driver.receive(T, frame)
+    assert stage.driver.counters == RxCounters(*counters)
+    assert len(events) == counters[0]
 
 
 def test_a_fault_is_told_once_until_it_is_gone() -> None:
@@ -103,35 +103,35 @@ def test_a_fault_is_told_once_until_it_is_gone() -> None:
     fault = codec.message(1, Fault("", 0, 4, "too hot"))
     other = codec.message(1, Fault("", 0, 5, "too cold"))
     in_fault, ready = (codec.message(1, State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
-    assert heard(stage, fault, fault) == [Fault("m", T, 4, "too hot")]
-    assert heard(stage, other, fault, in_fault, fault) == [
+    assert received(stage, fault, fault) == [Fault("m", T, 4, "too hot")]
+    assert received(stage, other, fault, in_fault, fault) == [
         Fault("m", T, 5, "too cold"),
         State("m", T, Mode.FAULT),
     ]
-    assert heard(stage, ready, fault) == [State("m", T, Mode.READY), Fault("m", T, 4, "too hot")]
+    assert received(stage, ready, fault) == [State("m", T, Mode.READY), Fault("m", T, 4, "too hot")]
 
 
 def test_a_line_that_was_away_loses_the_message_begun_and_tells_faults_again() -> None:
     stage = bench()
     fault, feedback = codec.message(1, Fault("", 0, 4, "too hot")), codec.message(1, Feedback("", 0, 1.0))
-    heard(stage, fault, feedback[:10])
+    received(stage, fault, feedback[:10])
     stage.driver.bus(T, BusState.GONE)
     stage.driver.bus(T, BusState.BACK)
-    assert [type(event) for event in heard(stage, feedback, fault)] == [Feedback, Fault]
-    assert stage.driver.tally == Tally(heard=3)
+    assert [type(event) for event in received(stage, feedback, fault)] == [Feedback, Fault]
+    assert stage.driver.counters == RxCounters(accepted=3)
 
 
 def test_a_full_queue_does_not_break_the_message_begun() -> None:
     stage, feedback = bench(), codec.message(1, Feedback("", 0, 1.0))
-    heard(stage, feedback[:10])
+    received(stage, feedback[:10])
     stage.driver.bus(T, BusState.FULL)
-    assert heard(stage, feedback[10:]) == [Feedback("m", T, 1.0)]
+    assert received(stage, feedback[10:]) == [Feedback("m", T, 1.0)]
 
 
 # -- down ----------------------------------------------------------------------------------------------
 
 
-def sent(stage: Rehearsal, *words: Command | Request) -> list[Any]:
+def sent(stage: Bench, *words: Command | Request) -> list[Any]:
     return list(stage.driver.send(T, words)[1])
 
 
@@ -154,7 +154,7 @@ COMMANDS: list[Command] = [
 def test_a_command_becomes_one_message(word: Command) -> None:
     stage = bench()
     assert sent(stage, word) == [codec.message(1, word)]
-    assert stage.ear.hear(T, codec.message(1, word)) == [word]
+    assert stage.decoder.decode(T, codec.message(1, word)) == [word]
 
 
 REFUSED: list[tuple[Command | Request, str]] = [
@@ -174,12 +174,12 @@ REFUSED: list[tuple[Command | Request, str]] = [
 @pytest.mark.parametrize(("word", "reason"), REFUSED, ids=[type(word).__name__ for word, _ in REFUSED])
 def test_refused_at_once_and_nothing_goes_out(word: Command | Request, reason: str) -> None:
     stage = bench(sensors=["lidar"])
-    events, wires = stage.driver.send(T, [word])
+    events, frames = stage.driver.send(T, [word])
     (refused,) = events
     assert isinstance(refused, Refused)
     assert refused.request == type(word).__name__
     assert reason in refused.reason
-    assert wires == []
+    assert frames == []
     assert sent(stage, Idle("m")) == []  # it has not been claimed either
 
 
@@ -223,7 +223,7 @@ def test_a_request_is_answered_by_the_device_and_then_no_more(request_: Request)
     stage = bench()
     stage.steps(5)
     said = ask(stage, request_, steps=400)
-    (answer,) = told(said, (Done, Refused, Parameter))
+    (answer,) = reported(said, (Done, Refused, Parameter))
     assert isinstance(answer, Parameter if isinstance(request_, ReadParameter) else Done)
 
 
@@ -238,7 +238,7 @@ def test_silence_is_offline_once_and_speaking_ends_it() -> None:
     ]
     assert stage.driver.due() is None
     assert stage.driver.send(T + 2 * OFFLINE, ())[0] == []
-    heard(stage, codec.message(1, Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
+    received(stage, codec.message(1, Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
     assert stage.driver.send(T + 3 * OFFLINE - 1, ())[0] == []
     (again,) = stage.driver.send(T + 3 * OFFLINE, ())[0]
     assert again == State("m", T + 3 * OFFLINE, Mode.OFFLINE, "silent for 250 ms")
@@ -250,18 +250,20 @@ def test_silence_is_offline_once_and_speaking_ends_it() -> None:
 def test_scan_finds_motors_and_sensors_and_ends() -> None:
     stage = bench(sensors=["lidar"], motors=["left", "right"])
     said = ask(stage, Scan("line"), steps=250)
-    assert [(f.address, f.serial, f.detail) for f in told(said, Found)] == [
+    assert [(f.address, f.serial, f.detail) for f in reported(said, Found)] == [
         (1, 10, "motor"),
         (2, 20, "motor"),
         (101, 1010, "sensor"),
     ]
-    assert [(d.request, d.name, d.detail) for d in told(said, Done)] == [("Scan", "line", "3 found")]
-    assert {state.mode for state in told(said, State)} == {Mode.READY}
+    assert [(d.request, d.name, d.detail) for d in reported(said, Done)] == [("Scan", "line", "3 found")]
+    assert {state.mode for state in reported(said, State)} == {Mode.READY}
 
 
 def test_an_address_held_twice_is_told() -> None:
     stage = bench()
-    events = heard(stage, *(codec.message(9, Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6)))
+    events = received(
+        stage, *(codec.message(9, Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6))
+    )
     assert [event.detail for event in events] == [
         "motor",
         "motor; address 9 is also held by 5",
@@ -273,10 +275,10 @@ def test_set_id_moves_the_one_device_with_this_serial_number() -> None:
     stage = bench(motors=["left", "right"])
     stage.steps(5)
     said = ask(stage, SetId("line", 20, 9), steps=300)
-    assert [(f.address, f.serial) for f in told(said, Found)] == [(9, 20)]
-    assert [(d.request, d.detail) for d in told(said, Done)] == [("SetId", "20 is now at 9")]
-    assert {f.motor for f in told(said[20:], Feedback)} == {"left"}
-    assert [(s.motor, s.mode) for s in told(said, State) if s.mode == Mode.OFFLINE] == [
+    assert [(f.address, f.serial) for f in reported(said, Found)] == [(9, 20)]
+    assert [(d.request, d.detail) for d in reported(said, Done)] == [("SetId", "20 is now at 9")]
+    assert {f.motor for f in reported(said[20:], Feedback)} == {"left"}
+    assert [(s.motor, s.mode) for s in reported(said, State) if s.mode == Mode.OFFLINE] == [
         ("right", Mode.OFFLINE)
     ]
 
@@ -285,15 +287,15 @@ def test_set_id_moves_the_one_device_with_this_serial_number() -> None:
 def test_set_id_that_nobody_follows_is_refused_in_time(serial: int, address: int) -> None:
     stage = bench()
     said = ask(stage, SetId("line", serial, address), steps=300)
-    (refused,) = told(said, Refused)
+    (refused,) = reported(said, Refused)
     assert refused.request == "SetId"
-    assert told(said, Done) == []
+    assert reported(said, Done) == []
 
 
 def test_set_id_reaches_a_sensor_too() -> None:
     stage = bench(sensors=["gps"], motors=[])
     said = ask(stage, SetId("line", 1010, 7))
-    assert [f.address for f in told(said, Found)] == [7]
+    assert [f.address for f in reported(said, Found)] == [7]
 
 
 # -- the contract --------------------------------------------------------------------------------------
@@ -339,6 +341,6 @@ READ_ONLY: list[tuple[bytes | CanFrame, bool]] = [
 ]
 
 
-@pytest.mark.parametrize(("wire", "harmless"), READ_ONLY)
-def test_read_only(wire: bytes | CanFrame, harmless: bool) -> None:
-    assert bench().specs[0].read_only(wire) is harmless
+@pytest.mark.parametrize(("frame", "harmless"), READ_ONLY)
+def test_read_only(frame: bytes | CanFrame, harmless: bool) -> None:
+    assert bench().specs[0].read_only(frame) is harmless

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocols.message_codec import pack
-from protocols.messages import Done, Feedback, Imu, LaserScan, Torque, Velocity, Word, WriteParameter
+from protocols.messages import Done, Feedback, Imu, LaserScan, Message, Torque, Velocity, WriteParameter
 from protocols.plain import codec, plugin
 from protocols.plain.codec import MAX_AGE, MAX_BODY, SYNC, Stream, frame, message, read
 from protocols.reference_vectors import Vector, vectors_of
@@ -32,25 +32,25 @@ def bytewise(data: bytes) -> list[bytes]:
 
 @pytest.mark.parametrize("vector", vectors_of(plugin), ids=lambda vector: str(vector.name))
 def test_vector_both_ways(vector: Vector) -> None:
-    word, told = word_of(dict(vector.meaning)), vector.meaning
-    assert message(told["address"], word, told["now"]) == vector.wire
-    assert isinstance(vector.wire, bytes)
-    bodies, bad, noise, held = fed(vector.wire)
+    word, reported = word_of(dict(vector.meaning)), vector.meaning
+    assert message(reported["address"], word, reported["now"]) == vector.frame
+    assert isinstance(vector.frame, bytes)
+    bodies, bad, noise, held = fed(vector.frame)
     assert (bad, noise, held) == (0, 0, b"")
-    assert bodies[0][0] == told["address"]
-    own = next((f for f in ("motor", "sensor", "bus", "name") if f in told["fields"]), "")
-    assert read(bodies[0], told["now"], told["fields"].get(own, "")) == word
+    assert bodies[0][0] == reported["address"]
+    own = next((f for f in ("motor", "sensor", "bus", "name") if f in reported["fields"]), "")
+    assert read(bodies[0], reported["now"], reported["fields"].get(own, "")) == word
 
 
 @pytest.mark.parametrize("vector", vectors_of(plugin), ids=lambda vector: str(vector.name))
 def test_the_vectors_are_regenerated_from_the_table_alone(vector: Vector) -> None:
     """By msgpack in Python, struct and a bitwise CRC-32: the README on a message, written once more."""
-    told, row = vector.meaning, list[object]()
-    own = next((f for f in ("motor", "sensor", "bus", "name") if f in told["fields"]), "")
-    for field, value in told["fields"].items():
-        put = {own: "", "t": told["now"] - value if field == "t" else 0}.get(field, value)
+    reported, row = vector.meaning, list[object]()
+    own = next((f for f in ("motor", "sensor", "bus", "name") if f in reported["fields"]), "")
+    for field, value in reported["fields"].items():
+        put = {own: "", "t": reported["now"] - value if field == "t" else 0}.get(field, value)
         row.append(ranges(*value) if field == "ranges" else put)
-    assert said(told["address"], told["word"], *row) == vector.wire
+    assert said(reported["address"], reported["word"], *row) == vector.frame
 
 
 def test_vectors_of_minus_zero_and_what_is_next_to_nothing_stand_as_zero() -> None:
@@ -59,8 +59,8 @@ def test_vectors_of_minus_zero_and_what_is_next_to_nothing_stand_as_zero() -> No
         word = read(b"\1" + pack(Torque("m", tiny)), 0, "m")
         assert repr(word) == repr(Torque("m", 0.0))
         scan = LaserScan("l", 0, tiny, 0.1, abs(tiny), 10.0, (1.0, abs(tiny), 2.0))
-        heard = read(b"\1" + pack(scan), 0, "l")
-        assert repr(heard) == repr(LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
+        received = read(b"\1" + pack(scan), 0, "l")
+        assert repr(received) == repr(LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
         assert message(1, scan) == message(1, LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
     for number in (2.0**-126, -(2.0**-126)):  # the smallest normal binary32 is a number like others
         assert read(b"\1" + packed("Torque", "", number), 0, "m") == Torque("m", number)
@@ -73,7 +73,7 @@ def test_vectors_of_minus_zero_and_what_is_next_to_nothing_stand_as_zero() -> No
 
 
 # Numbers that may not stand in a message, behind such as may, or are not given: the word and its fields.
-OUTSIDE: list[tuple[Word, tuple[object, ...], str]] = [
+OUTSIDE: list[tuple[Message, tuple[object, ...], str]] = [
     (Feedback("m", 0, None, 1e9), (0, None, 1e9, None, None, None, None), "velocity 1000000000.0"),
     (Feedback("m", 0, 0.0, None, -1e9), (0, 0.0, None, -1e9, None, None, None), "torque -1000000000.0"),
     (
@@ -100,7 +100,7 @@ OUTSIDE: list[tuple[Word, tuple[object, ...], str]] = [
 
 
 @pytest.mark.parametrize(("word", "values", "name"), OUTSIDE)
-def test_a_vector_with_a_number_that_may_not_be(word: Word, values: tuple[object, ...], name: str) -> None:
+def test_a_vector_with_a_number_that_may_not_be(word: Message, values: tuple[object, ...], name: str) -> None:
     kind = type(word).__name__
     with pytest.raises(ValueError, match=rf"^{kind}: {name}.* is not in "):
         message(1, word)
@@ -136,10 +136,12 @@ CASES: list[tuple[str, bytes, list[int], int, int]] = [
 ]
 
 
-@pytest.mark.parametrize(("data", "heard", "bad", "noise"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
-def test_a_stream_of_vectors(data: bytes, heard: list[int], bad: int, noise: int) -> None:
+@pytest.mark.parametrize(
+    ("data", "received", "bad", "noise"), [c[1:] for c in CASES], ids=[c[0] for c in CASES]
+)
+def test_a_stream_of_vectors(data: bytes, received: list[int], bad: int, noise: int) -> None:
     for pieces in ([data], bytewise(data), [data, b""], [b"", data]):
-        assert fed(*pieces)[:3] == ([bytes((1, n)) for n in heard], bad, noise)
+        assert fed(*pieces)[:3] == ([bytes((1, n)) for n in received], bad, noise)
 
 
 @settings(max_examples=300)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from protocols.conformance.bench import Rehearsal, sights
+from protocols.conformance.bench import Bench, sights
 from protocols.frames import CanFrame
 from protocols.messages import (
     MILLISECOND,
@@ -35,17 +35,17 @@ from protocols.messages import (
     Zero,
 )
 from protocols.plain import codec, plugin
-from protocols.plain.settings import COMPLAINTS, Settings
+from protocols.plain.settings import FAULT_TABLE, Settings
 from protocols.plain.twin import BOOT
-from tests.protocols.plain.bench import ask, bench, told
+from tests.protocols.plain.bench import ask, bench, reported
 
 
-def mode(stage: Rehearsal) -> Mode:
+def mode(stage: Bench) -> Mode:
     state: Mode = stage.twins[0]._mode  # type: ignore[attr-defined]  # the twin's own state
     return state
 
 
-def torque(stage: Rehearsal, *words: Command) -> float:
+def torque(stage: Bench, *words: Command) -> float:
     return stage.step(words).torques[0].torque
 
 
@@ -57,8 +57,8 @@ def test_a_sensor_tells_what_it_is_shown_exactly_and_at_once() -> None:
     shown = sights("s", stage.now + 1 * MILLISECOND - 250_000, 3)
     for twin, spec in zip(stage.twins, stage.specs, strict=True):
         assert spec.kind == "sensor"
-        wires = twin.step(stage.now + MILLISECOND, shown)[1]
-        events = [e for wire in wires for e in stage.driver.receive(stage.now + MILLISECOND, wire)]
+        frames = twin.step(stage.now + MILLISECOND, shown)[1]
+        events = [e for frame in frames for e in stage.driver.receive(stage.now + MILLISECOND, frame)]
         assert events == (list(shown) if twin is stage.twins[0] else [])
         assert twin.due() is None
 
@@ -92,10 +92,10 @@ def test_any_command_but_idle_arms_and_idle_disarms(command: Command) -> None:
     assert mode(stage) == Mode.READY
     said = ask(stage, command, steps=3)
     assert mode(stage) == Mode.ARMED
-    assert [s.mode for s in told(said, State)] == [Mode.ARMED]
+    assert [s.mode for s in reported(said, State)] == [Mode.ARMED]
     said = ask(stage, Idle("m"), steps=3)
     assert mode(stage) == Mode.READY
-    assert [s.mode for s in told(said, State)] == [Mode.READY]
+    assert [s.mode for s in reported(said, State)] == [Mode.READY]
 
 
 def test_silence_of_the_host_trips_the_watchdog_which_only_clear_fault_undoes() -> None:
@@ -104,14 +104,14 @@ def test_silence_of_the_host_trips_the_watchdog_which_only_clear_fault_undoes() 
     assert {torque(stage) for _ in range(99)} == {0.5}
     said = stage.steps(5)
     assert [s.torques[0].torque for s in said][1:] == [0.0] * 4
-    assert [(f.code, f.name) for f in told(said, Fault)] == [(1, "watchdog expired")]
+    assert [(f.code, f.name) for f in reported(said, Fault)] == [(1, "watchdog expired")]
     assert mode(stage) == Mode.FAULT
     for word in (Torque("m", 0.5), Idle("m"), Hold("m")):
         assert torque(stage, word) == 0.0
         assert mode(stage) == Mode.FAULT
     said = ask(stage, ClearFault("m"), steps=3)
     assert mode(stage) == Mode.READY
-    assert [d.request for d in told(said, Done)] == ["ClearFault"]
+    assert [d.request for d in reported(said, Done)] == ["ClearFault"]
     assert torque(stage, Torque("m", 0.5)) == 0.5
 
 
@@ -140,7 +140,7 @@ def test_a_watchdog_of_zero_never_expires() -> None:
 
 def test_no_watchdog_while_disarmed() -> None:
     stage = bench()
-    assert told(stage.steps(500), Fault) == []
+    assert reported(stage.steps(500), Fault) == []
 
 
 def test_estop_faults_from_any_mode() -> None:
@@ -148,7 +148,7 @@ def test_estop_faults_from_any_mode() -> None:
         stage = bench()
         stage.step([word] if word else [])
         said = ask(stage, Estop("m"))
-        assert [(f.code, f.name) for f in told(said, Fault)] == [(2, "emergency stop")]
+        assert [(f.code, f.name) for f in reported(said, Fault)] == [(2, "emergency stop")]
         assert said[-1].torques[0].torque == 0.0
 
 
@@ -157,7 +157,7 @@ def test_a_fault_that_stands_is_told_to_a_host_who_comes_later() -> None:
     ask(stage, Estop("m"))
     stage.driver = bench().driver
     said = stage.steps(200)
-    assert [f.code for f in told(said, Fault)] == [2]
+    assert [f.code for f in reported(said, Fault)] == [2]
 
 
 def test_reboot_takes_its_time_disarms_and_forgets_zero_and_faults() -> None:
@@ -167,15 +167,15 @@ def test_reboot_takes_its_time_disarms_and_forgets_zero_and_faults() -> None:
     ask(stage, Zero("m"))
     ask(stage, Estop("m"))
     said = ask(stage, Reboot("m"), Torque("m", 0.5), steps=BOOT // MILLISECOND + 10)
-    assert [s.mode for s in told(said, State)] == [Mode.INITIALISING, Mode.READY]
+    assert [s.mode for s in reported(said, State)] == [Mode.INITIALISING, Mode.READY]
     assert {s.torques[0].torque for s in said} == {0.0}
-    assert told(said, Feedback)[-1].position == pytest.approx(1.0)
+    assert reported(said, Feedback)[-1].position == pytest.approx(1.0)
 
 
 # -- loops ---------------------------------------------------------------------------------------------
 
 
-def run(stage: Rehearsal, command: Command, steps: int = 2000) -> None:
+def run(stage: Bench, command: Command, steps: int = 2000) -> None:
     for _ in range(steps):
         stage.step([command])
 
@@ -256,9 +256,9 @@ def test_a_shaft_that_was_never_measured_gets_no_torque() -> None:
 def test_feedback_and_state_come_at_their_periods() -> None:
     stage = bench(feedback_ms=7.0, state_ms=30.0)
     said = stage.steps(700)
-    times = [said.index(s) for s in said if told([s], Feedback)]
+    times = [said.index(s) for s in said if reported([s], Feedback)]
     assert {b - a for a, b in pairwise(times)} == {7}
-    times = [said.index(s) for s in said if told([s], State)]
+    times = [said.index(s) for s in said if reported([s], State)]
     assert {b - a for a, b in pairwise(times)} == {30}
 
 
@@ -266,7 +266,7 @@ def test_feedback_tells_shaft_torque_current_and_supply() -> None:
     stage = bench(torque_constant=0.25)
     shaft = stage.shafts["m"]
     shaft.position, shaft.velocity, shaft.locked = 1.5, 0.5, True
-    feedback = told([stage.step([Torque("m", 0.5)]), *stage.steps(11)], Feedback)[-1]
+    feedback = reported([stage.step([Torque("m", 0.5)]), *stage.steps(11)], Feedback)[-1]
     values = (feedback.position, feedback.velocity, feedback.torque, feedback.current, feedback.voltage)
     assert values == (1.5, 0.5, 0.5, 2.0, 24.0)
     assert feedback.temperature is None
@@ -297,8 +297,8 @@ def test_a_clock_that_jumps_does_not_bring_a_burst() -> None:
 # -- requests ------------------------------------------------------------------------------------------
 
 
-def answers(stage: Rehearsal, *words: Any) -> list[Any]:
-    return told(ask(stage, *words), (Done, Refused, Parameter))
+def answers(stage: Bench, *words: Any) -> list[Any]:
+    return reported(ask(stage, *words), (Done, Refused, Parameter))
 
 
 def test_zero_makes_the_present_position_zero() -> None:
@@ -306,7 +306,7 @@ def test_zero_makes_the_present_position_zero() -> None:
     stage.shafts["m"].position = 1.25
     stage.steps(2)
     assert [type(a) for a in answers(stage, Zero("m"))] == [Done]
-    assert told(stage.steps(10), Feedback)[-1].position == 0.0
+    assert reported(stage.steps(10), Feedback)[-1].position == 0.0
     run(stage, Position("m", 1.0))
     assert stage.shafts["m"].position == pytest.approx(2.25, abs=1e-3)
 
@@ -360,19 +360,19 @@ def test_settings_that_cannot_be_are_an_error_of_configuration(wrong: dict[str, 
 # -- what the contract asks of a twin and of names ---------------------------------------------------------
 
 
-@pytest.mark.parametrize("code", sorted(COMPLAINTS))
+@pytest.mark.parametrize("code", sorted(FAULT_TABLE))
 def test_a_provoked_fault_disarms_and_is_told_as_the_contract_has_it(code: int) -> None:
     stage = bench()
     stage.steps(20, [Velocity("m", 1.0)])
-    said = COMPLAINTS[code]
+    said = FAULT_TABLE[code]
     stage.twins[0].provoke(code)
     due = stage.twins[0].due()
     assert due is not None
     assert due <= stage.now
-    (fault,) = told(stage.steps(5, [Velocity("m", 1.0)]), Fault)
-    assert (fault.code, fault.name, fault.cause, fault.cure) == (code, said.name, said.cause, said.cure)
+    (fault,) = reported(stage.steps(5, [Velocity("m", 1.0)]), Fault)
+    assert (fault.code, fault.name, fault.cause, fault.remedy) == (code, said.name, said.cause, said.remedy)
     assert torque(stage) == 0.0
-    assert stage.specs[0].faults == COMPLAINTS
+    assert stage.specs[0].faults == FAULT_TABLE
     ask(stage, ClearFault("m"))
     assert mode(stage) == Mode.READY
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from protocols.frames import BusState, CanFrame, Wire
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import (
     ClearFault,
     Command,
@@ -45,10 +45,10 @@ from protocols.messages import (
     WriteParameter,
     Zero,
 )
-from protocols.plain.decoder import PlainEar
+from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import Options, PlainDriver
 from protocols.plain.settings import Settings
-from protocols.plugin import Device, Tally
+from protocols.plugin import Device, RxCounters
 from tests.protocols.plain.published import framed, ranges, said
 
 T = 1_000_000_000
@@ -73,10 +73,10 @@ class Turn:
     """One moment: what comes up, what is asked for, and what must go out and be told."""
 
     ms: float
-    up: Sequence[Wire] = ()
+    up: Sequence[Frame] = ()
     words: Sequence[Command | Request] = ()
     down: Sequence[bytes] = ()
-    told: Sequence[Event] = ()
+    reported: Sequence[Event] = ()
     due: float | None = None
     """ms; None: not looked at."""
     bus: BusState | None = None
@@ -102,18 +102,18 @@ TALKS: dict[str, list[Turn]] = {
     "silence from the beginning is told once": [
         Turn(0, due=250),
         Turn(249.999999, due=250),
-        Turn(250, told=[offline("left", 250), offline("right", 250)]),
+        Turn(250, reported=[offline("left", 250), offline("right", 250)]),
         Turn(251),
         Turn(900),
     ],
     "who speaks is not offline, and may fall silent again": [
         Turn(0),
-        Turn(100, up=[PLACE], told=[Feedback("left", at(100) - 600, 1.5)], due=250),
-        Turn(250, told=[offline("right", 250)], due=350),
-        Turn(350, told=[offline("left", 350)]),
-        Turn(600, up=[READY], told=[State("left", at(600), Mode.READY)], due=850),
+        Turn(100, up=[PLACE], reported=[Feedback("left", at(100) - 600, 1.5)], due=250),
+        Turn(250, reported=[offline("right", 250)], due=350),
+        Turn(350, reported=[offline("left", 350)]),
+        Turn(600, up=[READY], reported=[State("left", at(600), Mode.READY)], due=850),
         Turn(849.9),
-        Turn(850, told=[offline("left", 850)]),
+        Turn(850, reported=[offline("left", 850)]),
     ],
     "each request is given up, at its own time": [
         Turn(0, words=[ClearFault("left")], down=[said(LEFT, "ClearFault", "")], due=200),
@@ -126,10 +126,10 @@ TALKS: dict[str, list[Turn]] = {
         Turn(3, words=[WRITES], down=[said(LEFT, "WriteParameter", "", "supply", 12.0)]),
         Turn(4, words=[Reboot("left")], down=[said(LEFT, "Reboot", "")]),
         Turn(199.999999),
-        Turn(200, told=[late("ClearFault", "left", 200)], due=201),
-        Turn(201, told=[late("Estop", "right", 201)], due=202),
-        Turn(202, told=[late("Zero", "left", 202), late("ReadParameter", "left", 202)]),
-        Turn(204, told=[late("WriteParameter", "left", 204), late("Reboot", "left", 204)], due=250),
+        Turn(200, reported=[late("ClearFault", "left", 200)], due=201),
+        Turn(201, reported=[late("Estop", "right", 201)], due=202),
+        Turn(202, reported=[late("Zero", "left", 202), late("ReadParameter", "left", 202)]),
+        Turn(204, reported=[late("WriteParameter", "left", 204), late("Reboot", "left", 204)], due=250),
         Turn(205),
     ],
     "what is answered is not given up": [
@@ -140,42 +140,49 @@ TALKS: dict[str, list[Turn]] = {
         ),
         Turn(
             5,
-            up=[said(LEFT, "Done", 0, "Zero", "", ""), said(LEFT, "Parameter", "", 0, "supply", 24.0)],
-            told=[Done(at(5), "Zero", "left"), Parameter("left", at(5), "supply", 24.0)],
+            up=[
+                said(LEFT, "Done", 0, "Zero", "", ""),
+                said(LEFT, "Parameter", "", 0, "supply", 24.0),
+            ],
+            reported=[Done(at(5), "Zero", "left"), Parameter("left", at(5), "supply", 24.0)],
         ),
         Turn(6, words=[WRITES], down=[said(LEFT, "WriteParameter", "", "supply", 12.0)]),
         Turn(
             7,
             up=[said(LEFT, "Refused", 0, "WriteParameter", "", "no such parameter")],
-            told=[Refused(at(7), "WriteParameter", "left", "no such parameter")],
+            reported=[Refused(at(7), "WriteParameter", "left", "no such parameter")],
         ),
-        Turn(210, up=[READY], told=[State("left", at(210), Mode.READY)]),
+        Turn(210, up=[READY], reported=[State("left", at(210), Mode.READY)]),
     ],
     "an answer to nothing is told": [
-        Turn(0, up=[said(LEFT, "Done", 0, "Zero", "", "")], told=[Done(at(0), "Zero", "left")]),
+        Turn(0, up=[said(LEFT, "Done", 0, "Zero", "", "")], reported=[Done(at(0), "Zero", "left")]),
         Turn(
             1,
             up=[said(LEFT, "Parameter", "", 0, "supply", 24.0)],
-            told=[Parameter("left", at(1), "supply", 24.0)],
+            reported=[Parameter("left", at(1), "supply", 24.0)],
         ),
     ],
     "a fault is told once, until it is gone or the line was away": [
-        Turn(0, up=[HOT, HOT], told=[Fault("left", at(0), 4, "too hot", "", "")]),
-        Turn(1, up=[COLD, HOT], told=[Fault("left", at(1), 5, "too cold", "", "")]),
-        Turn(2, up=[IN_FAULT, HOT], told=[State("left", at(2), Mode.FAULT)]),
-        Turn(3, up=[READY, HOT], told=[State("left", at(3), Mode.READY), Fault("left", at(3), 4, "too hot")]),
+        Turn(0, up=[HOT, HOT], reported=[Fault("left", at(0), 4, "too hot", "", "")]),
+        Turn(1, up=[COLD, HOT], reported=[Fault("left", at(1), 5, "too cold", "", "")]),
+        Turn(2, up=[IN_FAULT, HOT], reported=[State("left", at(2), Mode.FAULT)]),
+        Turn(
+            3,
+            up=[READY, HOT],
+            reported=[State("left", at(3), Mode.READY), Fault("left", at(3), 4, "too hot")],
+        ),
         Turn(4, bus=BusState.FULL, up=[HOT]),
-        Turn(5, bus=BusState.GONE, up=[HOT], told=[Fault("left", at(5), 4, "too hot")]),
-        Turn(6, bus=BusState.OFF, up=[HOT], told=[Fault("left", at(6), 4, "too hot")]),
-        Turn(7, bus=BusState.BACK, up=[HOT], told=[Fault("left", at(7), 4, "too hot")]),
+        Turn(5, bus=BusState.GONE, up=[HOT], reported=[Fault("left", at(5), 4, "too hot")]),
+        Turn(6, bus=BusState.OFF, up=[HOT], reported=[Fault("left", at(6), 4, "too hot")]),
+        Turn(7, bus=BusState.BACK, up=[HOT], reported=[Fault("left", at(7), 4, "too hot")]),
     ],
     "a message begun is lost where the line was away, and not where it was full": [
         Turn(0, up=[PLACE[:9]]),
         Turn(1, bus=BusState.FULL),
-        Turn(2, up=[PLACE[9:]], told=[Feedback("left", at(2) - 600, 1.5)]),
+        Turn(2, up=[PLACE[9:]], reported=[Feedback("left", at(2) - 600, 1.5)]),
         Turn(3, up=[PLACE[:9]]),
         Turn(4, bus=BusState.BACK),
-        Turn(5, up=[PLACE], told=[Feedback("left", at(5) - 600, 1.5)]),
+        Turn(5, up=[PLACE], reported=[Feedback("left", at(5) - 600, 1.5)]),
     ],
     "Idle is for the claimed": [
         Turn(0, words=[Idle("left"), Idle("right")]),
@@ -212,7 +219,7 @@ TALKS: dict[str, list[Turn]] = {
             0,
             words=[Velocity("nobody", 1.0), Velocity("lidar", 1.0), Home("left"), Release(), Hold("right")],
             down=[said(RIGHT, "Hold", "")],
-            told=[
+            reported=[
                 Refused(at(0), "Velocity", "nobody", "no motor 'nobody' on this line"),
                 Refused(at(0), "Velocity", "lidar", "no motor 'lidar' on this line"),
                 Refused(at(0), "Home", "left", "a plain device cannot do that"),
@@ -222,7 +229,7 @@ TALKS: dict[str, list[Turn]] = {
         Turn(
             1,
             words=[Velocity("left", 1e9), SetId("line", 2**70, 1), Idle("left")],
-            told=[
+            reported=[
                 Refused(
                     at(1), "Velocity", "left", "Velocity: velocity 1000000000.0 is not in -100000 … 100000"
                 ),
@@ -239,23 +246,24 @@ TALKS: dict[str, list[Turn]] = {
                 said(77, "Found", 0, "plain", 77, None, "motor", False),
                 said(LIDAR, "Found", 0, "plain", LIDAR, 30, "sensor"),
             ],
-            told=[
+            reported=[
                 Found(at(1), "plain", LEFT, 10, "motor"),
                 Found(at(1), "plain", 77, None, "motor"),
                 Found(at(1), "plain", LIDAR, 30, "sensor"),
             ],
         ),
         Turn(199.999999, due=200),
-        Turn(200, told=[Done(at(200), "Scan", "line", "2 found")]),
+        Turn(200, reported=[Done(at(200), "Scan", "line", "2 found")]),
         Turn(201),
         Turn(202, words=[Scan("line")], down=[said(0, "Scan", "")]),
         Turn(
             210,
             up=[said(LEFT, "Found", 0, "plain", LEFT, 11, "motor", False)],
-            told=[Found(at(210), "plain", LEFT, 11, "motor")],
+            reported=[Found(at(210), "plain", LEFT, 11, "motor")],
         ),
         Turn(
-            402, told=[offline("left", 402), offline("right", 402), Done(at(402), "Scan", "line", "1 found")]
+            402,
+            reported=[offline("left", 402), offline("right", 402), Done(at(402), "Scan", "line", "1 found")],
         ),
     ],
     "an address held twice is told": [
@@ -263,9 +271,9 @@ TALKS: dict[str, list[Turn]] = {
         Turn(
             1,
             up=[said(9, "Found", 0, "plain", 9, serial, "motor", False) for serial in (5, 6, 6)],
-            told=[
+            reported=[
                 Found(at(1), "plain", 9, 5, "motor"),
-                Found(at(1), "plain", 9, 6, "motor; address 9 is also held by 5", twice=True),
+                Found(at(1), "plain", 9, 6, "motor; address 9 is also held by 5", duplicate_address=True),
                 Found(at(1), "plain", 9, 6, "motor"),
             ],
         ),
@@ -274,12 +282,16 @@ TALKS: dict[str, list[Turn]] = {
             words=[SetId("line", 5, 9)],
             up=[said(9, "Found", 0, "plain", 9, 5, "motor", False)],
             down=[said(0, "SetId", "", 5, 9)],
-            told=[Found(at(2), "plain", 9, 5, "motor; address 9 is also held by 6", twice=True)],
+            reported=[
+                Found(at(2), "plain", 9, 5, "motor; address 9 is also held by 6", duplicate_address=True)
+            ],
         ),
         Turn(
             3,
             up=[said(9, "Found", 0, "plain", 9, 7, "motor", False)],
-            told=[Found(at(3), "plain", 9, 7, "motor; address 9 is also held by 5", twice=True)],
+            reported=[
+                Found(at(3), "plain", 9, 7, "motor; address 9 is also held by 5", duplicate_address=True)
+            ],
         ),
     ],
     "an address is set, by serial number, once": [
@@ -290,18 +302,18 @@ TALKS: dict[str, list[Turn]] = {
                 said(9, "Found", 0, "plain", 9, 21, "motor", False),
                 said(8, "Found", 0, "plain", 8, 20, "motor", False),
             ],
-            told=[Found(at(1), "plain", 9, 21, "motor"), Found(at(1), "plain", 8, 20, "motor")],
+            reported=[Found(at(1), "plain", 9, 21, "motor"), Found(at(1), "plain", 8, 20, "motor")],
         ),
         Turn(2, words=[SetId("other", 21, 10)], down=[said(0, "SetId", "", 21, 10)]),
         Turn(
             3,
             up=[said(10, "Found", 400, "plain", 10, 21, "sensor", False)],
-            told=[
+            reported=[
                 Found(at(3) - 400, "plain", 10, 21, "sensor"),
                 Done(at(3) - 400, "SetId", "other", "21 is now at 10"),
             ],
         ),
-        Turn(200, told=[Refused(at(200), "SetId", "line", "no device has serial number 20")]),
+        Turn(200, reported=[Refused(at(200), "SetId", "line", "no device has serial number 20")]),
         Turn(202),
     ],
     "of two alike one is answered by one": [
@@ -309,28 +321,28 @@ TALKS: dict[str, list[Turn]] = {
         Turn(
             1,
             up=[said(9, "Found", 0, "plain", 9, 5, "", False)],
-            told=[Found(at(1), "plain", 9, 5), Done(at(1), "SetId", "one", "5 is now at 9")],
+            reported=[Found(at(1), "plain", 9, 5), Done(at(1), "SetId", "one", "5 is now at 9")],
         ),
         Turn(
             200,
-            told=[Refused(at(200), "SetId", "two", "no device has serial number 5")],
+            reported=[Refused(at(200), "SetId", "two", "no device has serial number 5")],
         ),
     ],
     "measurements of a sensor": [
         Turn(
             0,
             up=[said(LIDAR, "Imu", "", 1000, [1.0, 2.0, 3.0], [0.0, 0.0, 9.81], None)],
-            told=[Imu("lidar", at(0) - 1000, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))],
+            reported=[Imu("lidar", at(0) - 1000, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))],
         ),
         Turn(
             1,
             up=[said(LIDAR, "LaserScan", "", 0, 0.0, 0.5, 0.1, 10.0, ranges(1.0, 0.0, 2.0))],
-            told=[LaserScan("lidar", at(1), 0.0, 0.5, 0.1, 10.0, (1.0, 0.0, 2.0))],
+            reported=[LaserScan("lidar", at(1), 0.0, 0.5, 0.1, 10.0, (1.0, 0.0, 2.0))],
         ),
         Turn(
             2,
             up=[said(LIDAR, "Fix", "", 0, 48.0, 11.0, None, 4.0)],
-            told=[Fix("lidar", at(2), 48.0, 11.0, None, 4.0)],
+            reported=[Fix("lidar", at(2), 48.0, 11.0, None, 4.0)],
         ),
     ],
 }
@@ -343,10 +355,10 @@ def test_a_talk_of_vectors(talk: list[Turn]) -> None:
         now = at(turn.ms)
         if turn.bus is not None:
             driver.bus(now, turn.bus)
-        told = [event for wire in turn.up for event in driver.receive(now, wire)]
+        reported = [event for frame in turn.up for event in driver.receive(now, frame)]
         own, down = driver.send(now, turn.words)
         assert list(down) == list(turn.down), turn.ms
-        assert [*told, *own] == list(turn.told), turn.ms
+        assert [*reported, *own] == list(turn.reported), turn.ms
         if turn.due is not None:
             assert driver.due() == at(turn.due), turn.ms
 
@@ -359,7 +371,7 @@ def test_sensors_alone_are_due_for_nothing_as_vectors_show() -> None:
 
 
 # Who says what, and how it is counted: heard, bad, foreign.
-COUNTED: dict[str, tuple[Wire, tuple[int, int, int]]] = {
+COUNTED: dict[str, tuple[Frame, tuple[int, int, int]]] = {
     "a motor's feedback": (PLACE, (1, 0, 0)),
     "a sensor's fix": (said(LIDAR, "Fix", "", 0, 48.0, 11.0, None, None), (1, 0, 0)),
     "a motor's fix": (said(LEFT, "Fix", "", 0, 48.0, 11.0, None, None), (0, 1, 0)),
@@ -381,19 +393,22 @@ COUNTED: dict[str, tuple[Wire, tuple[int, int, int]]] = {
 }
 
 
-@pytest.mark.parametrize(("wire", "tally"), COUNTED.values(), ids=COUNTED)
-def test_how_a_vector_is_counted(wire: Wire, tally: tuple[int, int, int]) -> None:
+@pytest.mark.parametrize(("frame", "counters"), COUNTED.values(), ids=COUNTED)
+def test_how_a_vector_is_counted(frame: Frame, counters: tuple[int, int, int]) -> None:
     driver = PlainDriver(devices())
-    driver.tally = Tally(2, 3, 4)
-    assert len(driver.receive(T, wire)) == tally[0]
-    assert driver.tally == Tally(2 + tally[0], 3 + tally[1], 4 + tally[2])
+    driver.counters = RxCounters(2, 3, 4)
+    assert len(driver.receive(T, frame)) == counters[0]
+    assert driver.counters == RxCounters(2 + counters[0], 3 + counters[1], 4 + counters[2])
 
 
 # What stands on the line, and what the devices would obey of it.
-HEARD: dict[str, tuple[Wire, list[Command | Request]]] = {
+HEARD: dict[str, tuple[Frame, list[Command | Request]]] = {
     "a command": (said(LEFT, "Velocity", "", 1.0, 0.5), [Velocity("left", 1.0, 0.5)]),
     "a request": (said(RIGHT, "Zero", ""), [Zero("right")]),
-    "two at once": (said(RIGHT, "Idle", "") + said(LEFT, "Estop", ""), [Idle("right"), Estop("left")]),
+    "two at once": (
+        said(RIGHT, "Idle", "") + said(LEFT, "Estop", ""),
+        [Idle("right"), Estop("left")],
+    ),
     "to a sensor": (said(LIDAR, "Idle", ""), []),
     "to a stranger": (said(77, "Idle", ""), []),
     "a command to everyone": (said(0, "Idle", ""), []),
@@ -408,13 +423,13 @@ HEARD: dict[str, tuple[Wire, list[Command | Request]]] = {
 }
 
 
-@pytest.mark.parametrize(("wire", "words"), HEARD.values(), ids=HEARD)
-def test_what_the_ear_makes_of_a_vector(wire: Wire, words: list[Command | Request]) -> None:
-    assert list(PlainEar(devices()).hear(T, wire)) == words
+@pytest.mark.parametrize(("frame", "words"), HEARD.values(), ids=HEARD)
+def test_what_the_ear_makes_of_a_vector(frame: Frame, words: list[Command | Request]) -> None:
+    assert list(PlainDecoder(devices()).decode(T, frame)) == words
 
 
 def test_the_ear_follows_a_device_to_its_new_address_as_vectors_show() -> None:
-    ear = PlainEar(devices())
-    ear.follow(Device("left", 9, Options("motor"), Settings(serial=1)))
-    assert ear.hear(T, said(LEFT, "Idle", "") + said(RIGHT, "Idle", "")) == [Idle("right")]
-    assert ear.hear(T, said(9, "Idle", "")) == [Idle("left")]
+    decoder = PlainDecoder(devices())
+    decoder.follow(Device("left", 9, Options("motor"), Settings(serial=1)))
+    assert decoder.decode(T, said(LEFT, "Idle", "") + said(RIGHT, "Idle", "")) == [Idle("right")]
+    assert decoder.decode(T, said(9, "Idle", "")) == [Idle("left")]
