@@ -25,18 +25,8 @@ from brain.perception.perception import Perception
 from brain.planning.mission import Mission, Note
 from brain.planning.planner import FrontierPath
 from brain.settings import BrainSettings
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Command,
-    Drive,
-    Event,
-    Goal,
-    Idle,
-    Nanos,
-    Velocity,
-    seconds,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, seconds
 
 FORESIGHT: Nanos = 100 * MILLISECOND
 """An estimate is carried on to now by its own speeds, but no farther than this."""
@@ -81,29 +71,41 @@ class BaseBrain:
         self.mission.settings, self.mission.radius = settings.planner, self._body.radius
 
     def step(
-        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+        self,
+        now: Nanos,
+        events: Sequence[Event],
+        tasks: Sequence[msg.Goal | msg.Drive | Command],
+        stopped: str,
     ) -> Sequence[Command]:
         """One command per motor."""
         carried = self._carry(now, events, tasks, stopped)
         wheels = self._roll(now, events, [t for t in tasks if not self._is_for_carried(t)], stopped)
         return [carried.get(word.motor, word) for word in wheels]
 
-    def _is_for_carried(self, task: Goal | Drive | Command) -> bool:
-        return not isinstance(task, Goal | Drive) and task.motor in self._carried.motors
+    def _is_for_carried(self, task: msg.Goal | msg.Drive | Command) -> bool:
+        return not isinstance(task, msg.Goal | msg.Drive) and task.motor in self._carried.motors
 
     def _carry(
-        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+        self,
+        now: Nanos,
+        events: Sequence[Event],
+        tasks: Sequence[msg.Goal | msg.Drive | Command],
+        stopped: str,
     ) -> dict[str, Command]:
         """One command for each joint that the base carries."""
         self._carried.observe(events)
         for task in tasks:
-            if not isinstance(task, Goal | Drive) and task.motor in self._carried.motors:
+            if not isinstance(task, msg.Goal | msg.Drive) and task.motor in self._carried.motors:
                 self._carried.ask(now, task, stopped)
         self._carried.end(now, stopped)
         return {word.motor: word for word in self._carried.commands()}
 
     def _roll(
-        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+        self,
+        now: Nanos,
+        events: Sequence[Event],
+        tasks: Sequence[msg.Goal | msg.Drive | Command],
+        stopped: str,
     ) -> Sequence[Command]:
         """The wheels' commands; Idle for the others."""
         self.perception.observe(now, events)
@@ -155,19 +157,21 @@ class BaseBrain:
             self._condition.say("warning", f"still waiting for {missing}")
         return missing and f"waiting for {missing}"
 
-    def _ask(self, now: Nanos, tasks: Sequence[Goal | Drive | Command], lost: str, waiting: str) -> None:
+    def _ask(
+        self, now: Nanos, tasks: Sequence[msg.Goal | msg.Drive | Command], lost: str, waiting: str
+    ) -> None:
         for task in tasks:
-            if not isinstance(task, Goal | Drive):
+            if not isinstance(task, msg.Goal | msg.Drive):
                 why = f"{task.motor} is a wheel of a base: ask for a goal, or drive"
             elif not all(map(isfinite, _numbers(task))):
                 why = f"{task} is not finite"
-            elif waiting and isinstance(task, Drive):
+            elif waiting and isinstance(task, msg.Drive):
                 why = waiting
             else:
                 why = "" if waiting else lost
             if why:
                 self._condition.say("warning", f"{type(task).__name__} refused: {why}")
-            elif isinstance(task, Goal | Drive):
+            elif isinstance(task, msg.Goal | msg.Drive):
                 self.mission.ask(now, task)
 
     def _share(self, verdict: Verdict) -> float:
@@ -275,12 +279,13 @@ class BaseBrain:
             self._rest_since = now
         if self._rest_since is not None and now - self._rest_since >= self._settings.pursuit.idle_after:
             return self._idle()
-        if self._rest_since is not None and all(isinstance(word, Idle) for word in self._said):
+        if self._rest_since is not None and all(isinstance(word, msg.Idle) for word in self._said):
             return self._said  # never armed since it was last let go: there is nothing to bring to rest
         left, right = self._body.inverse(self._twist.linear, self._twist.angular)
         wheels = {self._body.left: left, self._body.right: right}
         return tuple(
-            Velocity(motor, wheels[motor]) if motor in wheels else Idle(motor) for motor in self._motors
+            msg.Velocity(motor, wheels[motor]) if motor in wheels else msg.Idle(motor)
+            for motor in self._motors
         )
 
     def _let_go(self) -> Sequence[Command]:
@@ -291,11 +296,11 @@ class BaseBrain:
         return self._said
 
     def _idle(self) -> Sequence[Command]:
-        return tuple(Idle(motor) for motor in self._motors)
+        return tuple(msg.Idle(motor) for motor in self._motors)
 
 
-def _numbers(task: Goal | Drive) -> tuple[float, ...]:
-    return (task.x, task.y, task.yaw or 0.0) if isinstance(task, Goal) else (task.linear, task.angular)
+def _numbers(task: msg.Goal | msg.Drive) -> tuple[float, ...]:
+    return (task.x, task.y, task.yaw or 0.0) if isinstance(task, msg.Goal) else (task.linear, task.angular)
 
 
 PATIENT: Nanos = 3 * SECOND

@@ -15,25 +15,11 @@ from math import isfinite
 from typing import Literal, TypeAlias
 
 from gateway.core.limits import Limits, Profile
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Command,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Impedance,
-    Mode,
-    Nanos,
-    Position,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, SECOND, Command, Mode, Nanos
 from protocols.plugin import Spec
 
-JointEvent: TypeAlias = Feedback | State | Fault
+JointEvent: TypeAlias = msg.Feedback | msg.State | msg.Fault
 
 FEEDBACK_LOST = -1
 """Our own fault code: the device fell silent while it was commanded."""
@@ -71,13 +57,13 @@ class Joint:
         self.settings = settings
         self._commands = spec.commands
         self._ratio = settings.gear * settings.sign
-        self.feedback = Feedback(name, 0)
+        self.feedback = msg.Feedback(name, 0)
         """The newest of each quantity, at the output shaft; t is the newest motion's."""
         self.mode = Mode.OFFLINE
         self.detail = ""
         self._armed = False
         """Whether it was armed when it was last heard to say."""
-        self.faults: dict[tuple[int, str], Fault] = {}
+        self.faults: dict[tuple[int, str], msg.Fault] = {}
         """Latched, in the order in which they came."""
         self.owned = False
         """Whether any command but Idle has gone out: only then does the safe word go out."""
@@ -85,10 +71,10 @@ class Joint:
         """Why the brain's last command was not taken; "" if it was."""
         self.not_finite = 0
         """How many values that are not finite were kept from the wire or from the brain."""
-        self._untold: list[Fault] = []
+        self._untold: list[msg.Fault] = []
         self._said: Command | None = None
         self._said_at: Nanos = 0
-        self._out: Command = Idle(name)
+        self._out: Command = msg.Idle(name)
         self._out_at: Nanos = 0
         self._received_at: Nanos | None = None
         self._braking: Nanos | None = None
@@ -99,9 +85,9 @@ class Joint:
 
     def on_event(self, event: JointEvent) -> JointEvent | None:
         """Move a driver's event to the output shaft and remember it; None if it must not go on."""
-        if isinstance(event, Feedback):
+        if isinstance(event, msg.Feedback):
             return self._on_feedback(event)
-        if isinstance(event, State):
+        if isinstance(event, msg.State):
             if self._left_by_itself(event):
                 self.latch(self._unexpected_disarm(event))
             if event.mode is not Mode.OFFLINE:  # what it does while it is silent, nobody knows
@@ -111,17 +97,19 @@ class Joint:
         self.latch(event)
         return event
 
-    def _left_by_itself(self, event: State) -> bool:
+    def _left_by_itself(self, event: msg.State) -> bool:
         return (
-            self._armed and event.mode in (Mode.READY, Mode.INITIALISING) and not isinstance(self._out, Idle)
+            self._armed
+            and event.mode in (Mode.READY, Mode.INITIALISING)
+            and not isinstance(self._out, msg.Idle)
         )
 
-    def _on_feedback(self, event: Feedback) -> Feedback | None:
+    def _on_feedback(self, event: msg.Feedback) -> msg.Feedback | None:
         if not _finite(event):
             self.not_finite += 1
             return None
         ratio = self._ratio
-        moved = Feedback(
+        moved = msg.Feedback(
             event.motor,
             event.t,
             None if event.position is None else event.position / ratio,
@@ -135,7 +123,7 @@ class Joint:
         motion = moved.position is not None or moved.velocity is not None
         if motion:
             self._received_at = event.t
-        self.feedback = Feedback(
+        self.feedback = msg.Feedback(
             self.name,
             event.t if motion else old.t,
             old.position if moved.position is None else moved.position,
@@ -147,14 +135,14 @@ class Joint:
         )
         return moved
 
-    def latch(self, fault: Fault) -> None:
+    def latch(self, fault: msg.Fault) -> None:
         """Keep a fault until it is cleared."""
         key = (fault.code, fault.name)
         if key not in self.faults:
             self.faults[key] = fault
             self._untold.append(fault)
 
-    def take_unreported(self) -> list[Fault]:
+    def take_unreported(self) -> list[msg.Fault]:
         """The faults that have latched since this was last asked."""
         unreported, self._untold = self._untold, []
         return unreported
@@ -192,9 +180,9 @@ class Joint:
             self._latch_if_lost(now)
         wanted = self._wanted(now, stopped, last)
         if self._received_at is None:
-            wanted = Idle(self.name)  # never arm what was never heard
+            wanted = msg.Idle(self.name)  # never arm what was never heard
         out = self._limited(now, wanted)
-        if not isinstance(out, Idle):
+        if not isinstance(out, msg.Idle):
             self.owned = True
         self._out, self._out_at = out, now
         return self._at_device(out)
@@ -208,17 +196,17 @@ class Joint:
 
     def _safe_word(self, now: Nanos, last: bool) -> Command:
         if self.settings.stop_action == "hold":
-            return Hold(self.name)
+            return msg.Hold(self.name)
         if self.settings.stop_action == "brake" and not last and self._may_brake(now):
-            return Velocity(self.name, 0.0)
-        return Idle(self.name)
+            return msg.Velocity(self.name, 0.0)
+        return msg.Idle(self.name)
 
     def _may_brake(self, now: Nanos) -> bool:
         if (
             self.faults
             or self.feedback_lost(now)
             or self.mode is not Mode.ARMED
-            or isinstance(self._out, Idle)
+            or isinstance(self._out, msg.Idle)
         ):
             return False
         if self._braking is None:
@@ -231,9 +219,9 @@ class Joint:
         if self.owned and self._armed:
             self.latch(self._feedback_lost_fault(now))
 
-    def _feedback_lost_fault(self, now: Nanos) -> Fault:
+    def _feedback_lost_fault(self, now: Nanos) -> msg.Fault:
         limit = f"{self.settings.feedback_timeout / MILLISECOND:g} ms"
-        return Fault(
+        return msg.Fault(
             self.name,
             now,
             FEEDBACK_LOST,
@@ -242,9 +230,9 @@ class Joint:
             f"mend it, then clear {self.name}",
         )
 
-    def _unexpected_disarm(self, event: State) -> Fault:
+    def _unexpected_disarm(self, event: msg.State) -> msg.Fault:
         detail = f" ({event.detail})" if event.detail else ""
-        return Fault(
+        return msg.Fault(
             self.name,
             event.t,
             DISARMED_ITSELF,
@@ -266,7 +254,7 @@ class Joint:
             return f"{type(said).__name__} is not among what {self.name} can do: {able}"
         if not _finite(said):
             return f"a value of {said} is not finite"
-        if isinstance(said, Impedance) and (said.stiffness < 0.0 or said.damping < 0.0):
+        if isinstance(said, msg.Impedance) and (said.stiffness < 0.0 or said.damping < 0.0):
             return f"stiffness and damping of {said} must not be negative"
         return ""
 
@@ -275,7 +263,7 @@ class Joint:
             return self._safe_word(now, last)
         self._braking = None
         if self._said is None or now - self._said_at > self.settings.command_timeout:
-            return Hold(self.name) if self.settings.on_command_timeout == "hold" else Idle(self.name)
+            return msg.Hold(self.name) if self.settings.on_command_timeout == "hold" else msg.Idle(self.name)
         return self._said
 
     def _limited(self, now: Nanos, wanted: Command) -> Command:
@@ -287,15 +275,15 @@ class Joint:
     def _at_device(self, out: Command) -> Command:
         ratio = self._ratio
         match out:
-            case Velocity(motor, velocity, torque):
-                return Velocity(motor, velocity * ratio, torque / ratio)
-            case Position(motor, position, velocity, torque):
-                return Position(motor, position * ratio, velocity * ratio, torque / ratio)
-            case Torque(motor, torque):
-                return Torque(motor, torque / ratio)
-            case Impedance(motor, position, velocity, torque, stiffness, damping):
+            case msg.Velocity(motor, velocity, torque):
+                return msg.Velocity(motor, velocity * ratio, torque / ratio)
+            case msg.Position(motor, position, velocity, torque):
+                return msg.Position(motor, position * ratio, velocity * ratio, torque / ratio)
+            case msg.Torque(motor, torque):
+                return msg.Torque(motor, torque / ratio)
+            case msg.Impedance(motor, position, velocity, torque, stiffness, damping):
                 square = ratio * ratio
-                return Impedance(
+                return msg.Impedance(
                     motor,
                     position * ratio,
                     velocity * ratio,
@@ -322,7 +310,7 @@ class Joint:
         return ""
 
 
-def _finite(word: Feedback | Command) -> bool:
+def _finite(word: msg.Feedback | Command) -> bool:
     """Whether every number in the word is finite. Integers are times."""
     for name in word.__slots__:
         value = getattr(word, name)

@@ -16,43 +16,9 @@ from brain.belief import Belief
 from brain.brain import Brain
 from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
+from protocols import messages as msg
 from protocols.frames import BusState, Frame, Packet
-from protocols.messages import (
-    Asked,
-    ClearFault,
-    Command,
-    Done,
-    Drive,
-    Estop,
-    Event,
-    Fault,
-    Feedback,
-    Found,
-    Goal,
-    Hold,
-    Home,
-    Idle,
-    Impedance,
-    Leave,
-    Mode,
-    Nanos,
-    Parameter,
-    Position,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Release,
-    Request,
-    Scan,
-    Set,
-    SetId,
-    State,
-    Stop,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import Command, Event, Mode, Nanos, Request
 from protocols.plugin import CommandDecoder, Device, Driver, Plugin, RxCounters
 
 if TYPE_CHECKING:
@@ -62,7 +28,9 @@ ALL = "all"
 """The name by which a request means every motor."""
 
 
-OfMotor: TypeAlias = ClearFault | Estop | Zero | Home | ReadParameter | WriteParameter | Reboot
+OfMotor: TypeAlias = (
+    msg.ClearFault | msg.Estop | msg.Zero | msg.Home | msg.ReadParameter | msg.WriteParameter | msg.Reboot
+)
 """The requests that are about one motor, or about all."""
 
 
@@ -169,7 +137,7 @@ class Gateway:
     def _handle(self, events: Iterable[Event]) -> list[Event]:
         received: list[Event] = []
         for event in events:
-            if isinstance(event, Feedback | State | Fault):
+            if isinstance(event, msg.Feedback | msg.State | msg.Fault):
                 joint = self.joints.get(event.motor)
                 if joint is None:
                     continue
@@ -180,7 +148,7 @@ class Gateway:
                         Note("warning", joint.name, f"a value of {event} is not finite: left out")
                     )
                     continue
-                if isinstance(event, State) and event.mode is not mode:
+                if isinstance(event, msg.State) and event.mode is not mode:
                     detail = f" ({event.detail})" if event.detail else ""
                     self._notes.append(Note(_LEVELS[event.mode], joint.name, f"{event.mode}{detail}"))
                 received.append(passed)
@@ -191,15 +159,15 @@ class Gateway:
 
     def _report(self, event: Event) -> None:
         match event:
-            case Done(_, request, name, detail):
-                if request == ClearFault.__name__ and name in self.joints:
+            case msg.Done(_, request, name, detail):
+                if request == msg.ClearFault.__name__ and name in self.joints:
                     self.joints[name].clear()
                 self._notes.append(Note("info", name or "operator", f"{request}: done{_in_brackets(detail)}"))
-            case Refused(_, request, name, reason):
+            case msg.Refused(_, request, name, reason):
                 self._notes.append(Note("warning", name or "operator", f"{request}: refused: {reason}"))
-            case Parameter(motor, _, parameter, value):
+            case msg.Parameter(motor, _, parameter, value):
                 self._notes.append(Note("info", motor, f"{parameter} = {value:g}"))
-            case Found(_, protocol, address, serial, detail, twice):
+            case msg.Found(_, protocol, address, serial, detail, twice):
                 number = "" if serial is None else f", serial number {serial:X}"
                 text = f"{protocol} at address {address}{number}{_in_brackets(detail)}"
                 text += "; more than one device holds this address" if twice else ""
@@ -209,26 +177,35 @@ class Gateway:
 
     # -- what is asked ------------------------------------------------------------------------
 
-    def _ask(self, now: Nanos, asked: Sequence[Asked]) -> list[Goal | Drive | Command]:
-        tasks: list[Goal | Drive | Command] = []
+    def _ask(self, now: Nanos, asked: Sequence[msg.Asked]) -> list[msg.Goal | msg.Drive | Command]:
+        tasks: list[msg.Goal | msg.Drive | Command] = []
         for word in asked:
             match word:
-                case Stop(reason):
+                case msg.Stop(reason):
                     self.stopped = reason or "an operator said stop"
                     self._notes.append(Note("warning", "operator", f"stopped: {self.stopped}"))
                     self._requests.append(word)
-                case Leave(reason):
+                case msg.Leave(reason):
                     self.stopped = self.stopped or reason
                     self._notes.append(Note("info", "operator", f"leaving: {reason}"))
-                case Release():
+                case msg.Release():
                     text = "released" if self.stopped else "nothing to release: no stop is in force"
                     self.stopped = ""
                     self._notes.append(Note("info", "operator", text))
-                case Set(key, value):
+                case msg.Set(key, value):
                     self._set(key, value)
-                case Goal() | Drive() | Idle() | Hold() | Position() | Velocity() | Torque() | Impedance():
+                case (
+                    msg.Goal()
+                    | msg.Drive()
+                    | msg.Idle()
+                    | msg.Hold()
+                    | msg.Position()
+                    | msg.Velocity()
+                    | msg.Torque()
+                    | msg.Impedance()
+                ):
                     tasks.append(word)
-                case Scan() | SetId():
+                case msg.Scan() | msg.SetId():
                     self._requests.append(word)
                 case _:
                     self._request(now, word)
@@ -252,14 +229,14 @@ class Gateway:
             if motor not in self.joints:
                 known = ", ".join(self.joints)
                 self._late.append(
-                    Refused(now, kind, motor, f"there is no motor {motor!r}; there are {known}")
+                    msg.Refused(now, kind, motor, f"there is no motor {motor!r}; there are {known}")
                 )
             elif type(word) in self._specs[motor].requests:
                 self._requests.append(replace(word, motor=motor))
-            elif isinstance(word, ClearFault):
-                self._late.append(Done(now, kind, motor, "in the joint; the device has nothing to clear"))
+            elif isinstance(word, msg.ClearFault):
+                self._late.append(msg.Done(now, kind, motor, "in the joint; the device has nothing to clear"))
             else:
-                self._late.append(Refused(now, kind, motor, "its protocol cannot do this"))
+                self._late.append(msg.Refused(now, kind, motor, "its protocol cannot do this"))
 
     # -- out ----------------------------------------------------------------------------------
 
@@ -306,9 +283,9 @@ def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
 
 
 def _is_for(request: Request, bus: str, motors: frozenset[str]) -> bool:
-    if isinstance(request, Stop):
+    if isinstance(request, msg.Stop):
         return bool(motors)
-    if isinstance(request, Scan | SetId):
+    if isinstance(request, msg.Scan | msg.SetId):
         return request.bus == bus
     return getattr(request, "motor", "") in motors
 

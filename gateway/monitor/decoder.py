@@ -19,20 +19,9 @@ from gateway.core.robot import BusSettings
 from gateway.monitor.candidates import Party, Tongue
 from gateway.monitor.rate import Rate
 from gateway.monitor.state import Heard, Id, Seen, SeenBus, SeenId, Told, about, at_joint
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import (
-    SECOND,
-    Command,
-    Event,
-    Fault,
-    Feedback,
-    Fix,
-    Imu,
-    LaserScan,
-    Mode,
-    Nanos,
-    State,
-)
+from protocols.messages import SECOND, Command, Event, Mode, Nanos
 
 WINDOW: Nanos = 2 * SECOND
 ENOUGH = 3
@@ -189,12 +178,12 @@ class Listener:
             seen.says[kind] = self._rate()
         seen.says[kind].add(t)
         seen.received_at = t
-        if isinstance(event, Fault):
+        if isinstance(event, msg.Fault):
             seen.faults[event.code, event.name] = event
-        elif isinstance(event, Imu | LaserScan | Fix):
+        elif isinstance(event, msg.Imu | msg.LaserScan | msg.Fix):
             seen.measured = event
-        elif isinstance(event, Feedback | State) and seen.joint is not None:
-            if isinstance(event, State) and event.mode is not Mode.FAULT:
+        elif isinstance(event, msg.Feedback | msg.State) and seen.joint is not None:
+            if isinstance(event, msg.State) and event.mode is not Mode.FAULT:
                 seen.past |= seen.faults
                 seen.faults = {}
             return seen.joint.on_event(event)
@@ -255,7 +244,7 @@ class Listener:
             if other is not None and other.merit >= seen.merit:
                 return False
         self._best[place] = number
-        enough = seen.weight >= ENOUGH and (seen.joint is None or State.__name__ in seen.says)
+        enough = seen.weight >= ENOUGH and (seen.joint is None or msg.State.__name__ in seen.says)
         if enough and self.found.get(place) is not seen:
             self._own(seen)
         return True

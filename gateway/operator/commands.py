@@ -15,28 +15,7 @@ from typing import Literal, TypeAlias
 
 from gateway.config.errors import unknown
 from gateway.core.robot import Robot
-from protocols.messages import (
-    Asked,
-    ClearFault,
-    Drive,
-    Estop,
-    Goal,
-    Hold,
-    Home,
-    Idle,
-    Position,
-    ReadParameter,
-    Reboot,
-    Release,
-    Scan,
-    Set,
-    SetId,
-    Stop,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols import messages as msg
 
 ALL = "all"
 """Instead of a motor's name in a request: every motor."""
@@ -56,7 +35,7 @@ class Mistake:
     sentence: str
 
 
-def parse(line: str, robot: Robot) -> Asked | Query | Mistake | None:
+def parse(line: str, robot: Robot) -> msg.Asked | Query | Mistake | None:
     """What a line asks of this robot; None for an empty line or a comment (#)."""
     words = line.partition("#")[0].replace(",", " ").split()
     if not words:
@@ -82,7 +61,7 @@ class _Wrong(ValueError):
 
 
 Args: TypeAlias = list[str]
-Make: TypeAlias = Callable[[Args, Robot], Asked | Query]
+Make: TypeAlias = Callable[[Args, Robot], msg.Asked | Query]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,94 +149,94 @@ def _needs_base(robot: Robot) -> None:
 # -- the words ---------------------------------------------------------------------------------
 
 
-def _goal(args: Args, robot: Robot) -> Goal:
+def _goal(args: Args, robot: Robot) -> msg.Goal:
     _needs_base(robot)
     _count(args, 2, 3)
     yaw = _angle(args[2], "deg") if len(args) == 3 else None
-    return Goal(_number(args[0]), _number(args[1]), yaw)
+    return msg.Goal(_number(args[0]), _number(args[1]), yaw)
 
 
-def _drive(args: Args, robot: Robot) -> Drive:
+def _drive(args: Args, robot: Robot) -> msg.Drive:
     _needs_base(robot)
     _count(args, 2)
-    return Drive(_number(args[0]), _number(args[1]))
+    return msg.Drive(_number(args[0]), _number(args[1]))
 
 
-def _stop(args: Args, _: Robot) -> Stop:
-    return Stop(" ".join(args))
+def _stop(args: Args, _: Robot) -> msg.Stop:
+    return msg.Stop(" ".join(args))
 
 
-def _release(args: Args, _: Robot) -> Release:
+def _release(args: Args, _: Robot) -> msg.Release:
     _count(args, 0)
-    return Release()
+    return msg.Release()
 
 
-def _position(args: Args, robot: Robot) -> Position:
+def _position(args: Args, robot: Robot) -> msg.Position:
     _count(args, 2)
-    return Position(_bare_joint(args[0], robot), _angle(args[1], "rad"))
+    return msg.Position(_bare_joint(args[0], robot), _angle(args[1], "rad"))
 
 
-def _value(kind: type[Velocity] | type[Torque]) -> Make:
-    def make(args: Args, robot: Robot) -> Asked:
+def _value(kind: type[msg.Velocity] | type[msg.Torque]) -> Make:
+    def make(args: Args, robot: Robot) -> msg.Asked:
         _count(args, 2)
         return kind(_bare_joint(args[0], robot), _number(args[1]))
 
     return make
 
 
-def _at_rest(kind: type[Idle] | type[Hold]) -> Make:
-    def make(args: Args, robot: Robot) -> Asked:
+def _at_rest(kind: type[msg.Idle] | type[msg.Hold]) -> Make:
+    def make(args: Args, robot: Robot) -> msg.Asked:
         _count(args, 1)
         return kind(_bare_joint(args[0], robot))
 
     return make
 
 
-def _of_motor(kind: type[Reboot] | type[Zero] | type[Home]) -> Make:
-    def make(args: Args, robot: Robot) -> Asked:
+def _of_motor(kind: type[msg.Reboot] | type[msg.Zero] | type[msg.Home]) -> Make:
+    def make(args: Args, robot: Robot) -> msg.Asked:
         _count(args, 1)
         return kind(_motor(args[0], robot))
 
     return make
 
 
-def _clear(args: Args, robot: Robot) -> ClearFault:
+def _clear(args: Args, robot: Robot) -> msg.ClearFault:
     _count(args, 0, 1)
-    return ClearFault(_motor_or_all(args[0], robot) if args else ALL)
+    return msg.ClearFault(_motor_or_all(args[0], robot) if args else ALL)
 
 
-def _estop(args: Args, robot: Robot) -> Estop:
+def _estop(args: Args, robot: Robot) -> msg.Estop:
     _count(args, 1)
-    return Estop(_motor_or_all(args[0], robot))
+    return msg.Estop(_motor_or_all(args[0], robot))
 
 
-def _set(args: Args, robot: Robot) -> Set:
+def _set(args: Args, robot: Robot) -> msg.Set:
     _count(args, 2)
     room, dot, _ = args[0].partition(".")
     _name("room", room, ["brain", *robot.motors])
     if not dot:
         raise _Wrong(f"{args[0]!r} names no setting")
-    return Set(args[0], _number(args[1]))
+    return msg.Set(args[0], _number(args[1]))
 
 
-def _scan(args: Args, robot: Robot) -> Scan:
+def _scan(args: Args, robot: Robot) -> msg.Scan:
     _count(args, 1)
-    return Scan(_name("bus", args[0], list(robot.buses)))
+    return msg.Scan(_name("bus", args[0], list(robot.buses)))
 
 
-def _setid(args: Args, robot: Robot) -> SetId:
+def _setid(args: Args, robot: Robot) -> msg.SetId:
     _count(args, 3)
-    return SetId(_name("bus", args[0], list(robot.buses)), _whole(args[1], 16), _whole(args[2], 10))
+    return msg.SetId(_name("bus", args[0], list(robot.buses)), _whole(args[1], 16), _whole(args[2], 10))
 
 
-def _read(args: Args, robot: Robot) -> ReadParameter:
+def _read(args: Args, robot: Robot) -> msg.ReadParameter:
     _count(args, 2)
-    return ReadParameter(_motor(args[0], robot), args[1])
+    return msg.ReadParameter(_motor(args[0], robot), args[1])
 
 
-def _write(args: Args, robot: Robot) -> WriteParameter:
+def _write(args: Args, robot: Robot) -> msg.WriteParameter:
     _count(args, 3)
-    return WriteParameter(_motor(args[0], robot), args[1], _number(args[2]))
+    return msg.WriteParameter(_motor(args[0], robot), args[1], _number(args[2]))
 
 
 def _query(kind: Literal["status", "help", "quit"]) -> Make:
@@ -277,14 +256,14 @@ FORMS: dict[str, _Form] = {
     "clear": _Form("[MOTOR]", "clear the faults of a motor, or of all", _clear),
     "estop": _Form("MOTOR|all", "the device's own emergency stop; clear takes it back", _estop),
     "position": _Form("MOTOR VALUE", "bare joints: go to a position [rad]", _position),
-    "velocity": _Form("MOTOR VALUE", "bare joints: turn at a velocity [rad/s]", _value(Velocity)),
-    "torque": _Form("MOTOR VALUE", "bare joints: give a torque [N·m]", _value(Torque)),
-    "idle": _Form("MOTOR", "bare joints: no torque", _at_rest(Idle)),
-    "hold": _Form("MOTOR", "bare joints: stay where it is", _at_rest(Hold)),
+    "velocity": _Form("MOTOR VALUE", "bare joints: turn at a velocity [rad/s]", _value(msg.Velocity)),
+    "torque": _Form("MOTOR VALUE", "bare joints: give a torque [N·m]", _value(msg.Torque)),
+    "idle": _Form("MOTOR", "bare joints: no torque", _at_rest(msg.Idle)),
+    "hold": _Form("MOTOR", "bare joints: stay where it is", _at_rest(msg.Hold)),
     "set": _Form("KEY VALUE", "a limit or gain, as brain.pursuit.… or MOTOR.limits.velocity", _set),
-    "zero": _Form("MOTOR", "call the present position zero", _of_motor(Zero)),
-    "home": _Form("MOTOR", "run the device's own homing", _of_motor(Home)),
-    "reboot": _Form("MOTOR", "restart the device", _of_motor(Reboot)),
+    "zero": _Form("MOTOR", "call the present position zero", _of_motor(msg.Zero)),
+    "home": _Form("MOTOR", "run the device's own homing", _of_motor(msg.Home)),
+    "reboot": _Form("MOTOR", "restart the device", _of_motor(msg.Reboot)),
     "read": _Form("MOTOR PARAMETER", "read a parameter of the device by its own name", _read),
     "write": _Form("MOTOR PARAMETER VALUE", "write a parameter of the device by its own name", _write),
     "scan": _Form("BUS", "look for devices; enables and clears nothing", _scan),

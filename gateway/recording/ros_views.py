@@ -33,21 +33,9 @@ from brain.perception.mount import Mount
 from gateway.core.tick import Note, Tick
 from gateway.recording import ros_cdr, ros_messages
 from gateway.recording.ros_messages import Message
+from protocols import messages as msg
 from protocols.frames import CanFrame, Packet
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Fix,
-    Imu,
-    LaserScan,
-    Mode,
-    Nanos,
-    State,
-)
+from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -230,13 +218,13 @@ class Views:
         views: list[View] = []
         for event in events:
             match event:
-                case LaserScan():
+                case msg.LaserScan():
                     data = ros_cdr.laser_scan(self._layouts, event)
                     views.append(View("/scan", SCAN, _stamp(event.t), data))
-                case Imu():
+                case msg.Imu():
                     data = ros_cdr.imu(self._layouts, event)
                     views.append(View("/imu/data", IMU, _stamp(event.t), data))
-                case Fix():
+                case msg.Fix():
                     views.append(self._view("/fix", event.t, ros_messages.fix(self._types, event)))
                 case _:
                     self._handle(event)
@@ -244,18 +232,18 @@ class Views:
 
     def _handle(self, event: Event) -> None:
         match event:
-            case Feedback():
+            case msg.Feedback():
                 seen = self._motor(event.motor)
                 for name in _MEASURED:
                     if (value := getattr(event, name)) is not None:
                         setattr(seen, name, value)
                 self._moved = True
-            case State(motor, _, mode, detail):
+            case msg.State(motor, _, mode, detail):
                 seen = self._motor(motor)
                 seen.mode, seen.detail = mode, detail
-            case Fault(motor, _, code, name):
+            case msg.Fault(motor, _, code, name):
                 self._motor(motor).faults[code] = name
-            case Done(_, "ClearFault", name) if name in self._motors:
+            case msg.Done(_, "ClearFault", name) if name in self._motors:
                 self._motors[name].faults.clear()
             case _:
                 pass

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from protocols import messages as msg
 from protocols.cia402 import sdo
 from protocols.cia402.codec import (
     HEARTBEAT_BASE,
@@ -42,23 +43,7 @@ from protocols.cia402.options import Options, Settings, units_of_settings
 from protocols.cia402.profile import Mode, supports
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Estop,
-    Hold,
-    Home,
-    Idle,
-    Position,
-    ReadParameter,
-    Reboot,
-    Scan,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Command
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 
 WATCHDOG_NOTE = (
@@ -69,9 +54,9 @@ WATCHDOG_NOTE = (
 ALMOST = 1.001
 """A resolution is half a step, and what rounding in binary64 adds."""
 MODES: dict[type[Command], tuple[Mode, Mode]] = {
-    Position: (Mode.CSP, Mode.PP),
-    Velocity: (Mode.CSV, Mode.PV),
-    Torque: (Mode.CST, Mode.PT),
+    msg.Position: (Mode.CSP, Mode.PP),
+    msg.Velocity: (Mode.CSV, Mode.PV),
+    msg.Torque: (Mode.CST, Mode.PT),
 }
 """The modes that can do a command: the cyclic one, the profile one."""
 
@@ -95,9 +80,9 @@ def ranges(options: Options, settings: Settings) -> dict[str, Range]:
         "Feedback.current": Range(-current, current, units.current(1) / 2 * ALMOST),
         "Feedback.voltage": Range(0.0, Type.U32.high / 1000.0, 0.0005 * ALMOST),
     }
-    if _is_cyclic(options, settings, Position):
+    if _is_cyclic(options, settings, msg.Position):
         found |= {"Position.velocity": velocity, "Position.torque": torque}
-    if _is_cyclic(options, settings, Velocity):
+    if _is_cyclic(options, settings, msg.Velocity):
         found["Velocity.torque"] = torque
     return found
 
@@ -143,8 +128,21 @@ def spec(device: Device) -> Spec:
         feedback=FeedbackKind.POLLED if options.feedback == "sdo" else FeedbackKind.CYCLIC,
         feedback_period=_feedback_ms(options) * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
-        commands=frozenset({Idle} | able | ({Hold} if able & {Position, Velocity} else set())),
-        requests=frozenset({ClearFault, Estop, Scan, Home, Zero, ReadParameter, WriteParameter, Reboot}),
+        commands=frozenset(
+            {msg.Idle} | able | ({msg.Hold} if able & {msg.Position, msg.Velocity} else set())
+        ),
+        requests=frozenset(
+            {
+                msg.ClearFault,
+                msg.Estop,
+                msg.Scan,
+                msg.Home,
+                msg.Zero,
+                msg.ReadParameter,
+                msg.WriteParameter,
+                msg.Reboot,
+            }
+        ),
         ranges=ranges(options, settings),
         watchdog=Watchdog(timeout or None, enabled, "" if enabled else WATCHDOG_NOTE, "any command"),
         holds_unattended=not enabled,

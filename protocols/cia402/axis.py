@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum, auto
 
+from protocols import messages as msg
 from protocols.cia402 import objects as o
 from protocols.cia402 import sdo
 from protocols.cia402.codec import (
@@ -39,20 +40,7 @@ from protocols.cia402.server import Server
 from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, obey
 from protocols.cia402.units import READ, Units, units_of
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Estop,
-    Home,
-    Idle,
-    Nanos,
-    Position,
-    Reboot,
-    Request,
-    Torque,
-    Velocity,
-    WriteParameter,
-)
+from protocols.messages import Command, Nanos, Request
 from protocols.plugin import Device
 
 Messages = Sequence[Command | Request]
@@ -160,7 +148,7 @@ class Axis:
         if command is NmtCommand.RESET_NODE:
             self.signals.append(Signal.RESET_NODE)
             self.start()
-            return (Reboot(self.motor),)
+            return (msg.Reboot(self.motor),)
         words: list[Command | Request] = []
         if command in (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION):
             words += self.lose_connection()
@@ -169,7 +157,7 @@ class Axis:
             self._forget_communication()
         before, self.nmt = self.nmt, NEXT_STATE.get(command, NmtState.PRE_OPERATIONAL)
         if self.nmt is not before or command is NmtCommand.RESET_COMMUNICATION:
-            words.append(WriteParameter(self.motor, NMT_STATE, float(self.nmt)))
+            words.append(msg.WriteParameter(self.motor, NMT_STATE, float(self.nmt)))
         if self.nmt is not NmtState.OPERATIONAL:
             self.latched.clear()
             self.received.clear()
@@ -194,7 +182,7 @@ class Axis:
             return self._demand(Demand.DISABLE_VOLTAGE)
         if self.instant:
             self.state = PowerState.FAULT
-        return (Idle(self.motor),)
+        return (msg.Idle(self.motor),)
 
     def _on_sdo(self, data: bytes) -> Messages:
         request = sdo.decode_request(data)
@@ -254,7 +242,7 @@ class Axis:
         values = self.dictionary.values
         reported = [key for key in keys if key not in TARGETS and key not in (o.CONTROLWORD, o.MODE)]
         words: list[Command | Request] = [
-            WriteParameter(self.motor, title(key), float(values[key])) for key in reported
+            msg.WriteParameter(self.motor, title(key), float(values[key])) for key in reported
         ]
         if any(key[0] < COMMUNICATION_END for key in keys):
             self._ids = self._rpdo_ids()
@@ -278,7 +266,7 @@ class Axis:
                 self._accept(control)
             elif self.mode is Mode.HM:
                 self.homing_asked = True
-                words.append(Home(self.motor))
+                words.append(msg.Home(self.motor))
         return words
 
     def _demand(self, demand: Demand | None) -> Messages:
@@ -287,15 +275,15 @@ class Axis:
         option = self.dictionary.values[o.QUICK_STOP_OPTION]
         before, self.state = self.state, obey(self.state, demand, option)
         if demand is Demand.FAULT_RESET:
-            return (ClearFault(self.motor),)
+            return (msg.ClearFault(self.motor),)
         if self.state is before:
             return ()
         self._leave_setpoints()
         if self.state is PowerState.QUICK_STOP:
             if self.instant and option not in HOLDING_QUICK_STOPS:
                 self.state = PowerState.SWITCH_ON_DISABLED
-            return (Estop(self.motor),)
-        return (Idle(self.motor),) if before in _TORQUE and self.state not in _TORQUE else ()
+            return (msg.Estop(self.motor),)
+        return (msg.Idle(self.motor),) if before in _TORQUE and self.state not in _TORQUE else ()
 
     def _leave_setpoints(self) -> None:
         self.goal = self.next_goal = None
@@ -320,25 +308,25 @@ class Axis:
         """The command that the set-points amount to now."""
         value, units = self.dictionary.values, self.units
         if self.control & Control.HALT:
-            return (Velocity(self.motor, 0.0),)
+            return (msg.Velocity(self.motor, 0.0),)
         match self.mode:
             case Mode.PP:
                 goal = self.goal if self.next_goal is None else self.next_goal
-                return () if goal is None else (Position(self.motor, units.position(goal)),)
+                return () if goal is None else (msg.Position(self.motor, units.position(goal)),)
             case Mode.PV:
-                return (Velocity(self.motor, units.velocity(value[o.TARGET_VELOCITY])),)
+                return (msg.Velocity(self.motor, units.velocity(value[o.TARGET_VELOCITY])),)
             case Mode.PT:
-                return (Torque(self.motor, units.torque(value[o.TARGET_TORQUE])),)
+                return (msg.Torque(self.motor, units.torque(value[o.TARGET_TORQUE])),)
             case Mode.CSP:
                 position = units.position(value[o.TARGET_POSITION])
                 velocity = units.velocity(value[o.VELOCITY_OFFSET])
-                return (Position(self.motor, position, velocity, units.torque(value[o.TORQUE_OFFSET])),)
+                return (msg.Position(self.motor, position, velocity, units.torque(value[o.TORQUE_OFFSET])),)
             case Mode.CSV:
                 speed = units.velocity(value[o.TARGET_VELOCITY] + value[o.VELOCITY_OFFSET])
-                return (Velocity(self.motor, speed, units.torque(value[o.TORQUE_OFFSET])),)
+                return (msg.Velocity(self.motor, speed, units.torque(value[o.TORQUE_OFFSET])),)
             case Mode.CST:
                 torque = units.torque(value[o.TARGET_TORQUE] + value[o.TORQUE_OFFSET])
-                return (Torque(self.motor, torque),)
+                return (msg.Torque(self.motor, torque),)
         return ()
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from protocols import messages as msg
 from protocols.cia402 import configuring, holders, jobs, motion, requests, sdo
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Outcome, Purpose
@@ -33,22 +34,7 @@ from protocols.cia402.requests import Pending
 from protocols.cia402.scanning import Scanner, describe
 from protocols.cia402.sync import DISTURBED, Pulse, agree
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Done,
-    Estop,
-    Event,
-    Found,
-    Impedance,
-    Mode,
-    Nanos,
-    Refused,
-    Request,
-    Scan,
-    State,
-    Stop,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plugin import Device, Range, RxCounters
 from protocols.request_queue import RejectionFilter, RequestQueue, out_of_range, refusal
 
@@ -142,7 +128,7 @@ class Cia402Driver:
             return []
         reported, self.pulse.disturbed = self.pulse.disturbed, True
         return self._counted(
-            [] if reported else [Found(t, PROTOCOL, 0, detail=DISTURBED, duplicate_address=True)]
+            [] if reported else [msg.Found(t, PROTOCOL, 0, detail=DISTURBED, duplicate_address=True)]
         )
 
     # -- SDO transfers that ended -----------------------------------------------------------------
@@ -203,7 +189,7 @@ class Cia402Driver:
         if state is not BusState.BACK:
             self._events += self._waiting.drop(t, f"the bus is {state}")
             if self._scan is not None:
-                self._events.append(Refused(t, Scan.__name__, self._scan.bus, f"the bus is {state}"))
+                self._events.append(msg.Refused(t, msg.Scan.__name__, self._scan.bus, f"the bus is {state}"))
                 self._scan = None
 
     # -- saying -------------------------------------------------------------------------------
@@ -213,7 +199,7 @@ class Cia402Driver:
         events, self._events = self._events, []
         outgoing: list[Frame] = []
         for word in words:
-            if isinstance(word, Stop):
+            if isinstance(word, msg.Stop):
                 for node in self._all:
                     node.owned = True
             elif not isinstance(word, Command):
@@ -239,7 +225,7 @@ class Cia402Driver:
         if not node.offline and now >= node.offline_at:
             node.forget()
             node.offline, node.reported = True, (Mode.OFFLINE, "nothing heard")
-            events.append(State(node.name, now, Mode.OFFLINE, "nothing heard"))
+            events.append(msg.State(node.name, now, Mode.OFFLINE, "nothing heard"))
         stuck = motion.stuck(node, now)
         if stuck:
             node.refused, node.values = True, {}
@@ -266,7 +252,7 @@ class Cia402Driver:
 
     def _impossible(self, node: Node, command: Command) -> str:
         """Why a command must not reach the wire; "" if it may."""
-        if isinstance(command, Impedance):
+        if isinstance(command, msg.Impedance):
             return "the profile has no impedance control"
         return out_of_range(command, self._ranges[node.name]) or motion.possible(node, command)
 
@@ -274,8 +260,8 @@ class Cia402Driver:
 
     def _ask_for(self, now: Nanos, request: Request) -> list[Event]:
         node = self._by_name.get(getattr(request, "motor", ""))
-        begun: Pending | Refused
-        if isinstance(request, Scan):
+        begun: Pending | msg.Refused
+        if isinstance(request, msg.Scan):
             return self._begin_scan(now, request)
         if full := self._waiting.full():
             begun = refusal(now, request, full)
@@ -285,7 +271,7 @@ class Cia402Driver:
             self._token += 1
             begun = requests.begin(now, request, node, self._token, node.holding)
         refused = self._waiting.add(begun)
-        if isinstance(begun, Pending) and isinstance(request, Estop):
+        if isinstance(begun, Pending) and isinstance(request, msg.Estop):
             return begun.node.complain(now, QUICK_STOPPED)
         return [*refused]
 
@@ -304,7 +290,7 @@ class Cia402Driver:
                 self._scan = None
         return outgoing
 
-    def _begin_scan(self, now: Nanos, request: Scan) -> list[Event]:
+    def _begin_scan(self, now: Nanos, request: msg.Scan) -> list[Event]:
         if self._scan is not None:
             return [refusal(now, request, "a scan is under way")]
         self._scan = Scanner(request.bus, tuple(self.nodes), now)
@@ -316,12 +302,12 @@ class Cia402Driver:
             if node.received_at is not None and not node.offline and o.DEVICE_TYPE in node.read:
                 serial, detail = describe(dict(node.read), [node.name, *([node.title] if node.title else [])])
                 events.append(
-                    Found(now, PROTOCOL, node.address, serial, detail, duplicate_address=node.doubled)
+                    msg.Found(now, PROTOCOL, node.address, serial, detail, duplicate_address=node.doubled)
                 )
         for address, known in sorted(scan.found.items()):
             serial, detail = describe(known)
             events.append(
-                Found(
+                msg.Found(
                     now,
                     PROTOCOL,
                     address,
@@ -330,7 +316,7 @@ class Cia402Driver:
                     duplicate_address=address in scan.duplicate_address,
                 )
             )
-        return [*events, Done(now, Scan.__name__, scan.bus, f"{len(events)} devices")]
+        return [*events, msg.Done(now, msg.Scan.__name__, scan.bus, f"{len(events)} devices")]
 
     # -- when ---------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from protocols import messages as msg
 from protocols.cia402 import homing, objects, startup
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Outcome, Purpose
@@ -20,22 +21,7 @@ from protocols.cia402.objects import OBJECTS, Key, Type, to_bytes
 from protocols.cia402.profile import Demand, Mode, PowerState, supports
 from protocols.cia402.sdo import NO_OBJECT, abort_text
 from protocols.frames import CanFrame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Estop,
-    Event,
-    Hold,
-    Home,
-    Nanos,
-    Parameter,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Request,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Event, Nanos, Request
 from protocols.request_queue import PendingRequest, refusal
 
 ANSWER = 2000 * MILLISECOND
@@ -64,46 +50,46 @@ class Pending(PendingRequest):
     stage: int = 0
 
 
-def begin(now: Nanos, request: Request, node: Node, token: int, holding: bool) -> Pending | Refused:
+def begin(now: Nanos, request: Request, node: Node, token: int, holding: bool) -> Pending | msg.Refused:
     """Begin a request. `holding`: the last command to the device was Hold."""
     pending = Pending(request, node.name, now, now + ANSWER, now, token, node)
     running = node.owned or node.power in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
     match request:
-        case ClearFault():
+        case msg.ClearFault():
             node.refused, node.clearing, node.doubled = False, True, False
             node.trying_since = None
             pending.deadline = now + CLEAR
-        case Estop():
+        case msg.Estop():
             node.estopped = True
             node.insist, node.insist_since, node.insist_next = Demand.QUICK_STOP, now, now
             node.disarmed = 0
             node.unarm()
             node.values = {}
-        case ReadParameter(_, parameter):
+        case msg.ReadParameter(_, parameter):
             return _read(now, pending, parameter)
-        case WriteParameter(_, parameter, value):
+        case msg.WriteParameter(_, parameter, value):
             return _write(now, pending, parameter, value)
-        case Reboot() if running:
+        case msg.Reboot() if running:
             return refusal(now, request, "it is armed, and would drop its load: say idle first")
-        case Reboot():
+        case msg.Reboot():
             pending.deadline = now + REBOOT
-        case Home() | Zero():
+        case msg.Home() | msg.Zero():
             return _home(now, pending, holding)
         case _:
             return refusal(now, request, f"cia402 has no {type(request).__name__}")
     return pending
 
 
-def _home(now: Nanos, pending: Pending, holding: bool) -> Pending | Refused:
+def _home(now: Nanos, pending: Pending, holding: bool) -> Pending | msg.Refused:
     node, request = pending.node, pending.request
     if node.known is None or not supports(node.known.modes, Mode.HM):
         return refusal(now, request, "it has no homing mode (object 6502), or is not known yet")
     if not node.armed or not holding:
-        return refusal(now, request, f"it must be armed and hold: say {Hold.__name__.lower()} first")
+        return refusal(now, request, f"it must be armed and hold: say {msg.Hold.__name__.lower()} first")
     if node.homing is not None:
         return refusal(now, request, "homing is under way")
     pending.deadline = now + node.options.home_timeout_ms * MILLISECOND + ANSWER
-    if isinstance(request, Zero):
+    if isinstance(request, msg.Zero):
         pending.key = o.HOMING_METHOD
         node.questions.append(Job(Purpose.ASKED, o.HOMING_METHOD, None, pending.token))
     else:
@@ -111,7 +97,7 @@ def _home(now: Nanos, pending: Pending, holding: bool) -> Pending | Refused:
     return pending
 
 
-def _read(now: Nanos, pending: Pending, parameter: str) -> Pending | Refused:
+def _read(now: Nanos, pending: Pending, parameter: str) -> Pending | msg.Refused:
     key = _key(parameter)
     if key is None:
         return refusal(now, pending.request, _unknown(parameter))
@@ -120,7 +106,7 @@ def _read(now: Nanos, pending: Pending, parameter: str) -> Pending | Refused:
     return pending
 
 
-def _write(now: Nanos, pending: Pending, parameter: str, value: float) -> Pending | Refused:
+def _write(now: Nanos, pending: Pending, parameter: str, value: float) -> Pending | msg.Refused:
     key, node = _key(parameter), pending.node
     if key is None:
         return refusal(now, pending.request, _unknown(parameter))
@@ -158,13 +144,13 @@ def handle(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
     node, request = pending.node, pending.request
     if outcome.silent:
         return [pending.refuse(t, "no answer of the device")]
-    if isinstance(request, Zero):
+    if isinstance(request, msg.Zero):
         return _on_zero(pending, t, outcome)
     if outcome.abort is not None:
         return [pending.refuse(t, abort_text(outcome.abort))]
-    if isinstance(request, ReadParameter):
+    if isinstance(request, msg.ReadParameter):
         return _report(pending, t, request, outcome)
-    if isinstance(request, WriteParameter):
+    if isinstance(request, msg.WriteParameter):
         changed = outcome.job.key in (*startup.FIRST, *startup.THEN)
         if changed and not node.owned:
             node.forget()  # it counts otherwise now: read it anew
@@ -173,7 +159,7 @@ def handle(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
     return []
 
 
-def _report(pending: Pending, t: Nanos, request: ReadParameter, outcome: Outcome) -> list[Event]:
+def _report(pending: Pending, t: Nanos, request: msg.ReadParameter, outcome: Outcome) -> list[Event]:
     key = outcome.job.key
     known = OBJECTS.get(key)
     if known is not None and known.type is Type.TEXT:
@@ -182,7 +168,7 @@ def _report(pending: Pending, t: Nanos, request: ReadParameter, outcome: Outcome
     if value is None:
         return [pending.refuse(t, f"{outcome.value.hex()} is no number of its type")]
     unit = known.unit if known is not None else "of unknown type, read as unsigned"
-    return [Parameter(pending.node.name, t, request.parameter, float(value)), pending.done(t, unit)]
+    return [msg.Parameter(pending.node.name, t, request.parameter, float(value)), pending.done(t, unit)]
 
 
 def _on_zero(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:
@@ -211,16 +197,16 @@ def tend(pending: Pending, now: Nanos) -> tuple[list[Event], list[CanFrame]]:
     ended: list[Event] = []
     frames: list[CanFrame] = []
     match request:
-        case ClearFault():
+        case msg.ClearFault():
             ended, frames = _clear(pending, now)
-        case Estop() if node.insist is None and node.power is not None:
+        case msg.Estop() if node.insist is None and node.power is not None:
             ended = [pending.done(now, "it stays in fault until cleared")]
-        case Reboot() if node.booted_at is not None and node.booted_at > pending.began and pending.stage:
+        case msg.Reboot() if node.booted_at is not None and node.booted_at > pending.began and pending.stage:
             ended = [pending.done(now, "it has restarted")]
-        case Reboot() if now >= pending.next:
+        case msg.Reboot() if now >= pending.next:
             pending.next, pending.stage = now + REBOOT_AGAIN, 1
             frames = [encode(Nmt(NmtCommand.RESET_NODE, node.address))]
-        case Home() | Zero():
+        case msg.Home() | msg.Zero():
             ended = _homed(pending, now)
     if not ended and now >= pending.deadline:
         ended = _give_up(pending, now)
@@ -255,11 +241,11 @@ def _clear(pending: Pending, now: Nanos) -> tuple[list[Event], list[CanFrame]]:
 def _homed(pending: Pending, now: Nanos) -> list[Event]:
     node = pending.node
     if node.homing is None:
-        begun = isinstance(pending.request, Home) or (pending.stage < 0)
+        begun = isinstance(pending.request, msg.Home) or (pending.stage < 0)
         return [pending.refuse(now, "it was disarmed, or commanded otherwise")] if begun else []
     if node.homing.token != pending.token:
         return []
-    if isinstance(pending.request, Zero):
+    if isinstance(pending.request, msg.Zero):
         pending.stage = -1
     found = homing.outcome(node, now)
     if found is None:
@@ -267,7 +253,7 @@ def _homed(pending: Pending, now: Nanos) -> list[Event]:
     well, why = found
     late = not well and now >= node.homing.since + node.options.home_timeout_ms * MILLISECOND
     homing.end(node)
-    if isinstance(pending.request, Zero) and node.homing_method is not None:
+    if isinstance(pending.request, msg.Zero) and node.homing_method is not None:
         restore = to_bytes(Type.I8, node.homing_method)
         node.questions.append(Job(Purpose.ASKED, o.HOMING_METHOD, restore))
     if well:
@@ -280,12 +266,12 @@ def _give_up(pending: Pending, now: Nanos) -> list[Event]:
     node = pending.node
     if node.received_at is None or node.received_at < pending.began:
         reason = "no answer of the device"
-    elif isinstance(pending.request, ClearFault):
+    elif isinstance(pending.request, msg.ClearFault):
         code, node.reported_faults = node.error_code, set()
         again = node.complain(now, code or 0x1000)
         node.clearing = False
         return [*again, pending.refuse(now, f"still in fault: error code {code:#06x}")]
-    elif isinstance(pending.request, Reboot):
+    elif isinstance(pending.request, msg.Reboot):
         reason = "it showed no sign of a restart"
     else:
         reason = "the device did not react"

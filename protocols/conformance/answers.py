@@ -16,30 +16,13 @@ from enum import Enum
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
+from protocols import messages as msg
 from protocols.conformance import bench as play
 from protocols.conformance.bench import NAMES, START, Bench, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
 from protocols.conformance.fault_injection import scene
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Done,
-    Estop,
-    Found,
-    Home,
-    Message,
-    Nanos,
-    Parameter,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Message, Nanos, Request
 from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 
@@ -56,11 +39,11 @@ AFTER = 60
 """Steps in which nothing may be answered a second time."""
 NOBODY = 987_654_321
 """A serial number that no device has."""
-SPARED = (Scan, ReadParameter, ClearFault, Estop)
+SPARED = (msg.Scan, msg.ReadParameter, msg.ClearFault, msg.Estop)
 """What may be done without a word to a device, since nothing is in fault or moves, or in other words."""
-LINE_REQUESTS = (Scan, SetId)
-MOTOR_REQUESTS = (ClearFault, Estop, Zero, Home, Reboot)
-ALL_REQUESTS = (*LINE_REQUESTS, *MOTOR_REQUESTS, ReadParameter, WriteParameter)
+LINE_REQUESTS = (msg.Scan, msg.SetId)
+MOTOR_REQUESTS = (msg.ClearFault, msg.Estop, msg.Zero, msg.Home, msg.Reboot)
+ALL_REQUESTS = (*LINE_REQUESTS, *MOTOR_REQUESTS, msg.ReadParameter, msg.WriteParameter)
 HINTS: dict[type, dict[str, Any]] = {kind: get_type_hints(kind) for kind in get_args(Message)}
 
 
@@ -76,7 +59,7 @@ def requests_are_answered(case: Case) -> Verdict:
         return Inapplicable("the spec lists no requests")
     stage = case.start()
     stage.steps(KNOWN)
-    found: list[Found] = []
+    found: list[msg.Found] = []
     for words in _asked(case, found):
         failure = _answered(stage, words, found, case)
         if failure:
@@ -92,37 +75,37 @@ def _given_up(case: Case) -> Failure | None:
     on.stage.step()
     on.host.lazy = True
     kinds = [kind for kind in by_name(case.spec.requests) if kind in ALL_REQUESTS]
-    words = tuple(_request(kind, ALPHA) for kind in kinds if case.usual or kind is not Reboot)
+    words = tuple(_request(kind, ALPHA) for kind in kinds if case.usual or kind is not msg.Reboot)
     failure = _answered(on.stage, words, [], case)
     return replace(failure, text=f"{ALPHA} is silent: {failure.text}") if failure else None
 
 
-def _asked(case: Case, found: list[Found]) -> Iterator[tuple[Request, ...]]:
+def _asked(case: Case, found: list[msg.Found]) -> Iterator[tuple[Request, ...]]:
     """What is asked in one step each; `found` fills while this goes on."""
     listed, names = case.spec.requests, [*parameters(case), "no such parameter"]
     for kind in (kind for kind in ALL_REQUESTS if kind not in listed):
         yield (_request(kind, ALPHA),)
-    if Scan in listed:
-        yield (Scan("bus"),)
-    if ReadParameter in listed:
-        yield from ((ReadParameter(ALPHA, name),) for name in names)
-        yield tuple(ReadParameter(name, names[0]) for name in NAMES)
-    if SetId in listed:
-        yield (SetId("bus", NOBODY, 9),)
+    if msg.Scan in listed:
+        yield (msg.Scan("bus"),)
+    if msg.ReadParameter in listed:
+        yield from ((msg.ReadParameter(ALPHA, name),) for name in names)
+        yield tuple(msg.ReadParameter(name, names[0]) for name in NAMES)
+    if msg.SetId in listed:
+        yield (msg.SetId("bus", NOBODY, 9),)
         serials = [word.serial for word in found if word.address == case.addresses[0]]
-        yield from ((SetId("bus", serial, case.addresses[0]),) for serial in serials[:1] if serial)
-    for kind in (kind for kind in by_name(listed) if kind in MOTOR_REQUESTS and kind is not Reboot):
+        yield from ((msg.SetId("bus", serial, case.addresses[0]),) for serial in serials[:1] if serial)
+    for kind in (kind for kind in by_name(listed) if kind in MOTOR_REQUESTS and kind is not msg.Reboot):
         yield (_request(kind, ALPHA),)
         yield tuple(_request(kind, name) for name in NAMES)
-    if WriteParameter in listed:
-        yield from ((WriteParameter(ALPHA, name, value),) for name in names for value in (1.0, math.nan))
-    if Reboot in listed:
-        yield (Reboot(ALPHA),)
+    if msg.WriteParameter in listed:
+        yield from ((msg.WriteParameter(ALPHA, name, value),) for name in names for value in (1.0, math.nan))
+    if msg.Reboot in listed:
+        yield (msg.Reboot(ALPHA),)
 
 
 def _request(kind: type[Request], motor: str) -> Request:
     word = play.request(kind, motor)
-    return WriteParameter(motor, "no such parameter", 1.0) if word is None else word
+    return msg.WriteParameter(motor, "no such parameter", 1.0) if word is None else word
 
 
 def parameters(case: Case) -> list[str]:
@@ -139,7 +122,9 @@ def parameters(case: Case) -> list[str]:
             for device in meant[: 16 if serial else 1]:
                 received = case.plugin.decoder([device]).decode(START, frame)
                 names.update(
-                    (w.parameter, None) for w in received if isinstance(w, ReadParameter | WriteParameter)
+                    (w.parameter, None)
+                    for w in received
+                    if isinstance(w, msg.ReadParameter | msg.WriteParameter)
                 )
     return sorted(names)
 
@@ -157,21 +142,21 @@ def _listeners(case: Case) -> Iterator[tuple[frozenset[int], Device]]:
 # -- one round ------------------------------------------------------------------------------------------
 
 
-def _answered(stage: Bench, words: tuple[Request, ...], found: list[Found], case: Case) -> Failure | None:
+def _answered(stage: Bench, words: tuple[Request, ...], found: list[msg.Found], case: Case) -> Failure | None:
     """None if each of these requests, said in one step, is answered once, and nothing else is."""
     open_, frames, received = list(words), list[Frame](), list[Message]()
-    patience = PATIENCE + (RESTART if any(isinstance(word, Reboot) for word in words) else 0)
+    patience = PATIENCE + (RESTART if any(isinstance(word, msg.Reboot) for word in words) else 0)
     for count in range(patience):
         said = stage.step(words if count == 0 else ())
         frames += [*said.down, *said.up] if len(frames) < 4 else []
         received += said.received
-        found += [event for event in said.events if isinstance(event, Found)]
+        found += [event for event in said.events if isinstance(event, msg.Found)]
         failure = _sorted_out(said, open_, words, case) or _unsaid(said, words, received)
         if failure:
             return failure
         if not open_:
             break
-    late = [word for word in open_ if not isinstance(word, Home)]
+    late = [word for word in open_ if not isinstance(word, msg.Home)]
     if late:
         return Failure(f"not answered in {patience} ms", tuple(frames[:4]), tuple(late[:1]))
     for said in stage.steps(AFTER):
@@ -188,14 +173,14 @@ def _sorted_out(
     for event in said.events:
         if wrong := broken(event, said.now):
             return Failure(wrong, said.down, (*words, event))
-        if not isinstance(event, Done | Refused | Parameter):
+        if not isinstance(event, msg.Done | msg.Refused | msg.Parameter):
             continue
         answered = next((word for word in open_ if answers(event, word)), None)
         if answered is None:
             return Failure(
                 "an answer to what nobody has asked, or a second one", said.up[:2], (*words, event)
             )
-        if type(answered) not in case.spec.requests and not isinstance(event, Refused):
+        if type(answered) not in case.spec.requests and not isinstance(event, msg.Refused):
             text = f"the spec does not list {type(answered).__name__}, and yet it is not refused"
             return Failure(text, said.down, (answered, event))
         open_.remove(answered)
@@ -204,7 +189,7 @@ def _sorted_out(
 
 def _unsaid(said: StepResult, words: Sequence[Request], received: Sequence[Message]) -> Failure | None:
     """A request to a device that is done, though no ear has heard it."""
-    for event in (event for event in said.events if isinstance(event, Done)):
+    for event in (event for event in said.events if isinstance(event, msg.Done)):
         for word in words:
             if isinstance(word, SPARED) or not answers(event, word):
                 continue
@@ -215,19 +200,22 @@ def _unsaid(said: StepResult, words: Sequence[Request], received: Sequence[Messa
 
 def _meant(said: Request, received: Message) -> bool:
     """Whether what an ear heard is what was said; a bus has no name on the wire."""
-    if isinstance(said, WriteParameter) and isinstance(received, WriteParameter):
+    if isinstance(said, msg.WriteParameter) and isinstance(received, msg.WriteParameter):
         same = (said.motor, said.parameter) == (received.motor, received.parameter)
         return same and math.isclose(said.value, received.value, rel_tol=1e-6, abs_tol=1e-6)
-    if isinstance(said, SetId) and isinstance(received, SetId):
+    if isinstance(said, msg.SetId) and isinstance(received, msg.SetId):
         return (said.serial, said.address) == (received.serial, received.address)
     return said == received
 
 
-def answers(event: Done | Refused | Parameter, word: Request) -> bool:
+def answers(event: msg.Done | msg.Refused | msg.Parameter, word: Request) -> bool:
     """Whether an event is an answer to this request."""
     about = getattr(word, "motor", getattr(word, "bus", ""))
-    if isinstance(event, Parameter):
-        return isinstance(word, ReadParameter) and (event.motor, event.parameter) == (about, word.parameter)
+    if isinstance(event, msg.Parameter):
+        return isinstance(word, msg.ReadParameter) and (event.motor, event.parameter) == (
+            about,
+            word.parameter,
+        )
     return event.request == type(word).__name__ and event.name == about
 
 
@@ -247,9 +235,11 @@ def broken(word: Message, now: Nanos) -> str:
     time = getattr(word, "t", now)
     if not START <= time <= now:
         return f"its time is {time}; it was told at {now}, and nothing was before {START}"
-    if isinstance(word, Refused) and not word.reason.strip():
+    if isinstance(word, msg.Refused) and not word.reason.strip():
         return "refused without a reason"
-    if isinstance(word, Done | Refused) and word.request not in {kind.__name__ for kind in ALL_REQUESTS}:
+    if isinstance(word, msg.Done | msg.Refused) and word.request not in {
+        kind.__name__ for kind in ALL_REQUESTS
+    }:
         return "an answer to no request that there is"
     return ""
 

@@ -12,35 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
+from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Estop,
-    Event,
-    Feedback,
-    Fix,
-    Hold,
-    Home,
-    Idle,
-    Imu,
-    LaserScan,
-    Message,
-    Mode,
-    Nanos,
-    ReadParameter,
-    Reboot,
-    Request,
-    Scan,
-    SetId,
-    State,
-    Torque,
-    WriteParameter,
-    Zero,
-    seconds,
-)
+from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request, seconds
 from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Range, Spec, Twin
 
 T = TypeVar("T")
@@ -93,7 +68,7 @@ class StepResult:
     received: tuple[Command | Request, ...]
     """What the ear made of `down`."""
     up: tuple[Frame, ...]
-    torques: tuple[Torque, ...]
+    torques: tuple[msg.Torque, ...]
     due: tuple[Nanos | None, ...]
     """Of the driver and of each twin, after the step."""
 
@@ -136,11 +111,11 @@ class Bench:
         down = self._tear("down", down)
         events += own
         for event in events:
-            if isinstance(event, State):
+            if isinstance(event, msg.State):
                 self.armed[event.motor] = event.mode
         received = [word for frame in (*stray_down, *down) for word in self.decoder.decode(self.now, frame)]
         up: list[Frame] = []
-        torques: list[Torque] = []
+        torques: list[msg.Torque] = []
         for at, twin in enumerate(self.twins):
             for frame in (*stray_down, *down):
                 twin.receive(self.now, frame)
@@ -187,7 +162,7 @@ class Bench:
         device, spec = self.devices[at], self.specs[at]
         if spec.kind == "motor":
             shaft = self.shafts[device.name]
-            return [Feedback(device.name, self.now, shaft.position, shaft.velocity)]
+            return [msg.Feedback(device.name, self.now, shaft.position, shaft.velocity)]
         return list(sights(device.name, self.now, self.count)) if self.count % 10 == 1 else []
 
     def _share(self, at: int, frames: Sequence[Frame]) -> None:
@@ -199,14 +174,14 @@ class Bench:
                         twin.receive(self.now, frame)
 
 
-def sights(sensor: str, t: Nanos, count: int) -> tuple[Imu, LaserScan, Fix]:
+def sights(sensor: str, t: Nanos, count: int) -> tuple[msg.Imu, msg.LaserScan, msg.Fix]:
     """Something to be seen for each kind of sensor, other numbers each time."""
     wave = math.sin(0.37 * count)
     ranges = tuple(2.0 + math.sin(0.37 * count + 0.1 * beam) for beam in range(36))
     return (
-        Imu(sensor, t, (0.1 * wave, -0.2 * wave, wave), (0.3 * wave, 0.2, 9.81)),
-        LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges),
-        Fix(sensor, t, 48.0 + 1e-6 * wave, 11.0, 500.0 + wave, 4.0),
+        msg.Imu(sensor, t, (0.1 * wave, -0.2 * wave, wave), (0.3 * wave, 0.2, 9.81)),
+        msg.LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges),
+        msg.Fix(sensor, t, 48.0 + 1e-6 * wave, 11.0, 500.0 + wave, 4.0),
     )
 
 
@@ -239,7 +214,7 @@ def gentle(kind: type[Command], ranges: dict[str, Range]) -> Callable[[str], Com
     """A command of this kind that asks as little as the device's ranges allow."""
 
     def make(motor: str) -> Command:
-        if kind is Idle or kind is Hold:
+        if kind is msg.Idle or kind is msg.Hold:
             return kind(motor)
         return build(kind, motor, {name: nearest(ranges[key], 0.0) for name, key in numbers(kind, ranges)})
 
@@ -265,15 +240,15 @@ def nearest(bounds: Range, value: float) -> float:
 
 def request(kind: type[Request], motor: str) -> Request | None:
     """A request of this kind that a device may well get, or None: it is no device's business."""
-    if kind is Scan:
-        return Scan("bus")
-    if kind is SetId:
-        return SetId("bus", 987_654_321, 9)
-    if kind is ReadParameter:
-        return ReadParameter(motor, "no such parameter")
-    if kind is WriteParameter:
-        return WriteParameter(motor, "no such parameter", 1.0)
-    if kind in (ClearFault, Estop, Zero, Home, Reboot):
+    if kind is msg.Scan:
+        return msg.Scan("bus")
+    if kind is msg.SetId:
+        return msg.SetId("bus", 987_654_321, 9)
+    if kind is msg.ReadParameter:
+        return msg.ReadParameter(motor, "no such parameter")
+    if kind is msg.WriteParameter:
+        return msg.WriteParameter(motor, "no such parameter", 1.0)
+    if kind in (msg.ClearFault, msg.Estop, msg.Zero, msg.Home, msg.Reboot):
         return kind(motor)
     return None
 
@@ -293,12 +268,12 @@ def script(spec: Spec, names: Sequence[str]) -> Iterator[tuple[Command | Request
             yield (word,) if word else ()
             yield from [quiet] * 25
     if spec.commands:
-        yield from [tuple(Idle(name) for name in names)] * 50
+        yield from [tuple(msg.Idle(name) for name in names)] * 50
     yield from [quiet] * 300
 
 
 def _mild(kind: type[Command], motor: str, spec: Spec, step: int) -> Command:
-    if kind in (Idle, Hold):
+    if kind in (msg.Idle, msg.Hold):
         return gentle(kind, spec.ranges)(motor)
     size = {"stiffness": 0.5, "damping": 0.05, "torque": 0.01}
     values = {

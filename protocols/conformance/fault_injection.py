@@ -14,27 +14,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, TypeVar
 from zlib import crc32
 
+from protocols import messages as msg
 from protocols.conformance import bench as play
 from protocols.conformance.bench import ARMING, NAMES, STEP, Bench, StepResult
 from protocols.conformance.case import Case, Failure, by_name
 from protocols.frames import BusState, Frame
-from protocols.messages import (
-    Command,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Impedance,
-    Message,
-    Mode,
-    Nanos,
-    Position,
-    Request,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols.messages import Command, Event, Message, Mode, Nanos, Request
 from protocols.plugin import Device, Driver, Range, RxCounters, Spec, Twin
 
 Messages: TypeAlias = Sequence[Command | Request]
@@ -66,7 +51,7 @@ class Cable:
         if self.down:
             self.twin.receive(t, frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         """The device runs on; what it says is lost when cut."""
         torques, frames = self.twin.step(now, truth)
         if frames and self.up:
@@ -154,7 +139,7 @@ class Scene:
     """The last wires from the devices, no two alike."""
     obeys: dict[str, Command] = field(default_factory=dict)
     """The last command that each device would obey."""
-    faults: list[Fault] = field(default_factory=list)
+    faults: list[msg.Fault] = field(default_factory=list)
     """Told since this was last emptied."""
     offline: dict[str, Nanos] = field(default_factory=dict)
     """When each motor was last told to be offline."""
@@ -199,11 +184,11 @@ class Scene:
         return said
 
     def _note(self, event: Event) -> None:
-        if isinstance(event, Fault):
+        if isinstance(event, msg.Fault):
             self.faults.append(event)
-        elif isinstance(event, State) and event.mode is Mode.OFFLINE:
+        elif isinstance(event, msg.State) and event.mode is Mode.OFFLINE:
             self.offline[event.motor] = self.now
-        elif isinstance(event, Feedback) and event.position is not None:
+        elif isinstance(event, msg.Feedback) and event.position is not None:
             self.measured[event.motor] = event.position
 
     def until(self, holds: Callable[[StepResult], bool], most: int, saying: Saying | Messages = ()) -> bool:
@@ -239,7 +224,7 @@ class Scene:
 
     def disarm(self, most: int = 2000) -> bool:
         """Say Idle until every device is heard to be disarmed, and for a few steps more."""
-        idle = [Idle(name) for name in self.names]
+        idle = [msg.Idle(name) for name in self.names]
         done = self.until(lambda _: not any(self.mode(n) is Mode.ARMED for n in self.names), most, idle)
         for _ in range(20):
             self.step(idle)
@@ -308,7 +293,7 @@ def some(case: Case, items: Sequence[T]) -> list[T]:
 
 def kinds_of(spec: Spec) -> list[type[Command]]:
     """The commands that a device has, without Idle."""
-    return by_name(spec.commands - {Idle})
+    return by_name(spec.commands - {msg.Idle})
 
 
 def resting(kind: type[Command], spec: Spec, motor: str, position: float) -> Command:
@@ -320,15 +305,15 @@ def moving(kind: type[Command], spec: Spec, motor: str, start: float, step: int)
     """A command of this kind that turns a shaft from `start` [rad] at SPEED (Torque: gently; Hold: not)."""
     along = start + SPEED * step * STEP * 1e-9
     values = {"position": along, "velocity": SPEED, "stiffness": 1.0, "damping": 0.05}
-    if kind is Torque:
+    if kind is msg.Torque:
         values = {"torque": 0.02}
-    elif kind is Position:
+    elif kind is msg.Position:
         values["velocity"] = 0.0
     return _build(kind, spec, motor, values)
 
 
 def _build(kind: type[Command], spec: Spec, motor: str, values: dict[str, float]) -> Command:
-    if kind is Hold or kind is Idle:
+    if kind is msg.Hold or kind is msg.Idle:
         return kind(motor)
     bounds = {name: spec.ranges[key] for name, key in play.numbers(kind, spec.ranges)}
     return play.build(kind, motor, {n: play.nearest(b, values.get(n, 0.0)) for n, b in bounds.items()})
@@ -336,7 +321,7 @@ def _build(kind: type[Command], spec: Spec, motor: str, values: dict[str, float]
 
 def liveliest(spec: Spec) -> type[Command] | None:
     """The command by which a shaft is best turned; None if there is none."""
-    kinds = (Velocity, Position, Impedance, Torque)
+    kinds = (msg.Velocity, msg.Position, msg.Impedance, msg.Torque)
     return next((kind for kind in kinds if kind in spec.commands), None)
 
 

@@ -16,32 +16,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from protocols import messages as msg
 from protocols.conformance import bench as play
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, STEP, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, shown
 from protocols.conformance.fault_injection import kinds_of, liveliest, resting
 from protocols.frames import Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Estop,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Impedance,
-    Mode,
-    Nanos,
-    Position,
-    Reboot,
-    Request,
-    State,
-    Torque,
-    Velocity,
-    Zero,
-)
+from protocols.messages import Command, Event, Mode, Nanos, Request
 from protocols.plugin import CommandDecoder, Driver, Twin
 
 PLACE = 0.75
@@ -223,7 +205,7 @@ def _run(state: _State, extra: Sequence[Sequence[Frame]], at: int, count: int, f
             *(state.down[step] if fed and step < len(state.down) else ()),
         ):
             twin.receive(now, frame)
-        shown: list[Event] = [Feedback(name, now, PLACE, 0.0)]
+        shown: list[Event] = [msg.Feedback(name, now, PLACE, 0.0)]
         given, frames = twin.step(now, shown)
         torques.append(math.fsum(torque.torque for torque in given))
         up.append(tuple(frames))
@@ -291,11 +273,11 @@ def _reported(driver: Driver, state: _State, run: _Run) -> tuple[list[object], l
     for frames in run.up:
         now += STEP
         for event in (event for frame in frames for event in driver.receive(now, frame)):
-            if isinstance(event, State):
+            if isinstance(event, msg.State):
                 mode = event.mode
-            elif isinstance(event, Fault):
+            elif isinstance(event, msg.Fault):
                 faults.append(event.code)
-            elif isinstance(event, Feedback) and event.position is not None:
+            elif isinstance(event, msg.Feedback) and event.position is not None:
                 places.append(event.position)
     return [mode, *faults], places
 
@@ -325,12 +307,12 @@ def _done(case: Case, state: _State, received: Sequence[Frame]) -> Failure | Non
 
 def _not_done(case: Case, state: _State, word: Command | Request, frame: Frame, at: int) -> str:
     """What a device did not do of what it was told; "" if it did."""
-    clears = isinstance(word, ClearFault) and state.faulty
-    if clears or (isinstance(word, Zero) and not state.armed and not state.faulty):
+    clears = isinstance(word, msg.ClearFault) and state.faulty
+    if clears or (isinstance(word, msg.Zero) and not state.armed and not state.faulty):
         same = _run(state, [[frame]], at, REPORTED, fed=False) == _run(state, (), at, REPORTED, fed=False)
         return "it goes on as if it had not heard" if same else ""
     torque = _run(state, [[frame]], at, WATCHED, fed=False).torques[-1]
-    if isinstance(word, Idle | Estop | Reboot):
+    if isinstance(word, msg.Idle | msg.Estop | msg.Reboot):
         return "" if abs(torque) <= NONE else f"it is to let go, and gives {torque:.6g} N·m"
     if not isinstance(word, Command) or state.faulty or not play.within(word, case.spec.ranges):
         return ""
@@ -343,17 +325,17 @@ def _not_done(case: Case, state: _State, word: Command | Request, frame: Frame, 
 def _push(word: Command) -> float:
     """Which way a shaft at rest at PLACE is to be pushed by a command; 0 where that is not plain."""
     along: list[float] = []
-    if isinstance(word, Torque):
+    if isinstance(word, msg.Torque):
         along = [word.torque if abs(word.torque) > 1e-3 else 0.0]
-    elif isinstance(word, Velocity):
+    elif isinstance(word, msg.Velocity):
         along = [word.velocity if abs(word.velocity) > 0.5 else 0.0, word.torque]
-    elif isinstance(word, Position):
+    elif isinstance(word, msg.Position):
         away = word.position - PLACE
         along = [away if abs(away) > 0.1 else 0.0, word.velocity, word.torque]
-    elif isinstance(word, Impedance):
+    elif isinstance(word, msg.Impedance):
         push = word.stiffness * (word.position - PLACE) + word.damping * word.velocity + word.torque
         along = [push if abs(push) > 1e-3 else 0.0]
-    elif isinstance(word, Hold):
+    elif isinstance(word, msg.Hold):
         along = []
     pushes = [value for value in along if value]
     same = bool(along) and bool(along[0]) and all(value * along[0] > 0.0 for value in pushes)

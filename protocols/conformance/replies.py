@@ -10,27 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from protocols import messages as msg
 from protocols.conformance import bench as play
 from protocols.conformance.bench import ARMING, NAMES, STEP, Bench, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
 from protocols.conformance.random import Random
 from protocols.frames import Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Idle,
-    Mode,
-    Nanos,
-    Parameter,
-    ReadParameter,
-    Refused,
-    Request,
-    Torque,
-)
+from protocols.messages import Command, Event, Mode, Nanos, Request
 from protocols.plugin import Twin
 
 ALPHA, BETA = NAMES
@@ -58,7 +44,7 @@ class Mishap:
         """All is heard."""
         self.twin.receive(t, frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         """The device runs on; what arrives of its words is told."""
         torques, frames = self.twin.step(now, truth)
         if self.on:
@@ -134,7 +120,7 @@ class _Fortune:
 
 def one_stalls_no_other(case: Case) -> Verdict:
     """Whatever happens to alpha's replies, beta fares as without it; and alpha recovers."""
-    kinds = by_name(case.spec.commands - {Idle})
+    kinds = by_name(case.spec.commands - {msg.Idle})
     if not kinds:
         return Inapplicable("the spec lists no commands: nobody waits for an answer")
     words = [play.gentle(kinds[0], case.spec.ranges)(name) for name in NAMES]
@@ -158,18 +144,18 @@ class _Watch:
     answered_at: int | None = None
     spoken_at: int | None = None
     unspoken: int = 0
-    fault: Fault | None = None
+    fault: msg.Fault | None = None
 
     def see(self, at: int, said: StepResult) -> None:
         """One step."""
         if any(isinstance(word, Command) and word.motor == self.motor for word in said.received):
             self.spoken_at = at
         for event in said.events:
-            if isinstance(event, Feedback) and event.motor == self.motor:
+            if isinstance(event, msg.Feedback) and event.motor == self.motor:
                 self.received_at = at
-            elif isinstance(event, Fault) and event.motor == self.motor:
+            elif isinstance(event, msg.Fault) and event.motor == self.motor:
                 self.fault = event
-            elif isinstance(event, Parameter | Done | Refused) and _about(event) == self.motor:
+            elif isinstance(event, msg.Parameter | msg.Done | msg.Refused) and _about(event) == self.motor:
                 self.answered_at = at
         if self.armed_at is not None and self.received_at is not None:
             self.gap = max(self.gap, at - self.received_at)
@@ -177,8 +163,8 @@ class _Watch:
             self.unspoken = max(self.unspoken, at - self.spoken_at)
 
 
-def _about(event: Parameter | Done | Refused) -> str:
-    return event.motor if isinstance(event, Parameter) else event.name
+def _about(event: msg.Parameter | msg.Done | msg.Refused) -> str:
+    return event.motor if isinstance(event, msg.Parameter) else event.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +173,7 @@ class _Day:
 
     beta: _Fortune
     recovered: bool
-    fault: Fault | None
+    fault: msg.Fault | None
     last: StepResult
 
 
@@ -222,10 +208,10 @@ def _fares(case: Case, words: list[Command], mishap: Mishap | None) -> _Day:
 def _questions(case: Case) -> list[Command | Request]:
     """What both are asked in the midst of it: something that they do not have, and what moves nothing."""
     asked: list[Command | Request] = []
-    if ReadParameter in case.spec.requests:
-        asked += [ReadParameter(name, "no such parameter") for name in NAMES]
-    if ClearFault in case.spec.requests and not case.spec.stop_clears_faults:
-        asked += [ClearFault(name) for name in NAMES]
+    if msg.ReadParameter in case.spec.requests:
+        asked += [msg.ReadParameter(name, "no such parameter") for name in NAMES]
+    if msg.ClearFault in case.spec.requests and not case.spec.stop_clears_faults:
+        asked += [msg.ClearFault(name) for name in NAMES]
     return asked
 
 
@@ -236,10 +222,12 @@ def _is_armed(stage: Bench, name: str, at: int) -> bool:
 def _recovers(case: Case, stage: Bench, words: list[Command], alpha: _Watch) -> bool:
     """Alpha arms when the trouble is over. A device that tripped meanwhile is cleared first."""
     for at in range(ARMING):
-        clear = at % 1000 == 300 and ClearFault in case.spec.requests and not _is_armed(stage, ALPHA, ARMING)
-        said = stage.step([*words, *([ClearFault(ALPHA)] if clear else [])])
+        clear = (
+            at % 1000 == 300 and msg.ClearFault in case.spec.requests and not _is_armed(stage, ALPHA, ARMING)
+        )
+        said = stage.step([*words, *([msg.ClearFault(ALPHA)] if clear else [])])
         alpha.see(at, said)
-        fresh = any(isinstance(event, Feedback) and event.motor == ALPHA for event in said.events)
+        fresh = any(isinstance(event, msg.Feedback) and event.motor == ALPHA for event in said.events)
         if fresh and at > 50 and _is_armed(stage, ALPHA, ARMING):
             return True
     return False

@@ -10,25 +10,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+from protocols import messages as msg
 from protocols.conformance import bench as play
 from protocols.conformance.bench import NAMES, STEP, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, by_name
 from protocols.conformance.random import Random
 from protocols.frames import Frame
-from protocols.messages import (
-    Command,
-    Event,
-    Feedback,
-    Fix,
-    Hold,
-    Idle,
-    Imu,
-    LaserScan,
-    Message,
-    Nanos,
-    Position,
-    Request,
-)
+from protocols.messages import Command, Event, Message, Nanos, Request
 from protocols.plugin import Range, Spec
 
 
@@ -38,7 +26,7 @@ def commands_survive(case: Case) -> Verdict:
     if not spec.commands:
         return Inapplicable("the spec lists no commands")
     for kind in by_name(spec.commands):
-        if kind is Idle:
+        if kind is msg.Idle:
             continue
         samples = [(kind, values) for values in _samples(kind, spec.ranges, random)]
         failure = _all_heard(case, spec, samples)
@@ -93,7 +81,7 @@ def _received(stage: Bench, spec: Spec, commands: Sequence[Command]) -> Failure 
 
 def obeyed(stage: Bench, spec: Spec, said: Command, received: Command | Request) -> bool:
     """Whether a device that heard this does what was said."""
-    if isinstance(said, Hold) and isinstance(received, Position) and received.motor == said.motor:
+    if isinstance(said, msg.Hold) and isinstance(received, msg.Position) and received.motor == said.motor:
         # Many devices have no word for Hold: the driver then says where the shaft was measured to be.
         measured = spec.ranges.get("Feedback.position", Range(0.0, 0.0, 0.0))
         bounds = spec.ranges.get("Position.position", measured)
@@ -103,11 +91,11 @@ def obeyed(stage: Bench, spec: Spec, said: Command, received: Command | Request)
 
 
 def _idle_heard(case: Case, spec: Spec) -> Failure | None:
-    kind = next((kind for kind in by_name(spec.commands) if kind is not Idle), None)
-    if Idle not in spec.commands or kind is None:
+    kind = next((kind for kind in by_name(spec.commands) if kind is not msg.Idle), None)
+    if msg.Idle not in spec.commands or kind is None:
         return None
     stage = _armed(case, play.gentle(kind, spec.ranges))
-    return _received(stage, spec, [Idle(name) for name in NAMES]) if stage else None
+    return _received(stage, spec, [msg.Idle(name) for name in NAMES]) if stage else None
 
 
 def _samples(kind: type[Message], ranges: dict[str, Range], random: Random) -> Iterator[dict[str, float]]:
@@ -186,13 +174,13 @@ def _reported(case: Case, spec: Spec, name: str, values: dict[str, float]) -> Fa
     return None
 
 
-def _settled(stage: Bench, spec: Spec, name: str) -> dict[str, Feedback] | Failure:
+def _settled(stage: Bench, spec: Spec, name: str) -> dict[str, msg.Feedback] | Failure:
     """The last Feedback of each motor after ten periods and a tenth of a second, for its filters."""
-    reported: dict[str, Feedback] = {}
+    reported: dict[str, msg.Feedback] = {}
     count = 100 + 10 * (spec.feedback_period // STEP)
     for said in stage.steps(count):
         for event in said.events:
-            if not isinstance(event, Feedback):
+            if not isinstance(event, msg.Feedback):
                 continue
             if not said.now - count * STEP <= event.t <= said.now:
                 return Failure(f"told at {said.now} as if measured at {event.t}", said.up, (event,))
@@ -202,7 +190,7 @@ def _settled(stage: Bench, spec: Spec, name: str) -> dict[str, Feedback] | Failu
 
 
 def _sights_survive(case: Case, spec: Spec, random: Random) -> Verdict:
-    kinds = [kind for kind in (Imu, LaserScan, Fix) if play.numbers(kind, spec.ranges)]
+    kinds = [kind for kind in (msg.Imu, msg.LaserScan, msg.Fix) if play.numbers(kind, spec.ranges)]
     if not kinds:
         return Inapplicable("the spec has no range for any measurement")
     stage = case.start()
@@ -220,18 +208,20 @@ def _sights_survive(case: Case, spec: Spec, random: Random) -> Verdict:
     return None
 
 
-def _sight(kind: type[Imu | LaserScan | Fix], sensor: str, t: Nanos, values: dict[str, float]) -> Event:
+def _sight(
+    kind: type[msg.Imu | msg.LaserScan | msg.Fix], sensor: str, t: Nanos, values: dict[str, float]
+) -> Event:
     get = values.get
-    if kind is Imu:
+    if kind is msg.Imu:
         rate, push = get("angular_velocity", 0.0), get("linear_acceleration", 0.0)
         turned = get("orientation")
         still = None if turned is None else (turned, 0.0, 0.0, turned)
-        return Imu(sensor, t, (rate, 0.0, -rate), (0.0, push, push), still)
-    if kind is LaserScan:
+        return msg.Imu(sensor, t, (rate, 0.0, -rate), (0.0, push, push), still)
+    if kind is msg.LaserScan:
         near = get("ranges", 0.0)
         parts = [get(n, 0.0) for n in ("angle_min", "angle_increment", "range_min", "range_max")]
-        return LaserScan(sensor, t, parts[0], parts[1], parts[2], parts[3], (near, 0.5 * near, near))
-    return Fix(sensor, t, get("latitude", 0.0), get("longitude", 0.0), get("altitude"), get("variance"))
+        return msg.LaserScan(sensor, t, parts[0], parts[1], parts[2], parts[3], (near, 0.5 * near, near))
+    return msg.Fix(sensor, t, get("latitude", 0.0), get("longitude", 0.0), get("altitude"), get("variance"))
 
 
 def _seen(shown: Event, reported: Event, spec: Spec, now: Nanos) -> bool:

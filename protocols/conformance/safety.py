@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeAlias
 
+from protocols import messages as msg
 from protocols.conformance.bench import ARMING, NAMES, STEP, StepResult
 from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
 from protocols.conformance.fault_injection import (
@@ -28,22 +29,7 @@ from protocols.conformance.fault_injection import (
     takeover,
     torque_of,
 )
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Hold,
-    Home,
-    Idle,
-    Impedance,
-    Leave,
-    Mode,
-    Position,
-    Request,
-    Stop,
-    Torque,
-    Velocity,
-    Zero,
-)
+from protocols.messages import Command, Mode, Request
 from protocols.plugin import Spec
 
 Way: TypeAlias = Callable[[Case, Spec], Failure | None]
@@ -102,14 +88,14 @@ def _from(case: Case, spec: Spec, kind: type[Command], place: float) -> Failure 
     on.turn(BY_HAND)
     failure = _arms_still(on, spec, kind, "after a disarm, turned by hand")
     codes = sorted(code for code, complaint in spec.faults.items() if complaint.latching)
-    if failure or not codes or ClearFault not in spec.requests:
+    if failure or not codes or msg.ClearFault not in spec.requests:
         return failure
     on.cables[ALPHA].provoke(case.random().choice(codes))
     if not on.until(lambda _: on.mode() is Mode.FAULT, PATIENCE):
         return on.failure("a fault of the device is not told by State FAULT")
-    on.wait(AFTER, [Idle(ALPHA)] if Idle in spec.commands else [])
+    on.wait(AFTER, [msg.Idle(ALPHA)] if msg.Idle in spec.commands else [])
     on.turn(-2.0 * BY_HAND)
-    on.step([ClearFault(ALPHA)])
+    on.step([msg.ClearFault(ALPHA)])
     if not on.until(lambda _: on.mode() is not Mode.FAULT, PATIENCE):
         return on.failure("ClearFault does not clear")
     return _arms_still(on, spec, kind, "after a fault, turned by hand")
@@ -144,18 +130,18 @@ def _arms_still(on: Scene, spec: Spec, kind: type[Command], when: str) -> Failur
 def _leads_away(word: Command | Request, place: float, room: float) -> bool:
     """Whether obeying this would move a shaft that stands at `place` by more than `room`, or rename it."""
     match word:
-        case Position():
+        case msg.Position():
             return abs(word.position - place) > room or abs(word.velocity) > room or abs(word.torque) > room
-        case Impedance():
+        case msg.Impedance():
             # A set-point that nothing pulls to is no set-point.
             pull = abs(word.position - place) if word.stiffness else 0.0
             drag = abs(word.velocity) if word.damping else 0.0
             return pull > room or drag > room or abs(word.torque) > room
-        case Velocity():
+        case msg.Velocity():
             return abs(word.velocity) > room or abs(word.torque) > room
-        case Torque():
+        case msg.Torque():
             return abs(word.torque) > room
-    return isinstance(word, Home | Zero)
+    return isinstance(word, msg.Home | msg.Zero)
 
 
 # -- the way out ---------------------------------------------------------------------------------------
@@ -164,7 +150,7 @@ def _leads_away(word: Command | Request, place: float, room: float) -> bool:
 def idle_disarms(case: Case) -> Verdict:
     """Idle, and every word of the safe path, disarm from every state in which we armed the device."""
     spec = case.spec
-    if Idle not in spec.commands or not kinds_of(spec):
+    if msg.Idle not in spec.commands or not kinds_of(spec):
         return Inapplicable("the spec lists no Idle, or nothing that arms")
     for way in (_cut_short, *some(case, [*_while_moving(spec), *_while_lost(spec), _stop_of_another])):
         failure = way(case, spec)
@@ -192,19 +178,19 @@ def _cut_short(case: Case, spec: Spec) -> Failure | None:
 def _cut(on: Scene, spec: Spec, kind: type[Command], steps: int) -> Failure | None:
     start = on.measured.get(ALPHA, 0.0)
     on.wait(steps, [resting(kind, spec, ALPHA, start)])
-    failure = _disarms(on, [Idle(ALPHA)])
+    failure = _disarms(on, [msg.Idle(ALPHA)])
     return on.failure(f"{steps} steps of {kind.__name__}, then Idle: {failure}") if failure else None
 
 
 def _paths(spec: Spec) -> list[tuple[str, list[Messages]]]:
     """The words of each way out; the last is said until it works."""
-    idle = Idle(ALPHA)
-    hold: list[Messages] = [[Hold(ALPHA)]] * 40 if Hold in spec.commands else []
+    idle = msg.Idle(ALPHA)
+    hold: list[Messages] = [[msg.Hold(ALPHA)]] * 40 if msg.Hold in spec.commands else []
     return [
         ("Idle", [[idle]]),
         ("Hold, then Idle", [*hold, [idle]]),
-        ("Stop", [[Stop("a test"), idle], [idle]]),
-        ("Leave", [[Leave("a test"), idle], [idle]]),
+        ("Stop", [[msg.Stop("a test"), idle], [idle]]),
+        ("Leave", [[msg.Leave("a test"), idle], [idle]]),
     ]
 
 
@@ -246,12 +232,12 @@ def _lossy(up: bool, down: bool, case: Case, spec: Spec) -> Failure | None:
         return on
     cable, span = on.cables[ALPHA], _lost(spec)
     cable.up, cable.down = up, down
-    on.wait(span, [Idle(ALPHA)])
-    torque = torque_of(on.step([Idle(ALPHA)]))
+    on.wait(span, [msg.Idle(ALPHA)])
+    torque = torque_of(on.step([msg.Idle(ALPHA)]))
     if down and abs(torque) > STILL:
         return on.failure(f"Idle while replies are lost: after {span} ms the torque is {torque:.3g} N·m")
     cable.up = cable.down = True
-    failure = _disarms(on, [Idle(ALPHA)])
+    failure = _disarms(on, [msg.Idle(ALPHA)])
     if not failure:
         return None
     lost = " and ".join(w for w, passes in (("replies", up), ("words", down)) if not passes)
@@ -277,8 +263,8 @@ def _stop_of_another(case: Case, spec: Spec) -> Failure | None:
         on.host.others_words = [moving(kind, spec, ALPHA, start, at)]
         on.step()
     on.host.other = None
-    on.step([Stop("a test"), Idle(ALPHA)])
-    failure = _disarms(on, [Idle(ALPHA)])
+    on.step([msg.Stop("a test"), msg.Idle(ALPHA)])
+    failure = _disarms(on, [msg.Idle(ALPHA)])
     return on.failure(f"Stop, then Idle, to a device that another host armed: {failure}") if failure else None
 
 
@@ -305,7 +291,7 @@ def _calm(on: Scene, said: StepResult) -> bool:
 
 def _obeying(on: Scene) -> bool:
     """Whether the last command that the device would obey is another than Idle."""
-    return not isinstance(on.obeys.get(ALPHA, Idle(ALPHA)), Idle)
+    return not isinstance(on.obeys.get(ALPHA, msg.Idle(ALPHA)), msg.Idle)
 
 
 def _fault_info(on: Scene) -> str:

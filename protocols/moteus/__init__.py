@@ -10,21 +10,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Hold,
-    Idle,
-    Position,
-    ReadParameter,
-    Scan,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND
 from protocols.moteus.codec import BROADCAST, REPLY_BIT, Ask, command_id, parse, reply_id
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusDriver
@@ -105,8 +93,10 @@ def spec(device: Device) -> Spec:
         feedback=FeedbackKind.POLLED,
         feedback_period=options.feedback_ms * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
-        commands=frozenset({Idle, Hold, Position, Velocity, Torque}),
-        requests=frozenset({ClearFault, Scan, SetId, Zero, ReadParameter, WriteParameter}),
+        commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
+        requests=frozenset(
+            {msg.ClearFault, msg.Scan, msg.SetId, msg.Zero, msg.ReadParameter, msg.WriteParameter}
+        ),
         ranges=RANGES | {"Feedback.position": _measured(settings)},
         watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True),
         holds_unattended=False,

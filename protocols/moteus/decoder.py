@@ -16,19 +16,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, isnan, nan, tau
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    Command,
-    Idle,
-    Nanos,
-    Position,
-    Request,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import Command, Nanos, Request
 from protocols.moteus.codec import (
     BROADCAST,
     INT32,
@@ -131,16 +121,16 @@ class Axis:
         push = _finite(get(Register.COMMAND_FEEDFORWARD_TORQUE))
         match self.mode:
             case Mode.STOPPED:
-                return (Idle(self.motor),)
+                return (msg.Idle(self.motor),)
             case Mode.POSITION:
-                return (Idle(self.motor) if self._trips() else self._position(push),)
+                return (msg.Idle(self.motor) if self._trips() else self._position(push),)
             case Mode.CURRENT:
-                return (Torque(self.motor, _finite(get(Register.COMMAND_Q_CURRENT)) * self.kt),)
+                return (msg.Torque(self.motor, _finite(get(Register.COMMAND_Q_CURRENT)) * self.kt),)
             case Mode.ZERO_VELOCITY | Mode.BRAKE:
-                return (Velocity(self.motor, 0.0),)
+                return (msg.Velocity(self.motor, 0.0),)
             case Mode.STAY_WITHIN:  # inside its bounds it gives nothing but this
-                return (Torque(self.motor, push),)
-        return (WriteParameter(self.motor, "mode", float(self.mode)),)
+                return (msg.Torque(self.motor, push),)
+        return (msg.WriteParameter(self.motor, "mode", float(self.mode)),)
 
     def _trips(self) -> bool:
         """Whether a stop position is commanded together with a limit: fault 45, and no torque."""
@@ -152,10 +142,10 @@ class Axis:
         get = self.command.__getitem__
         position, velocity = get(Register.COMMAND_POSITION), _finite(get(Register.COMMAND_VELOCITY))
         if not any(get(register) for register in CONTROL):
-            return Torque(self.motor, push)
+            return msg.Torque(self.motor, push)
         if isfinite(position):
-            return Position(self.motor, position * tau, velocity * tau, push)
-        return Velocity(self.motor, velocity * tau, push)
+            return msg.Position(self.motor, position * tau, velocity * tau, push)
+        return msg.Velocity(self.motor, velocity * tau, push)
 
     def console(self, data: bytes) -> list[str]:
         """A piece of the console's input; the lines that it completes."""
@@ -284,8 +274,8 @@ def _acted(motor: str, register: int, value: float | None) -> Sequence[Request]:
     if register in (Register.SET_OUTPUT_EXACT, Register.SET_OUTPUT_NEAREST):
         if value is None:
             return ()
-        return (Zero(motor),) if abs(value) < ZEROING else (WriteParameter(motor, name, value),)
-    return (WriteParameter(motor, name, value or 0.0),)
+        return (msg.Zero(motor),) if abs(value) < ZEROING else (msg.WriteParameter(motor, name, value),)
+    return (msg.WriteParameter(motor, name, value or 0.0),)
 
 
 def _typed(axis: Axis, data: bytes, mask: bytes) -> list[Request]:
@@ -295,9 +285,9 @@ def _typed(axis: Axis, data: bytes, mask: bytes) -> list[Request]:
             other = Axis("", 0, 0, 1.0, None)
             if other.renamed(line):
                 serial = mask[:SERIAL_BYTES].ljust(SERIAL_BYTES, b"\0")
-                words.append(SetId("", int.from_bytes(serial, "big"), other.address))
+                words.append(msg.SetId("", int.from_bytes(serial, "big"), other.address))
         elif axis.renamed(line):
-            words.append(SetId("", serial_of(axis.uuid or bytes(16)), axis.address))
+            words.append(msg.SetId("", serial_of(axis.uuid or bytes(16)), axis.address))
         if line == "conf write":
-            words.append(WriteParameter(axis.motor, "conf_write", 1.0))
+            words.append(msg.WriteParameter(axis.motor, "conf_write", 1.0))
     return words

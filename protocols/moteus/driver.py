@@ -11,21 +11,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Event,
-    Fault,
-    Found,
-    Impedance,
-    Nanos,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    Stop,
-)
+from protocols.messages import Command, Event, Nanos, Request
 from protocols.moteus import requests
 from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, command_id, framed
 from protocols.moteus.faults import HELD_TWICE
@@ -113,9 +101,9 @@ class MoteusDriver:
             return []
         events: list[Event] = []
         for pending in self._waiting:
-            if isinstance(pending.request, Scan):
+            if isinstance(pending.request, msg.Scan):
                 events += self._found(t, pending, address, uuid)
-            elif uuid and pending.request == SetId(pending.name, serial_of(uuid), address):
+            elif uuid and pending.request == msg.SetId(pending.name, serial_of(uuid), address):
                 self._waiting.end(pending)
                 said = f"not saved yet: write {requests.SAVE} 1 to keep it after power-off"
                 events.append(pending.done(t, said))
@@ -131,7 +119,7 @@ class MoteusDriver:
         said += [f"id {address} is held twice"] if twice else []
         pending.found[address, uuid] = "; ".join(said)
         serial = serial_of(uuid) if uuid else None
-        return [Found(t, PROTOCOL, address, serial, pending.found[address, uuid], twice)]
+        return [msg.Found(t, PROTOCOL, address, serial, pending.found[address, uuid], twice)]
 
     def _seen(self, t: Nanos, node: Node, uuid: bytes) -> list[Event]:
         """Who answers as one of our devices; two of them cannot both be it."""
@@ -145,10 +133,15 @@ class MoteusDriver:
         self._reported_duplicate[node.address] = True
         held = sorted(node.uuids)
         said = f"id {node.address} is held twice: by {' and '.join(map(_printed, held))}"
-        events: list[Event] = [Found(t, PROTOCOL, node.address, serial_of(each), said, True) for each in held]
+        events: list[Event] = [
+            msg.Found(t, PROTOCOL, node.address, serial_of(each), said, True) for each in held
+        ]
         cause = f"two devices answer to it: UUIDs {' and '.join(map(_printed, held))}"
         remedy = "take one off the bus, or give it another id (SetId with its serial number)"
-        return [*events, Fault(node.name, t, HELD_TWICE, f"id {node.address} is held twice", cause, remedy)]
+        return [
+            *events,
+            msg.Fault(node.name, t, HELD_TWICE, f"id {node.address} is held twice", cause, remedy),
+        ]
 
     # -- the bus ------------------------------------------------------------------------------
 
@@ -171,7 +164,7 @@ class MoteusDriver:
         events, self._events = self._events, []
         frames: list[Frame] = []
         for word in words:
-            if isinstance(word, Stop):
+            if isinstance(word, msg.Stop):
                 for node in self.nodes.values():
                     node.owned = True
             elif not isinstance(word, Command):
@@ -198,20 +191,20 @@ class MoteusDriver:
 
     def _wrong(self, command: Command) -> str:
         """Why a command must not reach the wire; "" if it may."""
-        return NO_IMPEDANCE if isinstance(command, Impedance) else out_of_range(command, self._ranges)
+        return NO_IMPEDANCE if isinstance(command, msg.Impedance) else out_of_range(command, self._ranges)
 
-    def _begin(self, now: Nanos, request: Request) -> Pending | Refused:
+    def _begin(self, now: Nanos, request: Request) -> Pending | msg.Refused:
         if full := self._waiting.full():
             return refusal(now, request, full)
-        if isinstance(request, Scan):
+        if isinstance(request, msg.Scan):
             return requests.scan(now, request)
-        if isinstance(request, SetId):
+        if isinstance(request, msg.SetId):
             holders = {n.address: set(map(serial_of, n.uuids)) for n in self.nodes.values()}
             return requests.set_id(now, request, list(self.nodes.values()), holders)
         node = self._by_name.get(subject(request))
         if node is None:
             return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
-        if isinstance(request, ClearFault):
+        if isinstance(request, msg.ClearFault):
             self._reported_duplicate.pop(node.address, None)
             node.uuids.clear()
             node.identify_at = now
@@ -220,7 +213,7 @@ class MoteusDriver:
     def _resend(self, now: Nanos, events: list[Event]) -> list[Frame]:
         frames: list[Frame] = []
         for pending in self._waiting.late(now):
-            ended = isinstance(pending.request, Scan)
+            ended = isinstance(pending.request, msg.Scan)
             events += [self._end_scan(now, pending)] if ended else requests.give_up(pending, now)
         for pending in self._waiting:
             if now >= pending.next:

@@ -15,21 +15,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import tau
 
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Command,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Nanos,
-    Position,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos
 from protocols.messages import Mode as StateMode
 from protocols.moteus.codec import command_id, reply_id
 from protocols.moteus.faults import LIMITS, NOT_ARMED, TIMEOUT, fault_info_of
@@ -134,7 +121,7 @@ class Node:
             return
         self.anchor += 1
         if self.anchor >= ANCHORED:
-            self.steered, self.anchor = Velocity, None
+            self.steered, self.anchor = msg.Velocity, None
 
     def _note_limit(self, t: Nanos) -> None:
         """A limit is told until it was not active for `LIMITED`: it may come and go with every answer."""
@@ -151,7 +138,7 @@ class Node:
             self.position = position
         hot = [x for x in (get(Register.TEMPERATURE), get(Register.MOTOR_TEMPERATURE)) if x is not None]
         current, voltage = get(Register.Q_CURRENT), get(Register.VOLTAGE)
-        feedback = Feedback(
+        feedback = msg.Feedback(
             self.name,
             t,
             None if position is None else position * tau,
@@ -193,17 +180,17 @@ class Node:
         self.reported_fault = code
         return [self.complains(t, code)]
 
-    def complains(self, t: Nanos, code: int) -> Fault:
+    def complains(self, t: Nanos, code: int) -> msg.Fault:
         """A fault of the table, in words."""
         text = fault_info_of(code)
-        return Fault(self.name, t, code, text.name, text.cause, text.remedy)
+        return msg.Fault(self.name, t, code, text.name, text.cause, text.remedy)
 
     def _state(self, t: Nanos) -> list[Event]:
         reply = (self._mode_now(), self._detail())
         if reply == self.reply:
             return []
         self.reply = reply
-        return [State(self.name, t, *reply)]
+        return [msg.State(self.name, t, *reply)]
 
     def _mode_now(self) -> StateMode:
         """Enabling and calibrating (its current sensors) are part of every arming: it is ready for that."""
@@ -223,12 +210,12 @@ class Node:
 
     def say(self, now: Nanos, command: Command) -> tuple[list[Event], list[bytes]]:
         """What a command takes now; nothing while the device cannot take it."""
-        if isinstance(command, Idle):
+        if isinstance(command, msg.Idle):
             return [], self._release(now)
         self.releasing = False
         if self.unfit():
             return [], []
-        if not isinstance(command, Hold):
+        if not isinstance(command, msg.Hold):
             self.hold = None
         elif self.hold is None:
             self.hold = self.position
@@ -253,7 +240,7 @@ class Node:
             self.arming_since = now
         if now - self.arming_since > ARMING:
             return self._give_up(now), []
-        still = push(place, 0.0, self.limits) if isinstance(command, Torque) else self._still(place)
+        still = push(place, 0.0, self.limits) if isinstance(command, msg.Torque) else self._still(place)
         # What it is told now is where it is: a velocity may go on from there.
         self.steered, self.anchor = type(command), None
         return [], [still + self.question(now)]
@@ -265,21 +252,21 @@ class Node:
         self.tripped, self.arming_since = True, None
         said = f"it stayed in mode {mode_name(self.mode or 0)} for {ARMING // MILLISECOND} ms"
         remedy = "look at it with the vendor's tool (tview), then clear"
-        return [Fault(self.name, now, NOT_ARMED, "did not arm", said, remedy), *self._state(now)]
+        return [msg.Fault(self.name, now, NOT_ARMED, "did not arm", said, remedy), *self._state(now)]
 
     def _steer(self, command: Command) -> bytes:
         place = self.position or 0.0
-        if not isinstance(command, Velocity):
+        if not isinstance(command, msg.Velocity):
             self.steered, self.anchor = type(command), None
         match command:
-            case Position(_, position, velocity, torque):
+            case msg.Position(_, position, velocity, torque):
                 return move(position / tau, velocity / tau, torque, self.limits)
-            case Velocity(_, velocity, torque):
-                if self.steered is Velocity:
+            case msg.Velocity(_, velocity, torque):
+                if self.steered is msg.Velocity:
                     return move(None, velocity / tau, torque, self.limits)
                 self.anchor = self.anchor or 0
                 return move(place, velocity / tau, torque, self.limits)
-            case Torque(_, torque):
+            case msg.Torque(_, torque):
                 return push(place, torque, self.limits)
         return self._still(place if self.hold is None else self.hold)
 
@@ -330,7 +317,7 @@ class Node:
         if not self.offline and now >= self._offline_at():
             self.offline = True
             self.forget()
-            events.append(State(self.name, now, StateMode.OFFLINE, "nothing heard"))
+            events.append(msg.State(self.name, now, StateMode.OFFLINE, "nothing heard"))
         asks = [self.question(now)] if now >= self._ask_at() else []
         if not self.offline and self.mode is not None and now >= self.identify_at:
             self.identify_at = now + (IDENTIFY_AGAIN if self.firmware is None else IDENTIFY_EVERY)

@@ -12,20 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import isclose, isfinite
 
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Event,
-    Nanos,
-    Parameter,
-    ReadParameter,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    WriteParameter,
-    Zero,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, Event, Nanos, Request
 from protocols.moteus.codec import F32, FLOAT_MAX, FLOAT_TINY, INT32, READ_ERROR, WRITE_ERROR, Error
 from protocols.moteus.decoder import NOT_WRITEABLE
 from protocols.moteus.faults import fault_info_of
@@ -80,20 +68,20 @@ class Pending(PendingRequest):
     found: dict[tuple[int, bytes], str] = field(default_factory=dict)
 
 
-def begin(now: Nanos, request: Request, node: Node) -> Pending | Refused:
+def begin(now: Nanos, request: Request, node: Node) -> Pending | msg.Refused:
     """A request to one device."""
     running = node.owned or node.mode not in (None, Mode.STOPPED, *LATCHED)
     match request:
-        case ClearFault():
+        case msg.ClearFault():
             return _pending(now, request, node, ())
-        case Zero() if running:
+        case msg.Zero() if running:
             return refusal(now, request, "it is armed, and would jump: say idle first")
-        case Zero():
+        case msg.Zero():
             exact = Register.SET_OUTPUT_EXACT  # read back, for the answer that this frame arrived
             return _pending(now, request, node, (set_register(exact, 0.0) + _asks(exact),), exact)
-        case ReadParameter(_, parameter):
+        case msg.ReadParameter(_, parameter):
             return _read(now, request, node, parameter)
-        case WriteParameter(_, parameter, value):
+        case msg.WriteParameter(_, parameter, value):
             if running and parameter == SAVE:
                 return refusal(now, request, "it is armed: say idle first")
             return _write(now, request, node, parameter, value)
@@ -118,7 +106,7 @@ def register_of(parameter: str) -> int | None:
     return number if 0 <= number <= REGISTER_MAX else None
 
 
-def _unknown(now: Nanos, request: Request, parameter: str) -> Refused:
+def _unknown(now: Nanos, request: Request, parameter: str) -> msg.Refused:
     said = f"no register {parameter!r}: give its number (0x058), or one of {', '.join(NAMES)}"
     return refusal(now, request, said)
 
@@ -128,14 +116,14 @@ def _asks(register: int) -> bytes:
     return ask(register, F32 if register in SCALES else INT32)
 
 
-def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | Refused:
+def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | msg.Refused:
     register = register_of(parameter)
     if register is None:
         return _unknown(now, request, parameter)
     return _pending(now, request, node, (_asks(register),), register)
 
 
-def _write(now: Nanos, request: Request, node: Node, parameter: str, value: float) -> Pending | Refused:
+def _write(now: Nanos, request: Request, node: Node, parameter: str, value: float) -> Pending | msg.Refused:
     if parameter == SAVE:
         if value != 1:
             return refusal(now, request, f"{SAVE} takes 1")
@@ -164,13 +152,15 @@ _MOVING = (
 )
 
 
-def scan(now: Nanos, request: Scan) -> Pending:
+def scan(now: Nanos, request: msg.Scan) -> Pending:
     """Discovery: a question to all."""
     end = now + SCAN_STEP * SCAN_STEPS
     return Pending(request, request.bus, now, end, now, None, (DISCOVER,), SCAN_STEP)
 
 
-def set_id(now: Nanos, request: SetId, nodes: list[Node], holders: dict[int, set[int]]) -> Pending | Refused:
+def set_id(
+    now: Nanos, request: msg.SetId, nodes: list[Node], holders: dict[int, set[int]]
+) -> Pending | msg.Refused:
     """Give the device with a serial number an id, and ask it who it is. `holders`: serial numbers by id."""
     if not 1 <= request.address <= ADDRESS_MAX:
         return refusal(now, request, f"{request.address} is not an id: 1 to {ADDRESS_MAX}")
@@ -191,9 +181,9 @@ def set_id(now: Nanos, request: SetId, nodes: list[Node], holders: dict[int, set
 
 def data_of(pending: Pending, now: Nanos) -> tuple[bytes, ...]:
     """What is to be sent for a request now."""
-    if isinstance(pending.request, ClearFault) and pending.node is not None:
+    if isinstance(pending.request, msg.ClearFault) and pending.node is not None:
         return (pending.node.clearing(now),)
-    if isinstance(pending.request, Zero) and pending.node is not None:
+    if isinstance(pending.request, msg.Zero) and pending.node is not None:
         return (pending.data[0] + pending.node.question(now),)
     return pending.data
 
@@ -204,13 +194,13 @@ def handle(pending: Pending, t: Nanos, reply: Reply) -> list[Event]:
     if node is None or not pending.sent:
         return []
     match pending.request:
-        case ClearFault() if Register.MODE in reply.values and node.mode not in LATCHED:
+        case msg.ClearFault() if Register.MODE in reply.values and node.mode not in LATCHED:
             return [*node.cleared(t), pending.done(t)]
-        case Zero():
+        case msg.Zero():
             return _on_zero(pending, t, reply)
-        case ReadParameter(_, parameter):
+        case msg.ReadParameter(_, parameter):
             return _on_read(pending, t, reply, parameter)
-        case WriteParameter(_, parameter, value):
+        case msg.WriteParameter(_, parameter, value):
             return _on_written(pending, t, reply, None if parameter == SAVE else value)
     return []
 
@@ -239,7 +229,7 @@ def _on_read(pending: Pending, t: Nanos, reply: Reply, parameter: str) -> list[E
     value = reply.values[pending.register]
     if value is None:
         return [pending.refuse(t, "the device says that it is not given")]
-    return [Parameter(pending.name, t, parameter, float(value))]
+    return [msg.Parameter(pending.name, t, parameter, float(value))]
 
 
 def _about(reply: Reply) -> set[int]:
@@ -274,18 +264,18 @@ def _on_written(pending: Pending, t: Nanos, reply: Reply, value: float | None) -
 def give_up(pending: Pending, now: Nanos) -> list[Event]:
     """The deadline has passed."""
     node = pending.node
-    if isinstance(pending.request, SetId):
+    if isinstance(pending.request, msg.SetId):
         said = f"no device with serial number {pending.request.serial:016X} took the id"
         return [pending.refuse(now, said)]
     if node is None or node.received_at is None or node.received_at < pending.began:
         return [pending.refuse(now, "no answer of the device")]
-    if isinstance(pending.request, ClearFault):
+    if isinstance(pending.request, msg.ClearFault):
         node.report_again()
         code = int(Mode.TIMEOUT) if node.mode == Mode.TIMEOUT else node.fault
         return [pending.refuse(now, f"still in fault: {fault_info_of(code).name}")]
-    if isinstance(pending.request, Zero):
+    if isinstance(pending.request, msg.Zero):
         return [pending.refuse(now, "its position did not become zero: is it turning?")]
-    if isinstance(pending.request, WriteParameter) and pending.reads is not None:
+    if isinstance(pending.request, msg.WriteParameter) and pending.reads is not None:
         said = f"the device holds {pending.reads:.6g} there, not {pending.request.value:.6g}"
         return [pending.refuse(now, said)]
     return [pending.refuse(now, "the device did not answer this")]

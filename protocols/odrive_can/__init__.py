@@ -11,24 +11,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    ClearFault,
-    Estop,
-    Hold,
-    Idle,
-    Position,
-    ReadParameter,
-    Reboot,
-    Scan,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, SECOND
 from protocols.odrive_can.codec import BROADCAST, MAX_EXTENDED_NODE, MAX_NODE, TABLES, cmd_of, frame_id
 from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.driver import OdriveDriver
@@ -137,8 +122,16 @@ def spec(device: Device) -> Spec:
     reported = {row.cmd for row in rows if row.direction != "to_device"}
     said = {row.cmd for row in rows if row.direction != "from_device" and row.message not in NOT_SENT}
     discovery = frozenset({DISCOVERY} if options.firmware != "0.5" else ())
-    requests = {ClearFault, Estop, Scan, Zero, ReadParameter, WriteParameter, Reboot}
-    requests |= {SetId} if options.firmware != "0.5" else set()
+    requests = {
+        msg.ClearFault,
+        msg.Estop,
+        msg.Scan,
+        msg.Zero,
+        msg.ReadParameter,
+        msg.WriteParameter,
+        msg.Reboot,
+    }
+    requests |= {msg.SetId} if options.firmware != "0.5" else set()
     quiet = options.watchdog == "acknowledged" or settings.enable_watchdog
     timeout = round(settings.watchdog_timeout * SECOND) or None
     sends = frozenset(frame_id(device.address, cmd) for cmd in said | asks(options))
@@ -152,7 +145,7 @@ def spec(device: Device) -> Spec:
         feedback=FeedbackKind.CYCLIC,
         feedback_period=options.feedback_ms * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
-        commands=frozenset({Idle, Hold, Position, Velocity, Torque}),
+        commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
         requests=frozenset(requests),
         ranges=RANGES | {"Feedback.position": _measured(settings)},
         watchdog=Watchdog(

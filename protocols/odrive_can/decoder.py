@@ -13,22 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Hold,
-    Home,
-    Idle,
-    Nanos,
-    Position,
-    Request,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import Command, Nanos, Request
 from protocols.messages import Estop as EstopWord
 from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can.codec import (
@@ -104,14 +91,14 @@ class Axis:
         if not self.armed or self.input_mode == InputMode.INACTIVE:
             return ()
         if self.control_mode == ControlMode.TORQUE:
-            return (Torque(self.motor, self.torque),)
+            return (msg.Torque(self.motor, self.torque),)
         if self.control_mode == ControlMode.VELOCITY:
-            return (Velocity(self.motor, radians(self.velocity), self.torque),)
+            return (msg.Velocity(self.motor, radians(self.velocity), self.torque),)
         if self.control_mode != ControlMode.POSITION:
             return ()
         if self.position is None:
-            return (Hold(self.motor),)
-        return (Position(self.motor, radians(self.position), radians(self.velocity), self.torque),)
+            return (msg.Hold(self.motor),)
+        return (msg.Position(self.motor, radians(self.position), radians(self.velocity), self.torque),)
 
 
 def axis_of(device: Device) -> Axis:
@@ -152,10 +139,10 @@ def obey(axis: Axis, message: AnyMessage) -> Sequence[Command | Request]:
             axis.armed = False
             return (RebootWord(axis.motor),)
         case ClearErrors() | ClearErrors05():
-            return (ClearFault(axis.motor),)
+            return (msg.ClearFault(axis.motor),)
         case SetAxisNodeId(node):
             axis.node = renamed(axis.node, node)
-            return (SetId("", axis.serial, node),)
+            return (msg.SetId("", axis.serial, node),)
     return _configure(axis.motor, message)
 
 
@@ -171,7 +158,7 @@ def _set_state(axis: Axis, state: int) -> Sequence[Command | Request]:
         return ()
     if state != AxisState.CLOSED_LOOP_CONTROL:
         axis.armed = False
-        return (Home(axis.motor),) if state == AxisState.HOMING else (Idle(axis.motor),)
+        return (msg.Home(axis.motor),) if state == AxisState.HOMING else (msg.Idle(axis.motor),)
     if not axis.armed or axis.line == "0.5":  # 0.5.x leaves closed loop and enters it again
         # On arming in position control the firmware takes the present position as its input
         # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
@@ -184,35 +171,41 @@ def _configure(motor: str, message: AnyMessage) -> Sequence[Request]:
     match message:
         case SetAbsolutePosition(position):
             return (
-                (Zero(motor),) if position == 0 else (WriteParameter(motor, "Position", radians(position)),)
+                (msg.Zero(motor),)
+                if position == 0
+                else (msg.WriteParameter(motor, "Position", radians(position)),)
             )
         case SetLinearCount(count):
-            return (Zero(motor),) if count == 0 else (WriteParameter(motor, "Linear_Count", float(count)),)
+            return (
+                (msg.Zero(motor),)
+                if count == 0
+                else (msg.WriteParameter(motor, "Linear_Count", float(count)),)
+            )
         case StartAnticogging():  # a procedure of the device's own that turns the shaft
-            return (Home(motor),)
+            return (msg.Home(motor),)
         case SetLimits(velocity, current):
             return (
-                WriteParameter(motor, "Velocity_Limit", velocity),
-                WriteParameter(motor, "Current_Limit", current),
+                msg.WriteParameter(motor, "Velocity_Limit", velocity),
+                msg.WriteParameter(motor, "Current_Limit", current),
             )
         case SetVelGains(gain, integrator):
             return (
-                WriteParameter(motor, "Vel_Gain", gain),
-                WriteParameter(motor, "Vel_Integrator_Gain", integrator),
+                msg.WriteParameter(motor, "Vel_Gain", gain),
+                msg.WriteParameter(motor, "Vel_Integrator_Gain", integrator),
             )
         case SetTrajAccelLimits(acceleration, deceleration):
             return (
-                WriteParameter(motor, "Traj_Accel_Limit", acceleration),
-                WriteParameter(motor, "Traj_Decel_Limit", deceleration),
+                msg.WriteParameter(motor, "Traj_Accel_Limit", acceleration),
+                msg.WriteParameter(motor, "Traj_Decel_Limit", deceleration),
             )
         case SetPosGain(gain):
-            return (WriteParameter(motor, "Pos_Gain", gain),)
+            return (msg.WriteParameter(motor, "Pos_Gain", gain),)
         case SetTrajVelLimit(velocity):
-            return (WriteParameter(motor, "Traj_Vel_Limit", velocity),)
+            return (msg.WriteParameter(motor, "Traj_Vel_Limit", velocity),)
         case SetTrajInertia(inertia):
-            return (WriteParameter(motor, "Traj_Inertia", inertia),)
+            return (msg.WriteParameter(motor, "Traj_Inertia", inertia),)
         case RxSdo(1, endpoint, _, value):
-            return (WriteParameter(motor, f"endpoint {endpoint}", float(value)),)
+            return (msg.WriteParameter(motor, f"endpoint {endpoint}", float(value)),)
     return ()
 
 
@@ -259,14 +252,14 @@ def renamed(node: int, to: int) -> int:
     return to & MAX_EXTENDED_NODE | node & EXTENDED
 
 
-def assign(axis: Axis, node: int, message: Address) -> Sequence[SetId]:
+def assign(axis: Axis, node: int, message: Address) -> Sequence[msg.SetId]:
     """A node id is given out on the broadcast node: take it, or vacate it if it is ours."""
     if node != BROADCAST or message.node > BROADCAST:
         return ()
     if message.serial == axis.serial:
         axis.node = message.node
-        return (SetId("", axis.serial, axis.node),)
+        return (msg.SetId("", axis.serial, axis.node),)
     if message.node == axis.node and axis.node != BROADCAST:
         axis.node = BROADCAST
-        return (SetId("", axis.serial, BROADCAST),)
+        return (msg.SetId("", axis.serial, BROADCAST),)
     return ()

@@ -9,23 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import (
-    SECOND,
-    ClearFault,
-    Command,
-    Event,
-    Fault,
-    Found,
-    Impedance,
-    Nanos,
-    Reboot,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    Stop,
-)
+from protocols.messages import SECOND, Command, Event, Nanos, Request
 from protocols.odrive_can import requests
 from protocols.odrive_can.codec import (
     BROADCAST,
@@ -121,7 +107,7 @@ class OdriveDriver:
         if frame.id & 0x1F != cmd_of(Beacon) or decode_from_device(frame, "") is None:
             return
         for pending in self._waiting:
-            if isinstance(pending.request, Scan):
+            if isinstance(pending.request, msg.Scan):
                 pending.found.setdefault((address, None), f"heartbeat heard {t}")
 
     # -- who holds which node id -------------------------------------------------------------------
@@ -138,9 +124,9 @@ class OdriveDriver:
             self.nodes[message.node].identity.on_roll_call()
         events: list[Event] = self._double(t, message.node, sorted(held)) if len(held) > 1 else []
         for pending in self._waiting:
-            if isinstance(pending.request, Scan):
+            if isinstance(pending.request, msg.Scan):
                 events += self._found(t, pending, message)
-            elif isinstance(pending.request, SetId) and (message.serial, message.node) == (
+            elif isinstance(pending.request, msg.SetId) and (message.serial, message.node) == (
                 pending.request.serial,
                 pending.request.address,
             ):
@@ -158,7 +144,7 @@ class OdriveDriver:
         if ours is not None:
             detail = f"{ours.name}, {ours.identity.title()}"
         pending.found[key] = detail
-        return [Found(t, PROTOCOL, message.node, message.serial, detail)]
+        return [msg.Found(t, PROTOCOL, message.node, message.serial, detail)]
 
     def _double(self, t: Nanos, node: int, serials: list[int]) -> list[Event]:
         if node == BROADCAST or self._reported_duplicate.get(node):
@@ -166,7 +152,7 @@ class OdriveDriver:
         self._reported_duplicate[node] = True
         said = " and ".join(f"{serial:012X}" for serial in serials)
         events: list[Event] = [
-            Found(
+            msg.Found(
                 t, PROTOCOL, node, serial, f"node id {node} is held twice: by {said}", duplicate_address=True
             )
             for serial in serials
@@ -179,7 +165,7 @@ class OdriveDriver:
             return []
         remedy = "take one off the bus, or give it another node id (SetId with its serial number)"
         title = f"node id {node & MAX_EXTENDED_NODE} is held twice"
-        return [Fault(ours.name, t, DUPLICATE_NODE, title, cause, remedy)]
+        return [msg.Fault(ours.name, t, DUPLICATE_NODE, title, cause, remedy)]
 
     def _contradiction(self, t: Nanos, node: Node) -> list[Event]:
         """Heartbeats that say A B A B while we asked for no change come from two devices."""
@@ -203,7 +189,7 @@ class OdriveDriver:
         return self._contradicted(t, node, "its heartbeats contradict each other in turn")
 
     def _contradicted(self, t: Nanos, node: Node, cause: str) -> list[Event]:
-        found = Found(t, PROTOCOL, node.address & MAX_EXTENDED_NODE, None, cause, duplicate_address=True)
+        found = msg.Found(t, PROTOCOL, node.address & MAX_EXTENDED_NODE, None, cause, duplicate_address=True)
         return [found, *self._double_fault(t, node.address, cause)]
 
     # -- the bus ------------------------------------------------------------------------------
@@ -228,7 +214,7 @@ class OdriveDriver:
         events, self._events = self._events, []
         frames: list[Frame] = []
         for word in words:
-            if isinstance(word, Stop):
+            if isinstance(word, msg.Stop):
                 for node in self.nodes.values():
                     node.owned = True
             elif not isinstance(word, Command):
@@ -256,27 +242,27 @@ class OdriveDriver:
 
     def _wrong(self, command: Command) -> str:
         """Why a command must not reach the wire; "" if it may."""
-        return NO_IMPEDANCE if isinstance(command, Impedance) else out_of_range(command, self._ranges)
+        return NO_IMPEDANCE if isinstance(command, msg.Impedance) else out_of_range(command, self._ranges)
 
-    def _begin(self, now: Nanos, request: Request) -> Pending | Refused:
+    def _begin(self, now: Nanos, request: Request) -> Pending | msg.Refused:
         if full := self._waiting.full():
             return refusal(now, request, full)
-        if isinstance(request, Scan):
+        if isinstance(request, msg.Scan):
             return requests.scan(now, request, self._discovery)
-        if isinstance(request, SetId):
+        if isinstance(request, msg.SetId):
             return self._begin_set_id(now, request)
         node = self._by_name.get(subject(request))
         if node is None:
             return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
-        if isinstance(request, ClearFault):
+        if isinstance(request, msg.ClearFault):
             self._reported_duplicate.pop(node.address, None)
         running = self._running_beside(node)
-        if isinstance(request, Reboot) and node.dialect.boards and running:
+        if isinstance(request, msg.Reboot) and node.dialect.boards and running:
             said = f"it restarts its whole board, and {running}, which is armed, may be on it: say idle first"
             return refusal(now, request, said)
         return requests.begin(now, request, node, self._written.setdefault(node.name, {}))
 
-    def _begin_set_id(self, now: Nanos, request: SetId) -> Pending | Refused:
+    def _begin_set_id(self, now: Nanos, request: msg.SetId) -> Pending | msg.Refused:
         if self._discovery:
             return requests.set_id(now, request, list(self.nodes.values()), self._serials)
         said = "firmware 0.5.x tells no serial numbers over CAN: set the node id with the vendor's tool"
@@ -293,7 +279,7 @@ class OdriveDriver:
     def _resend(self, now: Nanos, events: list[Event]) -> list[Frame]:
         outgoing: list[Frame] = []
         for pending in self._waiting.late(now):
-            ended = isinstance(pending.request, Scan)
+            ended = isinstance(pending.request, msg.Scan)
             events += self._end_scan(now, pending) if ended else [requests.give_up(pending, now)]
         for pending in self._waiting:
             if now >= pending.next:
@@ -311,7 +297,7 @@ class OdriveDriver:
             node for node in self.nodes if node not in nodes and self.nodes[node].received_at is not None
         ]
         events: list[Event] = [
-            Found(now, PROTOCOL, node & MAX_EXTENDED_NODE, None, self._mute(node))
+            msg.Found(now, PROTOCOL, node & MAX_EXTENDED_NODE, None, self._mute(node))
             for node in sorted({*mute, *(n for n in known if not self.nodes[n].offline)})
         ]
         return [*events, pending.done(now, f"{len(answered) + len(events)} devices")]

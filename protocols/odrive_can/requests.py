@@ -11,21 +11,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from protocols import messages as msg
 from protocols.frames import CanFrame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Event,
-    Nanos,
-    Parameter,
-    ReadParameter,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Event, Nanos, Request
 from protocols.messages import Estop as EstopWord
 from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can.codec import BROADCAST, MAX_NODE, TABLES, AnyMessage, ask, cmd_of, encode
@@ -86,35 +74,35 @@ class Pending(PendingRequest):
     found: dict[tuple[int, int | None], str] = field(default_factory=dict)
 
 
-def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -> Pending | Refused:
+def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -> Pending | msg.Refused:
     """A request to one device."""
     dialect = node.dialect
     running = node.owned or node.state == AxisState.CLOSED_LOOP_CONTROL
     match request:
-        case ClearFault():  # its frame follows as soon as the firmware line is known
+        case msg.ClearFault():  # its frame follows as soon as the firmware line is known
             node.cleared()
             return Pending(request, node.name, now, now + ANSWER, now, node, (), RESEND)
         case EstopWord():
             return _pending(now, request, node, Estop(), ANSWER, RESEND)
         case _ if node.identity.wrong or not node.identity.line:
             return refusal(now, request, "its firmware is not known, or not what the robot file says")
-        case ReadParameter(_, parameter):
+        case msg.ReadParameter(_, parameter):
             return _read(now, request, node, parameter)
-        case Zero() if running:
+        case msg.Zero() if running:
             return refusal(now, request, "it is armed, and would jump: say idle first")
-        case Zero():
+        case msg.Zero():
             return _pending(now, request, node, dialect.zero, ANSWER, RESEND)
-        case RebootWord() | WriteParameter(_, "save_configuration") if running:
+        case RebootWord() | msg.WriteParameter(_, "save_configuration") if running:
             return refusal(now, request, "it is armed, and would drop its load: say idle first")
         case RebootWord():
             return _pending(now, request, node, dialect.reboot, REBOOT, REBOOT_RESEND)
-        case WriteParameter(_, "save_configuration", value):
+        case msg.WriteParameter(_, "save_configuration", value):
             if value != 1:
                 return refusal(now, request, f"{SAVE} takes 1")
             return _pending(now, request, node, dialect.save, REBOOT, REBOOT_RESEND)
-        case WriteParameter(_, parameter, value):
+        case msg.WriteParameter(_, parameter, value):
             message = _write(now, request, parameter, value, written)
-            if isinstance(message, Refused):
+            if isinstance(message, msg.Refused):
                 return message
             return _pending(now, request, node, message, ANSWER, RESEND)
     return refusal(now, request, f"odrive_can has no {type(request).__name__}")
@@ -122,7 +110,7 @@ def begin(now: Nanos, request: Request, node: Node, written: dict[str, float]) -
 
 def _pending(
     now: Nanos, request: Request, node: Node, message: AnyMessage | None, limit: Nanos, again: Nanos
-) -> Pending | Refused:
+) -> Pending | msg.Refused:
     if message is None:
         return refusal(
             now, request, f"{node.identity.title()} cannot do this over CAN: use the vendor's tool"
@@ -131,7 +119,7 @@ def _pending(
     return Pending(request, node.name, now, now + limit, now, node, frames, again)
 
 
-def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | Refused:
+def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | msg.Refused:
     """Ask for the message that tells it, or wait for it where it comes by the device's clock only."""
     readable = node.dialect.readable
     if parameter not in readable:
@@ -146,15 +134,15 @@ def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending |
 def frames_of(pending: Pending) -> tuple[CanFrame, ...]:
     """What is to be sent for a request now."""
     node = pending.node
-    if isinstance(pending.request, ClearFault) and not pending.frames and node is not None:
+    if isinstance(pending.request, msg.ClearFault) and not pending.frames and node is not None:
         clear = node.dialect.clear if node.identity.line else None
         pending.frames = () if clear is None else (encode(node.address, clear),)
     return pending.frames
 
 
 def _write(
-    now: Nanos, request: WriteParameter, parameter: str, value: float, written: dict[str, float]
-) -> AnyMessage | Refused:
+    now: Nanos, request: msg.WriteParameter, parameter: str, value: float, written: dict[str, float]
+) -> AnyMessage | msg.Refused:
     """The message that sets a parameter; its partner in the same message must be known."""
     row = next((row for row in WRITABLE if parameter in row[1]), None)
     if row is None:
@@ -176,7 +164,7 @@ def _write(
     return said
 
 
-def scan(now: Nanos, request: Scan, discovery: bool) -> Pending:
+def scan(now: Nanos, request: msg.Scan, discovery: bool) -> Pending:
     """Discovery: remote frames on the broadcast node (unless every device is known to be 0.5.x, which has
     none), and heartbeats heard meanwhile."""
     frames = (ask(BROADCAST, Address),) if discovery else ()
@@ -184,8 +172,8 @@ def scan(now: Nanos, request: Scan, discovery: bool) -> Pending:
 
 
 def set_id(
-    now: Nanos, request: SetId, nodes: list[Node], serials: dict[int, dict[int, Nanos]]
-) -> Pending | Refused:
+    now: Nanos, request: msg.SetId, nodes: list[Node], serials: dict[int, dict[int, Nanos]]
+) -> Pending | msg.Refused:
     """Give the device with a serial number a node id, and ask who is who."""
     if not 0 <= request.address <= MAX_NODE:
         return refusal(now, request, f"{request.address} is not a node id: 0 to {MAX_NODE}")
@@ -208,20 +196,20 @@ def handle(pending: Pending, t: Nanos, message: AnyMessage) -> list[Event]:
     if node is None:
         return []
     match pending.request:
-        case ClearFault():
+        case msg.ClearFault():
             cleared = beat is not None and bool(node.identity.line) and not node.faulty()
             return [pending.done(t, _board(node))] if cleared and pending.sent else []
         case EstopWord() if beat is not None and beat.error & (node.dialect.estop or ~0):
             return [pending.done(t, "it stays in fault until cleared")]
-        case Zero() if isinstance(message, GetEncoderEstimates) and abs(message.position) < ZERO_WITHIN:
+        case msg.Zero() if isinstance(message, GetEncoderEstimates) and abs(message.position) < ZERO_WITHIN:
             return [pending.done(t)]
-        case RebootWord() | WriteParameter(_, "save_configuration") if beat is not None:
+        case RebootWord() | msg.WriteParameter(_, "save_configuration") if beat is not None:
             # Whoever restarts is asked anew what it is, and its bits mean nothing before.
             up = bool(node.identity.line) and not beat.error & node.dialect.initializing
             return _on_reboot(pending, t, node, up)
-        case WriteParameter() if beat is not None and pending.frames:
+        case msg.WriteParameter() if beat is not None and pending.frames:
             return [pending.done(t, "sent; the device does not confirm it")]
-        case ReadParameter(_, parameter):
+        case msg.ReadParameter(_, parameter):
             return _on_parameter(pending, node, parameter, t, message)
     return []
 
@@ -246,25 +234,25 @@ def _on_parameter(pending: Pending, node: Node, parameter: str, t: Nanos, messag
     value = getattr(message, attribute)
     if value is None:
         return [pending.refuse(t, "the device has no sensor for it")]
-    return [Parameter(pending.name, t, parameter, float(value)), pending.done(t)]
+    return [msg.Parameter(pending.name, t, parameter, float(value)), pending.done(t)]
 
 
-def give_up(pending: Pending, now: Nanos) -> Refused:
+def give_up(pending: Pending, now: Nanos) -> msg.Refused:
     """The deadline has passed."""
     node = pending.node
-    if isinstance(pending.request, SetId):
+    if isinstance(pending.request, msg.SetId):
         return pending.refuse(
             now, f"no device with serial number {pending.request.serial:012X} took the node id"
         )
     if node is None or node.received_at is None or node.received_at < pending.began:
         return pending.refuse(now, "no answer of the device")
-    if isinstance(pending.request, ClearFault):
+    if isinstance(pending.request, msg.ClearFault):
         if not node.identity.line:
             return pending.refuse(now, "its firmware is not known")
         node.report_again()
         return pending.refuse(now, f"still in fault: {names(node.beat.error, node.dialect.axis)}")
-    if isinstance(pending.request, Zero):
+    if isinstance(pending.request, msg.Zero):
         return pending.refuse(now, "its position did not become zero: is it turning?")
-    if isinstance(pending.request, RebootWord | WriteParameter):
+    if isinstance(pending.request, RebootWord | msg.WriteParameter):
         return pending.refuse(now, "it showed no sign of a restart")
     return pending.refuse(now, "the device did not react")

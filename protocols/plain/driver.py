@@ -13,29 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
+from protocols import messages as msg
 from protocols.frames import BusState, Frame
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Fix,
-    Found,
-    Idle,
-    Imu,
-    LaserScan,
-    Mode,
-    Nanos,
-    Parameter,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    State,
-    Stop,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plain import codec
 from protocols.plugin import Device, RxCounters
 from protocols.request_queue import RejectionFilter
@@ -44,8 +24,8 @@ ANSWER: Nanos = 200 * MILLISECOND
 """How long a device may take to answer a request, and how long a scan listens."""
 OFFLINE: Nanos = 250 * MILLISECOND
 """Silence after which a motor is called offline."""
-Measured: TypeAlias = Imu | LaserScan | Fix
-Told: TypeAlias = Feedback | State | Fault | Done | Refused | Parameter
+Measured: TypeAlias = msg.Imu | msg.LaserScan | msg.Fix
+Told: TypeAlias = msg.Feedback | msg.State | msg.Fault | msg.Done | msg.Refused | msg.Parameter
 """What a sensor, and what a motor may say; Found comes from either."""
 
 
@@ -82,7 +62,7 @@ class PlainDriver:
         self._seats = {d.address: _DeviceState(d.name, d.options.kind == "motor") for d in devices}
         self._addresses = {d.name: d.address for d in devices}
         self._refusals = RejectionFilter()
-        self._line: list[tuple[Nanos, Scan | SetId]] = []
+        self._line: list[tuple[Nanos, msg.Scan | msg.SetId]] = []
         """Requests to the whole line: when they end."""
         self._serials: dict[int, int] = {}
         """Serial numbers found since the last scan, by address."""
@@ -111,7 +91,7 @@ class PlainDriver:
         events: list[Event] = []
         frames: list[Frame] = []
         for word in words:
-            if isinstance(word, Stop):
+            if isinstance(word, msg.Stop):
                 for seat in self._seats.values():
                     seat.owned = seat.motor
                 continue
@@ -155,10 +135,10 @@ class PlainDriver:
         """Whether this word goes out; and remember that it did."""
         if isinstance(word, codec.LineRequest):
             self._line.append((now + ANSWER, word))
-            self._serials = {} if isinstance(word, Scan) else self._serials
+            self._serials = {} if isinstance(word, msg.Scan) else self._serials
             return True
         seat = self._seats[address]
-        if isinstance(word, Idle):
+        if isinstance(word, msg.Idle):
             return seat.owned
         if isinstance(word, codec.MotorRequest):
             seat.asked[type(word).__name__] = now + ANSWER
@@ -172,18 +152,24 @@ class PlainDriver:
             late = [request for request, end in seat.asked.items() if end <= now]
             for request in late:
                 del seat.asked[request]
-                events.append(Refused(now, request, seat.name, f"no answer in {ANSWER // MILLISECOND} ms"))
+                events.append(
+                    msg.Refused(now, request, seat.name, f"no answer in {ANSWER // MILLISECOND} ms")
+                )
             seat.received = now if seat.received is None else seat.received
             if seat.motor and not seat.offline and now - seat.received >= OFFLINE:
                 seat.offline = True
-                events.append(State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms"))
+                events.append(
+                    msg.State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms")
+                )
         ended = [word for end, word in self._line if end <= now]
         self._line = [(end, word) for end, word in self._line if end > now]
         for word in ended:
-            if isinstance(word, Scan):
-                events.append(Done(now, "Scan", word.bus, f"{len(self._serials)} found"))
+            if isinstance(word, msg.Scan):
+                events.append(msg.Done(now, "Scan", word.bus, f"{len(self._serials)} found"))
             else:
-                events.append(Refused(now, "SetId", word.bus, f"no device has serial number {word.serial}"))
+                events.append(
+                    msg.Refused(now, "SetId", word.bus, f"no device has serial number {word.serial}")
+                )
         return events
 
     # -- up --------------------------------------------------------------------------------------------
@@ -191,7 +177,7 @@ class PlainDriver:
     def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
         seat = self._seats.get(body[0])
         word = codec.read(body, t, seat.name if seat else "")
-        if isinstance(word, Found) and word.protocol == codec.NAME and word.address == body[0]:
+        if isinstance(word, msg.Found) and word.protocol == codec.NAME and word.address == body[0]:
             self.counters.accepted += 1
             return self._found(word)
         # A command on the way up is somebody's echo (RS-485), a stranger's message is not for us.
@@ -207,19 +193,19 @@ class PlainDriver:
 
     def _news(self, seat: _DeviceState, word: Event) -> bool:
         """Remember what the device says; whether it says anything new."""
-        if isinstance(word, Done | Refused):
+        if isinstance(word, msg.Done | msg.Refused):
             seat.asked.pop(word.request, None)
-        elif isinstance(word, Parameter):
+        elif isinstance(word, msg.Parameter):
             seat.asked.pop("ReadParameter", None)
-        elif isinstance(word, State) and word.mode != Mode.FAULT:
+        elif isinstance(word, msg.State) and word.mode != Mode.FAULT:
             seat.faults.clear()
-        elif isinstance(word, Fault):
+        elif isinstance(word, msg.Fault):
             if word.code in seat.faults:
                 return False
             seat.faults.append(word.code)
         return True
 
-    def _found(self, word: Found) -> Sequence[Event]:
+    def _found(self, word: msg.Found) -> Sequence[Event]:
         """A device answered to Scan or SetId. Two serial numbers at one address are told."""
         before = self._serials.get(word.address, word.serial)
         if before != word.serial:
@@ -229,8 +215,10 @@ class PlainDriver:
             self._serials[word.address] = word.serial
         events: list[Event] = [word]
         for end, asked in self._line:
-            if isinstance(asked, SetId) and (asked.serial, asked.address) == (word.serial, word.address):
+            if isinstance(asked, msg.SetId) and (asked.serial, asked.address) == (word.serial, word.address):
                 self._line.remove((end, asked))
-                events.append(Done(word.t, "SetId", asked.bus, f"{asked.serial} is now at {asked.address}"))
+                events.append(
+                    msg.Done(word.t, "SetId", asked.bus, f"{asked.serial} is now at {asked.address}")
+                )
                 break
         return events

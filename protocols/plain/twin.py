@@ -13,33 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Done,
-    Estop,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Impedance,
-    Mode,
-    Nanos,
-    Parameter,
-    Position,
-    ReadParameter,
-    Reboot,
-    Refused,
-    State,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-    seconds,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, seconds
 from protocols.plain import codec
 from protocols.plain.decoder import PlainDecoder
 from protocols.plain.sensor import PlainSensor, messages_of, to_all
@@ -61,13 +37,13 @@ class PlainMotor:
         self._mode = Mode.READY
         self._ready_at: Nanos = 0
         """When a restart is over."""
-        self._fault: Fault | None = None
+        self._fault: msg.Fault | None = None
         self._provoked: int | None = None
         """A fault that is to trip, whatever the reason."""
-        self._command: Command = Idle(device.name)
+        self._command: Command = msg.Idle(device.name)
         self._fed: Nanos = 0
         """When the last command came."""
-        self._shaft: Feedback | None = None
+        self._shaft: msg.Feedback | None = None
         """As the encoder last told it, before the offset."""
         self._offset = 0.0
         self._held: float | None = None
@@ -93,10 +69,10 @@ class PlainMotor:
                     self._device = device
                 self._decoder.follow(device)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         """Run the loop with the shaft as it is, and say what is due."""
         for word in truth:
-            if isinstance(word, Feedback) and word.motor == self._device.name and _measured(word):
+            if isinstance(word, msg.Feedback) and word.motor == self._device.name and _measured(word):
                 self._shaft = word
         self._watch(now)
         if self._now is None:
@@ -106,7 +82,7 @@ class PlainMotor:
         self._torque = self._loop(dt) if self._mode == Mode.ARMED else 0.0
         said = [*self._answers, *self._cyclic(now)]
         self._answers = []
-        return [Torque(self._device.name, self._torque)], messages_of(self._device, now, said)
+        return [msg.Torque(self._device.name, self._torque)], messages_of(self._device, now, said)
 
     def due(self) -> Nanos | None:
         """When it next tells its state or feedback, trips its watchdog, or is ready again."""
@@ -148,7 +124,7 @@ class PlainMotor:
         if type(command) is not type(self._command):
             self._integral, self._held = 0.0, None
         self._command = command
-        self._enter(t, Mode.READY if isinstance(command, Idle) else Mode.ARMED)
+        self._enter(t, Mode.READY if isinstance(command, msg.Idle) else Mode.ARMED)
 
     def _enter(self, t: Nanos, mode: Mode) -> None:
         """Change the mode, and have it told with the next step."""
@@ -157,8 +133,8 @@ class PlainMotor:
 
     def _trip(self, t: Nanos, code: int) -> None:
         said = FAULT_TABLE[code]
-        self._fault = Fault(self._device.name, t, code, said.name, said.cause, said.remedy)
-        self._command = Idle(self._device.name)
+        self._fault = msg.Fault(self._device.name, t, code, said.name, said.cause, said.remedy)
+        self._command = msg.Idle(self._device.name)
         self._enter(t, Mode.FAULT)
 
     # -- requests --------------------------------------------------------------------------------------
@@ -169,28 +145,30 @@ class PlainMotor:
         refused = ""
         if self._mode == Mode.INITIALISING:
             refused = "restarting"
-        elif isinstance(word, ReadParameter):
+        elif isinstance(word, msg.ReadParameter):
             value = getattr(self._settings, word.parameter, None)
             if isinstance(value, int | float):
-                self._answers.append(Parameter(name, t, word.parameter, float(value)))
+                self._answers.append(msg.Parameter(name, t, word.parameter, float(value)))
                 return
             refused = f"no parameter {word.parameter!r}"
-        elif isinstance(word, WriteParameter):
+        elif isinstance(word, msg.WriteParameter):
             refused = self._write(word)
-        elif isinstance(word, Zero):
+        elif isinstance(word, msg.Zero):
             refused = self._zero()
-        elif isinstance(word, ClearFault):
+        elif isinstance(word, msg.ClearFault):
             self._fault = None
             self._enter(t, Mode.READY if self._mode == Mode.FAULT else self._mode)
-        elif isinstance(word, Estop):
+        elif isinstance(word, msg.Estop):
             self._trip(t, 2)
-        elif isinstance(word, Reboot):
-            self._fault, self._command, self._ready_at = None, Idle(name), t + BOOT
+        elif isinstance(word, msg.Reboot):
+            self._fault, self._command, self._ready_at = None, msg.Idle(name), t + BOOT
             self._offset = 0.0
             self._enter(t, Mode.INITIALISING)
-        self._answers.append(Refused(t, request, name, refused) if refused else Done(t, request, name))
+        self._answers.append(
+            msg.Refused(t, request, name, refused) if refused else msg.Done(t, request, name)
+        )
 
-    def _write(self, word: WriteParameter) -> str:
+    def _write(self, word: msg.WriteParameter) -> str:
         if word.parameter not in WRITABLE:
             return f"no parameter {word.parameter!r} that can be written"
         change: dict[str, Any] = {word.parameter: word.value}
@@ -221,21 +199,21 @@ class PlainMotor:
             return 0.0
         s, command = self._settings, self._command
         position, velocity = self._position(), self._shaft.velocity or 0.0
-        if isinstance(command, Hold):
+        if isinstance(command, msg.Hold):
             self._held = position if self._held is None else self._held
-            command = Position(command.motor, self._held)
-        if isinstance(command, Position):
+            command = msg.Position(command.motor, self._held)
+        if isinstance(command, msg.Position):
             spring = s.position_gain * (command.position - position)
             torque = command.torque + spring + s.position_damping * (command.velocity - velocity)
-        elif isinstance(command, Impedance):
+        elif isinstance(command, msg.Impedance):
             spring = command.stiffness * (command.position - position)
             torque = command.torque + spring + command.damping * (command.velocity - velocity)
-        elif isinstance(command, Velocity):
+        elif isinstance(command, msg.Velocity):
             error = command.velocity - velocity
             self._integral = _cut(self._integral + s.velocity_integral * error * dt, s.torque_limit)
             torque = command.torque + s.velocity_gain * error + self._integral
         else:
-            torque = command.torque if isinstance(command, Torque) else 0.0
+            torque = command.torque if isinstance(command, msg.Torque) else 0.0
         return _cut(torque, s.torque_limit)
 
     def _cyclic(self, now: Nanos) -> list[Event]:
@@ -243,14 +221,14 @@ class PlainMotor:
         said: list[Event] = []
         name, s = self._device.name, self._settings
         if now >= self._state_at:
-            said.append(State(name, now, self._mode, self._mode.value))
+            said.append(msg.State(name, now, self._mode, self._mode.value))
             said += [self._fault] if self._fault else []
             self._state_at = _next(self._state_at, s.state_ms, now)
         if self._shaft is not None and now >= self._feedback_at:
             current = self._torque / s.torque_constant
             t = min(self._shaft.t, now)
             said.append(
-                Feedback(name, t, self._position(), self._shaft.velocity, self._torque, current, s.supply)
+                msg.Feedback(name, t, self._position(), self._shaft.velocity, self._torque, current, s.supply)
             )
             self._feedback_at = _next(self._feedback_at, s.feedback_ms, now)
         return said
@@ -261,7 +239,7 @@ def twin(device: Device, _seed: int = 0) -> Twin:
     return PlainMotor(device) if device.options.kind == "motor" else PlainSensor(device)
 
 
-def _measured(shaft: Feedback) -> bool:
+def _measured(shaft: msg.Feedback) -> bool:
     values = (shaft.position, shaft.velocity)
     return all(value is not None and math.isfinite(value) for value in values)
 

@@ -17,20 +17,8 @@ from brain.perception.grid import GridSettings
 from brain.perception.mount import Mount
 from brain.perception.perception import PerceptionSettings
 from brain.planning.costmap import Costmap
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Command,
-    Drive,
-    Event,
-    Feedback,
-    Goal,
-    Imu,
-    LaserScan,
-    Nanos,
-    Velocity,
-    seconds,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, seconds
 
 
 def dijkstra(costmap: Costmap, start: int, goal: int) -> float:
@@ -131,7 +119,7 @@ class Office:
         dt = seconds(TICK)
         self.now += TICK
         for command in commands:
-            wanted = command.velocity if isinstance(command, Velocity) else 0.0
+            wanted = command.velocity if isinstance(command, msg.Velocity) else 0.0
             self._rate[command.motor] += (wanted - self._rate[command.motor]) * dt / 0.03
         turned = {name: rate * dt for name, rate in self._rate.items()}
         for name, angle in turned.items():
@@ -159,7 +147,7 @@ class Office:
             bool(np.any((px > x0) & (px < x1) & (py > y0) & (py < y1))) for x0, y0, x1, y1 in self.boxes
         )
 
-    def scan(self) -> LaserScan:
+    def scan(self) -> msg.LaserScan:
         """360 beams from the lidar's place, exact against the boxes, and then noise."""
         mount = MOUNTS["lidar"]
         at = self.body.arc(self.pose, mount.x, 0.0)
@@ -167,16 +155,16 @@ class Office:
         ranges = beams(self.boxes, (at.x, at.y), np.asarray(angles + self.pose.yaw, np.float64))
         noisy = np.maximum(ranges + self._rng.normal(0.0, self.noise.range, 360), 0.0)
         reported = np.where(ranges < 10.0, np.minimum(noisy, 10.0), 10.0)
-        return LaserScan("lidar", self.now, -pi, 2.0 * pi / 360.0, 0.1, 10.0, tuple(reported.tolist()))
+        return msg.LaserScan("lidar", self.now, -pi, 2.0 * pi / 360.0, 0.1, 10.0, tuple(reported.tolist()))
 
     def _events(self) -> list[Event]:
         events: list[Event] = []
         if self.now % (10 * MILLISECOND) == 0:
             for motor, angle in self._angle.items():
                 counts = round(angle / self.noise.encoder) * self.noise.encoder
-                events.append(Feedback(motor, self.now, counts, self._rate[motor]))
+                events.append(msg.Feedback(motor, self.now, counts, self._rate[motor]))
             rate = self._turn_rate + self.noise.gyro_bias + self._rng.normal(0.0, self.noise.gyro)
-            events.append(Imu("imu", self.now, (0.0, 0.0, float(rate)), (0.0, 0.0, 9.81)))
+            events.append(msg.Imu("imu", self.now, (0.0, 0.0, float(rate)), (0.0, 0.0, 9.81)))
         if self.now % (100 * MILLISECOND) == 0:
             events.append(self.scan())
         return [e for e in events if getattr(e, "motor", getattr(e, "sensor", "")) not in self.silent]
@@ -221,7 +209,7 @@ class Trip:
         self.said: list[Sequence[Command]] = []
         self.track: list[Pose] = []
 
-    def tick(self, tasks: Sequence[Goal | Drive | Command] = (), stopped: str = "") -> Belief:
+    def tick(self, tasks: Sequence[msg.Goal | msg.Drive | Command] = (), stopped: str = "") -> Belief:
         """The office and then the brain, one tick on."""
         events = self.office.step(self.commands)
         self.commands = self.brain.step(self.office.now, events, tasks, stopped)
@@ -242,7 +230,7 @@ class Trip:
                 break
         return belief
 
-    def go(self, *goals: Goal, span: float = 60.0) -> Belief:
+    def go(self, *goals: msg.Goal, span: float = 60.0) -> Belief:
         """Ask for the goals, and run until all are reached or the time is over."""
         count = self.brain.belief().reached + len(goals)
         self.tick(goals)

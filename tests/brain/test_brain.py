@@ -20,27 +20,15 @@ from brain.brain import Brain, BrainSettings
 from brain.driving import BaseBrain
 from brain.perception.grid import GridSettings
 from brain.perception.perception import PerceptionSettings
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Drive,
-    Feedback,
-    Goal,
-    Idle,
-    Mode,
-    Nanos,
-    Position,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, Command, Mode, Nanos
 from tests.brain.helpers import BODY, MOUNTS, ROOMS, TICK, TIMEOUTS, Noise, Office, Trip
 
-NEXT_ROOM = Goal(4.5, -1.0)
-ACROSS = Goal(-1.0, 3.0)
+NEXT_ROOM = msg.Goal(4.5, -1.0)
+ACROSS = msg.Goal(-1.0, 3.0)
 
 
-def from_goal(trip: Trip, goal: Goal) -> float:
+def from_goal(trip: Trip, goal: msg.Goal) -> float:
     """By the true pose [m]."""
     return hypot(trip.office.pose.x - goal.x, trip.office.pose.y - goal.y)
 
@@ -54,7 +42,7 @@ def top_speed(trip: Trip, ticks: int) -> float:
 
 
 def all_idle(commands: Sequence[Command]) -> bool:
-    return all(isinstance(command, Idle) for command in commands)
+    return all(isinstance(command, msg.Idle) for command in commands)
 
 
 def driving(span: float = 2.5, timeouts: dict[str, Nanos] = TIMEOUTS) -> Trip:
@@ -71,7 +59,7 @@ def driving(span: float = 2.5, timeouts: dict[str, Nanos] = TIMEOUTS) -> Trip:
 
 
 def test_goals_through_a_doorway_are_reached_and_no_wall_is_touched() -> None:
-    trip, home = Trip(Office()), Goal(-1.0, 3.0, 1.57)
+    trip, home = Trip(Office()), msg.Goal(-1.0, 3.0, 1.57)
     belief = trip.go(NEXT_ROOM)
     assert belief.reached == 1
     assert from_goal(trip, NEXT_ROOM) < 0.20
@@ -107,7 +95,7 @@ def test_every_motor_has_one_finite_command_at_every_step_within_the_limits() ->
     for said in trip.said:
         assert [command.motor for command in said] == ["left", "right"]
         for command in said:
-            velocity = command.velocity if isinstance(command, Velocity) else 0.0
+            velocity = command.velocity if isinstance(command, msg.Velocity) else 0.0
             assert isfinite(velocity)
             assert abs(velocity) <= BODY.wheel_speed + 1e-9
             per_step = max(per_step, abs(velocity - before[command.motor]))
@@ -147,9 +135,9 @@ def test_demand_high_speed() -> None:
     wide = PerceptionSettings(grid=GridSettings(width=17.0, height=6.0, center_x=6.0))
     office = Office((*long_hall, (6.0, -2.0, 6.5, 0.6)), body=fast)
     trip = Trip(office, BrainSettings("differential", fast, perception=wide))
-    belief = trip.go(Goal(12.0, -1.0), span=30.0)
+    belief = trip.go(msg.Goal(12.0, -1.0), span=30.0)
     assert belief.reached == 1
-    assert from_goal(trip, Goal(12.0, -1.0)) < 0.20
+    assert from_goal(trip, msg.Goal(12.0, -1.0)) < 0.20
     assert trip.office.touched == 0
     assert (
         max(hypot(a.x - b.x, a.y - b.y) for a, b in zip(trip.track, trip.track[1:], strict=False))
@@ -161,8 +149,8 @@ def test_demand_sharp_turn() -> None:
     """A goal right behind, then one around the corner of a wall: turned on the spot, nothing touched."""
     corner = (*ROOMS[:4], (-1.0, 0.5, 3.0, 0.6))
     trip = Trip(Office(corner))
-    assert trip.go(Goal(-1.4, 0.0), span=20.0).reached == 1
-    behind = Goal(-0.5, 1.4)
+    assert trip.go(msg.Goal(-1.4, 0.0), span=20.0).reached == 1
+    behind = msg.Goal(-0.5, 1.4)
     assert trip.go(behind, span=30.0).reached == 2
     assert from_goal(trip, behind) < 0.20
     assert trip.office.touched == 0
@@ -243,7 +231,7 @@ def test_demand_stop_when_no_path_arrives() -> None:
     trip.run(1.5)
     assert all_idle(trip.commands)
     assert trip.office.touched == 0
-    assert trip.go(Goal(-1.0, 1.0)).reached == 1
+    assert trip.go(msg.Goal(-1.0, 1.0)).reached == 1
 
 
 def test_a_doorway_that_is_closed_on_the_way_stops_the_robot_in_front_of_it() -> None:
@@ -275,7 +263,7 @@ def test_initialising_until_everything_is_heard_and_goals_wait_for_it() -> None:
     assert belief.reason == "waiting for a reading of lidar"
     assert all(all_idle(said) for said in trip.said)
     assert ("warning", "still waiting for a reading of lidar") in trip.notes
-    trip.tick([Drive(0.2, 0.0)])
+    trip.tick([msg.Drive(0.2, 0.0)])
     assert trip.notes[-1] == ("warning", "Drive refused: waiting for a reading of lidar")
     office.silent = set()
     belief = trip.run(1.0)
@@ -292,7 +280,7 @@ def test_stop_lets_go_at_once_and_release_does_not_resume() -> None:
     assert ("warning", "1 goal dropped: an operator said stop") in trip.notes
     assert ("warning", "stopped: an operator said stop") in trip.notes
     assert not [text for level, text in trip.notes if level == "error"]
-    trip.tick([ACROSS, Drive(0.1, 0.0)], stopped="an operator said stop")
+    trip.tick([ACROSS, msg.Drive(0.1, 0.0)], stopped="an operator said stop")
     assert trip.notes[-1][1] == "Drive refused: an operator said stop"
     belief = trip.run(1.0)
     assert belief.state is BrainState.READY
@@ -304,7 +292,7 @@ def test_stop_lets_go_at_once_and_release_does_not_resume() -> None:
 def test_a_motor_in_fault_stops_the_base() -> None:
     trip = driving()
     events = trip.office.step(trip.commands)
-    fault = State("left", trip.office.now, Mode.FAULT, "MOTOR_OVER_TEMP")
+    fault = msg.State("left", trip.office.now, Mode.FAULT, "MOTOR_OVER_TEMP")
     trip.commands = trip.brain.step(trip.office.now, [*events, fault], [], "")
     belief = trip.brain.belief()
     assert belief.state is BrainState.STOPPED
@@ -316,7 +304,7 @@ def test_driving_by_hand_obeys_the_limits_and_stops_by_itself() -> None:
     trip = Trip(Office())
     trip.run(0.5)
     for _ in range(200):
-        trip.tick([Drive(5.0, 0.0)])
+        trip.tick([msg.Drive(5.0, 0.0)])
     assert trip.office.speed == pytest.approx(BODY.max_linear, abs=0.02)
     belief = trip.run(1.8)
     assert trip.office.speed < 1e-2
@@ -328,7 +316,7 @@ def test_driving_by_hand_obeys_the_limits_and_stops_by_itself() -> None:
 def test_a_command_to_a_wheel_is_refused() -> None:
     trip = Trip(Office())
     trip.run(0.5)
-    trip.tick([Velocity("left", 3.0)])
+    trip.tick([msg.Velocity("left", 3.0)])
     assert trip.notes[-1] == (
         "warning",
         "Velocity refused: left is a wheel of a base: ask for a goal, or drive",
@@ -344,30 +332,34 @@ def carrier() -> Brain:
 
 def test_a_joint_that_the_base_carries_has_targets_of_its_own() -> None:
     office, brain = Office(), carrier()
-    reported = Feedback("mast", office.now, 0.0, 0.0)
-    there = Position("mast", 0.5)
-    steps: list[tuple[list[Command | Drive], Command]] = [([], Idle("mast")), ([there], there), ([], there)]
-    steps.append(([Drive(0.2, 0.0)], there))
+    reported = msg.Feedback("mast", office.now, 0.0, 0.0)
+    there = msg.Position("mast", 0.5)
+    steps: list[tuple[list[Command | msg.Drive], Command]] = [
+        ([], msg.Idle("mast")),
+        ([there], there),
+        ([], there),
+    ]
+    steps.append(([msg.Drive(0.2, 0.0)], there))
     for asked, wanted in steps:
         reported = replace(reported, t=office.now + TICK)
         commands = brain.step(office.now + TICK, [*office.step([]), reported], asked, "")
         assert [command.motor for command in commands] == ["left", "mast", "right"]
         assert commands[1] == wanted
     assert list(brain.step(office.now, office.step([]), [], "by hand")) == [
-        Idle("left"),
-        Idle("mast"),
-        Idle("right"),
+        msg.Idle("left"),
+        msg.Idle("mast"),
+        msg.Idle("right"),
     ]
 
 
 def test_a_joint_that_the_base_carries_loses_its_target_by_silence_and_the_base_goes_on() -> None:
     office, brain = Office(), carrier()
-    received = [*office.step([]), Feedback("mast", office.now, 0.0, 0.0)]
-    commands = brain.step(office.now, received, [Velocity("mast", 1.0)], "")
-    assert commands[1] == Velocity("mast", 1.0)
+    received = [*office.step([]), msg.Feedback("mast", office.now, 0.0, 0.0)]
+    commands = brain.step(office.now, received, [msg.Velocity("mast", 1.0)], "")
+    assert commands[1] == msg.Velocity("mast", 1.0)
     for _ in range(20):
         commands = brain.step(office.now, office.step([]), [], "")
-    assert commands[1] == Idle("mast")
+    assert commands[1] == msg.Idle("mast")
     dropped = "the target of mast is dropped: mast: no feedback for more than 90 ms"
     assert ("error", dropped) in brain.take_notes()
     assert brain.belief().state is BrainState.READY
@@ -376,7 +368,7 @@ def test_a_joint_that_the_base_carries_loses_its_target_by_silence_and_the_base_
 def test_what_is_not_finite_is_refused() -> None:
     trip = Trip(Office())
     trip.run(0.5)
-    for task in (Goal(nan, 0.0), Goal(0.0, 1.0, inf), Drive(nan, 0.0), Drive(0.1, -inf)):
+    for task in (msg.Goal(nan, 0.0), msg.Goal(0.0, 1.0, inf), msg.Drive(nan, 0.0), msg.Drive(0.1, -inf)):
         trip.tick([task])
         assert trip.notes[-1][1].endswith("is not finite")
     assert trip.brain.belief().state is BrainState.READY
@@ -409,11 +401,11 @@ def test_an_estimate_is_carried_on_to_now_by_its_own_speeds_but_not_far() -> Non
 def test_a_pause_of_the_loop_is_no_leave_to_leap() -> None:
     """Half a second without a step: the next command changes by no more than a tenth of a second's worth."""
     trip = driving(2.0)
-    before = [c.velocity for c in trip.commands if isinstance(c, Velocity)]
+    before = [c.velocity for c in trip.commands if isinstance(c, msg.Velocity)]
     for _ in range(100):
         events = trip.office.step(trip.commands)
     trip.commands = trip.brain.step(trip.office.now, events, [], "")
-    after = [c.velocity for c in trip.commands if isinstance(c, Velocity)]
+    after = [c.velocity for c in trip.commands if isinstance(c, msg.Velocity)]
     most = 0.1 * (BODY.max_linear_acceleration + BODY.max_angular_acceleration * 0.11) / BODY.wheel_radius
     assert max(abs(a - b) for a, b in zip(after, before, strict=True)) <= most + 1e-9
 
@@ -430,10 +422,10 @@ class BenchTop:
         self.now, self.silent = 0, set[str]()
 
     def tick(
-        self, *tasks: Command | Goal, stopped: str = "", state: State | None = None
+        self, *tasks: Command | msg.Goal, stopped: str = "", state: msg.State | None = None
     ) -> Sequence[Command]:
         self.now += 10 * MILLISECOND
-        events = [Feedback(motor, self.now, 0.0, 0.0) for motor in ("a", "b") if motor not in self.silent]
+        events = [msg.Feedback(motor, self.now, 0.0, 0.0) for motor in ("a", "b") if motor not in self.silent]
         return self.brain.step(self.now, [*events, *([state] if state else [])], tasks, stopped)
 
     def state(self) -> tuple[str, str]:
@@ -443,13 +435,16 @@ class BenchTop:
 
 def test_joints_keep_their_targets() -> None:
     bench = BenchTop()
-    assert bench.tick() == (Idle("a"), Idle("b"))
+    assert bench.tick() == (msg.Idle("a"), msg.Idle("b"))
     assert bench.state() == ("ready", "")
-    bench.tick(Velocity("a", 2.0))
+    bench.tick(msg.Velocity("a", 2.0))
     for _ in range(500):
-        assert bench.tick() == (Velocity("a", 2.0), Idle("b"))
+        assert bench.tick() == (msg.Velocity("a", 2.0), msg.Idle("b"))
     assert bench.state() == ("running", "")
-    assert bench.tick(Torque("a", 0.2), Position("b", 1.0)) == (Torque("a", 0.2), Position("b", 1.0))
+    assert bench.tick(msg.Torque("a", 0.2), msg.Position("b", 1.0)) == (
+        msg.Torque("a", 0.2),
+        msg.Position("b", 1.0),
+    )
     belief = bench.brain.belief()
     assert (belief.estimate, belief.map, belief.path, belief.goal) == (None, None, (), None)
 
@@ -466,27 +461,27 @@ def test_joints_initialise_until_every_motor_is_heard() -> None:
 
 def test_a_stop_ends_all_targets_and_they_do_not_come_back() -> None:
     bench = BenchTop()
-    bench.tick(Velocity("a", 2.0), Position("b", 1.0))
-    assert bench.tick(stopped="stop") == (Idle("a"), Idle("b"))
+    bench.tick(msg.Velocity("a", 2.0), msg.Position("b", 1.0))
+    assert bench.tick(stopped="stop") == (msg.Idle("a"), msg.Idle("b"))
     assert bench.state() == ("stopped", "stop")
-    bench.tick(Velocity("a", 2.0), stopped="stop")
+    bench.tick(msg.Velocity("a", 2.0), stopped="stop")
     assert bench.brain.take_notes()[-1] == ("warning", "Velocity refused: stopped: stop")
-    assert bench.tick() == (Idle("a"), Idle("b"))
+    assert bench.tick() == (msg.Idle("a"), msg.Idle("b"))
     assert bench.state() == ("ready", "")
 
 
 def test_a_silent_motor_loses_its_target_and_the_other_goes_on() -> None:
     bench = BenchTop()
-    bench.tick(Velocity("a", 2.0), Velocity("b", 3.0))
+    bench.tick(msg.Velocity("a", 2.0), msg.Velocity("b", 3.0))
     bench.silent = {"a"}
     for _ in range(12):
         said = bench.tick()
-    assert said == (Idle("a"), Velocity("b", 3.0))
+    assert said == (msg.Idle("a"), msg.Velocity("b", 3.0))
     assert bench.state() == ("degraded", "a: no feedback for more than 90 ms")
-    bench.tick(Velocity("a", 1.0))
+    bench.tick(msg.Velocity("a", 1.0))
     assert bench.brain.take_notes()[-1] == ("warning", "Velocity refused: a: no feedback for more than 90 ms")
     bench.silent = set()
-    assert bench.tick() == (Idle("a"), Velocity("b", 3.0))
+    assert bench.tick() == (msg.Idle("a"), msg.Velocity("b", 3.0))
     bench.silent = {"a", "b"}
     for _ in range(12):
         bench.tick()
@@ -500,24 +495,24 @@ def test_a_silent_motor_loses_its_target_and_the_other_goes_on() -> None:
 
 def test_a_joint_in_fault_loses_its_target() -> None:
     bench = BenchTop()
-    bench.tick(Velocity("a", 2.0))
-    assert bench.tick(state=State("a", bench.now, Mode.FAULT, "STALL")) == (Idle("a"), Idle("b"))
+    bench.tick(msg.Velocity("a", 2.0))
+    assert bench.tick(state=msg.State("a", bench.now, Mode.FAULT, "STALL")) == (msg.Idle("a"), msg.Idle("b"))
     assert bench.state() == ("degraded", "a is in fault: STALL")
 
 
 def test_bare_joints_have_nowhere_to_go() -> None:
     bench = BenchTop()
     bench.tick()
-    bench.tick(Goal(1.0, 1.0))
+    bench.tick(msg.Goal(1.0, 1.0))
     said = "Goal refused: these are bare joints: there is no base to drive"
     assert bench.brain.take_notes()[-1] == ("warning", said)
 
 
 def test_settings_of_a_bench_change_too() -> None:
     bench = BenchTop()
-    bench.tick(Velocity("a", 1.0))
+    bench.tick(msg.Velocity("a", 1.0))
     assert bench.brain.set("health.stand_age", 0.6) == ""
     bench.silent = {"a"}
     for _ in range(6):
-        assert bench.tick()[0] == Velocity("a", 1.0)
-    assert bench.tick()[0] == Idle("a")
+        assert bench.tick()[0] == msg.Velocity("a", 1.0)
+    assert bench.tick()[0] == msg.Idle("a")

@@ -21,23 +21,10 @@ from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import Recorder
 from gateway.recording.ros_views import Views
 from gateway.recording.tick_writer import TickWriter
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.message_codec import CODES
-from protocols.messages import (
-    MILLISECOND,
-    Asked,
-    Command,
-    Drive,
-    Event,
-    Feedback,
-    Goal,
-    LaserScan,
-    Message,
-    Mode,
-    Nanos,
-    Request,
-    Velocity,
-)
+from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request
 
 PERIOD = 5 * MILLISECOND
 FEEDBACK_ID, COMMAND_ID = 0x029, 0x00D
@@ -53,7 +40,7 @@ class Little:
     position: float = 0.0
     t: Nanos = 0
     seen: int = 0
-    goal: Goal | None = None
+    goal: msg.Goal | None = None
     grid: np.ndarray[Any, np.dtype[np.float32]] = field(default_factory=lambda: np.zeros((4, 6), np.float32))
 
     def step(self, now: Nanos, inputs: Inputs) -> Outputs:
@@ -62,9 +49,9 @@ class Little:
             if isinstance(packet.frame, CanFrame) and packet.frame.id == FEEDBACK_ID:
                 (self.position,) = struct.unpack("<f", packet.frame.data[:4])
                 self.t, self.seen = packet.t, self.seen + 1
-                events.append(Feedback("left", packet.t, self.position))
+                events.append(msg.Feedback("left", packet.t, self.position))
         for word in inputs.asked:
-            if isinstance(word, Goal):
+            if isinstance(word, msg.Goal):
                 self.goal = word
         notes = (Note("info", "brain", f"goal {self.goal}"),) if inputs.asked else ()
         velocity = -self.gain * self.position
@@ -85,7 +72,7 @@ class LittleEar:
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
         if isinstance(frame, CanFrame) and frame.id == COMMAND_ID:
-            return (Velocity("left", struct.unpack("<f", frame.data[:4])[0]),)
+            return (msg.Velocity("left", struct.unpack("<f", frame.data[:4])[0]),)
         return ()
 
 
@@ -106,7 +93,9 @@ def inputs(number: int) -> Inputs:
         Packet(now - 100, "tty", bytes([0xA5, number & 0xFF])),
     )
     states = (("can0", BusState.UP),) if number == 0 else ()
-    asked: tuple[Asked, ...] = (Goal(number * 0.1, 1.0), Drive(0.1, 0.2)) if number % 50 == 10 else ()
+    asked: tuple[msg.Asked, ...] = (
+        (msg.Goal(number * 0.1, 1.0), msg.Drive(0.1, 0.2)) if number % 50 == 10 else ()
+    )
     return Inputs(states, packets, asked)
 
 
@@ -141,10 +130,10 @@ def bare_belief() -> Belief:
     return Belief(BrainState.READY, "", None, None, (), 0, None, {}, 0)
 
 
-def scan(t: Nanos = 0, beams: int = 360) -> LaserScan:
+def scan(t: Nanos = 0, beams: int = 360) -> msg.LaserScan:
     """Something to see in every beam but the first three: no reading, nothing hit, just out of range."""
     ranges = (0.0, 10.0, 11.0, *(1.0 + 0.01 * i for i in range(beams - 3)))
-    return LaserScan("lidar", t, -math.pi, 2 * math.pi / beams, 0.1, 10.0, ranges)
+    return msg.LaserScan("lidar", t, -math.pi, 2 * math.pi / beams, 0.1, 10.0, ranges)
 
 
 # -- anything ----------------------------------------------------------------------------------

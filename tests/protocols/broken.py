@@ -12,22 +12,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Event,
-    Feedback,
-    Idle,
-    LaserScan,
-    Message,
-    Nanos,
-    Position,
-    ReadParameter,
-    Request,
-    Torque,
-    Velocity,
-)
+from protocols.messages import Command, Event, Message, Nanos, Request
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
@@ -67,7 +54,7 @@ class RoundsVelocity(PlainDriver):
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         rounded = [
             replace(w, velocity=round(w.velocity, 3))
-            if isinstance(w, Velocity) and math.isfinite(w.velocity)
+            if isinstance(w, msg.Velocity) and math.isfinite(w.velocity)
             else w
             for w in words
         ]
@@ -80,7 +67,7 @@ class WrapsFeedForward(PlainDriver):
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         wrapped = [
             replace(w, torque=((round(w.torque * 1000) + 128) % 256 - 128) / 1000)
-            if isinstance(w, Position) and abs(w.torque) <= 1e4
+            if isinstance(w, msg.Position) and abs(w.torque) <= 1e4
             else w
             for w in words
         ]
@@ -92,7 +79,7 @@ class MixesUpMotors(PlainDriver):
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         events, frames = super().send(now, words)
-        if len(words) == len(frames) == 2 and all(isinstance(w, Velocity) for w in words):
+        if len(words) == len(frames) == 2 and all(isinstance(w, msg.Velocity) for w in words):
             (one, other) = (codec.Stream().feed(each)[0] for each in _bytes(frames))
             frames = [codec.frame(one[:1] + other[1:]), codec.frame(other[:1] + one[1:])]
         return events, frames
@@ -102,7 +89,7 @@ class ForgetsIdle(PlainDriver):
     """Never disarms."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        return super().send(now, [w for w in words if not isinstance(w, Idle)])
+        return super().send(now, [w for w in words if not isinstance(w, msg.Idle)])
 
 
 # -- measurements --------------------------------------------------------------------------------------
@@ -111,10 +98,10 @@ class ForgetsIdle(PlainDriver):
 class WholeUnits(PlainMotor):
     """The twin measures whole thousandths of a radian (an integer division in the field)."""
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         whole = [
             replace(w, position=math.floor(w.position * 1000) / 1000)
-            if isinstance(w, Feedback) and w.position is not None and math.isfinite(w.position)
+            if isinstance(w, msg.Feedback) and w.position is not None and math.isfinite(w.position)
             else w
             for w in truth
         ]
@@ -125,7 +112,9 @@ class FromTheFuture(PlainDriver):
     """Stamps what it hears with a time that has not come."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return [replace(e, t=e.t + 1) if isinstance(e, Feedback) else e for e in super().receive(t, frame)]
+        return [
+            replace(e, t=e.t + 1) if isinstance(e, msg.Feedback) else e for e in super().receive(t, frame)
+        ]
 
 
 class NamesTheOther(PlainDriver):
@@ -135,7 +124,7 @@ class NamesTheOther(PlainDriver):
         swap = {"alpha": "beta", "beta": "alpha"}
         events = super().receive(t, frame)
         return [
-            replace(e, motor=swap.get(e.motor, e.motor)) if isinstance(e, Feedback) else e for e in events
+            replace(e, motor=swap.get(e.motor, e.motor)) if isinstance(e, msg.Feedback) else e for e in events
         ]
 
 
@@ -143,10 +132,10 @@ class SingleRanges(PlainDriver):
     """Ranges of a scan lose what a float32 cannot hold."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return [_single(e) if isinstance(e, LaserScan) else e for e in super().receive(t, frame)]
+        return [_single(e) if isinstance(e, msg.LaserScan) else e for e in super().receive(t, frame)]
 
 
-def _single(scan: LaserScan) -> LaserScan:
+def _single(scan: msg.LaserScan) -> msg.LaserScan:
     return replace(scan, ranges=tuple(array("f", scan.ranges)))
 
 
@@ -282,7 +271,7 @@ class ClearsFaultsUnasked(PlainDriver):
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         begun, self.begun = self.begun, True
-        clear = [] if begun else [ClearFault(name) for name in self._addresses]
+        clear = [] if begun else [msg.ClearFault(name) for name in self._addresses]
         return super().send(now, [*clear, *words])
 
 
@@ -306,14 +295,14 @@ class SaysNothing(PlainDriver):
 class TwinSpeaksCan(PlainMotor):
     """A device on a serial line that puts out CAN frames besides."""
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         torques, frames = super().step(now, truth)
         return torques, [*frames, CanFrame(1)] if len(frames) > 1 else frames
 
 
 def clamps(word: Message) -> Any:
     """NaN is full speed: max(-5, min(5, nan)) is 5."""
-    if not isinstance(word, Velocity):
+    if not isinstance(word, msg.Velocity):
         return word
     return replace(word, velocity=max(-1e5, min(1e5, word.velocity)))
 
@@ -330,7 +319,7 @@ class TellsNan(PlainDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        return [replace(e, temperature=math.nan) if isinstance(e, Feedback) else e for e in events]
+        return [replace(e, temperature=math.nan) if isinstance(e, msg.Feedback) else e for e in events]
 
 
 # -- state ---------------------------------------------------------------------------------------------
@@ -358,7 +347,7 @@ class CountsDrivers(PlainDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        return [replace(e, current=1.0) if self.odd and isinstance(e, Feedback) else e for e in events]
+        return [replace(e, current=1.0) if self.odd and isinstance(e, msg.Feedback) else e for e in events]
 
 
 class HoldsAGenerator(PlainDriver):
@@ -389,7 +378,7 @@ class HidesState(PlainDriver):
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         """Every hundredth word of its own is a question."""
-        ask = [ReadParameter("alpha", "supply")] if self.number() % 100 == 0 else []
+        ask = [msg.ReadParameter("alpha", "supply")] if self.number() % 100 == 0 else []
         return super().send(now, [*words, *ask])
 
 
@@ -403,7 +392,7 @@ class TwinSharesState(PlainMotor):
         type(self).shared += self._answers
         self._answers = []
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         self._answers, type(self).shared = list(type(self).shared), []
         return super().step(now, truth)
 

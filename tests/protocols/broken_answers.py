@@ -5,20 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Done,
-    Event,
-    Mode,
-    Nanos,
-    Parameter,
-    Refused,
-    Request,
-    State,
-    WriteParameter,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import PlainDriver
 from protocols.plugin import Plugin
@@ -43,8 +32,8 @@ class AnswersTwice(Alters):
     """Says of a parameter what it is, and then that this is done."""
 
     def altered(self, event: Event) -> Sequence[Event]:
-        if isinstance(event, Parameter):
-            return [event, Done(event.t, "ReadParameter", event.motor)]
+        if isinstance(event, msg.Parameter):
+            return [event, msg.Done(event.t, "ReadParameter", event.motor)]
         return [event]
 
 
@@ -52,21 +41,21 @@ class RefusesWithoutReason(Alters):
     """Says no, and not why."""
 
     def altered(self, event: Event) -> Sequence[Event]:
-        return [replace(event, reason=" ") if isinstance(event, Refused) else event]
+        return [replace(event, reason=" ") if isinstance(event, msg.Refused) else event]
 
 
 class DoesNotRefuse(Alters):
     """Lets the question of an unknown parameter fall."""
 
     def altered(self, event: Event) -> Sequence[Event]:
-        return [] if isinstance(event, Refused) and event.request == "ReadParameter" else [event]
+        return [] if isinstance(event, msg.Refused) and event.request == "ReadParameter" else [event]
 
 
 class AnswersForNobody(Alters):
     """Does not say whose request was done."""
 
     def altered(self, event: Event) -> Sequence[Event]:
-        return [replace(event, name="") if isinstance(event, Done) and event.request == "Zero" else event]
+        return [replace(event, name="") if isinstance(event, msg.Done) and event.request == "Zero" else event]
 
 
 class TellsText(Alters):
@@ -74,16 +63,16 @@ class TellsText(Alters):
 
     def altered(self, event: Event) -> Sequence[Event]:
         value: Callable[[float], float] = str  # type: ignore[assignment]  # what an untyped plugin may do
-        return [replace(event, value=value(event.value)) if isinstance(event, Parameter) else event]
+        return [replace(event, value=value(event.value)) if isinstance(event, msg.Parameter) else event]
 
 
 class OnlySaysDone(Alters):
     """What is to be written is never sent, and yet done."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, frames = super().send(now, [w for w in words if not isinstance(w, WriteParameter)])
-        written = [w for w in words if isinstance(w, WriteParameter)]
-        return [*events, *(Done(now, "WriteParameter", w.motor) for w in written)], frames
+        events, frames = super().send(now, [w for w in words if not isinstance(w, msg.WriteParameter)])
+        written = [w for w in words if isinstance(w, msg.WriteParameter)]
+        return [*events, *(msg.Done(now, "WriteParameter", w.motor) for w in written)], frames
 
 
 class NeverGivesUp(PlainDriver):
@@ -91,7 +80,7 @@ class NeverGivesUp(PlainDriver):
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         events, frames = super().send(now, words)
-        return [e for e in events if not (isinstance(e, Refused) and "no answer" in e.reason)], frames
+        return [e for e in events if not (isinstance(e, msg.Refused) and "no answer" in e.reason)], frames
 
 
 class DueLongAgo(PlainDriver):
@@ -107,7 +96,7 @@ class OfflineWithoutTime(Alters):
 
     def altered(self, event: Event) -> Sequence[Event]:
         missing: Nanos = None  # type: ignore[assignment]  # what an untyped plugin may do
-        silent = isinstance(event, State) and event.mode is Mode.OFFLINE
+        silent = isinstance(event, msg.State) and event.mode is Mode.OFFLINE
         return [replace(event, t=missing) if silent else event]
 
 
@@ -116,7 +105,7 @@ class NoName(PlainDecoder):
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
         words = super().decode(t, frame)
-        return [replace(w, parameter=None) if isinstance(w, WriteParameter) else w for w in words]  # type: ignore[arg-type]  # as above
+        return [replace(w, parameter=None) if isinstance(w, msg.WriteParameter) else w for w in words]  # type: ignore[arg-type]  # as above
 
 
 def _driver(kind: type[PlainDriver]) -> Plugin:

@@ -9,26 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Mode,
-    Nanos,
-    Position,
-    Request,
-    Scan,
-    State,
-    Stop,
-    WriteParameter,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
@@ -52,9 +35,9 @@ class Knowing(PlainDriver):
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
         for event in events:
-            if isinstance(event, State):
+            if isinstance(event, msg.State):
                 self.modes[event.motor] = event.mode
-            elif isinstance(event, Feedback) and event.position is not None:
+            elif isinstance(event, msg.Feedback) and event.position is not None:
                 self.places[event.motor] = event.position
         return events
 
@@ -73,9 +56,11 @@ class FirstSetPointIsZero(Knowing):
     """The set-point is zero until the first one has been sent."""
 
     def send(self, now: Nanos, words: Messages) -> Sent:
-        fresh = [w.motor for w in words if isinstance(w, Position) and self.modes.get(w.motor) != Mode.ARMED]
+        fresh = [
+            w.motor for w in words if isinstance(w, msg.Position) and self.modes.get(w.motor) != Mode.ARMED
+        ]
         events, frames = super().send(now, words)
-        return events, [*(self.say(Position(name, 0.0)) for name in fresh if self.owned(name)), *frames]
+        return events, [*(self.say(msg.Position(name, 0.0)) for name in fresh if self.owned(name)), *frames]
 
 
 class HoldsWhereItOnceWas(Knowing):
@@ -87,13 +72,13 @@ class HoldsWhereItOnceWas(Knowing):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         for word in words:
-            if isinstance(word, Hold) and word.motor in self.places:
+            if isinstance(word, msg.Hold) and word.motor in self.places:
                 self.held.setdefault(word.motor, self.places[word.motor])
         return super().send(now, [self.kept(word) for word in words])
 
     def kept(self, word: Command | Request) -> Command | Request:
-        if isinstance(word, Hold) and word.motor in self.held:
-            return Position(word.motor, self.held[word.motor])
+        if isinstance(word, msg.Hold) and word.motor in self.held:
+            return msg.Position(word.motor, self.held[word.motor])
         return word
 
 
@@ -108,7 +93,9 @@ class SaysIdleOnce(PlainDriver):
         self.last: dict[str, Command] = {}
 
     def send(self, now: Nanos, words: Messages) -> Sent:
-        said = [w for w in words if not (isinstance(w, Idle) and isinstance(self.last.get(w.motor), Idle))]
+        said = [
+            w for w in words if not (isinstance(w, msg.Idle) and isinstance(self.last.get(w.motor), msg.Idle))
+        ]
         self.last |= {w.motor: w for w in words if isinstance(w, Command)}
         return super().send(now, said)
 
@@ -119,7 +106,7 @@ class IdlesOnlyWhatItHearsArmed(Knowing):
     def send(self, now: Nanos, words: Messages) -> Sent:
         received, self.modes = dict(self.modes), {}
         return super().send(
-            now, [w for w in words if not isinstance(w, Idle) or received.get(w.motor) == Mode.ARMED]
+            now, [w for w in words if not isinstance(w, msg.Idle) or received.get(w.motor) == Mode.ARMED]
         )
 
 
@@ -127,7 +114,7 @@ class StopsOnlyItsOwn(PlainDriver):
     """An operator's stop does not reach what another host has armed."""
 
     def send(self, now: Nanos, words: Messages) -> Sent:
-        return super().send(now, [w for w in words if not isinstance(w, Stop)])
+        return super().send(now, [w for w in words if not isinstance(w, msg.Stop)])
 
 
 # -- watchdog ------------------------------------------------------------------------------------------
@@ -181,7 +168,7 @@ class ReadsTheLastStateForEver(Knowing):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        return [*(Feedback(name, now, place) for name, place in self.places.items()), *events], frames
+        return [*(msg.Feedback(name, now, place) for name, place in self.places.items()), *events], frames
 
 
 class ReadsZeroAtFirst(Knowing):
@@ -189,7 +176,7 @@ class ReadsZeroAtFirst(Knowing):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        zeros = [Feedback(name, now, 0.0) for name in self._addresses if name not in self.places]
+        zeros = [msg.Feedback(name, now, 0.0) for name in self._addresses if name not in self.places]
         return [*zeros, *events], frames
 
 
@@ -250,7 +237,7 @@ class IgnoresTheFaultBits(PlainDriver):
     """The state is told, what is wrong is not."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return [event for event in super().receive(t, frame) if not isinstance(event, Fault)]
+        return [event for event in super().receive(t, frame) if not isinstance(event, msg.Fault)]
 
 
 class KnowsNoCure(PlainDriver):
@@ -258,7 +245,7 @@ class KnowsNoCure(PlainDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        return [replace(e, remedy="") if isinstance(e, Fault) else e for e in events]
+        return [replace(e, remedy="") if isinstance(e, msg.Fault) else e for e in events]
 
 
 class ClearsAtEachModeSwitch(Knowing):
@@ -273,7 +260,7 @@ class ClearsAtEachModeSwitch(Knowing):
         self.kinds |= {w.motor: type(w) for w in words if isinstance(w, Command)}
         switched = [name for name, kind in self.kinds.items() if before.get(name, kind) is not kind]
         events, frames = super().send(now, words)
-        return events, [*(self.say(ClearFault(name)) for name in switched), *frames]
+        return events, [*(self.say(msg.ClearFault(name)) for name in switched), *frames]
 
 
 class PollsByClearing(Knowing):
@@ -281,9 +268,9 @@ class PollsByClearing(Knowing):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        wanted = [w.motor for w in words if isinstance(w, Command) and not isinstance(w, Idle)]
+        wanted = [w.motor for w in words if isinstance(w, Command) and not isinstance(w, msg.Idle)]
         asked = [name for name in wanted if self.modes.get(name) == Mode.FAULT]
-        clears = [] if now % (50 * MILLISECOND) else [self.say(ClearFault(name)) for name in asked]
+        clears = [] if now % (50 * MILLISECOND) else [self.say(msg.ClearFault(name)) for name in asked]
         return events, [*clears, *frames]
 
 
@@ -291,7 +278,7 @@ class ForgetsItsFault(PlainMotor):
     """The firmware takes Idle for the end of a fault."""
 
     def _obey(self, t: Nanos, command: Command) -> None:
-        if isinstance(command, Idle) and self._mode == Mode.FAULT:
+        if isinstance(command, msg.Idle) and self._mode == Mode.FAULT:
             self._fault = None
             self._enter(t, Mode.READY)
         super()._obey(t, command)
@@ -310,7 +297,9 @@ class ConfiguresUnasked(Knowing):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = list(super().receive(t, frame))
-        for event in [e for e in events if isinstance(e, Done) and e.request == WriteParameter.__name__]:
+        for event in [
+            e for e in events if isinstance(e, msg.Done) and e.request == msg.WriteParameter.__name__
+        ]:
             if event.name in self.set_up and event.name not in self.answered:
                 self.answered.append(event.name)
                 events.remove(event)
@@ -318,9 +307,9 @@ class ConfiguresUnasked(Knowing):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        fresh = [w.motor for w in words if isinstance(w, Idle) and w.motor not in self.set_up]
+        fresh = [w.motor for w in words if isinstance(w, msg.Idle) and w.motor not in self.set_up]
         self.set_up += fresh
-        return events, [*frames, *(self.say(WriteParameter(name, "supply", 24.0)) for name in fresh)]
+        return events, [*frames, *(self.say(msg.WriteParameter(name, "supply", 24.0)) for name in fresh)]
 
 
 class DisarmsToArm(Knowing):
@@ -330,7 +319,7 @@ class DisarmsToArm(Knowing):
         before = [name for name in self._addresses if self.owned(name)]
         events, frames = super().send(now, words)
         fresh = [name for name in self._addresses if self.owned(name) and name not in before]
-        return events, [*(self.say(Idle(name)) for name in fresh), *frames]
+        return events, [*(self.say(msg.Idle(name)) for name in fresh), *frames]
 
 
 class ScansByArming(Knowing):
@@ -338,8 +327,8 @@ class ScansByArming(Knowing):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        scans = any(isinstance(word, Scan) for word in words)
-        return events, [*frames, *(self.say(Hold(name)) for name in self._addresses if scans)]
+        scans = any(isinstance(word, msg.Scan) for word in words)
+        return events, [*frames, *(self.say(msg.Hold(name)) for name in self._addresses if scans)]
 
 
 class ScansByClearing(Knowing):
@@ -347,8 +336,8 @@ class ScansByClearing(Knowing):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        scans = any(isinstance(word, Scan) for word in words)
-        return events, [*(self.say(ClearFault(name)) for name in self._addresses if scans), *frames]
+        scans = any(isinstance(word, msg.Scan) for word in words)
+        return events, [*(self.say(msg.ClearFault(name)) for name in self._addresses if scans), *frames]
 
 
 def _driver(kind: type[PlainDriver]) -> Plugin:

@@ -10,22 +10,10 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.message_codec import KINDS, pack_fields
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Event,
-    Feedback,
-    Found,
-    Idle,
-    Nanos,
-    ReadParameter,
-    Request,
-    Torque,
-    Velocity,
-)
+from protocols.messages import MILLISECOND, Command, Event, Nanos, Request
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.codec import cmd_of
@@ -50,7 +38,9 @@ class SaysMinusZero(PlainDriver):
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
         exact = [
-            w for w in words if isinstance(w, Velocity) and abs(w.velocity) < codec.TINY and w.torque == 0.0
+            w
+            for w in words
+            if isinstance(w, msg.Velocity) and abs(w.velocity) < codec.TINY and w.torque == 0.0
         ]
         said = [
             codec.frame(
@@ -67,7 +57,7 @@ class TellsMinusZero(PlainDriver):
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
         return [
-            replace(e, current=-e.current) if isinstance(e, Feedback) and e.current is not None else e
+            replace(e, current=-e.current) if isinstance(e, msg.Feedback) and e.current is not None else e
             for e in events
         ]
 
@@ -80,7 +70,7 @@ class TellsDenormals(OdriveDriver):
         if not isinstance(frame, CanFrame) or frame.id & 0x1F != cmd_of(GetIq) or len(frame.data) != 8:
             return events
         (measured,) = struct.unpack("<f", frame.data[4:])
-        return [replace(e, current=measured) if isinstance(e, Feedback) else e for e in events]
+        return [replace(e, current=measured) if isinstance(e, msg.Feedback) else e for e in events]
 
 
 # -- checksums -----------------------------------------------------------------------------------------
@@ -129,7 +119,7 @@ class DeafToClear(PlainDecoder):
     """The ear does not know a word that the device obeys."""
 
     def decode(self, t: Nanos, frame: Frame) -> Messages:
-        return [word for word in super().decode(t, frame) if not isinstance(word, ClearFault)]
+        return [word for word in super().decode(t, frame) if not isinstance(word, msg.ClearFault)]
 
 
 class PushesTheOtherWay(PlainMotor):
@@ -137,7 +127,7 @@ class PushesTheOtherWay(PlainMotor):
 
     def _loop(self, dt: float) -> float:
         torque = super()._loop(dt)
-        return -torque if isinstance(self._command, Torque) else torque
+        return -torque if isinstance(self._command, msg.Torque) else torque
 
 
 # -- twice ---------------------------------------------------------------------------------------------
@@ -147,7 +137,9 @@ class NeverCountsDevices(OdriveDriver):
     """Who holds an address is not its business."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return [e for e in super().receive(t, frame) if not (isinstance(e, Found) and e.duplicate_address)]
+        return [
+            e for e in super().receive(t, frame) if not (isinstance(e, msg.Found) and e.duplicate_address)
+        ]
 
 
 class SaysItInWordsOnly(OdriveDriver):
@@ -155,7 +147,7 @@ class SaysItInWordsOnly(OdriveDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         return [
-            replace(e, duplicate_address=False) if isinstance(e, Found) else e
+            replace(e, duplicate_address=False) if isinstance(e, msg.Found) else e
             for e in super().receive(t, frame)
         ]
 
@@ -165,7 +157,7 @@ class AccusesEverybody(OdriveDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         return [
-            replace(e, duplicate_address=True) if isinstance(e, Found) else e
+            replace(e, duplicate_address=True) if isinstance(e, msg.Found) else e
             for e in super().receive(t, frame)
         ]
 
@@ -197,7 +189,7 @@ class ArmsInTurn(PlainDriver):
         first = min((self.order.index(name) for name in silent), default=len(self.order))
         held = self.order[first + 1 :] if any(seat.owned for seat in self._seats.values()) else []
         return super().send(
-            now, [w for w in words if isinstance(w, Idle) or getattr(w, "motor", "") not in held]
+            now, [w for w in words if isinstance(w, msg.Idle) or getattr(w, "motor", "") not in held]
         )
 
 
@@ -209,7 +201,7 @@ class SaysAnUnsetFrame(OdriveDriver):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        asked = any(isinstance(word, ReadParameter) for word in words)
+        asked = any(isinstance(word, msg.ReadParameter) for word in words)
         unset = CanFrame(min(self.nodes) << 5 | cmd_of(SetAxisState), b"\0\0")
         return events, [*frames, unset] if asked else frames
 
@@ -219,7 +211,7 @@ class SpeaksInLongIds(OdriveDriver):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
-        asked = any(isinstance(word, ReadParameter) for word in words)
+        asked = any(isinstance(word, msg.ReadParameter) for word in words)
         long = CanFrame(min(self.nodes) << 5 | 0x18, b"\0", extended=True)
         return events, [*frames, long] if asked else frames
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from protocols import messages as msg
 from protocols.conformance import variants
 from protocols.conformance.bench import ADDRESSES
 from protocols.conformance.case import Case
@@ -13,20 +14,7 @@ from protocols.conformance.fault_injection import Scene, resting, scene, some, t
 from protocols.conformance.safety import _leads_away
 from protocols.conformance.watchdog import _dog, _watched, silence_trips
 from protocols.frames import BusState
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Hold,
-    Home,
-    Idle,
-    Impedance,
-    Mode,
-    Position,
-    Request,
-    Torque,
-    Velocity,
-    Zero,
-)
+from protocols.messages import Command, Mode, Request
 from protocols.odrive_can import plugin as odrive
 from protocols.plain import plugin as plain
 from tests.protocols.broken import motors
@@ -39,7 +27,7 @@ def case(options: object = None, seed: int = 0) -> Case:
 def running(count: int = 1) -> Scene:
     on = scene(case(), count, position=0.7)
     assert on.ready()
-    assert on.arm(lambda _: [Velocity(name, 1.0) for name in on.names])
+    assert on.arm(lambda _: [msg.Velocity(name, 1.0) for name in on.names])
     return on
 
 
@@ -48,21 +36,21 @@ def test_a_cable_can_be_cut_in_either_direction() -> None:
     on.cables["alpha"].up = False
     on.step()
     received = [
-        e for _ in range(400) for e in on.step([Velocity("alpha", 1.0), Velocity("beta", 1.0)]).events
+        e for _ in range(400) for e in on.step([msg.Velocity("alpha", 1.0), msg.Velocity("beta", 1.0)]).events
     ]
     assert {getattr(event, "motor", "") for event in received if type(event).__name__ == "Feedback"} == {
         "beta"
     }
     assert abs(torque_of(on.step())) > 0.0
     on.cables["alpha"].down = False
-    on.wait(300, [Velocity("alpha", 1.0), Velocity("beta", 1.0)])
+    on.wait(300, [msg.Velocity("alpha", 1.0), msg.Velocity("beta", 1.0)])
     assert torque_of(on.step()) == 0.0  # its watchdog
 
 
 def test_a_dead_host_hears_and_says_nothing_and_lives_again() -> None:
     on = running()
     on.host.alive = False
-    said = [on.step([Velocity("alpha", 1.0)]) for _ in range(300)]
+    said = [on.step([msg.Velocity("alpha", 1.0)]) for _ in range(300)]
     assert not any(step.down or step.events for step in said)
     on.host.alive = True
     assert on.until(lambda _: on.mode() is Mode.FAULT, 300)
@@ -81,28 +69,37 @@ def test_a_lazy_host_calls_only_when_its_driver_is_due() -> None:
 def test_what_is_dropped_reaches_nobody() -> None:
     on = running()
     on.host.dropping = True
-    step = on.step([Torque("alpha", 0.5)])
+    step = on.step([msg.Torque("alpha", 0.5)])
     assert (step.down, step.received) == ((), ())
     on.host.dropping = False
     on.host.bus(on.now, BusState.UP)
-    assert on.step([Torque("alpha", 0.5)]).received == (Torque("alpha", 0.5),)
+    assert on.step([msg.Torque("alpha", 0.5)]).received == (msg.Torque("alpha", 0.5),)
 
 
 def test_a_fresh_host_beside_another_tells_for_itself_alone() -> None:
     before = running()
     on = takeover(case(), before)
-    on.host.other, on.host.others_words = before.host.driver, [Velocity("alpha", 1.0)]
+    on.host.other, on.host.others_words = before.host.driver, [msg.Velocity("alpha", 1.0)]
     assert on.until(lambda _: on.mode() is Mode.ARMED, 300)
     step = on.step()
-    assert step.received == (Velocity("alpha", 1.0),)
+    assert step.received == (msg.Velocity("alpha", 1.0),)
     assert on.host.sent == ()
 
 
 def test_a_scene_keeps_the_last_of_each_run_of_words() -> None:
     on = scene(case())
-    for word in (Velocity("alpha", 1.0), Velocity("alpha", 2.0), Idle("alpha"), Velocity("alpha", 3.0)):
+    for word in (
+        msg.Velocity("alpha", 1.0),
+        msg.Velocity("alpha", 2.0),
+        msg.Idle("alpha"),
+        msg.Velocity("alpha", 3.0),
+    ):
         on.step([word])
-    assert on.failure("x").words == (Velocity("alpha", 2.0), Idle("alpha"), Velocity("alpha", 3.0))
+    assert on.failure("x").words == (
+        msg.Velocity("alpha", 2.0),
+        msg.Idle("alpha"),
+        msg.Velocity("alpha", 3.0),
+    )
 
 
 def test_a_shaft_turned_by_hand_is_measured_where_it_was_let_go() -> None:
@@ -116,23 +113,23 @@ def test_a_shaft_turned_by_hand_is_measured_where_it_was_let_go() -> None:
 @pytest.mark.parametrize(
     ("word", "jumps"),
     [
-        (Position("alpha", 0.7), False),
-        (Position("alpha", 0.705), False),
-        (Position("alpha", 0.72), True),
-        (Position("alpha", 0.7, 0.5), True),
-        (Position("alpha", 0.7, 0.0, 0.5), True),
-        (Velocity("alpha", 0.0), False),
-        (Velocity("alpha", -0.5), True),
-        (Torque("alpha", 0.0), False),
-        (Torque("alpha", -0.5), True),
-        (Impedance("alpha", 9.0, 9.0, 0.0, 0.0, 0.0), False),
-        (Impedance("alpha", 9.0, 0.0, 0.0, 1.0, 0.0), True),
-        (Impedance("alpha", 0.7, 9.0, 0.0, 1.0, 0.1), True),
-        (Hold("alpha"), False),
-        (Idle("alpha"), False),
-        (ClearFault("alpha"), False),
-        (Home("alpha"), True),
-        (Zero("alpha"), True),
+        (msg.Position("alpha", 0.7), False),
+        (msg.Position("alpha", 0.705), False),
+        (msg.Position("alpha", 0.72), True),
+        (msg.Position("alpha", 0.7, 0.5), True),
+        (msg.Position("alpha", 0.7, 0.0, 0.5), True),
+        (msg.Velocity("alpha", 0.0), False),
+        (msg.Velocity("alpha", -0.5), True),
+        (msg.Torque("alpha", 0.0), False),
+        (msg.Torque("alpha", -0.5), True),
+        (msg.Impedance("alpha", 9.0, 9.0, 0.0, 0.0, 0.0), False),
+        (msg.Impedance("alpha", 9.0, 0.0, 0.0, 1.0, 0.0), True),
+        (msg.Impedance("alpha", 0.7, 9.0, 0.0, 1.0, 0.1), True),
+        (msg.Hold("alpha"), False),
+        (msg.Idle("alpha"), False),
+        (msg.ClearFault("alpha"), False),
+        (msg.Home("alpha"), True),
+        (msg.Zero("alpha"), True),
     ],
 )
 def test_what_leads_away_from_where_a_shaft_stands(word: Command | Request, jumps: bool) -> None:

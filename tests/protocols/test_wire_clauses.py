@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
+from protocols import messages as msg
 from protocols.conformance import CLAUSES, Result, check
 from protocols.conformance.bench import STEP, fewest, within
 from protocols.conformance.case import Case
@@ -17,18 +18,7 @@ from protocols.conformance.random import Random
 from protocols.conformance.reference_vectors import SOURCE
 from protocols.conformance.replies import TROUBLES, Mishap
 from protocols.frames import Frame
-from protocols.messages import (
-    Command,
-    Event,
-    Feedback,
-    Hold,
-    Impedance,
-    LaserScan,
-    Nanos,
-    Position,
-    Torque,
-    Velocity,
-)
+from protocols.messages import Command, Event, Nanos
 from protocols.plugin import Plugin, Range
 from tests.protocols.broken import motors
 from tests.protocols.broken_wire import BROKEN_WIRE
@@ -45,10 +35,10 @@ class Talker:
     def receive(self, t: Nanos, frame: Frame) -> None:
         self.received.append(frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
-        self.shown += [event.position for event in truth if isinstance(event, Feedback)]
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
+        self.shown += [event.position for event in truth if isinstance(event, msg.Feedback)]
         self.count += 1
-        return [Torque("m", float(self.count))], [self.count.to_bytes(2)]
+        return [msg.Torque("m", float(self.count))], [self.count.to_bytes(2)]
 
     def due(self) -> Nanos | None:
         return self.count
@@ -84,8 +74,8 @@ def test_a_pair_hears_the_same_stands_apart_and_hears_itself() -> None:
     one, other = Talker(), Talker(count=10)
     pair = Pair(one, other)
     pair.receive(0, b"hello")
-    torques, frames = pair.step(1, [Feedback("m", 1, 1.0, 0.0)])
-    assert torques == [Torque("m", 1.0)]
+    torques, frames = pair.step(1, [msg.Feedback("m", 1, 1.0, 0.0)])
+    assert torques == [msg.Torque("m", 1.0)]
     assert frames == (b"\0\1", b"\0\x0b")
     assert (one.received, other.received) == ([b"hello", b"\0\x0b"], [b"hello", b"\0\1"])
     assert one.shown == [1.0]
@@ -101,36 +91,36 @@ def test_fewest_keeps_order_and_only_what_still_fails() -> None:
 
 @pytest.mark.parametrize("number", [-0.0, 5e-324, -1e-310, 1e-40, -(2.0**-127)])
 def test_what_is_nearly_zero_is_not_normal_wherever_it_stands(number: float) -> None:
-    scan = LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 2.0))
+    scan = msg.LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 2.0))
     assert normal(scan)
     assert not normal(replace(scan, ranges=(1.0, number)))
     assert not normal(replace(scan, angle_min=number))
-    assert not normal(Feedback("m", 0, torque=number))
-    assert normal(Feedback("m", 0, 0.0, -(2.0**-126)))
+    assert not normal(msg.Feedback("m", 0, torque=number))
+    assert normal(msg.Feedback("m", 0, 0.0, -(2.0**-126)))
 
 
 def test_within() -> None:
     ranges = {"Position.position": Range(-1.0, 1.0, 0.0), "Position.torque": Range(0.0, 2.0, 0.0)}
-    assert within(Position("m", 1.0, 99.0, 2.0), ranges)
-    assert not within(Position("m", 1.1), ranges)
-    assert not within(Position("m", float("nan")), ranges)
-    assert not within(Position("m", 0.0, 0.0, -0.1), ranges)
+    assert within(msg.Position("m", 1.0, 99.0, 2.0), ranges)
+    assert not within(msg.Position("m", 1.1), ranges)
+    assert not within(msg.Position("m", float("nan")), ranges)
+    assert not within(msg.Position("m", 0.0, 0.0, -0.1), ranges)
 
 
 @pytest.mark.parametrize(
     ("word", "way"),
     [
-        (Torque("m", 0.5), 1),
-        (Torque("m", 1e-6), 0),
-        (Velocity("m", -2.0), -1),
-        (Velocity("m", -2.0, 1.0), 0),
-        (Velocity("m", 0.0, 1.0), 0),
-        (Position("m", 3.0), 1),
-        (Position("m", 0.75), 0),
-        (Position("m", -3.0, 1.0), 0),
-        (Impedance("m", 0.75, 0.0, 0.0, 5.0, 1.0), 0),
-        (Impedance("m", 0.25, 0.0, 0.0, 5.0, 1.0), -1),
-        (Hold("m"), 0),
+        (msg.Torque("m", 0.5), 1),
+        (msg.Torque("m", 1e-6), 0),
+        (msg.Velocity("m", -2.0), -1),
+        (msg.Velocity("m", -2.0, 1.0), 0),
+        (msg.Velocity("m", 0.0, 1.0), 0),
+        (msg.Position("m", 3.0), 1),
+        (msg.Position("m", 0.75), 0),
+        (msg.Position("m", -3.0, 1.0), 0),
+        (msg.Impedance("m", 0.75, 0.0, 0.0, 5.0, 1.0), 0),
+        (msg.Impedance("m", 0.25, 0.0, 0.0, 5.0, 1.0), -1),
+        (msg.Hold("m"), 0),
     ],
     ids=str,
 )

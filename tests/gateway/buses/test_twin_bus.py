@@ -13,29 +13,15 @@ import pytest
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.robot import Motor, Robot, Sensor
 from gateway.sim.world import World, WorldError, WorldFile, load_world, loads_world
+from protocols import messages as msg
 from protocols.frames import BusState, Frame, Packet
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Event,
-    Fault,
-    Feedback,
-    Idle,
-    Imu,
-    LaserScan,
-    Mode,
-    Nanos,
-    Scan,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
 from protocols.plugin import Device, Driver, Plugin, Twin
 from tests.gateway.world_helpers import ROOM, WALLS, robot, scene
 
 PERIOD = 5 * MILLISECOND
 BENCH = 'kind = "bench"\nname = "bench"\n'
-Messages = Sequence[Command | Scan]
+Messages = Sequence[Command | msg.Scan]
 
 
 @dataclass
@@ -64,9 +50,9 @@ class Rig:
             self.now += period
         return self
 
-    def last(self, motor: str) -> Feedback:
+    def last(self, motor: str) -> msg.Feedback:
         """The newest feedback of a motor."""
-        return next(e for e in reversed(self.events) if isinstance(e, Feedback) and e.motor == motor)
+        return next(e for e in reversed(self.events) if isinstance(e, msg.Feedback) and e.motor == motor)
 
     def truth(self) -> float:
         """m, the true way from the origin"""
@@ -92,7 +78,7 @@ def bench(text: str = "") -> WorldFile:
 
 def drive(left: float, right: float) -> Callable[[Nanos], Messages]:
     """At the devices' shafts: gear 8, and the right motor is mounted the other way round."""
-    return lambda _: [Velocity("left", 8.0 * left), Velocity("right", -8.0 * right)]
+    return lambda _: [msg.Velocity("left", 8.0 * left), msg.Velocity("right", -8.0 * right)]
 
 
 # -- motion through gear, sign and wire -----------------------------------------------------------------
@@ -112,12 +98,14 @@ def test_a_velocity_said_to_both_motors_drives_straight() -> None:
 def test_turning_left_is_right_wheel_forward() -> None:
     driven = rig().run(400, drive(-3.0, 3.0))
     assert driven.twins.world.truth().yaw > 0.5
-    turn = next(e for e in reversed(driven.events) if isinstance(e, Imu))
+    turn = next(e for e in reversed(driven.events) if isinstance(e, msg.Imu))
     assert turn.angular_velocity[2] == pytest.approx(3.0 * 0.1 / 0.22, rel=0.05)
 
 
 def test_encoders_count() -> None:
-    reported = [e.position for e in rig(bench()).run(300, drive(3.0, 3.0)).events if isinstance(e, Feedback)]
+    reported = [
+        e.position for e in rig(bench()).run(300, drive(3.0, 3.0)).events if isinstance(e, msg.Feedback)
+    ]
     count = 2.0 * math.pi / 16384
     counts = [position / count for position in reported if position is not None]
     assert len({round(value) for value in counts}) > 100
@@ -127,7 +115,7 @@ def test_encoders_count() -> None:
 def test_what_stays_behind_the_motors_when_nobody_speaks() -> None:
     silent = rig().run(200)
     assert silent.truth() < 1e-3
-    assert {e.motor for e in silent.events if isinstance(e, Feedback)} == {"left", "right"}
+    assert {e.motor for e in silent.events if isinstance(e, msg.Feedback)} == {"left", "right"}
 
 
 # -- overload -------------------------------------------------------------------------------------------
@@ -176,7 +164,7 @@ def test_packets_come_in_order_and_never_from_the_future() -> None:
 
 def test_measurements_bring_the_time_at_which_they_were_taken() -> None:
     received = rig().run(200)
-    scans = [event for event in received.events if isinstance(event, LaserScan)]
+    scans = [event for event in received.events if isinstance(event, msg.LaserScan)]
     assert len(scans) == 10
     frames = [len(p.frame) for p in received.packets if p.bus == "sensors" and isinstance(p.frame, bytes)]
     late = max(frames) * 10 * 1_000_000_000 / 3_000_000
@@ -235,7 +223,7 @@ class Spy:
     def receive(self, t: Nanos, frame: Frame) -> None:
         self.inner.receive(t, frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         self.shown += [(self.name, event) for event in truth]
         torques, frames = self.inner.step(now, truth)
         self.said += frames
@@ -267,14 +255,14 @@ def test_nothing_but_shafts_and_readings_reaches_a_packet() -> None:
         },
     )
     driven = rig(load_world("office"), made).run(300, drive(6.0, 7.0))
-    kinds = {"left": Feedback, "right": Feedback, "lidar": LaserScan, "imu": Imu}
+    kinds = {"left": msg.Feedback, "right": msg.Feedback, "lidar": msg.LaserScan, "imu": msg.Imu}
     assert {(name, type(event)) for name, event in shown} == set(kinds.items())
     for name, event in shown:
-        assert isinstance(event, Feedback | Imu | LaserScan)
-        assert (event.motor if isinstance(event, Feedback) else event.sensor) == name
-        if isinstance(event, Feedback):
+        assert isinstance(event, msg.Feedback | msg.Imu | msg.LaserScan)
+        assert (event.motor if isinstance(event, msg.Feedback) else event.sensor) == name
+        if isinstance(event, msg.Feedback):
             assert (event.torque, event.current, event.voltage) == (None, None, None)
-        if isinstance(event, Imu):
+        if isinstance(event, msg.Imu):
             assert event.orientation is None
     twice = {id(frame) for frame in said}
     assert len(driven.packets) > 500
@@ -288,7 +276,7 @@ def heard_since(driven: Rig, start: Nanos, motor: str) -> list[Event]:
     return [
         e
         for e in driven.events
-        if isinstance(e, Feedback | State | Fault) and e.motor == motor and e.t >= start
+        if isinstance(e, msg.Feedback | msg.State | msg.Fault) and e.motor == motor and e.t >= start
     ]
 
 
@@ -305,7 +293,7 @@ def test_a_silent_motor_is_not_heard_and_does_not_hear() -> None:
     driven.twins.unsilence("left")
     back = driven.now
     driven.run(50)
-    states = [e.mode for e in heard_since(driven, back, "left") if isinstance(e, State)]
+    states = [e.mode for e in heard_since(driven, back, "left") if isinstance(e, msg.State)]
     assert Mode.FAULT in states
 
 
@@ -316,7 +304,7 @@ def test_a_reset_motor_has_forgotten_its_command_and_keeps_its_shaft() -> None:
     where = driven.twins.world.shaft("left")[0]
     driven.twins.reset("left")
     driven.run(20)
-    states = [event for event in driven.events if isinstance(event, State) and event.motor == "left"]
+    states = [event for event in driven.events if isinstance(event, msg.State) and event.motor == "left"]
     assert [event.mode for event in states][-1] is Mode.READY
     assert driven.twins.world.shaft("left")[0] >= where
     assert driven.last("left").torque == 0.0
@@ -324,12 +312,12 @@ def test_a_reset_motor_has_forgotten_its_command_and_keeps_its_shaft() -> None:
 
 def test_a_second_device_with_the_same_address_answers_too() -> None:
     driven = rig(bench()).run(200, drive(4.0, 4.0))
-    alone = sum(isinstance(e, Feedback) and e.motor == "left" for e in driven.events)
+    alone = sum(isinstance(e, msg.Feedback) and e.motor == "left" for e in driven.events)
     driven.twins.duplicate("left")
     start = driven.now
     driven.run(200, drive(4.0, 4.0))
     both = heard_since(driven, start, "left")
-    reported = [e for e in both if isinstance(e, Feedback) and e.position is not None]
+    reported = [e for e in both if isinstance(e, msg.Feedback) and e.position is not None]
     assert len(reported) > 1.8 * alone
     jumps = [abs((b.position or 0.0) - (a.position or 0.0)) for a, b in pairwise(reported)]
     assert max(jumps) > 10.0, "the double turns a shaft of its own"
@@ -360,7 +348,7 @@ def test_a_full_queue_tells_full_once_and_up_again() -> None:
 
 def test_a_closed_bus_sends_nothing() -> None:
     driven = rig(bench()).run(100, drive(4.0, 4.0))
-    _, frames = driven.drivers["motors"].send(driven.now, [Velocity("left", 50.0)])
+    _, frames = driven.drivers["motors"].send(driven.now, [msg.Velocity("left", 50.0)])
     driven.twins.buses["motors"].close()
     driven.twins.buses["motors"].write(driven.now, frames)
     driven.run(100)
@@ -369,7 +357,7 @@ def test_a_closed_bus_sends_nothing() -> None:
 
 def test_the_last_word_is_heard_when_time_goes_on() -> None:
     driven = rig(bench()).run(200, drive(4.0, 4.0))
-    driven.run(1, lambda _: [Idle("left"), Idle("right")])
+    driven.run(1, lambda _: [msg.Idle("left"), msg.Idle("right")])
     driven.run(10)
     assert driven.last("left").torque == 0.0
 

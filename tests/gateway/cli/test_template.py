@@ -10,23 +10,10 @@ import pytest
 
 from gateway.cli import templates
 from gateway.cli.templates import codec, framing, framing_serial
+from protocols import messages as msg
 from protocols.conformance import check, table
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Command,
-    Fault,
-    Feedback,
-    Found,
-    Hold,
-    Mode,
-    Request,
-    Scan,
-    State,
-    Velocity,
-    Zero,
-)
+from protocols.messages import MILLISECOND, SECOND, Command, Mode, Request
 from protocols.plugin import Device, RxCounters
 
 
@@ -104,10 +91,10 @@ def reported(*frames: Frame) -> list[object]:
 def test_a_status_in_words() -> None:
     tripped = said(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
     state, fault, feedback = reported(tripped)
-    assert state == State("m", 0, Mode.FAULT, "fault")
-    assert isinstance(fault, Fault)
+    assert state == msg.State("m", 0, Mode.FAULT, "fault")
+    assert isinstance(fault, msg.Fault)
     assert (fault.code, fault.name) == (codec.WATCHDOG, "watchdog")
-    assert feedback == Feedback("m", 0, 2.0, 1.0)
+    assert feedback == msg.Feedback("m", 0, 2.0, 1.0)
 
 
 @pytest.mark.parametrize(("devices", "found"), [(1, 0), (2, 1)])
@@ -118,7 +105,7 @@ def test_two_devices_at_one_address_are_noticed_by_how_often_they_speak(devices:
     )
     times = range(0, SECOND + 1, codec.STATUS_PERIOD)
     events = [e for t in times for _ in range(devices) for e in driver.receive(t, frame)]
-    twice = [event for event in events if isinstance(event, Found) and event.duplicate_address]
+    twice = [event for event in events if isinstance(event, msg.Found) and event.duplicate_address]
     assert len(twice) == found
 
 
@@ -134,20 +121,20 @@ def test_what_must_not_be_said_is_refused_with_a_sentence_and_once(value: float,
     driver = templates.plugin.driver(
         [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
     )
-    (refused,), frames = driver.send(0, [Velocity("m", value)])
+    (refused,), frames = driver.send(0, [msg.Velocity("m", value)])
     assert getattr(refused, "reason", "") == reason
     assert not frames
-    assert driver.send(1, [Velocity("m", value)]) == ([], [])
+    assert driver.send(1, [msg.Velocity("m", value)]) == ([], [])
 
 
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
-        (Velocity("x", 1.0), "no such device here"),
-        (Scan("bus"), "no such device here"),
-        (Hold("m"), "the device cannot do that"),
-        (Zero("m"), "the device cannot do that"),
-        (Velocity("m", 1.0, 0.5), "the device has no torque for Velocity"),
+        (msg.Velocity("x", 1.0), "no such device here"),
+        (msg.Scan("bus"), "no such device here"),
+        (msg.Hold("m"), "the device cannot do that"),
+        (msg.Zero("m"), "the device cannot do that"),
+        (msg.Velocity("m", 1.0, 0.5), "the device has no torque for Velocity"),
     ],
 )
 def test_what_it_cannot_do_is_refused(word: Command | Request, reason: str) -> None:

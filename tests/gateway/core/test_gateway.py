@@ -10,28 +10,11 @@ import pytest
 
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Outputs
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Drive,
-    Estop,
-    Home,
-    Idle,
-    Leave,
-    Mode,
-    Position,
-    Reboot,
-    Release,
-    Scan,
-    Set,
-    Stop,
-    Task,
-    Torque,
-    Velocity,
-)
+from protocols import messages as msg
+from protocols.messages import Command, Mode, Task
 from tests.gateway.rig import BENCH, Rig, reported, said
 
-DRIVEN = (Velocity("left", 5.0), Velocity("right", -5.0))
+DRIVEN = (msg.Velocity("left", 5.0), msg.Velocity("right", -5.0))
 
 
 @pytest.fixture
@@ -60,12 +43,12 @@ def test_until_commanded_only_read_only_wires_go_out(rig: Rig) -> None:
 
 
 def test_velocity_position_and_torque_reach_the_shaft_through_gear_and_sign(rig: Rig) -> None:
-    rig.run(1.0, Velocity("left", 5.0))
+    rig.run(1.0, msg.Velocity("left", 5.0))
     assert rig.velocity("left") == pytest.approx(5.0, abs=0.1)
     assert rig.velocity("right") == 0.0
-    rig.run(2.0, Position("left", 1.0))
+    rig.run(2.0, msg.Position("left", 1.0))
     assert rig.world.world.shaft("left")[0] == pytest.approx(1.0, abs=0.02)
-    rig.run(0.5, Torque("left", 0.5))
+    rig.run(0.5, msg.Torque("left", 0.5))
     assert rig.velocity("left") > 5.0
 
 
@@ -78,14 +61,14 @@ def test_a_motor_mounted_the_other_way_round_turns_the_same_way() -> None:
 
 
 def test_stop_latches_above_every_joint_until_release(driven: Rig) -> None:
-    ticks = driven.run(0.5, Stop("a hand in the way"))
-    assert said(driven, ticks[:1]) == [(ticks[0].now, Idle("left")), (ticks[0].now, Idle("right"))]
+    ticks = driven.run(0.5, msg.Stop("a hand in the way"))
+    assert said(driven, ticks[:1]) == [(ticks[0].now, msg.Idle("left")), (ticks[0].now, msg.Idle("right"))]
     ticks = driven.run(0.5, *DRIVEN)
-    assert not [word for _, word in said(driven, ticks) if not isinstance(word, Idle)]
+    assert not [word for _, word in said(driven, ticks) if not isinstance(word, msg.Idle)]
     assert driven.gateway.why_stopped() == "a hand in the way"
-    ticks = driven.run(0.5, Release())
+    ticks = driven.run(0.5, msg.Release())
     assert not [
-        word for _, word in said(driven, ticks) if not isinstance(word, Idle)
+        word for _, word in said(driven, ticks) if not isinstance(word, msg.Idle)
     ]  # nothing starts by itself
     driven.run(1.0, *DRIVEN)
     assert driven.velocity("left") == pytest.approx(5.0, abs=0.1)
@@ -110,7 +93,7 @@ def test_a_motor_that_falls_silent_stops_the_robot_if_the_file_says_so(driven: R
     ticks = driven.run(1.0)
     assert "left: silent" in driven.gateway.why_stopped()
     words = [word for _, word in said(driven, ticks[-100:])]
-    assert all(isinstance(word, Idle) for word in words)
+    assert all(isinstance(word, msg.Idle) for word in words)
     assert driven.gateway.joints["right"].mode is Mode.READY
 
 
@@ -119,10 +102,10 @@ def test_a_motor_that_comes_back_does_not_start_by_itself(driven: Rig) -> None:
     driven.run(0.5)
     driven.world.unsilence("right")
     ticks = driven.run(1.0)
-    assert not [w for _, w in said(driven, ticks) if w.motor == "right" and not isinstance(w, Idle)]
-    driven.run(0.3, ClearFault("right"))
+    assert not [w for _, w in said(driven, ticks) if w.motor == "right" and not isinstance(w, msg.Idle)]
+    driven.run(0.3, msg.ClearFault("right"))
     assert not driven.gateway.joints["right"].faults
-    driven.run(1.0, Velocity("right", 2.0))
+    driven.run(1.0, msg.Velocity("right", 2.0))
     assert driven.velocity("right") == pytest.approx(2.0, abs=0.1)
 
 
@@ -143,23 +126,30 @@ def test_a_second_node_with_the_same_address_gets_a_sentence_and_the_safe_word(d
     warned = [n.text for n in reported(ticks, "scan") if n.level == "warning"]
     assert warned
     assert all("more than one device holds this address" in text for text in warned)
-    assert not [w for _, w in said(driven, ticks[-50:]) if not isinstance(w, Idle)]
+    assert not [w for _, w in said(driven, ticks[-50:]) if not isinstance(w, msg.Idle)]
 
 
 def test_estop_is_a_fault_in_the_vendors_words_until_it_is_cleared(driven: Rig) -> None:
-    ticks = driven.run(0.5, Estop("left"))
+    ticks = driven.run(0.5, msg.Estop("left"))
     assert any("ESTOP_REQUESTED" in n.text for n in reported(ticks, "left"))
     assert "ESTOP_REQUESTED" in driven.gateway.why_stopped()
     ticks = driven.run(1.0, *DRIVEN)
-    assert not [w for _, w in said(driven, ticks) if not isinstance(w, Idle)]
-    driven.run(0.5, ClearFault("all"))
+    assert not [w for _, w in said(driven, ticks) if not isinstance(w, msg.Idle)]
+    driven.run(0.5, msg.ClearFault("all"))
     assert driven.gateway.why_stopped() == ""
     driven.run(1.0, *DRIVEN)
     assert driven.velocity("left") == pytest.approx(5.0, abs=0.1)
 
 
 def test_requests_are_answered_done_or_refused_in_words(rig: Rig) -> None:
-    ticks = rig.run(3.0, Reboot("left"), Home("left"), Reboot("lefft"), ClearFault("right"), Scan("can0"))
+    ticks = rig.run(
+        3.0,
+        msg.Reboot("left"),
+        msg.Home("left"),
+        msg.Reboot("lefft"),
+        msg.ClearFault("right"),
+        msg.Scan("can0"),
+    )
     texts = [f"{n.about}: {n.text}" for n in reported(ticks)]
     assert any(t.startswith("left: Reboot: done") for t in texts)
     assert "left: Home: refused: its protocol cannot do this" in texts
@@ -170,7 +160,10 @@ def test_requests_are_answered_done_or_refused_in_words(rig: Rig) -> None:
 
 def test_limits_and_gains_are_set_while_it_runs_or_refused_in_words(driven: Rig) -> None:
     ticks = driven.run(
-        1.0, Set("left.limits.velocity", 2.0), Set("left.limits.torque", math.nan), Set("wing", 1.0)
+        1.0,
+        msg.Set("left.limits.velocity", 2.0),
+        msg.Set("left.limits.torque", math.nan),
+        msg.Set("wing", 1.0),
     )
     assert driven.velocity("left") == pytest.approx(2.0, abs=0.1)
     texts = [n.text for n in reported(ticks, "operator")]
@@ -186,7 +179,7 @@ def test_a_lost_bus_and_one_that_is_back_are_told_and_nothing_starts_by_itself(d
     driven.world.restore("can0")
     ticks = driven.run(1.0)
     assert any("is back" in n.text for n in reported(ticks, "can0"))
-    assert not [w for _, w in said(driven, ticks) if not isinstance(w, Idle)]
+    assert not [w for _, w in said(driven, ticks) if not isinstance(w, msg.Idle)]
 
 
 class NanBrain:
@@ -198,7 +191,7 @@ class NanBrain:
     def step(
         self, _now: int, _events: object, _tasks: Sequence[Task | Command], _stopped: str
     ) -> list[Command]:
-        return [Velocity("left", self.bad), Torque("right", self.bad)]
+        return [msg.Velocity("left", self.bad), msg.Torque("right", self.bad)]
 
     def take_notes(self) -> list[tuple[str, str]]:
         return []
@@ -218,13 +211,13 @@ def test_a_brain_that_says_nan_moves_nothing_and_it_is_told(
 
 
 def test_a_command_for_a_body_is_refused_by_bare_joints(rig: Rig) -> None:
-    ticks = rig.run(0.2, Drive(0.1, 0.0))
+    ticks = rig.run(0.2, msg.Drive(0.1, 0.0))
     assert any("efused" in n.text for n in reported(ticks, "brain"))
 
 
 def test_a_copy_of_the_gateway_goes_on_the_same(driven: Rig) -> None:
     twin = copy.deepcopy(driven.gateway)
-    ticks = driven.run(0.5, Set("left.limits.velocity", 3.0), Estop("right"))
+    ticks = driven.run(0.5, msg.Set("left.limits.velocity", 3.0), msg.Estop("right"))
     again = [twin.step(tick.now, tick.inputs) for tick in ticks]
     assert again == [tick.outputs for tick in ticks]
 
@@ -239,7 +232,7 @@ def test_a_brain_that_says_nothing_is_a_silent_brain(driven: Rig, monkeypatch: p
     monkeypatch.setattr(driven.gateway.brain, "step", lambda *_: [])
     ticks = driven.run(0.5)
     last = [word for _, word in said(driven, ticks)][-1]
-    assert last == Idle("left") or last == Idle("right")
+    assert last == msg.Idle("left") or last == msg.Idle("right")
     assert not any(joint.mode is Mode.ARMED for joint in driven.gateway.joints.values())
 
 
@@ -259,7 +252,7 @@ def test_an_operators_stop_is_also_for_a_motor_that_somebody_else_has_armed(driv
         assert not _idles(driven, received)
     last = driven.clock.now()
     assert ours.joints["left"].mode is Mode.ARMED
-    assert _idles(driven, ours.step(last, Inputs(asked=(Stop(),)))) == ["left", "right"]
+    assert _idles(driven, ours.step(last, Inputs(asked=(msg.Stop(),)))) == ["left", "right"]
 
 
 def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
@@ -267,11 +260,11 @@ def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Ri
     for tick in driven.run(0.3):
         ours.step(tick.now, Inputs(packets=tick.inputs.packets))
     assert ours.joints["left"].mode is Mode.ARMED
-    assert not _idles(driven, ours.step(driven.clock.now(), Inputs(asked=(Leave("the end"),))))
+    assert not _idles(driven, ours.step(driven.clock.now(), Inputs(asked=(msg.Leave("the end"),))))
 
 
 def _idles(rig: Rig, outputs: Outputs) -> list[str]:
     """Which motors would obey an Idle in these outputs."""
     decoder = decoder_of(rig.robot, "can0")
     words = [word for p in outputs.packets for word in decoder.decode(p.t, p.frame)]
-    return [word.motor for word in words if isinstance(word, Idle)]
+    return [word.motor for word in words if isinstance(word, msg.Idle)]

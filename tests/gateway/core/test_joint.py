@@ -13,21 +13,8 @@ from hypothesis import strategies as st
 
 from gateway.core.joint import DISARMED_ITSELF, FEEDBACK_LOST, Joint, JointSettings
 from gateway.core.limits import Limits
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Impedance,
-    Mode,
-    Nanos,
-    Position,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, Command, Mode, Nanos
 from protocols.plugin import FeedbackKind, Range, Spec, Watchdog
 
 MS = MILLISECOND
@@ -44,7 +31,9 @@ def spec(*commands: type[Command]) -> Spec:
         feedback=FeedbackKind.CYCLIC,
         feedback_period=10 * MS,
         offline_after=100 * MS,
-        commands=frozenset(commands or (Idle, Hold, Position, Velocity, Torque, Impedance)),
+        commands=frozenset(
+            commands or (msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance)
+        ),
         requests=frozenset(),
         ranges={"Velocity.velocity": Range(-1e6, 1e6, 1e-3)},
         watchdog=Watchdog(None, enabled=False),
@@ -71,13 +60,13 @@ def joint(
 def armed(made: Joint, position: float = 0.0, velocity: float = 0.0) -> Joint:
     """Heard at t = 0, at rest, armed."""
     ratio = made.settings.gear * made.settings.sign
-    made.on_event(Feedback("m", 0, position * ratio, velocity * ratio))
-    made.on_event(State("m", 0, Mode.ARMED))
+    made.on_event(msg.Feedback("m", 0, position * ratio, velocity * ratio))
+    made.on_event(msg.State("m", 0, Mode.ARMED))
     return made
 
 
 def drive(
-    made: Joint, said: Command, steps: int, plant: Callable[[Command], Feedback] | None = None
+    made: Joint, said: Command, steps: int, plant: Callable[[Command], msg.Feedback] | None = None
 ) -> list[Command]:
     """Say the same for some steps, with feedback at each; at the device's shaft."""
     out: list[Command] = []
@@ -85,25 +74,25 @@ def drive(
         now: Nanos = i * STEP
         fed = plant(out[-1]) if plant and out else made.feedback
         ratio = made.settings.gear * made.settings.sign
-        made.on_event(Feedback("m", now, (fed.position or 0.0) * ratio, (fed.velocity or 0.0) * ratio))
+        made.on_event(msg.Feedback("m", now, (fed.position or 0.0) * ratio, (fed.velocity or 0.0) * ratio))
         out.append(made.allow(now, said, stopped=False))
     return out
 
 
 def test_the_device_turns_gear_times_as_far_the_other_way_round_if_it_is_mounted_so() -> None:
     made = armed(joint(gear=8.0, sign=-1), position=1.0)
-    received = made.on_event(Feedback("m", 0, position=-16.0, velocity=-8.0, torque=-0.25))
-    assert received == Feedback("m", 0, position=2.0, velocity=1.0, torque=2.0)
-    (out,) = drive(made, Torque("m", 1.6), 1)
-    assert isinstance(out, Torque)
+    received = made.on_event(msg.Feedback("m", 0, position=-16.0, velocity=-8.0, torque=-0.25))
+    assert received == msg.Feedback("m", 0, position=2.0, velocity=1.0, torque=2.0)
+    (out,) = drive(made, msg.Torque("m", 1.6), 1)
+    assert isinstance(out, msg.Torque)
     assert out.torque == pytest.approx(-0.2)
 
 
 @given(gear=st.floats(0.1, 200.0), sign=st.sampled_from([1, -1]), torque=st.floats(-2.0, 2.0))
 def test_power_is_the_same_on_both_sides_of_the_gear(gear: float, sign: int, torque: float) -> None:
     made = armed(joint(gear=gear, sign=sign))
-    out = made.allow(STEP, Impedance("m", 0.5, 3.0, torque, 20.0, 2.0), stopped=False)
-    assert isinstance(out, Impedance)
+    out = made.allow(STEP, msg.Impedance("m", 0.5, 3.0, torque, 20.0, 2.0), stopped=False)
+    assert isinstance(out, msg.Impedance)
     assert out.torque * out.velocity == pytest.approx(torque * 3.0)
     # the spring at the device's shaft feels as stiff at the joint's
     assert out.stiffness * (gear * gear) == pytest.approx(20.0)
@@ -111,14 +100,14 @@ def test_power_is_the_same_on_both_sides_of_the_gear(gear: float, sign: int, tor
 
 def test_nothing_but_idle_before_the_device_was_heard() -> None:
     made = joint()
-    assert made.allow(STEP, Velocity("m", 1.0), stopped=False) == Idle("m")
+    assert made.allow(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
     assert not made.owned
     assert not made.faults
 
 
 def test_velocity_is_reached_within_the_limit_of_acceleration_and_not_exceeded() -> None:
-    out = drive(armed(joint()), Velocity("m", 1e9), 100)
-    speeds = [c.velocity for c in out if isinstance(c, Velocity)]
+    out = drive(armed(joint()), msg.Velocity("m", 1e9), 100)
+    speeds = [c.velocity for c in out if isinstance(c, msg.Velocity)]
     assert len(speeds) == 100
     assert max(b - a for a, b in pairwise([0.0, *speeds])) <= 50.0 * 0.005 + 1e-9
     assert speeds[-1] == 10.0
@@ -126,22 +115,22 @@ def test_velocity_is_reached_within_the_limit_of_acceleration_and_not_exceeded()
 
 
 def test_the_first_velocity_is_near_the_measured_one() -> None:
-    (out,) = drive(armed(joint(), velocity=-4.0), Velocity("m", 9.0), 1)
-    assert isinstance(out, Velocity)
+    (out,) = drive(armed(joint(), velocity=-4.0), msg.Velocity("m", 9.0), 1)
+    assert isinstance(out, msg.Velocity)
     assert out.velocity == pytest.approx(-4.0 + 50.0 * 0.005)
 
 
 def test_an_unarmed_joint_does_not_wind_up_its_profile() -> None:
     made = joint()
-    made.on_event(Feedback("m", 0, 0.0, 0.0))
-    made.on_event(State("m", 0, Mode.READY))
-    out = drive(made, Velocity("m", 10.0), 50)
-    assert out[-1] == out[0] == Velocity("m", 50.0 * 0.005)
+    made.on_event(msg.Feedback("m", 0, 0.0, 0.0))
+    made.on_event(msg.State("m", 0, Mode.READY))
+    out = drive(made, msg.Velocity("m", 10.0), 50)
+    assert out[-1] == out[0] == msg.Velocity("m", 50.0 * 0.005)
 
 
 def test_position_starts_where_the_shaft_is_and_arrives_within_the_limits() -> None:
     made = armed(joint(), position=3.0)
-    out = [c for c in drive(made, Position("m", -2.0), 400) if isinstance(c, Position)]
+    out = [c for c in drive(made, msg.Position("m", -2.0), 400) if isinstance(c, msg.Position)]
     places = [3.0, *(c.position for c in out)]
     assert abs(places[1] - 3.0) <= 50.0 * 0.005**2 + 1e-12
     speeds = [(b - a) / 0.005 for a, b in pairwise(places)]
@@ -154,8 +143,8 @@ def test_position_starts_where_the_shaft_is_and_arrives_within_the_limits() -> N
 @given(st.floats(-5.0, 5.0), st.floats(-50.0, 50.0))
 def test_a_position_outside_the_range_is_never_said(start: float, wanted: float) -> None:
     made = armed(joint(position=(-1.0, 2.0)), position=max(-1.0, min(2.0, start)))
-    for out in drive(made, Position("m", wanted), 300):
-        assert isinstance(out, Position)
+    for out in drive(made, msg.Position("m", wanted), 300):
+        assert isinstance(out, msg.Position)
         assert -1.0 <= out.position <= 2.0
 
 
@@ -163,36 +152,38 @@ def test_a_velocity_towards_the_end_of_travel_brakes_before_it_and_stops_at_it()
     made = armed(joint(position=(-1.0, 1.0)))
     place = 0.0
 
-    def plant(last: Command) -> Feedback:
+    def plant(last: Command) -> msg.Feedback:
         nonlocal place
-        assert isinstance(last, Velocity)
+        assert isinstance(last, msg.Velocity)
         place += last.velocity * 0.005
-        return Feedback("m", 0, place, last.velocity)
+        return msg.Feedback("m", 0, place, last.velocity)
 
-    out = drive(made, Velocity("m", 10.0), 300, plant)
+    out = drive(made, msg.Velocity("m", 10.0), 300, plant)
     assert place <= 1.02
-    assert isinstance(out[-1], Velocity)
+    assert isinstance(out[-1], msg.Velocity)
     assert abs(out[-1].velocity) < 0.2
 
 
 def test_torque_is_clamped_and_not_given_beyond_the_speed_limit_or_the_end_of_travel() -> None:
     made = armed(joint(position=(-1.0, 1.0)))
-    assert made.allow(STEP, Torque("m", 99.0), stopped=False) == Torque("m", 2.0)
-    made.on_event(Feedback("m", STEP, 0.0, 12.0))
-    assert made.allow(2 * STEP, Torque("m", 1.0), stopped=False) == Torque("m", 0.0)
-    assert made.allow(2 * STEP, Torque("m", -1.0), stopped=False) == Torque("m", -1.0)
-    made.on_event(Feedback("m", 2 * STEP, 1.1, 0.0))
-    assert made.allow(3 * STEP, Torque("m", 1.0), stopped=False) == Torque("m", 0.0)
+    assert made.allow(STEP, msg.Torque("m", 99.0), stopped=False) == msg.Torque("m", 2.0)
+    made.on_event(msg.Feedback("m", STEP, 0.0, 12.0))
+    assert made.allow(2 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
+    assert made.allow(2 * STEP, msg.Torque("m", -1.0), stopped=False) == msg.Torque("m", -1.0)
+    made.on_event(msg.Feedback("m", 2 * STEP, 1.1, 0.0))
+    assert made.allow(3 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
 
 
-@pytest.mark.parametrize("command", [Position("m", 1.0), Velocity("m", 1.0), Torque("m", 0.1)], ids=repr)
+@pytest.mark.parametrize(
+    "command", [msg.Position("m", 1.0), msg.Velocity("m", 1.0), msg.Torque("m", 0.1)], ids=repr
+)
 def test_nothing_moves_where_the_position_must_be_known_and_is_not(command: Command) -> None:
     made = joint(position=(-1.0, 2.0))
-    made.on_event(Feedback("m", 0, velocity=0.0))
-    made.on_event(State("m", 0, Mode.ARMED))
-    assert made.allow(STEP, command, stopped=False) == Idle("m")
-    made.on_event(Feedback("m", STEP, position=0.5))
-    assert made.allow(2 * STEP, command, stopped=False) != Idle("m")
+    made.on_event(msg.Feedback("m", 0, velocity=0.0))
+    made.on_event(msg.State("m", 0, Mode.ARMED))
+    assert made.allow(STEP, command, stopped=False) == msg.Idle("m")
+    made.on_event(msg.Feedback("m", STEP, position=0.5))
+    assert made.allow(2 * STEP, command, stopped=False) != msg.Idle("m")
 
 
 BAD = [math.nan, math.inf, -math.inf]
@@ -202,21 +193,21 @@ BAD = [math.nan, math.inf, -math.inf]
 @pytest.mark.parametrize(
     "make",
     [
-        lambda x: Position("m", x),
-        lambda x: Position("m", 0.0, x),
-        lambda x: Position("m", 0.0, 0.0, x),
-        lambda x: Velocity("m", x),
-        lambda x: Velocity("m", 0.0, x),
-        lambda x: Torque("m", x),
-        lambda x: Impedance("m", 0.0, 0.0, 0.0, x, 0.0),
-        lambda x: Impedance("m", 0.0, 0.0, 0.0, 0.0, x),
+        lambda x: msg.Position("m", x),
+        lambda x: msg.Position("m", 0.0, x),
+        lambda x: msg.Position("m", 0.0, 0.0, x),
+        lambda x: msg.Velocity("m", x),
+        lambda x: msg.Velocity("m", 0.0, x),
+        lambda x: msg.Torque("m", x),
+        lambda x: msg.Impedance("m", 0.0, 0.0, 0.0, x, 0.0),
+        lambda x: msg.Impedance("m", 0.0, 0.0, 0.0, 0.0, x),
     ],
 )
 def test_a_value_that_is_not_finite_is_refused_and_counted(
     make: Callable[[float], Command], bad: float
 ) -> None:
     made = armed(joint())
-    assert made.allow(STEP, make(bad), stopped=False) == Idle("m")
+    assert made.allow(STEP, make(bad), stopped=False) == msg.Idle("m")
     assert "not finite" in made.refused
     assert made.not_finite == 1
 
@@ -224,103 +215,103 @@ def test_a_value_that_is_not_finite_is_refused_and_counted(
 @pytest.mark.parametrize("bad", BAD)
 def test_feedback_that_is_not_finite_goes_nowhere(bad: float) -> None:
     made = armed(joint(), position=1.0)
-    assert made.on_event(Feedback("m", 7, position=bad)) is None
-    assert made.on_event(Feedback("m", 7, velocity=0.0, torque=bad)) is None
+    assert made.on_event(msg.Feedback("m", 7, position=bad)) is None
+    assert made.on_event(msg.Feedback("m", 7, velocity=0.0, torque=bad)) is None
     assert made.feedback.position == 1.0
     assert made.not_finite == 2
 
 
 def test_a_command_that_the_device_cannot_do_is_refused_by_name() -> None:
-    made = Joint("m", JointSettings(Limits(1.0, 1.0, 1.0)), spec(Idle, Velocity))
+    made = Joint("m", JointSettings(Limits(1.0, 1.0, 1.0)), spec(msg.Idle, msg.Velocity))
     armed(made)
-    assert made.allow(STEP, Torque("m", 0.5), stopped=False) == Idle("m")
+    assert made.allow(STEP, msg.Torque("m", 0.5), stopped=False) == msg.Idle("m")
     assert made.refused == "Torque is not among what m can do: Idle, Velocity"
 
 
 @pytest.mark.parametrize("silent", ["idle", "hold"])
 def test_a_silent_brain_means_what_the_file_says(silent: str) -> None:
     made = armed(joint(silent=silent))
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.on_event(Feedback("m", 100 * MS, 0.0, 0.0))
-    assert isinstance(made.allow(100 * MS, None, stopped=False), Velocity)
-    made.on_event(Feedback("m", 110 * MS, 0.0, 0.0))
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.on_event(msg.Feedback("m", 100 * MS, 0.0, 0.0))
+    assert isinstance(made.allow(100 * MS, None, stopped=False), msg.Velocity)
+    made.on_event(msg.Feedback("m", 110 * MS, 0.0, 0.0))
     out = made.allow(110 * MS, None, stopped=False)
-    assert out == (Hold("m") if silent == "hold" else Idle("m"))
+    assert out == (msg.Hold("m") if silent == "hold" else msg.Idle("m"))
 
 
 @pytest.mark.parametrize("safe", ["idle", "hold"])
 def test_stop_is_the_safe_word_at_once(safe: str) -> None:
     made = armed(joint(safe=safe))
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    out = made.allow(2 * STEP, Velocity("m", 1.0), stopped=True)
-    assert out == (Hold("m") if safe == "hold" else Idle("m"))
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    out = made.allow(2 * STEP, msg.Velocity("m", 1.0), stopped=True)
+    assert out == (msg.Hold("m") if safe == "hold" else msg.Idle("m"))
 
 
 def test_braking_slows_down_within_the_limit_and_then_disarms() -> None:
     made = armed(joint(safe="brake"), velocity=5.0)
-    drive(made, Velocity("m", 5.0), 1)
+    drive(made, msg.Velocity("m", 5.0), 1)
     speeds, now = [5.0], STEP
-    while isinstance(out := made.allow(now + STEP, None, stopped=True), Velocity):
+    while isinstance(out := made.allow(now + STEP, None, stopped=True), msg.Velocity):
         now += STEP
         speeds.append(out.velocity)
-        made.on_event(Feedback("m", now, 0.0, out.velocity))
-    assert out == Idle("m")
+        made.on_event(msg.Feedback("m", now, 0.0, out.velocity))
+    assert out == msg.Idle("m")
     assert len(speeds) == pytest.approx(5.0 / (50.0 * 0.005), abs=2)
     assert all(a - b <= 50.0 * 0.005 + 1e-9 for a, b in pairwise(speeds))
-    assert made.allow(now + 2 * STEP, None, stopped=True) == Idle("m")
+    assert made.allow(now + 2 * STEP, None, stopped=True) == msg.Idle("m")
 
 
 def test_braking_ends_in_bounded_time_even_if_the_shaft_does_not_slow_down() -> None:
     made = armed(joint(safe="brake"), velocity=5.0)
-    drive(made, Velocity("m", 5.0), 1)
+    drive(made, msg.Velocity("m", 5.0), 1)
     out = []
     for now in range(2 * STEP, 1000 * MS, STEP):
-        made.on_event(Feedback("m", now, 0.0, 5.0))
+        made.on_event(msg.Feedback("m", now, 0.0, 5.0))
         out.append(made.allow(now, None, stopped=True))
-    braked = [c for c in out if isinstance(c, Velocity)]
+    braked = [c for c in out if isinstance(c, msg.Velocity)]
     assert len(braked) * STEP <= made.braking_time == 400 * MS
-    assert out[-1] == Idle("m")
+    assert out[-1] == msg.Idle("m")
 
 
 @pytest.mark.parametrize("why", ["fault", "blind", "last", "idle before"])
 def test_what_cannot_be_trusted_to_brake_is_disarmed_at_once(why: str) -> None:
     made = armed(joint(safe="brake"), velocity=5.0)
-    drive(made, Idle("m") if why == "idle before" else Velocity("m", 5.0), 1)
+    drive(made, msg.Idle("m") if why == "idle before" else msg.Velocity("m", 5.0), 1)
     if why == "fault":
-        made.on_event(Fault("m", STEP, 1, "X"))
+        made.on_event(msg.Fault("m", STEP, 1, "X"))
     later = 500 * MS if why == "blind" else 2 * STEP
-    assert made.allow(later, None, stopped=True, last=why == "last") == Idle("m")
+    assert made.allow(later, None, stopped=True, last=why == "last") == msg.Idle("m")
 
 
 def test_a_commanded_joint_that_falls_silent_latches_and_does_not_start_by_itself() -> None:
     made = armed(joint())
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    assert made.allow(200 * MS, Velocity("m", 1.0), stopped=False) == Idle("m")
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    assert made.allow(200 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
     assert [f.code for f in made.take_unreported()] == [FEEDBACK_LOST]
-    made.on_event(Feedback("m", 205 * MS, 0.0, 0.0))
-    assert made.allow(205 * MS, Velocity("m", 1.0), stopped=False) == Idle("m")
+    made.on_event(msg.Feedback("m", 205 * MS, 0.0, 0.0))
+    assert made.allow(205 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
     made.clear()
-    assert isinstance(made.allow(210 * MS, Velocity("m", 1.0), stopped=False), Velocity)
+    assert isinstance(made.allow(210 * MS, msg.Velocity("m", 1.0), stopped=False), msg.Velocity)
     assert made.take_unreported() == []
 
 
 def test_how_long_a_joint_may_be_silent_is_the_robot_files_not_the_drivers() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.on_event(State("m", 250 * MS, Mode.OFFLINE))  # the driver's own patience has ended
-    made.allow(400 * MS, Velocity("m", 1.0), stopped=False)
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))  # the driver's own patience has ended
+    made.allow(400 * MS, msg.Velocity("m", 1.0), stopped=False)
     assert not made.faults
-    made.allow(510 * MS, Velocity("m", 1.0), stopped=False)
+    made.allow(510 * MS, msg.Velocity("m", 1.0), stopped=False)
     assert [f.code for f in made.faults.values()] == [FEEDBACK_LOST]
 
 
 def test_a_device_that_comes_back_disarmed_from_a_short_silence_has_left() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.on_event(State("m", 250 * MS, Mode.OFFLINE))
-    made.on_event(State("m", 300 * MS, Mode.READY))
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))
+    made.on_event(msg.State("m", 300 * MS, Mode.READY))
     assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
 
 
@@ -333,38 +324,38 @@ def test_an_idle_joint_that_falls_silent_is_blind_but_not_in_fault() -> None:
 
 def test_a_device_that_disarms_itself_latches() -> None:
     made = armed(joint())
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.on_event(State("m", 2 * STEP, Mode.INITIALISING, "INITIALIZING"))
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.on_event(msg.State("m", 2 * STEP, Mode.INITIALISING, "INITIALIZING"))
     assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
-    assert made.allow(3 * STEP, Velocity("m", 1.0), stopped=False) == Idle("m")
+    assert made.allow(3 * STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
 
 
 def test_a_device_that_we_disarmed_is_in_no_fault() -> None:
     made = armed(joint())
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.allow(2 * STEP, Idle("m"), stopped=False)
-    made.on_event(State("m", 3 * STEP, Mode.READY))
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.allow(2 * STEP, msg.Idle("m"), stopped=False)
+    made.on_event(msg.State("m", 3 * STEP, Mode.READY))
     assert not made.faults
 
 
 def test_faults_latch_once_each_and_stay_when_the_device_forgets_them() -> None:
     made = armed(joint())
     for _ in range(3):
-        made.on_event(Fault("m", 1, 0x40, "MOTOR_FAILED"))
-    made.on_event(Fault("m", 1, 0x80, "OTHER"))
-    made.on_event(State("m", 2, Mode.READY))
+        made.on_event(msg.Fault("m", 1, 0x40, "MOTOR_FAILED"))
+    made.on_event(msg.Fault("m", 1, 0x80, "OTHER"))
+    made.on_event(msg.State("m", 2, Mode.READY))
     assert [f.code for f in made.take_unreported()] == [0x40, 0x80]
     assert len(made.faults) == 2
-    assert made.allow(STEP, Velocity("m", 1.0), stopped=False) == Idle("m")
+    assert made.allow(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
 
 
 def test_after_clearing_the_old_command_is_not_taken_up_again() -> None:
     made = armed(joint())
-    made.allow(STEP, Velocity("m", 1.0), stopped=False)
-    made.on_event(Fault("m", 1, 1, "X"))
+    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.on_event(msg.Fault("m", 1, 1, "X"))
     made.clear()
-    made.on_event(Feedback("m", 2 * STEP, 0.0, 0.0))
-    assert made.allow(2 * STEP, None, stopped=False) == Idle("m")
+    made.on_event(msg.Feedback("m", 2 * STEP, 0.0, 0.0))
+    assert made.allow(2 * STEP, None, stopped=False) == msg.Idle("m")
 
 
 @pytest.mark.parametrize(

@@ -17,24 +17,9 @@ from gateway.monitor.candidates import Tongue, anybody, choices, of_robot
 from gateway.monitor.decoder import ENOUGH, MOST_IDS, WINDOW, Listener
 from gateway.monitor.rate import Rate
 from gateway.monitor.state import Heard, Seen, at_joint
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame, Packet
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Command,
-    Event,
-    Feedback,
-    Idle,
-    Imu,
-    LaserScan,
-    Mode,
-    Nanos,
-    Position,
-    Request,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
 from protocols.odrive_can.codec import encode
 from protocols.odrive_can.messages import GetEncoderEstimates, GetVersion, Heartbeat
 from protocols.plain import codec
@@ -95,7 +80,7 @@ def drive() -> tuple[Rig, list[Packet]]:
     """A second of nothing, and two in which the left motor turns; all that stood on the bus, in order."""
     rig = Rig()
     rig.run(1.0)
-    rig.run(2.0, Velocity("left", 4.0))
+    rig.run(2.0, msg.Velocity("left", 4.0))
     packets = [p for tick in rig.ticks for p in (*tick.inputs.packets, *tick.outputs.packets)]
     return rig, sorted(packets, key=lambda packet: packet.t)
 
@@ -115,7 +100,7 @@ def test_with_a_robot_file_a_listener_knows_what_the_gateway_knows(drive: tuple[
         assert seen.joint.feedback == joint.feedback
         assert not seen.silent(now)
     command = device(listener, "left").command
-    assert isinstance(command, Velocity)
+    assert isinstance(command, msg.Velocity)
     assert command.velocity == pytest.approx(4.0)
     assert device(listener, "right").command is None
     assert not listener.unknown(now)
@@ -192,10 +177,10 @@ def test_a_frame_that_is_wrong_is_counted_and_believed_of_nobody() -> None:
 
 
 def test_words_are_moved_to_the_output_shaft() -> None:
-    assert at_joint(Velocity("m", 8.0, 0.5), -8.0) == Velocity("m", -1.0, -4.0)
-    assert at_joint(Position("m", 16.0, 8.0, 1.0), 8.0) == Position("m", 2.0, 1.0, 8.0)
-    assert at_joint(Torque("m", 1.0), 4.0) == Torque("m", 4.0)
-    assert at_joint(Idle("m"), 4.0) == Idle("m")
+    assert at_joint(msg.Velocity("m", 8.0, 0.5), -8.0) == msg.Velocity("m", -1.0, -4.0)
+    assert at_joint(msg.Position("m", 16.0, 8.0, 1.0), 8.0) == msg.Position("m", 2.0, 1.0, 8.0)
+    assert at_joint(msg.Torque("m", 1.0), 4.0) == msg.Torque("m", 4.0)
+    assert at_joint(msg.Idle("m"), 4.0) == msg.Idle("m")
 
 
 # -- a bare bus -----------------------------------------------------------------------------------
@@ -218,7 +203,7 @@ def test_on_a_bare_bus_devices_are_found_by_trying(drive: tuple[Rig, list[Packet
         assert geared is not None
         assert position == pytest.approx(8.0 * geared)  # nobody knows of a gear here
     (command,) = [seen.command for seen in listener.found.values() if seen.command is not None]
-    assert isinstance(command, Velocity)
+    assert isinstance(command, msg.Velocity)
     assert command.velocity == pytest.approx(32.0)
     assert not listener.unknown(packets[-1].t)
 
@@ -236,7 +221,7 @@ def test_frames_that_only_look_like_a_device_are_a_guess() -> None:
     assert "no device has been found yet" in page(listener, SECOND)
     (heard_beat,) = handle(listener, (SECOND, encode(5, Heartbeat(0, 1, 0, 0))))
     assert len(listener.found) == 1
-    assert [type(event) for event in heard_beat.said] == [State]
+    assert [type(event) for event in heard_beat.said] == [msg.State]
     assert not listener.unknown(SECOND)
 
 
@@ -262,9 +247,11 @@ def test_devices_on_a_serial_line_are_found_whatever_their_options() -> None:
     listener = bare(TTY)
     for i in range(10):
         t = i * 100 * MILLISECOND
-        scan = codec.message(1, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 2.5, 11.0)))
-        imu = codec.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
-        motor = codec.message(3, Feedback("", 0, position=1.5)) + codec.message(3, State("", 0, Mode.ARMED))
+        scan = codec.message(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 2.5, 11.0)))
+        imu = codec.message(2, msg.Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
+        motor = codec.message(3, msg.Feedback("", 0, position=1.5)) + codec.message(
+            3, msg.State("", 0, Mode.ARMED)
+        )
         stream = scan + imu + motor
         handle(listener, (t, stream[:25]), (t + MILLISECOND, stream[25:]), bus="tty")
     found = {place[2]: seen for place, seen in listener.found.items()}
@@ -279,11 +266,13 @@ def test_devices_on_a_serial_line_are_found_whatever_their_options() -> None:
 def test_what_a_tap_on_a_serial_line_hears_of_the_host_is_told_too() -> None:
     listener = bare(TTY)
     for i in range(ENOUGH):
-        up = codec.message(3, Feedback("", 0, position=1.5)) + codec.message(3, State("", 0, Mode.ARMED))
+        up = codec.message(3, msg.Feedback("", 0, position=1.5)) + codec.message(
+            3, msg.State("", 0, Mode.ARMED)
+        )
         handle(listener, (i * MILLISECOND, up), bus="tty")
-    (received,) = handle(listener, (SECOND, codec.message(3, Velocity("", 2.0))), bus="tty")
+    (received,) = handle(listener, (SECOND, codec.message(3, msg.Velocity("", 2.0))), bus="tty")
     (seen,) = listener.found.values()
-    assert seen.command == Velocity(seen.party.name, 2.0)
+    assert seen.command == msg.Velocity(seen.party.name, 2.0)
     assert received.direction == "to"
 
 

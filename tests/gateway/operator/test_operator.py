@@ -23,28 +23,7 @@ from gateway.operator import Operator, OperatorError, ask, socket_path
 from gateway.operator.commands import FORMS, Mistake, Query, help_text, parse
 from gateway.operator.lines import MOST_LINE
 from gateway.operator.server import MOST_CLIENTS, socket_folder
-from protocols.messages import (
-    Asked,
-    ClearFault,
-    Drive,
-    Estop,
-    Goal,
-    Hold,
-    Home,
-    Idle,
-    Position,
-    ReadParameter,
-    Reboot,
-    Release,
-    Scan,
-    Set,
-    SetId,
-    Stop,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols import messages as msg
 
 DIFFBOT = load(resources.find("robots", "diffbot"))
 BENCH = load(resources.find("robots", "bench"))
@@ -53,37 +32,37 @@ MIXED = load(resources.find("robots", "diffbot_mixed"))
 
 # -- the language ------------------------------------------------------------------------------
 
-LINES: list[tuple[Robot, str, Asked | Query | None]] = [
-    (DIFFBOT, "goal 2 1.5", Goal(2.0, 1.5)),
-    (DIFFBOT, "goal 2,1.5,90", Goal(2.0, 1.5, math.pi / 2)),
-    (DIFFBOT, "GOAL 2 1.5 -90deg", Goal(2.0, 1.5, -math.pi / 2)),
-    (DIFFBOT, "goal 2 1.5 1.25rad", Goal(2.0, 1.5, 1.25)),
-    (DIFFBOT, "drive 0.2 -1e-1", Drive(0.2, -0.1)),
-    (DIFFBOT, "stop", Stop()),
-    (DIFFBOT, "stop a cat is in the way", Stop("a cat is in the way")),
-    (DIFFBOT, "  release  ", Release()),
-    (DIFFBOT, "clear", ClearFault("all")),
-    (DIFFBOT, "clear left", ClearFault("left")),
-    (DIFFBOT, "estop left", Estop("left")),
-    (DIFFBOT, "estop all", Estop("all")),
-    (DIFFBOT, "set brain.pursuit.lookahead 0.4", Set("brain.pursuit.lookahead", 0.4)),
-    (DIFFBOT, "set left.limits.velocity 5", Set("left.limits.velocity", 5.0)),
-    (DIFFBOT, "reboot right", Reboot("right")),
-    (DIFFBOT, "zero right", Zero("right")),
-    (DIFFBOT, "home right", Home("right")),
-    (DIFFBOT, "scan can0", Scan("can0")),
-    (DIFFBOT, "setid can0 385F34733301 7", SetId("can0", 0x385F34733301, 7)),
-    (DIFFBOT, "setid can0 0x10 7", SetId("can0", 16, 7)),
-    (DIFFBOT, "read left axis0.config.x", ReadParameter("left", "axis0.config.x")),
-    (DIFFBOT, "write left vel_gain 0.2", WriteParameter("left", "vel_gain", 0.2)),
-    (BENCH, "position left -1.5", Position("left", -1.5)),
-    (BENCH, "position left 90deg", Position("left", math.pi / 2)),
-    (MIXED, "position mast 90deg", Position("mast", math.pi / 2)),
-    (MIXED, "hold mast", Hold("mast")),
-    (BENCH, "velocity right 3", Velocity("right", 3.0)),
-    (BENCH, "torque right 0.5", Torque("right", 0.5)),
-    (BENCH, "idle left", Idle("left")),
-    (BENCH, "hold left", Hold("left")),
+LINES: list[tuple[Robot, str, msg.Asked | Query | None]] = [
+    (DIFFBOT, "goal 2 1.5", msg.Goal(2.0, 1.5)),
+    (DIFFBOT, "goal 2,1.5,90", msg.Goal(2.0, 1.5, math.pi / 2)),
+    (DIFFBOT, "GOAL 2 1.5 -90deg", msg.Goal(2.0, 1.5, -math.pi / 2)),
+    (DIFFBOT, "goal 2 1.5 1.25rad", msg.Goal(2.0, 1.5, 1.25)),
+    (DIFFBOT, "drive 0.2 -1e-1", msg.Drive(0.2, -0.1)),
+    (DIFFBOT, "stop", msg.Stop()),
+    (DIFFBOT, "stop a cat is in the way", msg.Stop("a cat is in the way")),
+    (DIFFBOT, "  release  ", msg.Release()),
+    (DIFFBOT, "clear", msg.ClearFault("all")),
+    (DIFFBOT, "clear left", msg.ClearFault("left")),
+    (DIFFBOT, "estop left", msg.Estop("left")),
+    (DIFFBOT, "estop all", msg.Estop("all")),
+    (DIFFBOT, "set brain.pursuit.lookahead 0.4", msg.Set("brain.pursuit.lookahead", 0.4)),
+    (DIFFBOT, "set left.limits.velocity 5", msg.Set("left.limits.velocity", 5.0)),
+    (DIFFBOT, "reboot right", msg.Reboot("right")),
+    (DIFFBOT, "zero right", msg.Zero("right")),
+    (DIFFBOT, "home right", msg.Home("right")),
+    (DIFFBOT, "scan can0", msg.Scan("can0")),
+    (DIFFBOT, "setid can0 385F34733301 7", msg.SetId("can0", 0x385F34733301, 7)),
+    (DIFFBOT, "setid can0 0x10 7", msg.SetId("can0", 16, 7)),
+    (DIFFBOT, "read left axis0.config.x", msg.ReadParameter("left", "axis0.config.x")),
+    (DIFFBOT, "write left vel_gain 0.2", msg.WriteParameter("left", "vel_gain", 0.2)),
+    (BENCH, "position left -1.5", msg.Position("left", -1.5)),
+    (BENCH, "position left 90deg", msg.Position("left", math.pi / 2)),
+    (MIXED, "position mast 90deg", msg.Position("mast", math.pi / 2)),
+    (MIXED, "hold mast", msg.Hold("mast")),
+    (BENCH, "velocity right 3", msg.Velocity("right", 3.0)),
+    (BENCH, "torque right 0.5", msg.Torque("right", 0.5)),
+    (BENCH, "idle left", msg.Idle("left")),
+    (BENCH, "hold left", msg.Hold("left")),
     (BENCH, "status", Query("status")),
     (BENCH, "help", Query("help")),
     (BENCH, "quit  # enough", Query("quit")),
@@ -93,7 +72,7 @@ LINES: list[tuple[Robot, str, Asked | Query | None]] = [
 
 
 @pytest.mark.parametrize(("robot", "line", "meant"), LINES, ids=[row[1] for row in LINES])
-def test_a_line_means(robot: Robot, line: str, meant: Asked | Query | None) -> None:
+def test_a_line_means(robot: Robot, line: str, meant: msg.Asked | Query | None) -> None:
     said = parse(line, robot)
     assert said == meant
     assert type(said) is type(meant)
@@ -219,7 +198,7 @@ def test_the_socket_belongs_to_its_owner_alone_and_goes_with_the_operator(folder
 def test_lines_are_asked_in_order_and_answered(operator: Operator, client: Client) -> None:
     assert operator.poll(status) == []
     client.say(b"goal 1 2\nnonsense\nstatus\n\nstop now\n")
-    assert operator.poll(status) == [Goal(1.0, 2.0), Stop("now")]
+    assert operator.poll(status) == [msg.Goal(1.0, 2.0), msg.Stop("now")]
     answer = client.received().splitlines()
     assert answer[0] == "asked: goal 1 2"
     assert "no word 'nonsense'" in answer[1]
@@ -233,14 +212,14 @@ def test_a_line_may_come_byte_by_byte(operator: Operator, client: Client) -> Non
         client.say(bytes([byte]))
         assert operator.poll(status) == []
     client.say(b"\r\n")
-    assert operator.poll(status) == [Drive(0.5, 0.0)]
+    assert operator.poll(status) == [msg.Drive(0.5, 0.0)]
 
 
 def test_the_last_line_needs_no_end(operator: Operator, client: Client) -> None:
     client.say(b"release")
     client.frame.shutdown(socket.SHUT_WR)
     asked = [word for _ in range(3) for word in operator.poll(status)]
-    assert asked == [Release()]
+    assert asked == [msg.Release()]
 
 
 def test_what_the_robot_says_in_the_step_after_is_heard_too(operator: Operator, client: Client) -> None:
@@ -249,7 +228,7 @@ def test_what_the_robot_says_in_the_step_after_is_heard_too(operator: Operator, 
     asked = operator.poll(status)
     if not asked:
         asked = operator.poll(status)
-    assert asked == [Set("brain.x", 5.0)]
+    assert asked == [msg.Set("brain.x", 5.0)]
     operator.report("operator: set brain.x: refused: there is no such setting")
     for _ in range(3):
         operator.poll(status)
@@ -266,18 +245,18 @@ def test_quit_is_told_and_leaves(operator: Operator, client: Client) -> None:
 
 def test_a_line_that_is_too_long_is_left_out_whole(operator: Operator, client: Client) -> None:
     client.say(b"stop " + b"x" * (MOST_LINE * 12) + b"\nrelease\n")
-    asked: list[Asked] = []
+    asked: list[msg.Asked] = []
     for _ in range(10):
         asked += operator.poll(status)
-    assert asked == [Release()]
+    assert asked == [msg.Release()]
     assert client.received().count("longer than") == 1
     client.say(b"stop " + b"y" * (MOST_LINE - 10) + b"\n")
-    assert operator.poll(status) == [Stop("y" * (MOST_LINE - 10))]
+    assert operator.poll(status) == [msg.Stop("y" * (MOST_LINE - 10))]
 
 
 def test_bytes_that_are_no_text_are_answered(operator: Operator, client: Client) -> None:
     client.say(b"\xff\xfe\x00\nrelease\n")
-    assert operator.poll(status) == [Release()]
+    assert operator.poll(status) == [msg.Release()]
 
 
 def test_clients_who_vanish_or_never_read_hurt_nobody(operator: Operator, client: Client) -> None:
@@ -285,14 +264,14 @@ def test_clients_who_vanish_or_never_read_hurt_nobody(operator: Operator, client
     for one in gone:
         one.say(b"status\ngoal 1 1\nhalf a li")
         one.frame.close()
-    assert operator.poll(status) == [Goal(1.0, 1.0)] * 3
+    assert operator.poll(status) == [msg.Goal(1.0, 1.0)] * 3
     for _ in range(2000):
         operator.report("x" * 1000)
     assert operator.poll(status) == []
     other = Client(operator.path)
     try:
         other.say(b"release\n")
-        assert operator.poll(status) == [Release()]
+        assert operator.poll(status) == [msg.Release()]
         assert other.received() == "asked: release\n"
     finally:
         other.frame.close()
@@ -307,7 +286,7 @@ def test_there_are_only_so_many_clients(operator: Operator) -> None:
         assert operator.poll(status) == []
         crowd[0].frame.close()
         operator.poll(status)
-        assert [w for _ in range(3) for w in operator.poll(status)] == [Release()]
+        assert [w for _ in range(3) for w in operator.poll(status)] == [msg.Release()]
     finally:
         for one in (*crowd, late):
             one.frame.close()
@@ -322,7 +301,7 @@ def test_a_socket_that_the_dead_left_is_taken_over(folder: Path) -> None:
         assert operator.path == folder / "diffbot.sock"
         client = Client(operator.path)
         client.say(b"stop\n")
-        assert operator.poll(status) == [Stop()]
+        assert operator.poll(status) == [msg.Stop()]
         client.frame.close()
 
 
@@ -362,7 +341,7 @@ def test_where_sockets_stand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
 
 def test_the_command_lines_own_end(operator: Operator) -> None:
     """`ask` blocks, so the robot's loop turns in a thread of the test."""
-    asked: list[Asked] = []
+    asked: list[msg.Asked] = []
     enough = threading.Event()
 
     def loop() -> None:
@@ -380,7 +359,7 @@ def test_the_command_lines_own_end(operator: Operator) -> None:
     finally:
         enough.set()
         robot.join()
-    assert asked == [Goal(1.0, 2.0)]
+    assert asked == [msg.Goal(1.0, 2.0)]
 
 
 def test_asking_a_robot_that_does_not_run_or_answer(operator: Operator, folder: Path) -> None:
@@ -400,12 +379,12 @@ def test_lines_on_a_pipe_are_asked_and_its_end_is_not_the_end(
     with Operator(DIFFBOT, folder, terminal=reader) as operator:
         assert operator.poll(status) == []
         os.write(writer, b"goal 1 2\nstatus\ngo")
-        assert operator.poll(status) == [Goal(1.0, 2.0)]
+        assert operator.poll(status) == [msg.Goal(1.0, 2.0)]
         assert capsys.readouterr().out == "asked: goal 1 2\nall is well\nreally\n"
         os.write(writer, b"al 3 4")
         os.close(writer)
         asked = [word for _ in range(4) for word in operator.poll(status)]
-        assert asked == [Goal(3.0, 4.0)]
+        assert asked == [msg.Goal(3.0, 4.0)]
         assert not operator.leaving
     os.close(reader)
 
@@ -417,7 +396,7 @@ def test_lines_on_a_terminal_are_asked(folder: Path) -> None:
         with Operator(DIFFBOT, folder, terminal=theirs) as operator:
             os.write(ours, b"stop\n")
             polls = (operator.poll(status) for _ in range(100_000))
-            assert next(asked for asked in polls if asked) == [Stop()]
+            assert next(asked for asked in polls if asked) == [msg.Stop()]
     finally:
         os.close(ours)
         os.close(theirs)

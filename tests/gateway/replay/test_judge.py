@@ -20,22 +20,12 @@ from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import Recorder, environment, read, tick_codec
 from gateway.replay import diff
 from gateway.replay.compare import Verdict, compare
+from protocols import messages as msg
 from protocols.frames import CanFrame, Packet
-from protocols.messages import (
-    Goal,
-    Idle,
-    Impedance,
-    LaserScan,
-    Nanos,
-    Position,
-    SetId,
-    Stop,
-    Torque,
-    Velocity,
-)
 from protocols.messages import (
     Message as AnyMessage,
 )
+from protocols.messages import Nanos
 from protocols.plugin import CommandDecoder
 from tests.gateway import little
 from tests.gateway.little import Little
@@ -211,7 +201,7 @@ def test_the_ear_has_heard_all_before(recorded: Path) -> None:
 
         def decode(self, t: Nanos, frame: Any) -> list[Any]:
             self.received += 1
-            return [Velocity("left", float(self.received))]
+            return [msg.Velocity("left", float(self.received))]
 
     class Late(Little):
         def step(self, now: Nanos, inputs: Inputs) -> Outputs:
@@ -402,21 +392,21 @@ SCAN = (
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        (Velocity("left", 3.14159), "left: Velocity 3.142 rad/s"),
-        (Velocity("left", 3.0, 0.5), "left: Velocity 3 rad/s, torque 0.5 N·m"),
-        (Torque("left", -0.25), "left: Torque -0.25 N·m"),
-        (Position("a", 1.0, velocity=2.0), "a: Position 1 rad, velocity 2 rad/s"),
+        (msg.Velocity("left", 3.14159), "left: Velocity 3.142 rad/s"),
+        (msg.Velocity("left", 3.0, 0.5), "left: Velocity 3 rad/s, torque 0.5 N·m"),
+        (msg.Torque("left", -0.25), "left: Torque -0.25 N·m"),
+        (msg.Position("a", 1.0, velocity=2.0), "a: Position 1 rad, velocity 2 rad/s"),
         (
-            Impedance("a", 1.0, 0.0, 2.0, 3.0, 4.0),
+            msg.Impedance("a", 1.0, 0.0, 2.0, 3.0, 4.0),
             IMPEDANCE,
         ),
-        (Idle("left"), "left: Idle"),
-        (Stop("enough"), "Stop reason enough"),
-        (Stop(), "Stop"),
-        (SetId("can0", 7, 3), "can0: SetId serial 7, address 3"),
-        (Goal(1.0, 2.0), "Goal x 1 m, y 2 m"),
+        (msg.Idle("left"), "left: Idle"),
+        (msg.Stop("enough"), "Stop reason enough"),
+        (msg.Stop(), "Stop"),
+        (msg.SetId("can0", 7, 3), "can0: SetId serial 7, address 3"),
+        (msg.Goal(1.0, 2.0), "Goal x 1 m, y 2 m"),
         (
-            LaserScan("l", 0, 0.0, 0.1, 0.1, 9.0, (1.0,) * 9),
+            msg.LaserScan("l", 0, 0.0, 0.1, 0.1, 9.0, (1.0,) * 9),
             SCAN,
         ),
     ],

@@ -7,18 +7,9 @@ from itertools import pairwise
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import CanFrame
-from protocols.messages import (
-    ClearFault,
-    Found,
-    Hold,
-    Idle,
-    ReadParameter,
-    Reboot,
-    Request,
-    Velocity,
-    WriteParameter,
-)
+from protocols.messages import Request
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import armed
@@ -44,11 +35,11 @@ def test_vectors_of_answers_that_are_lost() -> None:
 def test_vectors_of_a_write_that_is_not_answered_all_of_it_again() -> None:
     talk = Talk(sdo_timeout_ms=30)
     talk.chapter(100)
-    talk.chapter(10, Hold("m"))
+    talk.chapter(10, msg.Hold("m"))
     talk.drive.mute = True
-    talk.chapter(250, Hold("m"))  # three times 30 ms, for a question and for a write
+    talk.chapter(250, msg.Hold("m"))  # three times 30 ms, for a question and for a write
     talk.drive.mute = False
-    talk.chapter(300, Hold("m"))
+    talk.chapter(300, msg.Hold("m"))
     assert talk.drive.state == "OPERATION ENABLED"
     written = [
         frame.data for _, frame in talk.frames if frame.id == 0x602 and frame.data[:4] == b"\x23\x00\x14\x01"
@@ -70,7 +61,7 @@ def test_vectors_of_answers_that_come_late() -> None:
         measures position=1.5708 velocity=0 torque=0 current=0 voltage=48
         """,
     )
-    assert not [event for event in talk.events if isinstance(event, Found)]
+    assert not [event for event in talk.events if isinstance(event, msg.Found)]
 
 
 def test_vectors_of_answers_that_come_after_the_question_was_repeated() -> None:
@@ -78,7 +69,7 @@ def test_vectors_of_answers_that_come_after_the_question_was_repeated() -> None:
     drive.late = 40
     talk = Talk(drive, sdo_timeout_ms=30, feedback_ms=100)
     talk.chapter(4000)
-    assert not [event for event in talk.events if isinstance(event, Found)], "one late device is not two"
+    assert not [event for event in talk.events if isinstance(event, msg.Found)], "one late device is not two"
     assert talk.drive.get(0x6064) == 4096
     assert any("State ready" in str(run) for run in talk.runs()) or len(talk.events) > 10
 
@@ -89,18 +80,18 @@ def test_vectors_of_every_question_answered_twice() -> None:
     talk.drive.copies = 2
     talk.chapter(
         100,
-        Idle("m"),
+        msg.Idle("m"),
         reported="""
         0..50 < Found 2 4711 node id 2 is held twice: * duplicate_address
         < Fault 10002 node id is held twice
         """,
     )
-    talk.chapter(1200, Idle("m"), reported="reads 1018:04")  # told once
+    talk.chapter(1200, msg.Idle("m"), reported="reads 1018:04")  # told once
     talk.drive.copies = 1
-    talk.chapter(100, ClearFault("m"), Idle("m"), reported="< Done ClearFault m")
-    talk.chapter(1200, Idle("m"), reported="reads 1018:04")
+    talk.chapter(100, msg.ClearFault("m"), msg.Idle("m"), reported="< Done ClearFault m")
+    talk.chapter(1200, msg.Idle("m"), reported="reads 1018:04")
     talk.drive.copies = 2
-    talk.chapter(100, Idle("m"), reported="< Found *\n< Fault 10002 *")
+    talk.chapter(100, msg.Idle("m"), reported="< Found *\n< Fault 10002 *")
 
 
 @pytest.mark.parametrize(("questions", "twice"), [(2, False), (3, True)])
@@ -109,7 +100,9 @@ def test_vectors_of_three_questions_in_a_row_answered_twice(questions: int, twic
     talk.chapter(100)
     talk.drive.doubles = questions
     talk.chapter(100)
-    assert [event.duplicate_address for event in talk.events if isinstance(event, Found)] == [True] * twice
+    assert [event.duplicate_address for event in talk.events if isinstance(event, msg.Found)] == [
+        True
+    ] * twice
 
 
 def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
@@ -138,7 +131,7 @@ def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
                 other.slave.said()
                 other.slave.receive(raw)
                 talk.drive.extra += [frame for frame in other.slave.said() if frame.id == 0x582]
-    found = [event for event in talk.events if isinstance(event, Found)]
+    found = [event for event in talk.events if isinstance(event, msg.Found)]
     assert [(each.address, each.duplicate_address) for each in found] == [(2, True)]
 
 
@@ -150,43 +143,43 @@ def test_vectors_of_heartbeats_that_contradict_each_other() -> None:
     talk.chapter(20, reported="")
     talk.handle(beats[5], beats[127], beats[5])
     talk.chapter(0)
-    found = [event for event in talk.events if isinstance(event, Found)]
+    found = [event for event in talk.events if isinstance(event, msg.Found)]
     assert [(each.address, each.serial, each.duplicate_address) for each in found] == [(2, 4711, True)]
 
 
 # fmt: off
 ASKED: list[tuple[Request, Sequence[str]]] = [
-    (ReadParameter("m", "6081"),                  ["< Parameter 6081 100000", "< Done ReadParameter m *"]),
-    (ReadParameter("m", "0x608F:01"),             ["< Parameter 0x608F:01 16384", "< Done *"]),
-    (ReadParameter("m", "Profile velocity"),      ["< Parameter Profile velocity 100000", "< Done *"]),
-    (ReadParameter("m", "608Fsub1"),              ["< Parameter 608Fsub1 16384", "< Done *"]),
-    (ReadParameter("m", "605a"),                  ["< Parameter 605a 2", "< Done *"]),
-    (ReadParameter("m", "1008"),                  ["< Done ReadParameter m twin402"]),  # 7 bytes: in segments
-    (ReadParameter("m", "5FFF"),                  ["< Refused ReadParameter m * (SDO abort 0x06020000)"]),
-    (ReadParameter("m", "1018:09"),               ["< Refused ReadParameter m * (SDO abort 0x06090011)"]),
-    (ReadParameter("m", "nonsense"),              ["0 < Refused ReadParameter m 'nonsense' is no object*"]),
-    (ReadParameter("m", "608F:1234"),             ["0 < Refused ReadParameter m '608F:1234' is no object*"]),
-    (WriteParameter("m", "6081", 12345.0),        ["write 6081 = 12345", "< Done WriteParameter m"]),
-    (WriteParameter("m", "605A", -2.0),           ["write 605A = -2", "< Done *", "< State initialising *"]),
-    (WriteParameter("m", "6098", 37.0),           ["write 6098 = 37", "< Done WriteParameter m"]),
-    (WriteParameter("m", "Torque slope", 5.0),    ["write 6087 = 5", "< Done WriteParameter m"]),
-    (WriteParameter("m", "6041", 1.0),            ["write 6041 = 0001", "< Refused * (* 0x06010002)"]),
-    (WriteParameter("m", "nonsense", 1.0),        ["0 < Refused WriteParameter m 'nonsense' is no object*"]),
-    (WriteParameter("m", "6081", 0.5),            ["0 < Refused WriteParameter m 0.5 is not a whole number"]),
-    (WriteParameter("m", "6081", float("nan")),   ["0 < Refused WriteParameter m nan is not a whole number"]),
-    (WriteParameter("m", "6081", -1.0),           ["0 < Refused WriteParameter m -1 *"]),
-    (WriteParameter("m", "6098", 128.0),          ["0 < Refused WriteParameter m 128 *"]),
-    (WriteParameter("m", "2000", 1.0),            ["0 < Refused WriteParameter m * not known*"]),
-    (WriteParameter("m", "1008", 1.0),            ["0 < Refused WriteParameter m * not known*"]),
-    (WriteParameter("m", "6040", 6.0),            ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "6060", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "607A", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "60FF", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "6071", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "60B1", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "1016:01", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "1400:01", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
-    (WriteParameter("m", "1A03:08", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.ReadParameter("m", "6081"),                  ["< Parameter 6081 100000", "< Done ReadParameter m *"]),
+    (msg.ReadParameter("m", "0x608F:01"),             ["< Parameter 0x608F:01 16384", "< Done *"]),
+    (msg.ReadParameter("m", "Profile velocity"),      ["< Parameter Profile velocity 100000", "< Done *"]),
+    (msg.ReadParameter("m", "608Fsub1"),              ["< Parameter 608Fsub1 16384", "< Done *"]),
+    (msg.ReadParameter("m", "605a"),                  ["< Parameter 605a 2", "< Done *"]),
+    (msg.ReadParameter("m", "1008"),                  ["< Done ReadParameter m twin402"]),  # 7 bytes: in segments
+    (msg.ReadParameter("m", "5FFF"),                  ["< Refused ReadParameter m * (SDO abort 0x06020000)"]),
+    (msg.ReadParameter("m", "1018:09"),               ["< Refused ReadParameter m * (SDO abort 0x06090011)"]),
+    (msg.ReadParameter("m", "nonsense"),              ["0 < Refused ReadParameter m 'nonsense' is no object*"]),
+    (msg.ReadParameter("m", "608F:1234"),             ["0 < Refused ReadParameter m '608F:1234' is no object*"]),
+    (msg.WriteParameter("m", "6081", 12345.0),        ["write 6081 = 12345", "< Done WriteParameter m"]),
+    (msg.WriteParameter("m", "605A", -2.0),           ["write 605A = -2", "< Done *", "< State initialising *"]),
+    (msg.WriteParameter("m", "6098", 37.0),           ["write 6098 = 37", "< Done WriteParameter m"]),
+    (msg.WriteParameter("m", "Torque slope", 5.0),    ["write 6087 = 5", "< Done WriteParameter m"]),
+    (msg.WriteParameter("m", "6041", 1.0),            ["write 6041 = 0001", "< Refused * (* 0x06010002)"]),
+    (msg.WriteParameter("m", "nonsense", 1.0),        ["0 < Refused WriteParameter m 'nonsense' is no object*"]),
+    (msg.WriteParameter("m", "6081", 0.5),            ["0 < Refused WriteParameter m 0.5 is not a whole number"]),
+    (msg.WriteParameter("m", "6081", float("nan")),   ["0 < Refused WriteParameter m nan is not a whole number"]),
+    (msg.WriteParameter("m", "6081", -1.0),           ["0 < Refused WriteParameter m -1 *"]),
+    (msg.WriteParameter("m", "6098", 128.0),          ["0 < Refused WriteParameter m 128 *"]),
+    (msg.WriteParameter("m", "2000", 1.0),            ["0 < Refused WriteParameter m * not known*"]),
+    (msg.WriteParameter("m", "1008", 1.0),            ["0 < Refused WriteParameter m * not known*"]),
+    (msg.WriteParameter("m", "6040", 6.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "6060", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "607A", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "60FF", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "6071", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "60B1", 1.0),            ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "1016:01", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "1400:01", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
+    (msg.WriteParameter("m", "1A03:08", 1.0),         ["0 < Refused WriteParameter m * driver's own*"]),
 ]
 # fmt: on
 
@@ -206,12 +199,12 @@ def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
     drive.local.data_store[0x2000] = {1: b"\xfe"}
     talk.chapter(
         30,
-        ReadParameter("m", "2000:01"),
+        msg.ReadParameter("m", "2000:01"),
         reported="< Parameter 2000:01 254\n< Done ReadParameter m of unknown type*",
     )
     drive.local.data_store[0x2000] = {1: bytes(9)}
     talk.chapter(
-        30, ReadParameter("m", "2000:01"), reported="< Refused ReadParameter m * is no number of its type"
+        30, msg.ReadParameter("m", "2000:01"), reported="< Refused ReadParameter m * is no number of its type"
     )
 
 
@@ -220,7 +213,7 @@ def test_vectors_of_answers_that_do_not_tell_their_size() -> None:
     talk.drive.unsized = True
     talk.drive.put(0x6064, 70_000)  # 26.8447 rad
     talk.chapter(100, reported="< *\n< State ready *\nmeasures position=26.845 voltage=48")
-    talk.chapter(30, ReadParameter("m", "6081"), reported="< Parameter 6081 100000\n< Done *")
+    talk.chapter(30, msg.ReadParameter("m", "6081"), reported="< Parameter 6081 100000\n< Done *")
 
 
 def test_vectors_of_parameters_below_zero() -> None:
@@ -228,7 +221,7 @@ def test_vectors_of_parameters_below_zero() -> None:
     talk.chapter(100)
     talk.drive.put(0x607C, -5)
     talk.chapter(
-        30, ReadParameter("m", "607C"), reported="< Parameter 607C -5\n< Done ReadParameter m position"
+        30, msg.ReadParameter("m", "607C"), reported="< Parameter 607C -5\n< Done ReadParameter m position"
     )
 
 
@@ -237,8 +230,8 @@ def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
     talk.chapter(100)
     talk.chapter(
         100,
-        WriteParameter("m", "608F:01", 8192.0),
-        Idle("m"),
+        msg.WriteParameter("m", "608F:01", 8192.0),
+        msg.Idle("m"),
         reported="""
         write 608F:01 = 8192
         < Done WriteParameter m
@@ -253,9 +246,9 @@ def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
     talk = armed(Talk(sdo_timeout_ms=50))
     talk.chapter(
         50,
-        ReadParameter("m", "6502"),
-        WriteParameter("m", "6083", 7.0),
-        Hold("m"),
+        msg.ReadParameter("m", "6502"),
+        msg.WriteParameter("m", "6083", 7.0),
+        msg.Hold("m"),
         reported="""
         < Parameter 6502 941
         < Done ReadParameter m
@@ -268,8 +261,8 @@ def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
     talk.drive.mute = True
     talk.chapter(
         400,
-        ReadParameter("m", "6502"),
-        Hold("m"),
+        msg.ReadParameter("m", "6502"),
+        msg.Hold("m"),
         reported="""
         100..310 < Refused ReadParameter m no answer of the device
         still rpdo1 6040=000F 6060=8 607A=4096 /10
@@ -282,7 +275,7 @@ def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
 def test_vectors_of_too_many_requests() -> None:
     talk = Talk()
     talk.chapter(100)
-    talk.chapter(100, *[ReadParameter("m", "6064") for _ in range(40)])
+    talk.chapter(100, *[msg.ReadParameter("m", "6064") for _ in range(40)])
     names = [type(event).__name__ for event in talk.events]
     assert (names.count("Parameter"), names.count("Done"), names.count("Refused")) == (32, 32, 8)
 
@@ -292,8 +285,8 @@ def test_vectors_of_a_reboot() -> None:
     talk.chapter(100)
     talk.chapter(
         150,
-        Reboot("m"),
-        Idle("m"),
+        msg.Reboot("m"),
+        msg.Idle("m"),
         reported="""
         0 nmt RESET 2
         < State initialising restarted
@@ -303,13 +296,15 @@ def test_vectors_of_a_reboot() -> None:
         """,
     )
     talk = armed(Talk())
-    talk.chapter(20, Reboot("m"), Hold("m"), reported="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?")
-    talk.chapter(200, Idle("m"))
+    talk.chapter(
+        20, msg.Reboot("m"), msg.Hold("m"), reported="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?"
+    )
+    talk.chapter(200, msg.Idle("m"))
     talk.drive.starts = 99  # NMT is lost
     talk.chapter(
         8200,
-        Reboot("m"),
-        Idle("m"),
+        msg.Reboot("m"),
+        msg.Idle("m"),
         reported="""
         nmt RESET 2 /2000 until 6000..8000
         8000..8010 < Refused Reboot m it showed no sign of a restart
@@ -319,7 +314,7 @@ def test_vectors_of_a_reboot() -> None:
     drive.stand("OPERATION ENABLED", 8)
     talk = Talk(drive)
     talk.chapter(100)
-    talk.chapter(20, Reboot("m"), Idle("m"), reported="0 < Refused Reboot m it is armed*")
+    talk.chapter(20, msg.Reboot("m"), msg.Idle("m"), reported="0 < Refused Reboot m it is armed*")
 
 
 def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
@@ -329,8 +324,8 @@ def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
     talk.chapter(600, reported="400..510 < State offline nothing heard")
     talk.chapter(
         8200,
-        Reboot("m"),
-        ClearFault("m"),
+        msg.Reboot("m"),
+        msg.ClearFault("m"),
         reported="""
         0 nmt RESET 2 /2000 until 6000..8000
         3000..3010 < Refused ClearFault m no answer of the device
@@ -343,7 +338,7 @@ def test_vectors_of_segments_that_another_host_broke_off() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive.mute = True
-    talk.chapter(1, ReadParameter("m", "1008"))
+    talk.chapter(1, msg.ReadParameter("m", "1008"))
     while talk.frames[-1][1].data[:4] != b"\x40\x08\x10\x00":
         talk.drive.mute = False
         talk.chapter(1)
@@ -363,7 +358,7 @@ def test_vectors_of_segments_that_come_twice() -> None:
     talk = Talk(feedback_ms=1000)
     talk.chapter(100)
     talk.drive.copies = 2
-    talk.chapter(20, ReadParameter("m", "1008"))
+    talk.chapter(20, msg.ReadParameter("m", "1008"))
     assert [event for event in talk.events if "twin402" in str(event)]
 
 
@@ -379,12 +374,12 @@ def test_vectors_of_noise_change_nothing() -> None:
         noise[CanFrame(raw.id & 0x780 | 0x21, raw.data)] = None  # another node's
         noise[CanFrame(raw.id, raw.data, extended=True)] = None
         noise[CanFrame(raw.id, raw.data, fd=True)] = None
-    quiet, loud = armed(Talk(), Velocity("m", 1.0)), armed(Talk(), Velocity("m", 1.0))
+    quiet, loud = armed(Talk(), msg.Velocity("m", 1.0)), armed(Talk(), msg.Velocity("m", 1.0))
     beginning = loud.driver.counters.accepted, loud.driver.counters.ignored + loud.driver.counters.malformed
     own = quiet.driver.counters.accepted
     loud.drive.extra = [frame for frame in noise if frame.id != 0x80]
     for talk in (quiet, loud):
-        talk.chapter(100, Velocity("m", 1.0))
+        talk.chapter(100, msg.Velocity("m", 1.0))
     assert loud.frames == quiet.frames
     assert loud.events == quiet.events
     assert loud.driver.counters.accepted - beginning[0] == quiet.driver.counters.accepted - own

@@ -8,18 +8,8 @@ from typing import Any
 
 import pytest
 
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Fault,
-    Hold,
-    Impedance,
-    Position,
-    SetId,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols import messages as msg
+from protocols.messages import Command
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import armed
@@ -84,15 +74,17 @@ def test_vectors_of_units(
     talk.chapter(
         100, reported="< *\n< *\nmeasures position=1.5708 velocity=-6.2832 torque=0.5 current=-1 voltage=48"
     )
-    talk.chapter(200, Position("m", 1.0))
+    talk.chapter(200, msg.Position("m", 1.0))
     assert drive.get(0x607A) == turned
-    talk.chapter(50, Velocity("m", -2.0))
+    talk.chapter(50, msg.Velocity("m", -2.0))
     assert drive.get(0x60FF) == turning
-    talk.chapter(50, Torque("m", 0.25))
+    talk.chapter(50, msg.Torque("m", 0.25))
     assert drive.get(0x6071) == torque
     drive.put(0x6064, -2 * drive.get(0x6064))
     talk.chapter(
-        50, Hold("m"), reported="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10\nbeat ?\nmeasures position=-3.1416"
+        50,
+        msg.Hold("m"),
+        reported="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10\nbeat ?\nmeasures position=-3.1416",
     )
 
 
@@ -103,14 +95,14 @@ def test_vectors_of_a_drive_without_rated_current_and_torque() -> None:
     talk = armed(Talk(drive))
     talk.chapter(
         50,
-        Torque("m", 0.25),
+        msg.Torque("m", 0.25),
         reported="""
         0 < Refused Torque m *
         sync /10
         beat ?
         """,
     )
-    talk.chapter(400, Hold("m"))
+    talk.chapter(400, msg.Hold("m"))
     said = " ".join(talk.transcript(400))
     assert "torque=" not in said
     assert "current=" not in said
@@ -136,10 +128,10 @@ def test_vectors_of_what_cannot_be_commanded(kind: Callable[[Drive], None], why:
     kind(drive)
     talk = Talk(drive)
     talk.chapter(100)
-    talk.chapter(100, Hold("m"))
-    reported = [event for event in talk.events if isinstance(event, Fault)]
+    talk.chapter(100, msg.Hold("m"))
+    reported = [event for event in talk.events if isinstance(event, msg.Fault)]
     assert [(fault.code, why in fault.cause) for fault in reported] == [(0x10003, True)]
-    state = [event for event in talk.events if isinstance(event, State)][-1]
+    state = [event for event in talk.events if isinstance(event, msg.State)][-1]
     assert (state.mode, why in state.detail) == ("fault", True)
     assert {frame.data[0] for _, frame in talk.frames} <= {0x40, 0x60, 0x70}, "only uploads"
 
@@ -149,7 +141,7 @@ def test_vectors_of_a_drive_with_position_alone() -> None:
     drive.put(0x6502, 0x80)  # CSP
     talk = armed(Talk(drive, modes="profile"))
     assert talk.drive.get(0x6060) == 8
-    for word in (Velocity("m", 1.0), Torque("m", 1.0)):
+    for word in (msg.Velocity("m", 1.0), msg.Torque("m", 1.0)):
         talk.chapter(
             50,
             word,
@@ -165,10 +157,10 @@ def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity
     drive = Drive()
     drive.put(0x6502, 0x104)  # PV and CSV
     talk = armed(Talk(drive))
-    talk.chapter(50, Velocity("m", 1.0))
+    talk.chapter(50, msg.Velocity("m", 1.0))
     talk.chapter(
         50,
-        Hold("m"),
+        msg.Hold("m"),
         reported="""
         rpdo2 60FF=0 6071=0 60B2=0 /10
         still rpdo1 6040=000F 6060=9 607A=4096 …
@@ -178,7 +170,7 @@ def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity
     )
     talk.chapter(
         50,
-        Position("m", 1.0),
+        msg.Position("m", 1.0),
         reported="""
         0 < Refused Position m *
         sync /10
@@ -189,16 +181,16 @@ def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity
 
 # fmt: off
 REFUSED: list[tuple[Command, str]] = [
-    (Impedance("m", 0.0, 0.0, 0.0, 1.0, 1.0), "the profile has no impedance control"),
-    (Position("m", inf),                      "position is inf"),
-    (Velocity("m", nan),                      "velocity is nan"),
-    (Torque("m", -inf),                       "torque is -inf"),
-    (Position("m", 1e9),                      "*"),
-    (Velocity("m", -1e9),                     "*"),
-    (Torque("m", 33.0),                       "*"),  # 33000 ‰ do not fit into 16 bits
-    (Position("m", 0.0, 1e9),                 "*"),
-    (Velocity("m", 0.0, 33.0),                "*"),
-    (Hold("nobody"),                          "no such motor*"),
+    (msg.Impedance("m", 0.0, 0.0, 0.0, 1.0, 1.0), "the profile has no impedance control"),
+    (msg.Position("m", inf),                      "position is inf"),
+    (msg.Velocity("m", nan),                      "velocity is nan"),
+    (msg.Torque("m", -inf),                       "torque is -inf"),
+    (msg.Position("m", 1e9),                      "*"),
+    (msg.Velocity("m", -1e9),                     "*"),
+    (msg.Torque("m", 33.0),                       "*"),  # 33000 ‰ do not fit into 16 bits
+    (msg.Position("m", 0.0, 1e9),                 "*"),
+    (msg.Velocity("m", 0.0, 33.0),                "*"),
+    (msg.Hold("nobody"),                          "no such motor*"),
 ]
 # fmt: on
 
@@ -209,14 +201,14 @@ def test_vectors_of_words_that_reach_no_wire(word: Command, why: str) -> None:
     reported = f"0 < Refused {type(word).__name__} {word.motor} {why}"
     talk.chapter(60, word, reported=f"{reported}\nsync /10\nbeat ?")  # told once, as long as it stands
     assert not [frame for _, frame in talk.frames[-3:] if frame.id == 0x202]
-    talk.chapter(20, Hold("m"), reported="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?\nbeat ?")
+    talk.chapter(20, msg.Hold("m"), reported="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?\nbeat ?")
     if word.motor == "m":
         talk.chapter(20, word, reported=f"{reported}\nsync ?\nbeat ?")
     talk.chapter(
         20,
-        SetId("can0", 4711, 3),
-        ClearFault("nobody"),
-        Hold("m"),
+        msg.SetId("can0", 4711, 3),
+        msg.ClearFault("nobody"),
+        msg.Hold("m"),
         reported="""
         < Refused SetId *
         < Refused ClearFault nobody *
@@ -229,11 +221,11 @@ def test_vectors_of_words_that_reach_no_wire(word: Command, why: str) -> None:
 def test_vectors_of_the_largest_set_points_that_fit() -> None:
     talk = armed(Talk())
     most = (2**31 - 1) * tau / 16384
-    talk.chapter(50, Position("m", most * (1 - 1e-12), -most * (1 - 1e-12)))
+    talk.chapter(50, msg.Position("m", most * (1 - 1e-12), -most * (1 - 1e-12)))
     assert abs(talk.drive.get(0x607A) - 2**31) < 9
     assert abs(talk.drive.get(0x60B1) + 2**31) < 9
-    talk.chapter(50, Torque("m", 32.767))
+    talk.chapter(50, msg.Torque("m", 32.767))
     assert talk.drive.get(0x6071) == 32767
-    talk.chapter(50, Velocity("m", -most * (1 - 1e-12), -32.767))
+    talk.chapter(50, msg.Velocity("m", -most * (1 - 1e-12), -32.767))
     assert abs(talk.drive.get(0x60FF) + 2**31) < 9
     assert talk.drive.get(0x60B2) == -32767

@@ -9,6 +9,7 @@ import json
 
 import pytest
 
+from protocols import messages as msg
 from protocols.cia402 import mapping, sdo
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Client, Job, Outcome, Purpose
@@ -20,25 +21,7 @@ from protocols.cia402.pdo import word_of
 from protocols.cia402.profile import PowerState
 from protocols.conformance.bench import START, STEP
 from protocols.frames import CanFrame
-from protocols.messages import (
-    Command,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Mode,
-    Parameter,
-    ReadParameter,
-    Refused,
-    Request,
-    Scan,
-    State,
-    Torque,
-    Velocity,
-    WriteParameter,
-)
+from protocols.messages import Command, Event, Mode, Request
 from tests.protocols.cia402 import driver_vectors
 from tests.protocols.cia402.driver_stage import device, driver_of
 from tests.protocols.cia402.firmware import Drive
@@ -103,20 +86,20 @@ def test_reads_units_identity_and_name_of_an_independent_slave() -> None:
     assert node.known.units.per_turn == pair.slave.value(0x608F, 1)
     assert node.title == "twin402"  # segmented
     assert node.known.serial == (pair.slave.value(0x1018, 4) or None)
-    state = pair.last(State)
-    assert isinstance(state, State)
+    state = pair.last(msg.State)
+    assert isinstance(state, msg.State)
     assert (state.mode, state.detail) == (Mode.READY, "SWITCH ON DISABLED")
-    feedback = pair.last(Feedback)
-    assert isinstance(feedback, Feedback)
+    feedback = pair.last(msg.Feedback)
+    assert isinstance(feedback, msg.Feedback)
     assert all(frame.id == sdo_rx_id(NODE) and frame.data[0] in (0x40, 0x60, 0x70) for frame in pair.down)
-    positions = [e.position for e in pair.events if isinstance(e, Feedback) and e.position is not None]
+    positions = [e.position for e in pair.events if isinstance(e, msg.Feedback) and e.position is not None]
     assert positions[-1] == pytest.approx(node.known.units.position(-123_456))
 
 
 def test_configures_and_starts_an_independent_slave() -> None:
     pair = Pair()
     pair.steps(200)
-    pair.steps(100, Hold("m"))
+    pair.steps(100, msg.Hold("m"))
     for pdo in mapping.wanted(NODE, Options(), synced=True, absent=()):
         known = (pair.slave.node.rpdo if pdo.way == "to" else pair.slave.node.tpdo)[pdo.number]
         known.read()
@@ -133,11 +116,11 @@ def test_what_it_sends_as_rpdo_is_read_by_an_independent_map_and_its_tpdos_by_us
     pair = Pair()
     pair.write(o.POSITION, 4096)
     pair.steps(200)
-    pair.steps(100, Hold("m"))
+    pair.steps(100, msg.Hold("m"))
     received = pair.driver.counters.accepted
     pair.write(o.STATUSWORD, 0x0231)
     pair.write(o.POSITION, 8192)
-    pair.steps(30, Hold("m"))
+    pair.steps(30, msg.Hold("m"))
     assert pair.driver.nodes[NODE].power is PowerState.READY
     assert pair.driver.counters.accepted > received
     assert pair.driver.counters.malformed == 0
@@ -151,12 +134,12 @@ def test_what_it_sends_as_rpdo_is_read_by_an_independent_map_and_its_tpdos_by_us
 def test_is_left_alone_where_its_pdos_fit() -> None:
     pair = Pair()
     pair.steps(200)
-    pair.steps(100, Hold("m"))
-    pair.steps(700, Idle("m"))
+    pair.steps(100, msg.Hold("m"))
+    pair.steps(700, msg.Idle("m"))
     fresh = Pair()
     fresh.slave = pair.slave
     fresh.steps(300)
-    fresh.steps(50, Hold("m"))
+    fresh.steps(50, msg.Hold("m"))
     writes = [sdo.decode_request(f.data) for f in fresh.down if f.id == sdo_rx_id(NODE)]
     indices = {request.index for request in writes if isinstance(request, sdo.Download)}
     assert indices == {0x1016}
@@ -165,12 +148,12 @@ def test_is_left_alone_where_its_pdos_fit() -> None:
 @pytest.mark.parametrize(
     ("request_", "reported"),
     [
-        (ReadParameter("m", "6081"), 100_000.0),
-        (ReadParameter("m", "Profile velocity"), 100_000.0),
-        (ReadParameter("m", "608F:01"), 16_384.0),
-        (ReadParameter("m", "5FFF"), "the device has no such object (SDO abort 0x06020000)"),
-        (ReadParameter("m", "1018:09"), "the object has no such subindex (SDO abort 0x06090011)"),
-        (WriteParameter("m", "6041", 1.0), "the object can only be read (SDO abort 0x06010002)"),
+        (msg.ReadParameter("m", "6081"), 100_000.0),
+        (msg.ReadParameter("m", "Profile velocity"), 100_000.0),
+        (msg.ReadParameter("m", "608F:01"), 16_384.0),
+        (msg.ReadParameter("m", "5FFF"), "the device has no such object (SDO abort 0x06020000)"),
+        (msg.ReadParameter("m", "1018:09"), "the object has no such subindex (SDO abort 0x06090011)"),
+        (msg.WriteParameter("m", "6041", 1.0), "the object can only be read (SDO abort 0x06010002)"),
     ],
 )
 def test_parameters_and_aborts_in_words(request_: Request, reported: float | str) -> None:
@@ -179,21 +162,21 @@ def test_parameters_and_aborts_in_words(request_: Request, reported: float | str
     pair.steps(1, request_)
     pair.steps(20)
     if isinstance(reported, str):
-        refused = pair.last(Refused)
-        assert isinstance(refused, Refused)
+        refused = pair.last(msg.Refused)
+        assert isinstance(refused, msg.Refused)
         assert refused.reason == reported
     else:
-        parameter = pair.last(Parameter)
-        assert isinstance(parameter, Parameter)
+        parameter = pair.last(msg.Parameter)
+        assert isinstance(parameter, msg.Parameter)
         assert parameter.value == reported
 
 
 def test_writes_are_read_back() -> None:
     pair = Pair()
     pair.steps(200)
-    pair.steps(1, WriteParameter("m", "6083", 12_345.0))
+    pair.steps(1, msg.WriteParameter("m", "6083", 12_345.0))
     pair.steps(10)
-    assert isinstance(pair.last(Done), Done)
+    assert isinstance(pair.last(msg.Done), msg.Done)
     assert pair.slave.value(0x6083) == 12_345
 
 
@@ -204,7 +187,7 @@ def test_scan_finds_a_slave_that_is_in_no_robot_file() -> None:
         now += STEP
         for frame in slave.said():
             events += driver.receive(now, frame)
-        reported, frames = driver.send(now, [Scan("can0")] if at == 0 else [])
+        reported, frames = driver.send(now, [msg.Scan("can0")] if at == 0 else [])
         events += reported
         for raw in frames:
             assert isinstance(raw, CanFrame)
@@ -226,10 +209,10 @@ def test_scan_finds_a_slave_that_is_in_no_robot_file() -> None:
 @pytest.mark.parametrize(
     ("command", "mode", "velocity", "torque"),
     [
-        (Velocity("m", -2.0), 3, -5215, 0),  # 16384 / 2π · 2 = 5215.2
-        (Velocity("m", 0.5), 3, 1304, 0),  # 1303.8
-        (Torque("m", 0.05), 4, 0, 50),  # ‰ of 1 N·m
-        (Torque("m", -0.25), 4, 0, -250),
+        (msg.Velocity("m", -2.0), 3, -5215, 0),  # 16384 / 2π · 2 = 5215.2
+        (msg.Velocity("m", 0.5), 3, 1304, 0),  # 1303.8
+        (msg.Torque("m", 0.05), 4, 0, 50),  # ‰ of 1 N·m
+        (msg.Torque("m", -0.25), 4, 0, -250),
     ],
 )
 def test_velocity_and_torque_of_the_profile_modes_stand_in_an_independent_dictionary(
@@ -246,7 +229,7 @@ def test_velocity_and_torque_of_the_profile_modes_stand_in_an_independent_dictio
             drive.handle(raw)
     assert drive.state == "OPERATION ENABLED"
     assert (drive.get(0x6060), drive.get(0x60FF), drive.get(0x6071)) == (mode, velocity, torque)
-    assert not [event for event in events if isinstance(event, Fault | Refused)]
+    assert not [event for event in events if isinstance(event, msg.Fault | msg.Refused)]
 
 
 # -- SDO, segment by segment ----------------------------------------------------------------------------

@@ -7,25 +7,14 @@ from typing import Any
 
 import pytest
 
+from protocols import messages as msg
 from protocols.cia402.codec import Emcy, encode
 from protocols.cia402.fault_reports import DUPLICATE_NODE
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST
 from protocols.cia402.options import Options
 from protocols.cia402.profile import PowerState
 from protocols.frames import BusState
-from protocols.messages import (
-    ClearFault,
-    Done,
-    Fault,
-    Found,
-    Hold,
-    Idle,
-    Mode,
-    ReadParameter,
-    Refused,
-    Scan,
-    Velocity,
-)
+from protocols.messages import Mode
 from tests.protocols.cia402.driver_stage import ALL, stage
 
 A = "alpha"
@@ -38,10 +27,10 @@ A = "alpha"
 def test_a_fault_is_told_with_its_words_and_cleared_only_when_asked(code: int) -> None:
     s = stage()
     s.until(Mode.READY)
-    s.until(Mode.ARMED, Hold(A))
+    s.until(Mode.ARMED, msg.Hold(A))
     s.twin.provoke(code)
-    s.until(Mode.FAULT, Hold(A))
-    (fault,) = s.of(Fault)
+    s.until(Mode.FAULT, msg.Hold(A))
+    (fault,) = s.of(msg.Fault)
     words = FAULTS[code]
     assert (fault.code, fault.name, fault.cause, fault.remedy) == (
         code,
@@ -50,15 +39,15 @@ def test_a_fault_is_told_with_its_words_and_cleared_only_when_asked(code: int) -
         words.remedy,
     )
     s.forget()
-    s.steps(400, Hold(A))
+    s.steps(400, msg.Hold(A))
     assert 0x80 not in [value for index, _, value in s.writes() if index == 0x6040]
-    assert not s.of(Fault)
-    s.step(ClearFault(A), Idle(A))
-    s.steps(50, Idle(A))
+    assert not s.of(msg.Fault)
+    s.step(msg.ClearFault(A), msg.Idle(A))
+    s.steps(50, msg.Idle(A))
     assert [value for index, _, value in s.writes() if index == 0x6040][:2] == [0x00, 0x80]
-    assert isinstance(s.of(Done)[-1], Done)
+    assert isinstance(s.of(msg.Done)[-1], msg.Done)
     assert s.stage.armed[A] is Mode.READY
-    s.until(Mode.ARMED, Hold(A))
+    s.until(Mode.ARMED, msg.Hold(A))
 
 
 def test_a_fault_that_was_there_before_is_told_from_603f() -> None:
@@ -68,7 +57,7 @@ def test_a_fault_that_was_there_before_is_told_from_603f() -> None:
     s.steps(5)
     s.fresh()
     s.until(Mode.FAULT)
-    assert [fault.code for fault in s.of(Fault)] == [0x3220]
+    assert [fault.code for fault in s.of(msg.Fault)] == [0x3220]
 
 
 @pytest.mark.parametrize("stands", [False, True], ids=["goes", "stands"])
@@ -77,34 +66,34 @@ def test_a_fault_told_by_emcy_is_cleared_only_by_what_a_newer_statusword_says(
     name: str, stands: bool
 ) -> None:
     s = stage(ALL[name])
-    s.until(Mode.ARMED, Hold(A))
+    s.until(Mode.ARMED, msg.Hold(A))
     s.twin.provoke(0x2310)
     s.twin.axis.fault_stands = stands
-    while not s.of(Fault):
-        s.step(Hold(A))
+    while not s.of(msg.Fault):
+        s.step(msg.Hold(A))
     assert s.node.power is PowerState.OPERATION_ENABLED  # as far as it has said
     s.forget()
-    s.step(ClearFault(A), Idle(A))
-    assert not s.of(Done)
-    s.steps(3100, Idle(A))
+    s.step(msg.ClearFault(A), msg.Idle(A))
+    assert not s.of(msg.Done)
+    s.steps(3100, msg.Idle(A))
     if stands:
-        assert not s.of(Done)
-        assert "still in fault" in s.of(Refused)[0].reason
+        assert not s.of(msg.Done)
+        assert "still in fault" in s.of(msg.Refused)[0].reason
         assert s.stage.armed[A] is Mode.FAULT
     else:
-        assert [done.request for done in s.of(Done)] == ["ClearFault"]
+        assert [done.request for done in s.of(msg.Done)] == ["ClearFault"]
         assert s.twin.axis.state is not PowerState.FAULT
         assert s.stage.armed[A] is Mode.READY
 
 
 def test_an_emergency_that_no_statusword_confirms_is_cleared_without_a_word_to_the_drive() -> None:
     s = stage()
-    s.until(Mode.ARMED, Hold(A))
+    s.until(Mode.ARMED, msg.Hold(A))
     s.forget()
-    s.step(ClearFault(A), Hold(A), stray=[encode(Emcy(1, 0x2310, 1, bytes(5)))])
-    s.step(ClearFault(A), Hold(A))
-    s.steps(20, Hold(A))
-    assert len(s.of(Done)) == 2
+    s.step(msg.ClearFault(A), msg.Hold(A), stray=[encode(Emcy(1, 0x2310, 1, bytes(5)))])
+    s.step(msg.ClearFault(A), msg.Hold(A))
+    s.steps(20, msg.Hold(A))
+    assert len(s.of(msg.Done)) == 2
     assert s.twin.axis.state is PowerState.OPERATION_ENABLED
     assert 0x80 not in [value for index, _, value in s.writes() if index == 0x6040]
 
@@ -116,26 +105,26 @@ def test_a_fault_that_stands_is_refused_to_be_cleared_and_told_again() -> None:
     s.twin.axis.fault_stands = True
     s.until(Mode.FAULT)
     s.forget()
-    s.step(ClearFault(A))
+    s.step(msg.ClearFault(A))
     s.steps(3100)
-    assert "still in fault" in s.of(Refused)[0].reason
-    assert [fault.code for fault in s.of(Fault)] == [0x4310]
+    assert "still in fault" in s.of(msg.Refused)[0].reason
+    assert [fault.code for fault in s.of(msg.Fault)] == [0x4310]
 
 
 def test_silence_of_the_host_trips_the_watchdog_and_a_host_without_words_is_silent() -> None:
     s = stage()
     s.until(Mode.READY)
-    s.until(Mode.ARMED, Velocity(A, 1.0))
-    s.steps(200, Velocity(A, 1.0))
+    s.until(Mode.ARMED, msg.Velocity(A, 1.0))
+    s.steps(200, msg.Velocity(A, 1.0))
     s.forget()
     s.steps(520)
     assert 0x77F not in {f.id for f in s.down}
-    assert [fault.code for fault in s.of(Fault)] == [HEARTBEAT_LOST]
+    assert [fault.code for fault in s.of(msg.Fault)] == [HEARTBEAT_LOST]
 
 
 def test_the_host_s_heartbeat_goes_only_if_every_armed_device_is_commanded() -> None:
     s = stage(count=2)
-    both = [Velocity(A, 1.0), Velocity("beta", 1.0)]
+    both = [msg.Velocity(A, 1.0), msg.Velocity("beta", 1.0)]
     s.until(Mode.READY)
     for name in (A, "beta"):
         s.until(Mode.ARMED, *both, name=name)
@@ -153,18 +142,18 @@ def test_the_host_s_heartbeat_goes_only_if_every_armed_device_is_commanded() -> 
 def test_a_restart_is_told_and_only_a_fresh_sequence_arms_again() -> None:
     s = stage()
     s.until(Mode.READY)
-    s.until(Mode.ARMED, Hold(A))
+    s.until(Mode.ARMED, msg.Hold(A))
     s.forget()
     s.stage.twins[0] = type(s.twin)(s.stage.devices[0], 3)
-    s.until(Mode.INITIALISING, Hold(A))
-    s.until(Mode.ARMED, Hold(A))
+    s.until(Mode.INITIALISING, msg.Hold(A))
+    s.until(Mode.ARMED, msg.Hold(A))
     words = [int.from_bytes(data[:2], "little") for data in s.said(0x201)]
     assert [w for w in dict.fromkeys(words) if w != 0x0F] == [0x06, 0x07]
 
 
 def test_a_silent_device_is_offline_in_time_and_the_other_goes_on() -> None:
     s = stage(count=2)
-    both = [Hold(A), Hold("beta")]
+    both = [msg.Hold(A), msg.Hold("beta")]
     s.until(Mode.READY)
     for name in (A, "beta"):
         s.until(Mode.ARMED, *both, name=name)
@@ -195,7 +184,7 @@ def test_lost_answers_are_asked_for_again(lost: int) -> None:
 
     s.twin.step = lossy
     s.until(Mode.READY, most=4000)
-    s.until(Mode.ARMED, Velocity(A, 1.0), most=4000)
+    s.until(Mode.ARMED, msg.Velocity(A, 1.0), most=4000)
     s.twin.step = step
     assert s.driver.counters.malformed == 0
 
@@ -207,8 +196,8 @@ def test_two_devices_with_one_node_id_are_noticed() -> None:
     s.stage.devices = (s.stage.devices[0], s.stage.devices[0])
     s.stage.specs = (s.stage.specs[0], s.stage.specs[0])
     s.steps(1500)
-    assert [fault.code for fault in s.of(Fault)] == [DUPLICATE_NODE]
-    (found,) = s.of(Found)
+    assert [fault.code for fault in s.of(msg.Fault)] == [DUPLICATE_NODE]
+    (found,) = s.of(msg.Found)
     assert found.duplicate_address
     assert found.address == 1
 
@@ -221,15 +210,15 @@ def test_an_answer_that_came_twice_once_is_nothing() -> None:
         answers = [w for w in s.up[-3:] if w.id == 0x581]
         s.step(stray=answers[:1])
         s.steps(40)
-    assert not s.of(Fault)
+    assert not s.of(msg.Fault)
 
 
 @pytest.mark.parametrize("state", [BusState.GONE, BusState.OFF])
 def test_a_bus_that_vanished_ends_requests_and_forgets(state: BusState) -> None:
     s = stage()
     s.until(Mode.READY)
-    s.step(ReadParameter(A, "6081"), Scan("bus"))
+    s.step(msg.ReadParameter(A, "6081"), msg.Scan("bus"))
     s.driver.bus(s.stage.now, state)
     s.step()
-    assert {refused.request for refused in s.of(Refused)} == {"ReadParameter", "Scan"}
+    assert {refused.request for refused in s.of(msg.Refused)} == {"ReadParameter", "Scan"}
     assert s.node.known is None

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from protocols import messages as msg
 from protocols.cia402 import messages, plugin, read_only, sdo, spec
 from protocols.cia402 import objects as o
 from protocols.cia402.codec import Heartbeat, Nmt, NmtCommand, NmtState, Sync, encode, rpdo_id, sdo_rx_id
@@ -16,20 +17,7 @@ from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import mapping, packing
 from protocols.cia402.profile import Mode
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Estop,
-    Hold,
-    Home,
-    Idle,
-    Position,
-    Reboot,
-    Request,
-    Torque,
-    Velocity,
-    WriteParameter,
-)
+from protocols.messages import Command, Request
 from protocols.plugin import Device
 from tests.protocols.cia402.bench import NODE, Bench, device
 
@@ -59,11 +47,11 @@ class Listener:
 @pytest.mark.parametrize(
     ("mode", "key", "value", "word"),
     [
-        (Mode.CSP, o.TARGET_POSITION, TURN // 4, Position("m", math.tau / 4)),
-        (Mode.CSV, o.TARGET_VELOCITY, -TURN, Velocity("m", -math.tau)),
-        (Mode.CST, o.TARGET_TORQUE, 250, Torque("m", 0.25)),
-        (Mode.PV, o.TARGET_VELOCITY, TURN, Velocity("m", math.tau)),
-        (Mode.PT, o.TARGET_TORQUE, -100, Torque("m", -0.1)),
+        (Mode.CSP, o.TARGET_POSITION, TURN // 4, msg.Position("m", math.tau / 4)),
+        (Mode.CSV, o.TARGET_VELOCITY, -TURN, msg.Velocity("m", -math.tau)),
+        (Mode.CST, o.TARGET_TORQUE, 250, msg.Torque("m", 0.25)),
+        (Mode.PV, o.TARGET_VELOCITY, TURN, msg.Velocity("m", math.tau)),
+        (Mode.PT, o.TARGET_TORQUE, -100, msg.Torque("m", -0.1)),
     ],
     ids=lambda v: getattr(v, "name", None),
 )
@@ -75,7 +63,7 @@ def test_a_set_point_is_a_word_once_the_drive_is_enabled(
     assert host.enable(mode) == [word], "and what stood there is obeyed at once"
     assert host.put(key, value) == [word]
     assert host.put(o.CONTROLWORD, 0x0F) == [word]
-    assert host.put(o.CONTROLWORD, 0x06) == [Idle("m")]
+    assert host.put(o.CONTROLWORD, 0x06) == [msg.Idle("m")]
     assert host.put(key, value) == []
 
 
@@ -83,38 +71,38 @@ def test_offsets_are_feed_forward() -> None:
     host = Listener()
     host.enable(Mode.CSP)
     host.put(o.VELOCITY_OFFSET, TURN)
-    assert host.put(o.TORQUE_OFFSET, 500) == [Position("m", 0.0, math.tau, 0.5)]
-    assert host.put(o.MODE, Mode.CSV) == [Velocity("m", math.tau, 0.5)]
-    assert host.put(o.MODE, Mode.CST) == [Torque("m", 0.5)]
+    assert host.put(o.TORQUE_OFFSET, 500) == [msg.Position("m", 0.0, math.tau, 0.5)]
+    assert host.put(o.MODE, Mode.CSV) == [msg.Velocity("m", math.tau, 0.5)]
+    assert host.put(o.MODE, Mode.CST) == [msg.Torque("m", 0.5)]
 
 
 def test_profile_position_takes_a_set_point_with_bit_4() -> None:
     host = Listener()
     assert host.enable(Mode.PP) == []
     assert host.put(o.TARGET_POSITION, TURN) == []
-    assert host.put(o.CONTROLWORD, 0x1F) == [Position("m", math.tau)]
+    assert host.put(o.CONTROLWORD, 0x1F) == [msg.Position("m", math.tau)]
     host.put(o.CONTROLWORD, 0x0F)
     host.put(o.TARGET_POSITION, TURN // 2)
-    assert host.put(o.CONTROLWORD, 0x5F) == [Position("m", 1.5 * math.tau)]
+    assert host.put(o.CONTROLWORD, 0x5F) == [msg.Position("m", 1.5 * math.tau)]
 
 
 def test_requests_are_heard() -> None:
     host = Listener()
     host.enable(Mode.HM)
-    assert host.put(o.CONTROLWORD, 0x1F) == [Home("m")]
+    assert host.put(o.CONTROLWORD, 0x1F) == [msg.Home("m")]
     assert host.put(o.CONTROLWORD, 0x0F) == []
-    assert host.put(o.CONTROLWORD, 0x02) == [Estop("m")]
-    assert host.put(o.CONTROLWORD, 0x80) == [ClearFault("m")]
+    assert host.put(o.CONTROLWORD, 0x02) == [msg.Estop("m")]
+    assert host.put(o.CONTROLWORD, 0x80) == [msg.ClearFault("m")]
     assert host.put(o.CONTROLWORD, 0x80) == []
-    assert host.put(o.PROFILE_VELOCITY, 99) == [WriteParameter("m", "6081", 99.0)]
+    assert host.put(o.PROFILE_VELOCITY, 99) == [msg.WriteParameter("m", "6081", 99.0)]
     assert host.put(o.PROFILE_VELOCITY, 0) == [], "refused: not obeyed"
-    assert host.put((0x1400, o.TRANSMISSION), 1) == [WriteParameter("m", "1400:02", 1.0)]
-    assert host.handle(encode(Nmt(NmtCommand.RESET_NODE, 0))) == [Reboot("m"), Reboot("n")]
+    assert host.put((0x1400, o.TRANSMISSION), 1) == [msg.WriteParameter("m", "1400:02", 1.0)]
+    assert host.handle(encode(Nmt(NmtCommand.RESET_NODE, 0))) == [msg.Reboot("m"), msg.Reboot("n")]
 
 
 def test_the_other_drive_hears_its_own() -> None:
     host = Listener()
-    assert host.put(o.PROFILE_VELOCITY, 7, NODE + 1) == [WriteParameter("n", "6081", 7.0)]
+    assert host.put(o.PROFILE_VELOCITY, 7, NODE + 1) == [msg.WriteParameter("n", "6081", 7.0)]
     assert host.put(o.PROFILE_VELOCITY, 7, NODE + 2) == []
 
 
@@ -124,7 +112,9 @@ def test_after_a_quick_stop_the_way_back_is_heard_either_way() -> None:
         host = Listener(Settings(quick_stop_option=option))
         host.enable(Mode.CSV)
         host.put(o.CONTROLWORD, 0x02)
-        assert [word for value in words for word in host.put(o.CONTROLWORD, value)] == [Velocity("m", 0.0)]
+        assert [word for value in words for word in host.put(o.CONTROLWORD, value)] == [
+            msg.Velocity("m", 0.0)
+        ]
 
 
 @pytest.mark.parametrize("transmission", [0, 1, 240, 254, 255])
@@ -140,14 +130,14 @@ def test_an_rpdo_is_heard_when_it_takes_effect(transmission: int) -> None:
     assert rpdo(0x06, 0) == [], "not in operational"
     host.handle(encode(Nmt(NmtCommand.START, NODE)))
     assert rpdo(0x06, 5) == rpdo(0x07, 5) == []
-    assert rpdo(0x0F, 5) == [Position("m", 5 * math.tau / TURN)]
+    assert rpdo(0x0F, 5) == [msg.Position("m", 5 * math.tau / TURN)]
     if transmission <= 240:
         assert host.handle(encode(Sync())) == [], "what was taken over waits no more"
         host.handle(CanFrame(rpdo_id(1, NODE), pack.pack((0x0F, Mode.CSP, 6))))
         latest = pack.pack((0x0F, Mode.CSP, 7))
         assert host.handle(CanFrame(rpdo_id(1, NODE), latest)) == []
-        assert host.handle(encode(Sync())) == [Position("m", 7 * math.tau / TURN)]
-    assert rpdo(0x00, 5) == [Idle("m")]
+        assert host.handle(encode(Sync())) == [msg.Position("m", 7 * math.tau / TURN)]
+    assert rpdo(0x00, 5) == [msg.Idle("m")]
 
 
 def test_ear_and_twin_take_the_same_things_to_heart() -> None:
@@ -225,7 +215,7 @@ def test_the_spec_follows_options_and_settings() -> None:
     profile = spec(Device("m", NODE, Options(modes="profile"), Settings()))
     assert "Position.velocity" not in profile.ranges
     bare = spec(Device("m", NODE, Options(watchdog_ms=0), Settings(supported_modes=0x100)))
-    assert bare.commands == {Idle, Hold, Velocity}
+    assert bare.commands == {msg.Idle, msg.Hold, msg.Velocity}
     assert bare.watchdog.timeout is None
     assert "keeps its last set-point" in bare.watchdog.note
     assert bare.holds_unattended

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from protocols import messages as msg
 from protocols.cia402 import objects as o
 from protocols.cia402.codec import NmtState, decode
 from protocols.cia402.decoder import Cia402Decoder
@@ -15,18 +16,7 @@ from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import entry_of
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Estop,
-    Feedback,
-    Idle,
-    Position,
-    Reboot,
-    Request,
-    Velocity,
-    WriteParameter,
-)
+from protocols.messages import MILLISECOND, Command, Request
 from protocols.plugin import Device
 from tests.protocols.cia402.vectors import VECTORS
 
@@ -72,7 +62,7 @@ class Drive:
         self.now += MILLISECOND
         for frame in frames:
             self.twin.receive(self.now, frame)
-        return list(self.twin.step(self.now, (Feedback("m", self.now, self.position, 0.0),))[1])
+        return list(self.twin.step(self.now, (msg.Feedback("m", self.now, self.position, 0.0),))[1])
 
 
 def test_the_twin_answers_sdo_vectors_as_the_slave_did() -> None:
@@ -147,8 +137,8 @@ def test_vectors_are_heard_as_the_words_that_they_mean() -> None:
     configured = [
         word for v in VECTORS if v.name.startswith("configure_") for word in decoder.decode(0, v.frame)
     ]
-    assert all(isinstance(word, WriteParameter) for word in configured)
-    assert received("nmt_start#0") == [WriteParameter("m", "NMT state", 5.0)]
+    assert all(isinstance(word, msg.WriteParameter) for word in configured)
+    assert received("nmt_start#0") == [msg.WriteParameter("m", "NMT state", 5.0)]
     assert received("nmt_start#0") == []
     assert received("sdo_write_target_velocity_-1000#0") == []
     for name in ("enable_over_sdo#2", "enable_over_sdo#5", "enable_over_sdo#7"):
@@ -157,15 +147,15 @@ def test_vectors_are_heard_as_the_words_that_they_mean() -> None:
     assert received("rpdo2_as_mapped") == []
     assert received("rpdo3_as_mapped") == []
     words = received("sync#0")
-    assert words[-1] == Position("m", -123_456 / TURN * math.tau, -1000 / TURN * math.tau, 0.125)
-    assert {type(word) for word in words} == {Position}
+    assert words[-1] == msg.Position("m", -123_456 / TURN * math.tau, -1000 / TURN * math.tau, 0.125)
+    assert {type(word) for word in words} == {msg.Position}
     assert received("sync#0") == []
     decoder.axes[0].dictionary.values |= {o.MODE: 9, o.VELOCITY_OFFSET: 0, o.TORQUE_OFFSET: 0}
-    assert received("sdo_write_target_velocity_-1000#0") == [Velocity("m", -1000 / TURN * math.tau)]
-    assert received("quick_stop_over_sdo#2") == [Estop("m")]
+    assert received("sdo_write_target_velocity_-1000#0") == [msg.Velocity("m", -1000 / TURN * math.tau)]
+    assert received("quick_stop_over_sdo#2") == [msg.Estop("m")]
     for name in ("enable_over_sdo#2", "enable_over_sdo#5"):
         assert received(name) == []
-    assert received("enable_over_sdo#7") == [Velocity("m", -1000 / TURN * math.tau)]
-    assert received("disable_over_sdo#2") == [Idle("m")]
+    assert received("enable_over_sdo#7") == [msg.Velocity("m", -1000 / TURN * math.tau)]
+    assert received("disable_over_sdo#2") == [msg.Idle("m")]
     assert received("sdo_probe_scan#1") == received("sdo_read_statusword#0") == []
-    assert received("nmt_reset_node") == [Reboot("m")]
+    assert received("nmt_reset_node") == [msg.Reboot("m")]

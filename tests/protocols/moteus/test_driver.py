@@ -7,25 +7,9 @@ from math import inf, nan, tau
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Done,
-    Fault,
-    Feedback,
-    Found,
-    Hold,
-    Idle,
-    Impedance,
-    Position,
-    Refused,
-    State,
-    Stop,
-    Torque,
-    Velocity,
-)
+from protocols.messages import MILLISECOND, Command
 from protocols.moteus.codec import READ_ERROR, Error, Values, encode, framed, reply_id
 from protocols.moteus.faults import FAULTS, HELD_TWICE, NOT_ARMED, TIMEOUT
 from protocols.moteus.messages import IDENTIFY
@@ -44,7 +28,7 @@ P, V, T = Register.COMMAND_POSITION, Register.COMMAND_VELOCITY, Register.COMMAND
 
 def test_an_unclaimed_device_is_only_asked() -> None:
     bench = ready()
-    bench.run(500, Idle("left"))
+    bench.run(500, msg.Idle("left"))
     assert bench.said() == []
     asked = {f.data.rstrip(b"\x50") for _, f in bench.sent}
     assert asked == {FAST, FULL, IDENTIFY}
@@ -59,7 +43,7 @@ def test_one_question_a_period_and_the_details_now_and_then() -> None:
     frames = [f.data.rstrip(b"\x50") for t, f in bench.sent if t >= start]
     assert frames.count(FAST) == pytest.approx(95, abs=2)
     assert frames.count(FULL) == 5
-    bench.run(1000, Velocity("left", 1.0))
+    bench.run(1000, msg.Velocity("left", 1.0))
     since = bench.now - 1000 * MILLISECOND
     frames = [f.data for t, f in bench.sent if t >= since]
     assert len(frames) == pytest.approx(200, abs=2)  # 5 ms: each command asks by itself
@@ -84,7 +68,7 @@ def _without_uuid(frame: CanFrame) -> CanFrame:
 def test_feedback_is_in_si_and_of_the_time_of_the_answer() -> None:
     bench = ready()
     bench.shaft.position, bench.shaft.velocity, bench.shaft.held = rev(1.25), 0.0, True
-    events = of(Feedback, bench.run(400))
+    events = of(msg.Feedback, bench.run(400))
     assert events[-1].position == pytest.approx(rev(1.25), abs=tau / 16384)
     assert events[-1].t == bench.received[-1][0]
     full = [e for e in events if e.voltage is not None][-1]
@@ -96,7 +80,7 @@ def test_feedback_is_in_si_and_of_the_time_of_the_answer() -> None:
 def test_ready_is_told_once() -> None:
     bench = Bench([device()])
     assert modes(bench.run(500)) == ["ready"]
-    assert of(State, bench.events)[0].detail == "stopped"
+    assert of(msg.State, bench.events)[0].detail == "stopped"
 
 
 # -- arming and set-points --------------------------------------------------------------------------
@@ -106,23 +90,23 @@ def test_arming_begins_where_the_shaft_is_and_names_every_register() -> None:
     bench = Bench([device()])
     bench.shaft.position = rev(3.5)
     bench.run(60)
-    bench.run(30, Position("left", rev(4.0)))
+    bench.run(30, msg.Position("left", rev(4.0)))
     first = bench.commanded()[0]
     assert first[Register.MODE] == Mode.POSITION
     assert first[P] == pytest.approx(3.5, abs=1 / 16384)
     assert (first[V], first[T]) == (0.0, 0.0)
     assert first[Register.COMMAND_TIMEOUT] == pytest.approx(0.1)
     assert bench.commanded()[-1][P] == pytest.approx(4.0)
-    states = of(State, bench.events)
+    states = of(msg.State, bench.events)
     assert {s.mode for s in states if s.detail in ("enabling", "calibrating")} == {"ready"}
     assert list(dict.fromkeys(modes(bench.events))) == ["ready", "armed"]  # enabling is no new beginning
 
 
 def test_positions_are_reached_and_feed_forwards_arrive() -> None:
     bench = ready()
-    bench.run(3000, Position("left", rev(0.5)))
+    bench.run(3000, msg.Position("left", rev(0.5)))
     assert bench.shaft.position == pytest.approx(rev(0.5), abs=0.02)
-    bench.run(20, Position("left", rev(0.5), 0.25, 0.125))
+    bench.run(20, msg.Position("left", rev(0.5), 0.25, 0.125))
     said = bench.commanded()[-1]
     assert said[V] == pytest.approx(0.25 / tau)
     assert said[T] == 0.125
@@ -130,7 +114,7 @@ def test_positions_are_reached_and_feed_forwards_arrive() -> None:
 
 def test_a_velocity_is_reached_and_names_no_position() -> None:
     bench = ready()
-    bench.run(500, Velocity("left", 10.0))
+    bench.run(500, msg.Velocity("left", 10.0))
     assert bench.shaft.velocity == pytest.approx(10.0, rel=0.01)
     assert bench.commanded()[-1][P] is None  # left out, it would be 0: the motor would turn there
     assert P in bench.commanded()[-1]
@@ -139,7 +123,7 @@ def test_a_velocity_is_reached_and_names_no_position() -> None:
 def test_a_torque_is_given_with_all_gains_at_zero() -> None:
     bench = ready()
     bench.shaft.held = True
-    bench.run(100, Torque("left", 0.2))
+    bench.run(100, msg.Torque("left", 0.2))
     assert bench.twin.servo.torque() == pytest.approx(0.2, rel=1e-3)
     scales = [Register.COMMAND_KP_SCALE, Register.COMMAND_KD_SCALE, Register.COMMAND_ILIMIT_SCALE]
     assert [bench.commanded()[-1][scale] for scale in scales] == [0.0, 0.0, 0.0]
@@ -148,19 +132,21 @@ def test_a_torque_is_given_with_all_gains_at_zero() -> None:
 
 def test_hold_stays_where_it_was_first_said() -> None:
     bench = ready()
-    bench.run(300, Velocity("left", 5.0))
+    bench.run(300, msg.Velocity("left", 5.0))
     bench.shaft.velocity = 0.0
-    bench.run(5, Hold("left"))
+    bench.run(5, msg.Hold("left"))
     place = bench.commanded()[-1][P]
     bench.shaft.position += 0.05
-    bench.run(200, Hold("left"))
+    bench.run(200, msg.Hold("left"))
     assert bench.commanded()[-1][P] == place
-    bench.run(50, Velocity("left", 0.0))
-    bench.run(5, Hold("left"))
+    bench.run(50, msg.Velocity("left", 0.0))
+    bench.run(5, msg.Hold("left"))
     assert bench.commanded()[-1][P] != place
 
 
-@pytest.mark.parametrize("before", [Torque("left", 0.02), Position("left", rev(20.0)), Hold("left")])
+@pytest.mark.parametrize(
+    "before", [msg.Torque("left", 0.02), msg.Position("left", rev(20.0)), msg.Hold("left")]
+)
 def test_a_velocity_goes_on_from_where_the_shaft_is(before: Command) -> None:
     """The device's own set-point may stand anywhere: at a goal not reached, or where torque left it."""
     bench = ready()
@@ -169,7 +155,7 @@ def test_a_velocity_goes_on_from_where_the_shaft_is(before: Command) -> None:
     bench.run(20, before)
     place, since = bench.shaft.position, bench.now
     bench.shaft.velocity = 0.0
-    bench.run(100, Velocity("left", 0.0))
+    bench.run(100, msg.Velocity("left", 0.0))
     first = bench.commanded(since)[0]
     assert first[P] == pytest.approx(place / tau, abs=0.3)
     assert bench.commanded()[-1][P] is None
@@ -178,20 +164,20 @@ def test_a_velocity_goes_on_from_where_the_shaft_is(before: Command) -> None:
 
 def test_a_place_that_did_not_arrive_is_said_until_it_is_answered() -> None:
     bench = ready()
-    bench.run(60, Position("left", rev(20.0)))
+    bench.run(60, msg.Position("left", rev(20.0)))
     bench.to_device = lambda _: False
     since = bench.now
-    bench.run(50, Velocity("left", 0.0))
+    bench.run(50, msg.Velocity("left", 0.0))
     assert all(said[P] is not None for said in bench.commanded(since))
     bench.to_device = lambda _: True
-    bench.run(100, Velocity("left", 0.0))
+    bench.run(100, msg.Velocity("left", 0.0))
     assert bench.commanded()[-1][P] is None
 
 
 def test_limits_of_the_options_stand_in_every_command() -> None:
     options = Options(max_torque=0.5, velocity_limit=rev(4.0), acceleration_limit=rev(20.0), timeout_ms=250)
     bench = ready(device(options=options))
-    for word in (Position("left", 1.0), Velocity("left", 1.0), Torque("left", 0.1)):
+    for word in (msg.Position("left", 1.0), msg.Velocity("left", 1.0), msg.Torque("left", 0.1)):
         bench.run(50, word)
     for said in bench.commanded():
         assert said[Register.COMMAND_POSITION_MAX_TORQUE] == pytest.approx(0.5)
@@ -203,44 +189,44 @@ def test_limits_of_the_options_stand_in_every_command() -> None:
 def test_a_trajectory_of_the_device_keeps_its_limits() -> None:
     options = Options(velocity_limit=rev(1.0), acceleration_limit=rev(4.0))
     bench = ready(device(options=options))
-    bench.run(600, Position("left", rev(2.0)))
+    bench.run(600, msg.Position("left", rev(2.0)))
     assert bench.shaft.velocity == pytest.approx(rev(1.0), rel=0.05)
-    bench.run(2500, Position("left", rev(2.0)))
+    bench.run(2500, msg.Position("left", rev(2.0)))
     assert bench.shaft.position == pytest.approx(rev(2.0), abs=0.05)
 
 
 @pytest.mark.parametrize(
     "word",
     [
-        Position("left", nan),
-        Position("left", 0.0, inf),
-        Position("left", 0.0, 0.0, -inf),
-        Velocity("left", 1e9),
-        Torque("left", nan),
-        Impedance("left", 0.0, 0.0, 0.0, 1.0, 0.1),
+        msg.Position("left", nan),
+        msg.Position("left", 0.0, inf),
+        msg.Position("left", 0.0, 0.0, -inf),
+        msg.Velocity("left", 1e9),
+        msg.Torque("left", nan),
+        msg.Impedance("left", 0.0, 0.0, 0.0, 1.0, 0.1),
     ],
 )
 def test_what_must_not_pass_is_refused_once_and_says_nothing(word: Command) -> None:
     bench = ready()
-    reported = of(Refused, bench.run(100, word))
+    reported = of(msg.Refused, bench.run(100, word))
     assert len(reported) == 1
     assert bench.said() == []
 
 
 def test_a_command_for_nobody_is_refused() -> None:
     bench = ready()
-    assert of(Refused, bench.run(10, Idle("nobody")))[0].reason == "no such motor on this bus"
+    assert of(msg.Refused, bench.run(10, msg.Idle("nobody")))[0].reason == "no such motor on this bus"
 
 
 def test_a_running_device_is_taken_over_without_a_gap() -> None:
     bench = ready()
     bench.shaft.load = 0.1
-    bench.run(500, Hold("left"))
+    bench.run(500, msg.Hold("left"))
     place = bench.shaft.position
     fresh = Bench(bench.devices)
     fresh.twins, fresh.shafts, fresh.now = bench.twins, bench.shafts, bench.now
     fresh.run(30)
-    fresh.run(300, Hold("left"))
+    fresh.run(300, msg.Hold("left"))
     assert fresh.said() == ["position 020 021 022 027"] * len(fresh.said())
     assert modes(fresh.events) == ["armed"]
     assert fresh.shaft.position == pytest.approx(place, abs=0.1)
@@ -251,9 +237,9 @@ def test_a_running_device_is_taken_over_without_a_gap() -> None:
 
 def test_idle_stops_what_we_armed_until_that_is_confirmed() -> None:
     bench = ready()
-    bench.run(200, Velocity("left", 5.0))
+    bench.run(200, msg.Velocity("left", 5.0))
     since = bench.now
-    bench.run(300, Idle("left"))
+    bench.run(300, msg.Idle("left"))
     said = bench.said(since)
     assert set(said) == {"stop"}
     assert len(said) <= 3
@@ -263,23 +249,23 @@ def test_idle_stops_what_we_armed_until_that_is_confirmed() -> None:
 
 def test_a_stop_that_is_lost_is_said_again() -> None:
     bench = ready()
-    bench.run(200, Velocity("left", 5.0))
+    bench.run(200, msg.Velocity("left", 5.0))
     bench.to_device = lambda _: False
-    bench.run(60, Idle("left"))
+    bench.run(60, msg.Idle("left"))
     bench.to_device = lambda _: True
-    bench.run(100, Idle("left"))
+    bench.run(100, msg.Idle("left"))
     assert bench.twin.servo.mode == Mode.STOPPED
 
 
 def test_an_operator_s_stop_reaches_what_another_host_armed() -> None:
     bench = ready()
-    bench.run(200, Hold("left"))
+    bench.run(200, msg.Hold("left"))
     fresh = Bench(bench.devices)
     fresh.twins, fresh.shafts, fresh.now = bench.twins, bench.shafts, bench.now
-    fresh.run(30, Idle("left"))
+    fresh.run(30, msg.Idle("left"))
     assert fresh.said() == []
-    fresh.ask(Stop("test"))
-    fresh.run(60, Idle("left"))
+    fresh.ask(msg.Stop("test"))
+    fresh.run(60, msg.Idle("left"))
     assert set(fresh.said()) == {"stop"}
     assert fresh.twin.servo.mode == Mode.STOPPED
 
@@ -290,16 +276,16 @@ def test_an_operator_s_stop_reaches_what_another_host_armed() -> None:
 @pytest.mark.parametrize("code", FAULTS)
 def test_every_fault_is_told_with_its_words_and_left_alone(code: int) -> None:
     bench = ready()
-    bench.run(50, Velocity("left", 2.0))
+    bench.run(50, msg.Velocity("left", 2.0))
     bench.twin.provoke(code)
     since = bench.now + 20 * MILLISECOND
-    reported = of(Fault, bench.run(100))
+    reported = of(msg.Fault, bench.run(100))
     text = FAULTS[code]
     assert [(f.code, f.name, f.cause, f.remedy) for f in reported] == [
         (code, text.name, text.cause, text.remedy)
     ]
-    bench.run(300, Position("left", 0.0))
-    bench.run(300, Idle("left"))
+    bench.run(300, msg.Position("left", 0.0))
+    bench.run(300, msg.Idle("left"))
     assert bench.said(since) == []
     assert bench.twin.servo.mode == (Mode.TIMEOUT if code == TIMEOUT else Mode.FAULT)
     assert modes(bench.events)[-1] == "fault"
@@ -307,11 +293,11 @@ def test_every_fault_is_told_with_its_words_and_left_alone(code: int) -> None:
 
 def test_clear_stops_and_then_it_arms_again() -> None:
     bench = ready()
-    bench.run(50, Hold("left"))
+    bench.run(50, msg.Hold("left"))
     bench.twin.provoke(38)
     bench.run(50)
-    reported = bench.ask(ClearFault("left"), 60)
-    assert of(Done, reported)[0].request == "ClearFault"
+    reported = bench.ask(msg.ClearFault("left"), 60)
+    assert of(msg.Done, reported)[0].request == "ClearFault"
     assert "stop" in bench.said(bench.now - 80 * MILLISECOND)
     bench.run(100)
     assert modes(bench.events)[-1] == "armed"
@@ -319,88 +305,88 @@ def test_clear_stops_and_then_it_arms_again() -> None:
 
 def test_clear_says_no_stop_to_what_is_not_latched() -> None:
     bench = ready()
-    bench.run(100, Hold("left"))
+    bench.run(100, msg.Hold("left"))
     since = bench.now
-    reported = bench.ask(ClearFault("left"), 100)
-    assert len(of(Done, reported)) == 1
+    reported = bench.ask(msg.ClearFault("left"), 100)
+    assert len(of(msg.Done, reported)) == 1
     assert "stop" not in bench.said(since)
     assert bench.twin.servo.mode == Mode.POSITION
 
 
 def test_a_fault_that_comes_back_is_told_again() -> None:
     bench = ready()
-    bench.run(50, Hold("left"))
+    bench.run(50, msg.Hold("left"))
     for _ in range(2):
         bench.twin.provoke(38)
-        assert len(of(Fault, bench.run(100))) == 1
-        bench.ask(ClearFault("left"), 100)
+        assert len(of(msg.Fault, bench.run(100))) == 1
+        bench.ask(msg.ClearFault("left"), 100)
 
 
 def test_a_fault_that_cannot_be_cleared_is_refused_and_told_again() -> None:
     bench = ready()
-    bench.run(50, Hold("left"))
+    bench.run(50, msg.Hold("left"))
     bench.twin.provoke(33)
     bench.run(50)
     bench.to_device = lambda frame: frame.data[:1] != b"\x01"
-    reported = bench.ask(ClearFault("left"), 700)
-    assert of(Refused, reported)[0].reason == "still in fault: motor driver fault"
-    assert len(of(Fault, reported)) == 1
+    reported = bench.ask(msg.ClearFault("left"), 700)
+    assert of(msg.Refused, reported)[0].reason == "still in fault: motor driver fault"
+    assert len(of(msg.Fault, reported)) == 1
 
 
 def test_what_another_host_stopped_is_still_not_commanded_before_clear() -> None:
     bench = ready()
-    bench.run(50, Hold("left"))
+    bench.run(50, msg.Hold("left"))
     bench.twin.provoke(38)
     bench.run(50)
     bench.twin.receive(bench.now, framed(0x0201, b"\x01\x00\x00"))
     bench.run(100)
     assert bench.twin.servo.mode == Mode.STOPPED
     assert modes(bench.events)[-1] == "fault"
-    assert of(State, bench.events)[-1].detail == "stopped, not cleared yet"
+    assert of(msg.State, bench.events)[-1].detail == "stopped, not cleared yet"
 
 
 def test_silence_of_the_host_trips_the_watchdog_which_latches() -> None:
     bench = ready()
-    bench.run(200, Velocity("left", 5.0))
+    bench.run(200, msg.Velocity("left", 5.0))
     events = bench.quiet(150)  # the driver lives and asks, but nobody commands
     assert bench.twin.servo.mode == Mode.TIMEOUT
-    assert [f.code for f in of(Fault, events)] == [TIMEOUT]
+    assert [f.code for f in of(msg.Fault, events)] == [TIMEOUT]
     assert bench.twin.servo.torque() < 0.0  # it damps
-    bench.run(300, Velocity("left", 5.0))
-    bench.run(300, Idle("left"))
+    bench.run(300, msg.Velocity("left", 5.0))
+    bench.run(300, msg.Idle("left"))
     assert bench.twin.servo.mode == Mode.TIMEOUT
-    bench.ask(ClearFault("left"), 100)
+    bench.ask(msg.ClearFault("left"), 100)
     assert bench.twin.servo.mode == Mode.STOPPED
 
 
 def test_limits_that_are_active_are_no_faults() -> None:
     bench = ready()
     bench.shaft.held = True
-    events = bench.run(300, Torque("left", 50.0))
+    events = bench.run(300, msg.Torque("left", 50.0))
     assert bench.twin.servo.reply() == 99
-    assert of(Fault, events) == []
+    assert of(msg.Fault, events) == []
     assert modes(events)[-1] == "armed"
 
 
 def test_what_limits_the_output_is_told_once_with_the_state_and_taken_back() -> None:
     bench = ready(device(options=Options(max_torque=0.1)))
     bench.shaft.held = True
-    details = [state.detail for state in of(State, bench.run(2000, Torque("left", 1.0)))]
+    details = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 1.0)))]
     assert details[-2:] == ["position", "position, limited by the commanded maximum torque"]
-    details = [state.detail for state in of(State, bench.run(2000, Torque("left", 0.05)))]
+    details = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 0.05)))]
     assert details == ["position"]
-    bench.run(50, Torque("left", 1.0))
-    assert of(State, bench.run(100, Idle("left")))[-1].detail == "stopped"
+    bench.run(50, msg.Torque("left", 1.0))
+    assert of(msg.State, bench.run(100, msg.Idle("left")))[-1].detail == "stopped"
 
 
 def test_limits_that_come_and_go_with_every_answer_are_told_once() -> None:
     bench = ready()
-    bench.run(100, Hold("left"))
-    reported = list[State]()
+    bench.run(100, msg.Hold("left"))
+    reported = list[msg.State]()
     for i in range(500):  # at 200 Hz: none, the current, none, the torque
         frame = f"21000a2f01{'00000000' * 3}210f{(0, 99, 0, 102)[i % 4]:02x}"
         events = bench.driver.receive(bench.now + i * 5_000_000, framed(reply_id(1), bytes.fromhex(frame)))
-        reported += of(State, events)
+        reported += of(msg.State, events)
     assert [state.detail for state in reported] == [
         "position, limited by servo.max_current_A",
         "position, limited by servo.max_current_A and the commanded maximum torque",
@@ -415,33 +401,33 @@ def test_a_limit_is_told_of_an_armed_device_only(mode: int, said: str) -> None:
     limited = "21000a2f01000000000000000000000000210f63"
     bench.driver.receive(bench.now, framed(reply_id(1), bytes.fromhex(limited)))
     frame = framed(reply_id(1), bytes.fromhex(limited.replace("0a", f"{mode:02x}", 1)))
-    assert of(State, bench.driver.receive(bench.now + 1, frame))[-1].detail == said
+    assert of(msg.State, bench.driver.receive(bench.now + 1, frame))[-1].detail == said
 
 
 def test_a_limit_from_before_the_bus_was_lost_is_not_told() -> None:
     bench = ready()
     armed = f"21000a2f01{'00000000' * 3}210f"
     limited, free = (framed(reply_id(1), bytes.fromhex(armed + code)) for code in ("63", "00"))
-    (state,) = of(State, bench.driver.receive(bench.now, limited))
+    (state,) = of(msg.State, bench.driver.receive(bench.now, limited))
     assert state.detail == "position, limited by servo.max_current_A"
     bench.driver.bus(bench.now + 1, BusState.BACK)
-    (state,) = of(State, bench.driver.receive(bench.now + 2, free))
+    (state,) = of(msg.State, bench.driver.receive(bench.now + 2, free))
     assert state.detail == "position"
 
 
 def test_a_fault_outside_the_table_is_told_by_its_number() -> None:
     bench = ready()
     frame = framed(reply_id(1), bytes.fromhex("210001210f3f"))
-    reported = of(Fault, bench.driver.receive(bench.now, frame))
+    reported = of(msg.Fault, bench.driver.receive(bench.now, frame))
     assert [(f.code, f.name) for f in reported] == [(63, "fault 63")]
 
 
 def test_a_device_that_does_not_arm_is_a_fault() -> None:
     bench = ready(device(settings=Settings(enable_ms=100_000)))
-    reported = of(Fault, bench.run(1500, Hold("left")))
+    reported = of(msg.Fault, bench.run(1500, msg.Hold("left")))
     assert [f.code for f in reported] == [NOT_ARMED]
     assert "enabling" in reported[0].cause
-    assert len(of(Fault, bench.run(1500, Hold("left")))) == 0
+    assert len(of(msg.Fault, bench.run(1500, msg.Hold("left")))) == 0
 
 
 # -- the bus ------------------------------------------------------------------------------------------
@@ -449,36 +435,38 @@ def test_a_device_that_does_not_arm_is_a_fault() -> None:
 
 def test_a_silent_device_is_told_offline_and_heard_again() -> None:
     bench = ready()
-    bench.run(100, Velocity("left", 1.0))
+    bench.run(100, msg.Velocity("left", 1.0))
     bench.from_device = lambda _: False
-    events = bench.run(250, Velocity("left", 1.0))
-    reported = of(State, events)
+    events = bench.run(250, msg.Velocity("left", 1.0))
+    reported = of(msg.State, events)
     assert [s.mode.value for s in reported] == ["offline"]
     assert 199 * MILLISECOND <= reported[0].t - (bench.node.received_at or 0) <= 206 * MILLISECOND
     since = bench.now
-    bench.run(100, Velocity("left", 1.0))
+    bench.run(100, msg.Velocity("left", 1.0))
     assert bench.said(since) == []
     asked = [f for t, f in bench.sent if t >= since]
     assert len(asked) <= 3  # an absent device is asked less often
     bench.from_device = lambda _: True
-    assert modes(bench.run(200, Velocity("left", 1.0)))[0] == "fault"  # its watchdog has tripped meanwhile
+    assert (
+        modes(bench.run(200, msg.Velocity("left", 1.0)))[0] == "fault"
+    )  # its watchdog has tripped meanwhile
 
 
 @pytest.mark.parametrize("state", [BusState.OFF, BusState.GONE, BusState.BACK])
 def test_a_bus_that_was_gone_is_begun_anew(state: BusState) -> None:
     bench = ready()
-    bench.run(100, Velocity("left", 1.0))
-    bench.ask(ClearFault("left"))
+    bench.run(100, msg.Velocity("left", 1.0))
+    bench.ask(msg.ClearFault("left"))
     bench.driver.bus(bench.now, state)
     assert bench.node.mode is None
     reported = bench.run(5)
-    assert bool(of(Refused, reported)) == (state is not BusState.BACK)
+    assert bool(of(msg.Refused, reported)) == (state is not BusState.BACK)
     assert modes([*reported, *bench.run(50)])[-1] == "armed"
 
 
 def test_a_full_queue_says_a_velocity_s_place_again() -> None:
     bench = ready()
-    bench.run(100, Velocity("left", 1.0))
+    bench.run(100, msg.Velocity("left", 1.0))
     bench.driver.bus(bench.now, BusState.FULL)
     since = bench.now
     bench.run(10)
@@ -505,18 +493,18 @@ def test_one_device_s_answers_hold_up_nobody(trouble: str) -> None:
 
     bench.arrives = arrives
     since = bench.now
-    bench.run(600, Velocity("left", 5.0), Velocity("right", 5.0))
+    bench.run(600, msg.Velocity("left", 5.0), msg.Velocity("right", 5.0))
     assert bench.shafts[1].velocity == pytest.approx(5.0, rel=0.05)
     assert len(bench.commanded(since, 2)) == pytest.approx(120, abs=3)
     if trouble != "lost":
         assert bench.shafts[0].velocity == pytest.approx(5.0, rel=0.05)
-    assert not of(Fault, bench.events)
+    assert not of(msg.Fault, bench.events)
     assert bench.driver.counters.malformed == 0
 
 
 def test_several_devices_one_frame_each_a_cycle() -> None:
     bench = ready(*(device(f"m{i}", i) for i in range(1, 9)))
-    bench.run(100, *(Velocity(f"m{i}", float(i)) for i in range(1, 9)))
+    bench.run(100, *(msg.Velocity(f"m{i}", float(i)) for i in range(1, 9)))
     since = bench.now
     bench.run(500)
     for i in range(1, 9):
@@ -529,7 +517,7 @@ def test_several_devices_one_frame_each_a_cycle() -> None:
 def test_a_prefix_and_a_host_id_are_used_both_ways() -> None:
     options = Options(can_prefix=0x1ABC, host_id=3)
     bench = ready(device(options=options, address=100))
-    bench.run(100, Velocity("left", 2.0))
+    bench.run(100, msg.Velocity("left", 2.0))
     assert {f.id for _, f in bench.sent} == {0x1ABC8364}
     assert {f.id for _, f in bench.received} == {0x1ABC6403}
     assert bench.driver.counters.accepted == len(bench.received)
@@ -553,7 +541,7 @@ def test_other_frames_are_counted_and_change_nothing() -> None:
         assert bench.driver.receive(bench.now, frame) == []
     assert bench.driver.counters.ignored == before.counters.ignored + len(foreign)
     assert bench.driver.counters.malformed == before.counters.malformed + len(bad)
-    assert bench.driver.send(bench.now, [Hold("left")]) == before.send(bench.now, [Hold("left")])
+    assert bench.driver.send(bench.now, [msg.Hold("left")]) == before.send(bench.now, [msg.Hold("left")])
 
 
 def test_an_id_that_is_held_twice_is_noticed_and_told_once() -> None:
@@ -562,12 +550,12 @@ def test_an_id_that_is_held_twice_is_noticed_and_told_once() -> None:
     bench.twins.append(MoteusTwin(device(), 7))
     bench.shafts.append(copy.deepcopy(bench.shaft))
     events = bench.run(11_000)
-    found = of(Found, events)
+    found = of(msg.Found, events)
     assert [f.duplicate_address for f in found] == [True, True]
     assert len({f.serial for f in found}) == 2
-    assert [f.code for f in of(Fault, events)] == [HELD_TWICE]
+    assert [f.code for f in of(msg.Fault, events)] == [HELD_TWICE]
     bench.twins.pop()
     bench.shafts.pop()
     bench.devices = [device()]
-    bench.ask(ClearFault("left"), 6000)
-    assert len(of(Fault, bench.events)) == 1
+    bench.ask(msg.ClearFault("left"), 6000)
+    assert len(of(msg.Fault, bench.events)) == 1

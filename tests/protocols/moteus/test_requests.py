@@ -4,26 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Done,
-    Estop,
-    Event,
-    Found,
-    Hold,
-    Home,
-    Idle,
-    Parameter,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    WriteParameter,
-    Zero,
-)
+from protocols import messages as msg
+from protocols.messages import MILLISECOND, Event, Request
 from protocols.moteus.codec import F32, INT16, READ_ERROR, REPLY, WRITE_ERROR, Error, Values, encode, framed
 from protocols.moteus.messages import DISCOVER
 from protocols.moteus.options import Options, Settings, serial_of
@@ -53,14 +35,14 @@ def with_stranger(address: int = 9, settings: Settings | None = None) -> Bench:
 def test_a_scan_finds_known_and_unknown_devices_by_one_question() -> None:
     bench = with_stranger()
     since = bench.now
-    reported = bench.ask(Scan("can0"), 1000)
-    found = {f.address: f for f in of(Found, reported)}
+    reported = bench.ask(msg.Scan("can0"), 1000)
+    found = {f.address: f for f in of(msg.Found, reported)}
     assert set(found) == {1, 9}
     assert found[1].detail.startswith("left, model 030404, firmware 1.3.4; UUID ")
     assert found[9].detail.startswith("UUID ")
     assert [found[a].serial for a in (1, 9)] == [serial_of(twin.uuid) for twin in bench.twins]
     assert not any(f.duplicate_address for f in found.values())
-    assert of(Done, reported)[0].detail == "2 devices"
+    assert of(msg.Done, reported)[0].detail == "2 devices"
     asked = [f for t, f in bench.sent if t >= since and f.id == 0x807F]
     assert {f.data.rstrip(b"\x50") for f in asked} == {DISCOVER}
     assert all(f.data.startswith(DISCOVER) for f in asked)
@@ -69,33 +51,33 @@ def test_a_scan_finds_known_and_unknown_devices_by_one_question() -> None:
 def test_a_device_without_a_uuid_is_found_too() -> None:
     bench = with_stranger()
     bench.twins[1].receive = lambda t, frame: None  # type: ignore[method-assign]
-    bench.ask(Scan("can0"))
+    bench.ask(msg.Scan("can0"))
     bench.run(5)
     old = bytes.fromhex("31d0020131d1020131d2020131d3020131d8020150505050")[:24]
 
     reported = list(bench.driver.receive(bench.now, framed(0x900, old)))
-    assert [(f.address, f.serial, f.detail) for f in of(Found, reported)] == [
+    assert [(f.address, f.serial, f.detail) for f in of(msg.Found, reported)] == [
         (9, None, "it has no UUID: older firmware")
     ]
 
 
 def test_two_devices_with_one_id_are_both_found() -> None:
     bench = with_stranger(1)
-    found = of(Found, bench.ask(Scan("can0"), 1000))
+    found = of(msg.Found, bench.ask(msg.Scan("can0"), 1000))
     assert len({f.serial for f in found}) == 2
     assert any(f.duplicate_address for f in found)
 
 
 def test_the_answer_to_another_host_s_question_is_not_found() -> None:
     bench = with_stranger()
-    bench.ask(Scan("can0"))
+    bench.ask(msg.Scan("can0"))
     asked = [
         f
         for _, f in bench.received
         if (reported := decode(f.data)) and Register.MODEL_NUMBER in reported.values
     ]
     assert asked
-    assert of(Found, bench.driver.receive(bench.now, framed(0x900, asked[0].data))) == []
+    assert of(msg.Found, bench.driver.receive(bench.now, framed(0x900, asked[0].data))) == []
 
 
 # -- ids -------------------------------------------------------------------------------------------
@@ -104,9 +86,9 @@ def test_the_answer_to_another_host_s_question_is_not_found() -> None:
 def test_an_id_is_given_by_serial_number_and_confirmed_by_the_device() -> None:
     bench = with_stranger()
     serial = serial_of(bench.twins[1].uuid)
-    reported = bench.ask(SetId("can0", serial, 12), 300)
-    assert [d.request for d in of(Done, reported)] == ["SetId"]
-    assert "conf_write" in of(Done, reported)[0].detail
+    reported = bench.ask(msg.SetId("can0", serial, 12), 300)
+    assert [d.request for d in of(msg.Done, reported)] == ["SetId"]
+    assert "conf_write" in of(msg.Done, reported)[0].detail
     assert [twin.axis.address for twin in bench.twins] == [1, 12]
 
 
@@ -116,17 +98,17 @@ def test_an_id_is_given_by_serial_number_and_confirmed_by_the_device() -> None:
 )
 def test_ids_that_cannot_be_are_refused(serial: int, address: int, reason: str) -> None:
     bench = ready()
-    assert reason in of(Refused, bench.ask(SetId("can0", serial, address)))[0].reason
+    assert reason in of(msg.Refused, bench.ask(msg.SetId("can0", serial, address)))[0].reason
 
 
 def test_an_id_is_not_given_away_nor_taken_from_what_runs() -> None:
     bench = ready(device("left", 1), device("right", 2))
     mine = serial_of(bench.twin.uuid)
-    assert "is held by" in of(Refused, bench.ask(SetId("can0", mine, 2)))[0].reason
-    bench.run(50, Hold("left"), Idle("right"))
-    assert "armed" in of(Refused, bench.ask(SetId("can0", mine, 5)))[0].reason
-    reported = bench.ask(SetId("can0", 77, 5), 1600)
-    assert "no device with serial number 000000000000004D" in of(Refused, reported)[0].reason
+    assert "is held by" in of(msg.Refused, bench.ask(msg.SetId("can0", mine, 2)))[0].reason
+    bench.run(50, msg.Hold("left"), msg.Idle("right"))
+    assert "armed" in of(msg.Refused, bench.ask(msg.SetId("can0", mine, 5)))[0].reason
+    reported = bench.ask(msg.SetId("can0", 77, 5), 1600)
+    assert "no device with serial number 000000000000004D" in of(msg.Refused, reported)[0].reason
 
 
 # -- zero ------------------------------------------------------------------------------------------
@@ -135,17 +117,17 @@ def test_an_id_is_not_given_away_nor_taken_from_what_runs() -> None:
 def test_zero_is_confirmed_by_the_position() -> None:
     bench = ready()
     bench.shaft.position = rev(2.3)  # answers on their way still say 0
-    reported = bench.ask(Zero("left"), 100)
-    assert [d.request for d in of(Done, reported)] == ["Zero"]
+    reported = bench.ask(msg.Zero("left"), 100)
+    assert [d.request for d in of(msg.Done, reported)] == ["Zero"]
     assert bench.twin.servo.position == pytest.approx(0.0, abs=1e-3)
-    bench.run(500, Hold("left"))
+    bench.run(500, msg.Hold("left"))
     assert bench.shaft.position == pytest.approx(rev(2.3), abs=0.01)
 
 
 def test_zero_is_refused_while_armed() -> None:
     bench = ready()
-    bench.run(50, Hold("left"))
-    assert "say idle first" in of(Refused, bench.ask(Zero("left")))[0].reason
+    bench.run(50, msg.Hold("left"))
+    assert "say idle first" in of(msg.Refused, bench.ask(msg.Zero("left")))[0].reason
 
 
 # -- parameters ------------------------------------------------------------------------------------
@@ -164,49 +146,49 @@ def test_zero_is_refused_while_armed() -> None:
 )
 def test_registers_are_read_by_name_and_number(name: str, value: float) -> None:
     bench = ready()
-    reported = bench.ask(ReadParameter("left", name), 50)
-    assert [p.value for p in of(Parameter, reported)] == [pytest.approx(value, abs=0.1)]
-    assert of(Done, reported) == []  # the parameter is the answer
+    reported = bench.ask(msg.ReadParameter("left", name), 50)
+    assert [p.value for p in of(msg.Parameter, reported)] == [pytest.approx(value, abs=0.1)]
+    assert of(msg.Done, reported) == []  # the parameter is the answer
 
 
 @pytest.mark.parametrize(
     ("request_", "reason"),
     [
-        (ReadParameter("left", "no such"), "no register 'no such'"),
-        (ReadParameter("left", "0x7ff"), "no such register"),
-        (ReadParameter("left", "control_position"), "not given"),
-        (WriteParameter("left", "no such", 1.0), "no register"),
-        (WriteParameter("left", "mode", 10.0), "commands are for"),
-        (WriteParameter("left", "0x020", 1.0), "commands are for"),
-        (WriteParameter("left", "command_within_lower_bound", 1.0), "commands are for"),
-        (WriteParameter("left", "clock_trim", 1.0), "no register"),
-        (WriteParameter("left", "0x071", 1.0), "communication"),
-        (WriteParameter("left", "multiplex_id", 3.0), "SetId"),
-        (WriteParameter("left", "uuid_mask1", 3.0), "mask"),
-        (WriteParameter("left", "voltage", 3.0), "read only"),
-        (WriteParameter("left", "0x7ff", 3.0), "no such register"),
-        (WriteParameter("left", "set_output_exact", float("nan")), "finite"),
-        (WriteParameter("left", "set_output_exact", 1e39), "finite"),
-        (WriteParameter("left", "conf_write", 2.0), "takes 1"),
-        (Home("left"), "no Home"),
-        (Reboot("left"), "no Reboot"),
-        (Estop("left"), "no Estop"),
-        (Zero("nobody"), "knows no such motor"),
+        (msg.ReadParameter("left", "no such"), "no register 'no such'"),
+        (msg.ReadParameter("left", "0x7ff"), "no such register"),
+        (msg.ReadParameter("left", "control_position"), "not given"),
+        (msg.WriteParameter("left", "no such", 1.0), "no register"),
+        (msg.WriteParameter("left", "mode", 10.0), "commands are for"),
+        (msg.WriteParameter("left", "0x020", 1.0), "commands are for"),
+        (msg.WriteParameter("left", "command_within_lower_bound", 1.0), "commands are for"),
+        (msg.WriteParameter("left", "clock_trim", 1.0), "no register"),
+        (msg.WriteParameter("left", "0x071", 1.0), "communication"),
+        (msg.WriteParameter("left", "multiplex_id", 3.0), "SetId"),
+        (msg.WriteParameter("left", "uuid_mask1", 3.0), "mask"),
+        (msg.WriteParameter("left", "voltage", 3.0), "read only"),
+        (msg.WriteParameter("left", "0x7ff", 3.0), "no such register"),
+        (msg.WriteParameter("left", "set_output_exact", float("nan")), "finite"),
+        (msg.WriteParameter("left", "set_output_exact", 1e39), "finite"),
+        (msg.WriteParameter("left", "conf_write", 2.0), "takes 1"),
+        (msg.Home("left"), "no Home"),
+        (msg.Reboot("left"), "no Reboot"),
+        (msg.Estop("left"), "no Estop"),
+        (msg.Zero("nobody"), "knows no such motor"),
     ],
     ids=str,
 )
 def test_what_cannot_be_is_refused_with_the_reason(request_: Request, reason: str) -> None:
     bench = ready()
-    reported = of(Refused, bench.ask(request_, 100))
+    reported = of(msg.Refused, bench.ask(request_, 100))
     assert len(reported) == 1
     assert reason in reported[0].reason
 
 
 def test_an_output_is_set_and_the_configuration_saved() -> None:
     bench = ready()
-    assert len(of(Done, bench.ask(WriteParameter("left", "set_output_exact", 1.5), 50))) == 1
+    assert len(of(msg.Done, bench.ask(msg.WriteParameter("left", "set_output_exact", 1.5), 50))) == 1
     assert bench.twin.servo.position == pytest.approx(1.5, abs=1e-3)
-    assert len(of(Done, bench.ask(WriteParameter("left", "conf_write", 1.0), 50))) == 1
+    assert len(of(msg.Done, bench.ask(msg.WriteParameter("left", "conf_write", 1.0), 50))) == 1
     assert "console: conf write" in bench.said()
 
 
@@ -235,7 +217,7 @@ def writing(name: str, value: float) -> Bench:
     """A write that was sent to a device which does not answer by itself."""
     bench = ready()
     bench.to_device = lambda _: False
-    assert of(Refused, bench.ask(WriteParameter("left", name, value))) == []
+    assert of(msg.Refused, bench.ask(msg.WriteParameter("left", name, value))) == []
     return bench
 
 
@@ -243,56 +225,61 @@ def test_an_answer_that_was_under_way_does_not_end_a_write() -> None:
     """It holds the register, and its value is from before; the device then refuses the write."""
     bench = writing("home_state", 2.0)
     reported = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, 2)))
-    assert [of(Done, each) + of(Refused, each) for each in reported[:2]] == [[], []]
-    assert of(Refused, reported[2])[0].reason == "the device does not take it (read only)"
+    assert [of(msg.Done, each) + of(msg.Refused, each) for each in reported[:2]] == [[], []]
+    assert of(msg.Refused, reported[2])[0].reason == "the device does not take it (read only)"
 
 
 def test_an_answer_that_was_under_way_does_not_end_a_write_to_the_twin() -> None:
     bench = ready(device(settings=Settings(reply_delay_us=15_000)))
-    reported = bench.ask(WriteParameter("left", "position", 0.0), 60)
-    assert of(Done, reported) == []
-    assert [r.reason for r in of(Refused, reported)] == ["the device does not take it (read only)"]
+    reported = bench.ask(msg.WriteParameter("left", "position", 0.0), 60)
+    assert of(msg.Done, reported) == []
+    assert [r.reason for r in of(msg.Refused, reported)] == ["the device does not take it (read only)"]
 
 
 def test_a_write_is_done_when_the_device_holds_what_was_written() -> None:
     bench = writing(hex(GPIO), 5.0)
     reported = answered(bench, ORDINARY, reads(GPIO, 4.0), reads(GPIO, 5.0), reads(GPIO, 5.0))
-    assert [of(Done, each) for each in reported] == [[], [], [Done(bench.now, "WriteParameter", "left")], []]
+    assert [of(msg.Done, each) for each in reported] == [
+        [],
+        [],
+        [msg.Done(bench.now, "WriteParameter", "left")],
+        [],
+    ]
 
 
 def test_a_write_after_which_the_device_holds_something_else_is_refused_with_both_values() -> None:
     bench = writing(hex(GPIO), 5.0)
-    assert of(Done, answered(bench, reads(GPIO, 7.0))[0]) == []
+    assert of(msg.Done, answered(bench, reads(GPIO, 7.0))[0]) == []
     bench.to_device = lambda frame: frame.data[:3] != b"\x0d\x5c\x00"
     reported = bench.run(700)
-    assert of(Done, reported) == []
-    assert [r.reason for r in of(Refused, reported)] == ["the device holds 7 there, not 5"]
+    assert of(msg.Done, reported) == []
+    assert [r.reason for r in of(msg.Refused, reported)] == ["the device holds 7 there, not 5"]
 
 
 @pytest.mark.parametrize("value", [0.1, 1e-7, -123456.789, 3e38])
 def test_what_a_binary32_makes_of_a_number_is_what_was_written(value: float) -> None:
     bench = writing(hex(GPIO), value)
-    assert len(of(Done, answered(bench, reads(GPIO, value))[0])) == 1
+    assert len(of(msg.Done, answered(bench, reads(GPIO, value))[0])) == 1
 
 
 def test_a_register_that_cannot_be_read_is_written_when_its_question_is_answered() -> None:
     bench = writing("set_output_exact", 1.5)
     unreadable = encode(Error(READ_ERROR, Register.SET_OUTPUT_EXACT, 1))
     reported = answered(bench, ORDINARY, unreadable)
-    assert [len(of(Done, each)) for each in reported] == [0, 1]
+    assert [len(of(msg.Done, each)) for each in reported] == [0, 1]
 
 
 def test_the_configuration_is_saved_whatever_id_the_device_tells() -> None:
     bench = writing("conf_write", 1.0)
     reported = answered(bench, ORDINARY, reads(Register.MULTIPLEX_ID, 5.0))
-    assert [len(of(Done, each)) for each in reported] == [0, 1]
+    assert [len(of(msg.Done, each)) for each in reported] == [0, 1]
 
 
 @pytest.mark.parametrize("name", ["conf_write", "set_output_nearest", "require_reindex"])
 def test_what_moves_or_stops_a_running_device_is_not_written(name: str) -> None:
     bench = ready()
-    bench.run(50, Hold("left"))
-    assert "armed" in of(Refused, bench.ask(WriteParameter("left", name, 1.0)))[0].reason
+    bench.run(50, msg.Hold("left"))
+    assert "armed" in of(msg.Refused, bench.ask(msg.WriteParameter("left", name, 1.0)))[0].reason
 
 
 # -- a device that does not answer -------------------------------------------------------------------
@@ -301,18 +288,18 @@ def test_what_moves_or_stops_a_running_device_is_not_written(name: str) -> None:
 @pytest.mark.parametrize(
     ("request_", "within"),
     [
-        (ClearFault("left"), 600),
-        (Zero("left"), 600),
-        (ReadParameter("left", "voltage"), 600),
-        (WriteParameter("left", "set_output_exact", 0.0), 600),
-        (SetId("can0", 5, 6), 1500),
+        (msg.ClearFault("left"), 600),
+        (msg.Zero("left"), 600),
+        (msg.ReadParameter("left", "voltage"), 600),
+        (msg.WriteParameter("left", "set_output_exact", 0.0), 600),
+        (msg.SetId("can0", 5, 6), 1500),
     ],
     ids=str,
 )
 def test_every_request_ends(request_: Request, within: int) -> None:
     bench = ready()
     bench.to_device = lambda _: False
-    reported = of(Refused, bench.ask(request_, within + 10))
+    reported = of(msg.Refused, bench.ask(request_, within + 10))
     assert [r.request for r in reported] == [type(request_).__name__]
     assert list(bench.driver._waiting) == []
 
@@ -322,31 +309,31 @@ def test_a_zero_that_does_not_become_zero_is_refused() -> None:
     bench.shaft.position = rev(3.0)
     bench.run(20)
     bench.to_device = lambda frame: b"\xb1\x02" not in frame.data
-    reported = bench.ask(Zero("left"), 700)
-    assert "did not become zero" in of(Refused, reported)[0].reason
+    reported = bench.ask(msg.Zero("left"), 700)
+    assert "did not become zero" in of(msg.Refused, reported)[0].reason
 
 
 def test_a_read_that_is_answered_by_other_frames_only_is_refused() -> None:
     bench = ready()
     bench.to_device = lambda frame: frame.data[:1] != b"\x1d"
-    reported = bench.ask(ReadParameter("left", "power"), 700)
-    assert of(Refused, reported)[0].reason == "the device did not answer this"
+    reported = bench.ask(msg.ReadParameter("left", "power"), 700)
+    assert of(msg.Refused, reported)[0].reason == "the device did not answer this"
 
 
 def test_too_many_requests_are_refused() -> None:
     bench = ready()
     bench.to_device = lambda _: False
     for _ in range(32):
-        bench.driver.send(bench.now, [ReadParameter("left", "voltage")])
-    reported, _ = bench.driver.send(bench.now, [ReadParameter("left", "voltage")])
-    assert "too many" in of(Refused, reported)[0].reason
+        bench.driver.send(bench.now, [msg.ReadParameter("left", "voltage")])
+    reported, _ = bench.driver.send(bench.now, [msg.ReadParameter("left", "voltage")])
+    assert "too many" in of(msg.Refused, reported)[0].reason
 
 
 def test_questions_to_all_go_out_once_for_each_prefix() -> None:
     bench = ready(device("left", 1), device("right", 2, options=Options(can_prefix=3)))
     since = bench.now
-    reported = bench.ask(Scan("can0"), 50)
+    reported = bench.ask(msg.Scan("can0"), 50)
     ids = {f.id for t, f in bench.sent if t >= since and f.id & 0x7F == 0x7F}
     assert ids == {0x807F, 0x3807F}
-    assert {f.address for f in of(Found, reported)} == {1, 2}
+    assert {f.address for f in of(msg.Found, reported)} == {1, 2}
     assert bench.now - since == 50 * MILLISECOND

@@ -7,25 +7,9 @@ from math import tau
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Event,
-    Fault,
-    Feedback,
-    Found,
-    Idle,
-    Mode,
-    Position,
-    Request,
-    Scan,
-    SetId,
-    State,
-    Torque,
-    Velocity,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode, Request
 from protocols.moteus import RANGES, plugin
 from protocols.moteus.codec import framed, reply_id
 from protocols.moteus.driver import MoteusDriver
@@ -69,9 +53,9 @@ class Talk:
         return self
 
 
-POSITION = Position("left", rev(0.25), rev(-1.5), 0.125)
-VELOCITY = Velocity("left", rev(-1.5), 0.125)
-TORQUE = Torque("left", 0.125)
+POSITION = msg.Position("left", rev(0.25), rev(-1.5), 0.125)
+VELOCITY = msg.Velocity("left", rev(-1.5), 0.125)
+TORQUE = msg.Torque("left", 0.125)
 
 
 @pytest.mark.parametrize(
@@ -121,10 +105,10 @@ def test_a_stop_is_the_vector(name: str, options: Options, address: int) -> None
     talk = Talk(options, address).running()
     talk.say(POSITION)
     talk.handle(AT)
-    assert talk.say(Idle("left"))[0] == VECTORS[name]
+    assert talk.say(msg.Idle("left"))[0] == VECTORS[name]
     talk.handle(AT.replace("21000a", "210001", 1))  # in fault meanwhile: no other stop goes out ...
-    assert VECTORS[name] not in [f for _ in range(20) for f in talk.say(Idle("left"))]
-    assert VECTORS[name] in talk.say(ClearFault("left"))  # ... but the operator's
+    assert VECTORS[name] not in [f for _ in range(20) for f in talk.say(msg.Idle("left"))]
+    assert VECTORS[name] in talk.say(msg.ClearFault("left"))  # ... but the operator's
 
 
 def test_questions_are_the_vectors() -> None:
@@ -135,8 +119,8 @@ def test_questions_are_the_vectors() -> None:
 
 def test_a_scan_and_an_id_are_the_vectors() -> None:
     talk = Talk().running()
-    assert VECTORS["discover_broadcast_0x7f"] in talk.say(Scan("can0"))
-    said = talk.say(SetId("can0", serial_of(UUID), 9))
+    assert VECTORS["discover_broadcast_0x7f"] in talk.say(msg.Scan("can0"))
+    said = talk.say(msg.SetId("can0", serial_of(UUID), 9))
     given = VECTORS["set_id_by_uuid"]
     assert isinstance(given, CanFrame)
     assert given.data in [frame.data for frame in said]
@@ -145,13 +129,13 @@ def test_a_scan_and_an_id_are_the_vectors() -> None:
 
 def test_answers_of_vectors_are_told_in_si() -> None:
     talk = Talk()
-    motion = Feedback("left", talk.now, -0.125 * tau, 1.5 * tau, -0.75)
+    motion = msg.Feedback("left", talk.now, -0.125 * tau, 1.5 * tau, -0.75)
     assert talk.handle(VECTORS["reply_fast"]) == [
         motion,
-        State("left", talk.now, Mode.ARMED, "position"),
+        msg.State("left", talk.now, Mode.ARMED, "position"),
     ]
     (detailed,) = talk.handle(VECTORS["reply_full"])
-    assert isinstance(detailed, Feedback)
+    assert isinstance(detailed, msg.Feedback)
     assert detailed.temperature == pytest.approx(41.3)
     assert replace(detailed, temperature=None) == replace(motion, current=10.0, voltage=24.5)
     (plain,) = talk.handle(VECTORS["query_default_reply"])
@@ -160,7 +144,7 @@ def test_answers_of_vectors_are_told_in_si() -> None:
 
 def test_vectors_that_are_not_given_tell_no_number() -> None:
     talk = Talk()
-    assert of(Feedback, talk.handle(VECTORS["reply_nan"])) == []
+    assert of(msg.Feedback, talk.handle(VECTORS["reply_nan"])) == []
     assert not [f for f in talk.say(POSITION) if f.data[:1] == b"\x01"]  # where it is, is not known
     assert talk.handle(VECTORS["reply_int8_nan"]) == []
     assert talk.driver.counters.accepted == 2
@@ -169,18 +153,18 @@ def test_vectors_that_are_not_given_tell_no_number() -> None:
 def test_the_vector_of_a_fault_is_told_with_its_words() -> None:
     talk = Talk()
     _, fault, state = talk.handle(VECTORS["reply_fast_fault"])
-    assert isinstance(fault, Fault)
+    assert isinstance(fault, msg.Fault)
     assert (fault.code, fault.name) == (38, "over temperature")
-    assert state == State("left", talk.now, Mode.FAULT, "fault")
+    assert state == msg.State("left", talk.now, Mode.FAULT, "fault")
     assert [f for _ in range(20) for f in talk.say(POSITION) if f.data[:1] == b"\x01"] == []
 
 
 def test_the_vector_of_a_uuid_is_found_by_a_scan() -> None:
     talk = Talk().running()
-    talk.say(Scan("can0"))
-    (found,) = of(Found, talk.handle(VECTORS["reply_uuid"]))
+    talk.say(msg.Scan("can0"))
+    (found,) = of(msg.Found, talk.handle(VECTORS["reply_uuid"]))
     assert (found.address, found.serial, found.duplicate_address) == (5, 0x0123456789ABCDEF, False)
     assert "01234567-89ab-cdef-fedc-ba9876543210" in found.detail
-    assert of(Found, talk.handle(VECTORS["reply_uuid"])) == []
-    (other,) = of(Found, talk.handle(VECTORS["reply_errors"]))
+    assert of(msg.Found, talk.handle(VECTORS["reply_uuid"])) == []
+    (other,) = of(msg.Found, talk.handle(VECTORS["reply_errors"]))
     assert (other.serial, other.detail.split("; ")[1]) == (None, "it has no UUID: older firmware")

@@ -6,32 +6,9 @@ from math import tau
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Found,
-    Hold,
-    Idle,
-    Mode,
-    Nanos,
-    Parameter,
-    Position,
-    ReadParameter,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    State,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import Command, Event, Mode, Nanos, Request
 from protocols.moteus import plugin
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.faults import FAULTS
@@ -50,48 +27,51 @@ WORDS: dict[str, tuple[str, list[Command | Request]]] = {
     "query_default": ("read", []),
     "position_0.5rev_vel0.2_tq1.5_query": (
         "position 020 021 025, read",
-        [Position("m", 0.5 * tau, FIFTH * tau, 0.0)],
+        [msg.Position("m", 0.5 * tau, FIFTH * tau, 0.0)],
     ),
     # It leaves the integrator on, which holds the place; "torque only" is the name of the vendor's example.
-    "torque_only_kp0_kd0_ff0.3": ("torque 020 022 023 024, read", [Velocity("m", 0.0, EIGHTH)]),
-    "position_with_watchdog_nan": ("position 020 027, read", [Position("m", 0.25 * tau, 0.0, 0.0)]),
-    "brake": ("brake, read", [Velocity("m", 0.0)]),
-    "current_q2A": ("current 01C 01D, read", [Torque("m", 2.0 * KT)]),
-    "rezero_nearest_0": ("write 130, read", [Zero("m")]),
-    "stop_no_reply": ("stop", [Idle("m")]),
+    "torque_only_kp0_kd0_ff0.3": ("torque 020 022 023 024, read", [msg.Velocity("m", 0.0, EIGHTH)]),
+    "position_with_watchdog_nan": ("position 020 027, read", [msg.Position("m", 0.25 * tau, 0.0, 0.0)]),
+    "brake": ("brake, read", [msg.Velocity("m", 0.0)]),
+    "current_q2A": ("current 01C 01D, read", [msg.Torque("m", 2.0 * KT)]),
+    "rezero_nearest_0": ("write 130, read", [msg.Zero("m")]),
+    "stop_no_reply": ("stop", [msg.Idle("m")]),
     "position_int16_0.0096rev_0.072hz_-1.76nm": (
         "position 020 021 022, read",
-        [Position("m", 0.0095 * tau, 0.072 * tau, -1.76)],  # it truncates
+        [msg.Position("m", 0.0095 * tau, 0.072 * tau, -1.76)],  # it truncates
     ),
     "position_watchdog_0.1s": (
         "position 020 021 022 027, read",
-        [Position("m", 0.25 * tau, -1.5 * tau, 0.125)],
+        [msg.Position("m", 0.25 * tau, -1.5 * tau, 0.125)],
     ),
-    "velocity_watchdog_0.1s": ("velocity 020 021 022 027, read", [Velocity("m", -1.5 * tau, 0.125)]),
-    "torque_watchdog_0.1s": ("torque 020 021 022 023 024 027 02B, read", [Torque("m", 0.125)]),
+    "velocity_watchdog_0.1s": ("velocity 020 021 022 027, read", [msg.Velocity("m", -1.5 * tau, 0.125)]),
+    "torque_watchdog_0.1s": ("torque 020 021 022 023 024 027 02B, read", [msg.Torque("m", 0.125)]),
     "position_limited": (
         "position 020 021 022 025 027 028 029, read",
-        [Position("m", 0.25 * tau, -1.5 * tau, 0.125)],
+        [msg.Position("m", 0.25 * tau, -1.5 * tau, 0.125)],
     ),
-    "torque_limited": ("torque 020 021 022 023 024 025 027 028 029 02B, read", [Torque("m", 0.125)]),
-    "zero_velocity": ("zero velocity 024", [Velocity("m", 0.0)]),
-    "stay_within": ("stay within 040 041", [Torque("m", 0.0)]),
-    "vfoc": ("voltage foc 018 019, read", [WriteParameter("m", "mode", 7.0)]),
-    "set_output_exact_0": ("write 131, read", [Zero("m")]),
-    "set_output_nearest_0.5": ("write 130", [WriteParameter("m", "set_output_nearest", 0.5)]),
-    "write_output_exact_1.5_read_back": ("write 131, read", [WriteParameter("m", "set_output_exact", 1.5)]),
-    "require_reindex": ("write 132", [WriteParameter("m", "require_reindex", 1.0)]),
-    "recapture": ("write 133", [WriteParameter("m", "recapture_position_velocity", 1.0)]),
+    "torque_limited": ("torque 020 021 022 023 024 025 027 028 029 02B, read", [msg.Torque("m", 0.125)]),
+    "zero_velocity": ("zero velocity 024", [msg.Velocity("m", 0.0)]),
+    "stay_within": ("stay within 040 041", [msg.Torque("m", 0.0)]),
+    "vfoc": ("voltage foc 018 019, read", [msg.WriteParameter("m", "mode", 7.0)]),
+    "set_output_exact_0": ("write 131, read", [msg.Zero("m")]),
+    "set_output_nearest_0.5": ("write 130", [msg.WriteParameter("m", "set_output_nearest", 0.5)]),
+    "write_output_exact_1.5_read_back": (
+        "write 131, read",
+        [msg.WriteParameter("m", "set_output_exact", 1.5)],
+    ),
+    "require_reindex": ("write 132", [msg.WriteParameter("m", "require_reindex", 1.0)]),
+    "recapture": ("write 133", [msg.WriteParameter("m", "recapture_position_velocity", 1.0)]),
     "read_parameters": ("read", []),
-    "console_conf_write": ("console: conf write", [WriteParameter("m", "conf_write", 1.0)]),
+    "console_conf_write": ("console: conf write", [msg.WriteParameter("m", "conf_write", 1.0)]),
     "console_conf_write_read_back": (
         "console: conf write, read",
-        [WriteParameter("m", "conf_write", 1.0)],
+        [msg.WriteParameter("m", "conf_write", 1.0)],
     ),
     "console_read": ("console: read", []),
-    "set_id_by_uuid": ("write 154 155, console: conf set id.id", [SetId("", serial_of(UUID), 9)]),
+    "set_id_by_uuid": ("write 154 155, console: conf set id.id", [msg.SetId("", serial_of(UUID), 9)]),
     "discover_by_uuid": ("write 154 155, read", []),
-    "stop_by_whole_uuid": ("stop 154 155 156 157, read", [Idle("m")]),
+    "stop_by_whole_uuid": ("stop 154 155 156 157, read", [msg.Idle("m")]),
     "discover_broadcast_0x7f": ("read", []),
     "identify": ("read", []),
 }
@@ -129,7 +109,7 @@ def test_vectors_to_others_are_not_heard() -> None:
     decoder = MoteusDecoder([device("m", 5), device("n", 6)])
     for name in ("stop_id_100", "stop_prefix", "doc_example_request_id1", "reply_fast"):
         assert decoder.decode(0, VECTORS[name]) == []
-    assert decoder.decode(0, VECTORS["stop_no_reply"]) == [Idle("m")]
+    assert decoder.decode(0, VECTORS["stop_no_reply"]) == [msg.Idle("m")]
 
 
 # -- conversations -------------------------------------------------------------------------------------
@@ -147,7 +127,7 @@ def talk() -> Talk:
 def reported(it: Talk, *frames: str) -> list[Event]:
     """What the vectors tell, without measurements."""
     events = [event for frame in frames for event in it.handle(VECTORS[frame])]
-    return [event for event in events if not isinstance(event, Feedback)]
+    return [event for event in events if not isinstance(event, msg.Feedback)]
 
 
 def waits(it: Talk, milliseconds: int) -> list[Event]:
@@ -156,13 +136,16 @@ def waits(it: Talk, milliseconds: int) -> list[Event]:
     for _ in range(milliseconds // 5):
         it.now += 5_000_000
         said, _sent = it.driver.send(it.now, ())
-        events += [*said, *(e for e in it.handle(VECTORS["reply_stopped"]) if not isinstance(e, Feedback))]
+        events += [
+            *said,
+            *(e for e in it.handle(VECTORS["reply_stopped"]) if not isinstance(e, msg.Feedback)),
+        ]
     return events
 
 
-READ = ReadParameter("left", "power")
-WRITE = WriteParameter("left", "set_output_exact", 1.5)
-SAVE = WriteParameter("left", "conf_write", 1.0)
+READ = msg.ReadParameter("left", "power")
+WRITE = msg.WriteParameter("left", "set_output_exact", 1.5)
+SAVE = msg.WriteParameter("left", "conf_write", 1.0)
 NO_REGISTER = "the device has no such register, or cannot read it so"
 
 
@@ -173,28 +156,33 @@ NO_REGISTER = "the device has no such register, or cannot read it so"
             READ,
             "read_power",
             "reply_power",
-            [Parameter("left", 0, "power", 12.5)],
+            [msg.Parameter("left", 0, "power", 12.5)],
         ),
-        (READ, "read_power", "reply_power_unknown", [Refused(0, "ReadParameter", "left", NO_REGISTER)]),
+        (READ, "read_power", "reply_power_unknown", [msg.Refused(0, "ReadParameter", "left", NO_REGISTER)]),
         (
             READ,
             "read_power",
             "reply_power_not_given",
-            [Refused(0, "ReadParameter", "left", "the device says that it is not given")],
+            [msg.Refused(0, "ReadParameter", "left", "the device says that it is not given")],
         ),
         (
             WRITE,
             "write_output_exact_1.5_read_back",
             "reply_output_taken",
-            [Done(0, "WriteParameter", "left")],
+            [msg.Done(0, "WriteParameter", "left")],
         ),
         (
             WRITE,
             "write_output_exact_1.5_read_back",
             "reply_output_refused",
-            [Refused(0, "WriteParameter", "left", "the device does not take it (read only)")],
+            [msg.Refused(0, "WriteParameter", "left", "the device does not take it (read only)")],
         ),
-        (SAVE, "console_conf_write_read_back", "reply_id_unreadable", [Done(0, "WriteParameter", "left")]),
+        (
+            SAVE,
+            "console_conf_write_read_back",
+            "reply_id_unreadable",
+            [msg.Done(0, "WriteParameter", "left")],
+        ),
     ],
 )
 def test_a_request_and_its_answer_as_vectors(
@@ -218,53 +206,53 @@ def test_a_request_that_no_vector_answers_is_said_ten_times_and_given_up(request
     it = talk()
     it.say(request_)
     kind = type(request_).__name__
-    assert waits(it, 600) == [Refused(it.now, kind, "left", "the device did not answer this")]
+    assert waits(it, 600) == [msg.Refused(it.now, kind, "left", "the device did not answer this")]
 
 
 def test_zero_as_vectors() -> None:
     it = talk()
     frame = VECTORS["write_output_exact_0_read_back"]
     assert isinstance(frame, CanFrame)
-    said = it.say(Zero("left"))
+    said = it.say(msg.Zero("left"))
     assert any(f.data.startswith(frame.data.rstrip(b"\x50")) for f in said)
     assert reported(it, "reply_zeroed") == []  # from before
     assert reported(it, "reply_output_taken", "reply_stopped") == []
-    assert reported(it, "reply_zeroed") == [Done(it.now, "Zero", "left")]
-    it.say(Zero("left"))
-    refused = Refused(it.now, "Zero", "left", "the device does not take it (read only)")
+    assert reported(it, "reply_zeroed") == [msg.Done(it.now, "Zero", "left")]
+    it.say(msg.Zero("left"))
+    refused = msg.Refused(it.now, "Zero", "left", "the device does not take it (read only)")
     assert reported(it, "reply_output_refused") == [refused]
-    it.say(Zero("left"))
+    it.say(msg.Zero("left"))
     said_ = "its position did not become zero: is it turning?"
-    assert waits(it, 600) == [Refused(it.now, "Zero", "left", said_)]
+    assert waits(it, 600) == [msg.Refused(it.now, "Zero", "left", said_)]
 
 
 def test_clearing_a_fault_as_vectors() -> None:
     it = talk()
     text = FAULTS[38]
-    fault = Fault("left", it.now, 38, text.name, text.cause, text.remedy)
-    assert reported(it, "reply_fast_fault") == [fault, State("left", it.now, Mode.FAULT, "fault")]
+    fault = msg.Fault("left", it.now, 38, text.name, text.cause, text.remedy)
+    assert reported(it, "reply_fast_fault") == [fault, msg.State("left", it.now, Mode.FAULT, "fault")]
     assert reported(it, "reply_fast_fault") == []
     stopped = VECTORS["stop_with_query"]
-    assert stopped not in [*it.say(Idle("left")), *it.say(Hold("left"))]
-    assert stopped in it.say(ClearFault("left"))
+    assert stopped not in [*it.say(msg.Idle("left")), *it.say(msg.Hold("left"))]
+    assert stopped in it.say(msg.ClearFault("left"))
     assert reported(it, "reply_fast_fault") == []
-    ready = State("left", it.now, Mode.READY, "stopped")
-    fault_no_more = State("left", it.now, Mode.FAULT, "stopped, not cleared yet")
+    ready = msg.State("left", it.now, Mode.READY, "stopped")
+    fault_no_more = msg.State("left", it.now, Mode.FAULT, "stopped, not cleared yet")
     assert reported(it, "reply_stopped") in (
-        [ready, Done(it.now, "ClearFault", "left")],
-        [fault_no_more, ready, Done(it.now, "ClearFault", "left")],
+        [ready, msg.Done(it.now, "ClearFault", "left")],
+        [fault_no_more, ready, msg.Done(it.now, "ClearFault", "left")],
     )
     text = FAULTS[11]
-    timeout = Fault("left", it.now, 11, text.name, text.cause, text.remedy)
-    assert reported(it, "reply_timeout") == [timeout, State("left", it.now, Mode.FAULT, "timeout")]
-    it.say(ClearFault("left"))
+    timeout = msg.Fault("left", it.now, 11, text.name, text.cause, text.remedy)
+    assert reported(it, "reply_timeout") == [timeout, msg.State("left", it.now, Mode.FAULT, "timeout")]
+    it.say(msg.ClearFault("left"))
     events: list[Event] = []
     for _ in range(120):
         it.now += 5_000_000
         events += it.driver.send(it.now, ())[0]
         events += reported(it, "reply_timeout")
-    assert Refused(it.now, "ClearFault", "left", "still in fault: timeout") in events
-    assert len([e for e in events if isinstance(e, Fault)]) <= 1
+    assert msg.Refused(it.now, "ClearFault", "left", "still in fault: timeout") in events
+    assert len([e for e in events if isinstance(e, msg.Fault)]) <= 1
 
 
 def test_a_device_that_does_not_arm_as_vectors() -> None:
@@ -272,42 +260,42 @@ def test_a_device_that_does_not_arm_as_vectors() -> None:
     events: list[Event] = []
     for _ in range(220):
         it.now += 5_000_000
-        events += it.driver.send(it.now, [Hold("left")])[0]
+        events += it.driver.send(it.now, [msg.Hold("left")])[0]
         events += reported(it, "reply_enabling")
-    (fault,) = (e for e in events if isinstance(e, Fault))
+    (fault,) = (e for e in events if isinstance(e, msg.Fault))
     assert (fault.motor, fault.code, fault.name) == ("left", 0x101, "did not arm")
     assert fault.cause == "it stayed in mode enabling for 1000 ms"
     assert fault.remedy == "look at it with the vendor's tool (tview), then clear"
-    states = [(s.mode, s.detail) for s in events if isinstance(s, State)]
+    states = [(s.mode, s.detail) for s in events if isinstance(s, msg.State)]
     assert states == [(Mode.READY, "enabling"), (Mode.FAULT, "enabling, not cleared yet")]
     assert 1_000_000_000 < fault.t - it.now + 220 * 5_000_000 <= 1_020_000_000
 
 
 def test_a_scan_as_vectors() -> None:
     it = talk()
-    it.say(Scan("can0"))
+    it.say(msg.Scan("can0"))
     printed = "01234567-89ab-cdef-fedc-ba9876543210"
     ours = f"left, model 030404, firmware 1.3.4; UUID {printed}"
-    assert reported(it, "reply_uuid") == [Found(it.now, "moteus", 5, serial_of(UUID), ours)]
-    other = Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")
+    assert reported(it, "reply_uuid") == [msg.Found(it.now, "moteus", 5, serial_of(UUID), ours)]
+    other = msg.Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")
     assert reported(it, "reply_identity_id_9") == []  # another host's question
     assert reported(it, "reply_uuid_id_9", "reply_uuid_id_9") == [other]
     assert reported(it, "reply_id_100") == []
     (done,) = waits(it, 800)
-    assert done == Done(it.now, "Scan", "can0", "2 devices")
+    assert done == msg.Done(it.now, "Scan", "can0", "2 devices")
     assert reported(it, "reply_uuid_id_9") == []
 
 
 def test_an_id_is_given_as_vectors() -> None:
     it = talk()
-    said = it.say(SetId("can0", serial_of(UUID), 9))
+    said = it.say(msg.SetId("can0", serial_of(UUID), 9))
     assert VECTORS["discover_by_uuid"] in said
     assert reported(it, "reply_uuid") == []
     detail = "not saved yet: write conf_write 1 to keep it after power-off"
-    assert reported(it, "reply_uuid_id_9") == [Done(it.now, "SetId", "can0", detail)]
-    it.say(SetId("can0", serial_of(UUID), 9))
+    assert reported(it, "reply_uuid_id_9") == [msg.Done(it.now, "SetId", "can0", detail)]
+    it.say(msg.SetId("can0", serial_of(UUID), 9))
     reason = "no device with serial number 0123456789ABCDEF took the id"
-    assert waits(it, 1500) == [Refused(it.now, "SetId", "can0", reason)]
+    assert waits(it, 1500) == [msg.Refused(it.now, "SetId", "can0", reason)]
 
 
 def test_two_uuids_at_one_id_as_vectors() -> None:
@@ -317,30 +305,30 @@ def test_two_uuids_at_one_id_as_vectors() -> None:
     cause = f"two devices answer to it: UUIDs {one} and {other}"
     remedy = "take one off the bus, or give it another id (SetId with its serial number)"
     assert reported(it, "reply_uuid_other") == [
-        Found(it.now, "moteus", 5, serial_of(UUID), said, True),
-        Found(it.now, "moteus", 5, serial_of(UUID[::-1]), said, True),
-        Fault("left", it.now, 0x100, "id 5 is held twice", cause, remedy),
+        msg.Found(it.now, "moteus", 5, serial_of(UUID), said, True),
+        msg.Found(it.now, "moteus", 5, serial_of(UUID[::-1]), said, True),
+        msg.Fault("left", it.now, 0x100, "id 5 is held twice", cause, remedy),
     ]
     assert reported(it, "reply_uuid", "reply_uuid_other") == []
 
 
 def test_a_motor_that_nobody_has_is_refused_beside_vectors() -> None:
     it = talk()
-    assert it.driver.send(it.now, [Idle("nobody")])[0] == [
-        Refused(it.now, "Idle", "nobody", "no such motor on this bus")
+    assert it.driver.send(it.now, [msg.Idle("nobody")])[0] == [
+        msg.Refused(it.now, "Idle", "nobody", "no such motor on this bus")
     ]
     assert reported(it, "reply_stopped") == []
 
 
 def test_a_velocity_begins_where_the_vector_says_that_the_shaft_is() -> None:
     it = Talk().running()
-    first = it.say(Velocity("left", -1.5 * tau, 0.125))[0]
+    first = it.say(msg.Velocity("left", -1.5 * tau, 0.125))[0]
     assert first == VECTORS["position_watchdog_0.1s"]
     for _ in range(2):
         it.handle(AT)
-        assert it.say(Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["position_watchdog_0.1s"]
+        assert it.say(msg.Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["position_watchdog_0.1s"]
     it.handle(AT)
-    assert it.say(Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["velocity_watchdog_0.1s"]
+    assert it.say(msg.Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["velocity_watchdog_0.1s"]
 
 
 def test_vectors_of_other_shapes_are_foreign_or_bad() -> None:
@@ -356,21 +344,21 @@ def test_vectors_of_other_shapes_are_foreign_or_bad() -> None:
 
 def test_a_bus_that_goes_ends_what_was_asked_for_beside_vectors() -> None:
     it = talk()
-    it.say(READ, Scan("can0"))
+    it.say(READ, msg.Scan("can0"))
     it.driver.bus(it.now, BusState.GONE)
     it.now += 5_000_000
     assert it.driver.send(it.now, ())[0] == [
-        Refused(it.now - 5_000_000, "ReadParameter", "left", "the bus is gone"),
-        Refused(it.now - 5_000_000, "Scan", "can0", "the bus is gone"),
+        msg.Refused(it.now - 5_000_000, "ReadParameter", "left", "the bus is gone"),
+        msg.Refused(it.now - 5_000_000, "Scan", "can0", "the bus is gone"),
     ]
     assert reported(it, "reply_power") == []
 
 
 def test_what_runs_as_the_vector_says_is_given_no_id_and_no_zero() -> None:
     it = Talk().running()
-    for request, name in ((SetId("can0", 7, 5), "can0"), (Zero("left"), "left"), (SAVE, "left")):
+    for request, name in ((msg.SetId("can0", 7, 5), "can0"), (msg.Zero("left"), "left"), (SAVE, "left")):
         (refused,) = it.driver.send(it.now, [request])[0]
-        assert isinstance(refused, Refused)
+        assert isinstance(refused, msg.Refused)
         assert (refused.t, refused.request, refused.name) == (it.now, type(request).__name__, name)
         assert "armed" in refused.reason
 
@@ -393,8 +381,8 @@ def test_a_device_is_asked_who_it_is_every_five_seconds_once_the_vector_has_told
 def test_two_uuids_are_told_again_after_clear_as_vectors() -> None:
     it = talk()
     assert len(reported(it, "reply_uuid_other")) == 3
-    it.say(ClearFault("left"))
-    assert [type(e) for e in reported(it, "reply_stopped")] == [Done]
+    it.say(msg.ClearFault("left"))
+    assert [type(e) for e in reported(it, "reply_stopped")] == [msg.Done]
     assert reported(it, "reply_uuid") == []
     assert len(reported(it, "reply_uuid_other")) == 3
 
@@ -405,7 +393,7 @@ def test_numbers_next_to_nothing_in_a_vector_are_nothing() -> None:
     tiny = bytes.fromhex("01000080")
     data = frame.data[:5] + 3 * tiny + frame.data[17:]
     (feedback, _) = talk().handle(CanFrame(frame.id, data, False, False, True, True))
-    assert isinstance(feedback, Feedback)
+    assert isinstance(feedback, msg.Feedback)
     assert str((feedback.position, feedback.velocity, feedback.torque)) == "(0.0, 0.0, 0.0)"
 
 
@@ -416,24 +404,26 @@ def test_a_request_to_a_device_that_says_no_vector_is_not_answered() -> None:
     for _ in range(125):
         it.now += 5_000_000
         events += it.driver.send(it.now, ())[0]
-    refused = [event for event in events if isinstance(event, Refused)]
+    refused = [event for event in events if isinstance(event, msg.Refused)]
     assert [(r.name, r.reason) for r in refused] == [("left", "no answer of the device")]
-    (offline,) = (event for event in events if isinstance(event, State))
+    (offline,) = (event for event in events if isinstance(event, msg.State))
     assert (offline.motor, offline.mode, offline.detail) == ("left", Mode.OFFLINE, "nothing heard")
 
 
 def test_a_stop_ends_with_its_second_answer_as_vectors() -> None:
     it = Talk().running()
-    it.say(Hold("left"))
+    it.say(msg.Hold("left"))
     stop = VECTORS["stop_with_query"]
-    assert it.say(Idle("left"))[0] == stop
+    assert it.say(msg.Idle("left"))[0] == stop
     it.handle(AT)  # how things stood before it
-    said = [frame for _ in range(4) for frame in it.say(Idle("left"))]
+    said = [frame for _ in range(4) for frame in it.say(msg.Idle("left"))]
     assert said.count(stop) == 1  # every 20 ms
     it.handle(VECTORS["reply_stopped"])
-    assert stop in [frame for _ in range(4) for frame in it.say(Idle("left"))]  # one answer may be an old one
+    assert stop in [
+        frame for _ in range(4) for frame in it.say(msg.Idle("left"))
+    ]  # one answer may be an old one
     it.handle(VECTORS["reply_stopped"])
-    assert stop not in [frame for _ in range(40) for frame in it.say(Idle("left"))]
+    assert stop not in [frame for _ in range(40) for frame in it.say(msg.Idle("left"))]
 
 
 def test_a_mode_that_a_vector_does_not_give_tells_no_state() -> None:
@@ -442,4 +432,4 @@ def test_a_mode_that_a_vector_does_not_give_tells_no_state() -> None:
         assert isinstance(frame, CanFrame)
         data = frame.data[:mode] + b"\x80" + frame.data[mode + 1 :]
         events = Talk().handle(CanFrame(frame.id, data, False, False, True, True))
-        assert [type(event) for event in events] == [Feedback]
+        assert [type(event) for event in events] == [msg.Feedback]

@@ -4,22 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    Done,
-    Event,
-    Found,
-    Hold,
-    Mode,
-    Nanos,
-    ReadParameter,
-    Refused,
-    Scan,
-    SetId,
-    State,
-)
+from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
 from protocols.moteus import RANGES
 from protocols.moteus.codec import reply_id
 from protocols.moteus.driver import MoteusDriver
@@ -70,7 +57,7 @@ def test_a_device_is_asked_as_in_vectors_when_it_is_due() -> None:
 def test_silence_is_told_once_and_asked_after_beside_vectors(start: Nanos) -> None:
     options = Options(feedback_ms=20, details_ms=1000, offline_ms=90)
     asked, events = moments(options, hears=False, milliseconds=300, start=start)
-    offline = State("left", start + 90 * MILLISECOND, Mode.OFFLINE, "nothing heard")
+    offline = msg.State("left", start + 90 * MILLISECOND, Mode.OFFLINE, "nothing heard")
     assert events == [offline]
     assert [at for at, _ in asked] == [0, 20, 40, 60, 80, 130, 180, 230, 280]
     assert MoteusDriver([], RANGES).due() is None
@@ -79,20 +66,20 @@ def test_silence_is_told_once_and_asked_after_beside_vectors(start: Nanos) -> No
 
 def test_silence_after_a_vector_forgets_who_is_armed() -> None:
     it = Talk().running()
-    it.say(Hold("left"))
+    it.say(msg.Hold("left"))
     received = it.now
     it.handle(AT)
     events: list[Event] = []
     while not events:
         it.now += MILLISECOND
-        told_, frames = it.driver.send(it.now, [Hold("left")])
+        told_, frames = it.driver.send(it.now, [msg.Hold("left")])
         events += told_
         commands = [w for w in frames if getattr(w, "data", b"")[:3] == b"\x01\x00\x0a"]
         assert commands
-    assert events == [State("left", received + 200 * MILLISECOND, Mode.OFFLINE, "nothing heard")]
-    assert [w for w in it.say(Hold("left")) if w.data[:1] == b"\x01"] == []
-    assert reported(it, "reply_stopped") == [State("left", it.now, Mode.READY, "stopped")]
-    assert [w.data[:3] for w in it.say(Hold("left"))][:1] == [b"\x01\x00\x0a"]
+    assert events == [msg.State("left", received + 200 * MILLISECOND, Mode.OFFLINE, "nothing heard")]
+    assert [w for w in it.say(msg.Hold("left")) if w.data[:1] == b"\x01"] == []
+    assert reported(it, "reply_stopped") == [msg.State("left", it.now, Mode.READY, "stopped")]
+    assert [w.data[:3] for w in it.say(msg.Hold("left"))][:1] == [b"\x01\x00\x0a"]
 
 
 def test_who_it_is_is_asked_again_when_it_comes_back_as_in_vectors() -> None:
@@ -111,14 +98,14 @@ def test_who_it_is_is_asked_again_when_it_comes_back_as_in_vectors() -> None:
 def test_requests_outlive_a_bus_that_comes_back_or_is_full_beside_vectors() -> None:
     for state in (BusState.BACK, BusState.FULL):
         it = talk()
-        it.say(ReadParameter("left", "power"))
+        it.say(msg.ReadParameter("left", "power"))
         it.driver.bus(it.now, state)
         assert [type(event).__name__ for event in reported(it, "reply_power")] == ["Parameter"]
     it = talk()
-    it.say(ReadParameter("left", "power"))
+    it.say(msg.ReadParameter("left", "power"))
     it.driver.bus(it.now, BusState.OFF)
     at = it.now
-    assert it.driver.send(it.now + 1, ())[0] == [Refused(at, "ReadParameter", "left", "the bus is off")]
+    assert it.driver.send(it.now + 1, ())[0] == [msg.Refused(at, "ReadParameter", "left", "the bus is off")]
 
 
 # -- scan and ids ------------------------------------------------------------------------------------
@@ -126,27 +113,29 @@ def test_requests_outlive_a_bus_that_comes_back_or_is_full_beside_vectors() -> N
 
 def test_a_uuid_without_more_is_as_good_as_the_vector() -> None:
     it = talk()
-    it.say(Scan("can0"))
+    it.say(msg.Scan("can0"))
     printed = "01234567-89ab-cdef-fedc-ba9876543210"
     words = "2804d002" + UUID.hex()
-    assert it.handle(frame(words, 0x900)) == [Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")]
+    assert it.handle(frame(words, 0x900)) == [
+        msg.Found(it.now, "moteus", 9, serial_of(UUID), f"UUID {printed}")
+    ]
     assert it.handle(frame(words + "21d80200", 0xA00)) == []  # all zero bytes, perhaps: not to be told apart
     assert it.handle(frame("2803d002" + UUID[:12].hex(), 0xB00)) == []
     none = "31d00201" + "31d80201"
     assert it.handle(frame(none, 0xC00)) == [
-        Found(it.now, "moteus", 12, None, "it has no UUID: older firmware")
+        msg.Found(it.now, "moteus", 12, None, "it has no UUID: older firmware")
     ]
     assert it.handle(frame("300f02", 0xD00)) == []
     twice = f"UUID {'-'.join(('10325476', '98ba', 'dcfe', 'efcd', 'ab8967452301'))}; id 9 is held twice"
     assert it.handle(frame("2804d002" + UUID[::-1].hex(), 0x900)) == [
-        Found(it.now, "moteus", 9, serial_of(UUID[::-1]), twice, True)
+        msg.Found(it.now, "moteus", 9, serial_of(UUID[::-1]), twice, True)
     ]
 
 
 @pytest.mark.parametrize("identifier", [0x901, 0x8900, 0x980, 0x1_0900, 0x1ABC_0900, 0x87F], ids=hex)
 def test_answers_to_others_are_not_found_beside_vectors(identifier: int) -> None:
     it = talk()
-    it.say(Scan("can0"))
+    it.say(msg.Scan("can0"))
     assert it.handle(frame("2804d002" + UUID.hex() + "21d80201", identifier)) == []
 
 
@@ -159,17 +148,17 @@ def test_what_a_scan_says_of_a_device_of_ours_beside_vectors() -> None:
         ("298102" + "04030100", "model 030304, firmware 1.3.4"),
     ):
         it.handle(frame(data))
-        it.say(Scan("can0"))
+        it.say(msg.Scan("can0"))
         (found,) = reported(it, "reply_uuid")
-        assert isinstance(found, Found)
+        assert isinstance(found, msg.Found)
         assert found.detail == f"left, {title}; {uuid}"
-        while not any(isinstance(event, Done) for event in later(it)):
+        while not any(isinstance(event, msg.Done) for event in later(it)):
             it.handle(VECTORS["reply_stopped"])
     other = Talk()
     other.handle(frame("298102" + "04030100"))
-    other.say(Scan("can0"))
+    other.say(msg.Scan("can0"))
     (found,) = reported(other, "reply_uuid")
-    assert isinstance(found, Found)
+    assert isinstance(found, msg.Found)
     assert found.detail == f"left, model 000000, firmware 1.3.4; {uuid}"
 
 
@@ -178,17 +167,17 @@ def test_when_a_scan_asks_and_ends_beside_vectors() -> None:
     times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
     for at in range(170):
         it.now += 5 * MILLISECOND
-        said, frames = it.driver.send(it.now, [Scan("can0")] if not at else [])
+        said, frames = it.driver.send(it.now, [msg.Scan("can0")] if not at else [])
         events += said
         times += [
             (it.now - start) // MILLISECOND for frame in frames if frame == VECTORS["discover_broadcast_0x7f"]
         ]
         it.handle(VECTORS["reply_stopped"])
     assert times == [0, 200, 400, 600]
-    assert events == [Done(start + 800 * MILLISECOND, "Scan", "can0", "0 devices")]
-    it.say(Scan("can0"))
+    assert events == [msg.Done(start + 800 * MILLISECOND, "Scan", "can0", "0 devices")]
+    it.say(msg.Scan("can0"))
     reported(it, "reply_uuid")
-    ends = [e for _ in range(170) for e in later(it) if isinstance(e, Done)]
+    ends = [e for _ in range(170) for e in later(it) if isinstance(e, msg.Done)]
     assert [e.detail for e in ends] == ["1 device"]
 
 
@@ -197,13 +186,13 @@ def test_when_an_id_is_given_beside_vectors() -> None:
     times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
     for at in range(320):
         it.now += 5 * MILLISECOND
-        said, frames = it.driver.send(it.now, [SetId("can0", serial_of(UUID), 9)] if not at else [])
+        said, frames = it.driver.send(it.now, [msg.SetId("can0", serial_of(UUID), 9)] if not at else [])
         events += said
         times += [(it.now - start) // MILLISECOND for frame in frames if frame == VECTORS["discover_by_uuid"]]
         it.handle(VECTORS["reply_stopped"])
     assert times == [150 * i for i in range(10)]
     reason = "no device with serial number 0123456789ABCDEF took the id"
-    assert events == [Refused(start + 1500 * MILLISECOND, "SetId", "can0", reason)]
+    assert events == [msg.Refused(start + 1500 * MILLISECOND, "SetId", "can0", reason)]
 
 
 def test_a_uuid_that_was_heard_long_ago_is_no_second_device_beside_vectors() -> None:
@@ -211,7 +200,7 @@ def test_a_uuid_that_was_heard_long_ago_is_no_second_device_beside_vectors() -> 
         it = talk()
         it.now += late
         events = reported(it, "reply_uuid_other")
-        assert any(isinstance(event, Found) for event in events) == twice
+        assert any(isinstance(event, msg.Found) for event in events) == twice
 
 
 def test_a_device_that_was_given_another_id_of_ours_is_no_second_one_beside_vectors() -> None:
@@ -219,15 +208,15 @@ def test_a_device_that_was_given_another_id_of_ours_is_no_second_one_beside_vect
     now = 1000 * SECOND
     for vector in ("reply_stopped", "reply_uuid", "reply_uuid_id_9", "reply_uuid_other"):
         events = driver.receive(now, VECTORS[vector])
-        assert [event for event in events if isinstance(event, Found)] == []
+        assert [event for event in events if isinstance(event, msg.Found)] == []
 
 
 def test_all_prefixes_in_use_are_asked_beside_vectors() -> None:
     options = Options(can_prefix=0x1ABC, host_id=3)
     driver = MoteusDriver([device("left", 5), device("far", 6, options=options), device("n", 7)], RANGES)
-    frames = driver.send(1, [Scan("can0")])[1]
+    frames = driver.send(1, [msg.Scan("can0")])[1]
     data = bytes.fromhex("1804d00211d802")
     assert [w.id for w in frames if isinstance(w, CanFrame) and w.data == data] == [0x807F, 0x1ABC837F]
     found = driver.receive(2, frame("2804d002" + UUID.hex(), 0x1ABC0903))
-    assert [type(event) for event in found] == [Found]
+    assert [type(event) for event in found] == [msg.Found]
     assert reply_id(9, 3, 0x1ABC) == 0x1ABC0903

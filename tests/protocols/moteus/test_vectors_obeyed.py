@@ -6,20 +6,9 @@ from math import tau
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Feedback,
-    Idle,
-    Position,
-    Request,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Command, Request
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.messages import names
 from protocols.moteus.options import Options, Settings, serial_of
@@ -37,8 +26,8 @@ def frame(data: str, identifier: int = 5) -> CanFrame:
     return CanFrame(identifier, plain.ljust(size, b"\x50"), identifier > 0x7FF, False, True, True)
 
 
-def parameter(name: str, value: float) -> WriteParameter:
-    return WriteParameter("m", name, value)
+def parameter(name: str, value: float) -> msg.WriteParameter:
+    return msg.WriteParameter("m", name, value)
 
 
 def line(text: str) -> str:
@@ -48,41 +37,41 @@ def line(text: str) -> str:
 
 OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
     # data → what a device would do, and the names of its messages
-    ("010000", [Idle("m")], ("stop",)),
-    ("0d0000000000", [Idle("m")], ("stop",)),
-    ("05000a00", [Position("m", 0.0)], ("position",)),
-    ("09000a000000", [Position("m", 0.0)], ("position",)),
-    ("0d0000002041", [Position("m", 0.0)], ("position",)),
-    ("01000a" + "0d20" + "0000003f", [Position("m", 0.5 * tau)], ("position 020",)),
-    ("01000a" + "0120" + "32", [Position("m", 0.5 * tau)], ("position 020",)),
-    ("01000a" + "0520" + "8813", [Position("m", 0.5 * tau)], ("position 020",)),
-    ("01000a" + "0920" + "50c30000", [Position("m", 0.5 * tau)], ("position 020",)),
-    ("01000a" + "0120" + "80", [Velocity("m", 0.0)], ("velocity 020",)),
-    ("01000a" + "0520" + "0080", [Velocity("m", 0.0)], ("velocity 020",)),
-    ("01000a" + "0920" + "00000080", [Velocity("m", 0.0)], ("velocity 020",)),
-    ("01000a" + "0d20" + "0000807f", [Velocity("m", 0.0)], ("velocity 020",)),
-    ("01000a" + "0e20" + "0000003f" + "0000c07f", [Position("m", 0.5 * tau)], ("position 020 021",)),
-    ("01000a" + "0d22" + "0000c07f", [Position("m", 0.0)], ("position 022",)),
-    ("01000a" + "0d22" + "0000803f", [Position("m", 0.0, 0.0, 1.0)], ("position 022",)),
-    ("01000a" + "0d42" + "0000803f", [Position("m", 0.0, 0.0, 1.0)], ("position 042",)),
-    ("01000a" + "0d23" + "00000000", [Position("m", 0.0)], ("position 023",)),
-    ("01000a" + "0d24" + "00000000", [Position("m", 0.0)], ("position 024",)),
-    ("01000a" + "0e23" + "00000000" + "00000000", [Position("m", 0.0)], ("torque 023 024",)),
-    ("01000a" + "0e23" + "00000000" * 2 + "0d2b" + "00000000", [Torque("m", 0.0)], ("torque 023 024 02B",)),
-    ("01000a" + "0d2b" + "00000000", [Position("m", 0.0)], ("position 02B",)),
-    ("01000a" + "0e23" + "00000000" + "0000803f", [Position("m", 0.0)], ("position 023 024",)),
-    ("01000a" + "0e23" + "0000803f" + "00000000", [Position("m", 0.0)], ("position 023 024",)),
-    ("01000a" + "0e43" + "00000000" + "00000000", [Position("m", 0.0)], ("position 043 044",)),
-    ("01000a" + "0e43" + "00000000" * 2 + "0d47" + "00000000", [Torque("m", 0.0)], ("position 043 044 047",)),
-    ("01000a" + "0d20" + "0000003f" + "01000a", [Position("m", 0.0)], ("position 020",)),
-    ("0d20" + "0000003f" + "01000a", [Position("m", 0.0)], ("position 020",)),
-    ("010009" + "0d1c" + "00000040", [Torque("m", 2.0 * KT)], ("current 01C",)),
-    ("010009", [Torque("m", 0.0)], ("current",)),
-    ("010009" + "0d1c" + "0000c07f", [Torque("m", 0.0)], ("current 01C",)),
-    ("01000c", [Velocity("m", 0.0)], ("zero velocity",)),
-    ("01000f", [Velocity("m", 0.0)], ("brake",)),
-    ("01000d" + "0d42" + "0000003f", [Torque("m", 0.5)], ("stay within 042",)),
-    ("01000d" + "0d22" + "0000003f", [Torque("m", 0.5)], ("stay within 022",)),
+    ("010000", [msg.Idle("m")], ("stop",)),
+    ("0d0000000000", [msg.Idle("m")], ("stop",)),
+    ("05000a00", [msg.Position("m", 0.0)], ("position",)),
+    ("09000a000000", [msg.Position("m", 0.0)], ("position",)),
+    ("0d0000002041", [msg.Position("m", 0.0)], ("position",)),
+    ("01000a" + "0d20" + "0000003f", [msg.Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0120" + "32", [msg.Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0520" + "8813", [msg.Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0920" + "50c30000", [msg.Position("m", 0.5 * tau)], ("position 020",)),
+    ("01000a" + "0120" + "80", [msg.Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0520" + "0080", [msg.Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0920" + "00000080", [msg.Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0d20" + "0000807f", [msg.Velocity("m", 0.0)], ("velocity 020",)),
+    ("01000a" + "0e20" + "0000003f" + "0000c07f", [msg.Position("m", 0.5 * tau)], ("position 020 021",)),
+    ("01000a" + "0d22" + "0000c07f", [msg.Position("m", 0.0)], ("position 022",)),
+    ("01000a" + "0d22" + "0000803f", [msg.Position("m", 0.0, 0.0, 1.0)], ("position 022",)),
+    ("01000a" + "0d42" + "0000803f", [msg.Position("m", 0.0, 0.0, 1.0)], ("position 042",)),
+    ("01000a" + "0d23" + "00000000", [msg.Position("m", 0.0)], ("position 023",)),
+    ("01000a" + "0d24" + "00000000", [msg.Position("m", 0.0)], ("position 024",)),
+    ("01000a" + "0e23" + "00000000" + "00000000", [msg.Position("m", 0.0)], ("torque 023 024",)),
+    ("01000a" + "0e23" + "00000000" * 2 + "0d2b" + "00000000", [msg.Torque("m", 0.0)], ("torque 023 024 02B",)),
+    ("01000a" + "0d2b" + "00000000", [msg.Position("m", 0.0)], ("position 02B",)),
+    ("01000a" + "0e23" + "00000000" + "0000803f", [msg.Position("m", 0.0)], ("position 023 024",)),
+    ("01000a" + "0e23" + "0000803f" + "00000000", [msg.Position("m", 0.0)], ("position 023 024",)),
+    ("01000a" + "0e43" + "00000000" + "00000000", [msg.Position("m", 0.0)], ("position 043 044",)),
+    ("01000a" + "0e43" + "00000000" * 2 + "0d47" + "00000000", [msg.Torque("m", 0.0)], ("position 043 044 047",)),
+    ("01000a" + "0d20" + "0000003f" + "01000a", [msg.Position("m", 0.0)], ("position 020",)),
+    ("0d20" + "0000003f" + "01000a", [msg.Position("m", 0.0)], ("position 020",)),
+    ("010009" + "0d1c" + "00000040", [msg.Torque("m", 2.0 * KT)], ("current 01C",)),
+    ("010009", [msg.Torque("m", 0.0)], ("current",)),
+    ("010009" + "0d1c" + "0000c07f", [msg.Torque("m", 0.0)], ("current 01C",)),
+    ("01000c", [msg.Velocity("m", 0.0)], ("zero velocity",)),
+    ("01000f", [msg.Velocity("m", 0.0)], ("brake",)),
+    ("01000d" + "0d42" + "0000003f", [msg.Torque("m", 0.5)], ("stay within 042",)),
+    ("01000d" + "0d22" + "0000003f", [msg.Torque("m", 0.5)], ("stay within 022",)),
     ("010005", [parameter("mode", 5.0)], ("pwm",)),
     ("010006", [parameter("mode", 6.0)], ("voltage",)),
     ("010007", [parameter("mode", 7.0)], ("voltage foc",)),
@@ -98,10 +87,10 @@ OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
     ("010080", [], ("stop",)),  # "not given"
     ("0d20" + "0000003f", [], ("write 020",)),
     ("0d01" + "0000003f", [], ("write 001",)),
-    ("0db002" + "00000000", [Zero("m")], ("write 130",)),
-    ("0db102" + "00000000", [Zero("m")], ("write 131",)),
-    ("0db102" + "5f708930", [Zero("m")], ("write 131",)),  # just less than 1e-9
-    ("0db102" + "5f7089b0", [Zero("m")], ("write 131",)),
+    ("0db002" + "00000000", [msg.Zero("m")], ("write 130",)),
+    ("0db102" + "00000000", [msg.Zero("m")], ("write 131",)),
+    ("0db102" + "5f708930", [msg.Zero("m")], ("write 131",)),  # just less than 1e-9
+    ("0db102" + "5f7089b0", [msg.Zero("m")], ("write 131",)),
     ("0db102" + "ad708930", [parameter("set_output_exact", 1.0000070e-09)], ("write 131",)),
     ("0db102" + "0000c0bf", [parameter("set_output_exact", -1.5)], ("write 131",)),
     ("0db002" + "0000c0bf", [parameter("set_output_nearest", -1.5)], ("write 130",)),
@@ -110,9 +99,9 @@ OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
     ("01b20201", [parameter("require_reindex", 1.0)], ("write 132",)),
     ("01b20280", [parameter("require_reindex", 0.0)], ("write 132",)),
     ("01b30202", [parameter("recapture_position_velocity", 2.0)], ("write 133",)),
-    ("0eb102" + "00000000" + "0000803f", [Zero("m"), parameter("require_reindex", 1.0)], ("write 131 132",)),
-    ("010000" + "0db102" + "00000000", [Idle("m"), Zero("m")], ("stop 131",)),
-    ("0db102" + "00000000" + "010000", [Idle("m"), Zero("m")], ("stop 131",)),
+    ("0eb102" + "00000000" + "0000803f", [msg.Zero("m"), parameter("require_reindex", 1.0)], ("write 131 132",)),
+    ("010000" + "0db102" + "00000000", [msg.Idle("m"), msg.Zero("m")], ("stop 131",)),
+    ("0db102" + "00000000" + "010000", [msg.Idle("m"), msg.Zero("m")], ("stop 131",)),
     ("11001f0111", [], ()),  # cut off
     ("11001f01110f", [], ("read",)),
     ("210000", [], ()),
@@ -121,10 +110,10 @@ OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
     (line("conf write"), [parameter("conf_write", 1.0)], ("console: conf write",)),
     (line("conf write x"), [], ("console: conf write",)),
     (line("conf get id.id"), [], ("console: conf get",)),
-    (line("conf set id.id 9"), [SetId("", SERIAL, 9)], ("console: conf set id.id",)),
-    (line("  conf   set id.id 9 "), [SetId("", SERIAL, 9)], ("console: conf set id.id",)),
-    (line("conf set id.id 1"), [SetId("", SERIAL, 1)], ("console: conf set id.id",)),
-    (line("conf set id.id 126"), [SetId("", SERIAL, 126)], ("console: conf set id.id",)),
+    (line("conf set id.id 9"), [msg.SetId("", SERIAL, 9)], ("console: conf set id.id",)),
+    (line("  conf   set id.id 9 "), [msg.SetId("", SERIAL, 9)], ("console: conf set id.id",)),
+    (line("conf set id.id 1"), [msg.SetId("", SERIAL, 1)], ("console: conf set id.id",)),
+    (line("conf set id.id 126"), [msg.SetId("", SERIAL, 126)], ("console: conf set id.id",)),
     (line("conf set id.id 0"), [], ("console: conf set id.id",)),
     (line("conf set id.id 127"), [], ("console: conf set id.id",)),
     (line("conf set id.id x"), [], ("console: conf set id.id",)),
@@ -135,25 +124,25 @@ OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
     ("40020b" + b"conf write\n".hex(), [], ("console: conf write",)),  # another channel
     (
         line("conf write\rconf set id.id 9"),
-        [parameter("conf_write", 1.0), SetId("", SERIAL, 9)],
+        [parameter("conf_write", 1.0), msg.SetId("", SERIAL, 9)],
         ("console: conf write",),
     ),
-    (line("conf set id.id 9") + line("conf write"), [SetId("", SERIAL, 9), parameter("conf_write", 1.0)],
+    (line("conf set id.id 9") + line("conf write"), [msg.SetId("", SERIAL, 9), parameter("conf_write", 1.0)],
      ("console: conf set id.id", "console: conf write")),
     (
         "010000" + line("conf write") + "0db102" + "00000000",
-        [Idle("m"), parameter("conf_write", 1.0), Zero("m")],
+        [msg.Idle("m"), parameter("conf_write", 1.0), msg.Zero("m")],
         ("stop 131", "console: conf write"),
     ),
-    ("010000" + "60", [Idle("m")], ()),  # what stands before the flaw is obeyed
-    ("010000" + "0d200000", [Idle("m")], ()),
-    ("01000a" + "0e20" + "0000003f" + "0000", [Position("m", 0.5 * tau)], ()),
+    ("010000" + "60", [msg.Idle("m")], ()),  # what stands before the flaw is obeyed
+    ("010000" + "0d200000", [msg.Idle("m")], ()),
+    ("01000a" + "0e20" + "0000003f" + "0000", [msg.Position("m", 0.5 * tau)], ()),
     ("60" + "010000", [], ()),
-    ("50" + "010000" + "5050", [Idle("m")], ("stop",)),
-    ("210000" + "010000", [Idle("m")], ()),
+    ("50" + "010000" + "5050", [msg.Idle("m")], ("stop",)),
+    ("210000" + "010000", [msg.Idle("m")], ()),
     (
         "0db102" + "00000000" + line("conf write"),
-        [Zero("m"), parameter("conf_write", 1.0)],
+        [msg.Zero("m"), parameter("conf_write", 1.0)],
         ("write 131", "console: conf write"),
     ),
 ]  # fmt: skip
@@ -205,18 +194,18 @@ def test_what_is_for_others_beside_vectors(frame: Frame) -> None:
 def test_who_obeys_beside_vectors() -> None:
     far = device("far", 5, options=Options(can_prefix=0x1ABC))
     decoder = MoteusDecoder([device("m", 5), device("n", 6), far])
-    assert decoder.decode(0, frame("010000", 0x7F)) == [Idle("m"), Idle("n")]
-    assert decoder.decode(0, frame("010000", 0x1ABC_807F)) == [Idle("far")]
-    assert decoder.decode(0, CanFrame(6, bytes.fromhex("010000"), True, False, False)) == [Idle("n")]
+    assert decoder.decode(0, frame("010000", 0x7F)) == [msg.Idle("m"), msg.Idle("n")]
+    assert decoder.decode(0, frame("010000", 0x1ABC_807F)) == [msg.Idle("far")]
+    assert decoder.decode(0, CanFrame(6, bytes.fromhex("010000"), True, False, False)) == [msg.Idle("n")]
 
 
 def test_pieces_of_a_console_line_beside_vectors() -> None:
     whole = b"x" * 300 + b"\nconf write\r\nconf set id.id 7\n"
     decoder = MoteusDecoder([device("m", 5, Settings(uuid=UUID.hex()))])
     received = [w for byte in whole for w in decoder.decode(0, frame(f"400101{byte:02x}"))]
-    assert received == [parameter("conf_write", 1.0), SetId("", SERIAL, 7)]
+    assert received == [parameter("conf_write", 1.0), msg.SetId("", SERIAL, 7)]
     assert decoder.decode(0, frame("010000", 5)) == []
-    assert decoder.decode(0, frame("010000", 7)) == [Idle("m")]
+    assert decoder.decode(0, frame("010000", 7)) == [msg.Idle("m")]
     long = b"conf write" + b" " * 246 + b"conf write"
     again = [w for byte in long for w in decoder.decode(0, frame(f"400101{byte:02x}", 7))]
     assert again == []
@@ -230,19 +219,19 @@ MASK = "0ad402" + UUID[:8].hex()
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (MASK + "010000", [Idle("m")]),
-        ("09d402" + UUID[:4].hex() + "010000", [Idle("m")]),
-        ("09d702" + UUID[12:].hex() + "010000", [Idle("m")]),
-        ("0804d402" + UUID.hex() + "010000", [Idle("m")]),
-        ("0ad602" + UUID[8:].hex() + "010000", [Idle("m")]),
+        (MASK + "010000", [msg.Idle("m")]),
+        ("09d402" + UUID[:4].hex() + "010000", [msg.Idle("m")]),
+        ("09d702" + UUID[12:].hex() + "010000", [msg.Idle("m")]),
+        ("0804d402" + UUID.hex() + "010000", [msg.Idle("m")]),
+        ("0ad602" + UUID[8:].hex() + "010000", [msg.Idle("m")]),
         ("0ad402" + UUID[:4].hex() + "ffffffff" + "010000", []),
         ("09d702" + "ffffffff" + "010000", []),
-        ("010000" + "09d702" + "ffffffff" + "0db102" + "00000000", [Idle("m")]),  # up to the mask
+        ("010000" + "09d702" + "ffffffff" + "0db102" + "00000000", [msg.Idle("m")]),  # up to the mask
         ("0dd402" + "00000000" + "010000", []),  # a mask is int32
         ("01d402" + "01" + "010000", []),
-        ("09d302" + "ffffffff" + "010000", [Idle("m")]),
-        ("09d802" + "ffffffff" + "010000", [Idle("m")]),
-        (MASK + line("conf set id.id 9"), [SetId("", SERIAL, 9)]),
+        ("09d302" + "ffffffff" + "010000", [msg.Idle("m")]),
+        ("09d802" + "ffffffff" + "010000", [msg.Idle("m")]),
+        (MASK + line("conf set id.id 9"), [msg.SetId("", SERIAL, 9)]),
     ],
 )
 def test_masks_of_uuids_beside_vectors(data: str, words: list[Command | Request]) -> None:
@@ -255,19 +244,19 @@ def test_masks_of_uuids_beside_vectors(data: str, words: list[Command | Request]
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (MASK + line("conf set id.id 9"), [SetId("", SERIAL, 9)]),
-        ("09d402" + UUID[:4].hex() + line("conf set id.id 9"), [SetId("", SERIAL >> 32 << 32, 9)]),
-        ("0804d402" + UUID.hex() + line("conf set id.id 9"), [SetId("", SERIAL, 9)]),
+        (MASK + line("conf set id.id 9"), [msg.SetId("", SERIAL, 9)]),
+        ("09d402" + UUID[:4].hex() + line("conf set id.id 9"), [msg.SetId("", SERIAL >> 32 << 32, 9)]),
+        ("0804d402" + UUID.hex() + line("conf set id.id 9"), [msg.SetId("", SERIAL, 9)]),
         (MASK + line("conf set id.id 127"), []),
         (MASK + line("conf write"), [parameter("conf_write", 1.0)]),
-        (line("conf set id.id 9"), [SetId("", 0, 9)]),
+        (line("conf set id.id 9"), [msg.SetId("", 0, 9)]),
     ],
 )
 def test_an_id_given_to_whom_it_concerns_beside_vectors(data: str, words: list[Command | Request]) -> None:
     decoder = MoteusDecoder([device("m", 5)])
     assert decoder.decode(0, frame(data, 0x7F)) == words
     renamed = 9 if not data.startswith(("0ad4", "09d4", "0804")) else 5
-    assert decoder.decode(0, frame("010000", renamed)) == [Idle("m")]
+    assert decoder.decode(0, frame("010000", renamed)) == [msg.Idle("m")]
 
 
 @pytest.mark.parametrize(
@@ -309,9 +298,9 @@ def test_an_id_given_to_whom_it_concerns_beside_vectors(data: str, words: list[C
 )  # fmt: skip
 def test_what_a_device_answers_beside_vectors(data: str, answer: str) -> None:
     twin = MoteusTwin(device("m", 5, Settings(uuid="0" * 32)), 0)
-    twin.step(0, [Feedback("m", 0, 0.0, 0.0)])
+    twin.step(0, [msg.Feedback("m", 0, 0.0, 0.0)])
     twin.receive(MILLISECOND, frame(data, 0x8005))
-    _, (said,) = twin.step(2 * MILLISECOND, [Feedback("m", 0, 0.0, 0.0)])
+    _, (said,) = twin.step(2 * MILLISECOND, [msg.Feedback("m", 0, 0.0, 0.0)])
     assert isinstance(said, CanFrame)
     assert said.data.rstrip(b"\x50") == bytes.fromhex(answer)
     assert said.id == 0x500

@@ -6,29 +6,8 @@ from math import inf, nan, tau
 
 import pytest
 
-from protocols.messages import (
-    SECOND,
-    ClearFault,
-    Command,
-    Done,
-    Estop,
-    Event,
-    Hold,
-    Home,
-    Idle,
-    Impedance,
-    Position,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Request,
-    Scan,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols import messages as msg
+from protocols.messages import SECOND, Command, Event, Request
 from protocols.moteus.codec import FLOAT_MAX
 from protocols.moteus.registers import NAMES
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
@@ -45,21 +24,21 @@ def asked(it: Talk, word: Command | Request) -> list[Event]:
     return list(it.driver.send(it.now, [word])[0])
 
 
-def write(parameter: str, value: float = 1.0) -> WriteParameter:
-    return WriteParameter("left", parameter, value)
+def write(parameter: str, value: float = 1.0) -> msg.WriteParameter:
+    return msg.WriteParameter("left", parameter, value)
 
 
 @pytest.mark.parametrize(
     ("request_", "reason"),
     [
-        (Estop("left"), "a moteus has no Estop on its bus"),
-        (Home("left"), "a moteus has no Home on its bus"),
-        (Reboot("left"), "a moteus has no Reboot on its bus"),
-        (Reboot("right"), "moteus cannot do this, or knows no such motor"),
-        (ReadParameter("right", "power"), "moteus cannot do this, or knows no such motor"),
-        (ReadParameter("left", "pover"), f"no register 'pover': {UNKNOWN}"),
-        (ReadParameter("left", "0x8000"), f"no register '0x8000': {UNKNOWN}"),
-        (ReadParameter("left", "-1"), f"no register '-1': {UNKNOWN}"),
+        (msg.Estop("left"), "a moteus has no Estop on its bus"),
+        (msg.Home("left"), "a moteus has no Home on its bus"),
+        (msg.Reboot("left"), "a moteus has no Reboot on its bus"),
+        (msg.Reboot("right"), "moteus cannot do this, or knows no such motor"),
+        (msg.ReadParameter("right", "power"), "moteus cannot do this, or knows no such motor"),
+        (msg.ReadParameter("left", "pover"), f"no register 'pover': {UNKNOWN}"),
+        (msg.ReadParameter("left", "0x8000"), f"no register '0x8000': {UNKNOWN}"),
+        (msg.ReadParameter("left", "-1"), f"no register '-1': {UNKNOWN}"),
         (write("pover"), f"no register 'pover': {UNKNOWN}"),
         (write("conf_write", 0.0), "conf_write takes 1"),
         (write("conf_write", 2.0), "conf_write takes 1"),
@@ -72,16 +51,16 @@ def write(parameter: str, value: float = 1.0) -> WriteParameter:
         (write("0x071", 1.0), "a trimmed clock may end all communication"),
         *((write(hex(r)), COMMANDS_OWN) for r in (0x010, 0x020, 0x02F, 0x040, 0x048)),
         *((write(hex(r)), "a mask of UUIDs is no parameter") for r in (0x154, 0x155, 0x156, 0x157)),
-        *((SetId("can0", 7, at), f"{at} is not an id: 1 to 126") for at in (-1, 0, 127, 128)),
-        *((SetId("can0", s, 9), f"{s} is no serial number of 64 bits") for s in (-1, 0, 1 << 64)),
-        (SetId("can0", 7, 5), "id 5 is held by serial number 0123456789ABCDEF"),
+        *((msg.SetId("can0", 7, at), f"{at} is not an id: 1 to 126") for at in (-1, 0, 127, 128)),
+        *((msg.SetId("can0", s, 9), f"{s} is no serial number of 64 bits") for s in (-1, 0, 1 << 64)),
+        (msg.SetId("can0", 7, 5), "id 5 is held by serial number 0123456789ABCDEF"),
     ],
 )
 def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
     it = talk()
     kind = type(request_).__name__
     of_whom = getattr(request_, "motor", "") or getattr(request_, "bus", "")
-    assert asked(it, request_) == [Refused(it.now, kind, of_whom, reason)]
+    assert asked(it, request_) == [msg.Refused(it.now, kind, of_whom, reason)]
     assert reported(it, "reply_stopped", "reply_uuid", "reply_power") == []
 
 
@@ -89,12 +68,12 @@ def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
     ("request_", "data"),
     [
         # a question for one register as binary32 (1D) or int32 (19); a write of one as binary32 (0D) and 1D
-        (ReadParameter("left", "POWER"), "1d07"),
-        (ReadParameter("left", "7"), "1d07"),
-        (ReadParameter("left", "0x0"), "1900"),
-        (ReadParameter("left", "0x7fff"), "19ffff01"),
-        (ReadParameter("left", "home_state"), "190c"),
-        (ReadParameter("left", "uuid1"), "19d002"),
+        (msg.ReadParameter("left", "POWER"), "1d07"),
+        (msg.ReadParameter("left", "7"), "1d07"),
+        (msg.ReadParameter("left", "0x0"), "1900"),
+        (msg.ReadParameter("left", "0x7fff"), "19ffff01"),
+        (msg.ReadParameter("left", "home_state"), "190c"),
+        (msg.ReadParameter("left", "uuid1"), "19d002"),
         (write("0x030", FLOAT_MAX), "0d30ffff7f7f" + "1d30"),
         (write("0x00f", 0.0), "0d0f00000000" + "1d0f"),
         (write("0x03f", -2.0), "0d3f000000c0" + "1d3f"),
@@ -106,7 +85,7 @@ def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
         (write("require_reindex", 1.0), "0db2020000803f" + "1db202"),
         (write("recapture_position_velocity", 1.0), "0db3020000803f" + "1db302"),
         (write("conf_write", 1.0), "40010b636f6e662077726974650a" + "199002"),
-        (Zero("left"), "0db10200000000" + "1db102"),
+        (msg.Zero("left"), "0db10200000000" + "1db102"),
     ],
 )
 def test_a_request_is_the_bytes_of_its_vector_until_it_is_given_up(request_: Request, data: str) -> None:
@@ -123,7 +102,7 @@ def test_a_request_is_the_bytes_of_its_vector_until_it_is_given_up(request_: Req
         events += it.handle(another)
     assert times == [60_000_000 * i for i in range(10)]
     (refused,) = events
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, msg.Refused)
     assert (refused.t - start, refused.name) == (600_000_000, "left")
 
 
@@ -131,7 +110,7 @@ def test_edges_of_ids_and_serial_numbers_beside_vectors() -> None:
     it = talk()
     for serial in (1, (1 << 64) - 1):
         for address in (1, 126):
-            assert asked(it, SetId("can0", serial, address)) == []
+            assert asked(it, msg.SetId("can0", serial, address)) == []
 
 
 @pytest.mark.parametrize("mode", range(16))
@@ -140,81 +119,86 @@ def test_what_may_be_asked_in_the_mode_that_a_vector_tells(mode: int) -> None:
     it.handle(AT.replace("21000a", f"2100{mode:02x}", 1))
     running = mode not in (0, 1, 11)
     asks: tuple[tuple[Request, str, str], ...] = (
-        (Zero("left"), "left", STILL),
+        (msg.Zero("left"), "left", STILL),
         (write("conf_write"), "left", "it is armed: say idle first"),
         (write("set_output_nearest"), "left", STILL),
         (write("set_output_exact"), "left", STILL),
         (write("require_reindex"), "left", STILL),
         (write("recapture_position_velocity"), "left", STILL),
-        (SetId("can0", 7, 5), "can0", "left is armed: say idle first"),
+        (msg.SetId("can0", 7, 5), "can0", "left is armed: say idle first"),
     )
     for request, name, reason in asks:
-        refused = [Refused(it.now + 5_000_000, type(request).__name__, name, reason)]
+        refused = [msg.Refused(it.now + 5_000_000, type(request).__name__, name, reason)]
         assert asked(it, request) == (refused if running else [])
-    for allowed in (write("0x030"), ReadParameter("left", "mode"), ClearFault("left"), SetId("can0", 7, 9)):
+    for allowed in (
+        write("0x030"),
+        msg.ReadParameter("left", "mode"),
+        msg.ClearFault("left"),
+        msg.SetId("can0", 7, 9),
+    ):
         assert asked(it, allowed) == []
 
 
 def test_what_may_be_asked_before_the_first_vector() -> None:
     it = Talk()
-    for allowed in (Zero("left"), write("conf_write"), SetId("can0", 7, 5), write("0x030")):
+    for allowed in (msg.Zero("left"), write("conf_write"), msg.SetId("can0", 7, 5), write("0x030")):
         assert asked(it, allowed) == []
     for moving in ("set_output_nearest", "set_output_exact"):
-        assert asked(it, write(moving)) == [Refused(it.now, "WriteParameter", "left", STILL)]
+        assert asked(it, write(moving)) == [msg.Refused(it.now, "WriteParameter", "left", STILL)]
 
 
 def test_what_we_have_commanded_is_as_good_as_armed_whatever_the_vector_tells() -> None:
     it = talk()
-    asked(it, Hold("left"))
+    asked(it, msg.Hold("left"))
     it.handle(VECTORS["reply_stopped"])
-    assert asked(it, Zero("left")) == [Refused(it.now, "Zero", "left", STILL)]
-    assert asked(it, write("set_output_exact")) == [Refused(it.now, "WriteParameter", "left", STILL)]
+    assert asked(it, msg.Zero("left")) == [msg.Refused(it.now, "Zero", "left", STILL)]
+    assert asked(it, write("set_output_exact")) == [msg.Refused(it.now, "WriteParameter", "left", STILL)]
     assert asked(it, write("conf_write")) == [
-        Refused(it.now, "WriteParameter", "left", "it is armed: say idle first")
+        msg.Refused(it.now, "WriteParameter", "left", "it is armed: say idle first")
     ]
-    mine = SetId("can0", 0x0123456789ABCDEF, 9)
-    assert asked(it, mine) == [Refused(it.now, "SetId", "can0", "left is armed: say idle first")]
-    assert asked(it, SetId("can0", 7, 9)) == []
+    mine = msg.SetId("can0", 0x0123456789ABCDEF, 9)
+    assert asked(it, mine) == [msg.Refused(it.now, "SetId", "can0", "left is armed: say idle first")]
+    assert asked(it, msg.SetId("can0", 7, 9)) == []
 
 
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
-        (Position("left", nan), "position is nan"),
-        (Position("left", 0.0, inf), "velocity is inf"),
-        (Position("left", 0.0, 0.0, -inf), "torque is -inf"),
-        (Position("left", 32769 * tau), "position 205894 lies outside -205887 … 205887"),
-        (Position("left", -32769 * tau), "position -205894 lies outside -205887 … 205887"),
-        (Velocity("left", 1001 * tau), "velocity 6289.47 lies outside -6283.19 … 6283.19"),
-        (Velocity("left", 0.0, 1000.5), "torque 1000.5 lies outside -1000 … 1000"),
-        (Torque("left", -1000.5), "torque -1000.5 lies outside -1000 … 1000"),
-        (Torque("right", 0.0), "no such motor on this bus"),
+        (msg.Position("left", nan), "position is nan"),
+        (msg.Position("left", 0.0, inf), "velocity is inf"),
+        (msg.Position("left", 0.0, 0.0, -inf), "torque is -inf"),
+        (msg.Position("left", 32769 * tau), "position 205894 lies outside -205887 … 205887"),
+        (msg.Position("left", -32769 * tau), "position -205894 lies outside -205887 … 205887"),
+        (msg.Velocity("left", 1001 * tau), "velocity 6289.47 lies outside -6283.19 … 6283.19"),
+        (msg.Velocity("left", 0.0, 1000.5), "torque 1000.5 lies outside -1000 … 1000"),
+        (msg.Torque("left", -1000.5), "torque -1000.5 lies outside -1000 … 1000"),
+        (msg.Torque("right", 0.0), "no such motor on this bus"),
         (
-            Impedance("left", 0.0, 0.0, 0.0, 1.0, 1.0),
+            msg.Impedance("left", 0.0, 0.0, 0.0, 1.0, 1.0),
             "the device's gains are scaled, not set: it has no impedance in N·m/rad",
         ),
     ],
 )
 def test_a_command_that_is_no_vector_is_refused_once(word: Command, reason: str) -> None:
     it = Talk().running()
-    refused = [Refused(it.now + 5_000_000, type(word).__name__, word.motor, reason)]
+    refused = [msg.Refused(it.now + 5_000_000, type(word).__name__, word.motor, reason)]
     assert asked(it, word) == refused
     assert asked(it, word) == []
-    other = Velocity(word.motor, nan)
+    other = msg.Velocity(word.motor, nan)
     if word.motor == "left":
-        assert asked(it, other) == [Refused(it.now, "Velocity", "left", "velocity is nan")]
-        assert asked(it, Hold("left")) == []
-    again = [Refused(it.now + 5_000_000, type(word).__name__, word.motor, reason)]
+        assert asked(it, other) == [msg.Refused(it.now, "Velocity", "left", "velocity is nan")]
+        assert asked(it, msg.Hold("left")) == []
+    again = [msg.Refused(it.now + 5_000_000, type(word).__name__, word.motor, reason)]
     assert asked(it, word) == (again if word.motor == "left" else [])
-    assert asked(it, Idle("left")) == []
+    assert asked(it, msg.Idle("left")) == []
 
 
 @pytest.mark.parametrize(
     "word",
     [
-        *(Position("left", sign * 32768 * tau, sign * 1e3 * tau, sign * 1e3) for sign in (1, -1)),
-        *(Velocity("left", sign * 1e3 * tau, sign * 1e3) for sign in (1, -1)),
-        *(Torque("left", sign * 1e3) for sign in (1, -1)),
+        *(msg.Position("left", sign * 32768 * tau, sign * 1e3 * tau, sign * 1e3) for sign in (1, -1)),
+        *(msg.Velocity("left", sign * 1e3 * tau, sign * 1e3) for sign in (1, -1)),
+        *(msg.Torque("left", sign * 1e3) for sign in (1, -1)),
     ],
 )
 def test_a_command_at_the_edge_is_still_a_vector(word: Command) -> None:
@@ -227,21 +211,21 @@ def test_a_command_at_the_edge_is_still_a_vector(word: Command) -> None:
 
 def test_thirty_two_requests_wait_for_a_vector_and_no_more() -> None:
     it = talk()
-    reads: list[Request] = [ReadParameter("left", "power")] * 33
+    reads: list[Request] = [msg.ReadParameter("left", "power")] * 33
     it.now += 5_000_000
     events = it.driver.send(it.now, reads)[0]
     reason = "too many requests are under way"
-    assert events == [Refused(it.now, "ReadParameter", "left", reason)]
-    assert asked(it, Scan("can0")) == [Refused(it.now, "Scan", "can0", reason)]
+    assert events == [msg.Refused(it.now, "ReadParameter", "left", reason)]
+    assert asked(it, msg.Scan("can0")) == [msg.Refused(it.now, "Scan", "can0", reason)]
     assert len(reported(it, "reply_power")) == 32
-    assert asked(it, Scan("can0")) == []
+    assert asked(it, msg.Scan("can0")) == []
 
 
 def test_an_answer_ends_only_what_it_answers_beside_vectors() -> None:
     it = talk()
-    it.say(ReadParameter("left", "power"), ReadParameter("left", "voltage"), ClearFault("left"))
-    assert [type(event) for event in reported(it, "reply_stopped")] == [Done]
+    it.say(msg.ReadParameter("left", "power"), msg.ReadParameter("left", "voltage"), msg.ClearFault("left"))
+    assert [type(event) for event in reported(it, "reply_stopped")] == [msg.Done]
     assert [getattr(event, "parameter", "") for event in reported(it, "reply_power")] == ["power"]
     it.now += SECOND
     said = "the device did not answer this"
-    assert it.driver.send(it.now, ())[0][:1] == [Refused(it.now, "ReadParameter", "left", said)]
+    assert it.driver.send(it.now, ())[0][:1] == [msg.Refused(it.now, "ReadParameter", "left", said)]

@@ -6,20 +6,9 @@ from math import tau
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import BusState
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Hold,
-    Idle,
-    Position,
-    Request,
-    Stop,
-    Torque,
-    Velocity,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Command, Request
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import reported, talk
 
@@ -36,12 +25,12 @@ def command(it: Talk, word: Command) -> str:
 @pytest.mark.parametrize(
     ("word", "first", "then"),
     [
-        (Hold("left"), MOVE + "0000803e" + "00000000" * 2, MOVE + "0000803e" + "00000000" * 2),
-        (Position("left", tau, -tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
+        (msg.Hold("left"), MOVE + "0000803e" + "00000000" * 2, MOVE + "0000803e" + "00000000" * 2),
+        (msg.Position("left", tau, -tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
          MOVE + "0000803f" + "000080bf" + "0000003f"),
-        (Velocity("left", tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
+        (msg.Velocity("left", tau, 0.5), MOVE + "0000803e" + "00000000" * 2,
          MOVE + "0000c07f" + "0000803f" + "0000003f"),
-        (Torque("left", 0.5), "01000a0c0520" + "0000803e" + "00000000" * 4,
+        (msg.Torque("left", 0.5), "01000a0c0520" + "0000803e" + "00000000" * 4,
          "01000a0c0520" + "0000803e" + "00000000" + "0000003f" + "00000000" * 2),
     ],
 )  # fmt: skip
@@ -60,33 +49,38 @@ def test_arming_as_in_vectors(word: Command, first: str, then: str) -> None:
 def test_a_hold_stays_where_the_vector_had_it_first() -> None:
     it = Talk().running()
     held = MOVE + "0000803e" + "00000000" * 2
-    assert command(it, Hold("left")).startswith(held)
+    assert command(it, msg.Hold("left")).startswith(held)
     it.handle(AT.replace("0000803e", "0000003f", 1))
-    assert command(it, Hold("left")).startswith(held)
-    it.say(Position("left", tau))
-    assert command(it, Hold("left")).startswith(MOVE + "0000003f" + "00000000" * 2)
+    assert command(it, msg.Hold("left")).startswith(held)
+    it.say(msg.Position("left", tau))
+    assert command(it, msg.Hold("left")).startswith(MOVE + "0000003f" + "00000000" * 2)
     it.handle(AT)
-    it.say(Idle("left"))
-    assert command(it, Hold("left")).startswith(held)
+    it.say(msg.Idle("left"))
+    assert command(it, msg.Hold("left")).startswith(held)
 
 
 def test_a_velocity_starts_at_the_shaft_after_anything_else_beside_vectors() -> None:
     placed, free = MOVE + "0000803e" + "0000803f", MOVE + "0000c07f" + "0000803f"
-    others: tuple[Command, ...] = (Hold("left"), Position("left", 1.0), Torque("left", 0.5), Idle("left"))
+    others: tuple[Command, ...] = (
+        msg.Hold("left"),
+        msg.Position("left", 1.0),
+        msg.Torque("left", 0.5),
+        msg.Idle("left"),
+    )
     for other in others:
         it = Talk().running()
         for _ in range(5):
-            it.say(Velocity("left", tau))
+            it.say(msg.Velocity("left", tau))
             it.handle(AT)
-        assert command(it, Velocity("left", tau)).startswith(free)
+        assert command(it, msg.Velocity("left", tau)).startswith(free)
         it.say(other)
         it.handle(AT)
         for _ in range(3):
-            assert command(it, Velocity("left", tau)).startswith(placed)
+            assert command(it, msg.Velocity("left", tau)).startswith(placed)
             it.handle(AT)
-        assert command(it, Velocity("left", tau)).startswith(free)
+        assert command(it, msg.Velocity("left", tau)).startswith(free)
     it.driver.bus(it.now, BusState.FULL)
-    assert command(it, Velocity("left", tau)).startswith(placed)
+    assert command(it, msg.Velocity("left", tau)).startswith(placed)
 
 
 def stops(it: Talk, steps: int, word: Command | Request, *, hears: str = "") -> list[int]:
@@ -102,38 +96,38 @@ def stops(it: Talk, steps: int, word: Command | Request, *, hears: str = "") -> 
 
 def test_stops_are_repeated_until_vectors_confirm_them() -> None:
     it = Talk().running()
-    it.say(Hold("left"))
-    assert stops(it, 20, Idle("left")) == [0, 4, 8, 12, 16]
-    assert stops(it, 9, Idle("left"), hears="reply_stopped") == [0]
+    it.say(msg.Hold("left"))
+    assert stops(it, 20, msg.Idle("left")) == [0, 4, 8, 12, 16]
+    assert stops(it, 9, msg.Idle("left"), hears="reply_stopped") == [0]
     it = Talk().running()
-    assert stops(it, 9, Idle("left")) == []  # nobody has commanded it
-    it.say(Hold("left"))
-    it.say(Idle("left"))
+    assert stops(it, 9, msg.Idle("left")) == []  # nobody has commanded it
+    it.say(msg.Hold("left"))
+    it.say(msg.Idle("left"))
     it.handle(VECTORS["reply_timeout"])
-    assert stops(it, 20, Idle("left")) == []
+    assert stops(it, 20, msg.Idle("left")) == []
     it = Talk().running()
-    it.say(Hold("left"))
-    it.say(Idle("left"))
+    it.say(msg.Hold("left"))
+    it.say(msg.Idle("left"))
     it.driver.bus(it.now, BusState.FULL)
-    assert stops(it, 3, Idle("left")) == [0]
+    assert stops(it, 3, msg.Idle("left")) == [0]
 
 
 def test_idle_lets_go_of_a_device_in_timeout_as_the_vector_says() -> None:
     it = Talk().running()
-    it.say(Hold("left"))
+    it.say(msg.Hold("left"))
     reported(it, "reply_timeout")
-    assert stops(it, 9, Idle("left"), hears="reply_timeout") == []
-    it.say(ClearFault("left"))
+    assert stops(it, 9, msg.Idle("left"), hears="reply_timeout") == []
+    it.say(msg.ClearFault("left"))
     assert len(reported(it, "reply_stopped")) >= 2
-    assert stops(it, 9, Idle("left"), hears="reply_stopped") == []
-    assert it.say(Zero("left"))[0].data[:3] == b"\x0d\xb1\x02"  # it is not ours any more
+    assert stops(it, 9, msg.Idle("left"), hears="reply_stopped") == []
+    assert it.say(msg.Zero("left"))[0].data[:3] == b"\x0d\xb1\x02"  # it is not ours any more
 
 
 def test_an_operator_s_stop_reaches_what_we_did_not_arm_beside_vectors() -> None:
     it = Talk().running()
     it.now += 5 * MILLISECOND
-    events, frames = it.driver.send(it.now, [Stop("now"), Idle("left")])
+    events, frames = it.driver.send(it.now, [msg.Stop("now"), msg.Idle("left")])
     assert events == []
     assert VECTORS["stop_with_query"] in frames
     it = Talk().running()
-    assert stops(it, 3, Idle("left")) == []
+    assert stops(it, 3, msg.Idle("left")) == []

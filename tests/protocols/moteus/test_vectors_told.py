@@ -7,22 +7,9 @@ from math import tau
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Mode,
-    Refused,
-    Release,
-    State,
-    Velocity,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Event, Mode
 from protocols.moteus.codec import single
 from protocols.moteus.faults import FAULTS
 from protocols.moteus.options import Options
@@ -37,10 +24,10 @@ def frame(data: str, identifier: int = 0x500) -> CanFrame:
     return CanFrame(identifier, plain.ljust(size, b"\x50"), identifier > 0x7FF, False, True, True)
 
 
-def plain(it: Talk, data: str) -> Feedback:
+def plain(it: Talk, data: str) -> msg.Feedback:
     """The one measurement in an answer."""
     (event,) = it.handle(frame(data))
-    assert isinstance(event, Feedback)
+    assert isinstance(event, msg.Feedback)
     return event
 
 
@@ -234,14 +221,14 @@ NAMES = (
 def test_the_mode_that_a_vector_tells(number: int) -> None:
     it = Talk()
     data = AT.replace("21000a", f"2100{number:02x}", 1)
-    events = [event for event in it.handle(data) if isinstance(event, State)]
+    events = [event for event in it.handle(data) if isinstance(event, msg.State)]
     ready = number in (0, 2, 3, 4)
     mode = Mode.FAULT if number in (1, 11) else Mode.READY if ready else Mode.ARMED
-    assert events == [State("left", it.now, mode, NAMES[number].replace("_", " "))]
-    assert [event for event in it.handle(data) if not isinstance(event, Feedback)] == []
+    assert events == [msg.State("left", it.now, mode, NAMES[number].replace("_", " "))]
+    assert [event for event in it.handle(data) if not isinstance(event, msg.Feedback)] == []
     if number in (1, 11):
         stopped = f"{NAMES[0]}, not cleared yet"
-        assert reported(it, "reply_stopped") == [State("left", it.now, Mode.FAULT, stopped)]
+        assert reported(it, "reply_stopped") == [msg.State("left", it.now, Mode.FAULT, stopped)]
 
 
 @pytest.mark.parametrize("code", [code for code in FAULTS if code < 0x100 and code != 11])
@@ -249,14 +236,14 @@ def test_a_fault_of_a_vector_is_told_with_its_code(code: int) -> None:
     it = talk()
     text = FAULTS[code]
     data = "210001" + "2f01" + "00000000" * 3 + f"210f{code:02x}"
-    fault = Fault("left", it.now, code, text.name, text.cause, text.remedy)
-    events = [event for event in it.handle(data) if not isinstance(event, Feedback)]
-    assert events == [fault, State("left", it.now, Mode.FAULT, "fault")]
+    fault = msg.Fault("left", it.now, code, text.name, text.cause, text.remedy)
+    events = [event for event in it.handle(data) if not isinstance(event, msg.Feedback)]
+    assert events == [fault, msg.State("left", it.now, Mode.FAULT, "fault")]
 
 
 def test_a_fault_that_no_vector_names_is_told_by_its_number() -> None:
     fault = talk().handle(frame("210001210f7e"))[0]
-    assert isinstance(fault, Fault)
+    assert isinstance(fault, msg.Fault)
     assert (fault.code, fault.name) == (126, "fault 126")
     assert fault.cause == "a code that this driver does not know: newer firmware?"
     assert fault.remedy == "look it up in the vendor's register reference, then clear"
@@ -264,39 +251,39 @@ def test_a_fault_that_no_vector_names_is_told_by_its_number() -> None:
 
 def test_a_fault_whose_code_no_vector_has_told_waits_for_it() -> None:
     it = talk()
-    assert it.handle(frame("210001")) == [State("left", it.now, Mode.FAULT, "fault")]
-    assert [f for _ in range(9) for f in it.say(Hold("left")) if f.data[:1] == b"\x01"] == []
+    assert it.handle(frame("210001")) == [msg.State("left", it.now, Mode.FAULT, "fault")]
+    assert [f for _ in range(9) for f in it.say(msg.Hold("left")) if f.data[:1] == b"\x01"] == []
     (fault,) = it.handle(frame("210001210f26"))
-    assert isinstance(fault, Fault)
+    assert isinstance(fault, msg.Fault)
     assert fault.code == 38
     assert it.handle(frame("210001")) == []
     (other,) = it.handle(frame("210001210f21"))
-    assert isinstance(other, Fault)
+    assert isinstance(other, msg.Fault)
     assert other.code == 33
     timeout, state = talk().handle(frame("21000b"))
-    assert isinstance(timeout, Fault)
-    assert isinstance(state, State)
+    assert isinstance(timeout, msg.Fault)
+    assert isinstance(state, msg.State)
     assert (timeout.code, state.mode, state.detail) == (11, Mode.FAULT, "timeout")
 
 
 def test_a_fault_ends_what_was_going_on_beside_vectors() -> None:
     it = Talk().running()
-    it.say(Velocity("left", 1.0))
+    it.say(msg.Velocity("left", 1.0))
     it.handle(VECTORS["reply_fast_fault"])
     for _ in range(9):
-        assert [f for f in it.say(Velocity("left", 1.0)) if f.data[:1] == b"\x01"] == []
+        assert [f for f in it.say(msg.Velocity("left", 1.0)) if f.data[:1] == b"\x01"] == []
         it.handle(VECTORS["reply_fast_fault"])
-    it.say(ClearFault("left"))
+    it.say(msg.ClearFault("left"))
     ended = reported(it, "reply_stopped")
-    assert ended[-1] == Done(it.now, "ClearFault", "left")
-    first = it.say(Velocity("left", 1.0))[0]
+    assert ended[-1] == msg.Done(it.now, "ClearFault", "left")
+    first = it.say(msg.Velocity("left", 1.0))[0]
     assert first.data.hex().startswith("01000a0f200000803e0000000000000000")  # where the shaft is, at rest
 
 
 def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
     it = talk()
     reported(it, "reply_fast_fault")
-    it.say(ClearFault("left"))
+    it.say(msg.ClearFault("left"))
     events: list[Event] = []
     for _ in range(119):
         it.now += 5 * MILLISECOND
@@ -305,13 +292,13 @@ def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
     assert events == []
     it.now += 5 * MILLISECOND
     (refused,) = it.driver.send(it.now, ())[0]
-    assert refused == Refused(it.now, "ClearFault", "left", "still in fault: over temperature")
+    assert refused == msg.Refused(it.now, "ClearFault", "left", "still in fault: over temperature")
     again = reported(it, "reply_fast_fault")
-    assert [type(event) for event in again] == [Fault, State]
-    it.say(ClearFault("left"))
+    assert [type(event) for event in again] == [msg.Fault, msg.State]
+    it.say(msg.ClearFault("left"))
     start = it.now
-    mute = [e for _ in range(125) for e in later(it) if isinstance(e, Refused)]
-    assert mute == [Refused(start + 600 * MILLISECOND, "ClearFault", "left", "no answer of the device")]
+    mute = [e for _ in range(125) for e in later(it) if isinstance(e, msg.Refused)]
+    assert mute == [msg.Refused(start + 600 * MILLISECOND, "ClearFault", "left", "no answer of the device")]
 
 
 # -- zero --------------------------------------------------------------------------------------------
@@ -324,11 +311,11 @@ def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
 )  # fmt: skip
 def test_a_zero_is_near_enough_beside_vectors(place: str, near: bool) -> None:
     it = talk()
-    it.say(Zero("left"))
+    it.say(msg.Zero("left"))
     assert it.handle(frame("2d01" + "00000000")) != []  # from before: a measurement, and no more
     it.handle(frame("31b10201"))
     events = it.handle(frame("2d01" + place))
-    assert [type(e) for e in events if not isinstance(e, Feedback)] == ([Done] if near else [])
+    assert [type(e) for e in events if not isinstance(e, msg.Feedback)] == ([msg.Done] if near else [])
 
 
 # -- the wire ----------------------------------------------------------------------------------------
@@ -358,5 +345,5 @@ def test_what_is_foreign_beside_vectors() -> None:
 def test_a_release_asks_nothing_beside_vectors() -> None:
     it = Talk().running()
     it.now += 5 * MILLISECOND
-    events, _ = it.driver.send(it.now, [Release()])
-    assert [type(event) for event in events] == [Refused]
+    events, _ = it.driver.send(it.now, [msg.Release()])
+    assert [type(event) for event in events] == [msg.Refused]

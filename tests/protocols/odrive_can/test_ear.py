@@ -7,22 +7,9 @@ import struct
 import pytest
 from numpy.random import PCG64, Generator
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Hold,
-    Home,
-    Idle,
-    Position,
-    Request,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Command, Request
 from protocols.messages import Estop as EstopWord
 from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can.codec import BROADCAST, encode, radians
@@ -62,17 +49,17 @@ def received(decoder: OdriveDecoder, *messages: Message, node: int = 1) -> list[
 def test_setpoints_are_obeyed_only_in_closed_loop_and_in_their_mode() -> None:
     decoder = OdriveDecoder([device()])
     assert received(decoder, SetControllerMode(2, 1), SetInputVel(2.0, 0.5)) == []
-    assert received(decoder, CLOSED) == [Velocity("left", radians(2.0), 0.5)]
-    assert received(decoder, SetInputVel(3.0, 0.25)) == [Velocity("left", radians(3.0), 0.25)]
-    assert received(decoder, SetControllerMode(1, 1)) == [Torque("left", 0.25)]
-    assert received(decoder, SetInputTorque(0.75)) == [Torque("left", 0.75)]
-    assert received(decoder, SetControllerMode(3, 1)) == [Hold("left")]
+    assert received(decoder, CLOSED) == [msg.Velocity("left", radians(2.0), 0.5)]
+    assert received(decoder, SetInputVel(3.0, 0.25)) == [msg.Velocity("left", radians(3.0), 0.25)]
+    assert received(decoder, SetControllerMode(1, 1)) == [msg.Torque("left", 0.25)]
+    assert received(decoder, SetInputTorque(0.75)) == [msg.Torque("left", 0.75)]
+    assert received(decoder, SetControllerMode(3, 1)) == [msg.Hold("left")]
     assert received(decoder, SetInputPos(1.5, 0.25, -0.5)) == [
-        Position("left", radians(1.5), radians(0.25), -0.5)
+        msg.Position("left", radians(1.5), radians(0.25), -0.5)
     ]
-    assert received(decoder, IDLE) == [Idle("left")]
+    assert received(decoder, IDLE) == [msg.Idle("left")]
     assert received(decoder, SetInputPos(1.0, 0.0, 0.0)) == []
-    assert received(decoder, CLOSED) == [Hold("left")]
+    assert received(decoder, CLOSED) == [msg.Hold("left")]
 
 
 def test_inactive_inputs_and_voltage_control_give_no_word() -> None:
@@ -85,35 +72,38 @@ def test_inactive_inputs_and_voltage_control_give_no_word() -> None:
     ("message", "words"),
     [
         (Estop(), [EstopWord("left")]),
-        (ClearErrors(0), [ClearFault("left")]),
+        (ClearErrors(0), [msg.ClearFault("left")]),
         (Reboot(0), [RebootWord("left")]),
         (EnterDfuMode(), [RebootWord("left")]),
-        (SetAxisState(11), [Home("left")]),
-        (SetAxisState(4), [Idle("left")]),
+        (SetAxisState(11), [msg.Home("left")]),
+        (SetAxisState(4), [msg.Idle("left")]),
         (SetAxisState(0), []),
-        (SetAbsolutePosition(0.0), [Zero("left")]),
-        (SetAbsolutePosition(2.0), [WriteParameter("left", "Position", radians(2.0))]),
-        (SetPosGain(20.0), [WriteParameter("left", "Pos_Gain", 20.0)]),
-        (SetTrajVelLimit(2.0), [WriteParameter("left", "Traj_Vel_Limit", 2.0)]),
-        (SetTrajInertia(2.0), [WriteParameter("left", "Traj_Inertia", 2.0)]),
-        (RxSdo(1, 291, 0, 7), [WriteParameter("left", "endpoint 291", 7.0)]),
+        (SetAbsolutePosition(0.0), [msg.Zero("left")]),
+        (SetAbsolutePosition(2.0), [msg.WriteParameter("left", "Position", radians(2.0))]),
+        (SetPosGain(20.0), [msg.WriteParameter("left", "Pos_Gain", 20.0)]),
+        (SetTrajVelLimit(2.0), [msg.WriteParameter("left", "Traj_Vel_Limit", 2.0)]),
+        (SetTrajInertia(2.0), [msg.WriteParameter("left", "Traj_Inertia", 2.0)]),
+        (RxSdo(1, 291, 0, 7), [msg.WriteParameter("left", "endpoint 291", 7.0)]),
         (RxSdo(0, 291, 0, 7), []),
         (
             SetLimits(10.0, 20.0),
             [
-                WriteParameter("left", "Velocity_Limit", 10.0),
-                WriteParameter("left", "Current_Limit", 20.0),
+                msg.WriteParameter("left", "Velocity_Limit", 10.0),
+                msg.WriteParameter("left", "Current_Limit", 20.0),
             ],
         ),
         (
             SetVelGains(0.5, 0.25),
-            [WriteParameter("left", "Vel_Gain", 0.5), WriteParameter("left", "Vel_Integrator_Gain", 0.25)],
+            [
+                msg.WriteParameter("left", "Vel_Gain", 0.5),
+                msg.WriteParameter("left", "Vel_Integrator_Gain", 0.25),
+            ],
         ),
         (
             SetTrajAccelLimits(2.0, 3.0),
             [
-                WriteParameter("left", "Traj_Accel_Limit", 2.0),
-                WriteParameter("left", "Traj_Decel_Limit", 3.0),
+                msg.WriteParameter("left", "Traj_Accel_Limit", 2.0),
+                msg.WriteParameter("left", "Traj_Decel_Limit", 3.0),
             ],
         ),
     ],
@@ -126,16 +116,19 @@ def test_what_clears_restarts_or_configures(message: Message, words: list[Reques
 def test_broadcasts_reach_all_and_other_nodes_none() -> None:
     decoder = OdriveDecoder([device("left", 1), device("right", 2)])
     assert received(decoder, Reboot(0), node=BROADCAST) == [RebootWord("left"), RebootWord("right")]
-    assert received(decoder, ClearErrors(0), node=BROADCAST) == [ClearFault("left"), ClearFault("right")]
+    assert received(decoder, ClearErrors(0), node=BROADCAST) == [
+        msg.ClearFault("left"),
+        msg.ClearFault("right"),
+    ]
     assert received(decoder, CLOSED, IDLE, Estop(), node=BROADCAST) == []
     assert received(decoder, IDLE, node=3) == []
-    assert received(decoder, IDLE, node=2) == [Idle("right")]
+    assert received(decoder, IDLE, node=2) == [msg.Idle("right")]
 
 
 def test_a_node_id_given_out_is_followed() -> None:
     decoder = OdriveDecoder([device(settings=Settings(serial_number=77)), device("right", 2)])
-    assert received(decoder, Address(9, 77), node=BROADCAST) == [SetId("", 77, 9)]
-    assert received(decoder, IDLE, node=9) == [Idle("left")]
+    assert received(decoder, Address(9, 77), node=BROADCAST) == [msg.SetId("", 77, 9)]
+    assert received(decoder, IDLE, node=9) == [msg.Idle("left")]
     assert received(decoder, IDLE, node=1) == []
 
 

@@ -10,19 +10,9 @@ from typing import Literal
 import pytest
 from numpy.random import PCG64, Generator
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import (
-    MILLISECOND,
-    Command,
-    Event,
-    Feedback,
-    Position,
-    Request,
-    Scan,
-    SetId,
-    Velocity,
-    WriteParameter,
-)
+from protocols.messages import MILLISECOND, Command, Event, Request
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import twin as made
 from protocols.odrive_can.codec import decode_to_device, encode
@@ -59,11 +49,11 @@ def test_the_driver_survives_any_traffic(firmware: Literal["auto", "0.5", "0.6"]
     random = Generator(PCG64(seed))
     driver = OdriveDriver([device(options=Options(firmware=firmware))], RANGES)
     words: list[Command | Request] = [
-        Velocity("left", 1.0),
-        Position("left", 2.0, 0.1, 0.1),
-        Scan("can0"),
-        SetId("can0", 5, 9),
-        WriteParameter("left", "Pos_Gain", 3.0),
+        msg.Velocity("left", 1.0),
+        msg.Position("left", 2.0, 0.1, 0.1),
+        msg.Scan("can0"),
+        msg.SetId("can0", 5, 9),
+        msg.WriteParameter("left", "Pos_Gain", 3.0),
     ]
     for turn in range(TURNS):
         frame = random_wire(random)
@@ -97,7 +87,7 @@ def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited(
         if turn % 50 == 0:
             for message in (SetControllerMode(1 + turn // 50 % 3, 1 + turn // 150 % 6), SetAxisState(8)):
                 twin.receive(now, encode(1, message))
-        torques, frames = twin.step(now, [Feedback("left", now, position=turn * 0.01, velocity=10.0)])
+        torques, frames = twin.step(now, [msg.Feedback("left", now, position=turn * 0.01, velocity=10.0)])
         assert math.isfinite(torques[0].torque), (seed, turn, frame)
         assert abs(torques[0].torque) <= limit, (seed, turn, frame)
         assert all(isinstance(reported, CanFrame) and len(reported.data) == 8 for reported in frames)

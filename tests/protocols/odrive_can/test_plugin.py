@@ -9,22 +9,9 @@ from typing import Any, Literal
 
 import pytest
 
+from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table, variants
 from protocols.frames import CanFrame
-from protocols.messages import (
-    Hold,
-    Idle,
-    Impedance,
-    Position,
-    ReadParameter,
-    Reboot,
-    Scan,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
 from protocols.odrive_can import WATCHDOG_NOTE, plugin, spec
 from protocols.odrive_can.codec import BROADCAST, TABLES, encode
 from protocols.odrive_can.dialect import DIALECTS
@@ -41,15 +28,20 @@ def test_the_entry_point_loads_it() -> None:
 def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected() -> None:
     bench = ready(device("left", 1), device("right", 2))
     for word in (
-        Velocity("left", 5.0),
-        Position("left", 0.0),
-        Torque("left", 0.0),
-        Hold("left"),
-        Idle("left"),
+        msg.Velocity("left", 5.0),
+        msg.Position("left", 0.0),
+        msg.Torque("left", 0.0),
+        msg.Hold("left"),
+        msg.Idle("left"),
     ):
         bench.run(400, word)
-    asks = (Scan("can0"), SetId("can0", 5, 9), Zero("left"), ReadParameter("left", "Electrical_Power"))
-    for request in (*asks, WriteParameter("left", "Pos_Gain", 20.0), Reboot("left")):
+    asks = (
+        msg.Scan("can0"),
+        msg.SetId("can0", 5, 9),
+        msg.Zero("left"),
+        msg.ReadParameter("left", "Electrical_Power"),
+    )
+    for request in (*asks, msg.WriteParameter("left", "Pos_Gain", 20.0), msg.Reboot("left")):
         bench.ask(request, 2000)
     sends = spec(bench.devices[0]).sends | spec(bench.devices[1]).sends
     expects = spec(bench.devices[0]).expects | spec(bench.devices[1]).expects
@@ -81,8 +73,8 @@ def test_the_watchdog_is_told_until_it_is_acknowledged_or_enabled() -> None:
 
 def test_what_it_can_do() -> None:
     contract = spec(device())
-    assert contract.commands == {Idle, Hold, Position, Velocity, Torque}
-    assert Impedance not in contract.commands
+    assert contract.commands == {msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}
+    assert msg.Impedance not in contract.commands
     assert contract.bus == "can"
     assert contract.kind == "motor"
     assert not contract.stop_clears_faults
@@ -141,19 +133,21 @@ def test_settings_are_checked_all_at_once(wrong: dict[str, Any], said: str) -> N
 def test_words_survive_the_wire_within_the_declared_resolution(quantity: str) -> None:
     ranges = spec(device()).ranges
     bench = ready()
-    bench.run(400, Position("left", 0.0))
+    bench.run(400, msg.Position("left", 0.0))
     allowed = ranges[f"Position.{quantity}"]
     for share in (-1.0, -0.999999, -0.5, -1e-3, -1e-9, 0.0, 1e-9, 1e-3, 0.123456789, 0.5, 0.999999, 1.0):
         value = allowed.high * share
-        bench.ask(WriteParameter("nobody", "", 0.0))  # a send outside the tick changes nothing
-        _, outgoing = bench.driver.send(bench.now, [Position("left", **{"position": 0.0, quantity: value})])
+        bench.ask(msg.WriteParameter("nobody", "", 0.0))  # a send outside the tick changes nothing
+        _, outgoing = bench.driver.send(
+            bench.now, [msg.Position("left", **{"position": 0.0, quantity: value})]
+        )
         frames = [w for w in outgoing if isinstance(w, CanFrame) and w.id == 0x2C]
         decoders = plugin.decoder([device()])
         for message in (encode(1, SetInputPos(0.0, 0.0, 0.0)), encode(1, SetAxisState(8))):
             decoders.decode(0, message)
         decoders.decode(0, CanFrame(0x2B, bytes.fromhex("0300000001000000")))
         (received,) = decoders.decode(0, frames[-1])
-        assert isinstance(received, Position)
+        assert isinstance(received, msg.Position)
         error = abs(getattr(received, quantity) - value)
         assert error <= allowed.resolution + allowed.relative * abs(value), value
 
@@ -214,7 +208,7 @@ def test_specs_of_each_option(firmware: Literal["auto", "0.5", "0.6"]) -> None:
     obeyed = {0x02, 0x07, 0x0C, 0x0D, 0x0E, 0x16, 0x18}
     assert not asks & obeyed
     assert (0x06 in asks) == (firmware == "0.6")
-    assert (0x7E6 in contract.sends) == (SetId in contract.requests) == (firmware != "0.5")
+    assert (0x7E6 in contract.sends) == (msg.SetId in contract.requests) == (firmware != "0.5")
     assert contract == spec(device(options=Options(firmware=firmware)))
 
 

@@ -6,24 +6,14 @@ from the README ("Two firmware lines") and the docstrings of `requests`. See `ta
 
 from __future__ import annotations
 
-from protocols.messages import (
-    ClearFault,
-    Estop,
-    Idle,
-    ReadParameter,
-    Reboot,
-    SetId,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols import messages as msg
 from tests.protocols.odrive_can.conversation import SERIAL
 from tests.protocols.odrive_can.talk import standing05
 
 
 def test_vectors_of_what_0_5_cannot_do_over_can() -> None:
     talk = standing05()
-    talk.ask(SetId("can0", SERIAL, 5), WriteParameter("axis3", "save_configuration", 1.0))
+    talk.ask(msg.SetId("can0", SERIAL, 5), msg.WriteParameter("axis3", "save_configuration", 1.0))
     talk.reports("""
         0 < Refused SetId can0: firmware 0.5.x tells no serial numbers over CAN*
         0 < Refused WriteParameter axis3: firmware 0.5.x cannot do this over CAN*
@@ -34,10 +24,10 @@ def test_vectors_of_clearing_and_zeroing_an_axis_of_0_5() -> None:
     talk = standing05(4)
     talk.beat(1, 0x800)
     talk.run(100)
-    talk.ask(ClearFault("axis4"))
+    talk.ask(msg.ClearFault("axis4"))
     talk.run(10)
     talk.beat()
-    talk.ask(Zero("axis3"))
+    talk.ask(msg.Zero("axis3"))
     talk.run(10)
     # A clearing reaches the whole board, and says so.
     talk.reports("""
@@ -55,7 +45,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
     talk = standing05(4)
     talk.beat(8, node=4)
     talk.run(50)
-    talk.ask(Reboot("axis3"), Reboot("axis4"))
+    talk.ask(msg.Reboot("axis3"), msg.Reboot("axis4"))
     talk.beat(node=4)
     talk.run(50)
     talk.reports("""
@@ -64,7 +54,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
         50 < Refused Reboot axis4: it is armed*
         50 < State axis4 ready: IDLE
     """)
-    talk.ask(Reboot("axis3"))
+    talk.ask(msg.Reboot("axis3"))
     talk.mute(3)
     talk.mute(4)
     talk.run(500)
@@ -86,15 +76,15 @@ def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
 
 def test_vectors_of_a_restart_beside_an_axis_that_we_drive() -> None:
     talk = standing05(4)
-    talk.run(20, Velocity("axis4", 0.0))
-    talk.ask(Reboot("axis3"))
+    talk.run(20, msg.Velocity("axis4", 0.0))
+    talk.ask(msg.Reboot("axis3"))
     talk.reports("""
         0 > 4:Set_Controller_Mode 2 1 | 4:Set_Input_Vel 0 0 | 4:Set_Axis_State 8
         10 > 4:Set_Input_Vel 0 0
         20 < Refused Reboot axis3: *axis4, which is armed*
     """)
-    talk.run(200, Idle("axis4"))
-    talk.ask(Reboot("axis3"))
+    talk.run(200, msg.Idle("axis4"))
+    talk.ask(msg.Reboot("axis3"))
     # Heartbeats at 80 and 180 say that it is idle.
     talk.reports("""
         0…150/50 > 4:Set_Axis_State 1
@@ -104,7 +94,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_we_drive() -> None:
 
 def test_vectors_of_an_estop_and_a_question_of_0_5() -> None:
     talk = standing05()
-    talk.ask(Estop("axis3"), ReadParameter("axis3", "Axis_State"))
+    talk.ask(msg.Estop("axis3"), msg.ReadParameter("axis3", "Axis_State"))
     talk.beat(1, 0x1000)
     talk.run(100)
     talk.beat(1, 0x5000)

@@ -15,22 +15,9 @@ from typing import Any
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import CanFrame
-from protocols.messages import (
-    ClearFault,
-    Estop,
-    Hold,
-    Home,
-    Idle,
-    Message,
-    Position,
-    Reboot,
-    SetId,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import Message
 from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode
 from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.layout import FLOAT_MAX
@@ -61,9 +48,9 @@ def obeyed(listener: OdriveDecoder, line: str, said: Sequence[Line], node: int =
         assert list(received) == words, name
 
 
-def setting(name: str, value: float) -> WriteParameter:
+def setting(name: str, value: float) -> msg.WriteParameter:
     """A parameter of left's."""
-    return WriteParameter("left", name, value)
+    return msg.WriteParameter("left", name, value)
 
 
 COMMON: list[Line] = [
@@ -88,36 +75,36 @@ COMMON: list[Line] = [
     # Disarmed it remembers, and says nothing.
     ("Set_Input_Vel", {"Input_Vel": 1.5, "Input_Torque_FF": 0.5}, []),
     ("Set_Axis_State", {"Axis_Requested_State": 0}, []),
-    ("Set_Axis_State", {"Axis_Requested_State": 8}, [Velocity("left", 1.5 * ROUND, 0.5)]),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Velocity("left", 1.5 * ROUND, 0.5)]),
     ("Set_Axis_State", {"Axis_Requested_State": 0}, []),
     (
         "Set_Input_Vel",
         {"Input_Vel": -0.25, "Input_Torque_FF": 0.125},
-        [Velocity("left", -0.25 * ROUND, 0.125)],
+        [msg.Velocity("left", -0.25 * ROUND, 0.125)],
     ),
-    ("Set_Controller_Mode", {"Control_Mode": 1, "Input_Mode": 1}, [Torque("left", 0.125)]),
-    ("Set_Input_Torque", {"Input_Torque": -2}, [Torque("left", -2.0)]),
-    ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}, [Hold("left")]),
+    ("Set_Controller_Mode", {"Control_Mode": 1, "Input_Mode": 1}, [msg.Torque("left", 0.125)]),
+    ("Set_Input_Torque", {"Input_Torque": -2}, [msg.Torque("left", -2.0)]),
+    ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}, [msg.Hold("left")]),
     (
         "Set_Input_Pos",
         {"Input_Pos": 2.5, "Vel_FF": 0.5, "Torque_FF": 0.25},
-        [Position("left", 2.5 * ROUND, 0.5 * ROUND, 0.25)],
+        [msg.Position("left", 2.5 * ROUND, 0.5 * ROUND, 0.25)],
     ),
     (
         "Set_Controller_Mode",
         {"Control_Mode": 3, "Input_Mode": 1},
-        [Position("left", 2.5 * ROUND, 0.5 * ROUND, 0.25)],
+        [msg.Position("left", 2.5 * ROUND, 0.5 * ROUND, 0.25)],
     ),
     ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 0}, []),
     ("Set_Controller_Mode", {"Control_Mode": 0, "Input_Mode": 1}, []),
-    ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}, [Hold("left")]),
-    ("Set_Input_Pos", {"Input_Pos": 1}, [Position("left", ROUND)]),
-    ("Set_Axis_State", {"Axis_Requested_State": 1}, [Idle("left")]),
+    ("Set_Controller_Mode", {"Control_Mode": 3, "Input_Mode": 1}, [msg.Hold("left")]),
+    ("Set_Input_Pos", {"Input_Pos": 1}, [msg.Position("left", ROUND)]),
+    ("Set_Axis_State", {"Axis_Requested_State": 1}, [msg.Idle("left")]),
     ("Set_Input_Pos", {"Input_Pos": 2}, []),
-    ("Set_Axis_State", {"Axis_Requested_State": 8}, [Hold("left")]),
-    ("Set_Axis_State", {"Axis_Requested_State": 11}, [Home("left")]),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Hold("left")]),
+    ("Set_Axis_State", {"Axis_Requested_State": 11}, [msg.Home("left")]),
     ("Set_Input_Pos", {"Input_Pos": 2}, []),
-    ("Set_Axis_State", {"Axis_Requested_State": 8}, [Hold("left")]),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Hold("left")]),
 ]
 """A day of both lines; it ends holding."""
 
@@ -126,28 +113,28 @@ COMMON: list[Line] = [
 def test_vectors_of_a_day_of_either_line(line: str) -> None:
     listener = decoder(line)
     obeyed(listener, line, COMMON)
-    again: list[Message] = [Hold("left")] if line == "0.5" else [Position("left", 3 * ROUND)]
+    again: list[Message] = [msg.Hold("left")] if line == "0.5" else [msg.Position("left", 3 * ROUND)]
     obeyed(
         listener,
         line,
         [
-            ("Set_Input_Pos", {"Input_Pos": 3}, [Position("left", 3 * ROUND)]),
+            ("Set_Input_Pos", {"Input_Pos": 3}, [msg.Position("left", 3 * ROUND)]),
             ("Set_Axis_State", {"Axis_Requested_State": 8}, again),
         ],
     )
 
 
 DISARMS: list[Line] = [("Set_Input_Vel", {"Input_Vel": 1}, [])]
-ARMS: list[Line] = [("Set_Axis_State", {"Axis_Requested_State": 8}, [Velocity("left", ROUND)])]
+ARMS: list[Line] = [("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Velocity("left", ROUND)])]
 
 
 @pytest.mark.parametrize(
     ("name", "line", "word"),
     [
-        ("Estop", "0.6", Estop("left")),
-        ("Reboot", "0.6", Reboot("left")),
-        ("Enter_DFU_Mode", "0.6", Reboot("left")),
-        ("Reboot", "0.5", Reboot("left")),
+        ("Estop", "0.6", msg.Estop("left")),
+        ("Reboot", "0.6", msg.Reboot("left")),
+        ("Enter_DFU_Mode", "0.6", msg.Reboot("left")),
+        ("Reboot", "0.5", msg.Reboot("left")),
     ],
 )
 def test_vectors_of_what_disarms(name: str, line: str, word: Message) -> None:
@@ -160,9 +147,9 @@ def test_vectors_of_0_6_alone() -> None:
         decoder(),
         "0.6",
         [
-            ("Set_Absolute_Position", {"Position": 0}, [Zero("left")]),
+            ("Set_Absolute_Position", {"Position": 0}, [msg.Zero("left")]),
             ("Set_Absolute_Position", {"Position": 1.25}, [setting("Position", 1.25 * ROUND)]),
-            ("Clear_Errors", {}, [ClearFault("left")]),
+            ("Clear_Errors", {}, [msg.ClearFault("left")]),
             ("RxSdo", {"Opcode": 1, "Endpoint_ID": 291, "Value": 7}, [setting("endpoint 291", 7.0)]),
             ("RxSdo", {"Opcode": 0, "Endpoint_ID": 291, "Value": 7}, []),
         ],
@@ -174,11 +161,11 @@ def test_vectors_of_0_5_alone() -> None:
         decoder("0.5"),
         "0.5",
         [
-            ("Set_Linear_Count", {"Position": 0}, [Zero("left")]),
+            ("Set_Linear_Count", {"Position": 0}, [msg.Zero("left")]),
             ("Set_Linear_Count", {"Position": -5}, [setting("Linear_Count", -5.0)]),
-            ("Start_Anticogging", {}, [Home("left")]),
-            ("Clear_Errors", {}, [ClearFault("left")]),
-            ("Set_Axis_Node_ID", {"Axis_Node_ID": 9}, [SetId("", SERIAL, 9)]),
+            ("Start_Anticogging", {}, [msg.Home("left")]),
+            ("Clear_Errors", {}, [msg.ClearFault("left")]),
+            ("Set_Axis_Node_ID", {"Axis_Node_ID": 9}, [msg.SetId("", SERIAL, 9)]),
             ("Clear_Errors", {}, []),
         ],
     )
@@ -190,13 +177,21 @@ def test_vectors_of_a_board_with_two_axes() -> None:
     listener = OdriveDecoder(
         [Device(name, node, options, Settings(node, other_axis=other)) for name, node, other in pairs]
     )
-    assert listener.decode(0, frame("Clear_Errors", "0.5")) == [ClearFault("left"), ClearFault("right")]
-    assert listener.decode(0, frame("Reboot", "0.5", 4)) == [Reboot("left"), Reboot("right")]
-    assert listener.decode(0, frame("Reboot", "0.5", 9)) == [Reboot("far")]
-    assert listener.decode(0, frame("Set_Axis_State", "0.5", 4, Axis_Requested_State=1)) == [Idle("right")]
-    assert listener.decode(0, frame("Set_Axis_Node_ID", "0.5", 4, Axis_Node_ID=7)) == [SetId("", 4, 7)]
+    assert listener.decode(0, frame("Clear_Errors", "0.5")) == [
+        msg.ClearFault("left"),
+        msg.ClearFault("right"),
+    ]
+    assert listener.decode(0, frame("Reboot", "0.5", 4)) == [msg.Reboot("left"), msg.Reboot("right")]
+    assert listener.decode(0, frame("Reboot", "0.5", 9)) == [msg.Reboot("far")]
+    assert listener.decode(0, frame("Set_Axis_State", "0.5", 4, Axis_Requested_State=1)) == [
+        msg.Idle("right")
+    ]
+    assert listener.decode(0, frame("Set_Axis_Node_ID", "0.5", 4, Axis_Node_ID=7)) == [msg.SetId("", 4, 7)]
     assert listener.decode(0, frame("Clear_Errors", "0.5", 4)) == []
-    assert listener.decode(0, frame("Clear_Errors", "0.5", 7)) == [ClearFault("left"), ClearFault("right")]
+    assert listener.decode(0, frame("Clear_Errors", "0.5", 7)) == [
+        msg.ClearFault("left"),
+        msg.ClearFault("right"),
+    ]
     assert listener.decode(0, frame("Clear_Errors", "0.5", 0x3F)) == []
 
 
@@ -208,7 +203,7 @@ def test_vectors_of_a_board_as_it_comes() -> None:
         [Device(name, node, options, Settings(node + 1, other_axis=other)) for name, node, other in pairs]
     )
     for node in (0, 1):
-        both = [ClearFault("left"), ClearFault("right")]
+        both = [msg.ClearFault("left"), msg.ClearFault("right")]
         assert listener.decode(0, frame("Clear_Errors", "0.5", node)) == both
 
 
@@ -218,12 +213,12 @@ def test_vectors_of_extended_identifiers() -> None:
     listener = OdriveDecoder(
         [Device(name, node, options, Settings(node, other_axis=other)) for name, node, other in pairs]
     )
-    both = [ClearFault("left"), ClearFault("right")]
+    both = [msg.ClearFault("left"), msg.ClearFault("right")]
     assert listener.decode(0, frame("Clear_Errors", "0.5")) == []
     assert listener.decode(0, frame("Clear_Errors", "0.5", extended=True)) == both
     assert listener.decode(0, frame("Clear_Errors", "0.5", 0x30004, extended=True)) == both
     renames = frame("Set_Axis_Node_ID", "0.5", 3, True, Axis_Node_ID=0x50005)
-    assert listener.decode(0, renames) == [SetId("", 3, 0x50005)]
+    assert listener.decode(0, renames) == [msg.SetId("", 3, 0x50005)]
     assert listener.decode(0, frame("Clear_Errors", "0.5", 0x50005, extended=True)) == both
     assert listener.decode(0, frame("Clear_Errors", "0.5", 3, extended=True)) == []
 
@@ -239,9 +234,9 @@ def test_vectors_of_both_lines_on_one_bus() -> None:
         ]
     )
     for name, node, line in (("new", 3, "0.6"), ("old", 4, "0.5"), ("newer", 5, "0.6")):
-        assert listener.decode(0, frame("Clear_Errors", line, node)) == [ClearFault(name)]
-    assert listener.decode(0, frame("Set_Linear_Count", "0.5", 4)) == [Zero("old")]
-    assert listener.decode(0, frame("Set_Absolute_Position", "0.6", 3)) == [Zero("new")]
+        assert listener.decode(0, frame("Clear_Errors", line, node)) == [msg.ClearFault(name)]
+    assert listener.decode(0, frame("Set_Linear_Count", "0.5", 4)) == [msg.Zero("old")]
+    assert listener.decode(0, frame("Set_Absolute_Position", "0.6", 3)) == [msg.Zero("new")]
 
 
 def given(serial: int, node: int, to: int = 0x3F) -> CanFrame:
@@ -254,16 +249,19 @@ def test_vectors_of_node_ids_that_are_given_out() -> None:
     assert listener.decode(0, given(SERIAL, 5, to=3)) == []
     assert listener.decode(0, given(SERIAL, 0x40)) == []
     assert listener.decode(0, given(SERIAL + 9, 6)) == []
-    assert listener.decode(0, given(SERIAL, 5)) == [SetId("", SERIAL, 5)]
+    assert listener.decode(0, given(SERIAL, 5)) == [msg.SetId("", SERIAL, 5)]
     assert listener.decode(0, frame("Clear_Errors", node=3)) == []
-    assert listener.decode(0, frame("Clear_Errors", node=5)) == [ClearFault("left")]
+    assert listener.decode(0, frame("Clear_Errors", node=5)) == [msg.ClearFault("left")]
     # Who holds an id that another is given vacates it.
-    assert listener.decode(0, given(SERIAL, 4)) == [SetId("", SERIAL, 4), SetId("", SERIAL + 1, 0x3F)]
+    assert listener.decode(0, given(SERIAL, 4)) == [msg.SetId("", SERIAL, 4), msg.SetId("", SERIAL + 1, 0x3F)]
     assert listener.decode(0, frame("Set_Pos_Gain", node=4, Pos_Gain=1)) == [setting("Pos_Gain", 1.0)]
-    assert listener.decode(0, given(SERIAL, 0x3F)) == [SetId("", SERIAL, 0x3F)]
+    assert listener.decode(0, given(SERIAL, 0x3F)) == [msg.SetId("", SERIAL, 0x3F)]
     assert listener.decode(0, given(SERIAL + 9, 0x3F)) == []
-    assert listener.decode(0, frame("Clear_Errors", node=0x3F)) == [ClearFault("left"), ClearFault("right")]
-    assert listener.decode(0, frame("Reboot", node=0x3F)) == [Reboot("left"), Reboot("right")]
+    assert listener.decode(0, frame("Clear_Errors", node=0x3F)) == [
+        msg.ClearFault("left"),
+        msg.ClearFault("right"),
+    ]
+    assert listener.decode(0, frame("Reboot", node=0x3F)) == [msg.Reboot("left"), msg.Reboot("right")]
     assert listener.decode(0, frame("Estop", node=9)) == []
 
 
@@ -277,7 +275,7 @@ def test_vectors_of_node_ids_that_are_given_out() -> None:
 )
 def test_vectors_of_short_frames_are_read_as_if_zeros_followed(frame: CanFrame, line: str) -> None:
     """As vendor hosts send Set_Axis_State, with 4 bytes."""
-    assert decoder(line).decode(0, frame) == [Idle("left")]
+    assert decoder(line).decode(0, frame) == [msg.Idle("left")]
 
 
 @pytest.mark.parametrize(
@@ -287,8 +285,8 @@ def test_vectors_of_short_frames_are_read_as_if_zeros_followed(frame: CanFrame, 
         (CanFrame(0x67, b"\1\0\0\0\0\0\0\0\0"), "0.6", []),
         (CanFrame(0x67, remote=True), "0.6", []),
         (CanFrame(0x76, remote=True), "0.6", []),
-        (CanFrame(0x76, remote=True), "0.5", [Reboot("left")]),
-        (CanFrame(0x66, remote=True), "0.5", [SetId("", SERIAL, 0)]),
+        (CanFrame(0x76, remote=True), "0.5", [msg.Reboot("left")]),
+        (CanFrame(0x66, remote=True), "0.5", [msg.SetId("", SERIAL, 0)]),
         (CanFrame(0x7D, b"\1\0"), "0.5", []),
         (CanFrame(0x74), "0.6", []),
     ],

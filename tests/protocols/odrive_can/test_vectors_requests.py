@@ -8,21 +8,8 @@ See `talk`.
 
 from __future__ import annotations
 
+from protocols import messages as msg
 from protocols.frames import BusState
-from protocols.messages import (
-    ClearFault,
-    Estop,
-    Home,
-    ReadParameter,
-    Reboot,
-    Release,
-    Scan,
-    Set,
-    SetId,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
 from tests.protocols.odrive_can.conversation import DISCOVERED, SERIAL, device
 from tests.protocols.odrive_can.talk import Talk, standing
 
@@ -30,7 +17,7 @@ from tests.protocols.odrive_can.talk import Talk, standing
 def test_vectors_of_a_zero() -> None:
     talk = standing()
     talk.place(0.06)
-    talk.ask(Zero("left"))
+    talk.ask(msg.Zero("left"))
     talk.run(150)
     talk.place(-0.04)
     talk.run(20)
@@ -46,7 +33,7 @@ def test_vectors_of_a_zero() -> None:
 def test_vectors_of_a_zero_of_a_shaft_that_is_elsewhere() -> None:
     talk = standing()
     talk.place(2.0)
-    talk.ask(Zero("left"))
+    talk.ask(msg.Zero("left"))
     talk.run(650)
     talk.reports("""
         0 > 3:Set_Absolute_Position 0
@@ -58,7 +45,7 @@ def test_vectors_of_a_zero_of_a_shaft_that_is_elsewhere() -> None:
 
 def test_vectors_of_an_estop_and_a_clearing() -> None:
     talk = standing()
-    talk.ask(Estop("left"))
+    talk.ask(msg.Estop("left"))
     talk.beat(1, 0x100)
     talk.run(100)
     talk.beat(1, 0x2000100, Procedure_Result=3)
@@ -72,7 +59,7 @@ def test_vectors_of_an_estop_and_a_clearing() -> None:
         100 < State left fault: IDLE, DISARMED
         100 < Done Estop left: it stays in fault until cleared
     """)
-    talk.ask(ClearFault("left"))
+    talk.ask(msg.ClearFault("left"))
     talk.run(150)
     talk.beat()
     talk.run(100)
@@ -87,7 +74,7 @@ def test_vectors_of_an_estop_and_a_clearing() -> None:
         0 < Fault left 0x2000000 ESTOP_REQUESTED: *
         0 < State left fault: IDLE
     """)
-    talk.ask(ClearFault("left"))
+    talk.ask(msg.ClearFault("left"))
     talk.run(710)
     # What stays is told again, with all its words.
     talk.reports("""
@@ -99,7 +86,7 @@ def test_vectors_of_an_estop_and_a_clearing() -> None:
 
 def test_vectors_of_requests_that_no_device_of_this_language_knows() -> None:
     talk = standing()
-    talk.ask(Home("left"), Release(), Set("gains.left", 1.0), Zero("nobody"))
+    talk.ask(msg.Home("left"), msg.Release(), msg.Set("gains.left", 1.0), msg.Zero("nobody"))
     talk.reports("""
         0 < Refused Home left: *
         0 < Refused Release : *
@@ -110,7 +97,7 @@ def test_vectors_of_requests_that_no_device_of_this_language_knows() -> None:
 
 def test_vectors_of_a_restart_that_is_seen() -> None:
     talk = standing()
-    talk.ask(Reboot("left"))
+    talk.ask(msg.Reboot("left"))
     talk.run(2100)
     talk.mute()
     talk.run(900)
@@ -134,7 +121,7 @@ def test_vectors_of_a_restart_that_is_seen() -> None:
 
 def test_vectors_of_a_saving_and_the_pause_that_shows_it() -> None:
     talk = standing()
-    talk.ask(WriteParameter("left", "save_configuration", 1.0))
+    talk.ask(msg.WriteParameter("left", "save_configuration", 1.0))
     talk.cycle(0, "Heartbeat")
     talk.run(390)
     talk.beat()
@@ -152,7 +139,7 @@ def test_vectors_of_a_saving_and_the_pause_that_shows_it() -> None:
 
 def test_vectors_of_a_restart_that_is_not_seen() -> None:
     talk = standing()
-    talk.ask(Reboot("left"))
+    talk.ask(msg.Reboot("left"))
     talk.run(8100)
     talk.reports("""
         0…6000/2000 > 3:Reboot 0
@@ -165,17 +152,17 @@ def test_vectors_of_requests_to_a_device_that_runs() -> None:
     talk.beat(8)
     talk.run(50)
     talk.reports("0 < State left armed: CLOSED_LOOP_CONTROL")
-    talk.ask(Zero("left"), Reboot("left"), WriteParameter("left", "save_configuration", 1.0))
-    talk.ask(SetId("can0", SERIAL, 3))
+    talk.ask(msg.Zero("left"), msg.Reboot("left"), msg.WriteParameter("left", "save_configuration", 1.0))
+    talk.ask(msg.SetId("can0", SERIAL, 3))
     talk.handle(DISCOVERED)
-    talk.ask(SetId("can0", SERIAL, 5))
+    talk.ask(msg.SetId("can0", SERIAL, 5))
     talk.reports("""
         0 < Refused Zero left: it is armed*
         0 < Refused Reboot left: it is armed*
         0 < Refused WriteParameter left: it is armed*
         0 < Refused SetId can0: left is armed* (× 2)
     """)
-    talk.ask(WriteParameter("left", "Pos_Gain", 1.0))
+    talk.ask(msg.WriteParameter("left", "Pos_Gain", 1.0))
     talk.run(100)
     talk.reports("""
         0 > 3:Set_Pos_Gain 1
@@ -185,9 +172,9 @@ def test_vectors_of_requests_to_a_device_that_runs() -> None:
 
 def test_vectors_of_requests_to_a_device_that_arms() -> None:
     talk = standing()
-    talk.run(10, Velocity("left", 0.0))
+    talk.run(10, msg.Velocity("left", 0.0))
     talk.stage()
-    talk.ask(Zero("left"), Reboot("left"), WriteParameter("left", "save_configuration", 1.0))
+    talk.ask(msg.Zero("left"), msg.Reboot("left"), msg.WriteParameter("left", "save_configuration", 1.0))
     talk.reports("""
         0 < Refused Zero left: it is armed*
         0 < Refused Reboot left: it is armed*
@@ -199,7 +186,12 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
     talk = Talk([device(poll_ms=0)])
     talk.run(10)
     talk.stage()
-    talk.ask(ReadParameter("left", "Iq_Measured"), Reboot("left"), ClearFault("left"), Estop("left"))
+    talk.ask(
+        msg.ReadParameter("left", "Iq_Measured"),
+        msg.Reboot("left"),
+        msg.ClearFault("left"),
+        msg.Estop("left"),
+    )
     talk.run(700)
     # An emergency stop does not wait for the firmware to be known; all lines have the same.
     talk.reports("""
@@ -213,7 +205,7 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
     """)
     talk.beat()
     talk.run(50)
-    talk.ask(ClearFault("left"), Estop("left"))
+    talk.ask(msg.ClearFault("left"), msg.Estop("left"))
     talk.run(650)
     # Its firmware is not known: clearing has another length in each line, and does not go out.
     talk.reports("""
@@ -227,7 +219,11 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
 def test_vectors_of_requests_to_one_that_falls_silent() -> None:
     talk = standing()
     talk.mute()
-    talk.ask(ReadParameter("left", "Electrical_Power"), Zero("left"), WriteParameter("left", "Pos_Gain", 1.0))
+    talk.ask(
+        msg.ReadParameter("left", "Electrical_Power"),
+        msg.Zero("left"),
+        msg.WriteParameter("left", "Pos_Gain", 1.0),
+    )
     talk.run(650)
     talk.reports("""
         0…120/100-150 > 3?Get_Powers | 3:Set_Absolute_Position 0 | 3:Set_Pos_Gain 1
@@ -241,8 +237,8 @@ def test_vectors_of_requests_to_one_that_falls_silent() -> None:
 
 def test_vectors_of_too_many_requests() -> None:
     talk = standing()
-    talk.ask(*(ReadParameter("left", "Electrical_Power") for _ in range(31)), Scan("can0"))
-    talk.ask(ReadParameter("left", "Iq_Measured"), Scan("can1"), Velocity("left", 0.0))
+    talk.ask(*(msg.ReadParameter("left", "Electrical_Power") for _ in range(31)), msg.Scan("can0"))
+    talk.ask(msg.ReadParameter("left", "Iq_Measured"), msg.Scan("can1"), msg.Velocity("left", 0.0))
     talk.bus(BusState.OFF)
     talk.mute()
     talk.run(10)
@@ -263,5 +259,5 @@ def test_vectors_of_a_restart_beside_a_device_of_0_6_that_runs() -> None:
     talk.up(4, state=8)
     talk.run(200)
     talk.stage()
-    talk.ask(Reboot("left"))
+    talk.ask(msg.Reboot("left"))
     talk.reports("0 > 3:Reboot 0")

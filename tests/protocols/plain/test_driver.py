@@ -5,39 +5,10 @@ from typing import Any
 
 import pytest
 
+from protocols import messages as msg
 from protocols.conformance.bench import Bench
 from protocols.frames import BusState, CanFrame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Done,
-    Estop,
-    Fault,
-    Feedback,
-    Found,
-    Hold,
-    Home,
-    Idle,
-    Imu,
-    LaserScan,
-    Mode,
-    Parameter,
-    Position,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Release,
-    Request,
-    Scan,
-    SetId,
-    State,
-    Stop,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Command, Mode, Request
 from protocols.plain import codec, plugin
 from protocols.plain.driver import ANSWER, OFFLINE
 from protocols.plugin import RxCounters
@@ -55,35 +26,35 @@ def received(stage: Bench, *messages: bytes, t: int = T) -> list[Any]:
 
 def test_measurements_are_stamped_with_the_packets_time_less_their_age() -> None:
     stage = bench(sensors=["imu"], motors=[])
-    word = Imu("", 400, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))
+    word = msg.Imu("", 400, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))
     assert received(stage, codec.message(101, word, now=1000)) == [
-        Imu("imu", T - 600, word.angular_velocity, word.linear_acceleration)
+        msg.Imu("imu", T - 600, word.angular_velocity, word.linear_acceleration)
     ]
 
 
 def test_each_address_has_its_own_name() -> None:
     stage = bench(motors=["left", "right"])
-    words = [codec.message(address, Feedback("", 0, float(address))) for address in (2, 1)]
-    assert received(stage, *words) == [Feedback("right", T, 2.0), Feedback("left", T, 1.0)]
+    words = [codec.message(address, msg.Feedback("", 0, float(address))) for address in (2, 1)]
+    assert received(stage, *words) == [msg.Feedback("right", T, 2.0), msg.Feedback("left", T, 1.0)]
 
 
 # Who says what, and how it is counted: heard, bad, foreign.
 COUNTED: list[tuple[str, bytes | CanFrame, tuple[int, int, int]]] = [
-    ("a motor's feedback", codec.message(1, Feedback("", 0, 1.0)), (1, 0, 0)),
-    ("a sensor's scan", codec.message(101, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (1, 0, 0)),
-    ("a motor's scan", codec.message(1, LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (0, 1, 0)),
-    ("a sensor's feedback", codec.message(101, Feedback("", 0, 1.0)), (0, 1, 0)),
-    ("a stranger's feedback", codec.message(77, Feedback("", 0, 1.0)), (0, 0, 1)),
+    ("a motor's feedback", codec.message(1, msg.Feedback("", 0, 1.0)), (1, 0, 0)),
+    ("a sensor's scan", codec.message(101, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (1, 0, 0)),
+    ("a motor's scan", codec.message(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (0, 1, 0)),
+    ("a sensor's feedback", codec.message(101, msg.Feedback("", 0, 1.0)), (0, 1, 0)),
+    ("a stranger's feedback", codec.message(77, msg.Feedback("", 0, 1.0)), (0, 0, 1)),
     ("rubbish from a motor", codec.frame(b"\1rubbish"), (0, 1, 0)),
     ("rubbish from a stranger", codec.frame(b"\7rubbish"), (0, 0, 1)),
     ("an address alone", codec.frame(b"\1"), (0, 1, 0)),
-    ("an echo of our command", codec.message(1, Velocity("", 1.0)), (0, 0, 1)),
-    ("an echo of our scan", codec.message(0, Scan("")), (0, 0, 1)),
-    ("a stranger found", codec.message(77, Found(0, "plain", 77, 5)), (1, 0, 0)),
-    ("one who says he is another", codec.message(77, Found(0, "plain", 78, 5)), (0, 0, 1)),
-    ("our motor says it is another", codec.message(1, Found(0, "plain", 78, 5)), (0, 1, 0)),
-    ("another language found", codec.message(1, Found(0, "odrive_can", 1, 5)), (0, 1, 0)),
-    ("a wrong CRC", codec.message(1, Feedback("", 0, 1.0))[:-1] + b"\0", (0, 1, 0)),
+    ("an echo of our command", codec.message(1, msg.Velocity("", 1.0)), (0, 0, 1)),
+    ("an echo of our scan", codec.message(0, msg.Scan("")), (0, 0, 1)),
+    ("a stranger found", codec.message(77, msg.Found(0, "plain", 77, 5)), (1, 0, 0)),
+    ("one who says he is another", codec.message(77, msg.Found(0, "plain", 78, 5)), (0, 0, 1)),
+    ("our motor says it is another", codec.message(1, msg.Found(0, "plain", 78, 5)), (0, 1, 0)),
+    ("another language found", codec.message(1, msg.Found(0, "odrive_can", 1, 5)), (0, 1, 0)),
+    ("a wrong CRC", codec.message(1, msg.Feedback("", 0, 1.0))[:-1] + b"\0", (0, 1, 0)),
     ("noise", b"noise", (0, 0, 1)),
     ("no bytes", b"", (0, 0, 0)),
     ("a CAN frame", CanFrame(1, b"\1"), (0, 0, 1)),
@@ -100,32 +71,35 @@ def test_counted(frame: bytes | CanFrame, counters: tuple[int, int, int]) -> Non
 
 def test_a_fault_is_told_once_until_it_is_gone() -> None:
     stage = bench()
-    fault = codec.message(1, Fault("", 0, 4, "too hot"))
-    other = codec.message(1, Fault("", 0, 5, "too cold"))
-    in_fault, ready = (codec.message(1, State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
-    assert received(stage, fault, fault) == [Fault("m", T, 4, "too hot")]
+    fault = codec.message(1, msg.Fault("", 0, 4, "too hot"))
+    other = codec.message(1, msg.Fault("", 0, 5, "too cold"))
+    in_fault, ready = (codec.message(1, msg.State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
+    assert received(stage, fault, fault) == [msg.Fault("m", T, 4, "too hot")]
     assert received(stage, other, fault, in_fault, fault) == [
-        Fault("m", T, 5, "too cold"),
-        State("m", T, Mode.FAULT),
+        msg.Fault("m", T, 5, "too cold"),
+        msg.State("m", T, Mode.FAULT),
     ]
-    assert received(stage, ready, fault) == [State("m", T, Mode.READY), Fault("m", T, 4, "too hot")]
+    assert received(stage, ready, fault) == [msg.State("m", T, Mode.READY), msg.Fault("m", T, 4, "too hot")]
 
 
 def test_a_line_that_was_away_loses_the_message_begun_and_tells_faults_again() -> None:
     stage = bench()
-    fault, feedback = codec.message(1, Fault("", 0, 4, "too hot")), codec.message(1, Feedback("", 0, 1.0))
+    fault, feedback = (
+        codec.message(1, msg.Fault("", 0, 4, "too hot")),
+        codec.message(1, msg.Feedback("", 0, 1.0)),
+    )
     received(stage, fault, feedback[:10])
     stage.driver.bus(T, BusState.GONE)
     stage.driver.bus(T, BusState.BACK)
-    assert [type(event) for event in received(stage, feedback, fault)] == [Feedback, Fault]
+    assert [type(event) for event in received(stage, feedback, fault)] == [msg.Feedback, msg.Fault]
     assert stage.driver.counters == RxCounters(accepted=3)
 
 
 def test_a_full_queue_does_not_break_the_message_begun() -> None:
-    stage, feedback = bench(), codec.message(1, Feedback("", 0, 1.0))
+    stage, feedback = bench(), codec.message(1, msg.Feedback("", 0, 1.0))
     received(stage, feedback[:10])
     stage.driver.bus(T, BusState.FULL)
-    assert received(stage, feedback[10:]) == [Feedback("m", T, 1.0)]
+    assert received(stage, feedback[10:]) == [msg.Feedback("m", T, 1.0)]
 
 
 # -- down ----------------------------------------------------------------------------------------------
@@ -137,16 +111,16 @@ def sent(stage: Bench, *words: Command | Request) -> list[Any]:
 
 def test_idle_goes_only_to_whom_we_have_claimed() -> None:
     stage = bench(motors=["left", "right"])
-    assert sent(stage, Idle("left"), Idle("right")) == []
-    assert len(sent(stage, Velocity("left", 1.0), Idle("right"))) == 1
-    assert sent(stage, Idle("left"), Idle("right")) == [codec.message(1, Idle(""))]
+    assert sent(stage, msg.Idle("left"), msg.Idle("right")) == []
+    assert len(sent(stage, msg.Velocity("left", 1.0), msg.Idle("right"))) == 1
+    assert sent(stage, msg.Idle("left"), msg.Idle("right")) == [codec.message(1, msg.Idle(""))]
 
 
 COMMANDS: list[Command] = [
-    Hold("m"),
-    Position("m", 1.0, 2.0, 3.0),
-    Velocity("m", 1.0, 2.0),
-    Torque("m", 1.0),
+    msg.Hold("m"),
+    msg.Position("m", 1.0, 2.0, 3.0),
+    msg.Velocity("m", 1.0, 2.0),
+    msg.Torque("m", 1.0),
 ]
 
 
@@ -158,16 +132,16 @@ def test_a_command_becomes_one_message(word: Command) -> None:
 
 
 REFUSED: list[tuple[Command | Request, str]] = [
-    (Velocity("m", float("nan")), "not in"),
-    (Velocity("m", 1e9), "not in"),
-    (Velocity("nobody", 1.0), "no motor 'nobody'"),
-    (Velocity("lidar", 1.0), "no motor 'lidar'"),
-    (ClearFault("lidar"), "no motor 'lidar'"),
-    (Home("m"), "cannot do that"),
-    (Release(), "cannot do that"),
-    (WriteParameter("m", "velocity_gain", float("inf")), "not finite"),
-    (WriteParameter("m", "x" * 20_000, 1.0), "a body of"),
-    (SetId("line", 2**70, 1), "64 bits"),
+    (msg.Velocity("m", float("nan")), "not in"),
+    (msg.Velocity("m", 1e9), "not in"),
+    (msg.Velocity("nobody", 1.0), "no motor 'nobody'"),
+    (msg.Velocity("lidar", 1.0), "no motor 'lidar'"),
+    (msg.ClearFault("lidar"), "no motor 'lidar'"),
+    (msg.Home("m"), "cannot do that"),
+    (msg.Release(), "cannot do that"),
+    (msg.WriteParameter("m", "velocity_gain", float("inf")), "not finite"),
+    (msg.WriteParameter("m", "x" * 20_000, 1.0), "a body of"),
+    (msg.SetId("line", 2**70, 1), "64 bits"),
 ]
 
 
@@ -176,34 +150,34 @@ def test_refused_at_once_and_nothing_goes_out(word: Command | Request, reason: s
     stage = bench(sensors=["lidar"])
     events, frames = stage.driver.send(T, [word])
     (refused,) = events
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, msg.Refused)
     assert refused.request == type(word).__name__
     assert reason in refused.reason
     assert frames == []
-    assert sent(stage, Idle("m")) == []  # it has not been claimed either
+    assert sent(stage, msg.Idle("m")) == []  # it has not been claimed either
 
 
 def test_a_command_that_is_refused_anew_is_told_once_until_one_was_not() -> None:
     stage = bench()
-    said = [Velocity("m", 1e9), Velocity("m", 1e9), Velocity("m", 1.0), Velocity("m", 1e9)]
+    said = [msg.Velocity("m", 1e9), msg.Velocity("m", 1e9), msg.Velocity("m", 1.0), msg.Velocity("m", 1e9)]
     assert [len(stage.driver.send(T, [word])[0]) for word in said] == [1, 0, 0, 1]
-    assert [len(stage.driver.send(T, [Home("m")])[0]) for _ in range(2)] == [1, 1]
+    assert [len(stage.driver.send(T, [msg.Home("m")])[0]) for _ in range(2)] == [1, 1]
 
 
 def test_an_operators_stop_lets_idle_through_to_a_motor_that_was_not_claimed() -> None:
     stage = bench()
-    assert sent(stage, Idle("m")) == []
-    assert sent(stage, Stop()) == []
-    assert sent(stage, Idle("m")) == [codec.message(1, Idle("m"))]
+    assert sent(stage, msg.Idle("m")) == []
+    assert sent(stage, msg.Stop()) == []
+    assert sent(stage, msg.Idle("m")) == [codec.message(1, msg.Idle("m"))]
 
 
 REQUESTS: list[Request] = [
-    ClearFault("m"),
-    Estop("m"),
-    Zero("m"),
-    ReadParameter("m", "supply"),
-    WriteParameter("m", "supply", 12.0),
-    Reboot("m"),
+    msg.ClearFault("m"),
+    msg.Estop("m"),
+    msg.Zero("m"),
+    msg.ReadParameter("m", "supply"),
+    msg.WriteParameter("m", "supply", 12.0),
+    msg.Reboot("m"),
 ]
 
 
@@ -214,7 +188,7 @@ def test_a_request_without_an_answer_is_refused_in_time(request_: Request) -> No
     assert stage.driver.due() is not None
     assert stage.driver.send(T + ANSWER - 1, ())[0] == []
     (refused,) = stage.driver.send(T + ANSWER, ())[0]
-    assert refused == Refused(T + ANSWER, type(request_).__name__, "m", "no answer in 200 ms")
+    assert refused == msg.Refused(T + ANSWER, type(request_).__name__, "m", "no answer in 200 ms")
     assert stage.driver.send(T + ANSWER + 1, ())[0] == []
 
 
@@ -223,8 +197,8 @@ def test_a_request_is_answered_by_the_device_and_then_no_more(request_: Request)
     stage = bench()
     stage.steps(5)
     said = ask(stage, request_, steps=400)
-    (answer,) = reported(said, (Done, Refused, Parameter))
-    assert isinstance(answer, Parameter if isinstance(request_, ReadParameter) else Done)
+    (answer,) = reported(said, (msg.Done, msg.Refused, msg.Parameter))
+    assert isinstance(answer, msg.Parameter if isinstance(request_, msg.ReadParameter) else msg.Done)
 
 
 def test_silence_is_offline_once_and_speaking_ends_it() -> None:
@@ -234,14 +208,14 @@ def test_silence_is_offline_once_and_speaking_ends_it() -> None:
     assert stage.driver.due() == T + OFFLINE
     assert stage.driver.send(T + OFFLINE - 1, ())[0] == []
     assert stage.driver.send(T + OFFLINE, ())[0] == [
-        State("m", T + OFFLINE, Mode.OFFLINE, "silent for 250 ms")
+        msg.State("m", T + OFFLINE, Mode.OFFLINE, "silent for 250 ms")
     ]
     assert stage.driver.due() is None
     assert stage.driver.send(T + 2 * OFFLINE, ())[0] == []
-    received(stage, codec.message(1, Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
+    received(stage, codec.message(1, msg.Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
     assert stage.driver.send(T + 3 * OFFLINE - 1, ())[0] == []
     (again,) = stage.driver.send(T + 3 * OFFLINE, ())[0]
-    assert again == State("m", T + 3 * OFFLINE, Mode.OFFLINE, "silent for 250 ms")
+    assert again == msg.State("m", T + 3 * OFFLINE, Mode.OFFLINE, "silent for 250 ms")
 
 
 # -- the whole line ------------------------------------------------------------------------------------
@@ -249,20 +223,20 @@ def test_silence_is_offline_once_and_speaking_ends_it() -> None:
 
 def test_scan_finds_motors_and_sensors_and_ends() -> None:
     stage = bench(sensors=["lidar"], motors=["left", "right"])
-    said = ask(stage, Scan("line"), steps=250)
-    assert [(f.address, f.serial, f.detail) for f in reported(said, Found)] == [
+    said = ask(stage, msg.Scan("line"), steps=250)
+    assert [(f.address, f.serial, f.detail) for f in reported(said, msg.Found)] == [
         (1, 10, "motor"),
         (2, 20, "motor"),
         (101, 1010, "sensor"),
     ]
-    assert [(d.request, d.name, d.detail) for d in reported(said, Done)] == [("Scan", "line", "3 found")]
-    assert {state.mode for state in reported(said, State)} == {Mode.READY}
+    assert [(d.request, d.name, d.detail) for d in reported(said, msg.Done)] == [("Scan", "line", "3 found")]
+    assert {state.mode for state in reported(said, msg.State)} == {Mode.READY}
 
 
 def test_an_address_held_twice_is_told() -> None:
     stage = bench()
     events = received(
-        stage, *(codec.message(9, Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6))
+        stage, *(codec.message(9, msg.Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6))
     )
     assert [event.detail for event in events] == [
         "motor",
@@ -274,11 +248,11 @@ def test_an_address_held_twice_is_told() -> None:
 def test_set_id_moves_the_one_device_with_this_serial_number() -> None:
     stage = bench(motors=["left", "right"])
     stage.steps(5)
-    said = ask(stage, SetId("line", 20, 9), steps=300)
-    assert [(f.address, f.serial) for f in reported(said, Found)] == [(9, 20)]
-    assert [(d.request, d.detail) for d in reported(said, Done)] == [("SetId", "20 is now at 9")]
-    assert {f.motor for f in reported(said[20:], Feedback)} == {"left"}
-    assert [(s.motor, s.mode) for s in reported(said, State) if s.mode == Mode.OFFLINE] == [
+    said = ask(stage, msg.SetId("line", 20, 9), steps=300)
+    assert [(f.address, f.serial) for f in reported(said, msg.Found)] == [(9, 20)]
+    assert [(d.request, d.detail) for d in reported(said, msg.Done)] == [("SetId", "20 is now at 9")]
+    assert {f.motor for f in reported(said[20:], msg.Feedback)} == {"left"}
+    assert [(s.motor, s.mode) for s in reported(said, msg.State) if s.mode == Mode.OFFLINE] == [
         ("right", Mode.OFFLINE)
     ]
 
@@ -286,16 +260,16 @@ def test_set_id_moves_the_one_device_with_this_serial_number() -> None:
 @pytest.mark.parametrize(("serial", "address"), [(99, 9), (10, 0), (10, 256)])
 def test_set_id_that_nobody_follows_is_refused_in_time(serial: int, address: int) -> None:
     stage = bench()
-    said = ask(stage, SetId("line", serial, address), steps=300)
-    (refused,) = reported(said, Refused)
+    said = ask(stage, msg.SetId("line", serial, address), steps=300)
+    (refused,) = reported(said, msg.Refused)
     assert refused.request == "SetId"
-    assert reported(said, Done) == []
+    assert reported(said, msg.Done) == []
 
 
 def test_set_id_reaches_a_sensor_too() -> None:
     stage = bench(sensors=["gps"], motors=[])
-    said = ask(stage, SetId("line", 1010, 7))
-    assert [f.address for f in reported(said, Found)] == [7]
+    said = ask(stage, msg.SetId("line", 1010, 7))
+    assert [f.address for f in reported(said, msg.Found)] == [7]
 
 
 # -- the contract --------------------------------------------------------------------------------------
@@ -305,7 +279,7 @@ def test_a_sensor_is_what_a_plain_device_is_unless_told() -> None:
     spec = bench(sensors=["lidar"], motors=[]).specs[0]
     assert spec.kind == "sensor"
     assert not spec.commands
-    assert spec.requests == frozenset[type[Request]]((Scan, SetId))
+    assert spec.requests == frozenset[type[Request]]((msg.Scan, msg.SetId))
     assert plugin.options().kind == "sensor"
     assert {name.partition(".")[0] for name in spec.ranges} == {"Imu", "LaserScan", "Fix"}
 
@@ -327,15 +301,15 @@ def test_an_address_out_of_range_is_an_error_of_configuration() -> None:
 
 
 READ_ONLY: list[tuple[bytes | CanFrame, bool]] = [
-    (codec.message(0, Scan("")), True),
-    (codec.message(1, ReadParameter("", "supply")), True),
-    (codec.message(0, Scan("")) + codec.message(1, ReadParameter("", "supply")), True),
-    (codec.message(0, Scan("")) + codec.message(1, Idle("")), False),
-    (codec.message(1, Idle("")), False),
-    (codec.message(1, ClearFault("")), False),
-    (codec.message(0, SetId("", 1, 2)), False),
-    (codec.message(0, Scan("")) + codec.message(1, Idle(""))[:-1], False),
-    (codec.message(0, Scan(""))[:-1], False),
+    (codec.message(0, msg.Scan("")), True),
+    (codec.message(1, msg.ReadParameter("", "supply")), True),
+    (codec.message(0, msg.Scan("")) + codec.message(1, msg.ReadParameter("", "supply")), True),
+    (codec.message(0, msg.Scan("")) + codec.message(1, msg.Idle("")), False),
+    (codec.message(1, msg.Idle("")), False),
+    (codec.message(1, msg.ClearFault("")), False),
+    (codec.message(0, msg.SetId("", 1, 2)), False),
+    (codec.message(0, msg.Scan("")) + codec.message(1, msg.Idle(""))[:-1], False),
+    (codec.message(0, msg.Scan(""))[:-1], False),
     (b"x", False),
     (CanFrame(1, remote=True), False),
 ]

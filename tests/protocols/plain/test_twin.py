@@ -8,32 +8,10 @@ from typing import Any
 
 import pytest
 
+from protocols import messages as msg
 from protocols.conformance.bench import Bench, sights
 from protocols.frames import CanFrame
-from protocols.messages import (
-    MILLISECOND,
-    ClearFault,
-    Command,
-    Done,
-    Estop,
-    Event,
-    Fault,
-    Feedback,
-    Hold,
-    Idle,
-    Impedance,
-    Mode,
-    Parameter,
-    Position,
-    ReadParameter,
-    Reboot,
-    Refused,
-    State,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import MILLISECOND, Command, Event, Mode
 from protocols.plain import codec, plugin
 from protocols.plain.settings import FAULT_TABLE, Settings
 from protocols.plain.twin import BOOT
@@ -77,11 +55,11 @@ def test_a_sensor_does_not_tell_what_is_not_finite() -> None:
 # -- arming, watchdog, faults --------------------------------------------------------------------------
 
 ARMING: list[Command] = [
-    Hold("m"),
-    Position("m", 0.0),
-    Velocity("m", 0.0),
-    Torque("m", 0.0),
-    Impedance("m", 0.0, 0.0, 0.0, 1.0, 0.1),
+    msg.Hold("m"),
+    msg.Position("m", 0.0),
+    msg.Velocity("m", 0.0),
+    msg.Torque("m", 0.0),
+    msg.Impedance("m", 0.0, 0.0, 0.0, 1.0, 0.1),
 ]
 
 
@@ -92,84 +70,84 @@ def test_any_command_but_idle_arms_and_idle_disarms(command: Command) -> None:
     assert mode(stage) == Mode.READY
     said = ask(stage, command, steps=3)
     assert mode(stage) == Mode.ARMED
-    assert [s.mode for s in reported(said, State)] == [Mode.ARMED]
-    said = ask(stage, Idle("m"), steps=3)
+    assert [s.mode for s in reported(said, msg.State)] == [Mode.ARMED]
+    said = ask(stage, msg.Idle("m"), steps=3)
     assert mode(stage) == Mode.READY
-    assert [s.mode for s in reported(said, State)] == [Mode.READY]
+    assert [s.mode for s in reported(said, msg.State)] == [Mode.READY]
 
 
 def test_silence_of_the_host_trips_the_watchdog_which_only_clear_fault_undoes() -> None:
     stage = bench()
-    stage.step([Torque("m", 0.5)])
+    stage.step([msg.Torque("m", 0.5)])
     assert {torque(stage) for _ in range(99)} == {0.5}
     said = stage.steps(5)
     assert [s.torques[0].torque for s in said][1:] == [0.0] * 4
-    assert [(f.code, f.name) for f in reported(said, Fault)] == [(1, "watchdog expired")]
+    assert [(f.code, f.name) for f in reported(said, msg.Fault)] == [(1, "watchdog expired")]
     assert mode(stage) == Mode.FAULT
-    for word in (Torque("m", 0.5), Idle("m"), Hold("m")):
+    for word in (msg.Torque("m", 0.5), msg.Idle("m"), msg.Hold("m")):
         assert torque(stage, word) == 0.0
         assert mode(stage) == Mode.FAULT
-    said = ask(stage, ClearFault("m"), steps=3)
+    said = ask(stage, msg.ClearFault("m"), steps=3)
     assert mode(stage) == Mode.READY
-    assert [d.request for d in reported(said, Done)] == ["ClearFault"]
-    assert torque(stage, Torque("m", 0.5)) == 0.5
+    assert [d.request for d in reported(said, msg.Done)] == ["ClearFault"]
+    assert torque(stage, msg.Torque("m", 0.5)) == 0.5
 
 
 def test_the_watchdog_is_exact_and_expired_before_a_late_command() -> None:
     for late, expected in ((0, Mode.ARMED), (1, Mode.FAULT)):
         stage = bench()
-        stage.step([Torque("m", 0.5)])
-        stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, codec.message(1, Torque("", 0.5)))
+        stage.step([msg.Torque("m", 0.5)])
+        stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, codec.message(1, msg.Torque("", 0.5)))
         assert mode(stage) == expected
 
 
 def test_only_commands_feed_the_watchdog() -> None:
     stage = bench()
-    stage.step([Torque("m", 0.5)])
+    stage.step([msg.Torque("m", 0.5)])
     for _ in range(120):
-        stage.step([ReadParameter("m", "supply")])
+        stage.step([msg.ReadParameter("m", "supply")])
     assert mode(stage) == Mode.FAULT
 
 
 def test_a_watchdog_of_zero_never_expires() -> None:
     stage = bench(watchdog_ms=0.0)
-    stage.step([Torque("m", 0.001)])
+    stage.step([msg.Torque("m", 0.001)])
     stage.steps(2000)
     assert mode(stage) == Mode.ARMED
 
 
 def test_no_watchdog_while_disarmed() -> None:
     stage = bench()
-    assert reported(stage.steps(500), Fault) == []
+    assert reported(stage.steps(500), msg.Fault) == []
 
 
 def test_estop_faults_from_any_mode() -> None:
-    for word in (Torque("m", 0.5), None):
+    for word in (msg.Torque("m", 0.5), None):
         stage = bench()
         stage.step([word] if word else [])
-        said = ask(stage, Estop("m"))
-        assert [(f.code, f.name) for f in reported(said, Fault)] == [(2, "emergency stop")]
+        said = ask(stage, msg.Estop("m"))
+        assert [(f.code, f.name) for f in reported(said, msg.Fault)] == [(2, "emergency stop")]
         assert said[-1].torques[0].torque == 0.0
 
 
 def test_a_fault_that_stands_is_told_to_a_host_who_comes_later() -> None:
     stage = bench()
-    ask(stage, Estop("m"))
+    ask(stage, msg.Estop("m"))
     stage.driver = bench().driver
     said = stage.steps(200)
-    assert [f.code for f in reported(said, Fault)] == [2]
+    assert [f.code for f in reported(said, msg.Fault)] == [2]
 
 
 def test_reboot_takes_its_time_disarms_and_forgets_zero_and_faults() -> None:
     stage = bench()
     stage.shafts["m"].position = 1.0
     stage.steps(2)
-    ask(stage, Zero("m"))
-    ask(stage, Estop("m"))
-    said = ask(stage, Reboot("m"), Torque("m", 0.5), steps=BOOT // MILLISECOND + 10)
-    assert [s.mode for s in reported(said, State)] == [Mode.INITIALISING, Mode.READY]
+    ask(stage, msg.Zero("m"))
+    ask(stage, msg.Estop("m"))
+    said = ask(stage, msg.Reboot("m"), msg.Torque("m", 0.5), steps=BOOT // MILLISECOND + 10)
+    assert [s.mode for s in reported(said, msg.State)] == [Mode.INITIALISING, Mode.READY]
     assert {s.torques[0].torque for s in said} == {0.0}
-    assert reported(said, Feedback)[-1].position == pytest.approx(1.0)
+    assert reported(said, msg.Feedback)[-1].position == pytest.approx(1.0)
 
 
 # -- loops ---------------------------------------------------------------------------------------------
@@ -182,7 +160,7 @@ def run(stage: Bench, command: Command, steps: int = 2000) -> None:
 
 def test_position_is_reached_and_held() -> None:
     stage = bench()
-    run(stage, Position("m", 2.0))
+    run(stage, msg.Position("m", 2.0))
     assert stage.shafts["m"].position == pytest.approx(2.0, abs=1e-3)
     assert stage.shafts["m"].velocity == pytest.approx(0.0, abs=1e-3)
 
@@ -190,28 +168,28 @@ def test_position_is_reached_and_held() -> None:
 def test_velocity_is_reached_without_an_error_that_stays() -> None:
     stage = bench()
     stage.shafts["m"].friction = 0.02
-    run(stage, Velocity("m", -8.0), 4000)
+    run(stage, msg.Velocity("m", -8.0), 4000)
     assert stage.shafts["m"].velocity == pytest.approx(-8.0, abs=1e-3)
 
 
 def test_hold_holds_where_it_was_first_said() -> None:
     stage = bench()
-    run(stage, Velocity("m", 5.0), 300)
+    run(stage, msg.Velocity("m", 5.0), 300)
     at = stage.shafts["m"].position
-    run(stage, Hold("m"))
+    run(stage, msg.Hold("m"))
     assert stage.shafts["m"].position == pytest.approx(at, abs=0.02)
     held = stage.shafts["m"].position
     stage.shafts["m"].position += 0.3  # somebody turns it by hand
-    run(stage, Hold("m"))
+    run(stage, msg.Hold("m"))
     assert stage.shafts["m"].position == pytest.approx(held, abs=1e-3)
 
 
 def test_hold_after_idle_holds_anew() -> None:
     stage = bench()
-    run(stage, Hold("m"), 10)
-    run(stage, Idle("m"), 10)
+    run(stage, msg.Hold("m"), 10)
+    run(stage, msg.Idle("m"), 10)
     stage.shafts["m"].position = 3.0
-    run(stage, Hold("m"), 100)
+    run(stage, msg.Hold("m"), 100)
     assert stage.shafts["m"].position == pytest.approx(3.0, abs=1e-6)
 
 
@@ -219,35 +197,39 @@ def test_impedance_is_a_spring_and_a_damper() -> None:
     stage = bench()
     shaft = stage.shafts["m"]
     shaft.position, shaft.velocity, shaft.locked = 0.25, 2.0, True
-    given = torque(stage, Impedance("m", 0.5, 1.0, 0.1, 2.0, 0.3))
+    given = torque(stage, msg.Impedance("m", 0.5, 1.0, 0.1, 2.0, 0.3))
     assert given == pytest.approx(0.1 + 2.0 * 0.25 + 0.3 * -1.0)
 
 
 def test_feed_forward_is_added() -> None:
     stage = bench()
     stage.shafts["m"].locked = True
-    assert torque(stage, Position("m", 0.0, 2.0, 0.5)) == pytest.approx(0.5 + 0.05 * 2.0)
-    assert torque(stage, Velocity("m", 0.0, 0.5)) == pytest.approx(0.5)
+    assert torque(stage, msg.Position("m", 0.0, 2.0, 0.5)) == pytest.approx(0.5 + 0.05 * 2.0)
+    assert torque(stage, msg.Velocity("m", 0.0, 0.5)) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("command", [Torque("m", 9.0), Position("m", 99.0), Velocity("m", 999.0)])
+@pytest.mark.parametrize("command", [msg.Torque("m", 9.0), msg.Position("m", 99.0), msg.Velocity("m", 999.0)])
 def test_torque_is_cut_and_the_integral_does_not_wind_up(command: Command) -> None:
     stage = bench()
     stage.shafts["m"].locked = True
     for _ in range(3000):
         assert torque(stage, command) <= 2.0
-    assert torque(stage, Velocity("m", 0.0)) <= 2.0
-    run(stage, Velocity("m", -999.0), 3000)
-    assert torque(stage, Velocity("m", -999.0)) == -2.0
+    assert torque(stage, msg.Velocity("m", 0.0)) <= 2.0
+    run(stage, msg.Velocity("m", -999.0), 3000)
+    assert torque(stage, msg.Velocity("m", -999.0)) == -2.0
 
 
 def test_a_shaft_that_was_never_measured_gets_no_torque() -> None:
     stage = bench()
     twin = stage.twins[0]
-    twin.receive(stage.now, codec.message(1, Torque("", 1.0)))
-    assert twin.step(stage.now, [])[0] == [Torque("m", 0.0)]
-    for wrong in (Feedback("m", 0, math.nan, 0.0), Feedback("m", 0, 1.0), Feedback("x", 0, 1.0, 1.0)):
-        assert twin.step(stage.now, [wrong])[0] == [Torque("m", 0.0)]
+    twin.receive(stage.now, codec.message(1, msg.Torque("", 1.0)))
+    assert twin.step(stage.now, [])[0] == [msg.Torque("m", 0.0)]
+    for wrong in (
+        msg.Feedback("m", 0, math.nan, 0.0),
+        msg.Feedback("m", 0, 1.0),
+        msg.Feedback("x", 0, 1.0, 1.0),
+    ):
+        assert twin.step(stage.now, [wrong])[0] == [msg.Torque("m", 0.0)]
 
 
 # -- what it tells -------------------------------------------------------------------------------------
@@ -256,9 +238,9 @@ def test_a_shaft_that_was_never_measured_gets_no_torque() -> None:
 def test_feedback_and_state_come_at_their_periods() -> None:
     stage = bench(feedback_ms=7.0, state_ms=30.0)
     said = stage.steps(700)
-    times = [said.index(s) for s in said if reported([s], Feedback)]
+    times = [said.index(s) for s in said if reported([s], msg.Feedback)]
     assert {b - a for a, b in pairwise(times)} == {7}
-    times = [said.index(s) for s in said if reported([s], State)]
+    times = [said.index(s) for s in said if reported([s], msg.State)]
     assert {b - a for a, b in pairwise(times)} == {30}
 
 
@@ -266,7 +248,7 @@ def test_feedback_tells_shaft_torque_current_and_supply() -> None:
     stage = bench(torque_constant=0.25)
     shaft = stage.shafts["m"]
     shaft.position, shaft.velocity, shaft.locked = 1.5, 0.5, True
-    feedback = reported([stage.step([Torque("m", 0.5)]), *stage.steps(11)], Feedback)[-1]
+    feedback = reported([stage.step([msg.Torque("m", 0.5)]), *stage.steps(11)], msg.Feedback)[-1]
     values = (feedback.position, feedback.velocity, feedback.torque, feedback.current, feedback.voltage)
     assert values == (1.5, 0.5, 0.5, 2.0, 24.0)
     assert feedback.temperature is None
@@ -275,7 +257,7 @@ def test_feedback_tells_shaft_torque_current_and_supply() -> None:
 def test_due_is_when_it_next_does_something() -> None:
     stage = bench(feedback_ms=7.0, state_ms=30.0)
     stage.steps(10)
-    for command in ((), (Torque("m", 0.1),)):
+    for command in ((), (msg.Torque("m", 0.1),)):
         stage.step(command)
         for _ in range(200):
             before = copy.deepcopy(stage.twins[0])
@@ -298,56 +280,58 @@ def test_a_clock_that_jumps_does_not_bring_a_burst() -> None:
 
 
 def answers(stage: Bench, *words: Any) -> list[Any]:
-    return reported(ask(stage, *words), (Done, Refused, Parameter))
+    return reported(ask(stage, *words), (msg.Done, msg.Refused, msg.Parameter))
 
 
 def test_zero_makes_the_present_position_zero() -> None:
     stage = bench()
     stage.shafts["m"].position = 1.25
     stage.steps(2)
-    assert [type(a) for a in answers(stage, Zero("m"))] == [Done]
-    assert reported(stage.steps(10), Feedback)[-1].position == 0.0
-    run(stage, Position("m", 1.0))
+    assert [type(a) for a in answers(stage, msg.Zero("m"))] == [msg.Done]
+    assert reported(stage.steps(10), msg.Feedback)[-1].position == 0.0
+    run(stage, msg.Position("m", 1.0))
     assert stage.shafts["m"].position == pytest.approx(2.25, abs=1e-3)
 
 
 def test_zero_is_refused_while_armed() -> None:
     stage = bench()
-    stage.step([Hold("m")])
-    (refused,) = answers(stage, Zero("m"))
-    assert isinstance(refused, Refused)
+    stage.step([msg.Hold("m")])
+    (refused,) = answers(stage, msg.Zero("m"))
+    assert isinstance(refused, msg.Refused)
     assert "armed" in refused.reason
 
 
 def test_parameters_are_read_and_written() -> None:
     stage = bench()
-    assert [a.value for a in answers(stage, ReadParameter("m", "torque_limit"))] == [2.0]
-    assert [type(a) for a in answers(stage, WriteParameter("m", "torque_limit", 0.5))] == [Done]
-    assert [a.value for a in answers(stage, ReadParameter("m", "torque_limit"))] == [0.5]
-    assert torque(stage, Torque("m", 9.0)) == 0.5
+    assert [a.value for a in answers(stage, msg.ReadParameter("m", "torque_limit"))] == [2.0]
+    assert [type(a) for a in answers(stage, msg.WriteParameter("m", "torque_limit", 0.5))] == [msg.Done]
+    assert [a.value for a in answers(stage, msg.ReadParameter("m", "torque_limit"))] == [0.5]
+    assert torque(stage, msg.Torque("m", 9.0)) == 0.5
 
 
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
-        (ReadParameter("m", "nonsense"), "no parameter 'nonsense'"),
-        (ReadParameter("m", "__doc__"), "no parameter '__doc__'"),
-        (WriteParameter("m", "nonsense", 1.0), "no parameter 'nonsense'"),
-        (WriteParameter("m", "serial", 1.0), "no parameter 'serial'"),
-        (WriteParameter("m", "torque_limit", -1.0), "zero or more"),
-        (WriteParameter("m", "feedback_ms", 0.0), "more than zero"),
+        (msg.ReadParameter("m", "nonsense"), "no parameter 'nonsense'"),
+        (msg.ReadParameter("m", "__doc__"), "no parameter '__doc__'"),
+        (msg.WriteParameter("m", "nonsense", 1.0), "no parameter 'nonsense'"),
+        (msg.WriteParameter("m", "serial", 1.0), "no parameter 'serial'"),
+        (msg.WriteParameter("m", "torque_limit", -1.0), "zero or more"),
+        (msg.WriteParameter("m", "feedback_ms", 0.0), "more than zero"),
     ],
 )
-def test_a_parameter_that_cannot_be_is_refused(word: ReadParameter | WriteParameter, reason: str) -> None:
+def test_a_parameter_that_cannot_be_is_refused(
+    word: msg.ReadParameter | msg.WriteParameter, reason: str
+) -> None:
     (refused,) = answers(bench(), word)
-    assert isinstance(refused, Refused)
+    assert isinstance(refused, msg.Refused)
     assert reason in refused.reason
 
 
 def test_requests_are_refused_during_a_restart() -> None:
     stage = bench()
-    ask(stage, Reboot("m"), steps=3)
-    (refused,) = answers(stage, ReadParameter("m", "supply"))
+    ask(stage, msg.Reboot("m"), steps=3)
+    (refused,) = answers(stage, msg.ReadParameter("m", "supply"))
     assert refused.reason == "restarting"
 
 
@@ -363,17 +347,17 @@ def test_settings_that_cannot_be_are_an_error_of_configuration(wrong: dict[str, 
 @pytest.mark.parametrize("code", sorted(FAULT_TABLE))
 def test_a_provoked_fault_disarms_and_is_told_as_the_contract_has_it(code: int) -> None:
     stage = bench()
-    stage.steps(20, [Velocity("m", 1.0)])
+    stage.steps(20, [msg.Velocity("m", 1.0)])
     said = FAULT_TABLE[code]
     stage.twins[0].provoke(code)
     due = stage.twins[0].due()
     assert due is not None
     assert due <= stage.now
-    (fault,) = reported(stage.steps(5, [Velocity("m", 1.0)]), Fault)
+    (fault,) = reported(stage.steps(5, [msg.Velocity("m", 1.0)]), msg.Fault)
     assert (fault.code, fault.name, fault.cause, fault.remedy) == (code, said.name, said.cause, said.remedy)
     assert torque(stage) == 0.0
     assert stage.specs[0].faults == FAULT_TABLE
-    ask(stage, ClearFault("m"))
+    ask(stage, msg.ClearFault("m"))
     assert mode(stage) == Mode.READY
 
 
@@ -385,8 +369,8 @@ def test_what_is_no_fault_is_not_provoked() -> None:
 
 
 def test_messages_are_named_after_their_words() -> None:
-    two = codec.message(1, Velocity("m", 1.0)) + codec.message(2, Hold("m"))
+    two = codec.message(1, msg.Velocity("m", 1.0)) + codec.message(2, msg.Hold("m"))
     assert plugin.messages(two) == ("Velocity", "Hold")
     assert plugin.messages(two[:-1]) == ("Velocity",)
-    assert plugin.messages(codec.message(1, Feedback("m", 0))) == ()
+    assert plugin.messages(codec.message(1, msg.Feedback("m", 0))) == ()
     assert plugin.messages(CanFrame(1)) == ()

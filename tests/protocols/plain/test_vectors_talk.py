@@ -11,40 +11,9 @@ from dataclasses import dataclass
 
 import pytest
 
+from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import (
-    ClearFault,
-    Command,
-    Done,
-    Estop,
-    Event,
-    Fault,
-    Feedback,
-    Fix,
-    Found,
-    Hold,
-    Home,
-    Idle,
-    Impedance,
-    Imu,
-    LaserScan,
-    Mode,
-    Parameter,
-    Position,
-    ReadParameter,
-    Reboot,
-    Refused,
-    Release,
-    Request,
-    Scan,
-    SetId,
-    State,
-    Stop,
-    Torque,
-    Velocity,
-    WriteParameter,
-    Zero,
-)
+from protocols.messages import Command, Event, Mode, Request
 from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import Options, PlainDriver
 from protocols.plain.settings import Settings
@@ -87,15 +56,15 @@ IN_FAULT = said(LEFT, "State", "", 0, "fault", "")
 HOT = said(LEFT, "Fault", "", 0, 4, "too hot", "", "")
 COLD = said(LEFT, "Fault", "", 0, 5, "too cold", "", "")
 PLACE = said(LEFT, "Feedback", "", 600, 1.5, None, None, None, None, None)
-READS, WRITES = ReadParameter("left", "supply"), WriteParameter("left", "supply", 12.0)
+READS, WRITES = msg.ReadParameter("left", "supply"), msg.WriteParameter("left", "supply", 12.0)
 
 
-def offline(name: str, ms: float) -> State:
-    return State(name, at(ms), Mode.OFFLINE, "silent for 250 ms")
+def offline(name: str, ms: float) -> msg.State:
+    return msg.State(name, at(ms), Mode.OFFLINE, "silent for 250 ms")
 
 
-def late(word: str, name: str, ms: float) -> Refused:
-    return Refused(at(ms), word, name, "no answer in 200 ms")
+def late(word: str, name: str, ms: float) -> msg.Refused:
+    return msg.Refused(at(ms), word, name, "no answer in 200 ms")
 
 
 TALKS: dict[str, list[Turn]] = {
@@ -108,23 +77,23 @@ TALKS: dict[str, list[Turn]] = {
     ],
     "who speaks is not offline, and may fall silent again": [
         Turn(0),
-        Turn(100, up=[PLACE], reported=[Feedback("left", at(100) - 600, 1.5)], due=250),
+        Turn(100, up=[PLACE], reported=[msg.Feedback("left", at(100) - 600, 1.5)], due=250),
         Turn(250, reported=[offline("right", 250)], due=350),
         Turn(350, reported=[offline("left", 350)]),
-        Turn(600, up=[READY], reported=[State("left", at(600), Mode.READY)], due=850),
+        Turn(600, up=[READY], reported=[msg.State("left", at(600), Mode.READY)], due=850),
         Turn(849.9),
         Turn(850, reported=[offline("left", 850)]),
     ],
     "each request is given up, at its own time": [
-        Turn(0, words=[ClearFault("left")], down=[said(LEFT, "ClearFault", "")], due=200),
-        Turn(1, words=[Estop("right")], down=[said(RIGHT, "Estop", "")], due=200),
+        Turn(0, words=[msg.ClearFault("left")], down=[said(LEFT, "ClearFault", "")], due=200),
+        Turn(1, words=[msg.Estop("right")], down=[said(RIGHT, "Estop", "")], due=200),
         Turn(
             2,
-            words=[Zero("left"), READS],
+            words=[msg.Zero("left"), READS],
             down=[said(LEFT, "Zero", ""), said(LEFT, "ReadParameter", "", "supply")],
         ),
         Turn(3, words=[WRITES], down=[said(LEFT, "WriteParameter", "", "supply", 12.0)]),
-        Turn(4, words=[Reboot("left")], down=[said(LEFT, "Reboot", "")]),
+        Turn(4, words=[msg.Reboot("left")], down=[said(LEFT, "Reboot", "")]),
         Turn(199.999999),
         Turn(200, reported=[late("ClearFault", "left", 200)], due=201),
         Turn(201, reported=[late("Estop", "right", 201)], due=202),
@@ -135,7 +104,7 @@ TALKS: dict[str, list[Turn]] = {
     "what is answered is not given up": [
         Turn(
             0,
-            words=[Zero("left"), READS],
+            words=[msg.Zero("left"), READS],
             down=[said(LEFT, "Zero", ""), said(LEFT, "ReadParameter", "", "supply")],
         ),
         Turn(
@@ -144,64 +113,68 @@ TALKS: dict[str, list[Turn]] = {
                 said(LEFT, "Done", 0, "Zero", "", ""),
                 said(LEFT, "Parameter", "", 0, "supply", 24.0),
             ],
-            reported=[Done(at(5), "Zero", "left"), Parameter("left", at(5), "supply", 24.0)],
+            reported=[msg.Done(at(5), "Zero", "left"), msg.Parameter("left", at(5), "supply", 24.0)],
         ),
         Turn(6, words=[WRITES], down=[said(LEFT, "WriteParameter", "", "supply", 12.0)]),
         Turn(
             7,
             up=[said(LEFT, "Refused", 0, "WriteParameter", "", "no such parameter")],
-            reported=[Refused(at(7), "WriteParameter", "left", "no such parameter")],
+            reported=[msg.Refused(at(7), "WriteParameter", "left", "no such parameter")],
         ),
-        Turn(210, up=[READY], reported=[State("left", at(210), Mode.READY)]),
+        Turn(210, up=[READY], reported=[msg.State("left", at(210), Mode.READY)]),
     ],
     "an answer to nothing is told": [
-        Turn(0, up=[said(LEFT, "Done", 0, "Zero", "", "")], reported=[Done(at(0), "Zero", "left")]),
+        Turn(0, up=[said(LEFT, "Done", 0, "Zero", "", "")], reported=[msg.Done(at(0), "Zero", "left")]),
         Turn(
             1,
             up=[said(LEFT, "Parameter", "", 0, "supply", 24.0)],
-            reported=[Parameter("left", at(1), "supply", 24.0)],
+            reported=[msg.Parameter("left", at(1), "supply", 24.0)],
         ),
     ],
     "a fault is told once, until it is gone or the line was away": [
-        Turn(0, up=[HOT, HOT], reported=[Fault("left", at(0), 4, "too hot", "", "")]),
-        Turn(1, up=[COLD, HOT], reported=[Fault("left", at(1), 5, "too cold", "", "")]),
-        Turn(2, up=[IN_FAULT, HOT], reported=[State("left", at(2), Mode.FAULT)]),
+        Turn(0, up=[HOT, HOT], reported=[msg.Fault("left", at(0), 4, "too hot", "", "")]),
+        Turn(1, up=[COLD, HOT], reported=[msg.Fault("left", at(1), 5, "too cold", "", "")]),
+        Turn(2, up=[IN_FAULT, HOT], reported=[msg.State("left", at(2), Mode.FAULT)]),
         Turn(
             3,
             up=[READY, HOT],
-            reported=[State("left", at(3), Mode.READY), Fault("left", at(3), 4, "too hot")],
+            reported=[msg.State("left", at(3), Mode.READY), msg.Fault("left", at(3), 4, "too hot")],
         ),
         Turn(4, bus=BusState.FULL, up=[HOT]),
-        Turn(5, bus=BusState.GONE, up=[HOT], reported=[Fault("left", at(5), 4, "too hot")]),
-        Turn(6, bus=BusState.OFF, up=[HOT], reported=[Fault("left", at(6), 4, "too hot")]),
-        Turn(7, bus=BusState.BACK, up=[HOT], reported=[Fault("left", at(7), 4, "too hot")]),
+        Turn(5, bus=BusState.GONE, up=[HOT], reported=[msg.Fault("left", at(5), 4, "too hot")]),
+        Turn(6, bus=BusState.OFF, up=[HOT], reported=[msg.Fault("left", at(6), 4, "too hot")]),
+        Turn(7, bus=BusState.BACK, up=[HOT], reported=[msg.Fault("left", at(7), 4, "too hot")]),
     ],
     "a message begun is lost where the line was away, and not where it was full": [
         Turn(0, up=[PLACE[:9]]),
         Turn(1, bus=BusState.FULL),
-        Turn(2, up=[PLACE[9:]], reported=[Feedback("left", at(2) - 600, 1.5)]),
+        Turn(2, up=[PLACE[9:]], reported=[msg.Feedback("left", at(2) - 600, 1.5)]),
         Turn(3, up=[PLACE[:9]]),
         Turn(4, bus=BusState.BACK),
-        Turn(5, up=[PLACE], reported=[Feedback("left", at(5) - 600, 1.5)]),
+        Turn(5, up=[PLACE], reported=[msg.Feedback("left", at(5) - 600, 1.5)]),
     ],
     "Idle is for the claimed": [
-        Turn(0, words=[Idle("left"), Idle("right")]),
-        Turn(1, words=[Hold("left"), Idle("right")], down=[said(LEFT, "Hold", "")]),
-        Turn(2, words=[Idle("right"), Idle("left")], down=[said(LEFT, "Idle", "")]),
-        Turn(3, words=[Idle("left")], down=[said(LEFT, "Idle", "")]),
-        Turn(4, words=[Zero("right"), Idle("right")], down=[said(RIGHT, "Zero", "")]),
+        Turn(0, words=[msg.Idle("left"), msg.Idle("right")]),
+        Turn(1, words=[msg.Hold("left"), msg.Idle("right")], down=[said(LEFT, "Hold", "")]),
+        Turn(2, words=[msg.Idle("right"), msg.Idle("left")], down=[said(LEFT, "Idle", "")]),
+        Turn(3, words=[msg.Idle("left")], down=[said(LEFT, "Idle", "")]),
+        Turn(4, words=[msg.Zero("right"), msg.Idle("right")], down=[said(RIGHT, "Zero", "")]),
     ],
     "a stop claims all motors, and what is said with it goes out": [
         Turn(
             0,
-            words=[Stop(), Idle("left"), Idle("right")],
+            words=[msg.Stop(), msg.Idle("left"), msg.Idle("right")],
             down=[said(LEFT, "Idle", ""), said(RIGHT, "Idle", "")],
         ),
     ],
     "commands, each to its own": [
         Turn(
             0,
-            words=[Position("left", 1.0, 2.0, 3.0), Velocity("right", -1.0, 0.5), Torque("left", 0.25)],
+            words=[
+                msg.Position("left", 1.0, 2.0, 3.0),
+                msg.Velocity("right", -1.0, 0.5),
+                msg.Torque("left", 0.25),
+            ],
             down=[
                 said(LEFT, "Position", "", 1.0, 2.0, 3.0),
                 said(RIGHT, "Velocity", "", -1.0, 0.5),
@@ -210,35 +183,41 @@ TALKS: dict[str, list[Turn]] = {
         ),
         Turn(
             1,
-            words=[Impedance("right", 1.0, 2.0, 3.0, 4.0, 5.0)],
+            words=[msg.Impedance("right", 1.0, 2.0, 3.0, 4.0, 5.0)],
             down=[said(RIGHT, "Impedance", "", 1.0, 2.0, 3.0, 4.0, 5.0)],
         ),
     ],
     "what is refused leaves no trace, and what follows goes out": [
         Turn(
             0,
-            words=[Velocity("nobody", 1.0), Velocity("lidar", 1.0), Home("left"), Release(), Hold("right")],
+            words=[
+                msg.Velocity("nobody", 1.0),
+                msg.Velocity("lidar", 1.0),
+                msg.Home("left"),
+                msg.Release(),
+                msg.Hold("right"),
+            ],
             down=[said(RIGHT, "Hold", "")],
             reported=[
-                Refused(at(0), "Velocity", "nobody", "no motor 'nobody' on this line"),
-                Refused(at(0), "Velocity", "lidar", "no motor 'lidar' on this line"),
-                Refused(at(0), "Home", "left", "a plain device cannot do that"),
-                Refused(at(0), "Release", "", "a plain device cannot do that"),
+                msg.Refused(at(0), "Velocity", "nobody", "no motor 'nobody' on this line"),
+                msg.Refused(at(0), "Velocity", "lidar", "no motor 'lidar' on this line"),
+                msg.Refused(at(0), "Home", "left", "a plain device cannot do that"),
+                msg.Refused(at(0), "Release", "", "a plain device cannot do that"),
             ],
         ),
         Turn(
             1,
-            words=[Velocity("left", 1e9), SetId("line", 2**70, 1), Idle("left")],
+            words=[msg.Velocity("left", 1e9), msg.SetId("line", 2**70, 1), msg.Idle("left")],
             reported=[
-                Refused(
+                msg.Refused(
                     at(1), "Velocity", "left", "Velocity: velocity 1000000000.0 is not in -100000 … 100000"
                 ),
-                Refused(at(1), "SetId", "line", f"SetId: {2**70} is not an integer of 64 bits"),
+                msg.Refused(at(1), "SetId", "line", f"SetId: {2**70} is not an integer of 64 bits"),
             ],
         ),
     ],
     "a scan tells who is there, and how many": [
-        Turn(0, words=[Scan("line")], down=[said(0, "Scan", "")], due=200),
+        Turn(0, words=[msg.Scan("line")], down=[said(0, "Scan", "")], due=200),
         Turn(
             1,
             up=[
@@ -247,102 +226,108 @@ TALKS: dict[str, list[Turn]] = {
                 said(LIDAR, "Found", 0, "plain", LIDAR, 30, "sensor"),
             ],
             reported=[
-                Found(at(1), "plain", LEFT, 10, "motor"),
-                Found(at(1), "plain", 77, None, "motor"),
-                Found(at(1), "plain", LIDAR, 30, "sensor"),
+                msg.Found(at(1), "plain", LEFT, 10, "motor"),
+                msg.Found(at(1), "plain", 77, None, "motor"),
+                msg.Found(at(1), "plain", LIDAR, 30, "sensor"),
             ],
         ),
         Turn(199.999999, due=200),
-        Turn(200, reported=[Done(at(200), "Scan", "line", "2 found")]),
+        Turn(200, reported=[msg.Done(at(200), "Scan", "line", "2 found")]),
         Turn(201),
-        Turn(202, words=[Scan("line")], down=[said(0, "Scan", "")]),
+        Turn(202, words=[msg.Scan("line")], down=[said(0, "Scan", "")]),
         Turn(
             210,
             up=[said(LEFT, "Found", 0, "plain", LEFT, 11, "motor", False)],
-            reported=[Found(at(210), "plain", LEFT, 11, "motor")],
+            reported=[msg.Found(at(210), "plain", LEFT, 11, "motor")],
         ),
         Turn(
             402,
-            reported=[offline("left", 402), offline("right", 402), Done(at(402), "Scan", "line", "1 found")],
+            reported=[
+                offline("left", 402),
+                offline("right", 402),
+                msg.Done(at(402), "Scan", "line", "1 found"),
+            ],
         ),
     ],
     "an address held twice is told": [
-        Turn(0, words=[Scan("line")], down=[said(0, "Scan", "")]),
+        Turn(0, words=[msg.Scan("line")], down=[said(0, "Scan", "")]),
         Turn(
             1,
             up=[said(9, "Found", 0, "plain", 9, serial, "motor", False) for serial in (5, 6, 6)],
             reported=[
-                Found(at(1), "plain", 9, 5, "motor"),
-                Found(at(1), "plain", 9, 6, "motor; address 9 is also held by 5", duplicate_address=True),
-                Found(at(1), "plain", 9, 6, "motor"),
+                msg.Found(at(1), "plain", 9, 5, "motor"),
+                msg.Found(at(1), "plain", 9, 6, "motor; address 9 is also held by 5", duplicate_address=True),
+                msg.Found(at(1), "plain", 9, 6, "motor"),
             ],
         ),
         Turn(
             2,
-            words=[SetId("line", 5, 9)],
+            words=[msg.SetId("line", 5, 9)],
             up=[said(9, "Found", 0, "plain", 9, 5, "motor", False)],
             down=[said(0, "SetId", "", 5, 9)],
             reported=[
-                Found(at(2), "plain", 9, 5, "motor; address 9 is also held by 6", duplicate_address=True)
+                msg.Found(at(2), "plain", 9, 5, "motor; address 9 is also held by 6", duplicate_address=True)
             ],
         ),
         Turn(
             3,
             up=[said(9, "Found", 0, "plain", 9, 7, "motor", False)],
             reported=[
-                Found(at(3), "plain", 9, 7, "motor; address 9 is also held by 5", duplicate_address=True)
+                msg.Found(at(3), "plain", 9, 7, "motor; address 9 is also held by 5", duplicate_address=True)
             ],
         ),
     ],
     "an address is set, by serial number, once": [
-        Turn(0, words=[SetId("line", 20, 9)], down=[said(0, "SetId", "", 20, 9)], due=200),
+        Turn(0, words=[msg.SetId("line", 20, 9)], down=[said(0, "SetId", "", 20, 9)], due=200),
         Turn(
             1,
             up=[
                 said(9, "Found", 0, "plain", 9, 21, "motor", False),
                 said(8, "Found", 0, "plain", 8, 20, "motor", False),
             ],
-            reported=[Found(at(1), "plain", 9, 21, "motor"), Found(at(1), "plain", 8, 20, "motor")],
+            reported=[msg.Found(at(1), "plain", 9, 21, "motor"), msg.Found(at(1), "plain", 8, 20, "motor")],
         ),
-        Turn(2, words=[SetId("other", 21, 10)], down=[said(0, "SetId", "", 21, 10)]),
+        Turn(2, words=[msg.SetId("other", 21, 10)], down=[said(0, "SetId", "", 21, 10)]),
         Turn(
             3,
             up=[said(10, "Found", 400, "plain", 10, 21, "sensor", False)],
             reported=[
-                Found(at(3) - 400, "plain", 10, 21, "sensor"),
-                Done(at(3) - 400, "SetId", "other", "21 is now at 10"),
+                msg.Found(at(3) - 400, "plain", 10, 21, "sensor"),
+                msg.Done(at(3) - 400, "SetId", "other", "21 is now at 10"),
             ],
         ),
-        Turn(200, reported=[Refused(at(200), "SetId", "line", "no device has serial number 20")]),
+        Turn(200, reported=[msg.Refused(at(200), "SetId", "line", "no device has serial number 20")]),
         Turn(202),
     ],
     "of two alike one is answered by one": [
-        Turn(0, words=[SetId("one", 5, 9), SetId("two", 5, 9)], down=[said(0, "SetId", "", 5, 9)] * 2),
+        Turn(
+            0, words=[msg.SetId("one", 5, 9), msg.SetId("two", 5, 9)], down=[said(0, "SetId", "", 5, 9)] * 2
+        ),
         Turn(
             1,
             up=[said(9, "Found", 0, "plain", 9, 5, "", False)],
-            reported=[Found(at(1), "plain", 9, 5), Done(at(1), "SetId", "one", "5 is now at 9")],
+            reported=[msg.Found(at(1), "plain", 9, 5), msg.Done(at(1), "SetId", "one", "5 is now at 9")],
         ),
         Turn(
             200,
-            reported=[Refused(at(200), "SetId", "two", "no device has serial number 5")],
+            reported=[msg.Refused(at(200), "SetId", "two", "no device has serial number 5")],
         ),
     ],
     "measurements of a sensor": [
         Turn(
             0,
             up=[said(LIDAR, "Imu", "", 1000, [1.0, 2.0, 3.0], [0.0, 0.0, 9.81], None)],
-            reported=[Imu("lidar", at(0) - 1000, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))],
+            reported=[msg.Imu("lidar", at(0) - 1000, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))],
         ),
         Turn(
             1,
             up=[said(LIDAR, "LaserScan", "", 0, 0.0, 0.5, 0.1, 10.0, ranges(1.0, 0.0, 2.0))],
-            reported=[LaserScan("lidar", at(1), 0.0, 0.5, 0.1, 10.0, (1.0, 0.0, 2.0))],
+            reported=[msg.LaserScan("lidar", at(1), 0.0, 0.5, 0.1, 10.0, (1.0, 0.0, 2.0))],
         ),
         Turn(
             2,
             up=[said(LIDAR, "Fix", "", 0, 48.0, 11.0, None, 4.0)],
-            reported=[Fix("lidar", at(2), 48.0, 11.0, None, 4.0)],
+            reported=[msg.Fix("lidar", at(2), 48.0, 11.0, None, 4.0)],
         ),
     ],
 }
@@ -403,17 +388,17 @@ def test_how_a_vector_is_counted(frame: Frame, counters: tuple[int, int, int]) -
 
 # What stands on the line, and what the devices would obey of it.
 HEARD: dict[str, tuple[Frame, list[Command | Request]]] = {
-    "a command": (said(LEFT, "Velocity", "", 1.0, 0.5), [Velocity("left", 1.0, 0.5)]),
-    "a request": (said(RIGHT, "Zero", ""), [Zero("right")]),
+    "a command": (said(LEFT, "Velocity", "", 1.0, 0.5), [msg.Velocity("left", 1.0, 0.5)]),
+    "a request": (said(RIGHT, "Zero", ""), [msg.Zero("right")]),
     "two at once": (
         said(RIGHT, "Idle", "") + said(LEFT, "Estop", ""),
-        [Idle("right"), Estop("left")],
+        [msg.Idle("right"), msg.Estop("left")],
     ),
     "to a sensor": (said(LIDAR, "Idle", ""), []),
     "to a stranger": (said(77, "Idle", ""), []),
     "a command to everyone": (said(0, "Idle", ""), []),
-    "a scan": (said(0, "Scan", ""), [Scan("")]),
-    "an address to be set": (said(0, "SetId", "", 20, 9), [SetId("", 20, 9)]),
+    "a scan": (said(0, "Scan", ""), [msg.Scan("")]),
+    "an address to be set": (said(0, "SetId", "", 20, 9), [msg.SetId("", 20, 9)]),
     "a scan of one": (said(LEFT, "Scan", ""), []),
     "an address set by one": (said(LEFT, "SetId", "", 20, 9), []),
     "what a motor says": (PLACE, []),
@@ -431,5 +416,5 @@ def test_what_the_ear_makes_of_a_vector(frame: Frame, words: list[Command | Requ
 def test_the_ear_follows_a_device_to_its_new_address_as_vectors_show() -> None:
     decoder = PlainDecoder(devices())
     decoder.follow(Device("left", 9, Options("motor"), Settings(serial=1)))
-    assert decoder.decode(T, said(LEFT, "Idle", "") + said(RIGHT, "Idle", "")) == [Idle("right")]
-    assert decoder.decode(T, said(9, "Idle", "")) == [Idle("left")]
+    assert decoder.decode(T, said(LEFT, "Idle", "") + said(RIGHT, "Idle", "")) == [msg.Idle("right")]
+    assert decoder.decode(T, said(9, "Idle", "")) == [msg.Idle("left")]
