@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 from typing import TypeAlias
 
+from gateway.errors import UserError
+
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 -- it has no public name
 
 DESCRIPTION = "One brain, any body, over real wires."
@@ -40,7 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     }[options.command]
     try:
         return command(options)
-    except commands.UserError as sentence:
+    except UserError as sentence:
         print(f"gateway {options.command}: {sentence}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output has gone: not our mistake, nothing to say to it

@@ -30,7 +30,3 @@ class Bus(Protocol):
     def close(self) -> None:
         """Give the wire back."""
         ...
-
-
-class BusError(Exception):
-    """A bus cannot be opened: a sentence that says which, what there is, and what would make it work."""

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import can
 
-from gateway.buses import Bus, BusError
+from gateway.buses import Bus
 from gateway.buses.can_errors import CanError, state_of
 from gateway.buses.can_open import open_interface
 from gateway.buses.socketcan.bus import open_socketcan
@@ -24,6 +24,7 @@ from gateway.buses.stamps import Stamps
 from gateway.buses.states import Outbox, States
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import SECOND, Nanos
 

@@ -11,12 +11,12 @@ from typing import Any
 import can
 from can.typechecking import CanFilter
 
-from gateway.buses import BusError
 from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
 from gateway.buses.adapters.slcan_client import SlcanInterface
 from gateway.buses.socketcan.link import Link
 from gateway.config.errors import unknown
 from gateway.core.robot import TWIN, BusSettings
+from gateway.errors import BusError
 
 NET = Path("/sys/class/net")
 ARPHRD_CAN = "280"

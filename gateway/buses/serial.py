@@ -17,9 +17,9 @@ from collections.abc import Sequence
 import serial
 from serial.tools.list_ports import comports
 
-from gateway.buses import BusError
 from gateway.core.clock import Clock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
 from protocols.messages import SECOND, Nanos
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from brain.belief import BrainState
+from gateway.errors import BagError, BusError, ConfigError, OperatorError, RecordingError, UserError
 from gateway.operator.status import status_text
 from protocols.messages import MILLISECOND, SECOND, Asked, Goal, Nanos
 
@@ -29,23 +30,13 @@ PATIENCE: Nanos = 240 * SECOND
 """How long the demo waits for one goal, in the robot's time."""
 
 
-class UserError(Exception):
-    """Something a person can mend, in words."""
-
-
 @contextmanager
 def _sentences() -> Iterator[None]:
     """Complaints about files, buses and recordings become a sentence; anything else is our mistake."""
-    from gateway.buses import BusError
-    from gateway.config.errors import ConfigError
-    from gateway.config.resources import NotFound
-    from gateway.operator import OperatorError
-    from gateway.recording import RecordingError
-    from gateway.rosbag import BagError
 
     try:
         yield
-    except (BagError, BusError, ConfigError, NotFound, OperatorError, RecordingError) as error:
+    except (BagError, BusError, ConfigError, UserError, OperatorError, RecordingError) as error:
         text = str(error)
         raise UserError(f"\n{text}" if "\n" in text else text) from error
 
@@ -280,24 +271,22 @@ def recover(options: Namespace) -> int:
 def watch(options: Namespace) -> int:
     """Listen to buses or to a recording, and say what is heard."""
     from gateway.cli.watch import watch as listen
-    from gateway.monitor.sources import WatchError
 
     with _sentences():
         try:
             return listen(options)
-        except WatchError as error:
+        except UserError as error:
             raise UserError(str(error)) from error
 
 
 def jog(options: Namespace) -> int:
     """Turn one motor from the keyboard."""
-    from gateway.cli.jog import JogError
     from gateway.cli.jog import jog as turn
 
     with _sentences():
         try:
             return turn(options)
-        except JogError as error:
+        except UserError as error:
             raise UserError(str(error)) from error
 
 
@@ -349,7 +338,7 @@ def _new_protocol(options: Namespace) -> int:
 
     try:
         made = scaffold.new(options.name, options.bus, options.into)
-    except scaffold.ScaffoldError as error:
+    except UserError as error:
         raise UserError(str(error)) from error
     print(scaffold.next_steps(made))
     return 0

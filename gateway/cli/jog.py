@@ -25,6 +25,7 @@ from gateway.config.errors import unknown
 from gateway.core.clock import WallClock
 from gateway.core.joint import Joint
 from gateway.core.robot import Robot
+from gateway.errors import UserError
 from gateway.monitor.render import QUANTITIES, age, fault
 from gateway.runtime.session import Session, session
 from protocols.messages import MILLISECOND, Asked, ClearFault, Idle, Nanos, Velocity
@@ -36,16 +37,12 @@ SHARE = 0.05
 REFRESH: Nanos = 100 * MILLISECOND
 
 
-class JogError(Exception):
-    """This cannot be jogged, or not from here: a sentence."""
-
-
 def jog(options: Namespace) -> int:
     """Jog a motor from the keyboard until told to leave."""
     robot = config.load(resources.find("robots", options.robot))
     robot = alone(config.with_interfaces(robot, dict(options.bus)), options.motor, options.speed)
     if not sys.stdin.isatty():
-        raise JogError("the motor turns as long as a key is held: this needs a terminal as standard input")
+        raise UserError("the motor turns as long as a key is held: this needs a terminal as standard input")
     terminal = sys.stdin.fileno()
     with session(robot, WallClock()) as made:
         line = Line(sys.stdout)
@@ -60,16 +57,16 @@ def jog(options: Namespace) -> int:
 def alone(robot: Robot, motor: str, speed: float | None = None) -> Robot:
     """The robot reduced to one motor, whose joint goes no faster than `speed` [rad/s].
 
-    Raises JogError for a motor that it does not have or that takes no velocity, and for too high a speed."""
+    Raises UserError for a motor that it does not have or that takes no velocity, and for too high a speed."""
     if motor not in robot.motors:
-        raise JogError(unknown("motor", motor, robot.motors))
+        raise UserError(unknown("motor", motor, robot.motors))
     part = robot.motors[motor]
     if Velocity not in part.spec.commands:
-        raise JogError(f"{motor} takes no velocity ({part.plugin.name}): it cannot be jogged")
+        raise UserError(f"{motor} takes no velocity ({part.plugin.name}): it cannot be jogged")
     limits = part.joint.limits
     speed = SHARE * limits.velocity if speed is None else speed
     if speed > limits.velocity:
-        raise JogError(f"--speed {speed:g}: the limit of {motor} is {limits.velocity:g} rad/s")
+        raise UserError(f"--speed {speed:g}: the limit of {motor} is {limits.velocity:g} rad/s")
     joint = replace(part.joint, limits=replace(limits, velocity=speed))
     return replace(
         robot,

@@ -16,6 +16,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+from gateway.errors import UserError
 from protocols import plugin
 
 Bus: TypeAlias = Literal["can", "canfd", "serial"]
@@ -37,10 +38,6 @@ OTHERS = ("protocols", "brain", "gateway", "fixtures", "tests", "test", "plugin"
 """Names that a package of the gateway's, or of everybody's, has already."""
 
 
-class ScaffoldError(Exception):
-    """A plugin of this name cannot be written there: a sentence."""
-
-
 @dataclass(frozen=True, slots=True)
 class Scaffold:
     """What was written."""
@@ -51,15 +48,13 @@ class Scaffold:
 
 
 def new(name: str, bus: Bus, into: Path) -> Scaffold:
-    """Write the folder `into/name`. Raises ScaffoldError if it must not be, or cannot be, written."""
+    """Write the folder `into/name`. Raises UserError if it must not be, or cannot be, written."""
     check_name(name)
     folder = into / name
     if not into.is_dir():
-        raise ScaffoldError(f"{into} is not a folder; make it first, or say another one with --into")
+        raise UserError(f"{into} is not a folder; make it first, or say another one with --into")
     if folder.exists() or folder.is_symlink():
-        raise ScaffoldError(
-            f"{folder} is there already: nothing was written; remove it, or take another name"
-        )
+        raise UserError(f"{folder} is there already: nothing was written; remove it, or take another name")
     texts = contents(name, bus)
     try:
         for path, text in texts.items():
@@ -67,23 +62,23 @@ def new(name: str, bus: Bus, into: Path) -> Scaffold:
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ScaffoldError(f"{folder} cannot be written: {error}") from error
+        raise UserError(f"{folder} cannot be written: {error}") from error
     return Scaffold(name, folder, tuple(folder / path for path in texts))
 
 
 def check_name(name: str) -> None:
-    """A name that can be a package, an entry point and a word in a robot file. Raises ScaffoldError."""
+    """A name that can be a package, an entry point and a word in a robot file. Raises UserError."""
     if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or len(name) > 40:
         hint = (
             re.sub(r"_+", "_", re.sub(r"[^a-z0-9]+", "_", name.lower())).strip("_0123456789")[:40].strip("_")
         )
         near = f", such as {hint!r}" if hint and hint != name and not _taken(hint) else ""
-        raise ScaffoldError(
+        raise UserError(
             f"{name!r} is no name for a plugin: lower-case letters, digits and single underscores, beginning "
             f"with a letter, 40 at most{near}"
         )
     if taken := _taken(name):
-        raise ScaffoldError(f"{name!r} {taken}; take another name, such as {name + '_motor'!r}")
+        raise UserError(f"{name!r} {taken}; take another name, such as {name + '_motor'!r}")
 
 
 def _taken(name: str) -> str:

@@ -18,10 +18,11 @@ from gateway import config
 from gateway.cli.terminal.screen import Screen
 from gateway.core.clock import WallClock
 from gateway.core.tick import Tick
+from gateway.errors import UserError
 from gateway.monitor import render
 from gateway.monitor.candidates import of_robot
 from gateway.monitor.decoder import Listener
-from gateway.monitor.sources import WatchError, Watching, open_all
+from gateway.monitor.sources import Watching, open_all
 from gateway.monitor.state import Heard
 from gateway.replay.diff import say
 from gateway.runtime import loop
@@ -137,7 +138,7 @@ def _recording(path: Path, *, lines: bool, seconds: float | None) -> int:
         if lines and (reported := tick_lines(tick, received)):
             print("\n".join(reported))
     if listener is None:
-        raise WatchError(f"{path}: there is no tick in it")
+        raise UserError(f"{path}: there is no tick in it")
     if not lines:
         cut = "" if recording.whole else ", cut short"
         print(

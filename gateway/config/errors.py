@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import date, datetime, time
 from typing import TypeAlias
+
+from gateway.errors import ConfigError
 
 Key: TypeAlias = tuple[str, ...]
 """A key of the robot file, part by part: ("motors", "left", "gear")."""
@@ -32,14 +34,6 @@ class Mistake:
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}" if self.line else self.file
         return f"{place}: {self.key}: {self.text}" if self.key else f"{place}: {self.text}"
-
-
-class ConfigError(ValueError):
-    """The robot file is wrong. `str` has one line for each mistake, in the order of the file."""
-
-    def __init__(self, mistakes: Sequence[Mistake]) -> None:
-        self.mistakes = tuple(mistakes)
-        super().__init__("\n".join(str(mistake) for mistake in self.mistakes))
 
 
 class Mistakes:

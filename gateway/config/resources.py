@@ -7,23 +7,21 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
-
-class NotFound(LookupError):
-    """Neither a file nor the name of something that ships with the gateway."""
+from gateway.errors import UserError
 
 
 def find(kind: Literal["robots", "worlds"], name: str) -> Path:
-    """The file of that path, or the shipped one of that name. Raises NotFound with what there is."""
+    """The file of that path, or the shipped one of that name. Raises UserError with what there is."""
     path = Path(name)
     if path.suffix == ".toml" or "/" in name:
         if path.is_file():
             return path
-        raise NotFound(f"there is no file {name}")
+        raise UserError(f"there is no file {name}")
     shipped = {p.stem: p for p in sorted(Path(str(files("gateway.fixtures") / kind)).glob("*.toml"))}
     if name in shipped:
         return shipped[name]
     near = difflib.get_close_matches(name, shipped, 1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise NotFound(
+    raise UserError(
         f"{name!r} is neither a .toml file nor one of the shipped {kind}: {', '.join(shipped)}{hint}"
     )

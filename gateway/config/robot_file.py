@@ -29,18 +29,18 @@ from pathlib import Path
 from brain.settings import BrainSettings
 from gateway.config import resources, validate
 from gateway.config.describe import describe
-from gateway.config.errors import ConfigError, Mistakes, shown, unknown
+from gateway.config.errors import Mistakes, shown, unknown
 from gateway.config.schema import build, positive
 from gateway.config.sections import Find, Table, check_interface, only_own, read_bus, read_motor, read_sensor
 from gateway.config.validate import cautions, check_bag
 from gateway.core.robot import BagTopics, BusSettings, Motor, Robot, Sensor
+from gateway.errors import UserError
 from protocols import plugin
 from protocols.messages import SECOND
 from protocols.plugin import Device, Plugin
 
 __all__ = [
     "BusSettings",
-    "ConfigError",
     "Motor",
     "Robot",
     "Sensor",
@@ -204,5 +204,5 @@ def _check_world(world: object, mistakes: Mistakes) -> None:
     if isinstance(world, str):
         try:
             resources.find("worlds", world)
-        except resources.NotFound as error:
+        except UserError as error:
             mistakes.add(("world",), str(error))

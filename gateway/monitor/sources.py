@@ -15,10 +15,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from gateway import config
-from gateway.buses import Bus, BusError
+from gateway.buses import Bus
 from gateway.config import resources
 from gateway.core.clock import Clock
 from gateway.core.robot import TWIN, BusSettings
+from gateway.errors import BusError, UserError
 from gateway.monitor.candidates import Tongue, anybody, of_robot
 from gateway.monitor.decoder import Listener
 from protocols.frames import BusState, Packet
@@ -33,10 +34,6 @@ BITRATE = 1_000_000
 """bit/s of a CAN bus of which neither the command line nor the kernel says it."""
 FD_MTU = 72
 """Of a SocketCAN interface that takes CAN FD frames."""
-
-
-class WatchError(Exception):
-    """There is nothing that could be watched: a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +69,7 @@ class _Wanted:
 
 
 def open_all(options: Namespace, clock: Clock, stack: ExitStack) -> Watching:
-    """Open what can be opened. Raises WatchError if there is nothing, with every reason."""
+    """Open what can be opened. Raises UserError if there is nothing, with every reason."""
     wanted = _wanted(options)
     sources: dict[str, Source] = {}
     for name, settings in wanted.buses.items():
@@ -85,7 +82,7 @@ def open_all(options: Namespace, clock: Clock, stack: ExitStack) -> Watching:
             continue
         stack.callback(sources[name].close)
     if not sources:
-        raise WatchError("\n".join(wanted.left_out.values()) or "there is nothing to listen to")
+        raise UserError("\n".join(wanted.left_out.values()) or "there is nothing to listen to")
     for reason in wanted.left_out.values():
         print(f"left out: {reason}", file=sys.stderr)
     tongues = wanted.tongues({name: wanted.buses[name] for name in sources})
@@ -141,7 +138,7 @@ def _machine(options: Namespace) -> _Wanted:
 
     names = can_interfaces()
     if not names:
-        raise WatchError(
+        raise UserError(
             "this machine has no CAN interface; say what to watch: a robot file, a recording, or "
             "INTERFACE:CHANNEL such as socketcan:can0, slcan:/dev/ttyACM0, serial:/dev/ttyUSB0"
         )
@@ -151,7 +148,7 @@ def _machine(options: Namespace) -> _Wanted:
 def _bare(interfaces: Sequence[str], options: Namespace) -> _Wanted:
     """Interfaces of which no robot file says who is on them."""
     if options.bus:
-        raise WatchError("--bus is about the buses of a robot file; here the interface itself is named")
+        raise UserError("--bus is about the buses of a robot file; here the interface itself is named")
     plugins, broken = load_all()
     for bad in broken:
         print(f"left out: {bad.name} of {bad.distribution} is broken: {bad.reason}", file=sys.stderr)

@@ -24,6 +24,7 @@ from pathlib import Path
 from types import TracebackType
 
 from gateway.core.robot import Robot
+from gateway.errors import OperatorError
 from gateway.operator.commands import Mistake, Query, help_text, parse
 from gateway.operator.lines import Lines
 from protocols.messages import Asked
@@ -35,10 +36,6 @@ MOST_UNSENT = 65536
 MOST_CLIENTS = 16
 MOST_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
-
-
-class OperatorError(Exception):
-    """The socket cannot be made or reached: a sentence."""
 
 
 @dataclass(slots=True)

@@ -11,8 +11,7 @@ tick its views. A message's log time is the tick's `now`, its publish time the s
 sequence the number of the tick. Chunks are lz4; all can be read with `rosbags` as a bare .mcap.
 """
 
-from gateway.recording.layout import RecordingError
 from gateway.recording.reader import Recording, Step, read
 from gateway.recording.writer import Recorder
 
-__all__ = ["Recorder", "Recording", "RecordingError", "Step", "read"]
+__all__ = ["Recorder", "Recording", "Step", "read"]

@@ -13,10 +13,6 @@ METADATA = "motor_gateway"
 FACTS = "facts"
 
 
-class RecordingError(Exception):
-    """This file cannot be written, or is no recording that this program can read. A sentence."""
-
-
 def digest(data: bytes) -> str:
     """Of the robot file, as the metadata have it."""
     return blake2b(data, digest_size=16).hexdigest()

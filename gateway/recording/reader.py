@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from gateway.core.tick import Tick
+from gateway.errors import RecordingError
 from gateway.recording import opcode, tick_codec
-from gateway.recording.layout import FACTS, FORMAT, MAGIC, METADATA, ROBOT_FILE, RecordingError, digest
+from gateway.recording.layout import FACTS, FORMAT, MAGIC, METADATA, ROBOT_FILE, digest
 from gateway.recording.mcap_records import MESSAGE_HEAD, Damage, Record, records
 from gateway.recording.ros_views import View
 from gateway.recording.tick_codec import JournalError

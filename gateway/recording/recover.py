@@ -14,8 +14,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gateway.errors import RecordingError
 from gateway.recording import opcode, tick_codec
-from gateway.recording.layout import MAGIC, RecordingError
+from gateway.recording.layout import MAGIC
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.mcap_records import MESSAGE_HEAD, Damage, Record, records
 from gateway.recording.reader import has_end, head, parse, read

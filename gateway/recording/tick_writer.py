@@ -14,8 +14,9 @@ from pathlib import Path
 
 from brain.belief import Belief
 from gateway.core.tick import Tick
+from gateway.errors import RecordingError
 from gateway.recording import tick_codec
-from gateway.recording.layout import FACTS, FORMAT, METADATA, ROBOT_FILE, RecordingError, digest
+from gateway.recording.layout import FACTS, FORMAT, METADATA, ROBOT_FILE, digest
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.ros_views import Views
 from protocols.messages import MILLISECOND, SECOND, Nanos

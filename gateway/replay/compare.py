@@ -18,7 +18,8 @@ from typing import Literal, TypeAlias
 from brain.belief import Belief
 from brain.perception.mount import Mount
 from gateway.core.tick import Inputs, Note, Outputs, Tick
-from gateway.recording import Recording, RecordingError, Step
+from gateway.errors import RecordingError
+from gateway.recording import Recording, Step
 from gateway.recording.environment import PROGRAM
 from gateway.recording.ros_messages import CAN_FRAME, FD_FRAME
 from gateway.recording.ros_views import View, Views

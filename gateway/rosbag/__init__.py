@@ -10,6 +10,6 @@ measured. A bag that cannot be read is a `BagError`, whatever is wrong with it.
 """
 
 from gateway.rosbag.bag import Bag, Topic, read
-from gateway.rosbag.file import BagError, is_foreign
+from gateway.rosbag.file import is_foreign
 
-__all__ = ["Bag", "BagError", "Topic", "is_foreign", "read"]
+__all__ = ["Bag", "Topic", "is_foreign", "read"]

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from brain.belief import Pose
 from brain.bodies.differential import Differential
 from gateway.core.robot import BagTopics
+from gateway.errors import BagError
 from gateway.rosbag.convert import TYPES, Report, Said, understood
-from gateway.rosbag.file import BagError, opened
+from gateway.rosbag.file import opened
 from protocols.messages import Event, Feedback, Fix, Imu, Nanos, seconds
 
 if TYPE_CHECKING:

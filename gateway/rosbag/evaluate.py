@@ -22,7 +22,8 @@ from brain.bodies.differential import Differential, arc
 from brain.perception.consistency import Nis
 from brain.perception.perception import Perception
 from gateway.core.robot import Robot
-from gateway.rosbag import Bag, BagError, Topic, read
+from gateway.errors import BagError
+from gateway.rosbag import Bag, Topic, read
 from gateway.rosbag.trajectory_error import FEWEST, PathError, east_north, path_error, spread
 from protocols.messages import MILLISECOND, Event, Fix, Nanos, seconds
 

@@ -14,16 +14,13 @@ from pathlib import Path
 from traceback import extract_tb
 from typing import TYPE_CHECKING
 
+from gateway.errors import BagError
 from gateway.recording.layout import MAGIC, METADATA
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 ROS1 = b"#ROSBAG"
-
-
-class BagError(Exception):
-    """This bag cannot be read, or not on this robot. A sentence, or one line for each thing wrong."""
 
 
 def is_foreign(path: Path) -> bool:

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway import config
-from gateway.buses import BusError
 from gateway.config import resources
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import TWIN, BusSettings, Robot
+from gateway.errors import BusError
 from gateway.runtime import loop
 from gateway.runtime.device_log import DeviceLog
 from protocols.frames import BusState

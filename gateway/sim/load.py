@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from gateway.config.errors import ConfigError, Mistake, Mistakes, shown, unknown
+from gateway.config.errors import Mistake, Mistakes, shown, unknown
 from gateway.config.schema import build
+from gateway.errors import ConfigError
 from gateway.sim.files import BenchFile, SceneFile, WorldFile
 
 

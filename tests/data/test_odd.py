@@ -13,7 +13,8 @@ import pytest
 
 from gateway.__main__ import main
 from gateway.core.robot import BagTopics
-from gateway.rosbag import BagError, is_foreign, read
+from gateway.errors import BagError
+from gateway.rosbag import is_foreign, read
 from gateway.rosbag.evaluate import judge
 from tests.gateway.bag_helpers import ROBOT, rover
 

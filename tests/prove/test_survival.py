@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.recording import RecordingError
+from gateway.errors import RecordingError
 from gateway.recording.recover import salvage
 from tests.gateway import kills, little
 from tests.gateway.kills import Outcome, raw_ticks

@@ -14,7 +14,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from types import TracebackType
 
-from gateway.operator import OperatorError, ask
+from gateway.errors import OperatorError
+from gateway.operator import ask
 
 PATIENCE = 12.0
 """s of the clock that the processes live by."""

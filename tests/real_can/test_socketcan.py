@@ -9,13 +9,14 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from gateway.buses import Bus, BusError
+from gateway.buses import Bus
 from gateway.buses.can import open_can
 from gateway.buses.socketcan.bus import OFTEN, PATIENCE, SocketcanBus
 from gateway.buses.socketcan.link import Device
 from gateway.buses.states import CALM
 from gateway.core.clock import WallClock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
 from tests.real_can.conftest import ip

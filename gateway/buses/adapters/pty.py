@@ -16,9 +16,9 @@ import tty
 from collections import deque
 from collections.abc import Sequence
 
-from gateway.buses import BusError
 from gateway.core.clock import Clock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
 from protocols.messages import Nanos
 

@@ -23,7 +23,6 @@ from typing import Protocol
 
 from can.interfaces.socketcan import SocketcanBus as PythonCan
 
-from gateway.buses import BusError
 from gateway.buses.can_errors import CanError, kinds, sentence, state_of
 from gateway.buses.can_open import check_fit, open_interface
 from gateway.buses.socketcan.link import Device, Link, Standing
@@ -32,6 +31,7 @@ from gateway.buses.stamps import Stamps
 from gateway.buses.states import Outbox, States
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import can
 import pytest
 
-from gateway.buses import Bus, BusError
+from gateway.buses import Bus
 from gateway.buses.can import MOST_READ, CanBus, open_can
 from gateway.buses.can_open import can_interfaces, missing
 from gateway.buses.serial import MOST_WAITING as MOST_BYTES
@@ -21,6 +21,7 @@ from gateway.buses.serial import SerialBus, open_serial
 from gateway.buses.states import CALM, MOST_WAITING
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from moteus import fdcanusb_device as vendor
 from moteus.transport_device import Frame
 
-from gateway.buses import Bus, BusError
+from gateway.buses import Bus
 from gateway.buses.adapters import fdcanusb_client
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.fdcanusb import (
@@ -32,6 +32,7 @@ from gateway.buses.can import CanBus, open_can
 from gateway.buses.lengths import LENGTHS
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND
 

@@ -8,8 +8,8 @@ import pytest
 
 from gateway import config
 from gateway.config import resources
-from gateway.config.errors import ConfigError
 from gateway.core.robot import Robot
+from gateway.errors import ConfigError
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Event, Scan
 from protocols.plugin import Device, Plugin

@@ -13,6 +13,7 @@ from gateway import config
 from gateway.__main__ import main
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Outputs
+from gateway.errors import ConfigError
 from gateway.recording import read
 from gateway.replay.compare import compare
 from protocols.frames import BusState, CanFrame
@@ -165,14 +166,14 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     ],
 )
 def test_ids_that_clash_are_told(change: tuple[str, str], said: str) -> None:
-    with pytest.raises(config.ConfigError) as raised:
+    with pytest.raises(ConfigError) as raised:
         config.loads(MIXED.replace(*change))
     assert any(re.search(said, str(mistake)) for mistake in raised.value.mistakes), str(raised.value)
 
 
 def test_all_clashes_are_told_at_once() -> None:
     text = MIXED.replace("can_prefix = 1", "can_prefix = 0").replace("address = 3", "address = 4")
-    with pytest.raises(config.ConfigError) as raised:
+    with pytest.raises(ConfigError) as raised:
         config.loads(text)
     assert len(raised.value.mistakes) == 2
 

@@ -23,6 +23,7 @@ from gateway.buses.can import open_can
 from gateway.buses.lengths import LENGTHS
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND
 
@@ -464,7 +465,6 @@ def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterP
 
 
 def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
-    from gateway.buses import BusError
 
     with closing(AdapterPty(FD, SimulatedClock())) as adapters:
         path = adapters.paths[0]
@@ -480,7 +480,6 @@ def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
 
 
 def test_our_own_end_tells_a_vanished_adapter_and_one_that_is_taken() -> None:
-    from gateway.buses import BusError
 
     adapters = AdapterPty(CLASSIC, SimulatedClock())
     settings = BusSettings("can0", "can", f"slcan:{adapters.paths[0]}", RATE)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from gateway.buses import BusError
 from gateway.buses.can_open import check_fit, filters
 from gateway.buses.socketcan import bus as socketcan
 from gateway.buses.socketcan.bus import MOST_READ, OFTEN, PATIENCE, SELDOM, SocketcanBus
@@ -22,6 +21,7 @@ from gateway.buses.socketcan.link import Link, Standing
 from gateway.buses.states import CALM
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
+from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND
 

@@ -17,7 +17,7 @@ import pytest
 
 from gateway import config
 from gateway.cli import scaffold
-from gateway.config import ConfigError
+from gateway.errors import ConfigError
 from protocols.messages import Idle, Velocity
 from protocols.plugin import load, load_all
 from tests.distributions import ROOT, Site

@@ -21,13 +21,14 @@ import pytest
 from gateway import config
 from gateway.__main__ import main
 from gateway.buses.virtual.bus import open_world
-from gateway.cli.jog import SHARE, Hand, JogError, above, alone, drive, log, status
+from gateway.cli.jog import SHARE, Hand, above, alone, drive, log, status
 from gateway.cli.terminal.keys import AGAIN, CREEP, FIRST, KEYS, Held, Key, parse, press, raw, read, share
 from gateway.cli.terminal.screen import Line
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
+from gateway.errors import UserError
 from gateway.runtime.loop import LoopStats, signals
 from gateway.runtime.session import Session
 from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Nanos, Velocity
@@ -173,13 +174,13 @@ def test_the_robot_is_reduced_to_one_slow_motor() -> None:
 
 def test_what_cannot_be_jogged_is_said() -> None:
     robot = config.loads(BENCH)
-    with pytest.raises(JogError, match="did you mean 'left'"):
+    with pytest.raises(UserError, match="did you mean 'left'"):
         alone(robot, "leftt")
-    with pytest.raises(JogError, match="the limit of left is 20 rad/s"):
+    with pytest.raises(UserError, match="the limit of left is 20 rad/s"):
         alone(robot, "left", 20.1)
     left = robot.motors["left"]
     deaf = replace(left, spec=replace(left.spec, commands=left.spec.commands - {Velocity}))
-    with pytest.raises(JogError, match="takes no velocity"):
+    with pytest.raises(UserError, match="takes no velocity"):
         alone(replace(robot, motors={"left": deaf}), "left")
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from gateway.cli.listing import LABEL, WIDTH, listing
 from protocols.plugin import Device, Plugin, Spec, load, load_all
 
-LABELS = ["devices", "bus", "commands", "feedback", "watchdog", "trust", "mutants"]
+LABELS = ["devices", "bus", "commands", "feedback", "watchdog", "trust"]
 
 
 def blocks(*plugins: Plugin) -> dict[str, dict[str, str]]:

@@ -14,7 +14,8 @@ import pytest
 
 from gateway.__main__ import main
 from gateway.cli import scaffold, templates
-from gateway.cli.scaffold import BUSES, Bus, ScaffoldError
+from gateway.cli.scaffold import BUSES, Bus
+from gateway.errors import UserError
 from protocols.conformance import CLAUSES, Result, check, table
 from protocols.plugin import Broken, load
 from tests.distributions import Site
@@ -141,7 +142,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("name", "said"), REFUSED, ids=[name or "empty" for name, _ in REFUSED])
 def test_a_bad_name_is_refused_with_a_sentence(tmp_path: Path, name: str, said: str) -> None:
-    with pytest.raises(ScaffoldError, match=re.escape(said)):
+    with pytest.raises(UserError, match=re.escape(said)):
         scaffold.new(name, "can", tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -149,18 +150,18 @@ def test_a_bad_name_is_refused_with_a_sentence(tmp_path: Path, name: str, said: 
 def test_what_is_there_is_not_overwritten(tmp_path: Path) -> None:
     scaffold.new("a1_motor", "can", tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    with pytest.raises(ScaffoldError, match="is there already: nothing was written"):
+    with pytest.raises(UserError, match="is there already: nothing was written"):
         scaffold.new("a1_motor", "serial", tmp_path)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     (tmp_path / "a1_link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(ScaffoldError, match="is there already"):
+    with pytest.raises(UserError, match="is there already"):
         scaffold.new("a1_link", "can", tmp_path)
 
 
 def test_where_it_cannot_be_written_it_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ScaffoldError, match="is not a folder"):
+    with pytest.raises(UserError, match="is not a folder"):
         scaffold.new("a1_motor", "can", tmp_path / "nowhere")
-    with pytest.raises(ScaffoldError, match="cannot be written"):
+    with pytest.raises(UserError, match="cannot be written"):
         scaffold.new("a1_motor", "can", Path("/proc"))
 
 

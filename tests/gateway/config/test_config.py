@@ -15,11 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.config import ConfigError, cautions, describe, devices, load, loads, resources, with_interfaces
+from gateway.config import cautions, describe, devices, load, loads, resources, with_interfaces
 from gateway.config.errors import Mistakes, lines, shown
 from gateway.config.schema import build
 from gateway.config.sharing import clash
 from gateway.core.robot import Robot
+from gateway.errors import ConfigError
 from protocols import plugin
 from protocols.messages import MILLISECOND, Idle, Nanos, Torque
 from protocols.plugin import Broken, Device, Plugin, Spec, UnknownProtocol

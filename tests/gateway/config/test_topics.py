@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.config import ConfigError, describe, load, loads, resources
+from gateway.config import describe, load, loads, resources
 from gateway.core.robot import BagTopics
+from gateway.errors import ConfigError
 from tests.gateway.bag_helpers import ROBOT
 
 TABLE = ROBOT[ROBOT.index("[bag]") :]

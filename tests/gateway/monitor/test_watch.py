@@ -19,7 +19,6 @@ from pathlib import Path
 import pytest
 
 from gateway.__main__ import main
-from gateway.buses import BusError
 from gateway.buses.adapters.pty import SerialPty
 from gateway.buses.can import open_can
 from gateway.cli.terminal.screen import ENTER, LEAVE, Line, Screen, cut
@@ -27,7 +26,8 @@ from gateway.cli.terminal.screen import page as drawn
 from gateway.cli.watch import STEP, lines, moments, page, pages
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
-from gateway.monitor.sources import Source, WatchError, Watching, open_all, open_source
+from gateway.errors import BusError, UserError
+from gateway.monitor.sources import Source, Watching, open_all, open_source
 from gateway.recording import read
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Imu, Velocity
@@ -174,7 +174,7 @@ def test_a_robot_s_bus_that_cannot_be_opened_is_named_and_the_rest_is_watched(
 
 
 def test_with_nothing_to_watch_every_reason_is_given() -> None:
-    with pytest.raises(WatchError) as error, watching(asked("diffbot")):
+    with pytest.raises(UserError) as error, watching(asked("diffbot")):
         pass
     assert "'can0' is a twin" in str(error.value)
     assert "--bus sensors=serial:PORT" in str(error.value)
@@ -182,7 +182,7 @@ def test_with_nothing_to_watch_every_reason_is_given() -> None:
 
 def test_a_machine_without_a_can_interface_is_told_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gateway.buses.can_open.can_interfaces", list)
-    with pytest.raises(WatchError, match="no CAN interface"), watching(asked(None)):
+    with pytest.raises(UserError, match="no CAN interface"), watching(asked(None)):
         pass
 
 
@@ -193,7 +193,7 @@ def test_every_interface_of_a_machine_is_tried(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr("gateway.buses.can_open.can_interfaces", lambda: ["can0", "can1"])
     monkeypatch.setattr("gateway.buses.can.open_can", refuse)
-    with pytest.raises(WatchError) as error, watching(asked(None)):
+    with pytest.raises(UserError) as error, watching(asked(None)):
         pass
     assert str(error.value) == "socketcan:can0 is down\nsocketcan:can1 is down"
 

@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 from gateway.config import load, resources
 from gateway.core.robot import Robot
-from gateway.operator import Operator, OperatorError, ask, socket_path
+from gateway.errors import OperatorError
+from gateway.operator import Operator, ask, socket_path
 from gateway.operator.commands import FORMS, Mistake, Query, help_text, parse
 from gateway.operator.lines import MOST_LINE
 from gateway.operator.server import MOST_CLIENTS, socket_folder

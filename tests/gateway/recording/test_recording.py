@@ -22,7 +22,8 @@ from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
 
 from gateway.core.tick import Inputs, Note, Outputs, Tick
-from gateway.recording import Recorder, Recording, RecordingError, environment, read, tick_codec
+from gateway.errors import RecordingError
+from gateway.recording import Recorder, Recording, environment, read, tick_codec
 from gateway.recording.layout import FORMAT, METADATA
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.ros_views import Views

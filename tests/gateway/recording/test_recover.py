@@ -13,7 +13,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.highlevel import AnyReader
 
 from gateway.__main__ import main
-from gateway.recording import RecordingError, read, tick_codec
+from gateway.errors import RecordingError
+from gateway.recording import read, tick_codec
 from gateway.recording.recover import SALVAGED, is_whole, salvage
 from protocols.messages import seconds
 from tests.gateway import little

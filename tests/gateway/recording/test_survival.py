@@ -24,8 +24,9 @@ from gateway import config
 from gateway.buses.virtual.bus import open_world
 from gateway.core.clock import SimulatedClock
 from gateway.core.step import Gateway
+from gateway.errors import RecordingError
 from gateway.operator.status import status_text
-from gateway.recording import Recorder, RecordingError, read, writer
+from gateway.recording import Recorder, read, writer
 from gateway.recording.recover import is_whole
 from gateway.runtime.loop import live
 from gateway.runtime.session import session
@@ -293,8 +294,7 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     """As another user, if this one may do everything."""
     tmp_path.chmod(0o555)
     code = """
-from gateway.recording import RecordingError
-from gateway.recording.sheet import Sheet
+from gateway.recording.tick_writer import TickWriter
 from gateway.status import status_text
 from gateway.views import Views
 views = Views()
@@ -302,7 +302,7 @@ views.prepare()
 if os.geteuid() == 0:
     os.seteuid(65534)
 try:
-    Sheet(Path(sys.argv[1]), little.ROBOT, {}, views)
+    TickWriter(Path(sys.argv[1]), little.ROBOT, {}, views)
 except RecordingError as error:
     print(error)
 """

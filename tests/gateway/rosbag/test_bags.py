@@ -14,8 +14,9 @@ import pytest
 
 from brain.belief import Pose
 from gateway.core.robot import BagTopics
+from gateway.errors import BagError
 from gateway.recording import Recorder
-from gateway.rosbag import Bag, BagError, is_foreign, read
+from gateway.rosbag import Bag, is_foreign, read
 from gateway.rosbag.evaluate import judge
 from protocols.messages import MILLISECOND, SECOND, Feedback, Fix, Imu
 from tests.gateway.bag_helpers import (

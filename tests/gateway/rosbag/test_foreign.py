@@ -12,8 +12,9 @@ import pytest
 from brain.belief import Estimate, Pose
 from gateway.__main__ import main
 from gateway.core.robot import Robot
+from gateway.errors import BagError
 from gateway.recording import Recorder
-from gateway.rosbag import Bag, BagError, read
+from gateway.rosbag import Bag, read
 from gateway.rosbag.evaluate import FORESIGHT, Verdict, carried, judge
 from protocols.messages import SECOND, Feedback
 from tests.gateway.bag_helpers import ROBOT, START, Said, drive, fix, imu, odometry, rover, write

@@ -21,14 +21,15 @@ from odrive_can.odrive import ODriveCAN
 
 from gateway import config
 from gateway.__main__ import main
-from gateway.buses import BusError
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.pty import SerialPty
 from gateway.buses.can import open_can
 from gateway.buses.virtual.bus import open_world
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings, Robot
+from gateway.errors import BusError
 from gateway.recording import read
+from gateway.errors import ConfigError
 from gateway.runtime import loop
 from gateway.runtime.device_log import DeviceLog
 from gateway.runtime.twin_process import devices, invitation, outer
@@ -239,7 +240,7 @@ def test_twins_speak_only_where_the_command_line_says_so() -> None:
     robot = config.loads(text)
     assert outer(robot, {}).buses["can0"].interface == "twin"
     assert outer(robot, {"can0": "socketcan:vcan0"}).buses["can0"].interface == "socketcan:vcan0"
-    with pytest.raises(config.ConfigError, match="no bus 'cann0': there is can0; did you mean 'can0'"):
+    with pytest.raises(ConfigError, match="no bus 'cann0': there is can0; did you mean 'can0'"):
         outer(robot, {"cann0": "socketcan:vcan0"})
 
 

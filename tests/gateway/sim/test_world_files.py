@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.config.errors import ConfigError
+from gateway.errors import ConfigError
 from gateway.sim.files import STEP, BenchFile, SceneFile
 from gateway.sim.load import WorldError, known_worlds, load_world, loads_world
 from protocols.messages import MILLISECOND

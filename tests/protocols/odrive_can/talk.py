@@ -133,9 +133,9 @@ class Talk:
 
     def handle(self, *frames: CanFrame) -> None:
         """These frames come now."""
-        for frame in frames:
+        for raw in frames:
             self._came += 1
-            self._reported(self.driver.receive(self.now * MILLISECOND, frame))
+            self._reported(self.driver.receive(self.now * MILLISECOND, raw))
 
     def mute(self, node: int = 3) -> None:
         """From now on a device says nothing."""
@@ -181,12 +181,12 @@ class Talk:
         self._pressing = pressing
         self._reported(events)
         said = []
-        for frame in frames:
-            assert isinstance(frame, CanFrame)
-            assert frame.remote or self._claimed, "something other than a question, unasked"
-            text = meaning(frame, self.line_of(frame.id >> 5))
+        for raw in frames:
+            assert isinstance(raw, CanFrame)
+            assert raw.remote or self._claimed, "something other than a question, unasked"
+            text = meaning(raw, self.line_of(raw.id >> 5))
             assert self._clearing or "Clear_Errors" not in text, "errors are cleared unasked"
-            if not frame.remote or self._asked(text, frame):
+            if not raw.remote or self._asked(text, raw):
                 said.append(text)
         counted = [(text, len(list(same))) for text, same in groupby(said)]
         self._said(" | ".join(f"{count} × {text}" if count > 1 else text for text, count in counted))
