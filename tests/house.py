@@ -58,6 +58,7 @@ CONTRACT = (
     "protocols.reference_vectors",
     "protocols.request_queue",
     "protocols.message_codec",
+    "protocols.suggest",
 )
 """What a device language may import of ours, beside its own folder."""
 

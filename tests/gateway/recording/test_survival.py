@@ -295,8 +295,8 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     tmp_path.chmod(0o555)
     code = """
 from gateway.recording.tick_writer import TickWriter
-from gateway.status import status_text
-from gateway.views import Views
+from gateway.operator.status import status_text
+from gateway.recording.ros_views import Views
 views = Views()
 views.prepare()
 if os.geteuid() == 0:
