@@ -1,11 +1,11 @@
 """One message to bytes and back: the codec of each language, what its devices are usually spoken to with, and
 bare `struct`.
 
-Rules. A language that wants to be measured brings a module `bench` in its folder with `RIVAL`, `prepared`
-and `SAMPLES` (class `Language`): what the messages are, and which package is the vendor's or the usual one,
-is its own affair. A package is used as its documentation shows first, with the checks it makes by default.
-Ours makes a message and the whole frame, and lets no number through that is not finite. All sides of a sample
-must come to the same, or it is not measured.
+Rules. The samples of a protocol are the module of its name in `benchmarks.samples`, or `bench` in its own
+package, with `RIVAL`, `prepared` and `SAMPLES` (class `Language`): what the messages are, and which package is the
+vendor's or the usual one, is its own affair. A package is used as its documentation shows first, with the checks
+it makes by default. Ours makes a message and the whole frame, and lets no number through that is not finite. All
+sides of a sample must come to the same, or it is not measured.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Sample(Protocol):
 
 
 class Language(Protocol):
-    """The module `bench` of a language."""
+    """The samples module of a protocol."""
 
     RIVAL: tuple[str, str, str]
     """Module and distribution of the vendor's or usual package, and how it is used here."""
@@ -75,8 +75,13 @@ def codec(effort: Effort) -> list[Row]:
 
 def languages() -> list[tuple[str, Language]]:
     """The installed languages that bring samples, by name."""
-    modules = [(point.name, f"{point.module}.bench") for point in installed()]
-    return [(name, cast(Language, import_module(module))) for name, module in modules if find_spec(module)]
+    found: list[tuple[str, Language]] = []
+    for point in installed():
+        for module in (f"benchmarks.samples.{point.name}", f"{point.module}.bench"):
+            if find_spec(module):
+                found.append((point.name, cast(Language, import_module(module))))
+                break
+    return found
 
 
 def opened(language: Language) -> Rival:

@@ -24,7 +24,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.runtime.loop import live, quiet_collector
-from protocols.messages import MILLISECOND, SECOND, Asked, Feedback, Nanos, Position, Velocity
+from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, Nanos, Position, Velocity
 
 GROUP = "a step of the gateway (all motors report, all are commanded)"
 TICK = "a tick of 5 ms"
@@ -58,13 +58,13 @@ def first(robot: Robot, motors: int) -> Robot:
     return replace(robot, motors=kept, buses=buses, brain=replace(robot.brain, joints=Joints(tuple(kept))))
 
 
-def drive(robot: Robot, target: Callable[[str], Asked], seconds: int) -> Drive:
+def drive(robot: Robot, target: Callable[[str], Instruction], seconds: int) -> Drive:
     """Let the twins of a robot turn for a while; all that happened."""
     world = open_world(robot, robot.seed)
     clock = SimulatedClock()
-    waiting: list[Asked] = [target(motor) for motor in robot.motors]
+    waiting: list[Instruction] = [target(motor) for motor in robot.motors]
 
-    def ask() -> Sequence[Asked]:
+    def ask() -> Sequence[Instruction]:
         if not waiting or clock.now() < SETTLED:
             return ()
         asked = tuple(waiting)

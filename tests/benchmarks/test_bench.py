@@ -20,6 +20,7 @@ import scipy.sparse.csgraph
 from benchmarks import codec, drive, measure, paths, perceive, process, rivals, rows, steps
 from benchmarks.measure import Effort, Figures, NotMeasured, Rival
 from benchmarks.rows import Beside, Row, Target
+from benchmarks.samples import odrive_can as samples
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.motion import V, W
 from brain.perception.mount import Mount, place, sweep
@@ -28,7 +29,6 @@ from gateway.__main__ import main
 from gateway.config import resources
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Feedback, Velocity
-from protocols.odrive_can import bench as samples
 
 STARTS = ["gateway --help", "gateway run bench: first frame out", "gateway run diffbot: first frame out"]
 MEMORIES = [

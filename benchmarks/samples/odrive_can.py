@@ -1,7 +1,7 @@
-"""What `gateway bench` measures of this language, and where somebody else's codec knows the same messages.
+"""Benchmark samples of odrive_can, measured beside cantools on the vendor's DBC.
 
-Rules. Data and calls only: nothing here is used by the robot. Everybody starts from plain values, or from a
-frame. Bare `struct` knows its message beforehand, checks nothing and makes no frame: it is the floor.
+Rules. Data and calls only: the robot uses nothing of this. Every contestant starts from plain values, or from
+a frame. Bare `struct` knows its message beforehand, checks nothing and makes no frame: it is the lower bound.
 cantools does what its documentation shows first, `encode_message` and `decode_message` with the checks it
 makes by default.
 
@@ -27,7 +27,7 @@ NODE = 3
 
 
 def prepared(cantools: Any) -> Any:  # noqa: ANN401 -- cantools has no types
-    """The vendor's messages, as cantools has them."""
+    """Return the vendor's DBC as a cantools database."""
     package, file = DBC
     return cantools.database.load_string((files(package) / file).read_text("utf-8"), "dbc")
 
@@ -44,26 +44,26 @@ class Sample:
     data: bytes
     """Of its frame: what encoding must give, what is decoded."""
     values: dict[str, float] = field(default_factory=dict)
-    """By the DBC's names, to be encoded; {}: it is decoded"""
+    """The fields to encode by the DBC's names; {} for a message to decode."""
 
     def theirs(self, known: Any) -> Callable[[], object]:  # noqa: ANN401 -- cantools has no types
-        """What cantools does for it."""
+        """Return the same operation in cantools."""
         number, data, values = self.id, self.data, self.values
         if not values:
             return lambda: known.decode_message(number, data)
         return lambda: known.encode_message(number, dict(values))
 
     def alike(self, ours: Any, theirs: Any, struct: Any) -> bool:  # noqa: ANN401 -- a frame, or fields
-        """Encoding gives the same bytes, decoding the same fields in order."""
+        """True if encoding gave the same bytes, or decoding the same fields in order."""
         if self.values:
             return bool(theirs == struct == ours.data == self.data and ours.id == self.id)
         fields = list(astuple(ours))
         return fields == [getattr(value, "value", value) for value in theirs.values()] == list(struct)
 
 
-_PAIR, _POSITION, _BEAT = struct.Struct("<ff"), struct.Struct("<fhh"), struct.Struct("<IBBBx")
-_ESTIMATES = CanFrame(NODE << 5 | 0x09, _PAIR.pack(1.25, -0.5))
-_HEARTBEAT = CanFrame(NODE << 5 | 0x01, _BEAT.pack(0, 8, 0, 1))
+_PAIR, _POSITION, _HEARTBEAT = struct.Struct("<ff"), struct.Struct("<fhh"), struct.Struct("<IBBBx")
+_ESTIMATES_FRAME = CanFrame(NODE << 5 | 0x09, _PAIR.pack(1.25, -0.5))
+_HEARTBEAT_FRAME = CanFrame(NODE << 5 | 0x01, _HEARTBEAT.pack(0, 8, 0, 1))
 
 SAMPLES = (
     Sample(
@@ -84,16 +84,16 @@ SAMPLES = (
     ),
     Sample(
         "decode Get_Encoder_Estimates",
-        lambda: decode_from_device(_ESTIMATES),
-        lambda: _PAIR.unpack(_ESTIMATES.data),
-        _ESTIMATES.id,
-        _ESTIMATES.data,
+        lambda: decode_from_device(_ESTIMATES_FRAME),
+        lambda: _PAIR.unpack(_ESTIMATES_FRAME.data),
+        _ESTIMATES_FRAME.id,
+        _ESTIMATES_FRAME.data,
     ),
     Sample(
         "decode Heartbeat",
-        lambda: decode_from_device(_HEARTBEAT),
-        lambda: _BEAT.unpack(_HEARTBEAT.data),
-        _HEARTBEAT.id,
-        _HEARTBEAT.data,
+        lambda: decode_from_device(_HEARTBEAT_FRAME),
+        lambda: _HEARTBEAT.unpack(_HEARTBEAT_FRAME.data),
+        _HEARTBEAT_FRAME.id,
+        _HEARTBEAT_FRAME.data,
     ),
 )
