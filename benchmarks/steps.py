@@ -23,7 +23,8 @@ from gateway.core.clock import SimulatedClock, stopwatch
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
-from gateway.runtime.loop import live, quiet_collector
+from gateway.runtime.loop import live
+from gateway.runtime.process import quiet_collector
 from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, Nanos, Position, Velocity
 
 GROUP = "a step of the gateway (all motors report, all are commanded)"

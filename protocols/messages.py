@@ -224,7 +224,7 @@ class Drive:
 
 
 Task: TypeAlias = Goal | Drive
-Asked: TypeAlias = Request | Task | Command
+Instruction: TypeAlias = Request | Task | Command
 """Whatever may be asked from outside while the robot runs. A Command is asked of bare joints."""
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from brain.belief import BrainState
 from gateway.errors import BagError, BusError, ConfigError, OperatorError, RecordingError, UserError
 from gateway.operator.status import status_text
-from protocols.messages import MILLISECOND, SECOND, Asked, Goal, Nanos
+from protocols.messages import MILLISECOND, SECOND, Goal, Instruction, Nanos
 
 if TYPE_CHECKING:
     from gateway.cli.demo import Figures, Watcher
@@ -88,7 +88,7 @@ def _drive_tour(made: Session, watcher: Watcher, tour: Sequence[Goal]) -> None:
     since: Nanos = 0
     shown = stopwatch()
 
-    def ask() -> Sequence[Asked]:
+    def ask() -> Sequence[Instruction]:
         nonlocal asked, since
         if asked < len(tour) and len(watcher.log.arrivals) == asked:
             asked += 1
@@ -178,12 +178,12 @@ def _run_loop(
     print(
         f"{made.robot.name} runs; say help, here or with: gateway ask {operator.path.stem} help", flush=True
     )
-    waiting: list[Asked] = list(goals)
+    waiting: list[Instruction] = list(goals)
 
     def status() -> str:
         return status_text(made)
 
-    def ask() -> Sequence[Asked]:
+    def ask() -> Sequence[Instruction]:
         asked = [*waiting, *operator.poll(status)]
         waiting.clear()
         if operator.leaving and not made.leaving:

@@ -28,7 +28,7 @@ from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.monitor.render import QUANTITIES, age, fault
 from gateway.runtime.session import Session, session
-from protocols.messages import MILLISECOND, Asked, ClearFault, Idle, Nanos, Velocity
+from protocols.messages import MILLISECOND, ClearFault, Idle, Instruction, Nanos, Velocity
 
 log = logging.getLogger("gateway")
 
@@ -93,7 +93,7 @@ class Hand:
     """The velocity that was last asked for; None: none since it was disarmed."""
     _rest: bytes = b""
 
-    def ask(self, now: Nanos, typed: bytes | None, blocked: bool) -> list[Asked]:
+    def ask(self, now: Nanos, typed: bytes | None, blocked: bool) -> list[Instruction]:
         """What is asked now; `typed`: what has come from the keys, None if there are none any more.
 
         `blocked`: the joint will not move, since it is in fault, stopped, or not heard."""
@@ -111,7 +111,7 @@ class Hand:
             asked.append(Velocity(self.motor, self.wanted))
         return asked
 
-    def _press(self, now: Nanos, key: Key) -> Asked | None:
+    def _press(self, now: Nanos, key: Key) -> Instruction | None:
         match key:
             case Key.FORWARD | Key.BACKWARD:
                 self.held = press(self.held, now, key.value)
@@ -130,7 +130,7 @@ def drive(made: Session, motor: str, typed: Callable[[], bytes | None], show: Ca
     joint = made.gateway.joints[motor]
     hand = Hand(motor, joint.settings.limits.velocity)
 
-    def ask() -> Sequence[Asked]:
+    def ask() -> Sequence[Instruction]:
         now = made.clock.now()
         blocked = bool(joint.faults or made.gateway.why_stopped()) or joint.feedback_lost(now)
         return hand.ask(now, typed(), blocked)

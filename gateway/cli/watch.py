@@ -162,7 +162,7 @@ def tick_lines(tick: Tick, received: Sequence[Heard]) -> list[str]:
     came = len(tick.inputs.packets)
     reported = [_change(tick.now, bus, state) for bus, state in tick.inputs.states]
     reported += [render.line(one) for one in received[:came]]
-    reported += [f"{render.stamp(tick.now)} asked: {say(word)}" for word in tick.inputs.asked]
+    reported += [f"{render.stamp(tick.now)} asked: {say(word)}" for word in tick.inputs.instructions]
     reported += [
         f"{render.stamp(tick.now)} {note.level}: {note.about}: {note.text}" for note in tick.outputs.notes
     ]

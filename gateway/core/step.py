@@ -74,7 +74,7 @@ class Gateway:
         for packet in inputs.packets:
             for driver in self._of_bus[packet.bus]:
                 received += self._handle(driver.receive(packet.t, packet.frame))
-        tasks = self._ask(now, inputs.asked)
+        tasks = self._ask(now, inputs.instructions)
         stopped = self.why_stopped()
         said = {c.motor: c for c in self.brain.step(now, received, tasks, stopped)}
         self._notes += [Note(level, "brain", text) for level, text in self.brain.take_notes()]
@@ -177,7 +177,7 @@ class Gateway:
 
     # -- what is asked ------------------------------------------------------------------------
 
-    def _ask(self, now: Nanos, asked: Sequence[msg.Asked]) -> list[msg.Goal | msg.Drive | Command]:
+    def _ask(self, now: Nanos, asked: Sequence[msg.Instruction]) -> list[msg.Goal | msg.Drive | Command]:
         tasks: list[msg.Goal | msg.Drive | Command] = []
         for word in asked:
             match word:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.frames import BusState, Packet
-from protocols.messages import Asked, Event, Nanos
+from protocols.messages import Event, Instruction, Nanos
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,7 @@ class Inputs:
     states: tuple[tuple[str, BusState], ...] = ()
     """Changes of buses, by name of the bus."""
     packets: tuple[Packet, ...] = ()
-    asked: tuple[Asked, ...] = ()
+    instructions: tuple[Instruction, ...] = ()
     """What a person or a tool asked for."""
 
 

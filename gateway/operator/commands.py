@@ -35,7 +35,7 @@ class Mistake:
     sentence: str
 
 
-def parse(line: str, robot: Robot) -> msg.Asked | Query | Mistake | None:
+def parse(line: str, robot: Robot) -> msg.Instruction | Query | Mistake | None:
     """What a line asks of this robot; None for an empty line or a comment (#)."""
     words = line.partition("#")[0].replace(",", " ").split()
     if not words:
@@ -61,7 +61,7 @@ class _Wrong(ValueError):
 
 
 Args: TypeAlias = list[str]
-Make: TypeAlias = Callable[[Args, Robot], msg.Asked | Query]
+Make: TypeAlias = Callable[[Args, Robot], msg.Instruction | Query]
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +177,7 @@ def _position(args: Args, robot: Robot) -> msg.Position:
 
 
 def _value(kind: type[msg.Velocity] | type[msg.Torque]) -> Make:
-    def make(args: Args, robot: Robot) -> msg.Asked:
+    def make(args: Args, robot: Robot) -> msg.Instruction:
         _count(args, 2)
         return kind(_bare_joint(args[0], robot), _number(args[1]))
 
@@ -185,7 +185,7 @@ def _value(kind: type[msg.Velocity] | type[msg.Torque]) -> Make:
 
 
 def _at_rest(kind: type[msg.Idle] | type[msg.Hold]) -> Make:
-    def make(args: Args, robot: Robot) -> msg.Asked:
+    def make(args: Args, robot: Robot) -> msg.Instruction:
         _count(args, 1)
         return kind(_bare_joint(args[0], robot))
 
@@ -193,7 +193,7 @@ def _at_rest(kind: type[msg.Idle] | type[msg.Hold]) -> Make:
 
 
 def _of_motor(kind: type[msg.Reboot] | type[msg.Zero] | type[msg.Home]) -> Make:
-    def make(args: Args, robot: Robot) -> msg.Asked:
+    def make(args: Args, robot: Robot) -> msg.Instruction:
         _count(args, 1)
         return kind(_motor(args[0], robot))
 

@@ -27,7 +27,7 @@ from gateway.core.robot import Robot
 from gateway.errors import OperatorError
 from gateway.operator.commands import Mistake, Query, help_text, parse
 from gateway.operator.lines import Lines
-from protocols.messages import Asked
+from protocols.messages import Instruction
 
 MOST_READ = 4096
 """Bytes taken from one client in one poll."""
@@ -71,11 +71,11 @@ class Operator:
     ) -> None:
         self.close()
 
-    def poll(self, status: Callable[[], str]) -> list[Asked]:
+    def poll(self, status: Callable[[], str]) -> list[Instruction]:
         """What has been asked since the last poll, in the order of arrival by speaker. Never waits.
 
         `status` is called when somebody asks for it."""
-        asked: list[Asked] = []
+        asked: list[Instruction] = []
         self._accept()
         for client in list(self._clients):
             if client.ended:
@@ -109,7 +109,7 @@ class Operator:
         line: str | Mistake,
         answer: Callable[[str], None],
         status: Callable[[], str],
-        asked: list[Asked],
+        asked: list[Instruction],
     ) -> None:
         said = parse(line, self._robot) if isinstance(line, str) else line
         match said:

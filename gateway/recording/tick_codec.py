@@ -22,7 +22,7 @@ from typing import Literal, cast
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.message_codec import pack, unpack
-from protocols.messages import Asked, Event, Message
+from protocols.messages import Event, Instruction, Message
 
 TYPE = "motor_gateway_msgs/msg/Tick"
 TOPIC = "/gateway/tick"
@@ -142,7 +142,7 @@ def encode(tick: Tick, before: DigestChain) -> tuple[bytes, DigestChain]:
         _string(out, bus)
         _string(out, state.value)
     _put_packets(out, tick.inputs.packets)
-    _put_words(out, tick.inputs.asked)
+    _put_words(out, tick.inputs.instructions)
     half = len(out)
     _put_packets(out, tick.outputs.packets)
     _put_words(out, tick.outputs.events)
@@ -230,7 +230,7 @@ def _decode(data: bytes, before: DigestChain) -> Entry:
     number, now = cast(tuple[int, int], reader.take(_START))
     states = tuple((reader.string(), BusState(reader.string())) for _ in range(reader.count()))
     received = reader.packets()
-    asked = cast(tuple[Asked, ...], reader.words())
+    asked = cast(tuple[Instruction, ...], reader.words())
     half = reader.at
     sent = reader.packets()
     events = cast(tuple[Event, ...], reader.words())

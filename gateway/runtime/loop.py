@@ -1,21 +1,15 @@
-"""The loops on a clock: live (our end, on real buses or on twins) and serve (the devices' end).
+"""The live loop: step the gateway at its period, on real buses or on twins, and leave safely.
 
-The third loop that drives the same step is replay; it needs neither clock nor bus (`gateway.replay.compare`).
-
-Rules. These loops own what the step must not: buses, clock, recorder, operator, signals. They are generators
-that yield what happened, so that a caller can watch, stop, or run two of them face to face; wrap them in
-`contextlib.closing`, since leaving one is what says the safe word. Deadlines are absolute; a moment that was
-missed is counted and told, never caught up. Whatever the reason for leaving, the safe word goes out first.
+Rules. The loop owns what the step must not: buses, clock, recorder, operator. It is a generator of ticks, so
+that a caller can watch and stop it; wrap it in `contextlib.closing`, since closing it sends the stop action.
+Deadlines are absolute; one that was missed is counted and reported, never caught up. Whatever the reason for
+leaving, the stop action of every commanded joint goes out first.
 """
 
 from __future__ import annotations
 
-import gc
 import logging
-import os
-import signal
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -27,19 +21,18 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Tick
 from protocols.frames import BusState, Packet
-from protocols.messages import MILLISECOND, SECOND, Asked, Leave, Nanos
+from protocols.messages import MILLISECOND, Asked, Leave, Nanos
 
 log = logging.getLogger("gateway")
 
-FAREWELL = 200 * MILLISECOND
-"""How long leaving waits for the devices to say that they are disarmed, when they have braked."""
-LEAST_STEP = MILLISECOND
-"""A driver that is due between two periods gets a step of its own, but not more often than this."""
-STALE = SECOND // 2
-"""A serving loop that was away for longer does not make up for it."""
+LEFT = "the run ends"
+"""Why the gateway is stopped once a run has ended."""
+DISARM_TIMEOUT = 200 * MILLISECOND
+"""How long leaving waits, after the braking time, for the devices to report that they are disarmed."""
+MIN_STEP = MILLISECOND
+"""A driver that is due between two periods gets a step of its own, but no sooner than this after the last."""
 
-
-Keep: TypeAlias = Callable[[Tick, Belief], None]
+Record: TypeAlias = Callable[[Tick, Belief], None]
 """Where ticks go. Never raises, and never waits for a disk in real time."""
 
 
@@ -49,18 +42,20 @@ class LoopStats:
 
     ticks: int = 0
     missed: int = 0
-    """Moments that were due while a step was still at work."""
+    """Deadlines that passed while a step was still running."""
     longest_step: Nanos = 0
     first_frame: Nanos | None = None
-    """When the first frame went out."""
+    """When the first frame was sent."""
     sent: int = 0
+    """Packets"""
     received: int = 0
+    """Packets"""
     busy: dict[str, Nanos] = field(default_factory=dict)
-    """How long each bus carried what we heard and said, at most (bits stuffed as badly as can be)."""
+    """By bus: transmission time of everything sent and received, with worst-case bit stuffing."""
 
 
-def no_questions() -> Sequence[Asked]:
-    """For a run that nobody talks to."""
+def no_instructions() -> Sequence[Asked]:
+    """Return none: for a run without an operator."""
     return ()
 
 
@@ -69,174 +64,83 @@ def live(
     buses: Mapping[str, Bus],
     clock: Clock,
     *,
-    ask: Callable[[], Sequence[Asked]] = no_questions,
-    keep: Keep | None = None,
+    poll: Callable[[], Sequence[Asked]] = no_instructions,
+    record: Record | None = None,
     until: Nanos | None = None,
-    account: LoopStats | None = None,
-    dry: bool = False,
+    stats: LoopStats | None = None,
+    dry_run: bool = False,
 ) -> Generator[Tick]:
-    """Step the gateway at its period, and when a driver is due, until `until` or until it is closed.
+    """Step the gateway at its period, and when a driver is due, until `until` or until closed.
 
-    `ask` is polled for what a person wants. With `dry`, everything is done but writing to the buses.
-    """
-    account = account if account is not None else LoopStats()
-    number = 0
+    `poll` returns what an operator has asked for since the last step. With `dry_run`, everything is done but
+    writing to the buses. Ticks are numbered on from `stats.ticks`."""
+    stats = stats if stats is not None else LoopStats()
     leaving = False
 
-    def tick(now: Nanos, asked: Sequence[Asked]) -> Tick:
-        nonlocal number
-        inputs = _gather(buses, now, asked)
+    def tick(now: Nanos, instructions: Sequence[Asked]) -> Tick:
+        inputs = _gather(buses, now, instructions)
         outputs = gateway.step(now, inputs)
-        if not dry:
-            _write(buses, now, outputs.packets)
-        made = Tick(number, now, inputs, outputs)
-        number += 1
-        if keep is not None:
-            keep(made, gateway.belief())
-        _report(outputs.notes, leaving)
-        _count(account, gateway.robot, made, clock.now() - now)
+        if not dry_run:
+            write(buses, now, outputs.packets)
+        made = Tick(stats.ticks, now, inputs, outputs)
+        if record is not None:
+            record(made, gateway.belief())
+        _log_notes(outputs.notes, leaving)
+        _count(stats, gateway.robot, made, clock.now() - now)
         return made
 
-    broken = True
+    failed = True
     try:
-        for now in moments(clock, gateway.robot.period, gateway.due, account):
+        for now in moments(clock, gateway.robot.period, gateway.due, stats):
             if until is not None and now >= until:
                 break
-            yield tick(now, ask())
-        broken = False
+            yield tick(now, poll())
+        failed = False
     except GeneratorExit:
-        broken = False
+        failed = False
         raise
     finally:
-        if broken:
-            # The step itself failed: nothing of it can be trusted but the joints and the drivers.
-            if not dry:
-                _write(buses, clock.now(), gateway.leave(clock.now()))
+        if failed:
+            # The step itself raised: nothing of it can be trusted but the joints and the drivers.
+            if not dry_run:
+                write(buses, clock.now(), gateway.leave(clock.now()))
         else:
             leaving = True
-            _farewell(gateway, clock, tick)
+            _stop_and_wait(gateway, clock, tick)
 
 
-def _farewell(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Asked]], Tick]) -> None:
-    """The safe word at once, and a moment of listening until the devices say that they are disarmed."""
+def _stop_and_wait(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Asked]], Tick]) -> None:
+    """Send the stop action at once, and step on until the devices report that they are disarmed."""
     start = clock.now()
-    tick(start, (Leave("the run ends"),))
-    patience = FAREWELL + max(joint.braking_time for joint in gateway.joints.values())
-    while gateway.still_armed() and clock.now() - start < patience:
+    tick(start, (Leave(LEFT),))
+    timeout = DISARM_TIMEOUT + max(joint.braking_time for joint in gateway.joints.values())
+    while gateway.still_armed() and clock.now() - start < timeout:
         clock.wait(clock.now() + gateway.robot.period)
         tick(clock.now(), ())
     if still := gateway.still_armed():
-        log.error("%s did not say that it is disarmed: cut its supply", ", ".join(still))
+        log.error("%s: not reported as disarmed: cut the supply", ", ".join(still))
 
 
 def moments(
-    clock: Clock, period: Nanos, due: Callable[[], Nanos | None], account: LoopStats
+    clock: Clock, period: Nanos, due: Callable[[], Nanos | None], stats: LoopStats
 ) -> Iterator[Nanos]:
-    """The moments to step at: absolute deadlines, and a driver's own moments between them."""
+    """Yield the moments to step at: absolute deadlines, and a driver's own moments between them."""
     deadline = last = clock.now()
     while True:
         now = clock.now()
         if now >= deadline:
             late = (now - deadline) // period
-            account.missed += late
+            stats.missed += late
             deadline += (late + 1) * period
         last = now
         yield now
         own = due()
-        between = deadline if own is None else max(own, last + LEAST_STEP)
-        clock.wait(min(deadline, between) if between + LEAST_STEP <= deadline else deadline)
+        between = deadline if own is None else max(own, last + MIN_STEP)
+        clock.wait(min(deadline, between) if between + MIN_STEP <= deadline else deadline)
 
 
-@dataclass(slots=True)
-class ServeStats:
-    """What a serving loop counts."""
-
-    received: int = 0
-    said: int = 0
-    late: Nanos = 0
-    """The longest that the world had to catch up in one go."""
-    lost: Nanos = 0
-    """How long the world stood still because this process did."""
-    unreceived: int = 0
-    """Packets that came meanwhile."""
-
-
-@dataclass(frozen=True, slots=True)
-class ServeTick:
-    """One moment of a serving loop."""
-
-    now: Nanos
-    states: tuple[tuple[str, BusState], ...]
-    """What the outer buses told of themselves."""
-    received: tuple[Packet, ...]
-    said: tuple[Packet, ...]
-    stalled_for: Nanos = 0
-    """How long the world stood still just before; what came meanwhile was not heard."""
-
-
-def serve(
-    world_buses: Mapping[str, Bus],
-    buses: Mapping[str, Bus],
-    clock: Clock,
-    period: Nanos = MILLISECOND,
-    *,
-    until: Nanos | None = None,
-    account: ServeStats | None = None,
-    age: Nanos | None = None,
-) -> Generator[ServeTick]:
-    """Be the devices: carry what the outer buses bring to the world of twins, and back.
-
-    The world keeps pace with the clock: what a late moment has missed it makes up for, and what came in is
-    heard at its own time, as far as that is known. Only if this process stood still for longer than `STALE`,
-    the world has stood still with it, and what has come in meanwhile is not heard: devices that were off obey
-    no old commands. `age` is the world's own time now, if it has lived already."""
-    account = account if account is not None else ServeStats()
-    last = clock.now()
-    behind = 0 if age is None else last - age
-    for now in moments(clock, period, lambda: None, LoopStats()):
-        if until is not None and now >= until:
-            return
-        states, packets = _take(buses, now)
-        stalled_for = now - last if now - last > STALE else 0
-        if stalled_for:
-            behind += stalled_for
-            account.lost += stalled_for
-            account.unreceived += len(packets)
-            packets = []
-        account.late = max(account.late, now - last - stalled_for)
-        for t, packet in _arrivals(packets, last, now):
-            world_buses[packet.bus].write(t - behind, (packet.frame,))
-        _, said = _take(world_buses, now - behind)
-        _write(buses, now, said)
-        account.received += len(packets)
-        account.said += len(said)
-        last = now
-        yield ServeTick(now, tuple(states), tuple(packets), tuple(said), stalled_for)
-
-
-def _arrivals(packets: Sequence[Packet], last: Nanos, now: Nanos) -> list[tuple[Nanos, Packet]]:
-    """When packets have come, in order: after the moment before this one, at their own time if they have one.
-
-    Those of a bus without stamps (they say now) have come evenly since then."""
-    unknown: dict[str, int] = {}
-    for packet in packets:
-        unknown[packet.bus] = unknown.get(packet.bus, 0) + (packet.t >= now)
-    timed: list[tuple[Nanos, Packet]] = []
-    met = dict.fromkeys(unknown, 0)
-    for packet in packets:
-        t = max(packet.t, last)
-        if packet.t >= now:
-            met[packet.bus] += 1
-            t = last + (now - last) * met[packet.bus] // (unknown[packet.bus] + 1)
-        timed.append((t, packet))
-    timed.sort(key=lambda one: one[0])
-    return timed
-
-
-def _take(buses: Mapping[str, Bus], now: Nanos) -> tuple[list[tuple[str, BusState]], list[Packet]]:
-    """What has changed and what has come in, of all buses, in order of time.
-
-    What came at the same moment stays in the order of the robot file's buses."""
+def read(buses: Mapping[str, Bus], now: Nanos) -> tuple[list[tuple[str, BusState]], list[Packet]]:
+    """Return the state changes and the packets of all buses; packets in order of time, then of the robot file."""
     states: list[tuple[str, BusState]] = []
     packets: list[Packet] = []
     for name, bus in buses.items():
@@ -247,12 +151,8 @@ def _take(buses: Mapping[str, Bus], now: Nanos) -> tuple[list[tuple[str, BusStat
     return states, packets
 
 
-def _gather(buses: Mapping[str, Bus], now: Nanos, asked: Sequence[Asked]) -> Inputs:
-    states, packets = _take(buses, now)
-    return Inputs(tuple(states), tuple(packets), tuple(asked))
-
-
-def _write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> None:
+def write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> None:
+    """Hand each bus its frames, in order."""
     if not packets:
         return
     for name, bus in buses.items():
@@ -261,73 +161,28 @@ def _write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> N
             bus.write(now, frames)
 
 
+def _gather(buses: Mapping[str, Bus], now: Nanos, instructions: Sequence[Asked]) -> Inputs:
+    states, packets = read(buses, now)
+    return Inputs(tuple(states), tuple(packets), tuple(instructions))
+
+
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
 
-def _report(notes: Sequence[Note], leaving: bool) -> None:
-    """To the log. On the way out, that all stops is no news."""
+def _log_notes(notes: Sequence[Note], leaving: bool) -> None:
+    """Log the notes of a step. While leaving, that everything stops is no news."""
     for note in notes:
         log.log(logging.DEBUG if leaving else _LEVELS[note.level], "%s: %s", note.about, note.text)
 
 
-def _count(account: LoopStats, robot: Robot, tick: Tick, took: Nanos) -> None:
-    account.ticks += 1
-    account.longest_step = max(account.longest_step, took)
-    account.sent += len(tick.outputs.packets)
-    account.received += len(tick.inputs.packets)
-    if account.first_frame is None and tick.outputs.packets:
-        account.first_frame = tick.now
+def _count(stats: LoopStats, robot: Robot, tick: Tick, took: Nanos) -> None:
+    stats.ticks += 1
+    stats.longest_step = max(stats.longest_step, took)
+    stats.sent += len(tick.outputs.packets)
+    stats.received += len(tick.inputs.packets)
+    if stats.first_frame is None and tick.outputs.packets:
+        stats.first_frame = tick.now
     for packet in (*tick.inputs.packets, *tick.outputs.packets):
         bus = robot.buses[packet.bus]
         time = frame_time(packet.frame, bus.baudrate or bus.bitrate, bus.data_bitrate)
-        account.busy[packet.bus] = account.busy.get(packet.bus, 0) + time
-
-
-# -- what a process needs around a live loop ------------------------------------------------------
-
-
-@contextmanager
-def signals(stop: Callable[[str], None]) -> Iterator[None]:
-    """While inside, SIGINT, SIGTERM, SIGHUP call `stop` with their name; a second one is a plain interrupt.
-
-    A terminal that is closed (SIGHUP) must not leave motors turning; under nohup it is ignored, as asked."""
-    seen: list[int] = []
-
-    def handler(number: int, _frame: object) -> None:
-        if seen:
-            raise KeyboardInterrupt
-        seen.append(number)
-        stop(signal.Signals(number).name)
-
-    with ExitStack() as stack:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
-                continue
-            before = signal.signal(number, handler)
-            stack.callback(signal.signal, number, before)
-        yield
-
-
-@contextmanager
-def quiet_collector() -> Iterator[None]:
-    """Keep the garbage collector out of the way of what was made before the loop began."""
-    gc.collect()
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-
-
-def real_time(priority: int) -> str:
-    """Ask for real-time priority (SCHED_FIFO); "" if it was given, else why not and what to do."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except PermissionError:
-        return (
-            f"real-time priority {priority} was not allowed: run with CAP_SYS_NICE, or add "
-            f"'@realtime - rtprio {priority}' to /etc/security/limits.conf for your group"
-        )
-    except OSError as error:
-        return f"real-time priority {priority} was not given: {error}"
-    return ""
+        stats.busy[packet.bus] = stats.busy.get(packet.bus, 0) + time

@@ -1,7 +1,8 @@
 """A session: everything that a live run needs, opened in order and closed in the opposite one.
 
-Rules. Buses are opened before anything is armed, and closed after the safe word. The world is made only for
-buses whose interface is "twin". What cannot be opened is a sentence (`BusError`), and nothing has moved yet.
+Rules. Buses are opened before anything is armed, and closed after the stop action was sent. The simulated
+world is made only for buses whose interface is "twin". What cannot be opened raises `BusError` before
+anything has moved.
 """
 
 from __future__ import annotations
@@ -13,14 +14,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from brain.belief import Belief
-from gateway.config import cautions
-from gateway.core.clock import Clock, SimulatedClock, date
+from brain.belief import Belief, Pose
+from gateway import config
+from gateway.config import resources
+from gateway.core.clock import Clock, SimulatedClock, WallClock, date
+from gateway.core.joint import Joint
 from gateway.core.robot import TWIN, Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
+from gateway.errors import UserError
 from gateway.runtime import loop
-from protocols.messages import Asked, Goal, Nanos
+from gateway.runtime.process import quiet_collector, signals
+from protocols.messages import SECOND, Asked, Goal, Release
 
 if TYPE_CHECKING:
     from gateway.buses import Bus
@@ -29,50 +34,80 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("gateway")
 
-MOST_READS = 100
+MAX_STALE_READS = 100
 """Of one bus, before a run begins."""
 
 
 @dataclass(slots=True)
 class Session:
-    """What a run consists of, for those who watch it."""
+    """A robot with its buses open. Made by `open_session`; `run` steps it."""
 
     robot: Robot
     gateway: Gateway
     clock: Clock
     buses: dict[str, Bus]
     twins: TwinWorld | None
+    """The simulated world behind the buses whose interface is "twin"; None if there is none."""
     recorder: Recorder | None
-    account: loop.LoopStats = field(default_factory=loop.LoopStats)
+    stats: loop.LoopStats = field(default_factory=loop.LoopStats)
     leaving: str = ""
-    """Why the run is to end before its time: a signal, or an operator's quit."""
+    """Why the run is to end before its time (a signal, an operator's quit); "" if it is not."""
+    _submitted: list[Asked] = field(default_factory=list)
+    _ticks: Generator[Tick] | None = None
 
-    def tour(self) -> list[Goal]:
-        """The goals of the world's own tour; none where there is no world."""
-        return [Goal(x, y) for x, y in self.twins.world.tour] if self.twins is not None else []
+    def submit(self, *instructions: Asked) -> None:
+        """Ask for something at the next step.
 
-    def _keep(self, tick: Tick, belief: Belief) -> None:
-        if self.recorder is not None:
-            self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
+        Args:
+            instructions: tasks (`Goal`, `Drive`), requests (`Stop`, `ClearFault`, …) or, for bare joints,
+                commands (`Velocity("left", 2.0)`). They are part of the tick, hence recorded and replayed.
+        """
+        self._submitted += instructions
 
-    def ticks(
+    def run(
         self,
-        lasting: Nanos | None = None,
-        ask: Callable[[], Sequence[Asked]] = loop.no_questions,
+        seconds: float | None = None,
         *,
-        dry: bool = False,
+        poll: Callable[[], Sequence[Asked]] = loop.no_instructions,
+        dry_run: bool = False,
     ) -> Generator[Tick]:
-        """The live loop, for so long or until something asks it to leave; closing says the safe word."""
-        until = None if lasting is None else self.clock.now() + lasting
+        """Step the robot at its period and yield each tick; send every joint's stop action at the end.
+
+        Args:
+            seconds: how long, in the session's own time; None: until the caller leaves the loop, a signal
+                comes, or `leaving` is set.
+            poll: returns more instructions before each step.
+            dry_run: do everything but write to the buses.
+
+        Yields:
+            Tick: what went into each step, and what came out of it.
+        """
+        if self._ticks is not None:
+            self._ticks.close()
+        if self.gateway.stopped == loop.LEFT:  # by the run before this one, not by an operator
+            self._submitted.insert(0, Release())
+        self._ticks = self._run(seconds, poll, dry_run)
+        return self._ticks
+
+    def _run(
+        self, seconds: float | None, poll: Callable[[], Sequence[Asked]], dry_run: bool
+    ) -> Generator[Tick]:
+        until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
+
+        def instructions() -> Sequence[Asked]:
+            submitted = [*self._submitted, *poll()]
+            self._submitted.clear()
+            return submitted
+
         ticks = loop.live(
             self.gateway,
             self.buses,
             self.clock,
-            ask=ask,
-            keep=self._keep,
+            poll=instructions,
+            record=self._record,
             until=until,
-            account=self.account,
-            dry=dry,
+            stats=self.stats,
+            dry_run=dry_run,
         )
         with closing(ticks):
             for tick in ticks:
@@ -81,12 +116,70 @@ class Session:
                     log.warning("leaving: %s", self.leaving)
                     return
 
+    def close(self) -> None:
+        """End a run that was not ended, as `run` does. Called when the session is left."""
+        if self._ticks is not None:
+            self._ticks.close()
+
+    @property
+    def joints(self) -> Mapping[str, Joint]:
+        """The joints by motor name: mode, latched faults, and `feedback` at the output shaft."""
+        return self.gateway.joints
+
+    @property
+    def belief(self) -> Belief:
+        """What the brain believes: state and reason, pose with covariance, map, path, goal."""
+        return self.gateway.belief()
+
+    @property
+    def pose(self) -> Pose | None:
+        """The believed pose in the frame "odom" (x, y in m, yaw in rad); None for a body without one."""
+        estimate = self.belief.estimate
+        return estimate.pose if estimate is not None else None
+
+    def tour(self) -> list[Goal]:
+        """Return the goals of the world's own tour; none where there is no world."""
+        return [Goal(x, y) for x, y in self.twins.world.tour] if self.twins is not None else []
+
+    def _record(self, tick: Tick, belief: Belief) -> None:
+        if self.recorder is not None:
+            self.recorder.record(tick, belief, patient=isinstance(self.clock, SimulatedClock))
+
 
 @contextmanager
-def session(
-    robot: Robot, clock: Clock, *, record: Path | None = None, seed: int | None = None
+def open_session(
+    robot: Robot | str | Path,
+    *,
+    simulated: bool = False,
+    record: Path | str | None = None,
+    seed: int | None = None,
 ) -> Iterator[Session]:
-    """Open everything, in order; on the way out close everything, in the opposite order."""
+    """Open a robot's buses (or the simulated world in their place) and its recorder; close them on the way out.
+
+    Args:
+        robot: a `Robot`, or what `load_robot` takes.
+        simulated: run in simulated time, as fast as the machine can; every bus must be a twin. Otherwise in
+            real time.
+        record: the recording to write (an MCAP file that must not exist yet).
+        seed: of the simulated world's noise; None: the robot file's.
+
+    Yields:
+        Session: ready to `run`. Nothing is armed yet.
+
+    Raises:
+        ConfigError: the robot file or its world is wrong.
+        BusError: an interface cannot be opened.
+        RecordingError: the recording cannot be written.
+        UserError: the robot does not exist, `record` exists, or `simulated` with a real interface.
+    """
+    if not isinstance(robot, Robot):
+        robot = config.load(resources.find("robots", str(robot)))
+    real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
+    if simulated and real:
+        raise UserError(f"simulated time needs a simulated world: {', '.join(real)} is on a real interface")
+    if record is not None and Path(record).exists():
+        raise UserError(f"{record}: the file exists already; a recording is never overwritten")
+    clock = SimulatedClock() if simulated else WallClock()
     with ExitStack() as stack:
         buses, twins = _open_buses(robot, clock, seed, stack)
         recorder = None
@@ -94,22 +187,23 @@ def session(
             from gateway.recording import Recorder
 
             mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
-            recorder = Recorder(record, robot.text, {"date": date()}, mounts)
+            recorder = Recorder(Path(record), robot.text, {"date": date()}, mounts)
             stack.callback(recorder.close)
         gateway = Gateway(robot)
-        for caution in cautions(robot):
+        for caution in config.cautions(robot):
             log.warning("%s", caution)
-        stack.enter_context(loop.quiet_collector())
-        _forget(robot, buses, clock)
-        made = Session(robot, gateway, clock, buses, twins, recorder)
-        stack.enter_context(loop.signals(lambda name: setattr(made, "leaving", name)))
-        yield made
+        stack.enter_context(quiet_collector())
+        _discard_stale(robot, buses, clock)
+        session = Session(robot, gateway, clock, buses, twins, recorder)
+        stack.callback(session.close)
+        stack.enter_context(signals(lambda name: setattr(session, "leaving", name)))
+        yield session
 
 
-def _forget(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None:
-    """What has come in while all this was opened is of an unknown age: it is left out."""
+def _discard_stale(robot: Robot, buses: Mapping[str, Bus], clock: Clock) -> None:
+    """Discard what was received while everything was opened: its age is not known."""
     for name, bus in buses.items():
-        for _ in range(MOST_READS if robot.buses[name].interface != TWIN else 0):
+        for _ in range(MAX_STALE_READS if robot.buses[name].interface != TWIN else 0):
             states, packets = bus.read(clock.now())
             for state in states:
                 log.warning("%s: %s", name, state)

@@ -50,10 +50,10 @@ class Little:
                 (self.position,) = struct.unpack("<f", packet.frame.data[:4])
                 self.t, self.seen = packet.t, self.seen + 1
                 events.append(msg.Feedback("left", packet.t, self.position))
-        for word in inputs.asked:
+        for word in inputs.instructions:
             if isinstance(word, msg.Goal):
                 self.goal = word
-        notes = (Note("info", "brain", f"goal {self.goal}"),) if inputs.asked else ()
+        notes = (Note("info", "brain", f"goal {self.goal}"),) if inputs.instructions else ()
         velocity = -self.gain * self.position
         return Outputs((Packet(now, "can0", command(velocity)),), tuple(events), notes)
 
@@ -93,7 +93,7 @@ def inputs(number: int) -> Inputs:
         Packet(now - 100, "tty", bytes([0xA5, number & 0xFF])),
     )
     states = (("can0", BusState.UP),) if number == 0 else ()
-    asked: tuple[msg.Asked, ...] = (
+    asked: tuple[msg.Instruction, ...] = (
         (msg.Goal(number * 0.1, 1.0), msg.Drive(0.1, 0.2)) if number % 50 == 10 else ()
     )
     return Inputs(states, packets, asked)
@@ -193,7 +193,7 @@ ticks: st.SearchStrategy[Tick] = st.builds(
         Inputs,
         states=st.lists(st.tuples(text, st.sampled_from(BusState)), max_size=2).map(tuple),
         packets=packets,
-        asked=st.lists(words(ASKED), max_size=3).map(tuple),
+        instructions=st.lists(words(ASKED), max_size=3).map(tuple),
     ),
     outputs=st.builds(
         Outputs,

@@ -12,7 +12,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Note, Tick
 from gateway.runtime.loop import LoopStats, live
-from protocols.messages import SECOND, Asked, Command, Nanos
+from protocols.messages import SECOND, Command, Instruction, Nanos
 
 BENCH = """
 name = "rig"
@@ -50,7 +50,7 @@ class Rig:
         self.gateway = Gateway(self.robot)
         self.account = LoopStats()
         self.ticks: list[Tick] = []
-        self._waiting: list[Asked] = []
+        self._waiting: list[Instruction] = []
         self._live = live(
             self.gateway,
             self.world.buses,
@@ -60,11 +60,13 @@ class Rig:
             account=self.account,
         )
 
-    def _ask(self) -> Sequence[Asked]:
+    def _ask(self) -> Sequence[Instruction]:
         asked, self._waiting = self._waiting, []
         return asked
 
-    def run(self, seconds: float, *asked: Asked, at: Callable[[Tick], None] | None = None) -> list[Tick]:
+    def run(
+        self, seconds: float, *asked: Instruction, at: Callable[[Tick], None] | None = None
+    ) -> list[Tick]:
         """Some seconds of the robot's time, beginning with what is asked; its ticks."""
         self._waiting += asked
         until: Nanos = self.clock.now() + round(seconds * SECOND)

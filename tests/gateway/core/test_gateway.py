@@ -252,7 +252,7 @@ def test_an_operators_stop_is_also_for_a_motor_that_somebody_else_has_armed(driv
         assert not _idles(driven, received)
     last = driven.clock.now()
     assert ours.joints["left"].mode is Mode.ARMED
-    assert _idles(driven, ours.step(last, Inputs(asked=(msg.Stop(),)))) == ["left", "right"]
+    assert _idles(driven, ours.step(last, Inputs(instructions=(msg.Stop(),)))) == ["left", "right"]
 
 
 def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Rig) -> None:
@@ -260,7 +260,7 @@ def test_leaving_says_nothing_to_a_motor_that_somebody_else_has_armed(driven: Ri
     for tick in driven.run(0.3):
         ours.step(tick.now, Inputs(packets=tick.inputs.packets))
     assert ours.joints["left"].mode is Mode.ARMED
-    assert not _idles(driven, ours.step(driven.clock.now(), Inputs(asked=(msg.Leave("the end"),))))
+    assert not _idles(driven, ours.step(driven.clock.now(), Inputs(instructions=(msg.Leave("the end"),))))
 
 
 def _idles(rig: Rig, outputs: Outputs) -> list[str]:

@@ -316,7 +316,7 @@ def test_a_recording_s_lines_are_all_its_frames(capsys: pytest.CaptureFixture[st
     reported = capsys.readouterr().out.splitlines()
     ticks = list(read(recording).ticks)
     frames = sum(len(tick.inputs.packets) + len(tick.outputs.packets) for tick in ticks)
-    others = sum(len(tick.outputs.notes) + len(tick.inputs.asked) for tick in ticks)
+    others = sum(len(tick.outputs.notes) + len(tick.inputs.instructions) for tick in ticks)
     assert len(reported) == frames + others
     assert sum(" can0 " in text for text in reported) == frames
     assert any("info: brain: ready" in text for text in reported)

@@ -33,7 +33,7 @@ MIXED = load(resources.find("robots", "diffbot_mixed"))
 
 # -- the language ------------------------------------------------------------------------------
 
-LINES: list[tuple[Robot, str, msg.Asked | Query | None]] = [
+LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (DIFFBOT, "goal 2 1.5", msg.Goal(2.0, 1.5)),
     (DIFFBOT, "goal 2,1.5,90", msg.Goal(2.0, 1.5, math.pi / 2)),
     (DIFFBOT, "GOAL 2 1.5 -90deg", msg.Goal(2.0, 1.5, -math.pi / 2)),
@@ -73,7 +73,7 @@ LINES: list[tuple[Robot, str, msg.Asked | Query | None]] = [
 
 
 @pytest.mark.parametrize(("robot", "line", "meant"), LINES, ids=[row[1] for row in LINES])
-def test_a_line_means(robot: Robot, line: str, meant: msg.Asked | Query | None) -> None:
+def test_a_line_means(robot: Robot, line: str, meant: msg.Instruction | Query | None) -> None:
     said = parse(line, robot)
     assert said == meant
     assert type(said) is type(meant)
@@ -246,7 +246,7 @@ def test_quit_is_told_and_leaves(operator: Operator, client: Client) -> None:
 
 def test_a_line_that_is_too_long_is_left_out_whole(operator: Operator, client: Client) -> None:
     client.say(b"stop " + b"x" * (MOST_LINE * 12) + b"\nrelease\n")
-    asked: list[msg.Asked] = []
+    asked: list[msg.Instruction] = []
     for _ in range(10):
         asked += operator.poll(status)
     assert asked == [msg.Release()]
@@ -342,7 +342,7 @@ def test_where_sockets_stand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
 
 def test_the_command_lines_own_end(operator: Operator) -> None:
     """`ask` blocks, so the robot's loop turns in a thread of the test."""
-    asked: list[msg.Asked] = []
+    asked: list[msg.Instruction] = []
     enough = threading.Event()
 
     def loop() -> None:

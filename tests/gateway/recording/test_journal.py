@@ -59,7 +59,7 @@ def test_the_bytes_are_those_of_a_general_serialiser(tick: Tick) -> None:
         assert (reported.t, reported.bus, reported.data.tobytes()) == (packet.t, packet.bus, data_in)
         assert reported.kind == isinstance(frame, CanFrame)
         assert reported.id == (frame.id if isinstance(frame, CanFrame) else 0)
-    assert len(message.asked) == len(tick.inputs.asked)
+    assert len(message.asked) == len(tick.inputs.instructions)
     assert len(message.sent) == len(tick.outputs.packets)
     assert [n.text for n in message.notes] == [n.text for n in tick.outputs.notes]
 
