@@ -2,10 +2,10 @@
 bare `struct`.
 
 Rules. The samples of a protocol are the module of its name in `benchmarks.samples`, or `bench` in its own
-package, with `RIVAL`, `prepared` and `SAMPLES` (class `Language`): what the messages are, and which package is the
-vendor's or the usual one, is its own affair. A package is used as its documentation shows first, with the checks
-it makes by default. Ours makes a message and the whole frame, and lets no number through that is not finite. All
-sides of a sample must come to the same, or it is not measured.
+package, with `RIVAL`, `prepared` and `SAMPLES` (class `Language`): what the messages are, and which package
+is the vendor's or the usual one, is its own affair. A package is used as its documentation shows first, with
+the checks it makes by default. Ours makes a message and the whole frame, and lets no number through that is
+not finite. All sides of a sample must come to the same, or it is not measured.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from gateway.core.step import Gateway, by_plugin, decoder_of
 from gateway.core.tick import Tick
 from gateway.recording import Recorder, read
 from gateway.replay.compare import compare
-from gateway.runtime.loop import quiet_collector
+from gateway.runtime.process import quiet_collector
 from gateway.runtime.session import session
 from protocols.messages import SECOND, Goal, Imu, LaserScan, Nanos
 

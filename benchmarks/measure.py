@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Any, Literal, TypeAlias
 
 from gateway.core.clock import stopwatch
-from gateway.runtime.loop import quiet_collector
+from gateway.runtime.process import quiet_collector
 from protocols.messages import Nanos
 
 Call: TypeAlias = Callable[[], object]
