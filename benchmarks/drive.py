@@ -20,14 +20,14 @@ from benchmarks.rows import Row, Target, span
 from benchmarks.steps import TICK, figures_by_step, timed
 from gateway import config
 from gateway.config import resources
-from gateway.core.clock import SimulatedClock, WallClock, processor_time, stopwatch
+from gateway.core.clock import WallClock, processor_time, stopwatch
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway, by_plugin, decoder_of
 from gateway.core.tick import Tick
 from gateway.recording import Recorder, read
 from gateway.replay.compare import compare
 from gateway.runtime.process import quiet_collector
-from gateway.runtime.session import session
+from gateway.runtime.session import open_session
 from protocols.messages import SECOND, Goal, Imu, LaserScan, Nanos
 
 STEPS = "a step of the gateway (diffbot: 2 motors, IMU, lidar; whole brain, driving to a goal)"
@@ -69,10 +69,9 @@ def driving(effort: Effort) -> list[Row]:
 
 def drive(folder: Path, seconds: int) -> Drive:
     """Drive towards the first goals of the office's tour, and record it."""
-    robot = config.load(resources.find("robots", "diffbot"))
+    robot = config.load_robot(resources.find("robots", "diffbot"))
     file = folder / "drive.mcap"
-    clock = SimulatedClock()
-    with session(robot, clock, record=file) as made:
+    with open_session(robot, simulated=True, record=file) as made:
         tour = iter(made.tour())
         waiting = [next(tour)]
 
@@ -80,10 +79,10 @@ def drive(folder: Path, seconds: int) -> Drive:
             if len(waiting) == made.gateway.belief().reached:
                 waiting.append(next(tour))
                 return (waiting[-1],)
-            return (waiting[0],) if clock.now() == 0 else ()
+            return (waiting[0],) if made.clock.now() == 0 else ()
 
         until = seconds * SECOND
-        with closing(made.ticks(ask=ask)) as ticks:
+        with closing(made.run(poll=ask)) as ticks:
             return Drive(robot, list(takewhile(lambda tick: tick.now < until, ticks)), file)
 
 

@@ -161,7 +161,7 @@ def _process(arguments: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
 @contextmanager
 def _frames(robot: str, clock: WallClock) -> Iterator[list[Frame]]:
     """The far ends of a robot's buses."""
-    buses = config.load(resources.find("robots", robot)).buses
+    buses = config.load_robot(resources.find("robots", robot)).buses
     made: list[Frame] = []
     try:
         made.extend(_frame(settings, clock) for settings in buses.values())

@@ -38,7 +38,7 @@ Drive: TypeAlias = tuple[Robot, Sequence[Tick]]
 
 def steps(effort: Effort) -> list[Row]:
     """12 motors, and the first 2 of them."""
-    twelve = config.load(resources.find("robots", "twelve"))
+    twelve = config.load_robot(resources.find("robots", "twelve"))
     seconds = effort.of(5, 1)
     drives = {
         "2 motors, velocity": drive(first(twelve, 2), lambda motor: Velocity(motor, 5.0), seconds),
@@ -73,7 +73,7 @@ def drive(robot: Robot, target: Callable[[str], Instruction], seconds: int) -> D
         return asked
 
     until: Nanos = seconds * SECOND
-    with closing(live(Gateway(robot), world.buses, clock, ask=ask, until=until)) as ticks:
+    with closing(live(Gateway(robot), world.buses, clock, poll=ask, until=until)) as ticks:
         return robot, list(ticks)
 
 

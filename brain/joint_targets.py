@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from brain.condition import StatusReporter
+from brain.status import StatusReporter
 from brain.control.joints import Targets
 from brain.health import WELL, Health, HealthSettings, Level
 from protocols.messages import Command, Event, Idle, Nanos

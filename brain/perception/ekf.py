@@ -6,7 +6,7 @@ applied again; an older one is refused. Each is gated as a vector by its squared
 against chi-square; a refused one changes nothing and is counted. No gate locks the filter out: when
 a sensor has been refused for longer than `lockout` without a break, its next measurement is taken
 with the covariance widened, and that is counted too. What is not finite never enters. The state and
-how it moves: `brain.perception.motion`.
+how it moves: `brain.perception.motion_model`.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 
 from brain.belief import Floats
 from brain.bodies.differential import wrap
-from brain.perception.consistency import Nis
-from brain.perception.filter_settings import CHI_SQUARE, EkfSettings
+from brain.perception.ekf import Nis
+from brain.perception.ekf_settings import CHI_SQUARE, EkfSettings
 from brain.perception.measurement import Measurement, Verdict
-from brain.perception.motion import POSE, SIZE, SLIP, YAW, X, jacobian, move, process_noise
+from brain.perception.motion_model import POSE, SIZE, SLIP, YAW, X, jacobian, move, process_noise
 from protocols.messages import Nanos, seconds
 
 

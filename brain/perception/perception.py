@@ -19,12 +19,12 @@ import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, arc
-from brain.perception.consistency import Nis
+from brain.perception.ekf import Nis
 from brain.perception.ekf import Ekf
-from brain.perception.filter_settings import EkfSettings
+from brain.perception.ekf_settings import EkfSettings
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.measurement import Measurement, Verdict, gyro, located, resting, wheels
-from brain.perception.motion import BIAS, POSE, SLIP, YAW, V, W, X, Y
+from brain.perception.motion_model import BIAS, POSE, SLIP, YAW, V, W, X, Y
 from brain.perception.mount import Mount, Sweep, sweep
 from brain.perception.odometry import Odometry, OdometrySettings, Travel
 from brain.perception.scan_match import MatchSettings, match, misfits

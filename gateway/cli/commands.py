@@ -45,21 +45,21 @@ def _read_robot(name: str, interfaces: Sequence[tuple[str, str]] = ()) -> Robot:
     from gateway import config
     from gateway.config import resources
 
-    return config.with_interfaces(config.load(resources.find("robots", name)), dict(interfaces))
+    return config.with_interfaces(config.load_robot(resources.find("robots", name)), dict(interfaces))
 
 
 def demo(options: Namespace) -> int:
     """Drive a tour through the robot's world; figures, recording and picture."""
     from gateway.cli.demo import Watcher, figures
-    from gateway.core.clock import SimulatedClock, WallClock, stopwatch
-    from gateway.runtime.session import session
+    from gateway.core.clock import stopwatch
+    from gateway.runtime.session import open_session
 
     with _sentences():
         robot = _read_robot(options.robot)
         _make_folder(options.out)
         recording = options.out / "demo.mcap"
-        clock = SimulatedClock() if options.fast else WallClock()
-        with session(robot, clock, record=recording, seed=options.seed) as made:
+        recording.unlink(missing_ok=True)
+        with open_session(robot, simulated=options.fast, record=recording, seed=options.seed) as made:
             tour = [Goal(*goal) for goal in options.goal or ()] or made.tour()
             if not tour:
                 raise UserError(f"the world of {robot.name!r} has no tour: say where to go with --goal X,Y")
@@ -96,7 +96,7 @@ def _drive_tour(made: Session, watcher: Watcher, tour: Sequence[Goal]) -> None:
             return (tour[asked - 1],)
         return ()
 
-    with closing(made.ticks(ask=ask)) as ticks:
+    with closing(made.run(poll=ask)) as ticks:
         for tick in ticks:
             watcher.watch(tick)
             if made.gateway.belief().reached > len(watcher.log.arrivals):
@@ -115,7 +115,7 @@ def _drive_tour(made: Session, watcher: Watcher, tour: Sequence[Goal]) -> None:
 
 def _print_figures(made: Session, verdict: Figures, took: Nanos) -> None:
     print("\n".join(verdict.lines()))
-    account = made.account
+    account = made.stats
     ratio = verdict.seconds * SECOND / took
     print(f"{account.ticks} ticks in {took / SECOND:.1f} s: {ratio:.1f} times real time")
     if account.missed:
@@ -142,11 +142,10 @@ def _make_folder(folder: Path) -> None:
 
 def run(options: Namespace) -> int:
     """Run a robot on its buses until it is told to leave."""
-    from gateway.core.clock import SimulatedClock, WallClock
     from gateway.core.robot import TWIN
     from gateway.operator import Operator
-    from gateway.runtime.loop import real_time
-    from gateway.runtime.session import session
+    from gateway.runtime.process import request_realtime
+    from gateway.runtime.session import open_session
 
     with _sentences():
         robot = _read_robot(options.robot, options.bus)
@@ -157,22 +156,21 @@ def run(options: Namespace) -> int:
             )
         if options.record is not None and options.record.exists():
             raise UserError(f"--record {options.record}: there is such a file already; it is not overwritten")
-        if options.realtime is not None and (refused := real_time(options.realtime)):
+        if options.realtime is not None and (refused := request_realtime(options.realtime)):
             print(refused, file=sys.stderr)
-        clock = SimulatedClock() if options.fast else WallClock()
         with (
-            session(robot, clock, record=options.record, seed=options.seed) as made,
+            open_session(robot, simulated=options.fast, record=options.record, seed=options.seed) as made,
             Operator(robot) as operator,
         ):
             goals = [Goal(*goal) for goal in options.goal]
-            lasting = None if options.seconds is None else round(options.seconds * SECOND)
+            lasting = options.seconds
             status = _run_loop(made, operator, goals, lasting, options)
     _print_recording(made)
     return status
 
 
 def _run_loop(
-    made: Session, operator: Operator, goals: list[Goal], lasting: Nanos | None, options: Namespace
+    made: Session, operator: Operator, goals: list[Goal], lasting: float | None, options: Namespace
 ) -> int:
     """The loop of `run`: what a person asks goes in, what the robot says comes out."""
     print(
@@ -191,14 +189,14 @@ def _run_loop(
         return asked
 
     faults = ""
-    with closing(made.ticks(lasting, ask, dry=options.dry_run)) as ticks:
+    with closing(made.run(lasting, poll=ask, dry_run=options.dry_run)) as ticks:
         for tick in ticks:
             for note in tick.outputs.notes:
-                operator.report(f"{note.about}: {note.text}")
+                operator.report(f"{note.source}: {note.text}")
             faults = made.gateway.in_fault()
             if options.fast and lasting is None and _all_done(made, len(goals)):
                 break
-    account = made.account
+    account = made.stats
     print(f"{account.ticks} ticks, {account.received} packets in, {account.sent} out", end="")
     print(f", {account.missed} ticks missed, longest step {account.longest_step / MILLISECOND:.1f} ms")
     if faults:
@@ -240,9 +238,9 @@ def replay(options: Namespace) -> int:
             raise UserError(f"{options.file} is no foreign bag: --at-most judges those alone")
         recording = read(options.file)
         if options.robot is None:
-            robot = config.loads(recording.robot_text, f"{options.file}: robot.toml")
+            robot = config.parse_robot(recording.robot_text, f"{options.file}: robot.toml")
         else:
-            robot = config.load(resources.find("robots", options.robot))
+            robot = config.load_robot(resources.find("robots", options.robot))
         gateway = Gateway(robot)
     began = stopwatch()
     verdict = compare(

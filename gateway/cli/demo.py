@@ -136,7 +136,7 @@ class Watcher:
     def watch(self, tick: Tick) -> None:
         """After every tick."""
         joints = self._session.gateway.joints.values()
-        self._ages += [age for joint in joints if (age := joint.age(tick.now)) is not None]
+        self._ages += [age for joint in joints if (age := joint.feedback_age(tick.now)) is not None]
         if tick.now >= self._next:
             self._sample(tick.now)
             self._next = tick.now + SAMPLE
@@ -169,7 +169,7 @@ class Watcher:
         log.covariance.append(belief.estimate.covariance)
         log.age.append(max(self._ages, default=0) / MILLISECOND)
         self._ages = []
-        busy = dict(self._session.account.busy)
+        busy = dict(self._session.stats.busy)
         log.load.append({bus: (busy[bus] - self._busy.get(bus, 0)) / SAMPLE for bus in busy})
         self._busy = busy
         if belief.path and (belief.state is BrainState.RUNNING):

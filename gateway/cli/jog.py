@@ -22,12 +22,11 @@ from gateway.cli.terminal.keys import Held, Key, parse, press, raw, read, share
 from gateway.cli.terminal.screen import Line
 from gateway.config import resources
 from gateway.config.errors import unknown
-from gateway.core.clock import WallClock
 from gateway.core.joint import Joint
 from gateway.core.robot import Robot
 from gateway.errors import UserError
 from gateway.monitor.render import QUANTITIES, age, fault
-from gateway.runtime.session import Session, session
+from gateway.runtime.session import Session, open_session
 from protocols.messages import MILLISECOND, ClearFault, Idle, Instruction, Nanos, Velocity
 
 log = logging.getLogger("gateway")
@@ -39,12 +38,12 @@ REFRESH: Nanos = 100 * MILLISECOND
 
 def jog(options: Namespace) -> int:
     """Jog a motor from the keyboard until told to leave."""
-    robot = config.load(resources.find("robots", options.robot))
+    robot = config.load_robot(resources.find("robots", options.robot))
     robot = alone(config.with_interfaces(robot, dict(options.bus)), options.motor, options.speed)
     if not sys.stdin.isatty():
         raise UserError("the motor turns as long as a key is held: this needs a terminal as standard input")
     terminal = sys.stdin.fileno()
-    with session(robot, WallClock()) as made:
+    with open_session(robot) as made:
         line = Line(sys.stdout)
         line.above(help_text(robot, options.motor))
         with raw(terminal), above(line):
@@ -136,7 +135,7 @@ def drive(made: Session, motor: str, typed: Callable[[], bytes | None], show: Ca
         return hand.ask(now, typed(), blocked)
 
     shown: Nanos | None = None
-    with closing(made.ticks(ask=ask)) as ticks:
+    with closing(made.run(poll=ask)) as ticks:
         for tick in ticks:
             if shown is None or tick.now >= shown + REFRESH:
                 shown = tick.now
@@ -154,7 +153,7 @@ def status(joint: Joint, wanted: float, now: Nanos) -> str:
         for name, unit, digits in QUANTITIES
         if (value := getattr(joint.feedback, name)) is not None
     ]
-    received = joint.age(now)
+    received = joint.feedback_age(now)
     parts = [
         f"{joint.name} {arrow} {abs(wanted):.2f} rad/s",
         *(f"FAULT {fault(one)}" for one in joint.faults.values()),

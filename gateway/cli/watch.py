@@ -25,7 +25,7 @@ from gateway.monitor.decoder import Listener
 from gateway.monitor.sources import Watching, open_all
 from gateway.monitor.state import Heard
 from gateway.replay.diff import say
-from gateway.runtime import loop
+from gateway.runtime.process import signals
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -41,7 +41,7 @@ def watch(options: Namespace) -> int:
         return _recording(Path(options.what), lines=options.lines, seconds=options.seconds)
     with ExitStack() as stack:
         watching = open_all(options, WallClock(), stack)
-        stack.enter_context(loop.signals(lambda name: setattr(watching, "leaving", name)))
+        stack.enter_context(signals(lambda name: setattr(watching, "leaving", name)))
         until = None if options.seconds is None else watching.began + round(options.seconds * SECOND)
         if options.lines or not sys.stdout.isatty():
             for some in lines(watching, until):
@@ -123,7 +123,7 @@ def _recording(path: Path, *, lines: bool, seconds: float | None) -> int:
     from gateway.recording import read
 
     recording = read(path)
-    robot = config.loads(recording.robot_text, f"{path}: robot.toml")
+    robot = config.parse_robot(recording.robot_text, f"{path}: robot.toml")
     tongues = of_robot(robot, list(robot.buses))
     listener: Listener | None = None
     began = now = 0
@@ -164,6 +164,6 @@ def tick_lines(tick: Tick, received: Sequence[Heard]) -> list[str]:
     reported += [render.line(one) for one in received[:came]]
     reported += [f"{render.stamp(tick.now)} asked: {say(word)}" for word in tick.inputs.instructions]
     reported += [
-        f"{render.stamp(tick.now)} {note.level}: {note.about}: {note.text}" for note in tick.outputs.notes
+        f"{render.stamp(tick.now)} {note.level}: {note.source}: {note.text}" for note in tick.outputs.notes
     ]
     return reported + [render.line(one) for one in received[came:]]

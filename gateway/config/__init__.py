@@ -1,11 +1,11 @@
 """The robot file (TOML) turned into a `Robot`: every mistake in it at once, before anything moves.
 
-Exports load, loads, with_interfaces, devices, describe. Knows the protocols' and the
+Exports load_robot, parse_robot, with_interfaces, devices, describe. Knows the protocols' and the
 brain's settings only by their own dataclasses. Must not import buses, recordings, or the runtime.
 """
 
 from gateway.config.describe import describe
-from gateway.config.robot_file import devices, load, loads, with_interfaces
+from gateway.config.robot_file import devices, load_robot, parse_robot, with_interfaces
 from gateway.config.validate import cautions
 
-__all__ = ["cautions", "describe", "devices", "load", "loads", "with_interfaces"]
+__all__ = ["cautions", "describe", "devices", "load_robot", "parse_robot", "with_interfaces"]

@@ -47,8 +47,8 @@ __all__ = [
     "cautions",
     "describe",
     "devices",
-    "load",
-    "loads",
+    
+    
     "with_interfaces",
 ]
 
@@ -69,7 +69,7 @@ class _Top:
 # -- what others call --------------------------------------------------------------------------
 
 
-def load(path: Path, find: Find = plugin.load) -> Robot:
+def load_robot(path: Path, find: Find = plugin.load) -> Robot:
     """Read a robot file. Raises ConfigError with every mistake in it, or that it cannot be read."""
     try:
         text = path.read_text(encoding="utf-8")
@@ -77,10 +77,10 @@ def load(path: Path, find: Find = plugin.load) -> Robot:
         mistakes = Mistakes(str(path), "")
         mistakes.add((), f"cannot be read: {error}")
         raise mistakes.error() from error
-    return loads(text, str(path), find, with_world=True)
+    return parse_robot(text, str(path), find, with_world=True)
 
 
-def loads(
+def parse_robot(
     text: str, name: str = "robot.toml", find: Find = plugin.load, *, with_world: bool = False
 ) -> Robot:
     """A robot from the text of its file; `name` is the file's in mistakes, `find` knows the protocols.

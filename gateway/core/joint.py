@@ -153,13 +153,13 @@ class Joint:
         self._said = None
         self._profile.forget()
 
-    def age(self, now: Nanos) -> Nanos | None:
+    def feedback_age(self, now: Nanos) -> Nanos | None:
         """The age of the newest motion; None if the device has never told any."""
         return None if self._received_at is None else now - self._received_at
 
     def feedback_lost(self, now: Nanos) -> bool:
         """Whether there is no feedback, or too old a one."""
-        age = self.age(now)
+        age = self.feedback_age(now)
         return age is None or age > self.settings.feedback_timeout
 
     def command_age(self, now: Nanos) -> Nanos | None:
@@ -168,7 +168,7 @@ class Joint:
 
     # -- from the brain -----------------------------------------------------------------------
 
-    def allow(self, now: Nanos, said: Command | None, stopped: bool, last: bool = False) -> Command:
+    def command(self, now: Nanos, said: Command | None, stopped: bool, last: bool = False) -> Command:
         """The one command of this step, at the device's shaft.
 
         `said` is what the brain says now, None if it says nothing new. `last`: nothing will follow, so

@@ -117,7 +117,7 @@ def _wanted(options: Namespace) -> _Wanted:
 
 def _robot(options: Namespace) -> _Wanted:
     """The buses of a robot file that are real."""
-    robot = config.load(resources.find("robots", options.what))
+    robot = config.load_robot(resources.find("robots", options.what))
     robot = config.with_interfaces(robot, dict(options.bus))
     left_out = {name: _twin(bus) for name, bus in robot.buses.items() if bus.interface == TWIN}
     buses = dict(robot.buses)

@@ -25,7 +25,7 @@ def status_text(made: Session) -> str:
     if belief.goal is not None:
         lines.append(f"goal: {belief.goal.x:g}, {belief.goal.y:g} m ({belief.reached} reached so far)")
     for name, joint in gateway.joints.items():
-        reported, age = joint.feedback, joint.age(now)
+        reported, age = joint.feedback, joint.feedback_age(now)
         received = "never heard" if age is None else f"heard {age / MILLISECOND:.0f} ms ago"
         parts = [
             f"{label} {value:.3f} {unit}"
@@ -41,7 +41,7 @@ def status_text(made: Session) -> str:
         lines.append(f"{name}: {joint.mode}, {received}{''.join(', ' + part for part in parts)}")
         lines += [f"  fault: {fault.name}; {fault.remedy}" for fault in joint.faults.values()]
     lines += _counted(gateway)
-    lines.append(f"ticks: {made.account.ticks}, {made.account.missed} missed")
+    lines.append(f"ticks: {made.stats.ticks}, {made.stats.missed} missed")
     if (recorder := made.recorder) is not None:
         lost = f", {recorder.lost} ticks lost: {recorder.trouble}" if recorder.trouble else ""
         lines.append(f"recording: {recorder.path}{lost}")

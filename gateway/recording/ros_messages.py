@@ -195,7 +195,7 @@ def log(types: Types, t: Nanos, note: Note) -> Message:
     return types["rcl_interfaces/msg/Log"](
         stamp=stamp(types, t),
         level=_LOG_LEVELS[note.level],
-        name=text(note.about),
+        name=text(note.source),
         msg=text(note.text),
         file="",
         function="",

@@ -341,7 +341,7 @@ class Views:
 
     def _note(self, note: Note) -> Message:
         return ros_messages.diagnostic_status(
-            self._types, _NOTE_LEVELS[note.level], f"/gateway/notes/{note.about}", note.text, {}
+            self._types, _NOTE_LEVELS[note.level], f"/gateway/notes/{note.source}", note.text, {}
         )
 
 

@@ -149,7 +149,7 @@ def encode(tick: Tick, before: DigestChain) -> tuple[bytes, DigestChain]:
     _count(out, tick.outputs.notes)
     for note in tick.outputs.notes:
         _string(out, note.level)
-        _string(out, note.about)
+        _string(out, note.source)
         _string(out, note.text)
     seals = _seal(out, half, len(out), before)
     out += seals.inputs

@@ -281,7 +281,7 @@ class _Judge:
         if tuple(recorded) == tuple(now) or "notes" in self.found:
             return
         one, two = next((a, b) for a, b in zip_longest(recorded, now) if a != b)
-        said = [f"{note.about}: {note.text} ({note.level})" if note else "" for note in (one, two)]
+        said = [f"{note.source}: {note.text} ({note.level})" if note else "" for note in (one, two)]
         self.differ("notes", _both("told to a person", *said))
 
     def _compare_views(self, recorded: Sequence[View], now: Sequence[View]) -> None:

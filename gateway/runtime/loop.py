@@ -21,7 +21,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Note, Tick
 from protocols.frames import BusState, Packet
-from protocols.messages import MILLISECOND, Asked, Leave, Nanos
+from protocols.messages import MILLISECOND, Instruction, Leave, Nanos
 
 log = logging.getLogger("gateway")
 
@@ -54,7 +54,7 @@ class LoopStats:
     """By bus: transmission time of everything sent and received, with worst-case bit stuffing."""
 
 
-def no_instructions() -> Sequence[Asked]:
+def no_instructions() -> Sequence[Instruction]:
     """Return none: for a run without an operator."""
     return ()
 
@@ -64,7 +64,7 @@ def live(
     buses: Mapping[str, Bus],
     clock: Clock,
     *,
-    poll: Callable[[], Sequence[Asked]] = no_instructions,
+    poll: Callable[[], Sequence[Instruction]] = no_instructions,
     record: Record | None = None,
     until: Nanos | None = None,
     stats: LoopStats | None = None,
@@ -77,7 +77,7 @@ def live(
     stats = stats if stats is not None else LoopStats()
     leaving = False
 
-    def tick(now: Nanos, instructions: Sequence[Asked]) -> Tick:
+    def tick(now: Nanos, instructions: Sequence[Instruction]) -> Tick:
         inputs = _gather(buses, now, instructions)
         outputs = gateway.step(now, inputs)
         if not dry_run:
@@ -109,7 +109,7 @@ def live(
             _stop_and_wait(gateway, clock, tick)
 
 
-def _stop_and_wait(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Asked]], Tick]) -> None:
+def _stop_and_wait(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Instruction]], Tick]) -> None:
     """Send the stop action at once, and step on until the devices report that they are disarmed."""
     start = clock.now()
     tick(start, (Leave(LEFT),))
@@ -161,7 +161,7 @@ def write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> No
             bus.write(now, frames)
 
 
-def _gather(buses: Mapping[str, Bus], now: Nanos, instructions: Sequence[Asked]) -> Inputs:
+def _gather(buses: Mapping[str, Bus], now: Nanos, instructions: Sequence[Instruction]) -> Inputs:
     states, packets = read(buses, now)
     return Inputs(tuple(states), tuple(packets), tuple(instructions))
 
@@ -172,7 +172,7 @@ _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ER
 def _log_notes(notes: Sequence[Note], leaving: bool) -> None:
     """Log the notes of a step. While leaving, that everything stops is no news."""
     for note in notes:
-        log.log(logging.DEBUG if leaving else _LEVELS[note.level], "%s: %s", note.about, note.text)
+        log.log(logging.DEBUG if leaving else _LEVELS[note.level], "%s: %s", note.source, note.text)
 
 
 def _count(stats: LoopStats, robot: Robot, tick: Tick, took: Nanos) -> None:

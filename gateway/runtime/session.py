@@ -25,7 +25,7 @@ from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.runtime import loop
 from gateway.runtime.process import quiet_collector, signals
-from protocols.messages import SECOND, Asked, Goal, Release
+from protocols.messages import SECOND, Goal, Instruction, Release
 
 if TYPE_CHECKING:
     from gateway.buses import Bus
@@ -52,10 +52,10 @@ class Session:
     stats: loop.LoopStats = field(default_factory=loop.LoopStats)
     leaving: str = ""
     """Why the run is to end before its time (a signal, an operator's quit); "" if it is not."""
-    _submitted: list[Asked] = field(default_factory=list)
+    _submitted: list[Instruction] = field(default_factory=list)
     _ticks: Generator[Tick] | None = None
 
-    def submit(self, *instructions: Asked) -> None:
+    def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
 
         Args:
@@ -68,7 +68,7 @@ class Session:
         self,
         seconds: float | None = None,
         *,
-        poll: Callable[[], Sequence[Asked]] = loop.no_instructions,
+        poll: Callable[[], Sequence[Instruction]] = loop.no_instructions,
         dry_run: bool = False,
     ) -> Generator[Tick]:
         """Step the robot at its period and yield each tick; send every joint's stop action at the end.
@@ -90,11 +90,11 @@ class Session:
         return self._ticks
 
     def _run(
-        self, seconds: float | None, poll: Callable[[], Sequence[Asked]], dry_run: bool
+        self, seconds: float | None, poll: Callable[[], Sequence[Instruction]], dry_run: bool
     ) -> Generator[Tick]:
         until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
 
-        def instructions() -> Sequence[Asked]:
+        def instructions() -> Sequence[Instruction]:
             submitted = [*self._submitted, *poll()]
             self._submitted.clear()
             return submitted
@@ -173,7 +173,7 @@ def open_session(
         UserError: the robot does not exist, `record` exists, or `simulated` with a real interface.
     """
     if not isinstance(robot, Robot):
-        robot = config.load(resources.find("robots", str(robot)))
+        robot = config.load_robot(resources.find("robots", str(robot)))
     real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
     if simulated and real:
         raise UserError(f"simulated time needs a simulated world: {', '.join(real)} is on a real interface")

@@ -22,8 +22,9 @@ from gateway.config import resources
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import TWIN, BusSettings, Robot
 from gateway.errors import BusError
-from gateway.runtime import loop
 from gateway.runtime.device_log import DeviceLog
+from gateway.runtime.process import quiet_collector, request_realtime, signals
+from gateway.runtime.serve import ServeStats, ServeTick, serve
 from protocols.frames import BusState
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -48,14 +49,14 @@ class Devices:
     device_log: DeviceLog
     age: Nanos
     """Of the world, when serving begins."""
-    account: loop.ServeStats = field(default_factory=loop.ServeStats)
+    stats: ServeStats = field(default_factory=ServeStats)
     leaving: str = ""
 
     def serve(self, seconds: float | None = None) -> None:
         """Until a signal, or so long."""
         until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
-        served = loop.serve(
-            self.twins.buses, self.buses, self.clock, until=until, account=self.account, age=self.age
+        served = serve(
+            self.twins.buses, self.buses, self.clock, until=until, stats=self.stats, age=self.age
         )
         with closing(served):
             for moment in served:
@@ -64,7 +65,7 @@ class Devices:
                     log.warning("leaving: %s", self.leaving)
                     return
 
-    def _report(self, moment: loop.ServeTick) -> None:
+    def _report(self, moment: ServeTick) -> None:
         for level, sentence in self.device_log.handle(moment.said):
             log.log(level, "%s", sentence)
         for name, state in moment.states:
@@ -102,17 +103,17 @@ _OF_PTYS = {
 
 def twin(options: Namespace) -> int:
     """Be the devices of a robot until told to leave."""
-    robot = outer(config.load(resources.find("robots", options.robot)), dict(options.bus))
-    if options.realtime is not None and (refused := loop.real_time(options.realtime)):
+    robot = outer(config.load_robot(resources.find("robots", options.robot)), dict(options.bus))
+    if options.realtime is not None and (refused := request_realtime(options.realtime)):
         log.warning("%s", refused)
     adapters = (options.adapter or ["slcan"]) * options.ports
     with devices(robot, WallClock(), options.seed, adapters, options.link) as made:
         print("\n".join(invitation(made, options.robot)), flush=True)
         made.serve(options.seconds)
-    account = made.account
-    print(f"{account.received} packets heard, {account.said} said", end="")
-    print(f"; at most {account.late / MILLISECOND:.0f} ms behind the clock", end="")
-    print(f"; stood still for {account.lost / SECOND:.1f} s in all" if account.lost else "")
+    stats = made.stats
+    print(f"{stats.received} packets heard, {stats.said} said", end="")
+    print(f"; at most {stats.late / MILLISECOND:.0f} ms behind the clock", end="")
+    print(f"; stood still for {stats.lost / SECOND:.1f} s in all" if stats.lost else "")
     return 0
 
 
@@ -154,9 +155,9 @@ def devices(
             if ports:
                 offered[name] = ports if link is None else _linked(link, name, ports, stack)
                 met[name] = replace(settings, interface=offered[name][0])
-        stack.enter_context(loop.quiet_collector())
+        stack.enter_context(quiet_collector())
         made = Devices(replace(robot, buses=met), twins, buses, offered, clock, device_log, age)
-        stack.enter_context(loop.signals(lambda name: setattr(made, "leaving", name)))
+        stack.enter_context(signals(lambda name: setattr(made, "leaving", name)))
         yield made
 
 

@@ -22,7 +22,7 @@ from benchmarks.measure import Effort, Figures, NotMeasured, Rival
 from benchmarks.rows import Beside, Row, Target
 from benchmarks.samples import odrive_can as samples
 from brain.perception.grid import Grid, GridSettings
-from brain.perception.motion import V, W
+from brain.perception.motion_model import V, W
 from brain.perception.mount import Mount, place, sweep
 from gateway import config
 from gateway.__main__ import main
@@ -398,7 +398,7 @@ def test_our_way_is_as_long_as_that_over_the_graph(size: int) -> None:
 
 
 def test_the_steps_that_count_are_those_of_every_motor() -> None:
-    twelve = config.load(resources.find("robots", "twelve"))
+    twelve = config.load_robot(resources.find("robots", "twelve"))
     robot = steps.first(twelve, 2)
     assert (len(twelve.motors), list(robot.motors), list(robot.buses)) == (
         12,
@@ -418,7 +418,7 @@ def test_the_steps_that_count_are_those_of_every_motor() -> None:
 
 def test_polling_costs_no_steps_of_its_own() -> None:
     """Else every poll would send every set-point once more: with twelve motors, nearly twice the bus load."""
-    twelve = config.load(resources.find("robots", "twelve"))
+    twelve = config.load_robot(resources.find("robots", "twelve"))
     _, ticks = steps.drive(twelve, lambda motor: Velocity(motor, 5.0), 2)
     settled = [tick for tick in ticks if SECOND <= tick.now < 2 * SECOND]
     assert len(settled) == 200

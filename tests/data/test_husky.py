@@ -26,7 +26,7 @@ BAG = "husky/husky.bag"
 
 @pytest.fixture(scope="module")
 def husky() -> Robot:
-    return config.load(resources.find("robots", "husky"))
+    return config.load_robot(resources.find("robots", "husky"))
 
 
 @pytest.fixture(scope="module")

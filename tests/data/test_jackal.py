@@ -26,7 +26,7 @@ BAG = "jackal/jackal.bag"
 
 
 def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> None:
-    robot = config.load(resources.find("robots", "jackal"))
+    robot = config.load_robot(resources.find("robots", "jackal"))
     body = robot.brain.differential
     assert body is not None
     bag = read(recording(BAG), robot.bag, body)

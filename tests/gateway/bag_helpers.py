@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from brain.belief import Pose
 from brain.bodies.differential import arc
-from gateway.config import loads
+from gateway.config import parse_robot
 from gateway.core.robot import Robot
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -248,4 +248,4 @@ truth = "/fix"
 
 
 def rover(text: str = ROBOT) -> Robot:
-    return loads(text, "rover.toml")
+    return parse_robot(text, "rover.toml")

@@ -118,7 +118,7 @@ def replays(path: Path) -> None:
 
 @cache
 def _robot(text: str) -> Robot:
-    return config.loads(text, "robot.toml")
+    return config.parse_robot(text, "robot.toml")
 
 
 def summary(outcomes: list[Outcome]) -> str:

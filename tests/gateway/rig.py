@@ -44,20 +44,20 @@ class Rig:
     """One robot on twins. `run` goes on where the last one ended."""
 
     def __init__(self, text: str = BENCH) -> None:
-        self.robot: Robot = config.loads(text)
+        self.robot: Robot = config.parse_robot(text)
         self.clock = SimulatedClock()
         self.world: TwinWorld = open_world(self.robot, self.robot.seed)
         self.gateway = Gateway(self.robot)
-        self.account = LoopStats()
+        self.stats = LoopStats()
         self.ticks: list[Tick] = []
         self._waiting: list[Instruction] = []
         self._live = live(
             self.gateway,
             self.world.buses,
             self.clock,
-            ask=self._ask,
-            keep=lambda tick, _belief: self.ticks.append(tick),
-            account=self.account,
+            poll=self._ask,
+            record=lambda tick, _belief: self.ticks.append(tick),
+            stats=self.stats,
         )
 
     def _ask(self) -> Sequence[Instruction]:
@@ -93,7 +93,7 @@ class Rig:
 
 def reported(ticks: Sequence[Tick], *about: str) -> list[Note]:
     """What was said to a person, of everything or of some."""
-    return [note for tick in ticks for note in tick.outputs.notes if not about or note.about in about]
+    return [note for tick in ticks for note in tick.outputs.notes if not about or note.source in about]
 
 
 def said(rig: Rig, ticks: Sequence[Tick], bus: str = "can0") -> list[tuple[Nanos, Command]]:

@@ -60,7 +60,7 @@ def _serve() -> None:
     from gateway.recording import environment
     from gateway.recording.ros_views import Views
 
-    config.load(resources.find("robots", "bench"))
+    config.load_robot(resources.find("robots", "bench"))
     Views().prepare()
     environment.facts()
     print("ready", flush=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
-from gateway.config import loads
+from gateway.config import parse_robot
 from gateway.core.robot import Robot
 from gateway.sim.world import SceneFile, World, WorldFile, loads_world
 from protocols.messages import Imu, LaserScan
@@ -105,7 +105,7 @@ size = [0.4, 1.0, 0.5]
 def robot(world: str = "", lidar: str = "x = 0.0", imu: str = "x = 0.0", sensors: bool = True) -> Robot:
     """Two plain motors (gear 8, the right one mounted the other way round), with lidar and IMU."""
     text = BASE.format(world=f'world = "{world}"' if world else "")
-    return loads(text + SENSORS.format(lidar=lidar, imu=imu) if sensors else text)
+    return parse_robot(text + SENSORS.format(lidar=lidar, imu=imu) if sensors else text)
 
 
 def scene(text: str = ROOM) -> SceneFile:

@@ -18,7 +18,7 @@ TEXT = resources.find("robots", "diffbot").read_text()
 
 
 def own(text: str = TEXT) -> Robot:
-    return config.loads(text.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "own"', 1))
+    return config.parse_robot(text.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "own"', 1))
 
 
 def let_in(received: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
@@ -27,9 +27,9 @@ def let_in(received: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
 
 
 def test_everything_is_heard_unless_the_file_says_otherwise() -> None:
-    assert config.loads(TEXT).buses["can0"].receive_filter == ()
+    assert config.parse_robot(TEXT).buses["can0"].receive_filter == ()
     text = TEXT.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "all"', 1)
-    assert config.loads(text).buses["can0"].receive_filter == ()
+    assert config.parse_robot(text).buses["can0"].receive_filter == ()
 
 
 def test_own_is_what_the_specs_expect_and_overhear() -> None:
@@ -44,9 +44,9 @@ def test_own_is_what_the_specs_expect_and_overhear() -> None:
 
 def test_a_serial_line_and_another_word_are_mistakes() -> None:
     with pytest.raises(ConfigError, match="a serial bus has no ids"):
-        config.loads(TEXT.replace("[buses.sensors]", '[buses.sensors]\nreceive_filter = "own"', 1))
+        config.parse_robot(TEXT.replace("[buses.sensors]", '[buses.sensors]\nreceive_filter = "own"', 1))
     with pytest.raises(ConfigError, match="receive_filter"):
-        config.loads(TEXT.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "mine"', 1))
+        config.parse_robot(TEXT.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "mine"', 1))
 
 
 @pytest.mark.parametrize("seed", range(4))

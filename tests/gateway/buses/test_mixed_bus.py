@@ -129,7 +129,7 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     assert {f"/can0/{way}" for way in ways} <= topics
 
     reported = read(recording)
-    robot_told = config.loads(reported.robot_text)
+    robot_told = config.parse_robot(reported.robot_text)
     gateway = Gateway(robot_told)
     spoilt: list[CanFrame] = []
 
@@ -167,18 +167,18 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
 )
 def test_ids_that_clash_are_told(change: tuple[str, str], said: str) -> None:
     with pytest.raises(ConfigError) as raised:
-        config.loads(MIXED.replace(*change))
+        config.parse_robot(MIXED.replace(*change))
     assert any(re.search(said, str(mistake)) for mistake in raised.value.mistakes), str(raised.value)
 
 
 def test_all_clashes_are_told_at_once() -> None:
     text = MIXED.replace("can_prefix = 1", "can_prefix = 0").replace("address = 3", "address = 4")
     with pytest.raises(ConfigError) as raised:
-        config.loads(text)
+        config.parse_robot(text)
     assert len(raised.value.mistakes) == 2
 
 
 def test_check_tells_the_load_of_frames_of_both_kinds() -> None:
     """Each motor 200 commands and 100 reports a second: 52 µs each of moteus, 125 µs each of the others."""
-    said = config.describe(config.loads(MIXED))
+    said = config.describe(config.parse_robot(MIXED))
     assert re.search(r"can0 +canfd +1000000 bit/s, data 5000000 bit/s +twin +at least 9 %", said)

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.buses.frame_time import frame_time
 from gateway.buses.virtual.bus import TwinWorld, open_world
-from gateway.config import load
+from gateway.config import load_robot
 from gateway.core.robot import Robot
 from gateway.sim.world import World, WorldFile, loads_world
 from protocols.frames import CanFrame, Packet
@@ -21,7 +21,7 @@ PERIOD = 5 * MILLISECOND
 
 def committed(name: str) -> Robot:
     with as_file(files("gateway.fixtures") / "robots" / f"{name}.toml") as path:
-        return load(path)
+        return load_robot(path)
 
 
 class Host:

@@ -98,7 +98,7 @@ def test_the_picture_is_a_picture(drive: Drive) -> None:
 def test_what_went_in_is_frames_and_bytes_that_hold_no_pose(drive: Drive) -> None:
     """Every input of the run, as the drivers understand it, is a motor's or a sensor's own measurement."""
     recording = read(drive.recording)
-    robot = config.loads(recording.robot_text)
+    robot = config.parse_robot(recording.robot_text)
     ticks = list(recording.ticks)
     packets = [packet for tick in ticks for packet in tick.inputs.packets]
     assert len(packets) > 10_000
@@ -179,7 +179,7 @@ class _Short:
 
 
 def judge(recording: Recording, text: str) -> Verdict:
-    robot = config.loads(text)
+    robot = config.parse_robot(text)
     made = Gateway(robot)
     mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
     return compare(

@@ -207,7 +207,7 @@ def test_the_contract_is_run_over_the_sound_one_all_the_same(beside: Installed) 
 def test_a_robot_that_names_a_broken_one_is_told_why() -> None:
     for name, (_, reason) in BROKEN.items():
         with pytest.raises(ConfigError) as raised:
-            config.loads(ROBOT.replace(NAME, f"g7_{name}"))
+            config.parse_robot(ROBOT.replace(NAME, f"g7_{name}"))
         assert f"protocol 'g7_{name}' of acme-{name} is broken: " in str(raised.value)
         assert reason in str(raised.value)
 
@@ -225,4 +225,4 @@ def test_a_spec_that_raises_later_is_a_mistake_in_the_robot_file(monkeypatch: py
     plugin = load(NAME)
     monkeypatch.setattr(f"{NAME}.ids", None)
     with pytest.raises(ConfigError, match=f"protocol '{NAME}' is broken: its spec raises TypeError"):
-        config.loads(ROBOT, find=lambda name: plugin if name == NAME else load(name))
+        config.parse_robot(ROBOT, find=lambda name: plugin if name == NAME else load(name))

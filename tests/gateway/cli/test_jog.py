@@ -29,7 +29,8 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
 from gateway.errors import UserError
-from gateway.runtime.loop import LoopStats, signals
+from gateway.runtime.loop import LoopStats
+from gateway.runtime.process import signals
 from gateway.runtime.session import Session
 from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Nanos, Velocity
 from tests.gateway.rig import BENCH
@@ -160,7 +161,7 @@ def test_q_and_the_end_of_the_keys_leave_and_stop(typed: bytes | None) -> None:
 
 
 def test_the_robot_is_reduced_to_one_slow_motor() -> None:
-    whole = config.loads(BENCH)
+    whole = config.parse_robot(BENCH)
     robot = alone(whole, "right")
     assert list(robot.motors) == ["right"]
     assert robot.motors["right"].joint.limits == replace(
@@ -173,7 +174,7 @@ def test_the_robot_is_reduced_to_one_slow_motor() -> None:
 
 
 def test_what_cannot_be_jogged_is_said() -> None:
-    robot = config.loads(BENCH)
+    robot = config.parse_robot(BENCH)
     with pytest.raises(UserError, match="did you mean 'left'"):
         alone(robot, "leftt")
     with pytest.raises(UserError, match="the limit of left is 20 rad/s"):
@@ -194,7 +195,7 @@ class Bench:
         self, keys: Sequence[tuple[float, bytes]], text: str = BENCH, speed: float | None = None
     ) -> None:
         """`keys`: what is typed, and when [s]."""
-        self.whole: Robot = config.loads(text)
+        self.whole: Robot = config.parse_robot(text)
         robot = alone(self.whole, "left", speed)
         self.clock = SimulatedClock()
         self.twins = open_world(self.whole, 0)

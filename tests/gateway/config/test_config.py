@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.config import cautions, describe, devices, load, loads, resources, with_interfaces
+from gateway.config import cautions, describe, devices, load_robot, parse_robot, resources, with_interfaces
 from gateway.config.errors import Mistakes, lines, shown
 from gateway.config.schema import build
 from gateway.config.sharing import clash
@@ -118,7 +118,7 @@ max_angular_acceleration = 4.0
 def reported(text: str, find: Any = plugin.load, *, with_world: bool = False) -> list[str]:
     """The mistakes in a file called r.toml, one line each; [] if it is right."""
     try:
-        loads(text, "r.toml", find, with_world=with_world)
+        parse_robot(text, "r.toml", find, with_world=with_world)
     except ConfigError as error:
         return [str(mistake) for mistake in error.mistakes]
     return []
@@ -142,14 +142,14 @@ def changed(old: str, new: str, text: str = ROVER, times: int = 1) -> str:
 
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_every_shipped_robot_is_right_and_named_as_its_file(path: Path) -> None:
-    robot = load(path)
+    robot = load_robot(path)
     assert robot.name == path.stem
     assert robot.text == path.read_text()
-    assert loads(robot.text).motors.keys() == robot.motors.keys()
+    assert parse_robot(robot.text).motors.keys() == robot.motors.keys()
 
 
 def test_what_the_file_says_is_what_the_robot_is() -> None:
-    robot = loads(ROVER)
+    robot = parse_robot(ROVER)
     assert (robot.name, robot.period, robot.world, robot.seed) == ("rover", 5 * MILLISECOND, "office", 0)
     can0, sensors = robot.buses["can0"], robot.buses["sensors"]
     assert (can0.kind, can0.bitrate, can0.baudrate, can0.interface) == ("can", 1_000_000, 0, "twin")
@@ -172,7 +172,7 @@ def test_what_the_file_says_is_what_the_robot_is() -> None:
 
 def test_defaults_are_inherited_all_the_way_down_and_can_be_overruled() -> None:
     text = BENCH + "\n[motors.left.limits]\ntorque = 0.5\nposition = [-1, 1]\n"
-    robot = loads(text)
+    robot = parse_robot(text)
     left, right = robot.motors["left"].joint, robot.motors["right"].joint
     assert (left.limits.torque, left.limits.velocity, left.limits.position) == (0.5, 20.0, (-1.0, 1.0))
     assert (right.limits.torque, right.limits.position) == (2.0, None)
@@ -181,17 +181,17 @@ def test_defaults_are_inherited_all_the_way_down_and_can_be_overruled() -> None:
 
 def test_milliseconds_become_nanoseconds_wherever_a_field_is_nanos() -> None:
     text = changed("command_timeout_ms = 100", "command_timeout_ms = 12.5")
-    assert loads(text).motors["left"].joint.command_timeout == 12_500_000
-    robot = loads(f"{text}\n[brain.health]\nrecover_ms = 321\n")
+    assert parse_robot(text).motors["left"].joint.command_timeout == 12_500_000
+    robot = parse_robot(f"{text}\n[brain.health]\nrecover_ms = 321\n")
     assert robot.brain.health.recover == 321 * MILLISECOND
 
 
 def test_an_integer_may_stand_for_a_number() -> None:
-    assert loads(changed("gear = 8.0", "gear = 8")).motors["left"].joint.gear == 8.0
+    assert parse_robot(changed("gear = 8.0", "gear = 8")).motors["left"].joint.gear == 8.0
 
 
 def test_interfaces_are_replaced_and_wrong_ones_told() -> None:
-    robot = loads(ROVER)
+    robot = parse_robot(ROVER)
     moved = with_interfaces(robot, {"can0": "socketcan:vcan0", "sensors": "serial:/dev/ttyS7"})
     assert moved.buses["can0"].interface == "socketcan:vcan0"
     assert moved.buses["sensors"].interface == "serial:/dev/ttyS7"
@@ -432,7 +432,7 @@ def test_all_of_them_at_once_in_the_order_of_the_file() -> None:
     assert numbers == sorted(numbers)
     assert "did you mean 'office'?" in found[1]
     with pytest.raises(ConfigError) as caught:
-        loads(text, "r.toml")
+        parse_robot(text, "r.toml")
     assert str(caught.value).splitlines() == [
         line for line in found if "brain.plan" not in line and "world" not in line
     ]
@@ -483,10 +483,10 @@ def test_what_is_missing_altogether_is_told(text: str) -> None:
 
 def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"cannot be read: .*No such file"):
-        load(tmp_path / "none.toml")
+        load_robot(tmp_path / "none.toml")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigError, match=r"bytes\.toml: cannot be read"):
-        load(tmp_path / "bytes.toml")
+        load_robot(tmp_path / "bytes.toml")
 
 
 def test_a_missing_world_matters_to_a_run_and_not_to_a_replay(tmp_path: Path) -> None:
@@ -526,7 +526,7 @@ def speechless(_: object) -> Any:
 def stranger(**changes: Any) -> Plugin:
     """A language of somebody else's: the built-in one's contract with some changes."""
     odrive = plugin.load("odrive_can")
-    left = loads(ROVER).motors["left"].device
+    left = parse_robot(ROVER).motors["left"].device
 
     def spec(device: Device) -> Spec:
         return dataclasses.replace(odrive.spec(dataclasses.replace(left, address=device.address)), **changes)
@@ -602,7 +602,7 @@ def test_two_languages_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: s
 
 
 def test_two_languages_do_not_report_on_one_id() -> None:
-    motors = loads(ROVER).motors
+    motors = parse_robot(ROVER).motors
     ids: dict[str, Any] = {"expects": frozenset({0x41}), "obeys_also": ()}
     left, right = (
         dataclasses.replace(motor, spec=dataclasses.replace(motor.spec, sends=frozenset({number}), **ids))
@@ -620,9 +620,9 @@ def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
     assert len(with_stranger(ROVER, **ids, extended=None)) == 1
     assert with_stranger(ROVER, **ids, extended=frozenset({0x41, 0x1041, 0x47})) == []
     options = 'watchdog = "acknowledged"'
-    old = loads(changed(options, f'{options}\nfirmware = "0.5"\nis_extended = true')).motors["left"].spec
+    old = parse_robot(changed(options, f'{options}\nfirmware = "0.5"\nis_extended = true')).motors["left"].spec
     assert all(old.is_extended(number) for number in old.sends | old.expects)
-    new = loads(ROVER).motors["left"].spec
+    new = parse_robot(ROVER).motors["left"].spec
     assert not any(new.is_extended(number) for number in new.sends | new.expects)
 
 
@@ -656,8 +656,8 @@ def test_a_broken_protocol_is_named_with_its_distribution() -> None:
 
 
 def test_the_watchdog_is_told_at_every_start_until_it_is_acknowledged() -> None:
-    assert cautions(loads(ROVER)) == []
-    (said,) = cautions(loads(changed('watchdog = "acknowledged"', "")))
+    assert cautions(parse_robot(ROVER)) == []
+    (said,) = cautions(parse_robot(changed('watchdog = "acknowledged"', "")))
     assert said.startswith("left: ")
     assert "watchdog" in said
 
@@ -669,7 +669,7 @@ def mixed(text: str, **changes: Any) -> list[str]:
     made = stranger(**own | changes)
     text = re.sub(r"\[motors.left.options\].*\nwatchdog = .*\n", "", text)
     text = changed('protocol = "odrive_can"', 'protocol = "stranger"', text)
-    robot = loads(text, find=lambda name: made if name == "stranger" else plugin.load(name))
+    robot = parse_robot(text, find=lambda name: made if name == "stranger" else plugin.load(name))
     return [said for said in cautions(robot) if "watchdog" not in said]
 
 
@@ -699,20 +699,20 @@ def test_what_another_language_takes_for_its_own_is_told_until_it_is_acknowledge
 
 def test_limits_that_a_device_cannot_be_told_are_cautions() -> None:
     text = changed("velocity = 20.0", "velocity = 1e9", changed("torque = 2.0", "torque = 1e9"))
-    velocity, torque = cautions(loads(text))
+    velocity, torque = cautions(parse_robot(text))
     assert "left: its limit of velocity is 8e+09 rad/s at the device's shaft" in velocity
     assert "left: its limit of torque is 1.25e+08 N·m at the device's shaft" in torque
 
 
 def test_a_body_that_is_faster_than_its_joints_is_a_caution() -> None:
-    (said,) = cautions(loads(changed("velocity = 20.0", "velocity = 16.0")))
+    (said,) = cautions(parse_robot(changed("velocity = 20.0", "velocity = 16.0")))
     assert said.startswith("left: its limit of 16 rad/s is below the 16.4 rad/s that max_linear")
 
 
 def test_feedback_that_is_always_too_old_for_the_brain_is_a_caution() -> None:
     def at(timeout_ms: int, more: str = "") -> list[str]:
         return cautions(
-            loads(ROVER.replace("feedback_timeout_ms = 100 ", f"feedback_timeout_ms = {timeout_ms} ") + more)
+            parse_robot(ROVER.replace("feedback_timeout_ms = 100 ", f"feedback_timeout_ms = {timeout_ms} ") + more)
         )
 
     assert at(21) == []
@@ -720,7 +720,7 @@ def test_feedback_that_is_always_too_old_for_the_brain_is_a_caution() -> None:
     assert at(20) == [said + "the device reports every 10 ms only"]
     assert at(20, "\n[brain.health]\nslow_age = 0.6\n") == []
     bench = BENCH.replace("feedback_timeout_ms = 100", "feedback_timeout_ms = 11")
-    assert [line[:28] for line in cautions(loads(bench))] == [
+    assert [line[:28] for line in cautions(parse_robot(bench))] == [
         "left: its target is dropped ",
         "right: its target is dropped",
     ]
@@ -729,8 +729,8 @@ def test_feedback_that_is_always_too_old_for_the_brain_is_a_caution() -> None:
 def test_a_sensor_that_nobody_uses_is_a_caution() -> None:
     imu = '[buses.line]\nkind = "serial"\nbaudrate = 115_200\ninterface = "twin"\n'
     imu += '[sensors.imu]\nprotocol = "plain"\nbus = "line"\naddress = 1\n'
-    assert cautions(loads(BENCH)) == []
-    (said,) = cautions(loads(f"{BENCH}\n{imu}"))
+    assert cautions(parse_robot(BENCH)) == []
+    (said,) = cautions(parse_robot(f"{BENCH}\n{imu}"))
     assert said == "imu: bare joints use no sensor; it is recorded, and its silence goes unnoticed"
 
 
@@ -741,7 +741,7 @@ def numbers_of(robot: Robot) -> list[str]:
 
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_a_robot_in_words_names_everything(path: Path) -> None:
-    robot = load(path)
+    robot = load_robot(path)
     said = describe(robot)
     for name in (*robot.buses, *robot.motors, *robot.sensors, *numbers_of(robot), robot.brain.body):
         assert name in said
@@ -749,7 +749,7 @@ def test_a_robot_in_words_names_everything(path: Path) -> None:
 
 
 def test_a_robot_in_words_carries_its_cautions_and_bus_load() -> None:
-    said = describe(loads(changed('watchdog = "acknowledged"', "")))
+    said = describe(parse_robot(changed('watchdog = "acknowledged"', "")))
     assert "be careful:\n  left: the device's watchdog is off" in said
     # two motors, a command every 5 ms and a report every 10 ms each: 600 frames of 125 bits in 1 Mbit
     assert "at least 8 %" in said

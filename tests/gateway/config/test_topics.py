@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.config import describe, load, loads, resources
+from gateway.config import describe, load_robot, parse_robot, resources
 from gateway.core.robot import BagTopics
 from gateway.errors import ConfigError
 from tests.gateway.bag_helpers import ROBOT
@@ -16,25 +16,25 @@ FIRST = ROBOT[: ROBOT.index("[bag]")].count("\n") + 2
 
 def reported(text: str) -> list[str]:
     with pytest.raises(ConfigError) as error:
-        loads(text, "r.toml")
+        parse_robot(text, "r.toml")
     return str(error.value).splitlines()
 
 
 def test_a_right_table() -> None:
-    bag = loads(ROBOT).bag
+    bag = parse_robot(ROBOT).bag
     assert bag == BagTopics("/odom", {"imu": "/imu/data"}, "/fix")
     assert list(bag.parts()) == [("/odom", "odometry"), ("/imu/data", "sensors.imu"), ("/fix", "truth")]
 
 
 def test_the_least_of_a_table() -> None:
-    bag = loads(ROBOT.replace(TABLE, '[bag]\nodometry = "/o"\n')).bag
+    bag = parse_robot(ROBOT.replace(TABLE, '[bag]\nodometry = "/o"\n')).bag
     assert bag == BagTopics("/o")
     assert list(bag.parts()) == [("/o", "odometry")]
 
 
 def test_without_a_table_there_are_no_topics() -> None:
-    assert loads(ROBOT.replace(TABLE, "")).bag is None
-    assert load(resources.find("robots", "diffbot")).bag is None
+    assert parse_robot(ROBOT.replace(TABLE, "")).bag is None
+    assert load_robot(resources.find("robots", "diffbot")).bag is None
 
 
 MISTAKES = [
@@ -84,10 +84,10 @@ def test_a_table_that_is_none() -> None:
 
 
 def test_a_robot_in_words_tells_its_topics_and_how_its_imu_stands() -> None:
-    said = describe(load(resources.find("robots", "husky")))
+    said = describe(load_robot(resources.find("robots", "husky")))
     assert "0, -0.3, 0.52 m  -1.5708 rad, pitch 0, roll 1.5708  500 ms" in said
     assert "odometry     /husky_velocity_controller/odom\nsensors.imu  /imu/data\ntruth        /fix" in said
-    assert "/odom" not in describe(load(resources.find("robots", "diffbot")))
+    assert "/odom" not in describe(load_robot(resources.find("robots", "diffbot")))
 
 
 def test_bare_joints_have_no_use_for_a_bag() -> None:

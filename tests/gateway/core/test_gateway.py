@@ -150,7 +150,7 @@ def test_requests_are_answered_done_or_refused_in_words(rig: Rig) -> None:
         msg.ClearFault("right"),
         msg.Scan("can0"),
     )
-    texts = [f"{n.about}: {n.text}" for n in reported(ticks)]
+    texts = [f"{n.source}: {n.text}" for n in reported(ticks)]
     assert any(t.startswith("left: Reboot: done") for t in texts)
     assert "left: Home: refused: its protocol cannot do this" in texts
     assert "lefft: Reboot: refused: there is no motor 'lefft'; there are left, right" in texts

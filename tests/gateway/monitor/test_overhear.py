@@ -58,7 +58,7 @@ def bare(*buses: BusSettings, began: Nanos = 0) -> Listener:
 
 
 def known(text: str = BENCH, *, window: Nanos | None = WINDOW) -> Listener:
-    robot = config.loads(text)
+    robot = config.parse_robot(text)
     muted = [replace(tongue, driver=Mute(tongue)) for tongue in of_robot(robot, list(robot.buses))]
     return Listener(robot.buses, muted, 0, known=True, window=window)
 

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.config import load, resources
+from gateway.config import load_robot, resources
 from gateway.core.robot import Robot
 from gateway.errors import OperatorError
 from gateway.operator import Operator, ask, socket_path
@@ -26,9 +26,9 @@ from gateway.operator.lines import MOST_LINE
 from gateway.operator.server import MOST_CLIENTS, socket_folder
 from protocols import messages as msg
 
-DIFFBOT = load(resources.find("robots", "diffbot"))
-BENCH = load(resources.find("robots", "bench"))
-MIXED = load(resources.find("robots", "diffbot_mixed"))
+DIFFBOT = load_robot(resources.find("robots", "diffbot"))
+BENCH = load_robot(resources.find("robots", "bench"))
+MIXED = load_robot(resources.find("robots", "diffbot_mixed"))
 """A base that carries a mast."""
 
 # -- the language ------------------------------------------------------------------------------
@@ -407,10 +407,10 @@ BACKGROUND = """
 import os, sys
 from pathlib import Path
 from gateway.config import resources
-from gateway.config import load
+from gateway.config import load_robot
 from gateway.operator import Operator
 
-robot = load(resources.find("robots", "diffbot"))
+robot = load_robot(resources.find("robots", "diffbot"))
 terminal = os.open(sys.argv[1], os.O_RDWR)  # the first one that a session opens controls it
 child = os.fork()
 if child == 0:

@@ -29,7 +29,6 @@ from gateway.operator.status import status_text
 from gateway.recording import Recorder, read, writer
 from gateway.recording.recover import is_whole
 from gateway.runtime.loop import live
-from gateway.runtime.session import session
 from protocols.messages import SECOND, Velocity
 from tests.gateway import kills, little, rig
 from tests.gateway.recording.test_recording import child, drained
@@ -84,7 +83,7 @@ WATCHDOG = rig.BENCH.replace(
 @pytest.mark.parametrize(("text", "stops"), [(WATCHDOG, True), (rig.BENCH, False)])
 def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops: bool) -> None:
     """A killed host is one that says no safe word, and nothing else."""
-    robot = config.loads(text)
+    robot = config.parse_robot(text)
     clock = SimulatedClock()
     twins = open_world(robot, robot.seed)
     assert twins.world is not None
@@ -92,7 +91,7 @@ def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops:
         Gateway(robot),
         twins.buses,
         clock,
-        ask=lambda: [Velocity("left", 6.0)] if SECOND <= clock.now() < 1.005 * SECOND else [],
+        poll=lambda: [Velocity("left", 6.0)] if SECOND <= clock.now() < 1.005 * SECOND else [],
     )
     for tick in ticks:
         if tick.now >= 3 * SECOND:
@@ -115,7 +114,7 @@ def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops:
     ],
 )
 def test_a_watchdog_that_is_off_is_told_at_start(text: str, reported: bool) -> None:
-    cautions = [caution for caution in config.cautions(config.loads(text)) if "watchdog" in caution]
+    cautions = [caution for caution in config.cautions(config.parse_robot(text)) if "watchdog" in caution]
     assert [caution.split(":")[0] for caution in cautions] == (["left", "right"] if reported else [])
 
 
@@ -276,8 +275,8 @@ def test_a_robot_on_a_dead_disk_reaches_what_it_was_told(tmp_path: Path) -> None
             made.gateway,
             made.world.buses,
             made.clock,
-            ask=lambda: [Velocity("left", 6.0)] if SECOND <= made.clock.now() < 1.005 * SECOND else [],
-            keep=recorder.record,
+            poll=lambda: [Velocity("left", 6.0)] if SECOND <= made.clock.now() < 1.005 * SECOND else [],
+            record=recorder.record,
         )
         count = 0
         for tick in ticks:
@@ -358,8 +357,8 @@ def test_a_disk_that_loses_what_it_took_is_told(
 
 def test_status_tells_where_it_is_recorded_and_what_is_lost(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with session(config.loads(rig.BENCH), SimulatedClock(), record=path) as made:
-        for _ in made.ticks(SECOND):
+    with open_session(config.parse_robot(rig.BENCH), simulated=True, record=path) as made:
+        for _ in made.run(1.0):
             pass
         assert f"recording: {path}" in status_text(made).splitlines()
         assert made.recorder is not None

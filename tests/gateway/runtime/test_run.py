@@ -37,15 +37,15 @@ class SlowClock(SimulatedClock):
 
 def test_deadlines_are_absolute_and_what_was_missed_is_counted_and_not_caught_up() -> None:
     clock = SlowClock(iter([1 * MS, 1 * MS, 17 * MS, 1 * MS, 1 * MS, 1 * MS]))
-    account = loop.LoopStats()
+    stats = loop.LoopStats()
     seen = []
-    for now in loop.moments(clock, 5 * MS, lambda: None, account):
+    for now in loop.moments(clock, 5 * MS, lambda: None, stats):
         seen.append(now // MS)
         if len(seen) == 6:
             break
         clock.work()
     assert seen == [0, 5, 10, 27, 30, 35]
-    assert account.missed == 2  # 20 and 25 ms; that of 15 ms came late
+    assert stats.missed == 2  # 20 and 25 ms; that of 15 ms came late
 
 
 def test_a_driver_that_is_due_between_two_periods_gets_a_step_of_its_own() -> None:
@@ -98,7 +98,7 @@ def test_at_the_end_the_safe_word_goes_out_first_and_the_devices_are_heard_to_di
 def test_an_end_that_was_set_disarms_too() -> None:
     rig = Rig()
     ticks = list(
-        loop.live(rig.gateway, rig.world.buses, rig.clock, until=SECOND, ask=lambda: (Velocity("left", 5.0),))
+        loop.live(rig.gateway, rig.world.buses, rig.clock, until=SECOND, poll=lambda: (Velocity("left", 5.0),))
     )
     assert ticks[-1].now < SECOND
     assert rig.gateway.joints["left"].owned
@@ -131,8 +131,8 @@ def test_a_dry_run_writes_nothing_at_all() -> None:
             rig.world.buses,
             rig.clock,
             until=SECOND,
-            ask=lambda: (Velocity("left", 5.0),),
-            dry=True,
+            poll=lambda: (Velocity("left", 5.0),),
+            dry_run=True,
         )
     )
     assert any(tick.outputs.packets for tick in ticks)
@@ -150,10 +150,10 @@ def test_live_and_serve_face_to_face_over_real_buses() -> None:
     asked = [Velocity("left", 5.0), Velocity("right", 5.0)]
 
     def ask() -> list[Velocity]:
-        return asked if rig.gateway.joints["left"].age(clock.now()) is not None else []
+        return asked if rig.gateway.joints["left"].feedback_age(clock.now()) is not None else []
 
-    served = loop.serve(rig.world.buses, {"can0": theirs}, clock, MS)
-    lived = loop.live(rig.gateway, {"can0": ours}, clock, ask=ask)
+    served = serve.serve(rig.world.buses, {"can0": theirs}, clock, MS)
+    lived = loop.live(rig.gateway, {"can0": ours}, clock, poll=ask)
     try:
         for _ in range(1200):
             next(served)

@@ -27,9 +27,8 @@ from gateway.buses.can import open_can
 from gateway.buses.virtual.bus import open_world
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings, Robot
-from gateway.errors import BusError
+from gateway.errors import BusError, ConfigError
 from gateway.recording import read
-from gateway.errors import ConfigError
 from gateway.runtime import loop
 from gateway.runtime.device_log import DeviceLog
 from gateway.runtime.twin_process import devices, invitation, outer
@@ -70,14 +69,14 @@ class ServeTick:
     """A bench of twins that is served in simulated time; each `next` may come late."""
 
     def __init__(self, text: str = BENCH) -> None:
-        self.robot: Robot = config.loads(text)
+        self.robot: Robot = config.parse_robot(text)
         self.clock = SimulatedClock()
         self.twins = open_world(self.robot, 1)
         self.bus = Script()
-        self.account = loop.ServeStats()
-        self.loop = loop.serve(self.twins.buses, {"can0": self.bus}, self.clock, account=self.account)
+        self.stats = serve.ServeStats()
+        self.loop = serve.serve(self.twins.buses, {"can0": self.bus}, self.clock, stats=self.stats)
 
-    def run(self, milliseconds: int) -> list[loop.ServeTick]:
+    def run(self, milliseconds: int) -> list[serve.ServeTick]:
         return [next(self.loop) for _ in range(milliseconds)]
 
     def ask_version(self, t: Nanos) -> None:
@@ -102,8 +101,8 @@ def test_what_comes_is_heard_at_its_own_time_also_by_a_late_moment() -> None:
     assert 40 * MS <= answers[0].t - start <= 43 * MS
     beats = [packet.t for packet in late.said]
     assert max(beats) - min(beats) > 80 * MS  # the world has made up for all of it
-    assert served.account.lost == 0
-    assert served.account.late == pytest.approx(100 * MS, abs=2 * MS)
+    assert served.stats.stalled == 0
+    assert served.stats.late == pytest.approx(100 * MS, abs=2 * MS)
 
 
 def test_what_has_no_stamp_of_its_own_has_come_evenly_since_the_moment_before() -> None:
@@ -127,9 +126,9 @@ def test_who_stood_still_makes_up_for_nothing_and_obeys_nothing_old() -> None:
     served.clock.wait(before + 10 * SECOND)
     moment = served.run(1)[0]
     assert moment.stalled_for == pytest.approx(10 * SECOND, abs=2 * MS)
-    assert (moment.received, served.account.unreceived) == ((), 1)
+    assert (moment.received, served.stats.dropped) == ((), 1)
     assert len(served.bus.said) - reported < 5
-    assert served.account.lost == moment.stalled_for
+    assert served.stats.stalled == moment.stalled_for
     served.ask_version(served.clock.now())
     answers = [p for m in served.run(5) for p in m.said if p.frame.id == 0x20]  # type: ignore[union-attr]
     assert len(answers) == 1  # and goes on as if nothing had been
@@ -145,7 +144,7 @@ def test_states_of_the_outer_bus_are_passed_on_and_nothing_else() -> None:
 
 def test_an_end_that_was_set_ends_it() -> None:
     served = ServeTick()
-    serving = loop.serve(served.twins.buses, {"can0": served.bus}, served.clock, until=50 * MS)
+    serving = serve.serve(served.twins.buses, {"can0": served.bus}, served.clock, until=50 * MS)
     assert [moment.now // MS for moment in serving] == list(range(50))
 
 
@@ -174,8 +173,8 @@ def test_two_robots_and_a_stranger_share_a_bus_and_none_obeys_another_s_word() -
                 else []
             )
 
-        lived.append(loop.live(rig.gateway, {"can0": ours}, clock, ask=ask))
-        served.append(loop.serve(rig.world.buses, {"can0": theirs}, clock))
+        lived.append(loop.live(rig.gateway, {"can0": ours}, clock, poll=ask))
+        served.append(serve.serve(rig.world.buses, {"can0": theirs}, clock))
     for turn in range(1500):
         clock.wait(turn * MS)
         for serving in served:
@@ -227,8 +226,8 @@ def test_voices_tell_what_changes_and_what_becomes_of_armed_motors() -> None:
 
 
 def test_voices_know_the_devices_before_anybody_else_speaks() -> None:
-    twins = open_world(config.loads(BENCH), 1)
-    device_log = DeviceLog(config.loads(BENCH))
+    twins = open_world(config.parse_robot(BENCH), 1)
+    device_log = DeviceLog(config.parse_robot(BENCH))
     age = device_log.meet(twins.buses)
     assert device_log._modes == {"left": Mode.READY, "right": Mode.READY}
     assert all(twins.world.shaft(name) == (0.0, 0.0) for name in ("left", "right"))
@@ -237,7 +236,7 @@ def test_voices_know_the_devices_before_anybody_else_speaks() -> None:
 
 def test_twins_speak_only_where_the_command_line_says_so() -> None:
     text = BENCH.replace('interface = "twin"', 'interface = "socketcan:can0"')
-    robot = config.loads(text)
+    robot = config.parse_robot(text)
     assert outer(robot, {}).buses["can0"].interface == "twin"
     assert outer(robot, {"can0": "socketcan:vcan0"}).buses["can0"].interface == "socketcan:vcan0"
     with pytest.raises(ConfigError, match="no bus 'cann0': there is can0; did you mean 'can0'"):
@@ -245,7 +244,7 @@ def test_twins_speak_only_where_the_command_line_says_so() -> None:
 
 
 def test_the_invitation_is_a_line_to_type() -> None:
-    robot = outer(config.load(Path(str(files("gateway.fixtures"))) / "robots" / "diffbot.toml"), {})
+    robot = outer(config.load_robot(Path(str(files("gateway.fixtures"))) / "robots" / "diffbot.toml"), {})
     with devices(robot, SimulatedClock(), seed=3, adapters=("slcan",) * 3) as made:
         lines = invitation(made, "my robots/a.toml")
         words = shlex.split(lines[1])
@@ -262,7 +261,7 @@ def test_the_invitation_is_a_line_to_type() -> None:
 
 
 def test_the_invitation_does_not_name_a_port_that_is_taken() -> None:
-    robot = config.loads(BENCH)
+    robot = config.parse_robot(BENCH)
     with devices(outer(robot, {}), SimulatedClock(), adapters=("slcan", "slcan")) as first:
         path = first.offered["can0"][1].removeprefix("slcan:")
         with devices(outer(robot, {"can0": f"slcan:{path}"}), SimulatedClock()) as second:
@@ -275,7 +274,7 @@ def test_the_invitation_does_not_name_a_port_that_is_taken() -> None:
 
 
 def test_ptys_may_have_names_that_stay_the_same(tmp_path: Path) -> None:
-    robot = outer(config.loads(BENCH), {})
+    robot = outer(config.parse_robot(BENCH), {})
     folder = tmp_path / "ports"
     folder.mkdir()
     (folder / "can0").symlink_to("/dev/pts/of-one-that-was-killed")

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.config import loads
+from gateway.config import parse_robot
 from gateway.sim.world import SceneFile, World, WorldError, load_world
 from protocols.messages import MILLISECOND, LaserScan
 from tests.gateway.world_helpers import BASE, ROOM, WALLS, Driver, robot, scene, turned, world
@@ -319,8 +319,8 @@ def test_mujoco_comes_late_and_no_graphics_at_all() -> None:
 def test_a_motor_that_turns_no_wheel_turns_a_shaft_that_the_base_carries() -> None:
     text = BASE.format(world="").replace("[brain]\n", "[motors.mast]\naddress = 3\n\n[brain]\n")
     free = "[shafts.mast]\ninertia = 0.01\ndamping = 0.0\nfriction = 0.0\n"
-    carrying = World(scene(OUTDOORS + free), loads(text), 1)
-    bare = World(scene(OUTDOORS), loads(BASE.format(world="")), 1)
+    carrying = World(scene(OUTDOORS + free), parse_robot(text), 1)
+    bare = World(scene(OUTDOORS), parse_robot(BASE.format(world="")), 1)
     for _ in range(500):
         carrying.step({"left": 0.2, "right": 0.2, "mast": 0.1})
         bare.step({"left": 0.2, "right": 0.2})
