@@ -17,10 +17,10 @@ from benchmarks.rivals import BareFilterpy, BresenhamLoop, PlainNumpy
 from benchmarks.rows import Beside, Row, against
 from brain.belief import Floats, Pose
 from brain.perception.ekf import Ekf
-from brain.perception.filter_settings import EkfSettings
+from brain.perception.ekf_settings import EkfSettings
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.measurement import wheels
-from brain.perception.motion import SIZE, V, W, jacobian, move, process_noise
+from brain.perception.motion_model import SIZE, V, W, jacobian, move, process_noise
 from brain.perception.mount import Mount, Sweep, place, sweep
 from protocols.messages import MILLISECOND, LaserScan, Nanos, seconds
 

@@ -28,7 +28,7 @@ ONLY: dict[str, tuple[str, ...]] = {
     "rosbags": RECORDINGS,
     "secrets": (),
     "serial": ("gateway.buses",),
-    "signal": ("gateway.runtime.loop",),
+    "signal": ("gateway.runtime.process",),
     "socket": ("gateway.buses", "gateway.operator"),
     "threading": OWN_THREAD,
     "time": ("gateway.core.clock",),

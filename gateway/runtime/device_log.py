@@ -1,8 +1,8 @@
-"""What devices say of themselves, for a person who watches them: modes and faults, in words.
+"""The log of simulated devices: changes of their states and faults, in words.
 
-Rules. Drivers of the devices' own languages listen. They speak only before anybody else is there (`meet`),
-and say only what every unclaimed device may be asked: some tell what they are only to those who ask. Told is
-what changes.
+Rules. Drivers of the devices' own protocols decode what the devices send. The drivers send only before any
+other program is there (`warm_up`), and only read-only frames: some devices identify themselves only when
+polled. Only changes are logged.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from protocols.plugin import Driver
 if TYPE_CHECKING:
     from gateway.buses import Bus
 
-FIRST: Nanos = 500 * MILLISECOND
-"""How long getting to know each other takes."""
+WARM_UP: Nanos = 500 * MILLISECOND
+"""How long the drivers may identify the devices."""
 
 
 class DeviceLog:
-    """Listens to all devices of a robot."""
+    """Decodes what all devices of a robot send."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -34,45 +34,43 @@ class DeviceLog:
         }
         self._modes: dict[str, Mode] = {}
 
-    def meet(self, buses: Mapping[str, Bus]) -> Nanos:
-        """Get to know the devices on buses of twins, while their world lives its first moments, from 0 on.
-
-        Returns how old the world is then."""
-        for now in range(0, FIRST, MILLISECOND):
+    def warm_up(self, buses: Mapping[str, Bus]) -> Nanos:
+        """Identify the devices on simulated buses, from time 0 on; return the world's age afterwards."""
+        for now in range(0, WARM_UP, MILLISECOND):
             for name, bus in buses.items():
-                self.handle(bus.read(now)[1])
+                self.update(bus.read(now)[1])
                 for driver in self._drivers[name]:
                     bus.write(now, driver.send(now, ())[1])
-        return FIRST
+        return WARM_UP
 
-    def handle(self, packets: Sequence[Packet]) -> list[tuple[int, str]]:
-        """What there is to tell of what the devices have put on their buses: logging's level, sentence."""
-        reported = []
+    def update(self, packets: Sequence[Packet]) -> list[tuple[int, str]]:
+        """Decode packets of the devices; return (logging level, text) for each change."""
+        changes = []
         for packet in packets:
             for driver in self._drivers[packet.bus]:
                 for event in driver.receive(packet.t, packet.frame):
-                    reported += self._news(event)
-        return reported
+                    changes += self._change(event)
+        return changes
 
     def left_armed(self, bus: str) -> str:
-        """What becomes of the armed motors of a bus whose host has gone; "" if there are none."""
+        """Return what becomes of the armed motors of a bus whose host is gone; "" if none is armed."""
         armed = [
             motor
             for name, motor in self._robot.motors.items()
             if motor.bus == bus and self._modes.get(name) is Mode.ARMED
         ]
-        fates = []
+        outcomes = []
         for motor in armed:
             watchdog = motor.spec.watchdog
             if watchdog.enabled and watchdog.timeout is not None:
-                fates.append(
+                outcomes.append(
                     f"{motor.name} will be disarmed by its watchdog in {watchdog.timeout / MILLISECOND:g} ms"
                 )
             else:
-                fates.append(f"{motor.name} stays armed: its watchdog is off")
-        return ", ".join(fates)
+                outcomes.append(f"{motor.name} stays armed: its watchdog is off")
+        return ", ".join(outcomes)
 
-    def _news(self, event: Event) -> list[tuple[int, str]]:
+    def _change(self, event: Event) -> list[tuple[int, str]]:
         if isinstance(event, State):
             before = self._modes.get(event.motor)
             self._modes[event.motor] = event.mode

@@ -109,7 +109,9 @@ def live(
             _stop_and_wait(gateway, clock, tick)
 
 
-def _stop_and_wait(gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Instruction]], Tick]) -> None:
+def _stop_and_wait(
+    gateway: Gateway, clock: Clock, tick: Callable[[Nanos, Sequence[Instruction]], Tick]
+) -> None:
     """Send the stop action at once, and step on until the devices report that they are disarmed."""
     start = clock.now()
     tick(start, (Leave(LEFT),))
@@ -140,7 +142,7 @@ def moments(
 
 
 def read(buses: Mapping[str, Bus], now: Nanos) -> tuple[list[tuple[str, BusState]], list[Packet]]:
-    """Return the state changes and the packets of all buses; packets in order of time, then of the robot file."""
+    """Return the state changes and the packets of all buses: packets by time, then by order of the buses."""
     states: list[tuple[str, BusState]] = []
     packets: list[Packet] = []
     for name, bus in buses.items():

@@ -154,7 +154,7 @@ def open_session(
     record: Path | str | None = None,
     seed: int | None = None,
 ) -> Iterator[Session]:
-    """Open a robot's buses (or the simulated world in their place) and its recorder; close them on the way out.
+    """Open a robot's buses, or the simulated world in their place, and its recorder; close them at the end.
 
     Args:
         robot: a `Robot`, or what `load_robot` takes.

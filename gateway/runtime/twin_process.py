@@ -1,9 +1,9 @@
-"""`gateway twin`: the whole robot but its brain (world, motors, sensors), as a process behind its buses.
+"""A robot without its brain (world, motors, sensors) as a process of its own, behind real buses or ptys.
 
-Rules. It speaks only on interfaces that the command line names, never on those that the robot file names:
-twins do not answer on a wire where there may be real devices. A bus that is not named gets ptys of its own.
-The world runs in wall time and keeps pace with it, or says that it does not. What comes and goes on the
-buses, and what the motors say of themselves, is told. A signal ends it, with exit status 0.
+Rules. It sends only on interfaces that the command line names, never on those of the robot file: simulated
+devices must not answer where there may be real ones. A bus that is not named gets pseudo-terminals. The
+world runs in wall time and keeps pace with it, or logs that it does not; so are changes of the buses and of
+the motors' states.
 """
 
 from __future__ import annotations
@@ -37,27 +37,26 @@ log = logging.getLogger("gateway")
 
 @dataclass(slots=True)
 class Devices:
-    """The devices' end of a robot, open on its buses."""
+    """The simulated devices of a robot, open on its buses."""
 
     robot: Robot
-    """As another program meets it: its buses have the interfaces which that program is to open."""
+    """As another program has to open it: with the interfaces of that program's end."""
     twins: TwinWorld
     buses: dict[str, Bus]
     offered: dict[str, list[str]]
-    """Where programs may meet each bus that has no interface of its own: "slcan:/dev/pts/3", one each."""
+    """By bus without an interface of its own: the ports for other programs ("slcan:/dev/pts/3"), one each."""
     clock: Clock
     device_log: DeviceLog
     age: Nanos
-    """Of the world, when serving begins."""
+    """Of the simulated world, when serving begins."""
     stats: ServeStats = field(default_factory=ServeStats)
     leaving: str = ""
+    """The signal that ends it; "" if none came."""
 
     def serve(self, seconds: float | None = None) -> None:
-        """Until a signal, or so long."""
+        """Serve until a signal comes, or for this time."""
         until = None if seconds is None else self.clock.now() + round(seconds * SECOND)
-        served = serve(
-            self.twins.buses, self.buses, self.clock, until=until, stats=self.stats, age=self.age
-        )
+        served = serve(self.twins.buses, self.buses, self.clock, until=until, stats=self.stats, age=self.age)
         with closing(served):
             for moment in served:
                 self._report(moment)
@@ -66,43 +65,43 @@ class Devices:
                     return
 
     def _report(self, moment: ServeTick) -> None:
-        for level, sentence in self.device_log.handle(moment.said):
-            log.log(level, "%s", sentence)
+        for level, text in self.device_log.update(moment.sent):
+            log.log(level, "%s", text)
         for name, state in moment.states:
-            log.warning("%s: %s", name, self._sentence(name, state))
+            log.warning("%s: %s", name, self._text(name, state))
         if moment.stalled_for:
-            stalled_for = moment.stalled_for / SECOND
+            seconds = moment.stalled_for / SECOND
             log.warning(
-                "this process stood still for %.1f s, and so did its devices; they heard nothing", stalled_for
+                "this process stood still for %.1f s, and its devices with it: they received nothing", seconds
             )
 
-    def _sentence(self, bus: str, state: BusState) -> str:
-        sentence = (_OF_PTYS if bus in self.offered else _OF_FRAMES).get(state, f"is {state}")
+    def _text(self, bus: str, state: BusState) -> str:
+        text = (_PTY_TEXTS if bus in self.offered else _BUS_TEXTS).get(state, f"is {state}")
         if state is BusState.PASSIVE and bus in self.offered:
-            sentence += f": {self.robot.buses[bus].bitrate} bit/s"
+            text += f": {self.robot.buses[bus].bitrate} bit/s"
         if state in (BusState.GONE, BusState.OFF) and (left := self.device_log.left_armed(bus)):
-            sentence += f"; {left}"
-        return sentence
+            text += f"; {left}"
+        return text
 
 
 ADAPTERS = ("slcan", "fdcanusb")
-"""What a port of a CAN bus may speak (gateway.buses.adapters.adapter_pty)."""
-_OF_FRAMES = {
+"""Adapter protocols of a CAN bus's port (gateway.buses.adapters)."""
+_BUS_TEXTS = {
     BusState.PASSIVE: "is error-passive: check the wiring, the termination and the bit rate",
-    BusState.OFF: "is bus-off: the devices are not heard",
-    BusState.FULL: "is full: some of what the devices say is lost",
-    BusState.GONE: "is gone: the devices neither hear nor are heard",
+    BusState.OFF: "is bus-off: nothing is sent",
+    BusState.FULL: "transmit queue full: frames of the devices were lost",
+    BusState.GONE: "is gone: the devices are cut off",
     BusState.BACK: "is back",
 }
-_OF_PTYS = {
-    BusState.BACK: "somebody is there",
-    BusState.GONE: "nobody is there any more",
-    BusState.PASSIVE: "somebody has set another bit rate, and nothing passes; this bus has",
+_PTY_TEXTS = {
+    BusState.BACK: "client connected",
+    BusState.GONE: "client disconnected",
+    BusState.PASSIVE: "the client has set another bit rate, and nothing passes; this bus has",
 }
 
 
 def twin(options: Namespace) -> int:
-    """Be the devices of a robot until told to leave."""
+    """Simulate the devices of a robot until a signal comes."""
     robot = outer(config.load_robot(resources.find("robots", options.robot)), dict(options.bus))
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         log.warning("%s", refused)
@@ -111,16 +110,16 @@ def twin(options: Namespace) -> int:
         print("\n".join(invitation(made, options.robot)), flush=True)
         made.serve(options.seconds)
     stats = made.stats
-    print(f"{stats.received} packets heard, {stats.said} said", end="")
+    print(f"{stats.received} packets received, {stats.sent} sent", end="")
     print(f"; at most {stats.late / MILLISECOND:.0f} ms behind the clock", end="")
-    print(f"; stood still for {stats.lost / SECOND:.1f} s in all" if stats.lost else "")
+    print(f"; stood still for {stats.stalled / SECOND:.1f} s in all" if stats.stalled else "")
     return 0
 
 
 def outer(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
-    """The robot with those interfaces, and none ("twin") where none is named, whatever its file says.
+    """Return the robot with those interfaces, and with none ("twin") elsewhere, whatever its file has.
 
-    Raises ConfigError for buses that there are not, and for what is not INTERFACE:CHANNEL."""
+    Raises ConfigError for unknown buses and for what is not INTERFACE:CHANNEL."""
     return config.with_interfaces(_without_interfaces(robot), interfaces)
 
 
@@ -136,33 +135,33 @@ def devices(
     adapters: Sequence[str] = ("slcan",),
     link: Path | None = None,
 ) -> Iterator[Devices]:
-    """Make the world, then open the buses in front of it.
+    """Make the simulated world, then open the buses in front of it.
 
-    `adapters`: what each port of a CAN bus speaks, for one program each; `link`: a folder in which ptys get
-    names that stay the same. Raises WorldError and BusError with a sentence."""
+    `adapters`: the adapter protocol of each port of a CAN bus, for one program each; `link`: a folder in
+    which the ports get names that stay the same. Raises ConfigError and BusError."""
     from gateway.buses.virtual.bus import open_world
 
     with ExitStack() as stack:
         twins = open_world(_without_interfaces(robot), robot.seed if seed is None else seed)
         device_log = DeviceLog(robot)
-        age = device_log.meet(twins.buses)
+        age = device_log.warm_up(twins.buses)
         buses: dict[str, Bus] = {}
         offered: dict[str, list[str]] = {}
-        met = dict(robot.buses)
+        outside = dict(robot.buses)
         for name, settings in robot.buses.items():
             buses[name], ports = _open(settings, clock, adapters)
             stack.callback(buses[name].close)
             if ports:
                 offered[name] = ports if link is None else _linked(link, name, ports, stack)
-                met[name] = replace(settings, interface=offered[name][0])
+                outside[name] = replace(settings, interface=offered[name][0])
         stack.enter_context(quiet_collector())
-        made = Devices(replace(robot, buses=met), twins, buses, offered, clock, device_log, age)
+        made = Devices(replace(robot, buses=outside), twins, buses, offered, clock, device_log, age)
         stack.enter_context(signals(lambda name: setattr(made, "leaving", name)))
         yield made
 
 
 def _open(settings: BusSettings, clock: Clock, adapters: Sequence[str]) -> tuple[Bus, list[str]]:
-    """A bus on its interface; or on ptys, and by which interfaces they are met."""
+    """Open a bus on its interface; or on ptys, with the interfaces by which another program opens them."""
     serial, offered = settings.kind == "serial", settings.interface == TWIN
     if serial and offered:
         from gateway.buses.adapters.pty import SerialPty
@@ -184,14 +183,14 @@ def _open(settings: BusSettings, clock: Clock, adapters: Sequence[str]) -> tuple
 
 
 def _linked(folder: Path, bus: str, ports: Sequence[str], stack: ExitStack) -> list[str]:
-    """Names for ptys in a folder: the bus's own, then NAME.2 …; gone when the stack is left."""
+    """Link ptys into a folder as NAME, NAME.2 …; the links are removed when the stack is left."""
     links = []
     for number, port in enumerate(ports, start=1):
         kind, _, path = port.partition(":")
         link = folder / (bus if number == 1 else f"{bus}.{number}")
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            if link.is_symlink():  # of a process that was killed
+            if link.is_symlink():  # left by a process that was killed
                 link.unlink()
             link.symlink_to(path)
         except OSError as error:
@@ -202,7 +201,7 @@ def _linked(folder: Path, bus: str, ports: Sequence[str], stack: ExitStack) -> l
 
 
 def invitation(made: Devices, robot: str) -> Sequence[str]:
-    """What to type to meet these devices; `robot` is what the robot file was called."""
+    """Return what to type to drive these devices; `robot` is the robot file as it was given."""
     words = ["gateway", "run", robot]
     notes = []
     for name, bus in made.robot.buses.items():
@@ -214,14 +213,14 @@ def invitation(made: Devices, robot: str) -> Sequence[str]:
         words += ["--bus", f"{name}={kind}:{channel}"]
     for name, ports in made.offered.items():
         if ports[1:]:
-            notes.append(f"other programs may be on {name} too, by {', '.join(ports[1:])}; for instance:")
+            notes.append(f"other programs can join {name} by {', '.join(ports[1:])}; for instance:")
             notes.append(f"  {_example(ports[1], made.robot.buses[name])}")
-    head = f"the devices of {made.robot.name} are there; to run the robot:"
+    head = f"simulating the devices of {made.robot.name}; to run the robot:"
     return [head, "  " + shlex.join(words), *notes]
 
 
 def _example(port: str, bus: BusSettings) -> str:
-    """What might listen at a port."""
+    """Return a command that can listen at a port."""
     kind, _, path = port.partition(":")
     if kind != "slcan":
         return f"gateway watch {port}"

@@ -245,10 +245,10 @@ class Recorded(Session):
         assert twins is None
         assert recorder is None
         super().__init__(robot, gateway, clock, buses, None, None, LoopStats())
-        self._ticks = ticks
+        self._kept = ticks
 
-    def _keep(self, tick: Tick, belief: object) -> None:
-        self._ticks.append(tick)
+    def _record(self, tick: Tick, belief: object) -> None:
+        self._kept.append(tick)
 
 
 def held(sense: bytes, since: float, until: float) -> list[tuple[float, bytes]]:

@@ -29,6 +29,7 @@ from gateway.operator.status import status_text
 from gateway.recording import Recorder, read, writer
 from gateway.recording.recover import is_whole
 from gateway.runtime.loop import live
+from gateway.runtime.session import open_session
 from protocols.messages import SECOND, Velocity
 from tests.gateway import kills, little, rig
 from tests.gateway.recording.test_recording import child, drained

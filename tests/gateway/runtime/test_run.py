@@ -18,6 +18,7 @@ from gateway.core.robot import BusSettings
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs
 from gateway.runtime import loop
+from gateway.runtime.serve import serve
 from protocols.messages import MILLISECOND, SECOND, Idle, Mode, Nanos, Velocity
 from tests.gateway.rig import Rig, said
 
@@ -66,7 +67,7 @@ def test_a_driver_that_is_always_due_does_not_keep_the_loop_busy() -> None:
         seen.append(now)
         if now >= 20 * MS:
             break
-    assert min(b - a for a, b in pairwise(seen)) >= loop.LEAST_STEP
+    assert min(b - a for a, b in pairwise(seen)) >= loop.MIN_STEP
 
 
 def test_the_wall_clock_moves_forward_and_waits() -> None:
@@ -92,13 +93,15 @@ def test_at_the_end_the_safe_word_goes_out_first_and_the_devices_are_heard_to_di
     words = [word for _, word in said(driven, farewell)]
     assert words[:2] == [Idle("left"), Idle("right")]
     assert {joint.mode for joint in driven.gateway.joints.values()} == {Mode.READY}
-    assert farewell[-1].now - farewell[0].now <= loop.FAREWELL
+    assert farewell[-1].now - farewell[0].now <= loop.DISARM_TIMEOUT
 
 
 def test_an_end_that_was_set_disarms_too() -> None:
     rig = Rig()
     ticks = list(
-        loop.live(rig.gateway, rig.world.buses, rig.clock, until=SECOND, poll=lambda: (Velocity("left", 5.0),))
+        loop.live(
+            rig.gateway, rig.world.buses, rig.clock, until=SECOND, poll=lambda: (Velocity("left", 5.0),)
+        )
     )
     assert ticks[-1].now < SECOND
     assert rig.gateway.joints["left"].owned
@@ -152,7 +155,7 @@ def test_live_and_serve_face_to_face_over_real_buses() -> None:
     def ask() -> list[Velocity]:
         return asked if rig.gateway.joints["left"].feedback_age(clock.now()) is not None else []
 
-    served = serve.serve(rig.world.buses, {"can0": theirs}, clock, MS)
+    served = serve(rig.world.buses, {"can0": theirs}, clock, MS)
     lived = loop.live(rig.gateway, {"can0": ours}, clock, poll=ask)
     try:
         for _ in range(1200):

@@ -31,6 +31,7 @@ from gateway.errors import BusError, ConfigError
 from gateway.recording import read
 from gateway.runtime import loop
 from gateway.runtime.device_log import DeviceLog
+from gateway.runtime.serve import ServeStats, ServeTick, serve
 from gateway.runtime.twin_process import devices, invitation, outer
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
@@ -51,7 +52,7 @@ class Script:
     def __init__(self) -> None:
         self.coming: list[Packet] = []
         self.states: list[BusState] = []
-        self.said: list[tuple[Nanos, Frame]] = []
+        self.sent: list[tuple[Nanos, Frame]] = []
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
         packets, self.coming = self.coming, []
@@ -59,13 +60,13 @@ class Script:
         return states, packets
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
-        self.said += [(now, frame) for frame in frames]
+        self.sent += [(now, frame) for frame in frames]
 
     def close(self) -> None:
         pass
 
 
-class ServeTick:
+class ServedBench:
     """A bench of twins that is served in simulated time; each `next` may come late."""
 
     def __init__(self, text: str = BENCH) -> None:
@@ -73,11 +74,11 @@ class ServeTick:
         self.clock = SimulatedClock()
         self.twins = open_world(self.robot, 1)
         self.bus = Script()
-        self.stats = serve.ServeStats()
-        self.loop = serve.serve(self.twins.buses, {"can0": self.bus}, self.clock, stats=self.stats)
+        self.stats = ServeStats()
+        self.serving = serve(self.twins.buses, {"can0": self.bus}, self.clock, stats=self.stats)
 
-    def run(self, milliseconds: int) -> list[serve.ServeTick]:
-        return [next(self.loop) for _ in range(milliseconds)]
+    def run(self, milliseconds: int) -> list[ServeTick]:
+        return [next(self.serving) for _ in range(milliseconds)]
 
     def ask_version(self, t: Nanos) -> None:
         """A remote frame to node 1, which it answers at once (cmd 0x00, Get_Version)."""
@@ -88,7 +89,7 @@ class ServeTick:
 
 
 def test_what_comes_is_heard_at_its_own_time_also_by_a_late_moment() -> None:
-    served = ServeTick()
+    served = ServedBench()
     served.run(400)
     start = served.clock.now()
     served.clock.wait(start + 100 * MS)
@@ -96,55 +97,55 @@ def test_what_comes_is_heard_at_its_own_time_also_by_a_late_moment() -> None:
     late = served.run(1)[0]
     assert late.stalled_for == 0
     assert late.now == start + 100 * MS
-    answers = [packet for packet in late.said if packet.frame.id == 0x20]  # type: ignore[union-attr]
+    answers = [packet for packet in late.sent if packet.frame.id == 0x20]  # type: ignore[union-attr]
     assert len(answers) == 1
     assert 40 * MS <= answers[0].t - start <= 43 * MS
-    beats = [packet.t for packet in late.said]
+    beats = [packet.t for packet in late.sent]
     assert max(beats) - min(beats) > 80 * MS  # the world has made up for all of it
     assert served.stats.stalled == 0
     assert served.stats.late == pytest.approx(100 * MS, abs=2 * MS)
 
 
 def test_what_has_no_stamp_of_its_own_has_come_evenly_since_the_moment_before() -> None:
-    served = ServeTick()
+    served = ServedBench()
     served.run(400)
     start = served.clock.now() - MS
     served.clock.wait(start + 80 * MS)
     now = served.clock.now()
     for _ in range(3):
         served.ask_version(now)
-    answers = [p.t for p in served.run(1)[0].said if p.frame.id == 0x20]  # type: ignore[union-attr]
+    answers = [p.t for p in served.run(1)[0].sent if p.frame.id == 0x20]  # type: ignore[union-attr]
     assert [t - start for t in answers] == pytest.approx([21.5 * MS, 41.5 * MS, 61.5 * MS], abs=1.5 * MS)
 
 
 def test_who_stood_still_makes_up_for_nothing_and_obeys_nothing_old() -> None:
-    served = ServeTick()
+    served = ServedBench()
     served.run(400)
-    reported = len(served.bus.said)
+    reported = len(served.bus.sent)
     before = served.clock.now()
     served.ask_version(before + 500 * MS)
     served.clock.wait(before + 10 * SECOND)
     moment = served.run(1)[0]
     assert moment.stalled_for == pytest.approx(10 * SECOND, abs=2 * MS)
     assert (moment.received, served.stats.dropped) == ((), 1)
-    assert len(served.bus.said) - reported < 5
+    assert len(served.bus.sent) - reported < 5
     assert served.stats.stalled == moment.stalled_for
     served.ask_version(served.clock.now())
-    answers = [p for m in served.run(5) for p in m.said if p.frame.id == 0x20]  # type: ignore[union-attr]
+    answers = [p for m in served.run(5) for p in m.sent if p.frame.id == 0x20]  # type: ignore[union-attr]
     assert len(answers) == 1  # and goes on as if nothing had been
     assert sum(moment.stalled_for for moment in served.run(100)) == 0
 
 
 def test_states_of_the_outer_bus_are_passed_on_and_nothing_else() -> None:
-    served = ServeTick()
+    served = ServedBench()
     served.bus.states = [BusState.GONE, BusState.BACK]
     assert served.run(1)[0].states == (("can0", BusState.GONE), ("can0", BusState.BACK))
     assert served.run(1)[0].states == ()
 
 
 def test_an_end_that_was_set_ends_it() -> None:
-    served = ServeTick()
-    serving = serve.serve(served.twins.buses, {"can0": served.bus}, served.clock, until=50 * MS)
+    served = ServedBench()
+    serving = serve(served.twins.buses, {"can0": served.bus}, served.clock, until=50 * MS)
     assert [moment.now // MS for moment in serving] == list(range(50))
 
 
@@ -174,7 +175,7 @@ def test_two_robots_and_a_stranger_share_a_bus_and_none_obeys_another_s_word() -
             )
 
         lived.append(loop.live(rig.gateway, {"can0": ours}, clock, poll=ask))
-        served.append(serve.serve(rig.world.buses, {"can0": theirs}, clock))
+        served.append(serve(rig.world.buses, {"can0": theirs}, clock))
     for turn in range(1500):
         clock.wait(turn * MS)
         for serving in served:
@@ -207,11 +208,11 @@ def received(text: str, seconds: float) -> tuple[DeviceLog, list[tuple[int, str]
     rig = Rig(text)
     device_log = DeviceLog(rig.robot)
     reported: list[tuple[int, str]] = []
-    rig.run(0.3, at=lambda tick: reported.extend(device_log.handle(tick.inputs.packets)))
+    rig.run(0.3, at=lambda tick: reported.extend(device_log.update(tick.inputs.packets)))
     rig.run(
         seconds,
         Velocity("left", 5.0),
-        at=lambda tick: reported.extend(device_log.handle(tick.inputs.packets)),
+        at=lambda tick: reported.extend(device_log.update(tick.inputs.packets)),
     )
     return device_log, reported
 
@@ -228,7 +229,7 @@ def test_voices_tell_what_changes_and_what_becomes_of_armed_motors() -> None:
 def test_voices_know_the_devices_before_anybody_else_speaks() -> None:
     twins = open_world(config.parse_robot(BENCH), 1)
     device_log = DeviceLog(config.parse_robot(BENCH))
-    age = device_log.meet(twins.buses)
+    age = device_log.warm_up(twins.buses)
     assert device_log._modes == {"left": Mode.READY, "right": Mode.READY}
     assert all(twins.world.shaft(name) == (0.0, 0.0) for name in ("left", "right"))
     assert 0 < age <= SECOND
@@ -357,10 +358,10 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
             assert status == 0, text
             assert "leaving: SIGTERM" in text
             assert "Traceback" not in text
-        twin.until("can0: nobody is there any more", "sensors: nobody is there any more")
+        twin.until("can0: client disconnected", "sensors: client disconnected")
         status, reported = twin.end(signal.SIGTERM)
         assert status == 0, reported
-        assert re.search(r"\d{3,} packets heard, \d{4,} said", reported)
+        assert re.search(r"\d{3,} packets received, \d{4,} sent", reported)
         assert "Traceback" not in reported
         assert "stays armed" not in reported  # the safe word went out first
         assert re.findall(r"left: (\w+)", reported)[:2] == ["armed", "ready"]
@@ -421,7 +422,7 @@ def test_the_vendor_s_client_then_a_person_s_lines_then_the_twin_goes_and_comes_
         channel = words[-2].partition("slcan:")[2]
         reported = asyncio.run(drive(channel, twin))
         assert reported[-1] == pytest.approx(3.0, abs=0.05)
-        twin.until("left: ready", "can0: nobody is there any more")
+        twin.until("left: ready", "can0: client disconnected")
         with Process(folder / "run", *words) as robot:
             robot.until("left: ready", "right: ready")
             robot.say("position left 1.5")
@@ -456,7 +457,7 @@ def test_motors_of_a_host_that_was_killed_are_stopped_by_their_watchdog(tmp_path
             twin.until("left: armed")
             robot.end(signal.SIGKILL)
         twin.until(
-            "can0: nobody is there any more; left will be disarmed by its watchdog in 200 ms",
+            "can0: client disconnected; left will be disarmed by its watchdog in 200 ms",
             "left: fault: WATCHDOG_TIMER_EXPIRED",
         )
         with Process(tmp_path, *invited(twin, "-v")) as robot:  # whoever comes next finds it so
