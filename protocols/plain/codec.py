@@ -1,16 +1,16 @@
-"""Messages on a plain line: words between sync bytes and a CRC, for the device at an address.
+"""Framing on a plain serial line: one message between sync bytes and a CRC, to or from a device address.
 
-Rules of this file. `message` raises ValueError for what must not stand on the wire (our mistake); `Stream`
-and `read` take any bytes and never raise. All numbers are little-endian:
+Rules. `encode` raises ValueError for what must not be sent (our mistake); `Stream` and `decode` take any
+bytes and never raise. All numbers are little-endian:
 
-    A5 57 | length u16 | length XOR FFFF u16 | body: address u8, packed word | CRC-32 u32 of the body
+    A5 57 | length u16 | length XOR FFFF u16 | body: address u8, packed message | CRC-32 u32 of the body
 
-−0.0, and what is smaller than any normal binary32, stands as 0.0 and is read as 0.0.
+−0.0, and what is smaller than any normal binary32, is sent as 0.0 and decoded as 0.0.
 
-In the body the word's own name (motor, sensor, bus, name) stands empty, since the address tells it, and
-`t` holds the age of the measurement in ns when it was sent. CRC-32 is that of zlib and Ethernet
-(reflected 0x04C11DB7). The complement lets a false or damaged length be seen at once, so that a reader
-never waits for a message that does not come. `length` counts the body and is at most `MAX_BODY`.
+In the body the name of the device or bus (motor, sensor, bus, name) is empty, since the address identifies
+it, and `t` is the age of the measurement [ns] when it was sent. CRC-32 is that of zlib and Ethernet
+(reflected 0x04C11DB7). The complement reveals a false or damaged length at once, so that a receiver never
+waits for a message that does not come. `length` counts the body and is at most `MAX_BODY`.
 """
 
 from __future__ import annotations
@@ -35,23 +35,22 @@ MotorRequest: TypeAlias = (
     | messages.WriteParameter
     | messages.Reboot
 )
-"""What one motor may be asked."""
-LineRequest: TypeAlias = messages.Scan | messages.SetId
-"""What the whole line may be asked."""
-EVERYONE = 0
+"""Requests to one motor."""
+BroadcastRequest: TypeAlias = messages.Scan | messages.SetId
+"""Requests to all devices on the line."""
+BROADCAST = 0
 """The address to which all devices listen (Scan, SetId); a device has one of 1 … 255."""
 MAX_BODY = 0x4000
 """Bytes in the body of one message: a scan of some 2,000 beams."""
 MAX_AGE: Nanos = 10 * messages.SECOND
-"""Nothing that is sent is older; a message that says so is bad."""
-
+"""Largest age of a measurement; a message with a larger one is malformed."""
 TINY = 2.0**-126
 """Smallest normal binary32: no device means anything by less."""
 
 _HEAD = struct.Struct("<2sHH")
 _TAIL = struct.Struct("<I")
 
-# -- what a message may say ----------------------------------------------------------------------------
+# -- permitted values ----------------------------------------------------------------------------------
 
 LIMITS: dict[str, tuple[float, float]] = {
     "Position.position": (-1e6, 1e6),
@@ -84,22 +83,22 @@ LIMITS: dict[str, tuple[float, float]] = {
     "Fix.altitude": (-1e7, 1e7),
     "Fix.variance": (0.0, 1e15),
 }
-"""What a number may be on the wire, in the unit of `protocols.messages`. A sender refuses what lies
-outside, a receiver takes it for bad. Packed words in recordings know no limits."""
+"""Permitted values on the line, by "Message.field", in the units of `protocols.messages`. A sender refuses to
+encode what lies outside, a receiver takes it for malformed. Packed messages in recordings have no limits."""
 
 _LIMITED: dict[int, list[tuple[int, str, float, float]]] = {
     code: [
-        (at, f.name, *LIMITS[f"{word.__name__}.{f.name}"])
-        for at, f in enumerate(fields(word))
-        if f"{word.__name__}.{f.name}" in LIMITS
+        (at, f.name, *LIMITS[f"{kind.__name__}.{f.name}"])
+        for at, f in enumerate(fields(kind))
+        if f"{kind.__name__}.{f.name}" in LIMITS
     ]
-    for code, word in CODES.items()
+    for code, kind in CODES.items()
 }
-"""The same by code: place of the field, its name, lowest and highest."""
+"""The same by message code: index of the field, its name, lowest and highest value."""
 
 
-def _outside(kind: Kind, values: Sequence[Any]) -> str:
-    """Which of a word's values may not stand in a message, as a sentence; "" if all may."""
+def _out_of_limits(kind: Kind, values: Sequence[Any]) -> str:
+    """Return which field of a message lies outside `LIMITS`, as a sentence; "" if none does."""
     for at, name, low, high in _LIMITED[kind.code]:
         value = values[at]
         if value is None:
@@ -114,26 +113,26 @@ def _outside(kind: Kind, values: Sequence[Any]) -> str:
 
 
 def _normalise(values: list[Any]) -> None:
-    """−0.0 and what is smaller than `TINY` become 0.0."""
+    """Replace −0.0 and what is smaller than `TINY` by 0.0."""
     for at, value in enumerate(values):
         if type(value) is float:
             if -TINY < value < TINY:
                 values[at] = 0.0
-        elif type(value) is tuple and not (value and min(value) >= TINY):  # a scan seldom needs the slow look
+        elif type(value) is tuple and not (value and min(value) >= TINY):  # most scans skip the slow path
             values[at] = tuple([0.0 if -TINY < number < TINY else number for number in value])
 
 
-# -- messages on a stream ------------------------------------------------------------------------------
+# -- one message ---------------------------------------------------------------------------------------
 
 
-def message(address: int, word: Message, now: Nanos = 0) -> bytes:
-    """A word to or from the device at this address, as it stands on a stream.
+def encode(address: int, message: Message, now: Nanos = 0) -> bytes:
+    """Encode a message to or from the device at this address, framed.
 
-    `now` is the moment of sending: a measurement's `t` becomes its age. Raises ValueError as `pack`
-    does, and for a number outside `LIMITS`, an address outside 0 … 255 or a body that is too long."""
-    kind = kind_of(word)
-    values = list(kind.get(word))
-    if wrong := _outside(kind, values):
+    `now` is the time of sending: a measurement's `t` becomes its age. Raises ValueError as `pack` does, and
+    for a number outside `LIMITS`, an address outside 0 … 255 or a body that is too long."""
+    kind = kind_of(message)
+    values = list(kind.get(message))
+    if wrong := _out_of_limits(kind, values):
         raise ValueError(f"{kind.word.__name__}: {wrong}")
     _normalise(values)
     if kind.name is not None:
@@ -146,19 +145,19 @@ def message(address: int, word: Message, now: Nanos = 0) -> bytes:
 
 
 def frame(body: bytes) -> bytes:
-    """A body between sync, length and CRC."""
+    """Put a body between sync bytes, length and CRC. Raises ValueError for an empty or too long one."""
     if not 1 <= len(body) <= MAX_BODY:
         raise ValueError(f"a body of {len(body)} bytes; it may have 1 … {MAX_BODY}")
     return _HEAD.pack(SYNC, len(body), len(body) ^ 0xFFFF) + body + _TAIL.pack(zlib.crc32(body))
 
 
-def read(body: bytes, t: Nanos, name: str) -> Message | None:
-    """The word in a message's body, about the device called `name`, that came in at `t`; or None."""
-    found = unpack_fields(body[1:])
-    if found is None:
+def decode(body: bytes, t: Nanos, name: str) -> Message | None:
+    """Decode the body of a message of the device called `name`, received at `t`; None if it is malformed."""
+    unpacked = unpack_fields(body[1:])
+    if unpacked is None:
         return None
-    kind, values = found
-    if _outside(kind, values):
+    kind, values = unpacked
+    if _out_of_limits(kind, values):
         return None
     _normalise(values)
     if kind.name is not None:
@@ -170,22 +169,25 @@ def read(body: bytes, t: Nanos, name: str) -> Message | None:
     return kind.word(*values)
 
 
+# -- messages on a stream ------------------------------------------------------------------------------
+
+
 @dataclass(slots=True)
 class Stream:
-    """Takes a stream apart into bodies, however it was cut. Holds at most one message's bytes.
+    """Splits a byte stream into message bodies, however it was cut. Holds at most one message's bytes.
 
-    What is not a message is skipped and counted: `bad` once for each message whose CRC is wrong,
-    `noise` once for each run of other bytes between two messages. A message behind either is found,
-    since after a wrong CRC the search goes on right behind the sync bytes."""
+    What is not a message is skipped and counted: `bad` once for each message whose CRC is wrong, `noise`
+    once for each run of other bytes between two messages. A message behind either is found, since after a
+    wrong CRC the search goes on right behind the sync bytes."""
 
     bad: int = 0
     noise: int = 0
     _held: bytes = b""
     _skipping: bool = False
-    """Whether the run of bytes that is being skipped has been counted."""
+    """The run of bytes that is being skipped has been counted."""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The bodies of the messages that are complete with these bytes."""
+        """Return the bodies of the messages that these bytes complete."""
         held, at, bodies = self._held + data, 0, []
         while True:
             start = self._find(held, at)
@@ -205,11 +207,11 @@ class Stream:
         return bodies
 
     def drop(self) -> None:
-        """Forget a message begun: the line was interrupted, its rest will not come."""
+        """Discard a partial message: the line was interrupted, its rest will not come."""
         self._held, self._skipping = b"", False
 
     def _find(self, held: bytes, at: int) -> int:
-        """Where the next message may begin; whatever lies before is noise."""
+        """Return where the next message may begin; whatever lies before is noise."""
         start = at
         while True:
             start = held.find(SYNC[0], start)
@@ -226,7 +228,7 @@ class Stream:
 
 
 def _may_begin(held: bytes, start: int) -> bool:
-    """Whether what is there of a head is right so far."""
+    """True if the part of a header that is there is valid so far."""
     if len(held) - start < _HEAD.size:
         return SYNC.startswith(held[start : start + len(SYNC)])
     sync, length, complement = _HEAD.unpack_from(held, start)
@@ -234,7 +236,7 @@ def _may_begin(held: bytes, start: int) -> bool:
 
 
 def _length(held: bytes, start: int) -> int | None:
-    """The size of the whole message that begins here, or None if it is not all there."""
+    """Return the size of the message that begins here, or None if it is not complete."""
     if len(held) - start < _HEAD.size:
         return None
     size: int = _HEAD.size + _HEAD.unpack_from(held, start)[1] + _TAIL.size

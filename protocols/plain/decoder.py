@@ -1,7 +1,7 @@
-"""What plain devices would obey, of what stands on their line.
+"""What plain devices would obey, of the bytes on their line.
 
-Rules. A device obeys whole messages to its address, or to everyone (Scan, SetId), whose numbers lie within
-`line.LIMITS`; all else it does not hear.
+Rules. A device obeys whole messages to its address, or to all (Scan, SetId), whose numbers lie within
+`codec.LIMITS`, and ignores everything else.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from protocols.plugin import Device
 
 
 class PlainDecoder:
-    """What plain devices would obey. A motor in fault hears a command too, and does not obey it."""
+    """Decodes what plain devices would obey. Stateless about modes: a motor in fault receives a command
+    too, and its firmware does not obey it."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self._stream = codec.Stream()
@@ -23,22 +24,22 @@ class PlainDecoder:
         self._motors = [d.name for d in devices if d.options.kind == "motor"]
 
     def follow(self, device: Device) -> None:
-        """This device has a new address."""
+        """Use this device's new address."""
         self._names = {a: name for a, name in self._names.items() if name != device.name}
         self._names[device.address] = device.name
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
-        """The words in the messages that are complete with this wire."""
+        """Return the commands and requests in the messages that this frame completes."""
         if not isinstance(frame, bytes):
             return []
-        received = [self._read(t, body) for body in self._stream.feed(frame)]
-        return [word for word in received if word is not None]
+        decoded = [self._decode(t, body) for body in self._stream.feed(frame)]
+        return [message for message in decoded if message is not None]
 
-    def _read(self, t: Nanos, body: bytes) -> Command | Request | None:
+    def _decode(self, t: Nanos, body: bytes) -> Command | Request | None:
         name = self._names.get(body[0], "")
-        word = codec.read(body, t, name)
-        if isinstance(word, codec.LineRequest):
-            return word if body[0] == codec.EVERYONE else None
-        if name in self._motors and isinstance(word, Command | codec.MotorRequest):
-            return word
+        message = codec.decode(body, t, name)
+        if isinstance(message, codec.BroadcastRequest):
+            return message if body[0] == codec.BROADCAST else None
+        if name in self._motors and isinstance(message, Command | codec.MotorRequest):
+            return message
         return None

@@ -1,10 +1,10 @@
-"""Our end of a plain line: commands and requests down; feedback, states, faults and measurements up.
+"""The host's end of a plain line: commands and requests out; feedback, states, faults and measurements in.
 
-Rules. A device's measurements are stamped with the packet's time less the age that the device tells.
-An unclaimed motor is told nothing but Scan and ReadParameter; any command but Idle claims it, and it
-stays claimed. A fault is told once, until the device has left its fault state. Every request ends:
-with the device's answer, or refused after `ANSWER`. What is told by itself is only silence: a motor
-not heard for `OFFLINE` is offline.
+Rules. A measurement is stamped with the packet's time less the age that it carries. A motor that was not
+commanded yet is sent nothing but requests; any command but Idle makes it owned, and it stays owned. A fault
+is reported once, until the device has left its fault state. Every request ends: with the device's answer, or
+refused after `ANSWER`. The driver sends nothing by itself, and reports by itself only timeouts: a motor
+without a message for `OFFLINE` is offline.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from protocols.plugin import Device, RxCounters
 from protocols.request_queue import RejectionFilter
 
 ANSWER: Nanos = 200 * MILLISECOND
-"""How long a device may take to answer a request, and how long a scan listens."""
+"""Timeout of a request, and how long a scan collects answers."""
 OFFLINE: Nanos = 250 * MILLISECOND
-"""Silence after which a motor is called offline."""
-Measured: TypeAlias = msg.Imu | msg.LaserScan | msg.Fix
-Told: TypeAlias = msg.Feedback | msg.State | msg.Fault | msg.Done | msg.Refused | msg.Parameter
-"""What a sensor, and what a motor may say; Found comes from either."""
+"""Time without a message after which a motor is offline."""
+SensorEvent: TypeAlias = msg.Imu | msg.LaserScan | msg.Fix
+MotorEvent: TypeAlias = msg.Feedback | msg.State | msg.Fault | msg.Done | msg.Refused | msg.Parameter
+"""What a motor may send, and a sensor above; Found comes from either."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the driver should do."""
+    """Configuration of the driver."""
 
     kind: Literal["sensor", "motor"] = "sensor"
-    """What the device is: it decides which words it is asked for and believed."""
+    """What the device is: it decides which messages are sent to it and accepted from it."""
 
 
 @dataclass(slots=True)
 class _DeviceState:
-    """What the driver knows of one device."""
+    """The host's record of one device."""
 
     name: str
     motor: bool
     owned: bool = False
-    received: Nanos | None = None
-    """When it last spoke, or when we began to listen."""
+    received_at: Nanos | None = None
+    """Time of its last message, or when we began to listen."""
     offline: bool = False
     faults: list[int] = field(default_factory=list)
-    """Codes already told, until the device has left its fault state."""
-    asked: dict[str, Nanos] = field(default_factory=dict)
-    """Requests without an answer yet, by class name: when patience ends."""
+    """Codes already reported, until the device has left its fault state."""
+    pending: dict[str, Nanos] = field(default_factory=dict)
+    """Deadlines of the requests without an answer yet, by class name."""
 
 
 class PlainDriver:
@@ -59,16 +59,16 @@ class PlainDriver:
     def __init__(self, devices: Sequence[Device]) -> None:
         self.counters = RxCounters()
         self._stream = codec.Stream()
-        self._seats = {d.address: _DeviceState(d.name, d.options.kind == "motor") for d in devices}
+        self._devices = {d.address: _DeviceState(d.name, d.options.kind == "motor") for d in devices}
         self._addresses = {d.name: d.address for d in devices}
-        self._refusals = RejectionFilter()
-        self._line: list[tuple[Nanos, msg.Scan | msg.SetId]] = []
-        """Requests to the whole line: when they end."""
+        self._rejections = RejectionFilter()
+        self._broadcasts: list[tuple[Nanos, codec.BroadcastRequest]] = []
+        """Deadlines of the requests to all devices."""
         self._serials: dict[int, int] = {}
         """Serial numbers found since the last scan, by address."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """The events in the messages that are complete with these bytes."""
+        """Return the events in the messages that these bytes complete."""
         if not isinstance(frame, bytes):
             self.counters.ignored += 1
             return []
@@ -79,146 +79,143 @@ class PlainDriver:
         self.counters.ignored += stream.noise - noise
         return events
 
-    def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- silence is counted from what was heard
-        """A line that was away has lost the rest of a message, and its devices may have restarted."""
+    def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- timeouts run from the last message
+        """Discard a partial message and report faults anew: devices may have restarted with the line."""
         if state in (BusState.GONE, BusState.OFF, BusState.BACK):
             self._stream.drop()
-            for seat in self._seats.values():
-                seat.faults.clear()
+            for device in self._devices.values():
+                device.faults.clear()
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Each word that its device takes becomes one message; the others are refused."""
+    def send(
+        self, now: Nanos, messages: Sequence[Command | Request]
+    ) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Encode each command or request that its device takes; refuse the others."""
         events: list[Event] = []
         frames: list[Frame] = []
-        for word in words:
-            if isinstance(word, msg.Stop):
-                for seat in self._seats.values():
-                    seat.owned = seat.motor
+        for message in messages:
+            if isinstance(message, msg.Stop):
+                for device in self._devices.values():
+                    device.owned = device.motor
                 continue
-            frame, reason = self._message(now, word)
-            events += self._refusals.handle(now, word, reason)
-            frames += frame
-        return events + self._impatient(now), frames
+            reason = ""
+            try:
+                address = self._address(message)
+                frame = codec.encode(address, message)
+            except ValueError as error:
+                reason = str(error)
+            else:
+                frames += [frame] if self._note(now, address, message) else []
+            events += self._rejections.handle(now, message, reason)
+        return events + self._expired(now), frames
 
     def due(self) -> Nanos | None:
-        """When a request has waited, or a motor been silent, for too long."""
-        moments = [end for end, _ in self._line]
-        for seat in self._seats.values():
-            moments += seat.asked.values()
-            if seat.motor and seat.received is not None and not seat.offline:
-                moments.append(seat.received + OFFLINE)
-        return min(moments, default=None)
+        """Return when the next request times out, or the next motor is offline."""
+        times = [deadline for deadline, _ in self._broadcasts]
+        for device in self._devices.values():
+            times += device.pending.values()
+            if device.motor and device.received_at is not None and not device.offline:
+                times.append(device.received_at + OFFLINE)
+        return min(times, default=None)
 
-    # -- down ------------------------------------------------------------------------------------------
+    # -- sending ---------------------------------------------------------------------------------------
 
-    def _message(self, now: Nanos, word: Command | Request) -> tuple[list[Frame], str]:
-        """What goes out for a word, and why it is refused, "" if it is not."""
-        try:
-            address = self._address(word)
-            frame = codec.message(address, word)
-        except ValueError as error:
-            return [], str(error)
-        return [frame] if self._say(now, address, word) else [], ""
-
-    def _address(self, word: Command | Request) -> int:
-        """The address that a word goes to. ValueError: it can go to none."""
-        if isinstance(word, codec.LineRequest):
-            return codec.EVERYONE
-        if not isinstance(word, Command | codec.MotorRequest):
-            raise ValueError("a plain device cannot do that")  # noqa: TRY004 -- a right word, wrong device
-        address = self._addresses.get(word.motor)
-        if address is None or not self._seats[address].motor:
-            raise ValueError(f"no motor {word.motor!r} on this line")
+    def _address(self, message: Command | Request) -> int:
+        """Return the address that a message goes to. Raises ValueError if it can go to none."""
+        if isinstance(message, codec.BroadcastRequest):
+            return codec.BROADCAST
+        if not isinstance(message, Command | codec.MotorRequest):
+            raise ValueError("a plain device cannot do that")  # noqa: TRY004 -- a valid message, wrong device
+        address = self._addresses.get(message.motor)
+        if address is None or not self._devices[address].motor:
+            raise ValueError(f"no motor {message.motor!r} on this line")
         return address
 
-    def _say(self, now: Nanos, address: int, word: Command | Request) -> bool:
-        """Whether this word goes out; and remember that it did."""
-        if isinstance(word, codec.LineRequest):
-            self._line.append((now + ANSWER, word))
-            self._serials = {} if isinstance(word, msg.Scan) else self._serials
+    def _note(self, now: Nanos, address: int, message: Command | Request) -> bool:
+        """Record that a message goes out. Returns False for Idle to a motor that is not owned."""
+        if isinstance(message, codec.BroadcastRequest):
+            self._broadcasts.append((now + ANSWER, message))
+            self._serials = {} if isinstance(message, msg.Scan) else self._serials
             return True
-        seat = self._seats[address]
-        if isinstance(word, msg.Idle):
-            return seat.owned
-        if isinstance(word, codec.MotorRequest):
-            seat.asked[type(word).__name__] = now + ANSWER
+        device = self._devices[address]
+        if isinstance(message, msg.Idle):
+            return device.owned
+        if isinstance(message, codec.MotorRequest):
+            device.pending[type(message).__name__] = now + ANSWER
         else:
-            seat.owned = True
+            device.owned = True
         return True
 
-    def _impatient(self, now: Nanos) -> list[Event]:
+    def _expired(self, now: Nanos) -> list[Event]:
+        """Return the events of timeouts: requests without an answer, motors offline, the end of a scan."""
         events: list[Event] = []
-        for seat in self._seats.values():
-            late = [request for request, end in seat.asked.items() if end <= now]
-            for request in late:
-                del seat.asked[request]
-                events.append(
-                    msg.Refused(now, request, seat.name, f"no answer in {ANSWER // MILLISECOND} ms")
-                )
-            seat.received = now if seat.received is None else seat.received
-            if seat.motor and not seat.offline and now - seat.received >= OFFLINE:
-                seat.offline = True
-                events.append(
-                    msg.State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms")
-                )
-        ended = [word for end, word in self._line if end <= now]
-        self._line = [(end, word) for end, word in self._line if end > now]
-        for word in ended:
-            if isinstance(word, msg.Scan):
-                events.append(msg.Done(now, "Scan", word.bus, f"{len(self._serials)} found"))
+        for device in self._devices.values():
+            for kind in [kind for kind, deadline in device.pending.items() if deadline <= now]:
+                del device.pending[kind]
+                reason = f"no answer in {ANSWER // MILLISECOND} ms"
+                events.append(msg.Refused(now, kind, device.name, reason))
+            device.received_at = now if device.received_at is None else device.received_at
+            if device.motor and not device.offline and now - device.received_at >= OFFLINE:
+                device.offline = True
+                detail = f"no message for {OFFLINE // MILLISECOND} ms"
+                events.append(msg.State(device.name, now, Mode.OFFLINE, detail))
+        ended = [request for deadline, request in self._broadcasts if deadline <= now]
+        self._broadcasts = [each for each in self._broadcasts if each[0] > now]
+        for request in ended:
+            if isinstance(request, msg.Scan):
+                events.append(msg.Done(now, "Scan", request.bus, f"{len(self._serials)} found"))
             else:
-                events.append(
-                    msg.Refused(now, "SetId", word.bus, f"no device has serial number {word.serial}")
-                )
+                reason = f"no device has serial number {request.serial}"
+                events.append(msg.Refused(now, "SetId", request.bus, reason))
         return events
 
-    # -- up --------------------------------------------------------------------------------------------
+    # -- receiving -------------------------------------------------------------------------------------
 
     def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
-        seat = self._seats.get(body[0])
-        word = codec.read(body, t, seat.name if seat else "")
-        if isinstance(word, msg.Found) and word.protocol == codec.NAME and word.address == body[0]:
+        """Decode and count the body of one message."""
+        device = self._devices.get(body[0])
+        message = codec.decode(body, t, device.name if device else "")
+        if isinstance(message, msg.Found) and message.protocol == codec.NAME and message.address == body[0]:
             self.counters.accepted += 1
-            return self._found(word)
-        # A command on the way up is somebody's echo (RS-485), a stranger's message is not for us.
-        if seat is None or isinstance(word, Command | Request):
+            return self._found(message)
+        # A command towards the host is an echo (RS-485); an unknown address is not ours.
+        if device is None or isinstance(message, Command | Request):
             self.counters.ignored += 1
             return []
-        if not isinstance(word, Told if seat.motor else Measured):
+        if not isinstance(message, MotorEvent if device.motor else SensorEvent):
             self.counters.malformed += 1
             return []
         self.counters.accepted += 1
-        seat.received, seat.offline = t, False
-        return [word] if self._news(seat, word) else []
+        device.received_at, device.offline = t, False
+        return [message] if self._is_new(device, message) else []
 
-    def _news(self, seat: _DeviceState, word: Event) -> bool:
-        """Remember what the device says; whether it says anything new."""
-        if isinstance(word, msg.Done | msg.Refused):
-            seat.asked.pop(word.request, None)
-        elif isinstance(word, msg.Parameter):
-            seat.asked.pop("ReadParameter", None)
-        elif isinstance(word, msg.State) and word.mode != Mode.FAULT:
-            seat.faults.clear()
-        elif isinstance(word, msg.Fault):
-            if word.code in seat.faults:
+    def _is_new(self, device: _DeviceState, event: Event) -> bool:
+        """Record what a device sent. Returns False for a fault that is reported already."""
+        if isinstance(event, msg.Done | msg.Refused):
+            device.pending.pop(event.request, None)
+        elif isinstance(event, msg.Parameter):
+            device.pending.pop("ReadParameter", None)
+        elif isinstance(event, msg.State) and event.mode != Mode.FAULT:
+            device.faults.clear()
+        elif isinstance(event, msg.Fault):
+            if event.code in device.faults:
                 return False
-            seat.faults.append(word.code)
+            device.faults.append(event.code)
         return True
 
-    def _found(self, word: msg.Found) -> Sequence[Event]:
-        """A device answered to Scan or SetId. Two serial numbers at one address are told."""
-        before = self._serials.get(word.address, word.serial)
-        if before != word.serial:
-            said = f"{word.detail}; address {word.address} is also held by {before}"
-            word = replace(word, detail=said, duplicate_address=True)
-        if word.serial is not None:
-            self._serials[word.address] = word.serial
-        events: list[Event] = [word]
-        for end, asked in self._line:
-            if isinstance(asked, msg.SetId) and (asked.serial, asked.address) == (word.serial, word.address):
-                self._line.remove((end, asked))
-                events.append(
-                    msg.Done(word.t, "SetId", asked.bus, f"{asked.serial} is now at {asked.address}")
-                )
-                break
-        return events
+    def _found(self, found: msg.Found) -> Sequence[Event]:
+        """Report a device that answered Scan or SetId, and a second serial number at one address."""
+        before = self._serials.get(found.address, found.serial)
+        if before != found.serial:
+            detail = f"{found.detail}; address {found.address} is also held by {before}"
+            found = replace(found, detail=detail, duplicate_address=True)
+        if found.serial is not None:
+            self._serials[found.address] = found.serial
+        for deadline, request in self._broadcasts:
+            if isinstance(request, msg.SetId) and (request.serial, request.address) == (
+                found.serial,
+                found.address,
+            ):
+                self._broadcasts.remove((deadline, request))
+                detail = f"{request.serial} is now at {request.address}"
+                return [found, msg.Done(found.t, "SetId", request.bus, detail)]
+        return [found]

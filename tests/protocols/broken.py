@@ -246,8 +246,8 @@ class HearsStrangers(PlainDriver):
     """Takes any device's feedback for its first motor's."""
 
     def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
-        if body[0] not in self._seats and len(body) > 20:
-            body = bytes((min(self._seats),)) + body[1:]
+        if body[0] not in self._devices and len(body) > 20:
+            body = bytes((min(self._devices),)) + body[1:]
         return super()._handle(t, body)
 
 
@@ -279,7 +279,7 @@ class AlwaysIdles(PlainDriver):
     """Sends Idle to whom it never armed: a running device drops its load."""
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        for seat in self._seats.values():
+        for seat in self._devices.values():
             seat.owned = True
         return super().send(now, words)
 

@@ -43,10 +43,10 @@ class Knowing(PlainDriver):
 
     def say(self, word: Command | Request) -> Frame:
         """A word to a device, past everything that a driver should think of."""
-        return codec.message(self._addresses[getattr(word, "motor", "")], word)
+        return codec.encode(self._addresses[getattr(word, "motor", "")], word)
 
     def owned(self, name: str) -> bool:
-        return self._seats[self._addresses[name]].owned
+        return self._devices[self._addresses[name]].owned
 
 
 # -- jump ----------------------------------------------------------------------------------------------
@@ -158,7 +158,7 @@ class NeverMissesADevice(PlainDriver):
     """The time of silence is stored, and never looked at."""
 
     def send(self, now: Nanos, words: Messages) -> Sent:
-        for seat in self._seats.values():
+        for seat in self._devices.values():
             seat.received = now
         return super().send(now, words)
 
@@ -189,7 +189,7 @@ class WaitsForEver(PlainDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        seats = self._seats.values()
+        seats = self._devices.values()
         if any(seat.received is None or t - seat.received > 100 * MILLISECOND for seat in seats):
             return events
         self.waits = None

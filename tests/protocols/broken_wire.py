@@ -169,7 +169,7 @@ class OneAfterTheOther(PlainDriver):
     """Says nothing to anybody while an answer is out: who does not answer stops all."""
 
     def send(self, now: Nanos, words: Messages) -> Sent:
-        waiting = any(seat.asked for seat in self._seats.values())
+        waiting = any(seat.pending for seat in self._devices.values())
         questions = [w for w in words if not isinstance(w, Command)]
         late = [w for w in words if isinstance(w, Command)]
         return super().send(now, questions if waiting else [*questions, *late])
@@ -184,10 +184,10 @@ class ArmsInTurn(PlainDriver):
 
     def send(self, now: Nanos, words: Messages) -> Sent:
         silent = [
-            s.name for s in self._seats.values() if s.received is None or now - s.received > 40 * MILLISECOND
+            s.name for s in self._devices.values() if s.received_at is None or now - s.received_at > 40 * MILLISECOND
         ]
         first = min((self.order.index(name) for name in silent), default=len(self.order))
-        held = self.order[first + 1 :] if any(seat.owned for seat in self._seats.values()) else []
+        held = self.order[first + 1 :] if any(seat.owned for seat in self._devices.values()) else []
         return super().send(
             now, [w for w in words if isinstance(w, msg.Idle) or getattr(w, "motor", "") not in held]
         )

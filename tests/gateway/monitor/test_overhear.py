@@ -247,9 +247,9 @@ def test_devices_on_a_serial_line_are_found_whatever_their_options() -> None:
     listener = bare(TTY)
     for i in range(10):
         t = i * 100 * MILLISECOND
-        scan = codec.message(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 2.5, 11.0)))
-        imu = codec.message(2, msg.Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
-        motor = codec.message(3, msg.Feedback("", 0, position=1.5)) + codec.message(
+        scan = codec.encode(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 2.5, 11.0)))
+        imu = codec.encode(2, msg.Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
+        motor = codec.encode(3, msg.Feedback("", 0, position=1.5)) + codec.encode(
             3, msg.State("", 0, Mode.ARMED)
         )
         stream = scan + imu + motor
@@ -266,11 +266,11 @@ def test_devices_on_a_serial_line_are_found_whatever_their_options() -> None:
 def test_what_a_tap_on_a_serial_line_hears_of_the_host_is_told_too() -> None:
     listener = bare(TTY)
     for i in range(ENOUGH):
-        up = codec.message(3, msg.Feedback("", 0, position=1.5)) + codec.message(
+        up = codec.encode(3, msg.Feedback("", 0, position=1.5)) + codec.encode(
             3, msg.State("", 0, Mode.ARMED)
         )
         handle(listener, (i * MILLISECOND, up), bus="tty")
-    (received,) = handle(listener, (SECOND, codec.message(3, msg.Velocity("", 2.0))), bus="tty")
+    (received,) = handle(listener, (SECOND, codec.encode(3, msg.Velocity("", 2.0))), bus="tty")
     (seen,) = listener.found.values()
     assert seen.command == msg.Velocity(seen.party.name, 2.0)
     assert received.direction == "to"

@@ -128,7 +128,7 @@ def test_on_a_serial_line_not_a_single_byte_goes_out() -> None:
         with watching(asked(f"serial:{line.pty.path}")) as made:
             line.read(0)
             for t in range(5):
-                line.write(t, [plain.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))])
+                line.write(t, [plain.encode(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))])
                 list(lines(made, made.clock.now()))
             assert [seen.party.address for seen in made.listener.found.values()] == [2]
             states, packets = line.read(1)
@@ -181,7 +181,7 @@ def test_with_nothing_to_watch_every_reason_is_given() -> None:
 
 
 def test_a_machine_without_a_can_interface_is_told_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gateway.buses.can_open.can_interfaces", list)
+    monkeypatch.setattr("gateway.buses.interfaces.can_interfaces", list)
     with pytest.raises(UserError, match="no CAN interface"), watching(asked(None)):
         pass
 
@@ -191,7 +191,7 @@ def test_every_interface_of_a_machine_is_tried(monkeypatch: pytest.MonkeyPatch) 
         assert listen_only
         raise BusError(f"{settings.interface} is down")
 
-    monkeypatch.setattr("gateway.buses.can_open.can_interfaces", lambda: ["can0", "can1"])
+    monkeypatch.setattr("gateway.buses.interfaces.can_interfaces", lambda: ["can0", "can1"])
     monkeypatch.setattr("gateway.buses.can.open_can", refuse)
     with pytest.raises(UserError) as error, watching(asked(None)):
         pass
@@ -351,7 +351,7 @@ def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c() -> None:
     process = subprocess.Popen(command, stdout=other, stderr=other, stdin=other)
     os.close(other)
     try:
-        frame = plain.message(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
+        frame = plain.encode(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
         clock = WallClock()
         interrupted = False
         while clock.now() < 30 * SECOND:

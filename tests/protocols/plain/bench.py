@@ -9,7 +9,7 @@ from protocols.conformance.bench import Bench, Shaft, StepResult
 from protocols.messages import Command, Event, Request
 from protocols.plain import plugin
 from protocols.plain.driver import Options
-from protocols.plain.settings import Settings
+from protocols.plain.twin import Settings
 from protocols.plugin import Device
 
 MOTOR = Options("motor")

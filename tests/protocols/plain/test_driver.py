@@ -27,34 +27,34 @@ def received(stage: Bench, *messages: bytes, t: int = T) -> list[Any]:
 def test_measurements_are_stamped_with_the_packets_time_less_their_age() -> None:
     stage = bench(sensors=["imu"], motors=[])
     word = msg.Imu("", 400, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))
-    assert received(stage, codec.message(101, word, now=1000)) == [
+    assert received(stage, codec.encode(101, word, now=1000)) == [
         msg.Imu("imu", T - 600, word.angular_velocity, word.linear_acceleration)
     ]
 
 
 def test_each_address_has_its_own_name() -> None:
     stage = bench(motors=["left", "right"])
-    words = [codec.message(address, msg.Feedback("", 0, float(address))) for address in (2, 1)]
+    words = [codec.encode(address, msg.Feedback("", 0, float(address))) for address in (2, 1)]
     assert received(stage, *words) == [msg.Feedback("right", T, 2.0), msg.Feedback("left", T, 1.0)]
 
 
 # Who says what, and how it is counted: heard, bad, foreign.
 COUNTED: list[tuple[str, bytes | CanFrame, tuple[int, int, int]]] = [
-    ("a motor's feedback", codec.message(1, msg.Feedback("", 0, 1.0)), (1, 0, 0)),
-    ("a sensor's scan", codec.message(101, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (1, 0, 0)),
-    ("a motor's scan", codec.message(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (0, 1, 0)),
-    ("a sensor's feedback", codec.message(101, msg.Feedback("", 0, 1.0)), (0, 1, 0)),
-    ("a stranger's feedback", codec.message(77, msg.Feedback("", 0, 1.0)), (0, 0, 1)),
+    ("a motor's feedback", codec.encode(1, msg.Feedback("", 0, 1.0)), (1, 0, 0)),
+    ("a sensor's scan", codec.encode(101, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (1, 0, 0)),
+    ("a motor's scan", codec.encode(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0,))), (0, 1, 0)),
+    ("a sensor's feedback", codec.encode(101, msg.Feedback("", 0, 1.0)), (0, 1, 0)),
+    ("a stranger's feedback", codec.encode(77, msg.Feedback("", 0, 1.0)), (0, 0, 1)),
     ("rubbish from a motor", codec.frame(b"\1rubbish"), (0, 1, 0)),
     ("rubbish from a stranger", codec.frame(b"\7rubbish"), (0, 0, 1)),
     ("an address alone", codec.frame(b"\1"), (0, 1, 0)),
-    ("an echo of our command", codec.message(1, msg.Velocity("", 1.0)), (0, 0, 1)),
-    ("an echo of our scan", codec.message(0, msg.Scan("")), (0, 0, 1)),
-    ("a stranger found", codec.message(77, msg.Found(0, "plain", 77, 5)), (1, 0, 0)),
-    ("one who says he is another", codec.message(77, msg.Found(0, "plain", 78, 5)), (0, 0, 1)),
-    ("our motor says it is another", codec.message(1, msg.Found(0, "plain", 78, 5)), (0, 1, 0)),
-    ("another language found", codec.message(1, msg.Found(0, "odrive_can", 1, 5)), (0, 1, 0)),
-    ("a wrong CRC", codec.message(1, msg.Feedback("", 0, 1.0))[:-1] + b"\0", (0, 1, 0)),
+    ("an echo of our command", codec.encode(1, msg.Velocity("", 1.0)), (0, 0, 1)),
+    ("an echo of our scan", codec.encode(0, msg.Scan("")), (0, 0, 1)),
+    ("a stranger found", codec.encode(77, msg.Found(0, "plain", 77, 5)), (1, 0, 0)),
+    ("one who says he is another", codec.encode(77, msg.Found(0, "plain", 78, 5)), (0, 0, 1)),
+    ("our motor says it is another", codec.encode(1, msg.Found(0, "plain", 78, 5)), (0, 1, 0)),
+    ("another language found", codec.encode(1, msg.Found(0, "odrive_can", 1, 5)), (0, 1, 0)),
+    ("a wrong CRC", codec.encode(1, msg.Feedback("", 0, 1.0))[:-1] + b"\0", (0, 1, 0)),
     ("noise", b"noise", (0, 0, 1)),
     ("no bytes", b"", (0, 0, 0)),
     ("a CAN frame", CanFrame(1, b"\1"), (0, 0, 1)),
@@ -71,9 +71,9 @@ def test_counted(frame: bytes | CanFrame, counters: tuple[int, int, int]) -> Non
 
 def test_a_fault_is_told_once_until_it_is_gone() -> None:
     stage = bench()
-    fault = codec.message(1, msg.Fault("", 0, 4, "too hot"))
-    other = codec.message(1, msg.Fault("", 0, 5, "too cold"))
-    in_fault, ready = (codec.message(1, msg.State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
+    fault = codec.encode(1, msg.Fault("", 0, 4, "too hot"))
+    other = codec.encode(1, msg.Fault("", 0, 5, "too cold"))
+    in_fault, ready = (codec.encode(1, msg.State("", 0, mode)) for mode in (Mode.FAULT, Mode.READY))
     assert received(stage, fault, fault) == [msg.Fault("m", T, 4, "too hot")]
     assert received(stage, other, fault, in_fault, fault) == [
         msg.Fault("m", T, 5, "too cold"),
@@ -85,8 +85,8 @@ def test_a_fault_is_told_once_until_it_is_gone() -> None:
 def test_a_line_that_was_away_loses_the_message_begun_and_tells_faults_again() -> None:
     stage = bench()
     fault, feedback = (
-        codec.message(1, msg.Fault("", 0, 4, "too hot")),
-        codec.message(1, msg.Feedback("", 0, 1.0)),
+        codec.encode(1, msg.Fault("", 0, 4, "too hot")),
+        codec.encode(1, msg.Feedback("", 0, 1.0)),
     )
     received(stage, fault, feedback[:10])
     stage.driver.bus(T, BusState.GONE)
@@ -96,7 +96,7 @@ def test_a_line_that_was_away_loses_the_message_begun_and_tells_faults_again() -
 
 
 def test_a_full_queue_does_not_break_the_message_begun() -> None:
-    stage, feedback = bench(), codec.message(1, msg.Feedback("", 0, 1.0))
+    stage, feedback = bench(), codec.encode(1, msg.Feedback("", 0, 1.0))
     received(stage, feedback[:10])
     stage.driver.bus(T, BusState.FULL)
     assert received(stage, feedback[10:]) == [msg.Feedback("m", T, 1.0)]
@@ -113,7 +113,7 @@ def test_idle_goes_only_to_whom_we_have_claimed() -> None:
     stage = bench(motors=["left", "right"])
     assert sent(stage, msg.Idle("left"), msg.Idle("right")) == []
     assert len(sent(stage, msg.Velocity("left", 1.0), msg.Idle("right"))) == 1
-    assert sent(stage, msg.Idle("left"), msg.Idle("right")) == [codec.message(1, msg.Idle(""))]
+    assert sent(stage, msg.Idle("left"), msg.Idle("right")) == [codec.encode(1, msg.Idle(""))]
 
 
 COMMANDS: list[Command] = [
@@ -127,8 +127,8 @@ COMMANDS: list[Command] = [
 @pytest.mark.parametrize("word", COMMANDS, ids=repr)
 def test_a_command_becomes_one_message(word: Command) -> None:
     stage = bench()
-    assert sent(stage, word) == [codec.message(1, word)]
-    assert stage.decoder.decode(T, codec.message(1, word)) == [word]
+    assert sent(stage, word) == [codec.encode(1, word)]
+    assert stage.decoder.decode(T, codec.encode(1, word)) == [word]
 
 
 REFUSED: list[tuple[Command | Request, str]] = [
@@ -168,7 +168,7 @@ def test_an_operators_stop_lets_idle_through_to_a_motor_that_was_not_claimed() -
     stage = bench()
     assert sent(stage, msg.Idle("m")) == []
     assert sent(stage, msg.Stop()) == []
-    assert sent(stage, msg.Idle("m")) == [codec.message(1, msg.Idle("m"))]
+    assert sent(stage, msg.Idle("m")) == [codec.encode(1, msg.Idle("m"))]
 
 
 REQUESTS: list[Request] = [
@@ -208,14 +208,14 @@ def test_silence_is_offline_once_and_speaking_ends_it() -> None:
     assert stage.driver.due() == T + OFFLINE
     assert stage.driver.send(T + OFFLINE - 1, ())[0] == []
     assert stage.driver.send(T + OFFLINE, ())[0] == [
-        msg.State("m", T + OFFLINE, Mode.OFFLINE, "silent for 250 ms")
+        msg.State("m", T + OFFLINE, Mode.OFFLINE, "no message for 250 ms")
     ]
     assert stage.driver.due() is None
     assert stage.driver.send(T + 2 * OFFLINE, ())[0] == []
-    received(stage, codec.message(1, msg.Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
+    received(stage, codec.encode(1, msg.Feedback("", 0, 1.0)), t=T + 2 * OFFLINE)
     assert stage.driver.send(T + 3 * OFFLINE - 1, ())[0] == []
     (again,) = stage.driver.send(T + 3 * OFFLINE, ())[0]
-    assert again == msg.State("m", T + 3 * OFFLINE, Mode.OFFLINE, "silent for 250 ms")
+    assert again == msg.State("m", T + 3 * OFFLINE, Mode.OFFLINE, "no message for 250 ms")
 
 
 # -- the whole line ------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def test_scan_finds_motors_and_sensors_and_ends() -> None:
 def test_an_address_held_twice_is_told() -> None:
     stage = bench()
     events = received(
-        stage, *(codec.message(9, msg.Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6))
+        stage, *(codec.encode(9, msg.Found(0, "plain", 9, serial, "motor")) for serial in (5, 6, 6))
     )
     assert [event.detail for event in events] == [
         "motor",
@@ -301,15 +301,15 @@ def test_an_address_out_of_range_is_an_error_of_configuration() -> None:
 
 
 READ_ONLY: list[tuple[bytes | CanFrame, bool]] = [
-    (codec.message(0, msg.Scan("")), True),
-    (codec.message(1, msg.ReadParameter("", "supply")), True),
-    (codec.message(0, msg.Scan("")) + codec.message(1, msg.ReadParameter("", "supply")), True),
-    (codec.message(0, msg.Scan("")) + codec.message(1, msg.Idle("")), False),
-    (codec.message(1, msg.Idle("")), False),
-    (codec.message(1, msg.ClearFault("")), False),
-    (codec.message(0, msg.SetId("", 1, 2)), False),
-    (codec.message(0, msg.Scan("")) + codec.message(1, msg.Idle(""))[:-1], False),
-    (codec.message(0, msg.Scan(""))[:-1], False),
+    (codec.encode(0, msg.Scan("")), True),
+    (codec.encode(1, msg.ReadParameter("", "supply")), True),
+    (codec.encode(0, msg.Scan("")) + codec.encode(1, msg.ReadParameter("", "supply")), True),
+    (codec.encode(0, msg.Scan("")) + codec.encode(1, msg.Idle("")), False),
+    (codec.encode(1, msg.Idle("")), False),
+    (codec.encode(1, msg.ClearFault("")), False),
+    (codec.encode(0, msg.SetId("", 1, 2)), False),
+    (codec.encode(0, msg.Scan("")) + codec.encode(1, msg.Idle(""))[:-1], False),
+    (codec.encode(0, msg.Scan(""))[:-1], False),
     (b"x", False),
     (CanFrame(1, remote=True), False),
 ]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from protocols.message_codec import pack
 from protocols.messages import Done, Feedback, Imu, LaserScan, Message, Torque, Velocity, WriteParameter
 from protocols.plain import codec, plugin
-from protocols.plain.codec import MAX_AGE, MAX_BODY, SYNC, Stream, frame, message, read
+from protocols.plain.codec import MAX_AGE, MAX_BODY, SYNC, Stream, decode, encode, frame
 from protocols.reference_vectors import Vector, vectors_of
 from tests.protocols.plain.published import framed, packed, ranges, said
 from tests.protocols.plain.samples import VECTORS, word_of
@@ -33,13 +33,13 @@ def bytewise(data: bytes) -> list[bytes]:
 @pytest.mark.parametrize("vector", vectors_of(plugin), ids=lambda vector: str(vector.name))
 def test_vector_both_ways(vector: Vector) -> None:
     word, reported = word_of(dict(vector.meaning)), vector.meaning
-    assert message(reported["address"], word, reported["now"]) == vector.frame
+    assert encode(reported["address"], word, reported["now"]) == vector.frame
     assert isinstance(vector.frame, bytes)
     bodies, bad, noise, held = fed(vector.frame)
     assert (bad, noise, held) == (0, 0, b"")
     assert bodies[0][0] == reported["address"]
     own = next((f for f in ("motor", "sensor", "bus", "name") if f in reported["fields"]), "")
-    assert read(bodies[0], reported["now"], reported["fields"].get(own, "")) == word
+    assert decode(bodies[0], reported["now"], reported["fields"].get(own, "")) == word
 
 
 @pytest.mark.parametrize("vector", vectors_of(plugin), ids=lambda vector: str(vector.name))
@@ -55,21 +55,21 @@ def test_the_vectors_are_regenerated_from_the_table_alone(vector: Vector) -> Non
 
 def test_vectors_of_minus_zero_and_what_is_next_to_nothing_stand_as_zero() -> None:
     for tiny in (-0.0, 5e-324, -1e-310, 1e-40, -(2.0**-127)):
-        assert message(1, Torque("m", tiny)) == message(1, Torque("m", 0.0))
-        word = read(b"\1" + pack(Torque("m", tiny)), 0, "m")
+        assert encode(1, Torque("m", tiny)) == encode(1, Torque("m", 0.0))
+        word = decode(b"\1" + pack(Torque("m", tiny)), 0, "m")
         assert repr(word) == repr(Torque("m", 0.0))
         scan = LaserScan("l", 0, tiny, 0.1, abs(tiny), 10.0, (1.0, abs(tiny), 2.0))
-        received = read(b"\1" + pack(scan), 0, "l")
+        received = decode(b"\1" + pack(scan), 0, "l")
         assert repr(received) == repr(LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
-        assert message(1, scan) == message(1, LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
+        assert encode(1, scan) == encode(1, LaserScan("l", 0, 0.0, 0.1, 0.0, 10.0, (1.0, 0.0, 2.0)))
     for number in (2.0**-126, -(2.0**-126)):  # the smallest normal binary32 is a number like others
-        assert read(b"\1" + packed("Torque", "", number), 0, "m") == Torque("m", number)
-        assert message(1, Torque("m", number)) == said(1, "Torque", "", number)
+        assert decode(b"\1" + packed("Torque", "", number), 0, "m") == Torque("m", number)
+        assert encode(1, Torque("m", number)) == said(1, "Torque", "", number)
         data = said(1, "Imu", "", 0, [1.0, number, 0.0], [number, -1.0, 2.0], None)
-        assert message(1, Imu("i", 0, (1.0, number, -0.0), (number, -1.0, 2.0))) == data
-        assert read(fed(data)[0][0], 0, "i") == Imu("i", 0, (1.0, number, 0.0), (number, -1.0, 2.0))
+        assert encode(1, Imu("i", 0, (1.0, number, -0.0), (number, -1.0, 2.0))) == data
+        assert decode(fed(data)[0][0], 0, "i") == Imu("i", 0, (1.0, number, 0.0), (number, -1.0, 2.0))
     data = said(1, "LaserScan", "", 0, 0.0, 0.1, 0.1, 10.0, ranges(2.0**-126, 1.0))
-    assert message(1, LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (2.0**-126, 1.0))) == data
+    assert encode(1, LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, (2.0**-126, 1.0))) == data
 
 
 # Numbers that may not stand in a message, behind such as may, or are not given: the word and its fields.
@@ -103,15 +103,15 @@ OUTSIDE: list[tuple[Message, tuple[object, ...], str]] = [
 def test_a_vector_with_a_number_that_may_not_be(word: Message, values: tuple[object, ...], name: str) -> None:
     kind = type(word).__name__
     with pytest.raises(ValueError, match=rf"^{kind}: {name}.* is not in "):
-        message(1, word)
-    assert read(b"\1" + packed(kind, "", *values), 0, "m") is None
+        encode(1, word)
+    assert decode(b"\1" + packed(kind, "", *values), 0, "m") is None
 
 
 def test_a_scan_of_nothing_as_a_vector() -> None:
     scan = LaserScan("l", 0, 0.0, 0.1, 0.1, 10.0, ())
     data = said(1, "LaserScan", "", 0, 0.0, 0.1, 0.1, 10.0, b"")
-    assert message(1, scan) == data
-    assert read(fed(data)[0][0], 0, "l") == scan
+    assert encode(1, scan) == data
+    assert decode(fed(data)[0][0], 0, "l") == scan
 
 
 # What stands on the stream, what is heard of it, how many are bad, how many runs are noise.
@@ -194,15 +194,15 @@ def test_a_scan_of_two_thousand_beams_fits_and_one_of_three_thousand_is_refused(
     def scan(beams: int) -> LaserScan:
         return LaserScan("l", 0, 0.0, 0.001, 0.1, 10.0, (5.0,) * beams)
 
-    assert read(fed(message(1, scan(2000)))[0][0], 0, "l") == scan(2000)
+    assert decode(fed(encode(1, scan(2000)))[0][0], 0, "l") == scan(2000)
     with pytest.raises(ValueError, match="a body of"):
-        message(1, scan(3000))
+        encode(1, scan(3000))
 
 
 @pytest.mark.parametrize("address", [-1, 256])
 def test_no_vector_has_an_address_that_is_none(address: int) -> None:
     with pytest.raises(ValueError, match=f"address {address}"):
-        message(address, Torque("m", 0.0))
+        encode(address, Torque("m", 0.0))
 
 
 @pytest.mark.parametrize("name", sorted(codec.LIMITS))
@@ -213,10 +213,10 @@ def test_limits_hold_at_both_ends_of_vectors(name: str) -> None:
     body_of = {value: _with(row, field, value) for value in (low, high, low - 1.0, high + 1.0)}
     for value, word in body_of.items():
         if low <= value <= high:
-            assert read(fed(message(1, word, word_time(word)))[0][0], word_time(word), "left") is not None
+            assert decode(fed(encode(1, word, word_time(word)))[0][0], word_time(word), "left") is not None
         else:
             with pytest.raises(ValueError, match=field):
-                message(1, word, word_time(word))
+                encode(1, word, word_time(word))
 
 
 def _with(row: dict[str, Any], field: str, value: float) -> Any:
@@ -231,38 +231,38 @@ def word_time(word: Any) -> int:
 
 
 def body(word: Any, now: int = 0) -> bytes:
-    return fed(message(1, word, now))[0][0]
+    return fed(encode(1, word, now))[0][0]
 
 
 def test_a_vector_outside_the_limits_is_bad() -> None:
     good = body(Velocity("", 1e5))
-    assert read(good, 0, "m") == Velocity("m", 1e5)
+    assert decode(good, 0, "m") == Velocity("m", 1e5)
     bad = good.replace(bytes.fromhex("40f86a0000000000"), bytes.fromhex("40f86a0000000001"))
     assert bad != good
-    assert read(bad, 0, "m") is None
+    assert decode(bad, 0, "m") is None
 
 
 def test_the_age_in_a_vector_becomes_time() -> None:
     data = body(Feedback("m", 900, 1.0), now=1000)
-    assert read(data, 5000, "x") == Feedback("x", 4900, 1.0)
-    assert read(data, 50, "x") == Feedback("x", -50, 1.0)
+    assert decode(data, 5000, "x") == Feedback("x", 4900, 1.0)
+    assert decode(data, 50, "x") == Feedback("x", -50, 1.0)
 
 
 def test_a_vector_from_the_future_is_told_without_age() -> None:
-    assert read(body(Feedback("m", 2000, 1.0), now=1000), 5000, "m") == Feedback("m", 5000, 1.0)
+    assert decode(body(Feedback("m", 2000, 1.0), now=1000), 5000, "m") == Feedback("m", 5000, 1.0)
 
 
 @pytest.mark.parametrize("age", [-1, MAX_AGE + 1, 2**63])
 def test_a_vector_whose_age_cannot_be_is_bad(age: int) -> None:
-    assert read(b"\1" + pack(Done(age, "Zero", "")), 0, "m") is None
-    assert read(b"\1" + pack(Done(MAX_AGE, "Zero", "")), 0, "m") == Done(-MAX_AGE, "Zero", "m")
+    assert decode(b"\1" + pack(Done(age, "Zero", "")), 0, "m") is None
+    assert decode(b"\1" + pack(Done(MAX_AGE, "Zero", "")), 0, "m") == Done(-MAX_AGE, "Zero", "m")
 
 
 def test_a_name_in_a_vector_is_not_believed() -> None:
     imu = Imu("forged", 0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
-    assert read(b"\1" + pack(imu), 5, "imu") == Imu("imu", 5, imu.angular_velocity, imu.linear_acceleration)
+    assert decode(b"\1" + pack(imu), 5, "imu") == Imu("imu", 5, imu.angular_velocity, imu.linear_acceleration)
 
 
 def test_no_vector_has_a_text_that_cannot_be_sent() -> None:
     with pytest.raises(ValueError, match="WriteParameter"):
-        message(1, WriteParameter("m", "\udcff", 1.0))
+        encode(1, WriteParameter("m", "\udcff", 1.0))

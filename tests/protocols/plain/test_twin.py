@@ -13,8 +13,7 @@ from protocols.conformance.bench import Bench, sights
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Event, Mode
 from protocols.plain import codec, plugin
-from protocols.plain.settings import FAULT_TABLE, Settings
-from protocols.plain.twin import BOOT
+from protocols.plain.twin import BOOT, FAULTS, Settings
 from tests.protocols.plain.bench import ask, bench, reported
 
 
@@ -97,7 +96,7 @@ def test_the_watchdog_is_exact_and_expired_before_a_late_command() -> None:
     for late, expected in ((0, Mode.ARMED), (1, Mode.FAULT)):
         stage = bench()
         stage.step([msg.Torque("m", 0.5)])
-        stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, codec.message(1, msg.Torque("", 0.5)))
+        stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, codec.encode(1, msg.Torque("", 0.5)))
         assert mode(stage) == expected
 
 
@@ -222,7 +221,7 @@ def test_torque_is_cut_and_the_integral_does_not_wind_up(command: Command) -> No
 def test_a_shaft_that_was_never_measured_gets_no_torque() -> None:
     stage = bench()
     twin = stage.twins[0]
-    twin.receive(stage.now, codec.message(1, msg.Torque("", 1.0)))
+    twin.receive(stage.now, codec.encode(1, msg.Torque("", 1.0)))
     assert twin.step(stage.now, [])[0] == [msg.Torque("m", 0.0)]
     for wrong in (
         msg.Feedback("m", 0, math.nan, 0.0),
@@ -344,11 +343,11 @@ def test_settings_that_cannot_be_are_an_error_of_configuration(wrong: dict[str, 
 # -- what the contract asks of a twin and of names ---------------------------------------------------------
 
 
-@pytest.mark.parametrize("code", sorted(FAULT_TABLE))
+@pytest.mark.parametrize("code", sorted(FAULTS))
 def test_a_provoked_fault_disarms_and_is_told_as_the_contract_has_it(code: int) -> None:
     stage = bench()
     stage.steps(20, [msg.Velocity("m", 1.0)])
-    said = FAULT_TABLE[code]
+    said = FAULTS[code]
     stage.twins[0].provoke(code)
     due = stage.twins[0].due()
     assert due is not None
@@ -356,7 +355,7 @@ def test_a_provoked_fault_disarms_and_is_told_as_the_contract_has_it(code: int) 
     (fault,) = reported(stage.steps(5, [msg.Velocity("m", 1.0)]), msg.Fault)
     assert (fault.code, fault.name, fault.cause, fault.remedy) == (code, said.name, said.cause, said.remedy)
     assert torque(stage) == 0.0
-    assert stage.specs[0].faults == FAULT_TABLE
+    assert stage.specs[0].faults == FAULTS
     ask(stage, msg.ClearFault("m"))
     assert mode(stage) == Mode.READY
 
@@ -369,8 +368,8 @@ def test_what_is_no_fault_is_not_provoked() -> None:
 
 
 def test_messages_are_named_after_their_words() -> None:
-    two = codec.message(1, msg.Velocity("m", 1.0)) + codec.message(2, msg.Hold("m"))
+    two = codec.encode(1, msg.Velocity("m", 1.0)) + codec.encode(2, msg.Hold("m"))
     assert plugin.messages(two) == ("Velocity", "Hold")
     assert plugin.messages(two[:-1]) == ("Velocity",)
-    assert plugin.messages(codec.message(1, msg.Feedback("m", 0))) == ()
+    assert plugin.messages(codec.encode(1, msg.Feedback("m", 0))) == ()
     assert plugin.messages(CanFrame(1)) == ()

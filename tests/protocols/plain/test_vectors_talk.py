@@ -16,7 +16,7 @@ from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import Command, Event, Mode, Request
 from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import Options, PlainDriver
-from protocols.plain.settings import Settings
+from protocols.plain.twin import Settings
 from protocols.plugin import Device, RxCounters
 from tests.protocols.plain.published import framed, ranges, said
 
@@ -60,7 +60,7 @@ READS, WRITES = msg.ReadParameter("left", "supply"), msg.WriteParameter("left", 
 
 
 def offline(name: str, ms: float) -> msg.State:
-    return msg.State(name, at(ms), Mode.OFFLINE, "silent for 250 ms")
+    return msg.State(name, at(ms), Mode.OFFLINE, "no message for 250 ms")
 
 
 def late(word: str, name: str, ms: float) -> msg.Refused:
