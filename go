@@ -1,30 +1,34 @@
 #!/usr/bin/env python3
 """Set-up and every command of motor-gateway.
 
-    ./go demo [...]    drive the demo robot through its office
-    ./go test          every check: lint, format, types, layers, tests, and those on a real CAN
-    ./go test ...      the same without the real CAN; what follows is handed to pytest
-    ./go prove [...]   the long campaigns; what follows is handed to pytest
-    ./go lock [...]    make requirements.lock anew (needs uv and a network); what follows is handed to uv
-    ./go WORD [...]    run, replay, check, protocols ...: handed to the `gateway` command
+    ./go demo [...]      drive the demo robot through its office
+    ./go test            every check: lint, format, types, layers, docs, tests, and those on a real CAN
+    ./go test ...        the same without the real CAN; the arguments go to pytest
+    ./go prove [...]     the long campaigns; the arguments go to pytest
+    ./go bench [...]     measure speed and memory beside what else there is (--quick, --json FILE)
+    ./go docs            build the site of docs/ and the API in out/site
+    ./go lock [...]      make requirements.lock anew (needs uv and a network); the arguments go to uv
+    ./go COMMAND [...]   run, replay, check, protocols ...: the `gateway` command
 
 Each of them first makes the environment `.venv` in this folder, or renews it if the lock has changed.
 
 Rules of this file: the standard library alone, and syntax that Python 3.6 can read, so that an old
-Python says what is missing instead of a traceback. ASCII only, for terminals without a locale.
+Python prints what is missing instead of a traceback. ASCII only, for terminals without a locale.
 """
 
 import fcntl
 import hashlib
 import os
 import re
+import selectors
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable, Dict, Iterator, Mapping, Optional, Sequence, Tuple
+from typing import IO, Any, Callable, Dict, Iterator, Mapping, Optional, Sequence, Tuple
 
 ROOT = Path(__file__).resolve().parent
 LOCK = ROOT / "requirements.lock"
@@ -60,25 +64,55 @@ TOOLS = (
     ("mypy --strict", ["-m", "mypy"]),
     ("import-linter", ["-c", "from importlinter.cli import lint_imports_command as run; run()"]),
 )
+DOCS = ["-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", "out/site"]
 PYTEST = ["-m", "pytest", "-n", "2", "--dist", "loadfile"]
 
 REAL_CAN = ["-m", "tests.real_can"]
-"""The tests of a real CAN; what of them could not run, and why, they write to the file that is named next."""
+"""The tests of a real CAN; the file named next gets what of them could not run, and why."""
 REQUIRE = "MOTOR_GATEWAY_REQUIRE"
-"""Names of what must not be left out, in words: "real-can" (and "data", see tests/data)."""
+"""Names of what must not be left out: "real-can" (and "data", see tests/data)."""
+PROGRESS_PERIOD = 10.0
+"""Seconds between two lines of progress where the output is no terminal."""
 
 
 class Missing(Exception):
-    """What is missing for the set-up, in one line, and the last words of the tool that found out."""
+    """What is missing for the set-up, in one line, and the last lines of the tool that found out."""
 
     def __init__(self, line: str, output: str = "") -> None:
         super().__init__(line)
         self.tail = output.strip().splitlines()[-8:]
 
 
-def say(line: str) -> None:
-    """Tell the person at the terminal, beside what the command itself prints."""
+def report(line: str) -> None:
+    """Print a line for the user, apart from what the command itself prints."""
     print("./go: " + line, file=sys.stderr, flush=True)
+
+
+class Progress:
+    """A line that shows what the set-up does and for how long: redrawn on a terminal, else printed anew."""
+
+    def __init__(self, step: str, stream: Optional[IO[str]] = None) -> None:
+        self.step = step
+        self._stream = stream or sys.stderr
+        self._began = self._shown = time.monotonic()
+        self._terminal = self._stream.isatty()
+        self._write(step)
+
+    def update(self) -> None:
+        """Show the step and its time, if it is time to."""
+        now = time.monotonic()
+        if now - self._shown >= (0.5 if self._terminal else PROGRESS_PERIOD):
+            self._shown = now
+            self._write("%s, %.0f s" % (self.step, now - self._began))
+
+    def end(self) -> None:
+        """Leave the terminal's line."""
+        if self._terminal:
+            print("\r\033[K", end="", file=self._stream, flush=True)
+
+    def _write(self, text: str) -> None:
+        head, tail = ("\r\033[K", "") if self._terminal else ("", "\n")
+        print("%s./go: %s ..." % (head, text), end=tail, file=self._stream, flush=True)
 
 
 def dotted(version: Sequence[int]) -> str:
@@ -90,13 +124,13 @@ def dotted(version: Sequence[int]) -> str:
 
 
 def version_of(python: str) -> Optional[Tuple[int, int]]:
-    """The (major, minor) that an interpreter says of itself; None if it does not run."""
+    """Return the (major, minor) of an interpreter; None if it does not run."""
     ask = [python, "-c", "import sys; print(sys.version_info[0], sys.version_info[1])"]
     try:
-        said = subprocess.run(ask, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True, timeout=30)
+        done = subprocess.run(ask, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True, timeout=30)
     except (OSError, subprocess.SubprocessError):
         return None
-    major, minor = said.stdout.split()
+    major, minor = done.stdout.split()
     return int(major), int(minor)
 
 
@@ -163,22 +197,57 @@ def one_at_a_time() -> Iterator[None]:
         os.close(folder)
 
 
-def run(command: Sequence[str], failure: str) -> None:
-    """Run a tool of the set-up quietly. Raises Missing with the tool's last words."""
+def run(command: Sequence[str], failure: str, step: str = "") -> None:
+    """Run a tool of the set-up and show its progress under the name `step`. Raises Missing if it fails."""
+    output = []
     try:
-        done = subprocess.run(
+        with subprocess.Popen(
             command,
             cwd=str(ROOT),
             env=clean(os.environ),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            check=False,
-        )
+        ) as process:
+            progress = Progress(step) if step else None
+            collected = 0
+            for line in lines_of(process.stdout) if process.stdout else ():
+                if line:
+                    output.append(line)
+                    collected += line.startswith("Collecting ")
+                if progress and line and collected:
+                    installing = line.startswith("Installing")
+                    progress.step = "%s: %s" % (
+                        step,
+                        "writing them" if installing else "%d fetched" % collected,
+                    )
+                if progress:
+                    progress.update()
+            if progress:
+                progress.end()
     except OSError as error:
         raise Missing(failure, str(error)) from None
-    if done.returncode != 0:
-        raise Missing(failure, done.stdout.decode("utf-8", "replace"))
+    if process.returncode != 0:
+        raise Missing(failure, "\n".join(output))
+
+
+def lines_of(stream: IO[bytes]) -> Iterator[str]:
+    """Yield the lines of a pipe as they come, and "" whenever none came for a while."""
+    rest = b""
+    with selectors.DefaultSelector() as selector:
+        selector.register(stream, selectors.EVENT_READ)
+        while True:
+            if not selector.select(0.5):
+                yield ""
+                continue
+            data = os.read(stream.fileno(), 65536)
+            if not data:
+                break
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                yield line.decode("utf-8", "replace") or " "
+    if rest:
+        yield rest.decode("utf-8", "replace")
 
 
 def works(*arguments: str) -> bool:
@@ -200,9 +269,9 @@ def install_with_uv(uv: str, python: Optional[str]) -> None:
         run([uv, "venv", "--clear", "--python", name, str(VENV)], "uv could not make .venv")
     install = [uv, "pip", "install", "--python", str(PYTHON), "--compile-bytecode"]
     failure = "uv could not install the packages (is there a network?)"
-    run([*install, "--require-hashes", "-r", str(LOCK)], failure)
+    run([*install, "--require-hashes", "-r", str(LOCK)], failure, "installing %d packages" % packages())
     alone = ["--no-index", "--no-deps", "--no-build-isolation", "--reinstall-package", "motor-gateway"]
-    run([*install, *alone, "-e", "."], "uv could not install the project itself")
+    run([*install, *alone, "-e", "."], "uv could not install the project itself", "installing the project")
 
 
 def install_with_pip(python: Optional[str]) -> None:
@@ -215,27 +284,32 @@ def install_with_pip(python: Optional[str]) -> None:
         run([python, "-c", "import venv, ensurepip"], "Python %s has no venv module: %s" % (version, hint))
         if VENV.exists():
             shutil.rmtree(str(VENV))
-        run([python, "-m", "venv", str(VENV)], "venv could not make .venv")
+        run([python, "-m", "venv", str(VENV)], "venv could not make .venv", "making .venv")
     install = [str(PYTHON), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--no-user"]
     failure = "pip could not install the packages (is there a network?)"
-    run([*install, "--require-hashes", "-r", str(LOCK)], failure)
+    run([*install, "--require-hashes", "-r", str(LOCK)], failure, "installing %d packages" % packages())
     alone = ["--no-index", "--no-deps", "--no-build-isolation"]
-    run([*install, *alone, "-e", "."], "pip could not install the project itself")
+    run([*install, *alone, "-e", "."], "pip could not install the project itself", "installing the project")
 
 
 def too_old() -> str:
-    """What to say to an old Python when there is no newer one, and no uv to bring it."""
+    """Return the sentence for an old Python where there is no newer one, and no uv to bring it."""
     here = dotted(sys.version_info[:3])
     return "Python %s or newer is needed; this is %s (%s)" % (dotted(OLDEST), here, sys.executable)
 
 
+def packages() -> int:
+    """Return how many packages the lock has."""
+    return len(re.findall(r"^[A-Za-z0-9._-]+==", LOCK.read_text(), re.MULTILINE))
+
+
 def install(uv: Optional[str], python: Optional[str]) -> None:
-    """With uv where it is on the path, else, or if it fails, with venv and pip."""
+    """Install with uv where it is on the path, else, or if that fails, with venv and pip."""
     if uv:
         try:
             install_with_uv(uv, python)
         except Missing as missing:
-            say("\n    ".join(["%s; trying pip" % missing, *missing.tail]))
+            report("\n    ".join(["%s; trying pip" % missing, *missing.tail]))
         else:
             return
     install_with_pip(python)
@@ -254,52 +328,78 @@ def set_up() -> None:
         if ready():
             return
         began = time.monotonic()
-        say("setting up .venv (once, and when the lock changes; about a minute) ...")
+        report("setting up .venv (once, and whenever the lock changes; one to four minutes)")
         if STAMP.exists():
             STAMP.unlink()
         install(uv, python)
         STAMP.write_text(stamp())
-        say("set up in %.0f s" % (time.monotonic() - began))
+        report("set up in %.0f s" % (time.monotonic() - began))
 
 
-# -- the words ----------------------------------------------------------------------------------
+# -- the commands -------------------------------------------------------------------------------
 
 
-def python_here(arguments: Sequence[str]) -> int:
-    """Run the environment's Python on this folder, and wait. Returns its exit status."""
+def python_here(arguments: Sequence[str], output: Optional[IO[Any]] = None) -> "subprocess.Popen[bytes]":
+    """Start the environment's Python on this folder."""
     command = [str(PYTHON), *arguments]
-    return subprocess.run(command, cwd=str(ROOT), env=clean(os.environ), check=False).returncode
+    error = subprocess.STDOUT if output else None
+    return subprocess.Popen(command, cwd=str(ROOT), env=clean(os.environ), stdout=output, stderr=error)
 
 
 def test(arguments: Sequence[str]) -> int:
-    """Every check, also after one has failed. Returns 0 only if all passed, and what is required ran."""
-    checks = [*TOOLS, ("pytest", [*PYTEST, *arguments])]
+    """Run every check, also after one has failed. Returns 0 only if all passed, and what is required ran.
+
+    The tests of a real CAN keep one core busy and wait much: they run beside the other checks."""
     required = "real-can" in re.split(r"[,\s]+", os.environ.get(REQUIRE, ""))
-    if not arguments or required:
-        checks.append(("real CAN", [*REAL_CAN, str(ABSENT)]))
     if ABSENT.exists():
         ABSENT.unlink()
-    summary = []
     failed = False
-    for name, command in checks:
-        print("== " + name, flush=True)
+    summary = []
+
+    def ended(name: str, status: int, began: float) -> bool:
+        result = "ok" if status == 0 else "FAILED (exit status %d)" % status
+        summary.append("   %-14s %6.1f s  %s" % (name, time.monotonic() - began, result))
+        print("== %s: %.1f s, %s" % (name, time.monotonic() - began, result), flush=True)
+        return status != 0
+
+    with tempfile.TemporaryFile() as log:
         began = time.monotonic()
-        status = python_here(command)
-        failed = failed or status != 0
-        said = "ok" if status == 0 else "FAILED (exit status %d)" % status
-        summary.append("   %-14s %6.1f s  %s" % (name, time.monotonic() - began, said))
+        real_can = python_here([*REAL_CAN, str(ABSENT)], log) if not arguments or required else None
+        try:
+            for name, command in (*TOOLS, ("docs", DOCS), ("pytest", [*PYTEST, *arguments])):
+                print("== " + name, flush=True)
+                since = time.monotonic()
+                failed = ended(name, python_here(command).wait(), since) or failed
+            if real_can:
+                print("== real CAN (beside the others, since the beginning)", flush=True)
+                status = real_can.wait()
+                log.seek(0)
+                sys.stdout.write(log.read().decode("utf-8", "replace"))
+                failed = ended("real CAN", status, began) or failed
+        finally:
+            if real_can and real_can.poll() is None:
+                real_can.terminate()
+                real_can.wait()
     for line in ABSENT.read_text().splitlines() if ABSENT.exists() else ():
         failed = failed or required
         summary.append("!! NOT RUN: real CAN: " + line + (" (it is required)" if required else ""))
-    print("\n".join(["== ./go test", *summary]), flush=True)
+    print("\n".join(["== ./go test: %.0f s in all" % (time.monotonic() - began), *summary]), flush=True)
     return 1 if failed else 0
 
 
+def docs(arguments: Sequence[str]) -> int:
+    """Build the site. Returns 0 if there was nothing to warn of."""
+    status = python_here([*DOCS, *arguments]).wait()
+    if status == 0:
+        report("the site: %s" % (ROOT / "out" / "site" / "index.html"))
+    return status
+
+
 def prove(arguments: Sequence[str]) -> int:
-    """The long campaigns. Returns pytest's exit status: to have run none is no success."""
-    status = python_here(["-m", "pytest", "-m", "prove", "--timeout", "0", *arguments])
+    """Run the long campaigns. Returns pytest's exit status: to have run none is no success."""
+    status = python_here(["-m", "pytest", "-m", "prove", "--timeout", "0", *arguments]).wait()
     if status == 5:
-        say("no campaigns yet: nothing was proven")
+        report("no campaign matches: nothing was proven")
     return status
 
 
@@ -316,18 +416,21 @@ def lock(arguments: Sequence[str]) -> int:
     if "://" in text or str(ROOT) in text:
         raise Missing("%s names an address or a path of this machine: not fit to be committed" % LOCK.name)
     LOCK.write_text(LOCK_HEADER + text)
-    say("%s made; `./go test` installs it" % LOCK.name)
+    report("%s made; `./go test` installs it" % LOCK.name)
     return 0
 
 
-def gateway(arguments: Sequence[str]) -> int:
-    """Become the `gateway` command: its signals and its exit status are ours."""
+def become(module: str, arguments: Sequence[str]) -> None:
+    """Replace this process by a module of the environment: its signals and its exit status are ours."""
     sys.stdout.flush()
-    os.execve(str(PYTHON), [str(PYTHON), "-P", "-m", "gateway", *arguments], clean(os.environ))
+    environment = clean(os.environ)
+    if module == "benchmarks":  # not installed: it belongs to the checkout
+        environment["PYTHONPATH"] = str(ROOT)
+    os.execve(str(PYTHON), [str(PYTHON), "-P", "-m", module, *arguments], environment)
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Set up, and do what the first word says."""
+    """Set up, and run the command that the first word names."""
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print((__doc__ or "").split("\n\nRules of this file")[0], flush=True)
         return 0
@@ -335,21 +438,23 @@ def main(arguments: Sequence[str]) -> int:
     if word == "lock":
         return lock(rest)
     set_up()
-    if word == "test":
-        return test(rest)
-    if word == "prove":
-        return prove(rest)
-    return gateway(arguments)
+    own = {"test": test, "prove": prove, "docs": docs}
+    if word in own:
+        return own[word](rest)
+    if word == "bench":
+        become("benchmarks", rest)
+    become("gateway", arguments)
+    return 1
 
 
 if __name__ == "__main__":
     try:
         sys.exit(main(sys.argv[1:]))
     except Missing as missing:
-        say("\n    ".join([str(missing), *missing.tail]))
+        report("\n    ".join([str(missing), *missing.tail]))
         sys.exit(1)
     except OSError as error:
-        say("the set-up failed: %s" % error)
+        report("the set-up failed: %s" % error)
         sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)

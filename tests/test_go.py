@@ -1,4 +1,4 @@
-"""`./go`: which Python it takes, when it sets up, what it says, and that it hands on words faithfully.
+"""`./go`: which Python it takes, when it sets up, what it prints, and that it passes arguments on unchanged.
 
 The whole way is walked on a small project made here: the real script, a real virtual environment, an
 empty lock and a build backend of a few lines, so that no network is needed.
@@ -244,6 +244,21 @@ def test_first_word_sets_up_and_hands_on(clone: Clone, tmp_path: Path) -> None:
     assert again.stdout == repr([["run"], str(clone.root), None, "2"]) + "\n"
 
 
+def test_the_set_up_shows_what_it_does(clone: Clone) -> None:
+    clone.stamp.unlink()
+    shown = clone.go("run").stderr
+    assert shown.index("setting up .venv (once") < shown.index("./go: installing 0 packages ...")
+    assert shown.index("installing the project ...") < shown.index("set up in ")
+
+
+def test_the_lines_of_a_slow_tool_come_as_they_are_written() -> None:
+    code = "import time; print('one', flush=True); time.sleep(0.8); print('two', end='')"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as process:
+        lines = list(go.lines_of(process.stdout))
+    assert [line for line in lines if line] == ["one", "two"]
+    assert "" in lines[1:-1]  # none came for a while: time to show progress
+
+
 def test_signals_reach_the_command(clone: Clone) -> None:
     assert clone.go("run").returncode == 7
     command = [sys.executable, str(clone.root / "go"), "sleep"]
@@ -251,7 +266,7 @@ def test_signals_reach_the_command(clone: Clone) -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == b"asleep\n"
         process.send_signal(signal.SIGTERM)
-        assert process.wait(10) == -signal.SIGTERM
+        assert process.wait(60) == -signal.SIGTERM
 
 
 def change_lock(clone: Clone) -> None:
@@ -311,7 +326,7 @@ def test_failed_install_says_so_and_is_tried_again(clone: Clone) -> None:
 def test_every_check_runs_also_after_one_has_failed(clone: Clone) -> None:
     done = clone.go("test", "-k", "x")
     assert done.returncode == 1
-    for name in ("ruff check", "ruff format", "mypy --strict", "import-linter", "pytest"):
+    for name in ("ruff check", "ruff format", "mypy --strict", "import-linter", "docs", "pytest"):
         assert f"== {name}\n" in done.stdout
         line = next(line for line in done.stdout.splitlines() if line.startswith(f"   {name} "))
         assert line.endswith("FAILED (exit status 1)")  # none of them is installed in this small project
@@ -350,7 +365,12 @@ def test_what_is_required_and_did_not_run_is_a_failure(
 ) -> None:
     absent = tmp_path / "not-run"
     monkeypatch.setattr(go, "ABSENT", absent)
-    monkeypatch.setattr(go, "python_here", lambda command: absent.write_text("no kernel\n") and 0)
+
+    def succeed(command: list[str], output: object = None) -> subprocess.Popen[bytes]:
+        absent.write_text("no kernel\n")
+        return subprocess.Popen(["true"])
+
+    monkeypatch.setattr(go, "python_here", succeed)
     monkeypatch.setenv("MOTOR_GATEWAY_REQUIRE", required)
     assert go.test([]) == status
 
