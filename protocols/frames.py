@@ -1,4 +1,4 @@
-"""The wire: what can stand on a bus, and what a bus can tell of itself. Values only."""
+"""Frames: what is transferred on a bus, and the states of a bus. Values only."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class CanFrame:
     data: bytes = b""
     extended: bool = False
     remote: bool = False
-    """A remote frame (RTR) asks for data and carries none; its `data` is empty."""
+    """A remote frame (RTR) requests data and carries none; its `data` is empty."""
     fd: bool = False
     brs: bool = False
 
     def __str__(self) -> str:
-        """In the notation of candump: `123#DEADBEEF`, `123#R`, `12345678##1DEADBEEF`."""
+        """Return candump's notation: `123#DEADBEEF`, `123#R`, `12345678##1DEADBEEF`."""
         head = f"{self.id:08X}" if self.extended else f"{self.id:03X}"
         if self.remote:
             return f"{head}#R"
@@ -35,7 +35,7 @@ Frame: TypeAlias = CanFrame | bytes
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """What stood on a bus, and when: received (stamped by the bus) or to be sent."""
+    """A frame on a bus, and its time: of reception (stamped by the bus) or of sending."""
 
     t: Nanos
     bus: str
@@ -43,16 +43,16 @@ class Packet:
 
 
 class BusState(StrEnum):
-    """What a bus tells of itself. Told on change only."""
+    """The state of a bus. Reported on change only."""
 
     UP = "up"
     PASSIVE = "passive"
     """Error-passive: it still works, badly."""
     OFF = "off"
-    """Bus-off: nothing goes out."""
+    """Bus-off: nothing is transmitted."""
     FULL = "full"
     """The transmit queue is full; the newest command wins, older ones were dropped."""
     GONE = "gone"
-    """The interface or port has vanished."""
+    """The interface or port has disappeared."""
     BACK = "back"
     """It has come back after GONE or OFF."""

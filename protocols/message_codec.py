@@ -1,13 +1,13 @@
-"""Words in bytes: `pack` and `unpack`, for recordings and for the messages of `line`.
+"""Messages as bytes: `pack` and `unpack`, for recordings and for the serial protocol `plain`.
 
-Rules of this file. `pack` is exact and canonical: a word has one encoding, and `unpack` gives an equal
-word back, bit for bit (float64 throughout, also for the ranges of a scan). `pack` raises ValueError for
-what is no word (our mistake); `unpack` gives None for what holds none, and never raises.
+Rules of this file. `pack` is exact and canonical: a message has one encoding, and `unpack` returns an equal
+message, bit for bit (float64 throughout, also for the ranges of a scan). `pack` raises ValueError for what is
+no message (a mistake of the caller); `unpack` returns None for malformed bytes, and never raises.
 
-A packed word is a msgpack array: the word's code (`CODES`, never renumbered), then its fields in the
+A packed message is a msgpack array: the message's code (`CODES`, never renumbered), then its fields in the
 order of `protocols.messages`. Floats are float64; fixed tuples are arrays; a tuple of any length is a
-binary string of little-endian float64. When reading, an integer is taken for a float, and float32 too,
-since many msgpack writers shorten numbers.
+binary string of little-endian float64. Decoding also accepts integers and float32 for floats, since many
+msgpack writers shorten numbers.
 """
 
 from __future__ import annotations
@@ -58,16 +58,16 @@ CODES: dict[int, type[Message]] = {
     78: messages.LaserScan,
     79: messages.Fix,
 }
-"""What a packed word's first element means. A code is never given to another word."""
-LATER: dict[type[Message], list[Any]] = {messages.Found: [False]}
-"""Values of fields that were added at the end of a word: a recording from before lacks them."""
+"""The message type of each code, the first element of a packed message. A code is never reused."""
+ADDED_FIELDS: dict[type[Message], list[Any]] = {messages.Found: [False]}
+"""Defaults of fields that were added at the end of a message: older recordings lack them."""
 _INT_LOW, _INT_HIGH = -(2**63), 2**64 - 1
 
 
-# -- fields: how a value of each type stands in msgpack, and how it is read back ------------------------
+# -- fields: encoding and decoding by type ---------------------------------------------------------------
 
 
-def _float_out(value: object) -> float:
+def _encode_float(value: object) -> float:
     if not isinstance(value, float | int):
         raise TypeError(f"{value!r} is not a number")
     if not math.isfinite(value):
@@ -75,7 +75,7 @@ def _float_out(value: object) -> float:
     return float(value)
 
 
-def _float_in(value: object) -> float:
+def _decode_float(value: object) -> float:
     if type(value) is float:
         if math.isfinite(value):
             return value
@@ -93,44 +93,44 @@ def _int(value: object) -> int:
 
 def _bool(value: object) -> bool:
     if type(value) is not bool:
-        raise ValueError(f"{value!r} is not a truth value")
+        raise ValueError(f"{value!r} is not a bool")
     return value
 
 
 def _str(value: object) -> str:
     if type(value) is not str:
-        raise ValueError(f"{value!r} is not a text")
+        raise ValueError(f"{value!r} is not a string")
     return value
 
 
-def _mode_out(value: object) -> str:
+def _encode_mode(value: object) -> str:
     if not isinstance(value, Mode):
         raise TypeError(f"{value!r} is not a Mode")
     return value.value
 
 
-def _mode_in(value: object) -> Mode:
+def _decode_mode(value: object) -> Mode:
     return Mode(_str(value))
 
 
-def _floats_out(values: object) -> bytes:
+def _encode_floats(values: object) -> bytes:
     if not isinstance(values, tuple):
         raise TypeError(f"{values!r} is not a tuple")
     packed = struct.pack(f"<{len(values)}d", *values)
-    _all_finite(values)
+    _check_finite(values)
     return packed
 
 
-def _floats_in(data: object) -> tuple[float, ...]:
+def _decode_floats(data: object) -> tuple[float, ...]:
     if type(data) is not bytes:
-        raise ValueError("not a run of float64")
+        raise ValueError("not an array of float64")
     values: tuple[float, ...] = struct.unpack(f"<{len(data) // 8}d", data)
-    _all_finite(values)
+    _check_finite(values)
     return values
 
 
-def _all_finite(values: Sequence[float]) -> None:
-    # A finite sum proves it in a fifth of the time; only a sum that overflows needs the slow look.
+def _check_finite(values: Sequence[float]) -> None:
+    # A finite sum proves it in a fifth of the time; only a sum that overflows needs the slow check.
     if not math.isfinite(sum(values)) and not all(map(math.isfinite, values)):
         raise ValueError("not finite")
 
@@ -142,12 +142,12 @@ def _vector(length: int) -> tuple[_Convert, _Convert]:
     def encode(values: object) -> list[float]:
         if not isinstance(values, tuple) or len(values) != length:
             raise ValueError(f"{values!r} is not a tuple of {length}")
-        return [_float_out(value) for value in values]
+        return [_encode_float(value) for value in values]
 
     def decode(values: object) -> tuple[float, ...]:
         if type(values) is not list or len(values) != length:
             raise ValueError("not a vector")
-        return tuple([_float_in(value) for value in values])
+        return tuple([_decode_float(value) for value in values])
 
     return encode, decode
 
@@ -160,55 +160,56 @@ def _optional(encode: _Convert, decode: _Convert) -> tuple[_Convert, _Convert]:
 
 
 def _converters(hint: object) -> tuple[_Convert, _Convert]:
-    """How to write and how to read a field of this type."""
-    plain: dict[object, tuple[_Convert, _Convert]] = {
-        float: (_float_out, _float_in),
+    """Return the encoder and the decoder of fields of this type."""
+    scalars: dict[object, tuple[_Convert, _Convert]] = {
+        float: (_encode_float, _decode_float),
         int: (_int, _int),
         bool: (_bool, _bool),
         str: (_str, _str),
-        Mode: (_mode_out, _mode_in),
+        Mode: (_encode_mode, _decode_mode),
     }
-    if hint in plain:
-        return plain[hint]
+    if hint in scalars:
+        return scalars[hint]
     if get_origin(hint) is tuple:
         items = get_args(hint)
-        return (_floats_out, _floats_in) if Ellipsis in items else _vector(len(items))
+        return (_encode_floats, _decode_floats) if Ellipsis in items else _vector(len(items))
     if get_origin(hint) in (Union, types.UnionType):
         (inner,) = [part for part in get_args(hint) if part is not type(None)]
         return _optional(*_converters(inner))
     raise TypeError(f"no encoding for {hint}")
 
 
-# -- kinds: one row per word ---------------------------------------------------------------------------
+# -- layouts: one per message type -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """How one kind of word is written and read, and which of its fields the wire leaves out."""
+class Layout:
+    """How one type of message is encoded and decoded, and which of its fields `plain` leaves out."""
 
     code: int
-    word: type[Message]
-    get: Callable[[Message], tuple[Any, ...]]
+    message_type: type[Message]
+    values: Callable[[Message], tuple[Any, ...]]
+    """Returns the values of all fields."""
     encode: tuple[_Convert, ...]
     decode: tuple[_Convert, ...]
     name: int | None
-    """Place of the word's own name among its fields: motor, sensor, bus or name."""
+    """Index of the field that names the subject: motor, sensor, bus or name."""
     time: int | None
-    """Place of `t` among its fields."""
+    """Index of the field `t`."""
 
 
-def _kind(code: int, word: type[Message]) -> Kind:
-    names = [f.name for f in fields(word)]
-    hints = get_type_hints(word)
+def _layout(code: int, message_type: type[Message]) -> Layout:
+    names = [f.name for f in fields(message_type)]
+    hints = get_type_hints(message_type)
     pairs = [_converters(hints[name]) for name in names]
-    own = next((n for n in ("motor", "sensor", "bus", "name") if n in names), None)
-    return Kind(
+    subject = next((n for n in ("motor", "sensor", "bus", "name") if n in names), None)
+    return Layout(
         code,
-        word,
+        message_type,
         _getter(names),
         tuple(encode for encode, _ in pairs),
         tuple(decode for _, decode in pairs),
-        names.index(own) if own else None,
+        names.index(subject) if subject else None,
         names.index("t") if "t" in names else None,
     )
 
@@ -216,60 +217,60 @@ def _kind(code: int, word: type[Message]) -> Kind:
 def _getter(names: list[str]) -> Callable[[Any], tuple[Any, ...]]:
     if len(names) > 1:
         return attrgetter(*names)
-    return lambda word: tuple(getattr(word, name) for name in names)
+    return lambda message: tuple(getattr(message, name) for name in names)
 
 
-KINDS = {code: _kind(code, word) for code, word in CODES.items()}
-_BY_WORD = {kind.word: kind for kind in KINDS.values()}
+LAYOUTS = {code: _layout(code, message_type) for code, message_type in CODES.items()}
+_BY_TYPE = {layout.message_type: layout for layout in LAYOUTS.values()}
 
 
-# -- packed words --------------------------------------------------------------------------------------
+# -- packed messages -------------------------------------------------------------------------------------
 
 
-def pack(word: Message) -> bytes:
-    """The one encoding of a word. Raises ValueError for a value that is not finite or of a wrong type."""
-    kind = kind_of(word)
-    return pack_fields(kind, kind.get(word))
+def pack(message: Message) -> bytes:
+    """Encode a message. Raises ValueError for a value that is not finite or of a wrong type."""
+    layout = layout_of(message)
+    return pack_fields(layout, layout.values(message))
 
 
 def unpack(data: bytes) -> Message | None:
-    """The word in these bytes, or None if they hold none. Never raises."""
-    read = unpack_fields(data)
-    return None if read is None else read[0].word(*read[1])
+    """Decode a message; None if the bytes hold none. Never raises."""
+    unpacked = unpack_fields(data)
+    return None if unpacked is None else unpacked[0].message_type(*unpacked[1])
 
 
-def kind_of(word: Message) -> Kind:
-    """The row of a word. Raises ValueError for what is none."""
-    kind = _BY_WORD.get(type(word))
-    if kind is None:
-        raise ValueError(f"{word!r} is not a word")
-    return kind
+def layout_of(message: Message) -> Layout:
+    """Return the layout of a message. Raises ValueError for anything else."""
+    layout = _BY_TYPE.get(type(message))
+    if layout is None:
+        raise ValueError(f"{message!r} is not a message")
+    return layout
 
 
-def pack_fields(kind: Kind, values: Sequence[Any]) -> bytes:
-    """The encoding of a word of this kind with these fields. Raises ValueError as `pack` does."""
-    row: list[Any] = [kind.code]
+def pack_fields(layout: Layout, values: Sequence[Any]) -> bytes:
+    """Encode a message with these fields. Raises ValueError as `pack` does."""
+    row: list[Any] = [layout.code]
     try:
-        row += [encode(value) for encode, value in zip(kind.encode, values, strict=True)]
+        row += [encode(value) for encode, value in zip(layout.encode, values, strict=True)]
         packed: bytes = msgpack.packb(row)
     except (TypeError, ValueError, OverflowError, struct.error) as error:
-        raise ValueError(f"{kind.word.__name__}: {error}") from error
+        raise ValueError(f"{layout.message_type.__name__}: {error}") from error
     return packed
 
 
-def unpack_fields(data: bytes) -> tuple[Kind, list[Any]] | None:
-    """The kind and fields of the word in these bytes, or None. Never raises."""
+def unpack_fields(data: bytes) -> tuple[Layout, list[Any]] | None:
+    """Decode the layout and fields of a message; None if the bytes hold none. Never raises."""
     try:
         row = msgpack.unpackb(data)
         if type(row) is not list or not row or type(row[0]) is not int:
             return None
-        kind = KINDS.get(row[0])
-        if kind is None:
+        layout = LAYOUTS.get(row[0])
+        if layout is None:
             return None
-        later = LATER.get(kind.word, [])
-        row += later if len(row) + len(later) == len(kind.decode) + 1 else []
-        if len(row) != len(kind.decode) + 1:
+        added = ADDED_FIELDS.get(layout.message_type, [])
+        row += added if len(row) + len(added) == len(layout.decode) + 1 else []
+        if len(row) != len(layout.decode) + 1:
             return None
-        return kind, [decode(value) for decode, value in zip(kind.decode, row[1:], strict=True)]
+        return layout, [decode(value) for decode, value in zip(layout.decode, row[1:], strict=True)]
     except (ValueError, TypeError, OverflowError, struct.error, msgpack.UnpackException):
         return None

@@ -1,17 +1,17 @@
-"""The words: what a brain may say to a body, and what a body may answer.
+"""Messages between the brain and the drivers: commands, requests, tasks and events.
 
-Rules of this file. A word is a frozen value and nothing else: no method, no default that hides a
-missing measurement (`None` says "not measured"). Everything is SI (rad, rad/s, N·m, m, s, kg, V, A,
-degrees Celsius) at the *device's* shaft as a driver sees it; `gateway.core.joint` moves words between
-that shaft and the joint's output shaft. Time is `Nanos`: integer nanoseconds of one clock. No word
-holds a value that is not finite. Words of different kinds never compare equal.
+Rules of this file. A message is a frozen value and nothing else: no method, no default that hides a
+missing measurement (`None` means "not measured"). Everything is SI (rad, rad/s, N·m, m, s, kg, V, A,
+degrees Celsius) at the *device's* shaft as a driver sees it; `gateway.core.joint` converts between
+that shaft and the joint's output shaft. Time is `Nanos`: integer nanoseconds of one clock. No message
+holds a value that is not finite. Messages of different types never compare equal.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias
+from typing import TypeAlias, get_args
 
 Nanos: TypeAlias = int
 """Integer nanoseconds of one clock, whose zero is arbitrary."""
@@ -21,30 +21,30 @@ MILLISECOND: Nanos = 1_000_000
 
 
 def seconds(span: Nanos) -> float:
-    """A span of time in seconds, for the few places where a `dt` is formed."""
+    """Return a span of time in seconds, for the few places where a `dt` is formed."""
     return span / SECOND
 
 
-# -- commands: one per motor and step ----------------------------------------------------------
+# -- commands: one per motor and step ------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """No torque: the device is disarmed. Goes out only to what we armed, or when an operator stops."""
+    """No torque: the device is disarmed. Sent only to devices that we armed, or when an operator stops."""
 
     motor: str
 
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Stay where the shaft is measured to be at the moment this word is first said."""
+    """Hold the position that the shaft has when this command is first given."""
 
     motor: str
 
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Go to a position [rad], with feed-forward of velocity [rad/s] and torque [N·m]."""
+    """Move to a position [rad], with feed-forward of velocity [rad/s] and torque [N·m]."""
 
     motor: str
     position: float
@@ -63,7 +63,7 @@ class Velocity:
 
 @dataclass(frozen=True, slots=True)
 class Torque:
-    """Give a torque [N·m]. Also what a twin tells the world that its shaft feels."""
+    """Apply a torque [N·m]. Also what a twin reports to the simulated world as the torque on its shaft."""
 
     motor: str
     torque: float
@@ -84,28 +84,28 @@ class Impedance:
 
 
 Command: TypeAlias = Idle | Hold | Position | Velocity | Torque | Impedance
-COMMANDS: tuple[type[Command], ...] = (Idle, Hold, Position, Velocity, Torque, Impedance)
+COMMANDS: tuple[type[Command], ...] = get_args(Command)
 
 
-# -- requests: rare, asked by a person or a tool -----------------------------------------------
+# -- requests: rare, made by a person or a tool --------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Latch above every joint: each says its safe word until Release. An operator's stop is for every
-    motor: a driver that hears this word says Idle, when told to, also to devices that it did not arm."""
+    """Emergency stop, latched until Release: every joint gives its stop action. It is for every motor: a
+    driver that gets this request also sends Idle, when commanded, to devices that it did not arm."""
 
     reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """Take back Stop."""
+    """Release the latched Stop."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leave:
-    """The run ends: every joint that we commanded says its safe word."""
+    """The run ends: every joint that was commanded gives its stop action."""
 
     reason: str = ""
 
@@ -119,14 +119,14 @@ class ClearFault:
 
 @dataclass(frozen=True, slots=True)
 class Estop:
-    """The device's own emergency stop, where it has one; it stays in fault until ClearFault."""
+    """Trigger the device's own emergency stop, where it has one; it stays in fault until ClearFault."""
 
     motor: str
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """Look for devices on a bus, with frames that neither enable nor clear anything."""
+    """Search a bus for devices, with frames that neither enable nor clear anything."""
 
     bus: str
 
@@ -142,7 +142,7 @@ class SetId:
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """Call the present position of the shaft zero."""
+    """Make the present position of the shaft the zero position."""
 
     motor: str
 
@@ -156,7 +156,7 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class ReadParameter:
-    """Read a parameter of the device by its own name."""
+    """Read a parameter of the device, by the device's name for it."""
 
     motor: str
     parameter: str
@@ -164,7 +164,7 @@ class ReadParameter:
 
 @dataclass(frozen=True, slots=True)
 class WriteParameter:
-    """Write a parameter of the device by its own name."""
+    """Write a parameter of the device, by the device's name for it."""
 
     motor: str
     parameter: str
@@ -180,7 +180,7 @@ class Reboot:
 
 @dataclass(frozen=True, slots=True)
 class Set:
-    """Set a gain or limit of ours while running, by its dotted name in the robot file."""
+    """Set a gain or limit of the gateway while it runs, by its dotted name in the robot file."""
 
     key: str
     value: float
@@ -203,12 +203,12 @@ Request: TypeAlias = (
 )
 
 
-# -- tasks: what a person wants of the brain ---------------------------------------------------
+# -- tasks: what a person wants the brain to do --------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Go to a place on the map [m], and there turn to yaw [rad] if one is given."""
+    """Drive to a point on the map [m], and there turn to yaw [rad] if one is given."""
 
     x: float
     y: float
@@ -225,10 +225,10 @@ class Drive:
 
 Task: TypeAlias = Goal | Drive
 Instruction: TypeAlias = Request | Task | Command
-"""Whatever may be asked from outside while the robot runs. A Command is asked of bare joints."""
+"""What may be asked of a running robot from outside; a Command only of a joint that is no wheel of a base."""
 
 
-# -- events: what the body answers -------------------------------------------------------------
+# -- events: what drivers report -----------------------------------------------------------------------
 
 
 class Mode(StrEnum):
@@ -243,7 +243,7 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """What a motor measured at time t; None is "not measured in this message"."""
+    """Measurements of a motor at time t; None: not measured in this message."""
 
     motor: str
     t: Nanos
@@ -258,29 +258,29 @@ class Feedback:
     voltage: float | None = None
     """V, of the supply"""
     temperature: float | None = None
-    """degrees Celsius, the hottest that the device tells"""
+    """degrees Celsius, the hottest that the device reports"""
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The device changed its state, or tells it again."""
+    """The state of a device, when it changes or is reported again."""
 
     motor: str
     t: Nanos
     mode: Mode
     detail: str = ""
-    """The vendor's own word for the state."""
+    """The vendor's name for the state."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """The device complains: one event per bit or code. Latches in the joint until cleared."""
+    """A fault of the device: one event per bit or code. Latches in the joint until cleared."""
 
     motor: str
     t: Nanos
     code: int
     name: str
-    """In the vendor's words."""
+    """The vendor's name for the fault."""
     cause: str = ""
     """The likely cause."""
     remedy: str = ""
@@ -296,9 +296,9 @@ class Found:
     address: int
     serial: int | None = None
     detail: str = ""
-    """Hardware and firmware as the device tells them."""
+    """Hardware and firmware, as reported by the device."""
     duplicate_address: bool = False
-    """More than one device holds this address: they answer over each other, and obey together."""
+    """Several devices have this address: their replies collide, and all of them obey."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,13 +309,13 @@ class Done:
     request: str
     """The request's class name."""
     name: str = ""
-    """The motor or bus it was about."""
+    """The motor or bus that the request was for."""
     detail: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A request was not carried out, and why."""
+    """A request or command was not carried out, and why."""
 
     t: Nanos
     request: str
@@ -325,7 +325,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """The value of a device's parameter, asked for by ReadParameter."""
+    """The value of a device's parameter: the answer to ReadParameter."""
 
     motor: str
     t: Nanos
@@ -344,12 +344,12 @@ class Imu:
     linear_acceleration: tuple[float, float, float]
     """m/s² along x, y, z, gravity included (at rest, level: +9.81 along z)"""
     orientation: tuple[float, float, float, float] | None = None
-    """Quaternion x, y, z, w from the sensor's frame to the world's, if the sensor tells it."""
+    """Quaternion x, y, z, w from the sensor's frame to the world's, if the sensor estimates it."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaserScan:
-    """One turn of a planar lidar in the sensor's own frame."""
+    """One revolution of a planar lidar in the sensor's own frame."""
 
     sensor: str
     t: Nanos

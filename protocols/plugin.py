@@ -1,11 +1,12 @@
-"""The plugin interface, whole: what a device language must bring, and how it is found.
+"""The plugin interface: what a protocol must provide, and how an installed protocol is found.
 
-Rules. A driver, an ear and a twin own no socket, no clock, no thread and no randomness of their
-own: time is an argument, randomness is seeded, what is to be sent is returned. Their state is plain
-data that `copy.deepcopy` copies (no generators, no open files). `receive` and `hear` never raise, on
-any bytes; bad bytes are counted in `tally` and change nothing. `protocols.conformance` proves all this.
+Rules for who writes a plugin. Drivers, command decoders and twins own no socket, no clock, no thread and
+no random generator of their own: time is an argument, randomness is seeded, and frames to be sent are
+returned. Their state is plain data that `copy.deepcopy` can copy (no generators, no open files).
+`receive` and `decode` never raise, on any bytes; malformed bytes are counted in `counters` and change
+nothing. All numbers are SI at the device's own shaft, before any gear. `protocols.conformance` tests this.
 
-A third party's distribution is found by one line in its pyproject.toml:
+A distribution of a third party is found by one entry point in its pyproject.toml:
 
     [project.entry-points."motor_gateway.protocols"]
     foo = "their_package:plugin"
@@ -13,7 +14,6 @@ A third party's distribution is found by one line in its pyproject.toml:
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,21 +24,25 @@ from typing import Any, Literal, Protocol
 
 from protocols.frames import BusState, Frame
 from protocols.messages import Command, Event, Nanos, Request, Torque
+from protocols.suggest import did_you_mean
 
 GROUP = "motor_gateway.protocols"
 OURS = "motor-gateway"
 """The distribution that this interface belongs to."""
 
 
+# -- what a plugin describes ---------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, slots=True)
 class Device:
-    """One device of a language on one bus, as the robot file has it."""
+    """One device of a protocol on one bus, as the robot file describes it."""
 
     name: str
     """Name of the motor or sensor in the robot file."""
     address: int
     options: Any
-    """An instance of the plugin's `options` dataclass: what our driver should do."""
+    """An instance of the plugin's `options` dataclass: how our driver should behave."""
     settings: Any
     """An instance of the plugin's `settings` dataclass: what is configured on the device itself.
     The twin is built with it; a driver must not need it."""
@@ -49,15 +53,15 @@ class RxCounters:
     """Exact counts of what was received: every frame (on a stream, every message) is counted once."""
 
     accepted: int = 0
-    """Understood, and for one of the driver's devices."""
+    """Valid, and from or for one of the driver's devices."""
     malformed: int = 0
-    """Addressed to one of the driver's devices, but with a wrong length, checksum or content: it had no effect."""
+    """Of one of the driver's devices, but with a wrong length, checksum or content: it had no effect."""
     ignored: int = 0
-    """For another device or protocol, or another kind of frame."""
+    """Of another device or protocol, or another kind of frame."""
 
 
 class FeedbackKind(StrEnum):
-    """How the device tells its state."""
+    """How the device reports its feedback."""
 
     NONE = "none"
     POLLED = "polled"
@@ -66,7 +70,7 @@ class FeedbackKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a quantity may be on the wire at the device's shaft, in SI."""
+    """The range and resolution of a quantity as transferred on the bus, at the device's shaft, in SI."""
 
     low: float
     high: float
@@ -74,43 +78,43 @@ class Range:
     """The largest error between the two ends: absolute, in the quantity's unit. For feedback the
     device's own steps (of its encoder, as configured) are part of it."""
     relative: float = 0.0
-    """And relative to the value (float32: 2**-24)."""
+    """The largest error relative to the value, in addition (float32: 2**-24)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Watchdog:
-    """What the device does when its host falls silent."""
+    """What the device does when its host stops sending."""
 
     timeout: Nanos | None
     """None: the device has no watchdog."""
     enabled: bool
-    """Whether it is on as the device stands, as far as options and settings tell."""
+    """True if the watchdog is on, as far as the options and settings of the device tell."""
     note: str = ""
-    """What a person must know, said at every start until the robot file acknowledges it."""
-    fed_by: Literal["its commands", "any command", "any wire"] = "its commands"
+    """What a person must know, printed at every start until the robot file acknowledges it."""
+    fed_by: Literal["its commands", "any command", "any frame"] = "its commands"
     """What keeps it from tripping: a command to this device; a command to any device of its driver (a
-    heartbeat that the driver sends while it is commanded); or whatever the host says, questions too: then it
-    tells a host that is gone, not one that has nothing to say."""
+    heartbeat that the driver sends while it is commanded); or any frame of the host, polling included: then
+    it detects a host that is gone, not one that has stopped commanding."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultInfo:
-    """What a device says is wrong with it, as a person should read it."""
+    """The description of one fault of a device, for a person."""
 
     name: str
-    """In the vendor's words."""
+    """The vendor's name for the fault."""
     cause: str
     """The likely cause."""
     remedy: str
     """What to do."""
     latching: bool = True
-    """Whether the device itself keeps it until it is cleared. False: what the device takes back by itself,
-    such as the verdict on a request that the next request replaces; the joint remembers it all the same."""
+    """True if the device keeps the fault until it is cleared. False: the device withdraws it by itself,
+    such as the result of a request that the next request replaces; the joint latches it all the same."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """The contract of one device: the one source for joint, guard, doctor and conformance kit."""
+    """The properties of one device: the one source for joint, guard, doctor and conformance tests."""
 
     bus: Literal["can", "canfd", "serial"]
     kind: Literal["motor", "sensor"]
@@ -119,103 +123,109 @@ class Spec:
     expects: frozenset[int]
     """CAN ids that the device sends (empty on serial)."""
     read_only: Callable[[Frame], bool]
-    """Whether a wire neither moves, arms, clears nor configures anything."""
+    """True if a frame neither moves, arms, clears nor configures anything."""
     feedback: FeedbackKind
     feedback_period: Nanos
-    """How often the device reports its motion or, if polled, how often the driver asks."""
+    """The period at which the device reports its motion or, if polled, at which the driver polls it."""
     offline_after: Nanos
-    """Silence of the device after which its joint is blind."""
+    """The timeout after which a silent device is offline, and its joint has lost its feedback."""
     commands: frozenset[type[Command]]
     requests: frozenset[type[Request]]
     ranges: dict[str, Range]
-    """By "Word.field" for each number that can stand in a command or feedback: "Velocity.velocity",
+    """By "Message.field", for each number that a command or measurement can carry: "Velocity.velocity",
     "Feedback.position"."""
     watchdog: Watchdog
     holds_unattended: bool
-    """Whether the device keeps its load after Hold as the last word, with nobody feeding it."""
+    """True if the device keeps holding its load after a last Hold, when no host feeds it."""
     stop_clears_faults: bool
-    """Whether disarming clears the device's own faults (then a joint must remember them)."""
+    """True if disarming clears the device's own faults (then a joint must latch them)."""
     faults: Mapping[int, FaultInfo] = field(default_factory=dict)
-    """By code (`Fault.code`): everything that the device may complain of, as its driver tells it."""
+    """By `Fault.code`: every fault that the device can report, as its driver reports it."""
     unprotected: frozenset[str] = frozenset()
-    """Names of messages (`Plugin.messages`) that the device takes though nothing in them guards against a
-    wrong bit. Where they are damaged the contract is silent, and a driver must not lean on them."""
+    """Names of messages (`Plugin.messages`) that the device accepts though no checksum protects them.
+    Conformance does not test damage to them, and a driver must not rely on them."""
     receives_also: tuple[tuple[int, int], ...] = ()
-    """What the driver understands of any device, named in the robot file or not (answers to a scan,
-    devices with an address that is held twice), or of a second host: CAN ids as (id, mask), whose masked bits
-    are these."""
+    """What the driver understands of any device, in the robot file or not (answers to a scan, devices
+    with a duplicate address), or of a second host: CAN ids as (id, mask); an id matches if its masked bits
+    equal the first number."""
     extended: frozenset[int] | None = None
     """Those of its ids that are 29-bit ones. None: those above 0x7FF, which can be nothing else."""
     obeys_also: tuple[tuple[int, int], ...] = ()
-    """Which ids the device heeds beside `sends`, whoever uses them: as (id, mask), with bit 31 for the format
-    (1: 29 bits), as the kernel's filters have them. Other languages on its bus must keep off."""
+    """Ids that the device obeys beside `sends`, whoever sends them: as (id, mask), with bit 31 for the format
+    (1: 29 bits), as the kernel's filters have them. Other protocols on its bus must not use them."""
 
     def is_extended(self, number: int) -> bool:
-        """Whether an id of `sends` or `expects` is a 29-bit one."""
+        """True if an id of `sends` or `expects` is a 29-bit one."""
         return number > 0x7FF if self.extended is None else number in self.extended
 
 
+# -- what a plugin implements --------------------------------------------------------------------------
+
+
 class Driver(Protocol):
-    """Our end of the wire, for all devices of a language on one bus. Keeps no clock and no bus."""
+    """The host's end of the protocol, for all its devices on one bus. Owns no clock and no bus."""
 
     counters: RxCounters
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """What the wire says. `t` is the packet's own stamp. Never raises; [] to what is not ours."""
+        """Decode a frame received at `t`, the packet's own stamp. Never raises; [] for foreign frames."""
         ...
 
     def bus(self, t: Nanos, state: BusState) -> None:
-        """The bus changed its state: what was sent may be lost, devices may have restarted."""
+        """Note that the bus changed its state: sent frames may be lost, devices may have restarted."""
         ...
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Say the words: at most one Command per motor, and what the driver has to say by itself.
+    def send(
+        self, now: Nanos, messages: Sequence[Command | Request]
+    ) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Encode at most one Command per motor, any requests, and what the driver itself has to send.
 
-        Returns the events that need no answer of the device (Refused, a timeout, State offline) and
-        what is to be sent, in order. A command holding a value that is not finite, or outside
-        the spec's range, puts no frame on the wire."""
+        Returns the events that do not come from a frame (Refused, a timeout, State offline) and the frames
+        to be sent, in order. A command holding a value that is not finite, or outside the spec's range,
+        is refused and sends nothing."""
         ...
 
     def due(self) -> Nanos | None:
-        """When the driver next has something to say by itself (polling, keep-alive, a timeout)."""
+        """Return when `send` must next be called without a message (polling, keep-alive, a timeout)."""
         ...
 
 
 class CommandDecoder(Protocol):
-    """What the devices would obey. Remembers what it has heard (mode, mapping), touches nothing else."""
+    """What the devices would obey. Keeps what earlier frames have set up (mode, mapping), nothing else."""
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
-        """The words that a device would obey on hearing this wire; [] if it would do nothing."""
+        """Decode what a device would obey on receiving this frame; [] if nothing. Never raises."""
         ...
 
 
 class Twin(Protocol):
-    """One device: an ear, and the firmware behind it. The shaft belongs to the world."""
+    """A simulated device: a command decoder, and the firmware behind it. The world simulates the shaft."""
 
     def receive(self, t: Nanos, frame: Frame) -> None:
-        """A wire reached the device. Never raises."""
+        """Accept a frame that reached the device at `t`. Never raises."""
         ...
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
-        """Run the firmware up to `now`, given what the world says of the shaft (Feedback) or shows
-        to the sensor (Imu, LaserScan). Returns the torque on the shaft, at the device's side of
-        the gear, and what the device has put on the wire. Steps may be as short as the world's."""
+        """Run the firmware up to `now`; `truth` is the true motion of the shaft (Feedback) or what the
+        sensor observes (Imu, LaserScan, Fix).
+
+        Returns the torque on the shaft, at the device's side of the gear, and the frames that the device
+        sends. Steps may be as short as the world's."""
         ...
 
     def due(self) -> Nanos | None:
-        """When the device next has something to say by itself."""
+        """Return when the device next sends something by itself; None if it does not."""
         ...
 
     def provoke(self, code: int) -> None:
-        """The firmware trips this fault of `Spec.faults` now, as if it had found it by itself.
-
-        For rehearsals: no wire leads here. ValueError if the device has no such fault."""
+        """Trip this fault of `Spec.faults` now, as if the firmware had detected it; for tests, since no
+        frame leads here. Raises ValueError if the device has no such fault."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """One device language."""
+    """One protocol: the object that the entry point names."""
 
     name: str
     title: str
@@ -223,26 +233,31 @@ class Plugin:
     trust: str
     """Which bytes were checked against which package@version or repository@commit."""
     options: type
-    """Dataclass of typed options with defaults: what the driver should do. Checked by `config`
+    """Dataclass of typed options with defaults: how the driver should behave. Checked by `config`
     (types, unknown names); its `__post_init__` may raise ValueError with a sentence."""
     settings: type
     """Dataclass of typed settings with defaults: what is configured on the device (for the twin)."""
     spec: Callable[[Device], Spec]
+    """May raise ValueError with a sentence, for an address or options that a device cannot have."""
     driver: Callable[[Sequence[Device]], Driver]
     decoder: Callable[[Sequence[Device]], CommandDecoder]
     twin: Callable[[Device, int], Twin]
     """From the device and a seed."""
     messages: Callable[[Frame], Sequence[str]]
-    """The names, in the vendor's words, of the messages to a device that a wire holds; () if none.
-    Messages of one name differ in their values only: an independent vector of it speaks for all."""
+    """The vendor's names of the messages to a device that a frame holds; () if none. Messages of one name
+    differ in their values only, so that one reference vector stands for all of them."""
     vectors: tuple[str, str] | None = None
-    """Bytes from an independent source: a package and the path of a JSON file in it (protocols.reference_vectors).
-    None: there are none, and then the contract accepts no message that moves a motor."""
+    """Bytes from an independent source: a package and the path of a JSON file in it, as described in
+    `protocols.reference_vectors`. None: there are none, and then conformance accepts no
+    message that moves a motor."""
+
+
+# -- finding installed plugins -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Broken:
-    """An installed plugin that could not be loaded: named and left out, it hinders nobody."""
+    """An installed plugin that could not be loaded: it is reported and left out; others are unaffected."""
 
     name: str
     distribution: str
@@ -255,94 +270,92 @@ class UnknownProtocol(LookupError):
     def __init__(self, name: str, installed: Sequence[str], broken: Broken | None = None) -> None:
         self.name, self.installed, self.broken = name, tuple(installed), broken
         if broken:
-            said = f"protocol {name!r} of {broken.distribution} is broken: {broken.reason}"
+            text = f"protocol {name!r} of {broken.distribution} is broken: {broken.reason}"
         else:
-            near = difflib.get_close_matches(name, self.installed, 1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            said = f"no protocol {name!r}; installed: {', '.join(self.installed)}{hint}"
-        super().__init__(said)
+            hint = did_you_mean(name, self.installed)
+            text = f"no protocol {name!r}; installed: {', '.join(self.installed)}{hint}"
+        super().__init__(text)
 
 
 def installed() -> tuple[EntryPoint, ...]:
-    """The entry points of every installed protocol, by name. Takes milliseconds: call it at start."""
-    return _found()[0]
+    """Return the entry points of every installed protocol, by name. Takes milliseconds: call it at start."""
+    return _entry_points()[0]
 
 
-def _found() -> tuple[tuple[EntryPoint, ...], list[Broken]]:
-    """The entry points by name, and the distributions that cannot be read."""
-    unread: list[Broken] = []
+def load(name: str) -> Plugin:
+    """Load the plugin of this name, and import no other. Raises UnknownProtocol."""
+    points = installed()
+    plugins, broken = _load_one_name([point for point in points if point.name == name])
+    if plugins:
+        return plugins[0]
+    names = tuple(dict.fromkeys(point.name for point in points))
+    raise UnknownProtocol(name, names, broken[0] if broken else None)
+
+
+def load_all() -> tuple[tuple[Plugin, ...], tuple[Broken, ...]]:
+    """Load every installed plugin; also return those that could not be loaded, with the reason."""
+    found, broken = _entry_points()
+    plugins: list[Plugin] = []
+    for _, points in groupby(found, key=lambda point: point.name):
+        loaded, failed = _load_one_name(list(points))
+        plugins += loaded
+        broken += failed
+    return tuple(plugins), tuple(broken)
+
+
+def _entry_points() -> tuple[tuple[EntryPoint, ...], list[Broken]]:
+    """Return the entry points by name, and the distributions that cannot be read."""
+    unreadable: list[Broken] = []
     try:
         points = list(entry_points(group=GROUP))
-    except Exception:  # noqa: BLE001 -- one ill-formed file spoils it for all: so one by one
+    except Exception:  # noqa: BLE001 -- one ill-formed file spoils the call for all: so one by one
         points, seen = [], set[str]()
         for distribution in distributions():
             name = distribution.name or "?"
             try:
                 own = distribution.entry_points.select(group=GROUP)
             except Exception as error:  # noqa: BLE001 -- whatever is wrong with it
-                unread.append(Broken("?", name, f"its entry points cannot be read: {error}"))
+                unreadable.append(Broken("?", name, f"its entry points cannot be read: {error}"))
                 continue
             points += own if name not in seen else ()
             seen.add(name)
-    return tuple(sorted(points, key=lambda point: (point.name, _owner(point)))), unread
+    return tuple(sorted(points, key=lambda point: (point.name, _owner(point)))), unreadable
 
 
-def load(name: str) -> Plugin:
-    """The plugin of this name; no other is imported. Raises UnknownProtocol with what there is."""
-    points = installed()
-    names = tuple(dict.fromkeys(point.name for point in points))
-    plugins, broken = _settle([point for point in points if point.name == name])
-    if plugins:
-        return plugins[0]
-    raise UnknownProtocol(name, names, broken[0] if broken else None)
+def _load_one_name(points: Sequence[EntryPoint]) -> tuple[list[Plugin], list[Broken]]:
+    """Load the plugin that the entry points of one name lead to.
 
-
-def load_all() -> tuple[tuple[Plugin, ...], tuple[Broken, ...]]:
-    """Every installed plugin, and those that could not be loaded with the reason."""
-    found, broken = _found()
-    plugins: list[Plugin] = []
-    for _, points in groupby(found, key=lambda point: point.name):
-        good, bad = _settle(list(points))
-        plugins += good
-        broken += bad
-    return tuple(plugins), tuple(broken)
-
-
-def _settle(points: Sequence[EntryPoint]) -> tuple[list[Plugin], list[Broken]]:
-    """What the entry points of one name come to.
-
-    Where several distributions bring the name, ours has it; among others none has, since which of them
-    moves a motor must not hang on the order of folders."""
+    Where several distributions use the name, ours has it; among others none has, since which of them
+    moves a motor must not depend on the order of folders."""
+    broken: list[Broken] = []
     if len(points) > 1:
         owners = [_owner(point) for point in points]
-        broken = []
-        for at, owner in enumerate(owners):
+        for at, (point, owner) in enumerate(zip(points, owners, strict=True)):
             others = " and ".join(owners[:at] + owners[at + 1 :])
             if owner != OURS:
-                broken.append(Broken(points[at].name, owner, f"{others} has a protocol of that name too"))
-        ours = [point for point in points if _owner(point) == OURS]
-        plugins, bad = _settle(ours[:1])
-        return plugins, bad + broken
+                broken.append(Broken(point.name, owner, f"{others} has a protocol of that name too"))
+        points = [point for point in points if _owner(point) == OURS][:1]
     loaded = [_load(point) for point in points]
-    return [p for p in loaded if isinstance(p, Plugin)], [p for p in loaded if isinstance(p, Broken)]
+    failed = [each for each in loaded if isinstance(each, Broken)]
+    return [each for each in loaded if isinstance(each, Plugin)], failed + broken
 
 
 def _load(point: EntryPoint) -> Plugin | Broken:
-    """The plugin, tried as far as it can be without a device."""
+    """Load a plugin, and try it as far as is possible without a device."""
     if not point.pattern.match(point.value):
         return Broken(point.name, _owner(point), f"{point.value!r} is not MODULE:NAME")
     try:
         plugin = point.load()
-        wrong = _wrong(point, plugin)
+        mistake = _mistake(point, plugin)
     except KeyboardInterrupt:  # a person's, who wants to leave
         raise
     except BaseException as error:  # noqa: BLE001 -- a third party's module may raise anything, SystemExit too
-        wrong = f"{type(error).__name__}: {error}{_wanted(point, error)}"
-    return Broken(point.name, _owner(point), wrong) if wrong else plugin
+        mistake = f"{type(error).__name__}: {error}{_required_version(point, error)}"
+    return Broken(point.name, _owner(point), mistake) if mistake else plugin
 
 
-def _wrong(point: EntryPoint, plugin: object) -> str:
-    """What is wrong with what an entry point gave; "" if nothing. Raises what the plugin raises."""
+def _mistake(point: EntryPoint, plugin: object) -> str:
+    """Return what is wrong with a loaded object, "" if nothing. Raises whatever the plugin raises."""
     if not isinstance(plugin, Plugin):
         return f"{point.value} is not a protocols.plugin.Plugin"
     if plugin.name != point.name:
@@ -350,22 +363,22 @@ def _wrong(point: EntryPoint, plugin: object) -> str:
     device = Device("motor", 1, plugin.options(), plugin.settings())
     try:
         spec = plugin.spec(device)
-    except ValueError:  # an address, or options, that it cannot have: that is a robot file's affair
+    except ValueError:  # an address, or options, that it cannot have: the robot file must give others
         return ""
-    return (
-        "" if isinstance(spec, Spec) else f"its spec gives {type(spec).__name__}, not protocols.plugin.Spec"
-    )
+    if isinstance(spec, Spec):
+        return ""
+    return f"its spec gives {type(spec).__name__}, not protocols.plugin.Spec"
 
 
-def _wanted(point: EntryPoint, error: BaseException) -> str:
-    """Which version of the gateway a distribution asks for, where it may fail for want of it."""
+def _required_version(point: EntryPoint, error: BaseException) -> str:
+    """Name the version of the gateway that a distribution requires, where another one may be the reason."""
     requirements = (point.dist.requires if point.dist else None) or ()
-    asked = [r for r in requirements if re.match(rf"{OURS}\b", r, re.IGNORECASE)]
-    if not asked or not isinstance(error, TypeError | ImportError | AttributeError):
+    ours = [each for each in requirements if re.match(rf"{OURS}\b", each, re.IGNORECASE)]
+    if not ours or not isinstance(error, TypeError | ImportError | AttributeError):
         return ""
-    return f" (it asks for {asked[0]})"
+    return f" (it requires {ours[0]})"
 
 
 def _owner(point: EntryPoint) -> str:
-    """The distribution that an entry point belongs to."""
+    """Return the distribution that an entry point belongs to."""
     return (point.dist.name if point.dist else None) or "?"

@@ -1,10 +1,10 @@
-"""Independent vectors: bytes of messages that somebody else's software, firmware or manual vouches for.
+"""Reference vectors: bytes of messages from independent software, firmware or manuals.
 
 Rules. A file is a JSON list; an entry has `name`, `direction` (`to_device`, `from_device`), `bus` (`can`,
 `canfd`, `serial`), `data` (hex), `meaning` (an object) and `source` (package and version, repository and
-commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`. What
-else stands there is the language's own. An entry with KNOWN_SDK_BUG in its name, or BUG in its meaning's
-`note`, records what somebody's software does wrong: a driver must not send it.
+commit, or manual and paragraph); of a frame also `id`, `extended`, and where they are so `rtr`, `brs`. Other
+keys are the protocol's own. An entry with KNOWN_SDK_BUG in its name, or BUG in its meaning's `note`, records
+a mistake of the source: a driver must not send it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from protocols.plugin import Plugin
 
 @dataclass(frozen=True, slots=True)
 class Vector:
-    """One message, as somebody else has it."""
+    """One message, as an independent source encodes it."""
 
     name: str
     direction: Literal["to_device", "from_device"]
@@ -29,13 +29,15 @@ class Vector:
     meaning: Mapping[str, Any]
     source: str
     wrong: bool
-    """It records a mistake of the source's."""
+    """It records a mistake of the source."""
     entry: Mapping[str, Any]
-    """As it stands in the file."""
+    """The entry of the file, unchanged."""
 
 
 def vectors_of(plugin: Plugin) -> tuple[Vector, ...]:
-    """What a plugin brings. OSError, ValueError or KeyError if its file is missing or ill-formed."""
+    """Read a plugin's vectors.
+
+    Raises OSError, ValueError or KeyError if the file is missing or ill-formed."""
     if plugin.vectors is None:
         return ()
     package, path = plugin.vectors

@@ -1,7 +1,7 @@
-"""What drivers of most languages answer in the same way: commands that must not reach a wire, and requests.
+"""What most drivers need for commands and requests: range checks, refusals, and pending requests.
 
-Rules. No language, wire or clock in here. A driver need not use it: the contract asks for what is answered,
-not for how.
+Rules. Nothing here knows a protocol, a frame or a clock. A driver need not use it: conformance tests the
+answers, not how they are made.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from protocols.messages import Command, Done, Nanos, Refused, Request
 from protocols.plugin import Range
 
 SMALLEST = 2.0**-126
-"""The smallest normal float32. What lies below it is as good as zero."""
+"""The smallest normal float32. Anything below it counts as zero."""
 
 
 def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
-    """Why the numbers of a command must not reach a wire; "" if they may.
+    """Return why the numbers of a command must not be sent, "" if they may.
 
     `ranges` as in `Spec`. A number that has no range there must be zero."""
     kind = type(command).__name__
@@ -39,96 +39,96 @@ def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
 
 
 class RejectionFilter:
-    """Commands come anew every tick: one that is refused for the same reason as before is not told again.
+    """Reports a refused command once: commands are repeated every tick, and only a new reason is reported.
 
-    A request comes once, and is told whenever it is refused."""
+    A request is made once, and reported whenever it is refused."""
 
     def __init__(self) -> None:
         self._reported: dict[str, str] = {}
         """By motor, the reason for which its last command was refused."""
 
-    def handle(self, now: Nanos, word: Command | Request, reason: str) -> list[Refused]:
-        """What is to be told of a word; `reason`: why it is refused, "" if it is not."""
+    def filter(self, now: Nanos, message: Command | Request, reason: str) -> list[Refused]:
+        """Return what to report of a message; `reason`: why it is refused, "" if it is not."""
         reported = ""
-        if isinstance(word, Command):
-            reported = self._reported.pop(word.motor, "")
-            self._reported |= {word.motor: reason} if reason else {}
-        return [] if reason == reported or not reason else [refusal(now, word, reason)]
+        if isinstance(message, Command):
+            reported = self._reported.pop(message.motor, "")
+            self._reported |= {message.motor: reason} if reason else {}
+        return [] if reason == reported or not reason else [refusal(now, message, reason)]
 
 
 @dataclass(slots=True)
 class PendingRequest:
-    """A request that waits for a device. Languages add what they wait for."""
+    """A request that waits for a device. Protocols add the fields that they need."""
 
     request: Request
     name: str
-    """Of the motor, or of the bus if all on it are asked."""
+    """The motor, or the bus if the request is for all devices on it."""
     began: Nanos
     deadline: Nanos
     next: Nanos
     """When there is something to do about it."""
 
     def done(self, t: Nanos, detail: str = "") -> Done:
-        """It was carried out."""
+        """Return the answer that it was carried out."""
         return Done(t, type(self.request).__name__, self.name, detail)
 
     def refuse(self, t: Nanos, reason: str) -> Refused:
-        """It was not."""
+        """Return the answer that it was not carried out."""
         return Refused(t, type(self.request).__name__, self.name, reason)
 
 
-Kind = TypeVar("Kind", bound=PendingRequest)
+Pending = TypeVar("Pending", bound=PendingRequest)
 
 
-class RequestQueue(Generic[Kind]):
-    """The requests of one driver that are under way, in the order in which they were begun."""
+class RequestQueue(Generic[Pending]):
+    """The pending requests of one driver, in the order in which they were begun."""
 
-    MOST = 32
+    CAPACITY = 32
 
     def __init__(self) -> None:
-        self._all: list[Kind] = []
+        self._all: list[Pending] = []
 
-    def __iter__(self) -> Iterator[Kind]:
-        """Those that are under way now; they may end meanwhile."""
+    def __iter__(self) -> Iterator[Pending]:
+        """Iterate over those that are pending now; they may end meanwhile."""
         return iter(tuple(self._all))
 
     def full(self) -> str:
-        """Why no other can be begun; "" if one can."""
-        return "too many requests are under way" if len(self._all) >= self.MOST else ""
+        """Return why no other request can be begun, "" if one can."""
+        return "too many requests are under way" if len(self._all) >= self.CAPACITY else ""
 
-    def add(self, begun: Kind | Refused) -> list[Refused]:
-        """One more, if it was begun at all; else what is to be told."""
+    def add(self, begun: Pending | Refused) -> list[Refused]:
+        """Add a request that was begun; else return the refusal, to be reported."""
         if isinstance(begun, Refused):
             return [begun]
         self._all.append(begun)
         return []
 
-    def end(self, ended: Kind) -> None:
-        """It has its answer."""
+    def end(self, ended: Pending) -> None:
+        """Remove a request that has been answered."""
         self._all = [each for each in self._all if each is not ended]
 
-    def late(self, now: Nanos) -> list[Kind]:
-        """Those whose deadline has passed: they wait no longer."""
-        late = [each for each in self._all if now >= each.deadline]
+    def expired(self, now: Nanos) -> list[Pending]:
+        """Remove and return the requests whose deadline has passed."""
+        expired = [each for each in self._all if now >= each.deadline]
         self._all = [each for each in self._all if now < each.deadline]
-        return late
+        return expired
 
-    def drop(self, t: Nanos, reason: str) -> list[Refused]:
-        """None can be answered any more."""
-        dropped, self._all = self._all, []
-        return [each.refuse(t, reason) for each in dropped]
+    def refuse_all(self, t: Nanos, reason: str) -> list[Refused]:
+        """Remove and refuse all requests."""
+        removed, self._all = self._all, []
+        return [each.refuse(t, reason) for each in removed]
 
     def due(self) -> list[Nanos]:
-        """When there is something to do about each of them."""
+        """Return when there is something to do about each request."""
         return [min(each.next, each.deadline) for each in self._all]
 
 
-def subject(word: Command | Request) -> str:
-    """The motor that a word is about, or the bus."""
-    name: str = getattr(word, "motor", "") or getattr(word, "bus", "")
+def subject(message: Command | Request) -> str:
+    """Return the motor that a message is for, or the bus; "" if neither."""
+    name: str = getattr(message, "motor", "") or getattr(message, "bus", "")
     return name
 
 
-def refusal(t: Nanos, word: Command | Request, reason: str) -> Refused:
-    """A word that is not even begun."""
-    return Refused(t, type(word).__name__, subject(word), reason)
+def refusal(t: Nanos, message: Command | Request, reason: str) -> Refused:
+    """Return the answer to a message that is not even begun."""
+    return Refused(t, type(message).__name__, subject(message), reason)

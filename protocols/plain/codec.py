@@ -22,7 +22,7 @@ from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 from protocols import messages
-from protocols.message_codec import CODES, Kind, kind_of, pack_fields, unpack_fields
+from protocols.message_codec import CODES, Layout, layout_of, pack_fields, unpack_fields
 from protocols.messages import Message, Nanos
 
 NAME = "plain"
@@ -97,9 +97,9 @@ _LIMITED: dict[int, list[tuple[int, str, float, float]]] = {
 """The same by message code: index of the field, its name, lowest and highest value."""
 
 
-def _out_of_limits(kind: Kind, values: Sequence[Any]) -> str:
+def _out_of_limits(layout: Layout, values: Sequence[Any]) -> str:
     """Return which field of a message lies outside `LIMITS`, as a sentence; "" if none does."""
-    for at, name, low, high in _LIMITED[kind.code]:
+    for at, name, low, high in _LIMITED[layout.code]:
         value = values[at]
         if value is None:
             continue
@@ -130,18 +130,18 @@ def encode(address: int, message: Message, now: Nanos = 0) -> bytes:
 
     `now` is the time of sending: a measurement's `t` becomes its age. Raises ValueError as `pack` does, and
     for a number outside `LIMITS`, an address outside 0 … 255 or a body that is too long."""
-    kind = kind_of(message)
-    values = list(kind.get(message))
-    if wrong := _out_of_limits(kind, values):
-        raise ValueError(f"{kind.word.__name__}: {wrong}")
+    layout = layout_of(message)
+    values = list(layout.values(message))
+    if wrong := _out_of_limits(layout, values):
+        raise ValueError(f"{layout.message_type.__name__}: {wrong}")
     _normalise(values)
-    if kind.name is not None:
-        values[kind.name] = ""
-    if kind.time is not None:
-        values[kind.time] = min(max(now - values[kind.time], 0), MAX_AGE)
+    if layout.name is not None:
+        values[layout.name] = ""
+    if layout.time is not None:
+        values[layout.time] = min(max(now - values[layout.time], 0), MAX_AGE)
     if not 0 <= address <= 0xFF:
         raise ValueError(f"address {address} is not in 0 … 255")
-    return frame(bytes((address,)) + pack_fields(kind, values))
+    return frame(bytes((address,)) + pack_fields(layout, values))
 
 
 def frame(body: bytes) -> bytes:
@@ -156,17 +156,17 @@ def decode(body: bytes, t: Nanos, name: str) -> Message | None:
     unpacked = unpack_fields(body[1:])
     if unpacked is None:
         return None
-    kind, values = unpacked
-    if _out_of_limits(kind, values):
+    layout, values = unpacked
+    if _out_of_limits(layout, values):
         return None
     _normalise(values)
-    if kind.name is not None:
-        values[kind.name] = name
-    if kind.time is not None:
-        if not 0 <= values[kind.time] <= MAX_AGE:
+    if layout.name is not None:
+        values[layout.name] = name
+    if layout.time is not None:
+        if not 0 <= values[layout.time] <= MAX_AGE:
             return None
-        values[kind.time] = t - values[kind.time]
-    return kind.word(*values)
+        values[layout.time] = t - values[layout.time]
+    return layout.message_type(*values)
 
 
 # -- messages on a stream ------------------------------------------------------------------------------

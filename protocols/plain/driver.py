@@ -105,7 +105,7 @@ class PlainDriver:
                 reason = str(error)
             else:
                 frames += [frame] if self._note(now, address, message) else []
-            events += self._rejections.handle(now, message, reason)
+            events += self._rejections.filter(now, message, reason)
         return events + self._expired(now), frames
 
     def due(self) -> Nanos | None:

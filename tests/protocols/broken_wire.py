@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.message_codec import KINDS, pack_fields
+from protocols.message_codec import LAYOUTS, pack_fields
 from protocols.messages import MILLISECOND, Command, Event, Nanos, Request
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
@@ -44,7 +44,7 @@ class SaysMinusZero(PlainDriver):
         ]
         said = [
             codec.frame(
-                bytes((self._addresses[w.motor],)) + pack_fields(KINDS[4], ("", w.velocity, w.torque))
+                bytes((self._addresses[w.motor],)) + pack_fields(LAYOUTS[4], ("", w.velocity, w.torque))
             )
             for w in exact
         ]

@@ -43,7 +43,7 @@ def test_what_may_reach_a_wire(command: Command, reason: str) -> None:
 def test_a_refusal_is_told_when_its_reason_is_new_and_once_for_each_motor() -> None:
     refusals = RejectionFilter()
     said = [("m", "a"), ("m", "a"), ("n", "a"), ("m", "b"), ("m", ""), ("m", "b"), ("n", "a")]
-    reported = [refusals.handle(t, Hold(motor), reason) for t, (motor, reason) in enumerate(said)]
+    reported = [refusals.filter(t, Hold(motor), reason) for t, (motor, reason) in enumerate(said)]
     assert [[(r.t, r.name, r.reason) for r in each] for each in reported] == [
         [(0, "m", "a")], [], [(2, "n", "a")], [(3, "m", "b")], [], [(5, "m", "b")], [],
     ]  # fmt: skip
@@ -52,8 +52,8 @@ def test_a_refusal_is_told_when_its_reason_is_new_and_once_for_each_motor() -> N
 def test_a_request_is_refused_as_often_as_it_comes_and_changes_nothing_for_commands() -> None:
     refusals = RejectionFilter()
     words: list[Command | Request] = [Hold("m"), Zero("m"), Zero("m"), Hold("m")]
-    assert [len(refusals.handle(0, word, "a")) for word in words] == [1, 1, 1, 0]
-    assert refusals.handle(0, Zero("m"), "") == refusals.handle(0, Hold("m"), "a") == []
+    assert [len(refusals.filter(0, word, "a")) for word in words] == [1, 1, 1, 0]
+    assert refusals.filter(0, Zero("m"), "") == refusals.filter(0, Hold("m"), "a") == []
 
 
 def test_a_request_under_way_ends_by_its_own_name() -> None:
@@ -68,9 +68,9 @@ def test_requests_wait_in_order_until_they_end_or_their_deadline_passes() -> Non
     assert waiting.due() == []
     assert waiting.add(first) == waiting.add(second) == []
     assert waiting.due() == [4, 7]
-    assert waiting.late(6) == []
+    assert waiting.expired(6) == []
     assert [each.deadline for each in waiting] == [10, 7]
-    assert waiting.late(7) == [second]
+    assert waiting.expired(7) == [second]
     for each in waiting:
         waiting.end(each)
     assert list(waiting) == []
@@ -90,13 +90,13 @@ def test_what_is_not_begun_does_not_wait_and_what_waits_has_a_limit() -> None:
     no = refusal(3, Zero("a"), "not now")
     assert waiting.add(no) == [no]
     assert list(waiting) == []
-    for _ in range(RequestQueue.MOST):
+    for _ in range(RequestQueue.CAPACITY):
         assert waiting.full() == ""
         waiting.add(PendingRequest(Scan("can0"), "can0", 0, 10, 4))
     assert waiting.full() == "too many requests are under way"
     assert (
-        waiting.drop(5, "the bus is off")
-        == [Refused(5, "Scan", "can0", "the bus is off")] * RequestQueue.MOST
+        waiting.refuse_all(5, "the bus is off")
+        == [Refused(5, "Scan", "can0", "the bus is off")] * RequestQueue.CAPACITY
     )
     assert waiting.full() == ""
 

@@ -120,7 +120,7 @@ def test_a_plugin_for_another_version_says_which_it_asks_for(site: Site) -> None
     site.install("acme-motors", "acme = acme_new:plugin", source, more="Requires-Dist: motor-gateway>=9\n")
     (broken,) = load_all()[1]
     assert broken.reason.startswith("ImportError: cannot import name 'Translator'")
-    assert broken.reason.endswith("(it asks for motor-gateway>=9)")
+    assert broken.reason.endswith("(it requires motor-gateway>=9)")
 
 
 def test_a_person_who_leaves_is_not_a_broken_plugin(site: Site) -> None:

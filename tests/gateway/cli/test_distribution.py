@@ -42,7 +42,7 @@ BROKEN = {
     "other": ("plugin = 5", "g7_other:plugin is not a protocols.plugin.Plugin"),
     "older": (
         "from protocols.plugin import Plugin\nplugin = Plugin('g7_older', wires=3)",
-        "got an unexpected keyword argument 'wires' (it asks for motor-gateway>=9)",
+        "got an unexpected keyword argument 'wires' (it requires motor-gateway>=9)",
     ),
     "unspecified": (
         COLOURED,
