@@ -1,0 +1,134 @@
+"""Motor Gateway: one brain, any body, over real wires.
+
+    import gateway as gw
+
+    robot = gw.load_robot("diffbot")                      # a name, or the path of a robot file
+    with gw.open_session(robot, simulated=True, record="drive.mcap") as session:
+        session.submit(gw.Goal(x=1.5, y=0.5))
+        for tick in session.run(seconds=8):
+            for note in tick.outputs.notes:
+                print(f"{tick.seconds:.3f} {note.source}: {note.text}")
+        print(session.pose, session.joints["left"].feedback.position)
+
+and for a program that has a loop of its own:
+
+    core = gw.Gateway(robot)
+    outputs = core.step(now, gw.Inputs(packets=received))  # now: int nanoseconds; send outputs.packets
+    core.due()                                             # when a driver next has to send by itself
+
+All quantities are SI (rad, rad/s, N·m, m, s, A, V, degrees Celsius) at the joint's output shaft. Everything
+in `__all__` is public; names are imported when they are first used, so that `import gateway` is quick.
+Every error derives from `GatewayError` (gateway.errors has the tree). Protocol plugins import `protocols`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from brain.belief import Belief as Belief
+    from brain.belief import Pose as Pose
+    from gateway.config import describe as describe
+    from gateway.config import load_robot as load_robot
+    from gateway.config import parse_robot as parse_robot
+    from gateway.config import with_interfaces as with_interfaces
+    from gateway.core.joint import Joint as Joint
+    from gateway.core.robot import Robot as Robot
+    from gateway.core.step import Gateway as Gateway
+    from gateway.core.tick import Inputs as Inputs
+    from gateway.core.tick import Note as Note
+    from gateway.core.tick import Outputs as Outputs
+    from gateway.core.tick import Tick as Tick
+    from gateway.errors import BagError as BagError
+    from gateway.errors import BusError as BusError
+    from gateway.errors import ConfigError as ConfigError
+    from gateway.errors import GatewayError as GatewayError
+    from gateway.errors import OperatorError as OperatorError
+    from gateway.errors import ProtocolNotFound as ProtocolNotFound
+    from gateway.errors import RecordingError as RecordingError
+    from gateway.errors import UserError as UserError
+    from gateway.operator import ask as ask
+    from gateway.recording import Recording as Recording
+    from gateway.recording import read as read_recording
+    from gateway.replay import Comparison as Comparison
+    from gateway.replay import replay as replay
+    from gateway.runtime import Session as Session
+    from gateway.runtime import open_session as open_session
+    from protocols.frames import BusState as BusState
+    from protocols.frames import CanFrame as CanFrame
+    from protocols.frames import Packet as Packet
+    from protocols.messages import ClearFault as ClearFault
+    from protocols.messages import Drive as Drive
+    from protocols.messages import Fault as Fault
+    from protocols.messages import Feedback as Feedback
+    from protocols.messages import Goal as Goal
+    from protocols.messages import Hold as Hold
+    from protocols.messages import Idle as Idle
+    from protocols.messages import Impedance as Impedance
+    from protocols.messages import Mode as Mode
+    from protocols.messages import Position as Position
+    from protocols.messages import Release as Release
+    from protocols.messages import Stop as Stop
+    from protocols.messages import Torque as Torque
+    from protocols.messages import Velocity as Velocity
+
+_MODULES = {
+    "brain.belief": ("Belief", "Pose"),
+    "gateway.config": ("describe", "load_robot", "parse_robot", "with_interfaces"),
+    "gateway.core.joint": ("Joint",),
+    "gateway.core.robot": ("Robot",),
+    "gateway.core.step": ("Gateway",),
+    "gateway.core.tick": ("Inputs", "Note", "Outputs", "Tick"),
+    "gateway.errors": (
+        "BagError",
+        "BusError",
+        "ConfigError",
+        "GatewayError",
+        "OperatorError",
+        "ProtocolNotFound",
+        "RecordingError",
+        "UserError",
+    ),
+    "gateway.operator": ("ask",),
+    "gateway.recording": ("Recording", "read_recording"),
+    "gateway.replay": ("Comparison", "replay"),
+    "gateway.runtime": ("Session", "open_session"),
+    "protocols.frames": ("BusState", "CanFrame", "Packet"),
+    "protocols.messages": (
+        "ClearFault",
+        "Drive",
+        "Fault",
+        "Feedback",
+        "Goal",
+        "Hold",
+        "Idle",
+        "Impedance",
+        "Mode",
+        "Position",
+        "Release",
+        "Stop",
+        "Torque",
+        "Velocity",
+    ),
+}
+_OF = {name: module for module, names in _MODULES.items() for name in names}
+__all__ = [*sorted(_OF), "__version__"]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used (PEP 562)."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: object = version("motor-gateway")
+    elif name in _OF:
+        value = getattr(import_module(_OF[name]), "read" if name == "read_recording" else name)
+    else:
+        raise AttributeError(f"module 'gateway' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,39 @@
+"""The examples run as they stand, each in a process of its own, in the order in which they need each other."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "examples"
+PRINTED = {
+    "send_one_command": [r"left: armed \(CLOSED_LOOP_CONTROL\)", r"left: \w+, (5\.[89]|6\.[01])\d rad after"],
+    "record_a_drive": [r"brain: goal 1 reached", r"believed pose: Pose\(x=1\.[45]\d*, y=0\.[45]\d*"],
+    "replay_a_recording": [r"the same, byte for byte", r"events: .*\d+ Feedback"],
+    "embed_the_step": [r"right: [12]\.\d\d rad, [\d.]+ rad/s on the way to 3 rad"],
+    "own_motor": [r"written: .*driver\.py", r"jump +passed", r"left turned by 2\.\d\d rad"],
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("examples")
+
+
+def test_none_is_left_out() -> None:
+    assert set(PRINTED) == {path.stem for path in FOLDER.glob("*.py")}
+    assert all(f"[{name}.py]({name}.py)" in (FOLDER / "README.md").read_text() for name in PRINTED)
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_it_runs_and_prints_what_it_should(name: str, folder: Path) -> None:
+    command = [sys.executable, str(FOLDER / f"{name}.py")]
+    command += [str(folder / "drive.mcap")] if name in ("record_a_drive", "replay_a_recording") else []
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for pattern in PRINTED[name]:
+        assert re.search(pattern, done.stdout), f"{pattern!r} is not in:\n{done.stdout}"

@@ -1,0 +1,59 @@
+"""`import gateway`: quick, about forty names, all documented, and one tree of errors."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gateway
+from gateway.errors import GatewayError
+
+NAMES = sorted(set(gateway.__all__) - {"__version__"})
+HEAVY = {"numpy", "can", "serial", "mcap", "mujoco", "matplotlib", "filterpy", "rosbags"}
+
+
+def test_the_names_are_few() -> None:
+    assert 35 <= len(NAMES) <= 50
+    assert sorted(dir(gateway)) == sorted(gateway.__all__)
+    assert gateway.__version__.count(".") == 2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_name_is_there_and_documented(name: str) -> None:
+    value = getattr(gateway, name)
+    text = inspect.getdoc(value) or ""
+    assert len(text.split()) >= 3, text
+    if inspect.isfunction(value):
+        for section in ("Args:", "Returns:") if name != "open_session" else ("Args:", "Yields:", "Raises:"):
+            assert section in text, f"{name} has no {section}"
+
+
+def test_the_typing_names_are_the_lazy_ones() -> None:
+    source = Path(gateway.__file__).read_text()
+    typed = {line.split(" as ")[1].strip() for line in source.splitlines() if line.startswith("    from ")}
+    assert typed == set(NAMES)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'Goals'"):
+        gateway.Goals  # noqa: B018 -- to look it up is the test
+
+
+def test_every_error_of_ours_is_in_the_tree() -> None:
+    errors = [getattr(gateway, name) for name in NAMES if name.endswith(("Error", "NotFound"))]
+    assert len(errors) == 8
+    assert all(issubclass(error, GatewayError) for error in errors)
+
+
+def test_the_import_is_light() -> None:
+    code = "import sys, json; before = set(sys.modules); import gateway; print(json.dumps(sorted(set(sys.modules) - before)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(json.loads(done.stdout))
+    assert "gateway" in loaded
+    assert not {name.split(".")[0] for name in loaded} & (HEAVY | {"protocols", "brain"})
+    assert len(loaded) < 30, loaded
