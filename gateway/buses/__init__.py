@@ -1,32 +1,60 @@
-"""The buses: the only rooms that touch a wire. Nothing here knows a protocol.
+"""The buses: the only package that touches CAN interfaces and serial ports.
 
-A bus never blocks, never raises on what the wire does (it tells a BusState), stamps what it reads
-with the clock it was opened with, and is closed exactly once.
+`open_bus` opens a real one; `gateway.buses.virtual` makes buses of a simulated world,
+`gateway.buses.adapters` offers a bus to other programs. Knows frames and no protocol; imports no driver, no
+brain and no runtime.
+
+Rules. A bus never blocks. Once open it raises nothing for what happens on the medium: it reports a
+`BusState`, once per change. It timestamps what it reads with the clock that it was opened with, and is closed
+exactly once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from protocols.frames import BusState, Frame, Packet
 from protocols.messages import Nanos
 
+if TYPE_CHECKING:
+    from gateway.core.clock import Clock
+    from gateway.core.robot import BusSettings
+
+__all__ = ["Bus", "open_bus"]
+
 
 class Bus(Protocol):
-    """One CAN interface, one serial port, or a world of twins that looks like one."""
+    """One CAN interface, one serial port, or a simulated bus."""
 
     name: str
     """The bus's name in the robot file."""
 
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
-        """What has changed and what has come in up to `now`, in order of arrival."""
+        """Return the state changes and the packets received up to `now`, in order of arrival."""
         ...
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
-        """Put wires on the bus, in order."""
+        """Transmit frames, in order."""
         ...
 
     def close(self) -> None:
-        """Give the wire back."""
+        """Release the interface."""
         ...
+
+
+def open_bus(settings: BusSettings, clock: Clock, *, listen_only: bool = False) -> Bus:
+    """Open the real interface of a bus. Raises BusError with what is missing and how to get it.
+
+    `listen_only`: nothing is ever sent, nor acknowledged where the interface can be configured so."""
+    if settings.kind == "serial":
+        from gateway.buses.serial import open_serial
+
+        return open_serial(settings)
+    if settings.interface.startswith("socketcan:"):
+        from gateway.buses.socketcan.bus import open_socketcan
+
+        return open_socketcan(settings, clock, listen_only=listen_only)
+    from gateway.buses.can import open_can
+
+    return open_can(settings, clock, listen_only=listen_only)

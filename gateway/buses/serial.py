@@ -1,23 +1,22 @@
 """A serial port: "serial:/dev/ttyUSB0". A stream of bytes, cut anywhere.
 
-Rules. Opening says in a sentence what is missing; afterwards nothing is raised, everything is told as a
-BusState, once for each change. Reading takes what is there as one packet and never waits. Writing never waits
-either: what the port does not take stands in a bounded queue, whose oldest whole wires are dropped first (a
-wire that has partly gone out is finished, so that the other end stays in step). What waits when the port
-hangs up is thrown away; whether it has come back is looked for once a second.
+Rules. Opening raises a BusError with what is missing; afterwards nothing is raised, everything is reported as
+a BusState, once per change. Reading takes what is there as one packet and never waits. Writing never waits
+either: what the port does not take waits in a bounded queue. When the port is lost, the queue is dropped; the
+port is tried again once a second.
 """
 
 from __future__ import annotations
 
 import errno
 import os
-from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 
 import serial
 from serial.tools.list_ports import comports
 
-from gateway.core.clock import Clock
+from gateway.buses.queues import ByteQueue
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
@@ -26,54 +25,55 @@ from protocols.messages import SECOND, Nanos
 MOST_READ = 65536
 """Bytes taken in by one read."""
 MOST_WAITING = 8192
-"""Bytes that may wait to go out."""
+"""Bytes that may wait to be sent."""
 REOPEN = SECOND
+"""Period of the attempts to reopen a lost port."""
 
 
-def open_serial(settings: BusSettings, clock: Clock) -> SerialBus:  # noqa: ARG001 -- as open_can: bytes have no stamp
-    """Open the port. Raises BusError with what is missing and what there is."""
+def open_serial(settings: BusSettings) -> SerialBus:
+    """Open the port. Raises BusError with what is missing and which ports there are."""
     return SerialBus(settings, _open(settings))
 
 
 class SerialBus:
-    """A serial port that is open."""
+    """An open serial port."""
 
     def __init__(self, settings: BusSettings, port: serial.Serial) -> None:
         self.name = settings.name
-        self.dropped = 0
-        """Wires that never went out, because the queue was full or the port was gone."""
         self._settings = settings
         self._port: serial.Serial | None = port
-        self._waiting: deque[bytes] = deque()
-        self._begun = False
-        """Whether the first wire in the queue has partly gone out."""
+        self._queue = ByteQueue(MOST_WAITING)
         self._state = BusState.UP
-        self._reported: list[BusState] = []
+        self._changes: list[BusState] = []
         self._reopen_at: Nanos = 0
 
+    @property
+    def dropped(self) -> int:
+        """Messages never sent, because the queue was full or the port was gone."""
+        return self._queue.dropped
+
     def read(self, now: Nanos) -> tuple[Sequence[BusState], Sequence[Packet]]:
-        """What has changed, and the bytes that have come in, stamped now."""
+        """Return the state changes, and the bytes that have come in, timestamped now."""
         if self._port is None:
-            self._come_back(now)
+            self._reopen(now)
         data = self._receive(now)
         self._flush(now)
-        reported, self._reported = self._reported, []
-        return reported, [Packet(now, self.name, data)] if data else []
+        changes, self._changes = self._changes, []
+        return changes, [Packet(now, self.name, data)] if data else []
 
     def write(self, now: Nanos, frames: Sequence[Frame]) -> None:
-        """Put bytes on the line, in order; whatever finds no room waits."""
+        """Send bytes, in order; what the port does not take waits."""
         for frame in frames:
             assert isinstance(frame, bytes), f"{self.name} is a serial line"
-            self._waiting.append(frame)
+            self._queue.put(frame)
         self._flush(now)
-        self._bound()
+        if self._queue.trim():
+            self._report(BusState.FULL)
 
     def close(self) -> None:
-        """Give the port back."""
-        port, self._port = self._port, None
+        """Release the port."""
+        self._close_port()
         self._reopen_at = 1 << 63
-        if port is not None:
-            _shut(port)
 
     def _receive(self, now: Nanos) -> bytes:
         if self._port is None:
@@ -85,69 +85,45 @@ class SerialBus:
             return b""
 
     def _flush(self, now: Nanos) -> None:
-        """Write until the port takes no more. (pyserial's own write spins when told never to wait.)"""
+        """Write until the port takes no more. (pyserial's own write spins when its timeout is 0.)"""
         if self._port is None:
-            self._forget()
-        while self._waiting and self._port is not None:
-            frame = self._waiting.popleft()
+            self._queue.clear()
+        else:
+            port = self._port.fileno()
             try:
-                taken = os.write(self._port.fileno(), frame) if frame else 0
-            except BlockingIOError:
-                taken = 0
+                if not self._queue.drain(lambda data: os.write(port, data)):
+                    return
             except OSError:
-                self.dropped += 1
                 self._lose(now)
                 return
-            if taken < len(frame):
-                self._waiting.appendleft(frame[taken:])
-                self._begun = self._begun or taken > 0
-                return
-            self._begun = False
         if self._state is BusState.FULL:
             self._report(BusState.UP)
-
-    def _bound(self) -> None:
-        """Drop the oldest whole wires when too much waits."""
-        while len(self._waiting) > 1 + self._begun and sum(map(len, self._waiting)) > MOST_WAITING:
-            del self._waiting[int(self._begun)]
-            self.dropped += 1
-            self._report(BusState.FULL)
 
     def _report(self, state: BusState) -> None:
         after = BusState.UP if state is BusState.BACK else state
         if after is not self._state:
-            self._reported.append(state)
+            self._changes.append(state)
             self._state = after
 
-    def _forget(self) -> None:
-        self.dropped += len(self._waiting)
-        self._waiting.clear()
-        self._begun = False
-
     def _lose(self, now: Nanos) -> None:
-        port, self._port = self._port, None
-        if port is not None:
-            _shut(port)
-        self._forget()
+        self._close_port()
+        self._queue.clear()
         self._reopen_at = now + REOPEN
         self._report(BusState.GONE)
 
-    def _come_back(self, now: Nanos) -> None:
+    def _reopen(self, now: Nanos) -> None:
         if now < self._reopen_at:
             return
         self._reopen_at = now + REOPEN
-        try:
+        with suppress(BusError):
             self._port = _open(self._settings)
-        except BusError:
-            return
-        self._report(BusState.BACK)
+            self._report(BusState.BACK)
 
-
-def _shut(port: serial.Serial) -> None:
-    try:
-        port.close()
-    except OSError:
-        return  # what has vanished cannot be closed either
+    def _close_port(self) -> None:
+        port, self._port = self._port, None
+        if port is not None:
+            with suppress(OSError):  # a port that has vanished cannot be closed either
+                port.close()
 
 
 def _open(settings: BusSettings) -> serial.Serial:
@@ -155,10 +131,10 @@ def _open(settings: BusSettings) -> serial.Serial:
     try:
         return serial.Serial(path, settings.baudrate, timeout=0, write_timeout=0, exclusive=True)
     except (OSError, ValueError) as error:
-        raise BusError(_refusal(settings, path, error)) from error
+        raise BusError(_reason(settings, path, error)) from error
 
 
-def _refusal(settings: BusSettings, path: str, error: OSError | ValueError) -> str:
+def _reason(settings: BusSettings, path: str, error: OSError | ValueError) -> str:
     head = f"bus {settings.name!r} cannot be opened as {settings.interface!r}"
     code = getattr(error, "errno", None)
     if code in (errno.EAGAIN, errno.EBUSY):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.buses.can_open import kernel_has_can
+from gateway.buses.interfaces import kernel_has_can
 
 HERE = Path(__file__).parent
 NO_CAN = "this kernel has no CAN: `python -m tests.real_can pytest ...` runs these tests where there is one"

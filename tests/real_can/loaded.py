@@ -12,8 +12,6 @@ BUSES = "can serial pty adapter_pty twin"
 MODULES = [
     "filterpy.kalman",
     "mujoco",
-    "pydantic.dataclasses",
-    "pydantic.type_adapter",
     "pytest",  # the main module of those who fork
     "rosbags.typesys.stores.ros2_jazzy",
     *(f"protocols.{name}" for name in ("cia402", "moteus", "odrive_can", "plain")),

@@ -25,7 +25,7 @@ _CONTEXT.set_forkserver_preload(["tests.real_can.loaded", "tests.real_can.progra
 
 def _become(words: tuple[str, ...], folder: Path, output: Path) -> None:
     """Be the command, saying everything to a file."""
-    from gateway.__main__ import main
+    from gateway.cli.main import main
 
     said = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for stream in (sys.stdout, sys.stderr):

@@ -9,9 +9,8 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from gateway.buses import Bus
-from gateway.buses.can import open_can
-from gateway.buses.socketcan.bus import OFTEN, PATIENCE, SocketcanBus
+from gateway.buses import Bus, open_bus
+from gateway.buses.socketcan.bus import FAST_POLL, PATIENCE, SocketcanBus
 from gateway.buses.socketcan.link import Device
 from gateway.buses.states import CALM
 from gateway.core.clock import WallClock
@@ -39,7 +38,7 @@ def opened() -> Iterator[Open]:
     with ExitStack() as stack:
 
         def open_one(wanted: BusSettings) -> SocketcanBus:
-            bus = open_can(wanted, CLOCK)
+            bus = open_bus(wanted, CLOCK)
             assert isinstance(bus, SocketcanBus)
             stack.callback(bus.close)
             return bus
@@ -231,7 +230,7 @@ def test_the_lines_for_a_missing_vcan_make_one(opened: Open) -> None:
 def test_the_lines_for_classic_can_where_can_fd_is_wanted_make_it_can_fd(vcan0: str, opened: Open) -> None:
     ip("link", "set", vcan0, "down")
     ip("link", "set", vcan0, "mtu", "16", "up")
-    with pytest.raises(BusError, match="classic CAN alone") as caught:
+    with pytest.raises(BusError, match="classic CAN only") as caught:
         opened(fast(vcan0))
     obey(str(caught.value))
     opened(fast(vcan0))
@@ -240,9 +239,7 @@ def test_the_lines_for_classic_can_where_can_fd_is_wanted_make_it_can_fd(vcan0: 
 @pytest.mark.controllers
 def test_the_lines_for_another_bit_rate_set_it(controllers: Controllers, opened: Open) -> None:
     one, other = controllers(500_000)
-    with pytest.raises(
-        BusError, match="has a bitrate of 500000 bit/s, the robot file says 1000000"
-    ) as caught:
+    with pytest.raises(BusError, match="has a bitrate of 500000 bit/s, the robot file has 1000000") as caught:
         opened(settings(one))
     obey(str(caught.value))
     opened(settings(one))
@@ -325,7 +322,7 @@ def go_down_and_up(name: str, bus: SocketcanBus, talker: Callable[[CanFrame], No
         states += more
         packets += arrived
         time.sleep(0.01)
-    states += reported(bus, 2 * OFTEN)
+    states += reported(bus, 2 * FAST_POLL)
     assert states == [BusState.BACK]
     assert frames_of(packets) == [CanFrame(4, b"early")]
     assert packets[0].t <= came + MILLISECOND

@@ -1,7 +1,7 @@
-"""The adapter's end of Lawicel's ASCII protocol (slcan): what a CAN adapter hears and answers.
+"""Lawicel's ASCII protocol of a CAN adapter (slcan): its lines, and an emulated adapter.
 
-Rules. Pure: bytes in, frames and answers out; no port, no clock. A line ends with CR; the answer is CR (with
-what was asked for in front of it) or BELL, and nothing else has happened. Nothing raises, on any bytes, cut
+Rules. Pure: bytes in, frames and replies out; no port, no clock. A line ends with CR; the reply is CR
+(preceded by the value asked for) or BELL, after which nothing has changed. Nothing raises, on any bytes, cut
 anywhere. Sources: Lawicel CAN232 manual, version 3 (commands, answers, flags, timestamps, BTR of an SJA1000
 at 16 MHz); python-can 4.6.1 `can/interfaces/slcan.py` (FD frames d D b B and rates Y2 Y5, after the firmware
 of CANable 2.0). Wider than the manual, because python-can opens with `C S8 <empty> O O`: closing what is
@@ -10,11 +10,11 @@ closed, opening what is open, and an empty line are no errors; without S the bus
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from gateway.buses.lengths import LENGTHS, padded
+from gateway.buses.adapters.lines import HEX, LineSplitter
+from gateway.buses.frame_time import LENGTHS, padded
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos
 
@@ -35,13 +35,12 @@ RATES: dict[str, tuple[int, ...]] = {
 }
 DATA_RATES = {"2": (2_000_000,), "5": (5_000_000,)}
 VERSION, SERIAL = b"V1001", b"NTWIN"
-HEX = re.compile(r"[0-9A-Fa-f]*")
 MINUTE = 60_000
-"""A timestamp is in ms and starts anew after a minute."""
+"""A timestamp is in ms and wraps after a minute."""
 
 
 class Kind(NamedTuple):
-    """What the first letter of a frame's line says."""
+    """The frame type that the first letter of a line encodes."""
 
     extended: bool
     remote: bool = False
@@ -63,7 +62,7 @@ LETTERS = {kind: letter for letter, kind in KINDS.items()}
 
 
 def line_of(frame: CanFrame) -> str:
-    """A frame as a line, without its end. Data that no length code fits are filled up with zeros."""
+    """Encode a frame as a line, without its end. CAN FD data is zero-padded to a valid length."""
     kind = Kind(frame.extended, frame.remote, frame.fd, frame.fd and frame.brs)
     data = padded(frame).data
     head = f"{frame.id:08X}" if frame.extended else f"{frame.id:03X}"
@@ -71,7 +70,7 @@ def line_of(frame: CanFrame) -> str:
 
 
 def frame_of(line: str) -> CanFrame | None:
-    """The frame that a line says; None if it is none, or one that cannot be."""
+    """Decode a line; None if it is no valid frame."""
     kind = KINDS.get(line[:1])
     digits = 8 if kind and kind.extended else 3
     head, code, data = line[1 : 1 + digits], line[1 + digits : 2 + digits], line[2 + digits :]
@@ -86,7 +85,7 @@ def frame_of(line: str) -> CanFrame | None:
 
 
 def rate_of(btr: str) -> int | None:
-    """bit/s of the two bus timing registers of an SJA1000 at 16 MHz, as xxyy in hex."""
+    """Return the bit rate of an SJA1000 at 16 MHz with these two bus timing registers, as xxyy in hex."""
     if len(btr) != 4 or not HEX.fullmatch(btr):
         return None
     first, second = bytes.fromhex(btr)
@@ -96,52 +95,44 @@ def rate_of(btr: str) -> int | None:
 
 @dataclass(slots=True)
 class Adapter:
-    """One adapter on a bus of these rates; `data_bitrate` 0 is a bus of classic CAN."""
+    """An emulated adapter on a bus of these bit rates; `data_bitrate` 0 is classic CAN."""
 
     bitrate: int
     data_bitrate: int = 0
     open: bool = False
     listen_only: bool = False
     overrun: bool = False
-    """Frames were lost because the other end did not read; told by the next F."""
+    """Frames were lost because the other end did not read; the reply to the next F reports it."""
     _rates: tuple[int, ...] = ()
-    """What was set with S or s: the bus's own rate if it is none of them, nothing passes."""
+    """Set with S or s; empty: the bus's own bit rate. No frame passes at another one."""
     _data_rates: tuple[int, ...] = ()
-    _stamps: bool = False
-    _rest: bytearray = field(default_factory=bytearray)
-    _skipping: bool = False
-    """The line has become too long; its end will be answered with BELL."""
+    _timestamps: bool = False
+    _splitter: LineSplitter = field(default_factory=lambda: LineSplitter(END, LONGEST))
 
     @property
     def wrong_rate(self) -> bool:
-        """Whether it was set to another rate than the bus has: then it neither hears nor is heard."""
+        """True if it was set to another bit rate than the bus has: then it neither sends nor receives."""
         return bool(self._rates and self.bitrate not in self._rates) or bool(
             self._data_rates and self.data_bitrate not in self._data_rates
         )
 
     def feed(self, data: bytes) -> tuple[list[CanFrame], bytes]:
-        """Bytes from the serial line: the frames that go onto the bus, and the answers."""
+        """Take bytes from the serial line; return the frames that go onto the bus, and the replies."""
         frames: list[CanFrame] = []
-        answers = bytearray()
-        *lines, rest = (self._rest + data).split(END)
-        for line in lines:
-            if self._skipping or len(line) > LONGEST:
-                answers += BELL
-            else:
-                answers += self._obey(line.decode("latin-1"), frames)
-            self._skipping = False
-        self._skipping = self._skipping or len(rest) > LONGEST
-        self._rest = bytearray() if self._skipping else bytearray(rest)
-        return frames, bytes(answers)
+        replies = b"".join(
+            BELL if line is None else self._execute(line.decode("latin-1"), frames)
+            for line in self._splitter.feed(data)
+        )
+        return frames, replies
 
     def report(self, t: Nanos, frame: CanFrame) -> bytes:
-        """What the serial line gets of a frame on the bus; nothing if the adapter does not hear it."""
+        """Return the line for a frame on the bus; nothing if the adapter does not receive it."""
         if not self.open or self.wrong_rate:
             return b""
-        stamp = f"{t // MILLISECOND % MINUTE:04X}" if self._stamps else ""
-        return (line_of(frame) + stamp).encode() + END
+        timestamp = f"{t // MILLISECOND % MINUTE:04X}" if self._timestamps else ""
+        return (line_of(frame) + timestamp).encode() + END
 
-    def _obey(self, line: str, frames: list[CanFrame]) -> bytes:
+    def _execute(self, line: str, frames: list[CanFrame]) -> bytes:
         letter, rest = line[:1], line[1:]
         if letter in KINDS:
             return self._transmit(line, frames)
@@ -164,14 +155,14 @@ class Adapter:
 
     def _transmit(self, line: str, frames: list[CanFrame]) -> bytes:
         frame = frame_of(line)
-        deaf = not self.open or self.listen_only or self.wrong_rate
-        if deaf or frame is None or (frame.fd and not self.data_bitrate):
+        blocked = not self.open or self.listen_only or self.wrong_rate
+        if blocked or frame is None or (frame.fd and not self.data_bitrate):
             return BELL
         frames.append(frame)
         return (b"Z" if frame.extended else b"z") + END
 
     def _configure(self, letter: str, rest: str) -> bool:
-        """Commands for a channel that is closed."""
+        """Execute a command for a closed channel; False if it is invalid."""
         match letter:
             case "S" if rest in RATES:
                 self._rates = RATES[rest]
@@ -180,13 +171,13 @@ class Adapter:
             case "Y" if rest in DATA_RATES:
                 self._data_rates = DATA_RATES[rest]
             case "Z" if rest in ("0", "1"):
-                self._stamps = rest == "1"
+                self._timestamps = rest == "1"
             case _:
                 return False
         return True
 
     def _flags(self) -> bytes:
-        """Lawicel's status byte: bit 3 data overrun (told once), bit 5 error-passive, bit 7 bus error."""
+        """Return Lawicel's status byte: bit 3 data overrun (once), bit 5 error-passive, bit 7 bus error."""
         flags = 0x08 * self.overrun | 0xA0 * self.wrong_rate
         self.overrun = False
         return f"F{flags:02X}".encode() + END

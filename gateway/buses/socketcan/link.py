@@ -1,9 +1,10 @@
-"""What the kernel says of one network interface: cheaply whether it is up, and at length by rtnetlink.
+"""The kernel's state of one network interface: cheaply whether it is up, and in full by rtnetlink.
 
-Rules. `Device.standing` asks by ioctl, which takes no lock in the kernel: it may be asked in the loop.
-`Device.link` asks by rtnetlink, which waits while anybody configures any interface: when a bus is opened, and
-seldom while a controller is in trouble, since its error state is told nowhere else. No process is started.
-Sources: rtnetlink(7), netdevice(7), linux/if_link.h, linux/can/netlink.h. `request` and `parse` are pure.
+Rules. `Device.status` asks by ioctl, which takes no lock in the kernel: it may be called in the loop.
+`Device.link` asks by rtnetlink, which waits while any interface is being configured: it is called when a bus
+is opened, and rarely while a controller is in trouble, since its error state is available nowhere else. No
+process is started. Sources: rtnetlink(7), netdevice(7), linux/if_link.h, linux/can/netlink.h. `request` and
+`parse` are pure.
 """
 
 from __future__ import annotations
@@ -29,34 +30,34 @@ _NAME, _MTU, _QUEUE, _LINK_INFO = 3, 4, 13, 18
 _INFO_KIND, _INFO_DATA = 1, 2
 _BIT_TIMING, _STATE, _MODES, _RESTART_MS, _COUNTERS, _DATA_BIT_TIMING = 1, 4, 5, 6, 8, 9
 _NESTED = 0x3FFF
-"""Without the two flags that an attribute's type may bear."""
+"""Mask without the two flags that an attribute's type may have."""
 _GET_FLAGS, _GET_INDEX = 0x8913, 0x8933
 IFF_UP, IFF_RUNNING = 0x1, 0x40
 LISTEN_ONLY = 0x02
 """CAN_CTRLMODE_LISTENONLY."""
 _STATES = {0: BusState.UP, 1: BusState.UP, 2: BusState.PASSIVE, 3: BusState.OFF}
-"""enum can_state: active, warning, passive, bus-off; stopped and sleeping say nothing of the bus."""
+"""enum can_state: active, warning, passive, bus-off; stopped and sleeping imply nothing about the bus."""
 
 
-class Standing(NamedTuple):
-    """Whether an interface is there (its number), is up, and can carry anything."""
+class Status(NamedTuple):
+    """The interface index, whether the interface is up, and whether it can carry frames."""
 
-    number: int
+    ifindex: int
     up: bool
     running: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """One interface as rtnetlink tells it. What it does not tell is 0 or None."""
+    """One interface as rtnetlink reports it. What it does not report is 0 or None."""
 
     name: str
-    number: int
+    ifindex: int
     up: bool
     mtu: int
-    """16: classic CAN alone. 72: CAN FD, too."""
+    """16: classic CAN only. 72: CAN FD, too."""
     queue: int
-    """Frames that the kernel's own transmit queue holds."""
+    """Frames that the kernel's transmit queue can hold (txqueuelen)."""
     kind: str = ""
     """"can" for a controller, "vcan", …"""
     state: BusState | None = None
@@ -64,31 +65,31 @@ class Link:
     bitrate: int = 0
     data_bitrate: int = 0
     restart_ms: int | None = None
-    """After so long a controller that went bus-off starts again; 0: never by itself."""
+    """Delay after which a controller that went bus-off restarts; 0: never by itself."""
     listen_only: bool = False
     counters: tuple[int, int] | None = None
-    """The controller's errors while sending, and while receiving."""
+    """The controller's error counters: sending, receiving."""
 
 
 class Device:
-    """An interface of this machine, by its name. Holds one socket to ask with."""
+    """An interface of this machine, by its name. Holds one socket for the queries."""
 
     def __init__(self, name: str) -> None:
-        """Raises OSError where no socket can be had."""
+        """Raises OSError where no socket can be opened."""
         self.name = name
         self._socket = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE)
         self._socket.settimeout(1.0)  # the kernel answers before `send` returns
 
-    def standing(self) -> Standing | None:
-        """Whether it is there and up, asked without a lock; None if there is none of this name."""
+    def status(self) -> Status | None:
+        """Return its index and flags, without a lock; None if there is no interface of this name."""
         try:
-            flags, number = self._ioctl(_GET_FLAGS) & 0xFFFF, self._ioctl(_GET_INDEX)
+            flags, ifindex = self._ioctl(_GET_FLAGS) & 0xFFFF, self._ioctl(_GET_INDEX)
         except OSError:
             return None
-        return Standing(number, bool(flags & IFF_UP), bool(flags & IFF_RUNNING))
+        return Status(ifindex, bool(flags & IFF_UP), bool(flags & IFF_RUNNING))
 
     def link(self) -> Link | None:
-        """All that rtnetlink says of it; None if it says nothing."""
+        """Return all that rtnetlink reports; None if it reports nothing."""
         try:
             self._socket.send(request(self.name))
             return parse(self._socket.recv(65536))
@@ -96,34 +97,34 @@ class Device:
             return None
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         self._socket.close()
 
     def _ioctl(self, what: int) -> int:
-        answer = fcntl.ioctl(self._socket, what, _IFREQ.pack(self.name.encode(), 0))
-        return int(_IFREQ.unpack(answer)[1])
+        reply = fcntl.ioctl(self._socket, what, _IFREQ.pack(self.name.encode(), 0))
+        return int(_IFREQ.unpack(reply)[1])
 
 
 def request(name: str, sequence: int = 1) -> bytes:
-    """RTM_GETLINK for the interface of this name."""
+    """Encode RTM_GETLINK for the interface of this name."""
     body = _INFO.pack(socket.AF_UNSPEC, 0, 0, 0, 0) + _attribute(_NAME, name.encode() + b"\0")
     return _MESSAGE.pack(_MESSAGE.size + len(body), _GET_LINK, _REQUEST, sequence, 0) + body
 
 
-def parse(answer: bytes) -> Link | None:
-    """The answer to a request; None if it is an error, cut short, or something else."""
+def parse(reply: bytes) -> Link | None:
+    """Decode the reply to a request; None if it is an error, truncated, or something else."""
     try:
-        length, kind, *_ = _MESSAGE.unpack_from(answer)
-        if kind != _NEW_LINK or length > len(answer):
+        length, kind, *_ = _MESSAGE.unpack_from(reply)
+        if kind != _NEW_LINK or length > len(reply):
             return None
-        _, _, number, flags, _ = _INFO.unpack_from(answer, _MESSAGE.size)
-        found = dict(_attributes(answer[_MESSAGE.size + _INFO.size : length]))
-        about = dict(_attributes(found.get(_LINK_INFO, b"")))
-        kind_name = _text(about.get(_INFO_KIND, b""))
-        data = dict(_attributes(about.get(_INFO_DATA, b""))) if kind_name == "can" else {}
+        _, _, ifindex, flags, _ = _INFO.unpack_from(reply, _MESSAGE.size)
+        found = dict(_attributes(reply[_MESSAGE.size + _INFO.size : length]))
+        info = dict(_attributes(found.get(_LINK_INFO, b"")))
+        kind_name = _text(info.get(_INFO_KIND, b""))
+        data = dict(_attributes(info.get(_INFO_DATA, b""))) if kind_name == "can" else {}
         return Link(
             name=_text(found.get(_NAME, b"")),
-            number=number,
+            ifindex=ifindex,
             up=bool(flags & IFF_UP),
             mtu=_number(found.get(_MTU, _ZERO)),
             queue=_number(found.get(_QUEUE, _ZERO)),
@@ -140,7 +141,7 @@ def parse(answer: bytes) -> Link | None:
 
 
 def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Type and value of each; a length that cannot be ends them."""
+    """Iterate over type and value of each; an invalid length ends the iteration."""
     at = 0
     while at + _ATTRIBUTE.size <= len(data):
         length, kind = _ATTRIBUTE.unpack_from(data, at)
@@ -155,7 +156,7 @@ def _attribute(kind: int, value: bytes) -> bytes:
 
 
 def _number(value: bytes, at: int = 0) -> int:
-    """32 bits: of a bit timing the rate; of the modes, from 4 on, those that are on."""
+    """Decode 32 bits: the bit rate of a bit timing; at 4, the modes that are on."""
     return int(_U32.unpack_from(value, at)[0])
 
 

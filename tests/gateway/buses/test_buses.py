@@ -13,12 +13,13 @@ from typing import Any, TypeVar
 import can
 import pytest
 
-from gateway.buses import Bus
+from gateway.buses import Bus, open_bus
 from gateway.buses.can import MOST_READ, CanBus, open_can
-from gateway.buses.can_open import can_interfaces, missing
+from gateway.buses.interfaces import can_interfaces, missing
+from gateway.buses.queues import MOST_WAITING
 from gateway.buses.serial import MOST_WAITING as MOST_BYTES
 from gateway.buses.serial import SerialBus, open_serial
-from gateway.buses.states import CALM, MOST_WAITING
+from gateway.buses.states import CALM
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
@@ -318,7 +319,7 @@ def test_a_kernel_without_can_says_so_and_still_gives_the_lines(tmp_path: Path) 
 
 def test_a_socketcan_that_is_not_there_is_a_bus_error() -> None:
     with pytest.raises(BusError, match="socketcan:vcan97") as caught:
-        open_can(socketcan("vcan97"), SimulatedClock())
+        open_bus(socketcan("vcan97"), SimulatedClock())
     assert "ip link add dev vcan97" in str(caught.value)
 
 
@@ -339,7 +340,7 @@ def line() -> Iterator[tuple[int, SerialBus, BusSettings]]:
     tty.setraw(host)
     os.set_blocking(device, False)
     settings = BusSettings("line", "serial", f"serial:{os.ttyname(host)}", baudrate=1_000_000)
-    bus = open_serial(settings, SimulatedClock())
+    bus = open_serial(settings)
     os.close(host)
     yield device, bus, settings
     bus.close()
@@ -412,7 +413,7 @@ def test_a_port_that_comes_back_is_told(tmp_path: Path) -> None:
         tty.setraw(end)
     port = tmp_path / "port"
     port.symlink_to(os.ttyname(first[1]))
-    bus = open_serial(BusSettings("line", "serial", f"serial:{port}", baudrate=9600), SimulatedClock())
+    bus = open_serial(BusSettings("line", "serial", f"serial:{port}", baudrate=9600))
     try:
         os.close(first[1])
         os.close(first[0])
@@ -431,10 +432,10 @@ def test_a_port_that_comes_back_is_told(tmp_path: Path) -> None:
 
 def test_a_port_in_use_is_told(line: tuple[int, SerialBus, BusSettings]) -> None:
     with pytest.raises(BusError, match="another program has"):
-        open_serial(line[2], SimulatedClock())
+        open_serial(line[2])
 
 
 def test_a_missing_port_is_told_with_what_there_is() -> None:
     settings = BusSettings("line", "serial", "serial:/dev/ttyNOWHERE", baudrate=9600)
     with pytest.raises(BusError, match=r"bus 'line'.*serial:/dev/ttyNOWHERE.*Serial ports of this machine:"):
-        open_serial(settings, SimulatedClock())
+        open_serial(settings)

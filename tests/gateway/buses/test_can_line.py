@@ -14,13 +14,13 @@ import can
 import pytest
 from can.interfaces.socketcan.socketcan import build_can_frame
 
-from gateway.buses import can_errors
-from gateway.buses.can_errors import CanError, counters, kinds, sentence, state_of
-from gateway.buses.lengths import LENGTHS
-from gateway.buses.socketcan.frame_struct import pack, unpack
+from gateway.buses.error_frames import BUS_OFF, CanError, describe, kinds, state_of
+from gateway.buses.frame_time import LENGTHS
+from gateway.buses.queues import MOST_WAITING, FrameQueue
 from gateway.buses.socketcan.link import Device, Link, parse, request
-from gateway.buses.stamps import OLDEST, Stamps
-from gateway.buses.states import CALM, MOST_WAITING, Outbox, States
+from gateway.buses.socketcan.raw_socket import pack, unpack
+from gateway.buses.states import CALM, StateTracker
+from gateway.buses.timestamps import OLDEST, TimestampMapper
 from protocols.frames import BusState, CanFrame
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
@@ -48,7 +48,7 @@ UP, PASSIVE, OFF, FULL, GONE, BACK = BusState
     ids=str,
 )
 def test_each_change_is_told_once(said: list[BusState], reported: list[BusState]) -> None:
-    states = States()
+    states = StateTracker()
     for state in said:
         if state is FULL:
             states.full(0)
@@ -60,7 +60,7 @@ def test_each_change_is_told_once(said: list[BusState], reported: list[BusState]
 
 def test_a_jam_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_line_is_told() -> None:
     for line, after in ((UP, UP), (PASSIVE, PASSIVE)):
-        states = States()
+        states = StateTracker()
         reported = []
         for tick in range(400):  # every tick's last frame finds no room: told once
             states.full(tick * 5 * MILLISECOND)
@@ -75,7 +75,7 @@ def test_a_jam_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_line_is
 def test_whatever_happens_what_was_told_last_is_what_is_so() -> None:
     """Over random histories: no state twice in a row, and BACK exactly where OFF or GONE ends."""
     for seed in range(200):
-        random, states, reported = Random(seed), States(), []
+        random, states, reported = Random(seed), StateTracker(), []
         now = 0
         for _ in range(60):
             now += random.randrange(2 * CALM)
@@ -90,29 +90,35 @@ def test_whatever_happens_what_was_told_last_is_what_is_so() -> None:
         for state in reported:
             assert (state is BACK) <= (shown in (OFF, GONE)), seed
             shown = UP if state is BACK else state
-        assert shown is states.line, seed
+        assert shown is states.state, seed
         assert copy.deepcopy(states).take(now + CALM) == []
 
 
-def test_the_newest_of_each_id_waits_at_the_end_of_the_line_and_the_rest_is_counted() -> None:
-    box = Outbox()
+def test_the_newest_frame_of_each_id_waits_at_the_end_of_the_queue_and_the_rest_is_counted() -> None:
+    queue, sent = FrameQueue(), list[CanFrame]()
+
+    def send(frame: CanFrame) -> bool:
+        sent.append(frame)
+        return True
+
     for frame in [CanFrame(1, b"old"), CanFrame(2, b"a"), CanFrame(1, b"new"), CanFrame(1, remote=True)]:
-        box.put(frame)
-    box.put(CanFrame(1, b"29 bits", extended=True))
-    first = box.take()
-    box.put_back(first)
-    assert [box.take() for _ in range(len(box))] == [
+        queue.put(frame)
+    queue.put(CanFrame(1, b"29 bits", extended=True))
+    queue.drain(lambda _: False)
+    queue.drain(send)
+    assert sent == [
         CanFrame(2, b"a"),
         CanFrame(1, b"new"),
         CanFrame(1, remote=True),
         CanFrame(1, b"29 bits", extended=True),
     ]
-    assert box.dropped == 1
+    assert queue.dropped == 1
     for number in range(MOST_WAITING + 3):
-        box.put(CanFrame(number))
-    assert box.take() == CanFrame(3)
-    box.clear()
-    assert (len(box), box.dropped) == (0, 1 + MOST_WAITING + 2)
+        queue.put(CanFrame(number))
+    queue.drain(lambda frame: send(frame) and frame.id == 3)
+    assert sent[4:] == [CanFrame(3), CanFrame(4)]
+    queue.clear()
+    assert (len(queue), queue.dropped) == (0, 1 + MOST_WAITING + 2)
 
 
 # -- stamps ---------------------------------------------------------------------------------------
@@ -121,17 +127,19 @@ OFFSET: Nanos = 1_790_000_000 * SECOND
 """The system's clock minus ours."""
 
 
-def read(stamps: Stamps, now: Nanos, offset: Nanos, *arrived: Nanos, whole: bool = True) -> list[Nanos]:
+def read(
+    stamps: TimestampMapper, now: Nanos, offset: Nanos, *arrived: Nanos, whole: bool = True
+) -> list[Nanos]:
     """One reading at `now`, with `offset` between the clocks, of frames that the system stamped so."""
     stamps.begin(now, offset)
-    moved = [stamps.move(stamp) for stamp in arrived]
+    moved = [stamps.map(stamp) for stamp in arrived]
     if whole:
         stamps.end()
     return moved
 
 
 def test_stamps_are_moved_exactly_and_never_backwards_nor_into_the_future() -> None:
-    stamps = Stamps()
+    stamps = TimestampMapper()
     assert read(stamps, 100, OFFSET, OFFSET + 7, OFFSET + 9, OFFSET + 8) == [7, 9, 9]
     assert read(stamps, 200, OFFSET, OFFSET + 150, OFFSET + 230) == [150, 200]
     assert read(stamps, 300, OFFSET, OFFSET + 120) == [200]
@@ -143,7 +151,7 @@ def test_stamps_are_moved_exactly_and_never_backwards_nor_into_the_future() -> N
 )
 def test_a_clock_that_is_set_moves_no_stamp(step: Nanos) -> None:
     """Every 5 ms one frame before the system's clock is set and one after it, in one reading."""
-    stamps = Stamps()
+    stamps = TimestampMapper()
     tick, offset, wrong = 5 * MILLISECOND, OFFSET, []
     for n in range(1, 20):
         now, before = n * tick, offset
@@ -157,7 +165,7 @@ def test_a_clock_that_is_set_moves_no_stamp(step: Nanos) -> None:
 
 
 def test_jitter_of_the_look_at_both_clocks_is_no_step() -> None:
-    stamps, random = Stamps(), Random(1)
+    stamps, random = TimestampMapper(), Random(1)
     for n in range(1, 100):
         now = n * 5 * MILLISECOND
         jitter = random.randrange(-100_000, 100_000)
@@ -167,7 +175,7 @@ def test_jitter_of_the_look_at_both_clocks_is_no_step() -> None:
 
 
 def test_a_stamp_that_cannot_be_is_the_moment_of_reading() -> None:
-    stamps = Stamps()
+    stamps = TimestampMapper()
     read(stamps, 3 * SECOND, OFFSET)
     assert read(stamps, 4 * SECOND, OFFSET, 0) == [4 * SECOND]
     assert read(stamps, 5 * SECOND, OFFSET, OFFSET + 4 * SECOND - OLDEST - 1) == [5 * SECOND]
@@ -175,16 +183,16 @@ def test_a_stamp_that_cannot_be_is_the_moment_of_reading() -> None:
 
 
 def test_what_a_reading_left_behind_is_as_old_as_it_is() -> None:
-    stamps = Stamps()
+    stamps = TimestampMapper()
     read(stamps, SECOND, OFFSET)
     read(stamps, 2 * SECOND, OFFSET, OFFSET + SECOND + 1, whole=False)
     assert read(stamps, 9 * SECOND, OFFSET, OFFSET + SECOND + 2) == [SECOND + 2]
 
 
 def test_without_a_wall_clock_a_stamp_is_the_moment_of_reading() -> None:
-    stamps = Stamps()
+    stamps = TimestampMapper()
     stamps.begin(5, None)
-    assert stamps.move(OFFSET + 3) == 5
+    assert stamps.map(OFFSET + 3) == 5
 
 
 # -- the kernel's struct ------------------------------------------------------------------------------
@@ -243,7 +251,7 @@ def test_no_bytes_raise() -> None:
         frame = unpack(random.randbytes(random.choice([0, 8, 15, 16, 16, 17, 71, 72, 72])))
         seen.add(type(frame).__name__)
         if isinstance(frame, CanError):
-            assert sentence(frame)
+            assert describe(frame)
             state_of(frame)
     assert seen == {"CanFrame", "CanError", "NoneType"}
     assert unpack(struct.pack("=IB3x8s", 1, 9, b"")) is None
@@ -261,26 +269,26 @@ def error(classes: int, *data: int) -> CanError:
 
 
 ERRORS: list[tuple[CanError, BusState | None, str]] = [
-    (error(0x004, 0, 0x04), UP, "many errors while receiving (warning)"),
+    (error(0x004, 0, 0x04), UP, "error-warning while receiving"),
     (error(0x004, 0, 0x10), PASSIVE, "error-passive while receiving"),
     (error(0x204, 0, 0x20, 0, 0, 0, 0, 128, 3), PASSIVE,
      "error-passive while sending (error counters: 128 sending, 3 receiving)"),
-    (error(0x004, 0, 0x28), PASSIVE, "many errors while sending (warning); error-passive while sending"),
+    (error(0x004, 0, 0x28), PASSIVE, "error-warning while sending; error-passive while sending"),
     (error(0x004, 0, 0x40), UP, "error-active again"),
-    (error(0x004, 0, 0x01), None, "its receive buffer overflowed: frames are lost"),
+    (error(0x004, 0, 0x01), None, "receive buffer overflow: frames are lost"),
     (error(0x004, 0, 0x00), None, "error frame of class 0x4"),
     (error(0x040), OFF, "bus-off"),
     (error(0x100), BACK, "restarted after bus-off"),
     (error(0x144, 0, 0x30), OFF,
      "error-passive while receiving; error-passive while sending; bus-off; restarted after bus-off"),
-    (error(0x020), None, "nobody acknowledged what was sent"),
+    (error(0x020), None, "no acknowledgement (no other node is active)"),
     (error(0x0A8, 0, 0, 0x80, 0x19), None,
-     "a protocol violation while sending, at: acknowledge slot; nobody acknowledged what was sent"),
-    (error(0x088, 0, 0, 0x04, 0x0A), None, "a bit stuffing error, at: data"),
+     "protocol violation while sending, at: acknowledge slot; no acknowledgement (no other node is active)"),
+    (error(0x088, 0, 0, 0x04, 0x0A), None, "bit stuffing error, at: data"),
     (error(0x088, 0, 0, 0x90, 0x00), None, "a recessive bit could not be sent while sending"),
-    (error(0x080), None, "an error on the bus"),
-    (error(0x002, 5), None, "arbitration was lost"),
-    (error(0x001), None, "the controller did not send in time"),
+    (error(0x080), None, "bus error"),
+    (error(0x002, 5), None, "arbitration lost"),
+    (error(0x001), None, "transmit timeout of the controller"),
     (error(0x010, 0, 0, 0, 0, 0x74), None, "CAN-H is not connected; CAN-L is shorted to ground"),
     (error(0x010, 0, 0, 0, 0, 0x0F), None, "transceiver error 0x0F"),
 ]  # fmt: skip
@@ -289,16 +297,16 @@ ERRORS: list[tuple[CanError, BusState | None, str]] = [
 @pytest.mark.parametrize(("received", "state", "words"), ERRORS, ids=[words for _, _, words in ERRORS])
 def test_error_frames_in_states_and_in_words(received: CanError, state: BusState | None, words: str) -> None:
     assert state_of(received) is state
-    assert sentence(received) == words
+    assert describe(received) == words
     assert all("counter" not in kind for kind in kinds(received))
 
 
 def test_every_bit_of_an_error_frame_has_words() -> None:
     for bit in range(10):
-        assert sentence(error(1 << bit, *[0xFF] * 8)), bit
-    assert counters(error(0x200, 0, 0, 0, 0, 0, 0, 1, 2)) == (1, 2)
-    assert counters(error(0x040, 0, 0, 0, 0, 0, 0, 1, 2)) is None
-    assert can_errors.BUS_OFF == 0x40
+        assert describe(error(1 << bit, *[0xFF] * 8)), bit
+    assert describe(error(0x200, 0, 0, 0, 0, 0, 0, 1, 2)).endswith("(error counters: 1 sending, 2 receiving)")
+    assert "counters" not in describe(error(0x040, 0, 0, 0, 0, 0, 0, 1, 2))
+    assert BUS_OFF == 0x40
 
 
 # -- rtnetlink -------------------------------------------------------------------------------------
@@ -347,12 +355,12 @@ def test_this_machines_kernel_answers() -> None:
     """lo stands on every Linux: asked for real, both ways."""
     device = Device("lo")
     try:
-        link, standing = device.link(), device.standing()
+        link, status = device.link(), device.status()
         assert link is not None
-        assert standing is not None
-        assert (link.name, link.kind, link.number, link.up) == ("lo", "", standing.number, standing.up)
+        assert status is not None
+        assert (link.name, link.kind, link.ifindex, link.up) == ("lo", "", status.ifindex, status.up)
         nothing = Device("no-such-if")
-        assert (nothing.link(), nothing.standing()) == (None, None)
+        assert (nothing.link(), nothing.status()) == (None, None)
         nothing.close()
     finally:
         device.close()

@@ -22,14 +22,14 @@ from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.fdcanusb import (
     Adapter,
     checksum,
-    command_of,
-    heard_of,
-    sealed,
-    told_of,
-    unprotected,
+    decode_received,
+    encode_received,
+    encode_send,
+    split_checksum,
+    with_checksum,
 )
 from gateway.buses.can import CanBus, open_can
-from gateway.buses.lengths import LENGTHS
+from gateway.buses.frame_time import LENGTHS
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
@@ -110,10 +110,10 @@ def theirs(frame: CanFrame) -> Frame:
 
 @pytest.mark.parametrize(("frame", "command", "reported"), LINES, ids=[line for _, line, _ in LINES])
 def test_a_frame_is_its_lines_in_both_directions(frame: CanFrame, command: str, reported: str) -> None:
-    assert command_of(frame) == command
+    assert encode_send(frame) == command
     assert Adapter(RATE, DATA_RATE).feed(command.encode() + b"\n") == ([frame], b"OK\r\n")
-    assert told_of(frame) == reported
-    assert heard_of(reported) == frame
+    assert encode_received(frame) == reported
+    assert decode_received(reported) == frame
     assert Adapter(RATE, DATA_RATE).report(0, frame) == reported.encode() + b"\r\n"
 
 
@@ -122,7 +122,7 @@ def test_checksums_are_the_vendors() -> None:
     for length in range(40):
         line = bytes((7 * n + 13 * length) % 256 for n in range(length))
         assert checksum(line) == vendor._compute_crc8(line)
-        assert sealed(line) == vendor._append_checksum(line)
+        assert with_checksum(line) == vendor._append_checksum(line)
 
 
 @settings(deadline=None, derandomize=True)
@@ -137,12 +137,12 @@ def test_what_the_vendors_client_sends_is_what_we_send_and_what_the_adapter_hear
     assert answer == (b"OK *BD\r\n" if checksums else b"OK\r\n")
     if frame.extended != (frame.id > 0x7FF):
         return  # the client cannot say that
-    line = command_of(frame).encode()
+    line = encode_send(frame).encode()
     if frame.fd:
-        assert written.data == (sealed(line) if checksums else line) + b"\n"
+        assert written.data == (with_checksum(line) if checksums else line) + b"\n"
         assert frames_heard == [frame]
     else:
-        assert unprotected(written.data.strip())[0] == line.removesuffix(b"f")
+        assert split_checksum(written.data.strip())[0] == line.removesuffix(b"f")
         assert [(received.id, received.data, received.fd) for received in frames_heard] == [
             (frame.id, frame.data, True)
         ]
@@ -154,13 +154,13 @@ def test_what_the_adapter_tells_is_read_by_the_vendors_client_and_by_us(
     frame: CanFrame, checksums: bool
 ) -> None:
     adapter = Adapter(RATE, DATA_RATE)
-    adapter.sealed = checksums
+    adapter.protected = checksums
     line, had, right = vendor._strip_and_validate_checksum(adapter.report(0, frame).strip())
     assert (had, right) == (checksums, checksums)
     read = vendors_client(checksums=checksums)[0]._parse_frame(line)
     assert (read.arbitration_id, read.data, read.is_fd) == (frame.id, frame.data, frame.fd)
     assert (read.is_extended_id, read.bitrate_switch) == (frame.extended, frame.brs)
-    assert heard_of(line.decode()) == frame
+    assert decode_received(line.decode()) == frame
 
 
 @pytest.mark.parametrize(
@@ -182,13 +182,13 @@ def test_what_the_adapter_tells_is_read_by_the_vendors_client_and_by_us(
     ],
 )
 def test_what_cannot_be_a_frame_is_none(line: str) -> None:
-    assert heard_of(line) is None
+    assert decode_received(line) is None
 
 
 def test_what_is_not_told_of_a_frame_is_taken_as_the_vendor_takes_it() -> None:
-    assert heard_of("rcv 500 21") == CanFrame(0x500, b"\x21")
-    assert heard_of("rcv 8005 21") == CanFrame(0x8005, b"\x21", True)
-    assert heard_of("rcv 500 21 F B t12345 f3") == CanFrame(0x500, b"\x21", fd=True, brs=True)
+    assert decode_received("rcv 500 21") == CanFrame(0x500, b"\x21")
+    assert decode_received("rcv 8005 21") == CanFrame(0x8005, b"\x21", True)
+    assert decode_received("rcv 500 21 F B t12345 f3") == CanFrame(0x500, b"\x21", fd=True, brs=True)
 
 
 # -- commands ------------------------------------------------------------------------------------------
@@ -252,7 +252,7 @@ def test_a_length_that_there_is_not_is_filled_up_with_zeros_on_the_wire() -> Non
 
 def test_a_bus_of_classic_can_takes_no_fd_frames_and_none_are_sent_unasked() -> None:
     adapter = Adapter(RATE)
-    assert adapter.feed(b"can send 1 01 F\n") == ([], b"ERR this bus carries classic CAN alone\r\n")
+    assert adapter.feed(b"can send 1 01 F\n") == ([], b"ERR this bus carries classic CAN only\r\n")
     assert adapter.feed(b"can send 1 01\n") == ([CanFrame(1, b"\x01")], b"OK\r\n")
 
 
@@ -277,23 +277,23 @@ FRAME = CanFrame(0x123, b"\x01")
 def test_once_a_checksum_always_checksums() -> None:
     adapter = Adapter(RATE, DATA_RATE)
     assert adapter.feed(SEND + b"\n") == ([FRAME], b"OK\r\n")
-    assert adapter.feed(sealed(SEND) + b"\n") == ([FRAME], sealed(b"OK") + b"\r\n")
-    assert adapter.report(0, FRAME) == sealed(told_of(FRAME).encode()) + b"\r\n"
+    assert adapter.feed(with_checksum(SEND) + b"\n") == ([FRAME], with_checksum(b"OK") + b"\r\n")
+    assert adapter.report(0, FRAME) == with_checksum(encode_received(FRAME).encode()) + b"\r\n"
     assert adapter.bad_checksums == 0
-    assert adapter.feed(SEND + b"\n") == ([], sealed(b"ERR checksum missing") + b"\r\n")
+    assert adapter.feed(SEND + b"\n") == ([], with_checksum(b"ERR checksum missing") + b"\r\n")
     assert (adapter.refused, adapter.bad_checksums) == (1, 1)
 
 
 def test_a_bad_checksum_changes_nothing_and_is_counted() -> None:
     """Every single bit that may be wrong in a line: it is refused, unless the line is no longer that one."""
-    line, counted = sealed(SEND), 0
+    line, counted = with_checksum(SEND), 0
     for bit in range(8 * len(line)):
         wrong = bytearray(line)
         wrong[bit // 8] ^= 1 << bit % 8
         if wrong[bit // 8] in b"\r\n":
             continue  # then it is two lines
         adapter = Adapter(RATE, DATA_RATE)
-        adapter.feed(sealed(b"can off") + b"\n" + sealed(b"can on") + b"\n")
+        adapter.feed(with_checksum(b"can off") + b"\n" + with_checksum(b"can on") + b"\n")
         received, answer = adapter.feed(bytes(wrong) + b"\n")
         if wrong.upper() == line.upper() and wrong[:-3] == line[:-3]:
             continue  # a hex digit in the other case is the same checksum
@@ -308,8 +308,8 @@ noise = st.lists(
     st.one_of(
         st.binary(max_size=30),
         st.sampled_from([b"\r", b"\n", b"can send 1", b"23 00\n", b"can off\n", b"can on\n", b"0" * 300]),
-        frames.map(lambda frame: command_of(frame).encode() + b"\n"),
-        frames.map(lambda frame: sealed(command_of(frame).encode()) + b"\r\n"),
+        frames.map(lambda frame: encode_send(frame).encode() + b"\n"),
+        frames.map(lambda frame: with_checksum(encode_send(frame).encode()) + b"\r\n"),
     ),
     max_size=30,
 )
@@ -334,7 +334,11 @@ def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[byte
         [f for received, _ in reported for f in received],
         b"".join(answer for _, answer in reported),
     ) == said
-    assert (parted.open, parted.sealed, parted.refused) == (whole.open, whole.sealed, whole.refused)
+    assert (parted.open, parted.protected, parted.refused) == (
+        whole.open,
+        whole.protected,
+        whole.refused,
+    )
     lines = [line for line in data.replace(b"\r", b"\n").split(b"\n")[:-1] if line]
     assert said[1].count(b"\r\n") == len(lines)
 
@@ -413,7 +417,7 @@ def test_a_frame_without_data_is_refused_and_said_once(
             ours.write(turn, [CanFrame(0x80), CanFrame(0x81, b"\x01")])
             assert [packet.frame for packet in bus.read(turn)[1]] == [CanFrame(0x81, b"\x01")]
             assert ours.read(turn) == ([], [])
-    assert caplog.messages == [f"fdcanusb {bus.paths[0]} answers: ERR insufficient options"]
+    assert caplog.messages == [f"fdcanusb {bus.paths[0]} replies: ERR insufficient options"]
 
 
 class Port:
@@ -443,16 +447,18 @@ def port() -> Iterator[Port]:
 def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_reading(port: Port) -> None:
     with closing(opened(port.path)) as ours:
         port.received()
-        good = sealed(told_of(FRAME).encode()) + b"\r\n"
+        good = with_checksum(encode_received(FRAME).encode()) + b"\r\n"
         wrong = good.replace(b"123", b"124")
         lines = [
             good,
             wrong,
-            told_of(FRAME).encode() + b"\r\n",
+            encode_received(FRAME).encode() + b"\r\n",
             b"\xff" * 300 + b"\n",
-            sealed(b"rcv 1") + b"\n",
+            with_checksum(b"rcv 1") + b"\n",
         ]
-        states, packets = port.says(ours, b"".join([*lines, sealed(b"hello") + b"\n", b"\r\n", good]), 7)
+        states, packets = port.says(
+            ours, b"".join([*lines, with_checksum(b"hello") + b"\n", b"\r\n", good]), 7
+        )
         assert states == []
         assert packets == [Packet(7, "can0", FRAME), Packet(7, "can0", FRAME)]
         assert ours.bad == 5
@@ -476,14 +482,14 @@ def test_checksums_follow_what_the_adapter_complains_of(port: Port) -> None:
     with closing(opened(port.path)) as ours:
         port.received()
         ours.write(0, [FRAME])
-        assert port.received() == sealed(SEND) + b"\n"
+        assert port.received() == with_checksum(SEND) + b"\n"
         port.says(ours, b"ERR unknown flag\r\n")  # as one that knows no checksums takes it
         ours.write(0, [FRAME])
         assert port.received() == SEND + b"\n"
-        assert port.says(ours, told_of(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
+        assert port.says(ours, encode_received(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
         port.says(ours, b"ERR checksum required\r\n")
         ours.write(0, [FRAME])
-        assert port.received() == sealed(SEND) + b"\n"
+        assert port.received() == with_checksum(SEND) + b"\n"
 
 
 def test_who_only_listens_hears_an_adapter_that_nobody_has_asked_for_checksums(bus: AdapterPty) -> None:
@@ -518,9 +524,9 @@ def test_an_adapter_of_another_bit_rate_is_told_with_what_to_do(
         assert ours.bad == 0
     (said,) = caplog.messages
     assert said.startswith(
-        f"fdcanusb {port.path} has a can.fd_bitrate of 2000000 bit/s, the robot file says 50"
+        f"fdcanusb {port.path} has a can.fd_bitrate of 2000000 bit/s, the robot file has 50"
     )
-    assert said.endswith("say to it: conf set can.fd_bitrate 5000000, conf write, can off, can on")
+    assert said.endswith("send it: conf set can.fd_bitrate 5000000, conf write, can off, can on")
 
 
 def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
@@ -624,7 +630,7 @@ def test_a_program_that_hangs_up_leaves_an_adapter_without_checksums_and_nothing
 ) -> None:
     for turn in range(3):
         other = os.open(bus.paths[0], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        os.write(other, sealed(SEND) + b"\n" + b"can send 12")  # and is killed in the middle of a line
+        os.write(other, with_checksum(SEND) + b"\n" + b"can send 12")  # and is killed in the middle of a line
         assert bus.read(turn) == ([BusState.BACK], [Packet(turn, "can0", FRAME)])
         bus.write(turn, [CanFrame(0x1, b"old news")])
         os.close(other)

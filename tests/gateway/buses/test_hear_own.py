@@ -81,8 +81,8 @@ def test_a_driver_is_told_the_same_by_what_is_let_in(seed: int) -> None:
 
 
 def _of_can0(robot: Robot) -> tuple[Plugin, list[Device]]:
-    found = config.devices(robot, "can0")
-    return found[0][0], [device for _, device in found]
+    motors = [motor for motor in robot.motors.values() if motor.bus == "can0"]
+    return motors[0].plugin, [motor.device for motor in motors]
 
 
 def _data(random: Random, number: int) -> bytes:

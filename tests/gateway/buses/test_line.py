@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.buses.frame_time import frame_bits, frame_time, priority
-from gateway.buses.virtual.line import Line
+from gateway.buses.virtual.medium import Medium
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND
 
@@ -91,7 +91,7 @@ def test_a_can_fd_frame_takes_no_less_than_its_bits_and_little_more_than_the_wor
 
 
 def test_can_fd_data_fill_a_length_that_there_is() -> None:
-    line = Line(MBIT, 5 * MBIT)
+    line = Medium(MBIT, 5 * MBIT)
     for length in (8, 9, 13, 33, 49):
         line.send(0, "a", CanFrame(1, b"\x50" * length, fd=True, brs=True))
     arrived = [sent.frame for sent in line.run(MILLISECOND)]
@@ -103,7 +103,7 @@ def test_can_fd_data_fill_a_length_that_there_is() -> None:
 
 def test_frames_of_both_kinds_share_a_bus() -> None:
     """The classic one wins by its id; the switched one takes less time and carries three times as much."""
-    line = Line(MBIT, 5 * MBIT)
+    line = Medium(MBIT, 5 * MBIT)
     line.send(0, "fd", CanFrame(0x501, bytes(24), fd=True, brs=True))
     line.send(0, "classic", CanFrame(0x181, bytes(8)))
     first, second = line.run(MILLISECOND)
@@ -125,7 +125,7 @@ def test_who_wins_the_arbitration() -> None:
 
 
 def test_frames_contend_and_each_sender_keeps_its_order() -> None:
-    line = Line(MBIT)
+    line = Medium(MBIT)
     frames = {name: [CanFrame(i, bytes(8)) for i in ids] for name, ids in {"a": (9, 1), "b": (5, 5)}.items()}
     for name, sent in frames.items():
         for frame in sent:
@@ -141,7 +141,7 @@ def test_frames_contend_and_each_sender_keeps_its_order() -> None:
 
 
 def test_a_frame_on_the_wire_is_not_interrupted() -> None:
-    line = Line(MBIT)
+    line = Medium(MBIT)
     line.send(0, "a", CanFrame(0x700, bytes(8)))
     assert line.run(100_000) == []
     line.send(100_000, "b", CanFrame(0x001, bytes(8)))
@@ -149,7 +149,7 @@ def test_a_frame_on_the_wire_is_not_interrupted() -> None:
 
 
 def test_bytes_go_first_come_first_served() -> None:
-    line = Line(MBIT)
+    line = Medium(MBIT)
     line.send(20_000, "late", b"x")
     line.send(10_000, "early", bytes(10))
     assert [(sent.t, sent.sender) for sent in line.run(MILLISECOND)] == [
@@ -164,7 +164,7 @@ def test_what_arrives_does_not_hang_on_how_often_one_looks() -> None:
     ids = rng.integers(0, 0x7FF, 150).tolist()
 
     def arrivals(step: int) -> list[tuple[int, str, Frame]]:
-        line, seen, index = Line(MBIT), [], 0
+        line, seen, index = Medium(MBIT), [], 0
         for now in range(0, 60 * MILLISECOND, step):
             while index < len(moments) and moments[index] <= now:
                 line.send(moments[index], "abc"[index % 3], CanFrame(ids[index], bytes(8)))
@@ -178,7 +178,7 @@ def test_what_arrives_does_not_hang_on_how_often_one_looks() -> None:
 
 
 def test_a_full_queue_drops_the_oldest_and_says_so() -> None:
-    line = Line(MBIT, limit=2)
+    line = Medium(MBIT, limit=2)
     assert line.send(0, "a", CanFrame(1))
     assert line.send(0, "a", CanFrame(2))
     assert not line.send(0, "a", CanFrame(3))

@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from gateway import config
-from gateway.__main__ import main
+from gateway.cli.main import main
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Outputs
 from gateway.errors import ConfigError

@@ -20,7 +20,7 @@ from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.pty import Pty, SerialPty
 from gateway.buses.adapters.slcan import Adapter, frame_of, line_of, rate_of
 from gateway.buses.can import open_can
-from gateway.buses.lengths import LENGTHS
+from gateway.buses.frame_time import LENGTHS
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError

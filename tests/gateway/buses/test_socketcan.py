@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from gateway.buses.can_open import check_fit, filters
+from gateway.buses.interfaces import check_fit, filters
 from gateway.buses.socketcan import bus as socketcan
-from gateway.buses.socketcan.bus import MOST_READ, OFTEN, PATIENCE, SELDOM, SocketcanBus
-from gateway.buses.socketcan.frame_struct import pack
-from gateway.buses.socketcan.link import Link, Standing
+from gateway.buses.socketcan.bus import FAST_POLL, MOST_READ, PATIENCE, SLOW_POLL, SocketcanBus
+from gateway.buses.socketcan.link import Link, Status
+from gateway.buses.socketcan.raw_socket import pack
 from gateway.buses.states import CALM
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
@@ -47,12 +47,12 @@ class End:
 class Kernel:
     """What the kernel says of can0."""
 
-    standing_: Standing | None = field(default_factory=lambda: Standing(7, up=True, running=True))
+    status_: Status | None = field(default_factory=lambda: Status(7, up=True, running=True))
     link_: Link | None = LINK
     closed: bool = False
 
-    def standing(self) -> Standing | None:
-        return self.standing_
+    def status(self) -> Status | None:
+        return self.status_
 
     def link(self) -> Link | None:
         return self.link_
@@ -188,8 +188,8 @@ def test_error_frames_are_states_and_words_and_never_data(rig: Rig, caplog: pyte
         for raw in received:
             rig.frame.send(raw)
         assert rig.bus.read(0) == ([BusState.PASSIVE, BusState.OFF], [])
-    assert caplog.text.count("nobody acknowledged what was sent") == 1
-    assert rig.bus.errors["nobody acknowledged what was sent"] == 2
+    assert caplog.text.count("no acknowledgement (no other node is active)") == 1
+    assert rig.bus.errors["no acknowledgement (no other node is active)"] == 2
     assert "sudo ip link set can0 type can restart;" in caplog.text
     assert "restart-ms 100" in caplog.text
     rig.bus.write(1, [CanFrame(1, b"lost")])
@@ -205,29 +205,29 @@ def test_a_controller_that_restarts_by_itself_is_said_to(rig: Rig, caplog: pytes
     rig.frame.send(error_frame(0x040))
     with caplog.at_level(logging.WARNING, "gateway"):
         rig.bus.read(0)
-    assert "can0 starts again by itself 100 ms after bus-off" in caplog.text
+    assert "can0 restarts by itself 100 ms after bus-off" in caplog.text
 
 
 def test_an_error_frame_that_was_lost_is_made_up_for_by_asking_the_kernel(rig: Rig) -> None:
     rig.bus.read(0)
-    rig.kernel.standing_ = Standing(7, up=True, running=False)
+    rig.kernel.status_ = Status(7, up=True, running=False)
     rig.kernel.link_ = replace(LINK, state=BusState.OFF)
-    assert rig.bus.read(SELDOM - 1) == ([], [])
-    assert rig.bus.read(SELDOM) == ([BusState.OFF], [])
+    assert rig.bus.read(SLOW_POLL - 1) == ([], [])
+    assert rig.bus.read(SLOW_POLL) == ([BusState.OFF], [])
     rig.kernel.link_ = replace(LINK, state=BusState.PASSIVE)
-    assert rig.bus.read(2 * SELDOM) == ([BusState.BACK, BusState.PASSIVE], [])
+    assert rig.bus.read(2 * SLOW_POLL) == ([BusState.BACK, BusState.PASSIVE], [])
     rig.kernel.link_ = LINK
-    assert rig.bus.read(3 * SELDOM) == ([BusState.UP], [])
+    assert rig.bus.read(3 * SLOW_POLL) == ([BusState.UP], [])
 
 
 def test_an_interface_that_goes_down_and_comes_up_keeps_what_it_heard(rig: Rig) -> None:
     rig.bus.read(0)
-    rig.kernel.standing_ = Standing(7, up=False, running=False)
+    rig.kernel.status_ = Status(7, up=False, running=False)
     assert rig.bus.read(SECOND) == ([BusState.GONE], [])
     rig.bus.write(SECOND, [CanFrame(1, b"stale")])
-    rig.kernel.standing_ = Standing(7, up=True, running=True)
+    rig.kernel.status_ = Status(7, up=True, running=True)
     rig.frame.send(pack(CanFrame(5)))
-    now = SECOND + OFTEN
+    now = SECOND + FAST_POLL
     assert rig.bus.read(now) == ([BusState.BACK], [Packet(now, "can0", CanFrame(5))])
     with pytest.raises(BlockingIOError):
         rig.frame.recv(100)
@@ -239,7 +239,7 @@ def test_an_interface_that_comes_back_as_another_one_is_opened_anew(
 ) -> None:
     """A USB adapter pulled out and put in again: the name is the same, the number and the socket are not."""
     rig.bus.read(0)
-    rig.kernel.standing_ = None
+    rig.kernel.status_ = None
     assert rig.bus.read(SECOND) == ([BusState.GONE], [])
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     opened: list[BusSettings] = []
@@ -251,13 +251,13 @@ def test_an_interface_that_comes_back_as_another_one_is_opened_anew(
         return End(ours)
 
     monkeypatch.setattr(socketcan, "_open", reopen)
-    rig.kernel.standing_ = Standing(8, up=True, running=True)
-    now = SECOND + OFTEN
+    rig.kernel.status_ = Status(8, up=True, running=True)
+    now = SECOND + FAST_POLL
     with caplog.at_level(logging.WARNING, "gateway"):
         assert rig.bus.read(now) == ([], [])
     assert "not yet" in caplog.text
     theirs.send(pack(CanFrame(6)))
-    now += OFTEN
+    now += FAST_POLL
     assert rig.bus.read(now) == ([BusState.BACK], [Packet(now, "can0", CanFrame(6))])
     assert rig.bus.read(now + SECOND) == ([], [])
     assert opened == [SETTINGS, SETTINGS]
@@ -265,13 +265,13 @@ def test_an_interface_that_comes_back_as_another_one_is_opened_anew(
 
 
 def test_one_that_comes_back_set_up_otherwise_stays_gone(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.kernel.standing_ = Standing(7, up=False, running=False)
+    rig.kernel.status_ = Status(7, up=False, running=False)
     rig.bus.read(0)
-    rig.kernel.standing_ = Standing(7, up=True, running=True)
+    rig.kernel.status_ = Status(7, up=True, running=True)
     rig.kernel.link_ = replace(LINK, bitrate=500_000)
     with caplog.at_level(logging.WARNING, "gateway"):
         assert [rig.bus.read(n * SECOND)[0] for n in (1, 2)] == [[], []]
-    assert caplog.text.count("can0 has a bitrate of 500000 bit/s, the robot file says 1000000") == 1
+    assert caplog.text.count("can0 has a bitrate of 500000 bit/s, the robot file has 1000000") == 1
     rig.kernel.link_ = LINK
     assert rig.bus.read(3 * SECOND)[0] == [BusState.BACK]
 
@@ -321,10 +321,11 @@ FD = BusSettings("fast", "canfd", "socketcan:can0", bitrate=1_000_000, data_bitr
     [
         (SETTINGS, replace(LINK, bitrate=500_000),
          ["bus 'can0' cannot be opened as 'socketcan:can0'", "can0 has a bitrate of 500000 bit/s, the robot",
-          "says 1000000", "[buses.can0]", "sudo ip link set can0 type can bitrate 1000000 restart-ms 100"]),
+          "file has 1000000", "[buses.can0]",
+          "sudo ip link set can0 type can bitrate 1000000 restart-ms 100"]),
         (FD, replace(LINK, mtu=72, data_bitrate=2_000_000),
          ["data_bitrate of 2000000", "dbitrate 5000000 fd on"]),
-        (FD, LINK, ["classic CAN alone (mtu 16)", "type can bitrate 1000000 dbitrate 5000000 fd on"]),
+        (FD, LINK, ["classic CAN only (mtu 16)", "type can bitrate 1000000 dbitrate 5000000 fd on"]),
         (FD, replace(LINK, name="vcan0", kind="vcan", bitrate=0), ["sudo ip link set vcan0 mtu 72 up"]),
     ],
 )  # fmt: skip

@@ -282,7 +282,7 @@ def heard_since(driven: Rig, start: Nanos, motor: str) -> list[Event]:
 
 def test_a_silent_motor_is_not_heard_and_does_not_hear() -> None:
     driven = rig(bench()).run(200, drive(4.0, 4.0))
-    driven.twins.silence("left")
+    driven.twins.disconnect("left")
     start = driven.now
     driven.run(200, drive(8.0, 8.0))
     assert heard_since(driven, start, "left") == []
@@ -290,7 +290,7 @@ def test_a_silent_motor_is_not_heard_and_does_not_hear() -> None:
     # Its own watchdog (100 ms) has disarmed it, so it runs out; the other one has followed.
     assert abs(driven.twins.world.shaft("left")[1]) < 1.0
     assert driven.twins.world.shaft("right")[1] == pytest.approx(8.0, rel=0.05)
-    driven.twins.unsilence("left")
+    driven.twins.reconnect("left")
     back = driven.now
     driven.run(50)
     states = [e.mode for e in heard_since(driven, back, "left") if isinstance(e, msg.State)]
@@ -364,7 +364,7 @@ def test_the_last_word_is_heard_when_time_goes_on() -> None:
 
 def test_no_such_twin() -> None:
     with pytest.raises(KeyError, match="no twin 'middle'"):
-        rig(bench()).twins.silence("middle")
+        rig(bench()).twins.disconnect("middle")
 
 
 # -- opening --------------------------------------------------------------------------------------------

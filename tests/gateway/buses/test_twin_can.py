@@ -119,7 +119,7 @@ def test_a_double_is_heard_beside_the_first() -> None:
 
 def test_a_silent_motor_goes_offline() -> None:
     host = Host(committed("bench")).run(80).run(100, drive(2.0, 2.0))
-    host.twins.silence("left")
+    host.twins.disconnect("left")
     start = host.now
     host.run(200, drive(2.0, 2.0))
     assert host.modes("left", start) == [Mode.OFFLINE]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from importlib.resources import files
 
-from gateway.buses.adapters.fdcanusb import OK, Adapter, heard_of, sealed, unprotected
-from protocols.moteus.codec import framed, parse
+from gateway.buses.adapters.fdcanusb import OK, Adapter, decode_received, split_checksum, with_checksum
+from protocols.moteus.codec import make_frame, parse
 from protocols.moteus.messages import names
 from protocols.moteus.reply import decode
 
@@ -21,19 +21,19 @@ def test_what_the_package_sends_is_a_frame_to_a_device() -> None:
     assert [(f.id, f.extended, f.fd, f.brs) for f in frames] == [(0x8005, True, True, True)]
     assert names(frames[0]) == ("position 020 021", "read")
     assert parse(frames[0].data)[1]
-    assert unprotected(answer.rstrip()) == (OK.encode(), True)
+    assert split_checksum(answer.rstrip()) == (OK.encode(), True)
 
 
 def test_what_the_package_takes_is_a_frame_of_a_device() -> None:
-    line, right = unprotected(LINES["fdcanusb_line#2"].rstrip(b"\n"))
+    line, right = split_checksum(LINES["fdcanusb_line#2"].rstrip(b"\n"))
     assert right
-    frame = heard_of(line.decode())
+    frame = decode_received(line.decode())
     assert frame is not None
     assert decode(frame.data) is None  # 22 bytes, as the package took them: no CAN FD frame has so many
-    reported = decode(framed(frame.id, frame.data).data)
+    reported = decode(make_frame(frame.id, frame.data).data)
     assert reported is not None
     assert (frame.id, reported.values[1], reported.values[0x0D]) == (0x500, -0.125, 24.5)
 
 
 def test_checksums_are_the_package_s() -> None:
-    assert sealed(b"OK") + b"\n" == LINES["fdcanusb_line#1"] == LINES["fdcanusb_line#4"]
+    assert with_checksum(b"OK") + b"\n" == LINES["fdcanusb_line#1"] == LINES["fdcanusb_line#4"]

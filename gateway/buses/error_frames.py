@@ -1,7 +1,7 @@
-"""What a CAN controller says of itself in SocketCAN's error frames (linux/can/error.h): in states, in words.
+"""SocketCAN's error frames (linux/can/error.h): the bus state that they report, and a description of each.
 
-Rules. An error frame is never data: its id is a set of classes, and its eight bytes say more of each. Some of
-it changes the bus's state; the rest is counted and told in words. Pure functions over tables.
+Rules. An error frame is never data: its id is a set of classes, and its eight bytes give details of each.
+Some of it changes the bus state; the rest is counted and logged. Pure functions over tables.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ TX_TIMEOUT, LOST_ARBITRATION, CONTROLLER, PROTOCOL, TRANSCEIVER = 0x001, 0x002, 
 NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED, COUNTERS = 0x020, 0x040, 0x080, 0x100, 0x200
 """The classes (CAN_ERR_*)."""
 PASSIVE, WARNING, ACTIVE = 0x30, 0x0C, 0x40
-"""In data[1], of the receiver and the transmitter alike: error-passive, warning; error-active again."""
+"""In data[1], of receiver and transmitter alike: error-passive, error-warning; error-active again."""
 
 _CONTROLLER = {
-    0x01: "its receive buffer overflowed: frames are lost",
-    0x02: "its transmit buffer overflowed: frames are lost",
-    0x04: "many errors while receiving (warning)",
-    0x08: "many errors while sending (warning)",
+    0x01: "receive buffer overflow: frames are lost",
+    0x02: "transmit buffer overflow: frames are lost",
+    0x04: "error-warning while receiving",
+    0x08: "error-warning while sending",
     0x10: "error-passive while receiving",
     0x20: "error-passive while sending",
     0x40: "error-active again",
 }
 _PROTOCOL = {
-    0x01: "a single bit error",
-    0x02: "a frame of a wrong form",
-    0x04: "a bit stuffing error",
+    0x01: "single bit error",
+    0x02: "form error",
+    0x04: "bit stuffing error",
     0x08: "a dominant bit could not be sent",
     0x10: "a recessive bit could not be sent",
-    0x20: "a bus overload",
-    0x40: "an active error announcement",
+    0x20: "bus overload",
+    0x40: "active error announcement",
 }
 _SENDING = 0x80
 """In data[2]: it happened while sending."""
@@ -81,7 +81,7 @@ _TRANSCEIVER = {
 
 
 def state_of(error: CanError) -> BusState | None:
-    """The state that the line is in after this; None if it says nothing of that."""
+    """Return the bus state that an error frame reports; None if it reports none."""
     if error.classes & BUS_OFF:
         return BusState.OFF
     if error.classes & RESTARTED:
@@ -89,31 +89,31 @@ def state_of(error: CanError) -> BusState | None:
     if error.classes & CONTROLLER:
         if error.data[1] & PASSIVE:
             return BusState.PASSIVE
-        if error.data[1] & (ACTIVE | WARNING):  # a warning level is reached from above, too
+        if error.data[1] & (ACTIVE | WARNING):  # the warning level is reached from above, too
             return BusState.UP
     return None
 
 
 def kinds(error: CanError) -> Iterator[str]:
-    """What it says, a few words for each thing, without numbers that differ from one to the next."""
+    """Describe each error in the frame, without the counters, which differ from one frame to the next."""
     classes, data = error.classes, error.data
     if classes & TX_TIMEOUT:
-        yield "the controller did not send in time"
+        yield "transmit timeout of the controller"
     if classes & LOST_ARBITRATION:
-        yield "arbitration was lost"
+        yield "arbitration lost"
     if classes & CONTROLLER:
-        yield from (words for bit, words in _CONTROLLER.items() if data[1] & bit)
+        yield from (text for bit, text in _CONTROLLER.items() if data[1] & bit)
     if classes & PROTOCOL:
         yield from _protocol(data[2], data[3])
     if classes & TRANSCEIVER:
         halves = (data[4] & 0x0F, data[4] & 0xF0)
         yield from (_TRANSCEIVER.get(half, f"transceiver error 0x{half:02X}") for half in halves if half)
     if classes & NO_ACK:
-        yield "nobody acknowledged what was sent"
+        yield "no acknowledgement (no other node is active)"
     if classes & BUS_OFF:
         yield "bus-off"
     if classes & BUS_ERROR and not classes & (PROTOCOL | NO_ACK):
-        yield "an error on the bus"
+        yield "bus error"
     if classes & RESTARTED:
         yield "restarted after bus-off"
 
@@ -121,17 +121,13 @@ def kinds(error: CanError) -> Iterator[str]:
 def _protocol(kind: int, place: int) -> Iterator[str]:
     where = f", at: {_PLACES[place]}" if place in _PLACES else ""
     when = " while sending" if kind & _SENDING else ""
-    found = [words for bit, words in _PROTOCOL.items() if kind & bit] or ["a protocol violation"]
-    yield from (f"{words}{when}{where}" for words in found)
+    found = [text for bit, text in _PROTOCOL.items() if kind & bit] or ["protocol violation"]
+    yield from (f"{text}{when}{where}" for text in found)
 
 
-def counters(error: CanError) -> tuple[int, int] | None:
-    """The controller's error counters (sending, receiving), where the frame brings them."""
-    return (error.data[6], error.data[7]) if error.classes & COUNTERS else None
-
-
-def sentence(error: CanError) -> str:
-    """All of it in one line."""
-    said = "; ".join(kinds(error)) or f"error frame of class 0x{error.classes:X}"
-    count = counters(error)
-    return f"{said} (error counters: {count[0]} sending, {count[1]} receiving)" if count else said
+def describe(error: CanError) -> str:
+    """Describe an error frame in one line, with the controller's error counters where the frame has them."""
+    text = "; ".join(kinds(error)) or f"error frame of class 0x{error.classes:X}"
+    if error.classes & COUNTERS:
+        text += f" (error counters: {error.data[6]} sending, {error.data[7]} receiving)"
+    return text
