@@ -22,7 +22,7 @@ from gateway import config
 from gateway.config import resources
 from gateway.core.clock import WallClock, processor_time, stopwatch
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, by_plugin, decoder_of
+from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
 from gateway.recording import Recorder, read
 from gateway.replay.compare import compare
@@ -129,7 +129,7 @@ def _whole(made: Drive) -> None:
 def _protocols(made: Drive) -> None:
     """What the drivers make of all that came in, and nothing else."""
     drivers = {
-        bus: [plugin.driver(devices) for plugin, devices in by_plugin(made.robot, bus)]
+        bus: [plugin.driver(devices) for plugin, devices in made.robot.by_protocol(bus)]
         for bus in made.robot.buses
     }
     for tick in made.ticks:

@@ -2,28 +2,42 @@
 
     GatewayError
     ├── ConfigError          the robot file is wrong: every mistake in it, one line each
-    ├── ProtocolNotFound     no installed plugin has this name, or the one that has it is broken
+    ├── ProtocolNotFound     no installed plugin has this name, or the plugin is broken
     ├── BusError             an interface cannot be opened, or cannot do what the robot file asks of it
     ├── RecordingError       a file cannot be written, or is no recording that this program can read
-    ├── BagError             a bag of another program cannot be read, or lacks what is to be judged
+    ├── BagError             a bag of another program cannot be read, or lacks what the evaluation needs
     ├── OperatorError        a running robot cannot be reached, or its socket cannot be opened
-    └── UserError            anything else that the caller can mend; its text is a sentence for a person
+    └── UserError            anything else that the caller can correct
 
-`str` of each is a sentence, or several lines of them: what, where, what was expected, what to do. Anything
-else that is raised is a defect of the gateway. What comes in on a wire never raises.
+`str` of each is one or more sentences for the user: what, where, what was expected, what to do. Anything
+else that is raised is a defect of the gateway. What a bus delivers never raises.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from gateway.config.errors import Mistake
+from dataclasses import dataclass
 
 
 class GatewayError(Exception):
     """Base class of all errors that the gateway raises on purpose."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """One mistake in a robot or world file."""
+
+    file: str
+    line: int
+    """Counted from 1; 0 if the mistake concerns the file as a whole."""
+    key: str
+    """Dotted, as it would be written in the file; "" if the mistake concerns the file as a whole."""
+    text: str
+    """What was found, what was expected, and the nearest valid name."""
+
+    def __str__(self) -> str:
+        place = f"{self.file}:{self.line}" if self.line else self.file
+        return f"{place}: {self.key}: {self.text}" if self.key else f"{place}: {self.text}"
 
 
 class ConfigError(GatewayError, ValueError):
@@ -35,7 +49,7 @@ class ConfigError(GatewayError, ValueError):
 
 
 class ProtocolNotFound(GatewayError, LookupError):
-    """No installed plugin has this name, or the one that has it is broken."""
+    """No installed plugin has this name, or the plugin is broken."""
 
 
 class BusError(GatewayError):
@@ -47,7 +61,7 @@ class RecordingError(GatewayError):
 
 
 class BagError(GatewayError):
-    """A bag cannot be read, or lacks what is to be judged."""
+    """A bag cannot be read, or lacks what the evaluation needs."""
 
 
 class OperatorError(GatewayError):
@@ -55,4 +69,4 @@ class OperatorError(GatewayError):
 
 
 class UserError(GatewayError):
-    """Something else that the caller can mend; the text says what and how."""
+    """Something else that the caller can correct; the text says what and how."""

@@ -1,11 +1,13 @@
-"""The robot file (TOML) turned into a `Robot`: every mistake in it at once, before anything moves.
+"""The robot file (TOML) → a `Robot`: every mistake in it at once, before anything moves.
 
-Exports load_robot, parse_robot, with_interfaces, devices, describe. Knows the protocols' and the
-brain's settings only by their own dataclasses. Must not import buses, recordings, or the runtime.
+Knows the settings of protocols, joints and brain only by their own dataclasses. Must not import buses,
+recordings, simulation or the runtime.
 """
 
+from __future__ import annotations
+
 from gateway.config.describe import describe
-from gateway.config.robot_file import devices, load_robot, parse_robot, with_interfaces
+from gateway.config.robot_file import load_robot, parse_robot, with_interfaces
 from gateway.config.validate import cautions
 
-__all__ = ["cautions", "describe", "devices", "load_robot", "parse_robot", "with_interfaces"]
+__all__ = ["cautions", "describe", "load_robot", "parse_robot", "with_interfaces"]

@@ -1,63 +1,44 @@
-"""Mistakes in a robot file: all of them at once, each with file, line, key and what would be right.
+"""Collecting the mistakes in a configuration file: each with its line, its key and what would be right.
 
-Rules. A mistake is a sentence for a person who has the file open. Nothing is raised on the first one:
-they are gathered, told in the order of the file, each once, and raised together.
+Rules. A mistake is a sentence for the person who has the file open. The first one does not raise: they are
+collected, each once, sorted in the order of the file, and raised together.
 """
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import date, datetime, time
 from typing import TypeAlias
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, Mistake
+from protocols.suggest import did_you_mean
 
 Key: TypeAlias = tuple[str, ...]
-"""A key of the robot file, part by part: ("motors", "left", "gear")."""
-
-
-@dataclass(frozen=True, slots=True)
-class Mistake:
-    """One mistake in a robot file."""
-
-    file: str
-    line: int
-    """Counted from 1; 0 if the mistake is about the file as a whole."""
-    key: str
-    """Dotted, as it would be written in the file; "" if it is about the file as a whole."""
-    text: str
-    """What was found, what was expected, and the nearest right name."""
-
-    def __str__(self) -> str:
-        place = f"{self.file}:{self.line}" if self.line else self.file
-        return f"{place}: {self.key}: {self.text}" if self.key else f"{place}: {self.text}"
+"""A key of the file, part by part: ("motors", "left", "gear")."""
+INT64 = range(-(2**63), 2**63)
+"""The integers of TOML."""
 
 
 class Mistakes:
-    """What is wrong with one file so far."""
+    """The mistakes found in one file so far."""
 
     def __init__(self, file: str, text: str) -> None:
         self.file = file
         self._lines = lines(text)
         self._found: dict[Mistake, None] = {}
 
-    def __len__(self) -> int:
-        return len(self._found)
-
     def add(self, key: Key, text: str, line: int = 0) -> None:
-        """Note a mistake at a key, or at a line if it has none.
+        """Add a mistake at a key, or at a line if it has no key.
 
-        A default that many inherit is told once, where it stands.
+        A value that several devices inherit from `defaults` is reported once, at its own line.
         """
         if key:
-            key, line = self._place(key)
+            key, line = self._locate(key)
         self._found[Mistake(self.file, line, ".".join(key), text)] = None
 
     def error(self) -> ConfigError:
-        """All of them, in the order of the file."""
+        """Return all of them, in the order of the file."""
         return ConfigError(sorted(self._found, key=lambda mistake: mistake.line))
 
     def check(self) -> None:
@@ -65,8 +46,8 @@ class Mistakes:
         if self._found:
             raise self.error()
 
-    def _place(self, path: Key) -> tuple[Key, int]:
-        """The key as it stands in the file (an inherited one stands in `defaults`), and its line."""
+    def _locate(self, path: Key) -> tuple[Key, int]:
+        """Return the key as written in the file (an inherited one is written in `defaults`), and its line."""
         inherited = ("defaults", path[0], *path[2:]) if len(path) > 2 else ()
         for size in range(len(path), 0, -1):
             if path[:size] in self._lines:
@@ -80,10 +61,12 @@ _PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
 _KEY = rf"{_PART}(?:\s*\.\s*{_PART})*"
 _HEADER = re.compile(rf"\s*\[\s*({_KEY})\s*\]")
 _PAIR = re.compile(rf"\s*({_KEY})\s*=")
+_MAX_PARTS = 16
+"""Parts of a key that are listed; no dataclass of ours is nested as deep."""
 
 
 def lines(text: str) -> dict[Key, int]:
-    """The line (from 1) at which each table and key of a TOML text begins.
+    """Return the line (from 1) at which each table and key of a TOML text begins.
 
     Keys inside an inline table or array are not listed: they share the line of its key.
     """
@@ -92,28 +75,19 @@ def lines(text: str) -> dict[Key, int]:
     in_string = False
     for number, line in enumerate(text.splitlines(), 1):
         header, pair = _HEADER.match(line), _PAIR.match(line)
-        if not in_string and header:
-            table = _parts(header[1])
-            _note(found, table, number)
-        elif not in_string and pair:
-            _note(found, table + _parts(pair[1]), number)
+        if not in_string and (header or pair):
+            parts = re.findall(_PART, (header or pair or "")[1])
+            path = (() if header else table) + tuple(part.strip("\"'") for part in parts)
+            for size in range(1, min(len(path), _MAX_PARTS) + 1):  # a dotted key makes tables, too
+                found.setdefault(path[:size], number)
+            table = path if header else table
         if (line.count('"""') + line.count("'''")) % 2:
             in_string = not in_string
     return found
 
 
-def _parts(key: str) -> Key:
-    return tuple(part.strip("\"'") for part in re.findall(_PART, key))
-
-
-def _note(found: dict[Key, int], path: Key, number: int) -> None:
-    """Note a key, and the tables that it makes by being dotted."""
-    for size in range(1, len(path) + 1):
-        found.setdefault(path[:size], number)
-
-
 def shown(value: object) -> str:
-    """A value as it stands in the file."""
+    """Return a value as it is written in the file, shortened."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -124,13 +98,13 @@ def shown(value: object) -> str:
         return "an array"
     if isinstance(value, datetime | date | time):
         return value.isoformat()
+    if isinstance(value, int) and value not in INT64:
+        return "an integer of more than 64 bits"
     return repr(value)
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """The sentence for a name that is not known: the nearest right one, and what there is."""
+    """Return the sentence for an unknown name: what there is, and the nearest valid name."""
     names = list(known)
-    near = difflib.get_close_matches(name, names, 1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
     there = f"there is {', '.join(names)}" if names else "there is none"
-    return f"no {what} {name!r}: {there}{hint}"
+    return f"no {what} {name!r}: {there}{did_you_mean(name, names)}"

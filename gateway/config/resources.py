@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
 from gateway.errors import UserError
+from protocols.suggest import did_you_mean
 
 
 def find(kind: Literal["robots", "worlds"], name: str) -> Path:
-    """The file of that path, or the shipped one of that name. Raises UserError with what there is."""
+    """Return the file of that path, or the shipped one of that name. Raises UserError with what there is."""
     path = Path(name)
     if path.suffix == ".toml" or "/" in name:
         if path.is_file():
@@ -20,8 +20,5 @@ def find(kind: Literal["robots", "worlds"], name: str) -> Path:
     shipped = {p.stem: p for p in sorted(Path(str(files("gateway.fixtures") / kind)).glob("*.toml"))}
     if name in shipped:
         return shipped[name]
-    near = difflib.get_close_matches(name, shipped, 1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise UserError(
-        f"{name!r} is neither a .toml file nor one of the shipped {kind}: {', '.join(shipped)}{hint}"
-    )
+    known = f"one of the shipped {kind}: {', '.join(shipped)}"
+    raise UserError(f"{name!r} is neither a .toml file nor {known}{did_you_mean(name, shipped)}")

@@ -1,76 +1,58 @@
-"""The robot file → a Robot: the composition root. Read here, and nowhere else, what a robot is made of.
+"""The robot file → a Robot: the one place that decides what a robot consists of.
 
-Rules. A wrong file raises `ConfigError` with every mistake at once, before anything moves; a right one
+Rules. A wrong file raises `ConfigError` with every mistake at once, before anything moves; a valid one
 gives a `Robot`, which is values only. Nothing can be switched off: limits, timeouts and rates are
-positive finite numbers. What a protocol, a joint or the brain can be told is typed by their own
-dataclasses, so this file knows no setting of theirs by name. Files are TOML (toml.io, version 1.0.0).
+positive finite numbers. The settings of a protocol, a joint or the brain are typed by their own
+dataclasses, so this file knows none of them by name. Files are TOML (toml.io, version 1.0.0).
 
-    name, rate_hz, world, seed          the robot; `world` is what stands behind the twins
-    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate; receive_filter, shared_bus
+    name, rate_hz, world, seed          the robot; `world` is the simulated world behind the twins
+    [buses.NAME]                        kind, interface, bitrate and data_bitrate, or baudrate,
+                                        receive_filter, shared_bus
     [motors.NAME]                       protocol, bus, address, and a joint's settings (gateway.core.joint)
     [motors.NAME.limits]                velocity, acceleration, torque, position
-    [motors.NAME.options]               what our driver should do: the protocol's own
+    [motors.NAME.options]               what the driver should do: the protocol's own
     [motors.NAME.settings]              what is configured on the device: the protocol's own, for its twin
     [sensors.NAME]                      protocol, bus, address, mount, timeout_ms, options, settings
-    [defaults.motors] …                 what every motor (bus, sensor) has that does not say otherwise
-    [brain]                             brain.brain.BrainSettings
-    [bag]                               gateway.core.robot.BagTopics: what the topics of a foreign bag are
+    [defaults.motors] …                 defaults for every motor (bus, sensor)
+    [brain]                             brain.settings.BrainSettings
+    [bag]                               gateway.core.robot.BagTopics: the topics of a foreign bag
 """
 
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import inf
 from pathlib import Path
+from typing import Annotated
 
 from brain.settings import BrainSettings
 from gateway.config import resources, validate
-from gateway.config.describe import describe
 from gateway.config.errors import Mistakes, shown, unknown
-from gateway.config.schema import build, positive
-from gateway.config.sections import Find, Table, check_interface, only_own, read_bus, read_motor, read_sensor
-from gateway.config.validate import cautions, check_bag
-from gateway.core.robot import BagTopics, BusSettings, Motor, Robot, Sensor
+from gateway.config.schema import build, read_toml
+from gateway.config.sections import Find, Table, check_interface, own_ids, read_bus, read_motor, read_sensor
+from gateway.core.bounds import Bounds
+from gateway.core.robot import BagTopics, BusDevice, Robot
 from gateway.errors import UserError
 from protocols import plugin
 from protocols.messages import SECOND
-from protocols.plugin import Device, Plugin
-
-__all__ = [
-    "BusSettings",
-    "Motor",
-    "Robot",
-    "Sensor",
-    "cautions",
-    "describe",
-    "devices",
-    
-    
-    "with_interfaces",
-]
 
 GROUPS = ("buses", "motors", "sensors")
 SECTIONS = (*GROUPS, "defaults", "brain", "bag")
 RESERVED = ("all", "brain", "operator", "scan")
-"""Names that stand for something else in what an operator says or a note is about."""
+"""Names with another meaning in an operator's commands or as the source of a note."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Top:
     name: str
-    rate_hz: float = 200.0
+    rate_hz: Annotated[float, "steps per second", Bounds(above=0.0, most=2000.0)] = 200.0
     world: str | None = None
-    seed: int = 0
-
-
-# -- what others call --------------------------------------------------------------------------
+    seed: Annotated[int, Bounds(least=0)] = 0
 
 
 def load_robot(path: Path, find: Find = plugin.load) -> Robot:
-    """Read a robot file. Raises ConfigError with every mistake in it, or that it cannot be read."""
+    """Read a robot file. Raises ConfigError with every mistake in it, or with why it cannot be read."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -83,56 +65,50 @@ def load_robot(path: Path, find: Find = plugin.load) -> Robot:
 def parse_robot(
     text: str, name: str = "robot.toml", find: Find = plugin.load, *, with_world: bool = False
 ) -> Robot:
-    """A robot from the text of its file; `name` is the file's in mistakes, `find` knows the protocols.
+    """Make a robot from the text of its file.
 
-    Whether its world is there is only looked at `with_world`: a replay needs none."""
+    `name` is the file's in mistakes, `find` returns a protocol by its name. The world is only looked for
+    `with_world`: a replay needs none. Raises ConfigError with every mistake."""
     mistakes = Mistakes(name, text)
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        place = re.search(r"line (\d+)", str(error))
-        mistakes.add((), f"not TOML: {error}", int(place[1]) if place else 0)
-        raise mistakes.error() from error
+    table = read_toml(text, mistakes)
     defaults = _section(table, "defaults", mistakes, GROUPS)
     groups = {group: _group(table, group, defaults.get(group, {}), mistakes) for group in GROUPS}
     top = build(_Top, table, (), mistakes, also=SECTIONS)
-    _check_top(table, mistakes)
-    if with_world:
-        _check_world(table.get("world"), mistakes)
+    robot_name, world = table.get("name"), table.get("world")
+    if isinstance(robot_name, str) and not re.fullmatch(r"[A-Za-z0-9_-]+", robot_name):
+        mistakes.add(("name",), f"found {shown(robot_name)}, expected letters, digits, _ and -")
+    if with_world and isinstance(world, str):
+        try:
+            resources.find("worlds", world)
+        except UserError as error:
+            mistakes.add(("world",), str(error))
 
     known = tuple(groups["buses"])
     buses = {n: bus for n, t in groups["buses"].items() if (bus := read_bus(n, t, mistakes))}
     motors = {n: m for n, t in groups["motors"].items() if (m := read_motor(n, t, known, find, mistakes))}
     sensors = {n: s for n, t in groups["sensors"].items() if (s := read_sensor(n, t, known, find, mistakes))}
+    for n, bus in buses.items():
+        if groups["buses"][n].get("receive_filter") == "own":
+            devices: list[BusDevice] = [*motors.values(), *sensors.values()]
+            buses[n] = replace(bus, receive_filter=own_ids([one.spec for one in devices if one.bus == n]))
     if "brain" not in table:
-        mistakes.add(("brain",), "missing; expected a table [brain] that says which body")
+        mistakes.add(("brain",), "missing; expected a table [brain] that names the body")
     brain = build(BrainSettings, table.get("brain", {}), ("brain",), mistakes)
     bag = build(BagTopics, table["bag"], ("bag",), mistakes) if "bag" in table else None
 
-    period = round(SECOND / top.rate_hz) if top and top.rate_hz > 0 else 0
+    period = round(SECOND / top.rate_hz) if top else 0
     validate.check_devices(buses, motors, sensors, period, mistakes)
     validate.check_brain(table.get("brain"), tuple(groups["motors"]), tuple(groups["sensors"]), mistakes)
-    for n, bus in buses.items():
-        specs = [m.spec for m in motors.values() if m.bus == n] + [
-            s.spec for s in sensors.values() if s.bus == n
-        ]
-        buses[n] = replace(bus, receive_filter=only_own(groups["buses"][n], specs))
     if bag is not None and brain is not None:
-        check_bag(bag, brain.body, tuple(groups["sensors"]), mistakes)
+        validate.check_bag(bag, brain.body, tuple(groups["sensors"]), mistakes)
     mistakes.check()
     if top is None or brain is None:
-        raise AssertionError("a part is missing, and no mistake was told")
+        raise AssertionError("a section is missing, and no mistake was added")
     return Robot(top.name, text, period, top.world, top.seed, buses, motors, sensors, brain, bag)
 
 
-def devices(robot: Robot, bus: str) -> list[tuple[Plugin, Device]]:
-    """The devices on a bus, in the order of the file: motors first, then sensors."""
-    parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]
-    return [(part.plugin, part.device) for part in parts if part.bus == bus]
-
-
 def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
-    """The robot with some of its buses on other interfaces: {"can0": "socketcan:vcan0"}.
+    """Return the robot with some of its buses on other interfaces: {"can0": "socketcan:vcan0"}.
 
     Raises ConfigError for buses that the robot does not have and for what is not INTERFACE:CHANNEL.
     """
@@ -148,11 +124,11 @@ def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
     return replace(robot, buses=buses)
 
 
-# -- parts of the file -------------------------------------------------------------------------
+# -- sections ----------------------------------------------------------------------------------
 
 
 def _section(table: Table, name: str, mistakes: Mistakes, known: tuple[str, ...] = ()) -> dict[str, Table]:
-    """A table of tables; whatever is none of these is told and left out."""
+    """Return a table of tables; what is none of these is a mistake and left out."""
     section = table.get(name, {})
     if not isinstance(section, dict):
         mistakes.add((name,), f"found {shown(section)}, expected tables: [{name}.NAME]")
@@ -166,7 +142,7 @@ def _section(table: Table, name: str, mistakes: Mistakes, known: tuple[str, ...]
 
 
 def _group(table: Table, group: str, defaults: Table, mistakes: Mistakes) -> dict[str, Table]:
-    """The buses, motors or sensors by name, each with the defaults of its group."""
+    """Return the buses, motors or sensors by name, each with the defaults of its group."""
     named = _section(table, group, mistakes)
     if not named and group != "sensors":
         mistakes.add((group,), f"missing; expected at least one table [{group}.NAME]")
@@ -181,28 +157,9 @@ def _group(table: Table, group: str, defaults: Table, mistakes: Mistakes) -> dic
 
 
 def _merged(defaults: Table, own: Table) -> Table:
-    """A table with what it does not say taken from the defaults, all the way down."""
+    """Return a table with its missing keys taken from the defaults, at every depth."""
     merged = dict(defaults)
     for key, value in own.items():
         below = merged.get(key)
         merged[key] = _merged(below, value) if isinstance(below, dict) and isinstance(value, dict) else value
     return merged
-
-
-def _check_top(table: Table, mistakes: Mistakes) -> None:
-    positive(table, (), ("rate_hz",), mistakes)
-    rate, name, seed = table.get("rate_hz"), table.get("name"), table.get("seed")
-    if isinstance(rate, int | float) and 2000 < rate < inf:
-        mistakes.add(("rate_hz",), f"found {shown(rate)}, expected at most 2000 steps per second")
-    if isinstance(name, str) and not re.fullmatch(r"[A-Za-z0-9_-]+", name):
-        mistakes.add(("name",), f"found {shown(name)}, expected letters, digits, _ and -")
-    if isinstance(seed, int) and not 0 <= seed < 2**63:
-        mistakes.add(("seed",), f"found {shown(seed)}, expected an integer from 0 to 2**63 - 1")
-
-
-def _check_world(world: object, mistakes: Mistakes) -> None:
-    if isinstance(world, str):
-        try:
-            resources.find("worlds", world)
-        except UserError as error:
-            mistakes.add(("world",), str(error))

@@ -1,34 +1,30 @@
-"""What must hold between the parts of a robot file, each right by itself; and what a person must be told.
+"""What must hold between the sections of a robot file, each valid by itself; and what to warn the user of.
 
-Rules. Each check tells its own mistakes and leaves the others to the rest; parts that were wrong by
+Rules. Each check adds its own mistakes and leaves the others to the rest; sections that are invalid by
 themselves are not among those given.
+
+On a CAN bus nothing is addressed: a device obeys every frame with an id that it listens to, whatever it was
+meant for. So two protocols may share no id, in either direction: a command would be obeyed by another device
+(0x080 addresses a whole bus in one protocol, and is a node's own in another), a report be taken for a command
+or for the report of another device, and two devices that send the same id at once destroy each other's
+frames. An 11-bit id and a 29-bit one of the same number are two ids. Devices of one protocol are its own
+matter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from itertools import combinations
-from typing import Literal
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import combinations, permutations
+from typing import Literal, TypeAlias
 
 from brain.settings import BrainSettings
 from gateway.config.errors import Key, Mistakes, shown, unknown
-from gateway.config.schema import positive
-from gateway.config.sharing import Part, clash, mixed
-from gateway.core.robot import BagTopics, BusSettings, Motor, Robot, Sensor
+from gateway.core.robot import BagTopics, BusDevice, BusSettings, Motor, Robot, Sensor, by_protocol
 from protocols.messages import MILLISECOND, Nanos, Velocity
-from protocols.plugin import FeedbackKind
+from protocols.plugin import FeedbackKind, Spec
 
 _CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
-"""Which kinds of bus carry a device's wires: a classic CAN device may stand on a CAN FD bus."""
-
-
-def check_limits(limits: object, at: Key, mistakes: Mistakes) -> None:
-    """Every limit of a joint is greater than zero, and the lowest position is below the highest."""
-    positive(limits, at, ("velocity", "acceleration", "torque"), mistakes)
-    position = limits.get("position") if isinstance(limits, Mapping) else None
-    match position:
-        case [int() | float() as low, int() | float() as high] if low >= high:
-            mistakes.add((*at, "position"), f"found [{low}, {high}], expected the lowest first")
+"""Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus."""
 
 
 def check_devices(
@@ -38,86 +34,77 @@ def check_devices(
     period: Nanos,
     mistakes: Mistakes,
 ) -> None:
-    """Devices against their buses, against each other, and a joint's settings against its device."""
-    parts: list[tuple[Key, Part]] = [
+    """Check devices against their buses, against each other, and a joint's settings against its device."""
+    placed: list[tuple[Key, BusDevice]] = [
         *((("motors", name), motor) for name, motor in motors.items()),
         *((("sensors", name), sensor) for name, sensor in sensors.items()),
     ]
-    for at, part in parts:
-        bus = buses.get(part.bus)
-        if bus and bus.kind not in _CARRIES[part.spec.bus]:
-            kinds = " or ".join(_CARRIES[part.spec.bus])
-            said = f"{part.plugin.name} needs a bus of kind {kinds}, and {bus.name!r} is {bus.kind}"
-            mistakes.add((*at, "bus"), said)
-    for (_, first), (at, second) in combinations(parts, 2):
+    for at, device in placed:
+        bus = buses.get(device.bus)
+        if bus and bus.kind not in _CARRIES[device.spec.bus]:
+            kinds = " or ".join(_CARRIES[device.spec.bus])
+            text = f"{device.plugin.name} needs a bus of kind {kinds}, and {bus.name!r} is {bus.kind}"
+            mistakes.add((*at, "bus"), text)
+    for (_, first), (at, second) in combinations(placed, 2):
         if first.bus == second.bus:
             _check_pair(first, at, second, mistakes)
-    _check_together([part for _, part in parts], mistakes)
+    for bus_name in dict.fromkeys(device.bus for _, device in placed):
+        _check_drivers(bus_name, [device for _, device in placed if device.bus == bus_name], mistakes)
     for name, motor in motors.items():
         _check_motor(("motors", name), motor, period, mistakes)
 
 
-def _check_together(parts: Sequence[Part], mistakes: Mistakes) -> None:
-    """What one driver says of its devices on a bus together: options that are the bus's own must agree."""
-    groups: dict[tuple[str, str], list[Part]] = {}
-    for part in parts:
-        groups.setdefault((part.bus, part.plugin.name), []).append(part)
-    for (bus, language), group in groups.items():
-        devices = [part.device for part in group]
-        if len({device.address for device in devices}) < len(devices):
-            continue  # told already, one by one
-        try:
-            group[0].plugin.driver(devices)
-        except Exception as error:  # noqa: BLE001 -- a third party's driver may raise anything
-            kind = (
-                ""
-                if isinstance(error, ValueError)
-                else f" is broken: its driver raises {type(error).__name__}"
-            )
-            mistakes.add(("buses", bus), f"{language}{kind}: {error}")
-
-
-def _check_pair(first: Part, at: Key, second: Part, mistakes: Mistakes) -> None:
-    """Two devices on one bus do not answer to the same address, nor use each other's ids."""
+def _check_pair(first: BusDevice, at: Key, second: BusDevice, mistakes: Mistakes) -> None:
+    """Check that two devices on one bus have different addresses, and do not use each other's ids."""
     if first.plugin.name == second.plugin.name:
         if first.device.address == second.device.address:
-            said = f"{first.name!r} has address {first.device.address} on bus {first.bus!r} too"
-            mistakes.add((*at, "address"), f"{said}; expected an address of its own")
-        return
-    if said := clash(first, second):
+            text = f"{first.name!r} has address {first.device.address} on bus {first.bus!r} too"
+            mistakes.add((*at, "address"), f"{text}; expected an address of its own")
+    elif text := id_conflict(first, second):
         remedy = "expected another address or bus, or an option that moves its ids"
-        mistakes.add((*at, "address"), f"{said}; {remedy}")
+        mistakes.add((*at, "address"), f"{text}; {remedy}")
+
+
+def _check_drivers(bus: str, devices: Sequence[BusDevice], mistakes: Mistakes) -> None:
+    """Check what each driver requires of its devices on a bus together: options of the bus must agree."""
+    for plugin, group in by_protocol(devices):
+        if len({one.device.address for one in group}) < len(group):
+            continue  # reported by _check_pair
+        try:
+            plugin.driver([one.device for one in group])
+        except ValueError as error:
+            mistakes.add(("buses", bus), f"{plugin.name}: {error}")
+        except Exception as error:  # noqa: BLE001 -- a third party's driver may raise anything
+            text = f"{plugin.name} is broken: its driver raises {type(error).__name__}: {error}"
+            mistakes.add(("buses", bus), text)
 
 
 def _check_motor(at: Key, motor: Motor, period: Nanos, mistakes: Mistakes) -> None:
     joint, spec = motor.joint, motor.spec
-    if joint.stop_action == "hold" and not spec.holds_unattended:  # a silent brain's Hold is fed by the joint
-        why = "with nobody feeding it, the device lets go of its load (its watchdog)"
+    if joint.stop_action == "hold" and not spec.holds_unattended:  # at exit, nothing feeds Hold any more
+        why = "without commands from its host, the device lets go of its load (its watchdog)"
         mistakes.add((*at, "stop_action"), f'found "hold", expected "idle": {why}')
     if joint.stop_action == "brake" and Velocity not in spec.commands:
-        mistakes.add(
-            (*at, "stop_action"), 'found "brake", expected "idle": the device takes no velocity to brake by'
-        )
+        why = "the device takes no velocity to brake by"
+        mistakes.add((*at, "stop_action"), f'found "brake", expected "idle": {why}')
+    timeouts = [("command_timeout_ms", joint.command_timeout, "the robot steps", period)]
     if spec.feedback is not FeedbackKind.NONE:
-        reports = ("the device reports", spec.feedback_period)
-        _check_longer((*at, "feedback_timeout_ms"), joint.feedback_timeout, reports, mistakes)
-    _check_longer((*at, "command_timeout_ms"), joint.command_timeout, ("the robot steps", period), mistakes)
-
-
-def _check_longer(at: Key, timeout: Nanos, cycle: tuple[str, Nanos], mistakes: Mistakes) -> None:
-    """A timeout is longer than the cycle of what it waits for."""
-    what, period = cycle
-    if 0 < timeout <= period:
-        every = f"{what} every {period / MILLISECOND:g} ms"
-        mistakes.add(at, f"found {timeout / MILLISECOND:g} ms, but {every}; expected more than that")
+        reports = spec.feedback_period
+        timeouts.append(("feedback_timeout_ms", joint.feedback_timeout, "the device reports", reports))
+    for key, timeout, what, cycle in timeouts:
+        if timeout <= cycle:
+            every = f"{what} every {cycle / MILLISECOND:g} ms"
+            mistakes.add(
+                (*at, key), f"found {timeout / MILLISECOND:g} ms, but {every}; expected more than that"
+            )
 
 
 _MOTORS = {"differential": ("left", "right"), "joints": ("motors",)}
-"""Where a body's table names its motors."""
+"""Keys of a body's table that name motors."""
 
 
 def check_brain(brain: object, motors: Sequence[str], sensors: Sequence[str], mistakes: Mistakes) -> None:
-    """The body's own table is there, and the motors that it names too. `brain` is as in the file."""
+    """Check that the body's own table and the motors that it names exist. `brain` is as in the file."""
     if not isinstance(brain, Mapping):
         return
     body = brain.get("body", BrainSettings().body)
@@ -129,96 +116,181 @@ def check_brain(brain: object, motors: Sequence[str], sensors: Sequence[str], mi
     if not isinstance(table, Mapping):
         return
     for key in _MOTORS[body]:
-        key_path, found = ("brain", body, key), table.get(key, [])
+        found = table.get(key, [])
         for name in found if isinstance(found, list) else [found]:
             if isinstance(name, str) and name not in motors:
-                said = f"{name!r} is a sensor; there is " + ", ".join(motors)
-                mistakes.add(key_path, said if name in sensors else unknown("motor", name, motors))
+                sensor = f"{name!r} is a sensor; there is {', '.join(motors)}"
+                text = sensor if name in sensors else unknown("motor", name, motors)
+                mistakes.add(("brain", body, key), text)
+
+
+def check_bag(
+    bag: BagTopics, body: Literal["differential", "joints"], sensors: Collection[str], mistakes: Mistakes
+) -> None:
+    """Check the table [bag] against the rest of the robot file."""
+    if body != "differential":
+        text = f"a bag moves a base on wheels, and the body is {body!r}; expected no such table"
+        mistakes.add(("bag",), text)
+    for sensor in bag.sensors:
+        if sensor not in sensors:
+            mistakes.add(("bag", "sensors", sensor), unknown("sensor", sensor, sensors))
+    used: dict[str, str] = {}
+    for topic, name in bag.parts():
+        key = ("bag", *name.split("."))
+        if not topic.startswith("/"):
+            mistakes.add(key, f'found {shown(topic)}, expected a topic: it begins with "/"')
+        elif topic in used:
+            mistakes.add(key, f"found {shown(topic)}, which is {used[topic]} too; expected another topic")
+        used.setdefault(topic, name)
+
+
+# -- cautions ----------------------------------------------------------------------------------
 
 
 def cautions(robot: Robot) -> list[str]:
-    """What a person must be told at every start, until the robot file acknowledges it."""
-    parts: list[Part] = [*robot.motors.values(), *robot.sensors.values()]
-    reported = [f"{part.name}: {part.spec.watchdog.note}" for part in parts if part.spec.watchdog.note]
-    for motor in robot.motors.values():
-        reported.extend(_beyond(motor))
-    return reported + mixed(robot.buses, parts) + _too_fast(robot) + _always_late(robot) + _unused(robot)
+    """Return what the user must be warned of at every start, until the robot file acknowledges it."""
+    notes = [f"{one.name}: {one.spec.watchdog.note}" for one in robot.devices() if one.spec.watchdog.note]
+    notes += [text for motor in robot.motors.values() for text in _out_of_range(motor)]
+    for bus in robot.buses.values():
+        if bus.kind != "serial" and not bus.acknowledged:
+            here = robot.devices_on(bus.name)
+            notes += [*_fd_beside_classic(bus.name, here), *_mistakable_reports(here)]
+    return [*notes, *_slow_joints(robot), *_feedback_always_late(robot), *_unused_sensors(robot)]
 
 
-def _too_fast(robot: Robot) -> list[str]:
-    """Wheels that their joints will not let turn as fast as the body's own limits ask for."""
+def _slow_joints(robot: Robot) -> list[str]:
+    """Wheels whose joint limits are below what the body's own limits need."""
     body = robot.brain.differential
     if robot.brain.body != "differential" or body is None:
         return []
+    limits = {name: robot.motors[name].joint.limits.velocity for name in (body.left, body.right)}
     return [
-        f"{name}: its limit of {robot.motors[name].joint.limits.velocity:g} rad/s is below the "
-        f"{body.wheel_speed:.3g} rad/s that max_linear and max_angular together need; the base will turn wide"
-        for name in (body.left, body.right)
-        if robot.motors[name].joint.limits.velocity < body.wheel_speed
+        f"{name}: its limit of {limit:g} rad/s is below the {body.wheel_speed:.3g} rad/s that "
+        "max_linear and max_angular together need; the base will turn wide"
+        for name, limit in limits.items()
+        if limit < body.wheel_speed
     ]
 
 
-def _always_late(robot: Robot) -> list[str]:
-    """Motors that report so seldom that the brain finds every report too old before the next."""
+def _feedback_always_late(robot: Robot) -> list[str]:
+    """Motors whose feedback period is longer than the age at which the brain takes feedback for too old."""
     body, health = robot.brain.differential, robot.brain.health
     wheels = (body.left, body.right) if robot.brain.body == "differential" and body is not None else ()
-    reported: list[str] = []
+    notes: list[str] = []
     for motor in robot.motors.values():
         what, share = "its target is dropped", health.stand_age
         if motor.name in wheels:
             what, share = "the base goes slow", health.slow_age
         limit, period = round(share * motor.joint.feedback_timeout), motor.spec.feedback_period
         if motor.spec.feedback is not FeedbackKind.NONE and limit <= period:
-            reported.append(
+            notes.append(
                 f"{motor.name}: {what} when its feedback is older than {limit / MILLISECOND:g} ms, {share:g} "
                 f"of its feedback_timeout_ms; the device reports every {period / MILLISECOND:g} ms only"
             )
-    return reported
+    return notes
 
 
-def _unused(robot: Robot) -> list[str]:
-    """Sensors whose measurements, and so their timeouts, nobody uses."""
-    if robot.brain.body != "joints":
-        return []
-    return [
-        f"{name}: bare joints use no sensor; it is recorded, and its silence goes unnoticed"
-        for name in robot.sensors
-    ]
+def _unused_sensors(robot: Robot) -> list[str]:
+    """Sensors whose measurements and timeouts are not used."""
+    text = "bare joints use no sensor; it is recorded, and a loss of its measurements goes unnoticed"
+    return [f"{name}: {text}" for name in robot.sensors] if robot.brain.body == "joints" else []
 
 
-def _beyond(motor: Motor) -> list[str]:
-    """Limits at the joint that its device cannot be told."""
-    reported: list[str] = []
+def _out_of_range(motor: Motor) -> list[str]:
+    """Limits of the joint that are beyond the range of the device's commands."""
+    notes: list[str] = []
     limits, gear = motor.joint.limits, motor.joint.gear
-    for word, limit, unit in (
+    for field, limit, unit in (
         ("Velocity.velocity", limits.velocity * gear, "rad/s"),
         ("Torque.torque", limits.torque / gear, "N·m"),
     ):
-        able = motor.spec.ranges.get(word)
+        able = motor.spec.ranges.get(field)
         if able and limit > able.high:
-            quantity = word.split(".")[1]
-            reported.append(
+            quantity = field.split(".")[1]
+            notes.append(
                 f"{motor.name}: its limit of {quantity} is {limit:g} {unit} at the device's shaft, but the "
-                f"device can be told at most {able.high:g}; commands beyond that are refused"
+                f"device can be commanded at most {able.high:g}; commands beyond that are refused"
             )
-    return reported
+    return notes
 
 
-def check_bag(
-    bag: BagTopics, body: Literal["differential", "joints"], sensors: Collection[str], mistakes: Mistakes
-) -> None:
-    """The table against the rest of the robot file."""
-    if body != "differential":
-        said = f"a bag moves a base on wheels, and the body is {body!r}; expected no such table"
-        mistakes.add(("bag",), said)
-    for sensor in bag.sensors:
-        if sensor not in sensors:
-            mistakes.add(("bag", "sensors", sensor), unknown("sensor", sensor, sensors))
-    played: dict[str, str] = {}
-    for topic, part in bag.parts():
-        key = ("bag", *part.split("."))
-        if not topic.startswith("/"):
-            mistakes.add(key, f'found {shown(topic)}, expected a topic: it begins with "/"')
-        elif topic in played:
-            mistakes.add(key, f"found {shown(topic)}, which is {played[topic]} too; expected another topic")
-        played.setdefault(topic, part)
+# -- several protocols on one bus --------------------------------------------------------------
+
+Id: TypeAlias = tuple[int, bool]
+"""A CAN id, and whether it is a 29-bit one."""
+MAX_LISTED = 4
+"""Ids of one kind that a sentence lists."""
+
+
+def id_conflict(first: BusDevice, second: BusDevice) -> str:
+    """Return what is wrong with two devices of different protocols on one bus, from the side of the second;
+    "" if nothing is."""
+    ours, theirs, name = second.spec, first.spec, repr(first.name)
+    obeyed, obeyed_there = _obeyed(ours, _sent(theirs)), _obeyed(theirs, _sent(ours))
+    kinds = (
+        (_obeyed(ours, _reports(theirs)), f"it would obey what {name} reports there"),
+        (_obeyed(theirs, _reports(ours)), f"{name} would obey what it reports there"),
+        (obeyed & obeyed_there, "each would obey what the other is sent"),
+        (obeyed, f"it would obey what {name} is sent"),
+        (obeyed_there, f"{name} would obey what it is sent"),
+        (_reports(ours) & _reports(theirs), "both report there"),
+    )
+    conflicts: list[str] = []
+    seen: set[Id] = set()
+    for shared, why in kinds:
+        if new := shared - seen:
+            conflicts.append(f"{_list(new)} ({why})")
+            seen |= new
+    if not conflicts:
+        return ""
+    return f"uses CAN ids of {name} ({first.plugin.name}) on bus {first.bus!r}: {'; '.join(conflicts)}"
+
+
+def _fd_beside_classic(bus: str, devices: Sequence[BusDevice]) -> list[str]:
+    """A controller without CAN FD answers each FD frame with an error frame (ISO 11898-1:2015, which calls
+    one that does not "FD tolerant")."""
+    classic, fd = ([one.name for one in devices if one.spec.bus == kind] for kind in ("can", "canfd"))
+    if not (classic and fd):
+        return []
+    who = f"{', '.join(fd)} use{'s' * (len(fd) == 1)} CAN FD, and {', '.join(classic)} classic CAN only"
+    need = f"the controller of {' and of '.join(classic)} must tolerate CAN FD, or it destroys every FD frame"
+    return [f'{bus}: {who}; {need}. If so, write shared_bus = "acknowledged" under [buses.{bus}]']
+
+
+def _mistakable_reports(devices: Sequence[BusDevice]) -> list[str]:
+    """Reports that a driver of another protocol takes for those of a device that is not in the file."""
+    notes: dict[tuple[str, str], str] = {}
+    for listener, sender in permutations(devices, 2):
+        key = listener.plugin.name, sender.name
+        if listener.plugin.name == sender.plugin.name or key in notes:
+            continue
+        taken = {one for one in _reports(sender.spec) if _matches(listener.spec.receives_also, one[0])}
+        if taken:
+            text = f"{listener.plugin.name} takes its frames on {_list(taken)} for messages of its own kind"
+            remedy = f'an address of its own, or shared_bus = "acknowledged" under [buses.{sender.bus}]'
+            notes[key] = f"{sender.name}: {text}, and a scan may find what is not there; {remedy}"
+    return list(notes.values())
+
+
+def _sent(spec: Spec) -> frozenset[Id]:
+    """Return the ids that a device's driver sends, with their format."""
+    return frozenset((number, spec.is_extended(number)) for number in spec.sends)
+
+
+def _reports(spec: Spec) -> frozenset[Id]:
+    """Return the ids that a device sends, with their format."""
+    return frozenset((number, spec.is_extended(number)) for number in spec.expects)
+
+
+def _obeyed(spec: Spec, ids: frozenset[Id]) -> frozenset[Id]:
+    """Return those of the ids that a device would obey."""
+    return (_sent(spec) & ids) | {one for one in ids if _matches(spec.obeys_also, one[0] | one[1] << 31)}
+
+
+def _matches(choices: Iterable[tuple[int, int]], number: int) -> bool:
+    return any(number & mask == bits for bits, mask in choices)
+
+
+def _list(ids: Iterable[Id]) -> str:
+    texts = [f"0x{number:08X}" if extended else f"0x{number:03X}" for number, extended in sorted(ids)]
+    return ", ".join(texts[:MAX_LISTED]) + (", …" if len(texts) > MAX_LISTED else "")

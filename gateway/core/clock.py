@@ -1,6 +1,6 @@
-"""The clock: the only file that imports `time`. Everything else is given its moments.
+"""The clock: the only file that imports `time`. Everything else gets its times as arguments.
 
-One clock object serves the loop and every bus, so that stamps and ticks can be compared.
+One clock object serves the loop and every bus, so that receive times and ticks can be compared.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from typing import Protocol
 
 from protocols.messages import Nanos
 
-SHARP: Nanos = 5_000
-"""Two clocks that were read one after the other within this were read together."""
+MAX_SPREAD: Nanos = 5_000
+"""Two clocks that are read one after the other within this time count as read together."""
 
 
 class Clock(Protocol):
     """Integer nanoseconds since the clock was made."""
 
     def now(self) -> Nanos:
-        """The present moment."""
+        """Return the present time."""
         ...
 
     def wait(self, until: Nanos) -> None:
@@ -34,7 +34,7 @@ class WallClock:
         self._zero = time.monotonic_ns()
 
     def now(self) -> Nanos:
-        """Since the clock was made."""
+        """Return the time since the clock was made."""
         return time.monotonic_ns() - self._zero
 
     def wait(self, until: Nanos) -> None:
@@ -44,42 +44,42 @@ class WallClock:
             time.sleep(rest / 1e9)
 
     def system_offset(self) -> Nanos:
-        """The system's clock (of a kernel's receive stamps) minus this one, now: another one after a step."""
+        """Return the system clock (of a kernel's receive stamps) minus this one; changes when that is set."""
         best, width = 0, 1 << 63
         for _ in range(3):
             before, system, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
             if after - before < width:
                 best, width = system - (before + after) // 2, after - before
-            if width < SHARP:
+            if width < MAX_SPREAD:
                 break
         return best + self._zero
 
 
 class SimulatedClock:
-    """A clock that stands still until somebody waits. Never reads the machine's."""
+    """A clock that advances only by `wait`. Never reads the machine's."""
 
     def __init__(self, start: Nanos = 0) -> None:
         self._now = start
 
     def now(self) -> Nanos:
-        """Where the last wait has left it."""
+        """Return the time up to which the clock has advanced."""
         return self._now
 
     def wait(self, until: Nanos) -> None:
-        """Be there."""
+        """Advance to `until`."""
         self._now = max(self._now, until)
 
 
 def date() -> str:
-    """The calendar's date and time in UTC, for the head of a recording."""
+    """Return the calendar's date and time in UTC, for the head of a recording."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def stopwatch() -> Nanos:
-    """A monotonic reading for measuring how long something took."""
+    """Return a monotonic reading for measuring durations."""
     return time.perf_counter_ns()
 
 
 def processor_time() -> tuple[Nanos, Nanos]:
-    """How long this process, and of it the calling thread, has been at work on a processor."""
+    """Return the CPU time of this process, and the part of the calling thread."""
     return time.process_time_ns(), time.thread_time_ns()

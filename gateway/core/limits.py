@@ -1,8 +1,8 @@
 """Limits of a joint, and the set-points that keep them. At the output shaft, in SI.
 
-Rules. A set-point never jumps: it begins where the shaft is measured to be, and moves within the limits of
-velocity and acceleration. The end of travel counts for more than the limit of acceleration. Where it must be
-known how far the shaft has turned and it is not, nothing moves.
+Rules. A set-point never jumps: it starts at the measured position, and moves within the limits of velocity
+and acceleration. The end of travel takes precedence over the limit of acceleration. Where the position of the
+shaft must be known and is not, nothing moves.
 """
 
 from __future__ import annotations
@@ -10,31 +10,37 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import copysign, sqrt
 
+from gateway.core.bounds import Positive
 from protocols.messages import Command, Feedback, Hold, Idle, Impedance, Position, Torque, Velocity
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """At the joint's output shaft; all magnitudes."""
+    """Magnitudes at the joint's output shaft."""
 
-    velocity: float
+    velocity: Positive
     """rad/s"""
-    acceleration: float
+    acceleration: Positive
     """rad/s²"""
-    torque: float
+    torque: Positive
     """N·m"""
     position: tuple[float, float] | None = None
     """rad, lowest and highest; None for a wheel"""
 
+    def __post_init__(self) -> None:
+        if self.position is not None and self.position[0] >= self.position[1]:
+            low, high = self.position
+            raise ValueError(f"position is [{low:g}, {high:g}], expected the lowest first")
+
     def inside(self, position: float) -> float:
-        """The nearest position within the range."""
+        """Return the nearest position within the range."""
         if self.position is None:
             return position
         low, high = self.position
         return max(low, min(high, position))
 
     def torque_now(self, wanted: float, measured: Feedback) -> float:
-        """A torque within its limit that neither drives a shaft that is too fast nor one at its end."""
+        """Return a torque within its limit that accelerates no shaft beyond its velocity or end of travel."""
         torque = clamp(wanted, self.torque)
         velocity, position = measured.velocity, measured.position
         if velocity is not None and abs(velocity) > self.velocity and velocity * torque > 0.0:
@@ -46,7 +52,7 @@ class Limits:
         return torque
 
     def velocity_before_end(self, velocity: float, position: float) -> float:
-        """A velocity from which the way to the end of travel is enough to stop."""
+        """Return a velocity from which the distance to the end of travel is enough to stop."""
         if self.position is None:
             return velocity
         low, high = self.position
@@ -56,18 +62,18 @@ class Limits:
 
 
 class Profile:
-    """The set-point of a joint that is under way. Its state is plain data."""
+    """The current set-point of a joint. Its state is plain data."""
 
     def __init__(self) -> None:
         self._position: float | None = None
         self._velocity: float | None = None
 
     def forget(self) -> None:
-        """The next set-point begins where the shaft is measured to be."""
+        """Start the next set-point at the measured position and velocity."""
         self._position = self._velocity = None
 
     def limited(self, wanted: Command, dt: float, measured: Feedback, limits: Limits) -> Command:
-        """The command that may be said now, `dt` seconds after the one before."""
+        """Return the command that is within the limits, `dt` seconds after the previous one."""
         if isinstance(wanted, Idle | Hold):
             self.forget()
             return wanted
@@ -103,12 +109,12 @@ class Profile:
         return Velocity(wanted.motor, velocity, limits.torque_now(wanted.torque, measured))
 
     def _position_command(self, wanted: Position, dt: float, measured: Feedback, limits: Limits) -> Position:
-        """A trapezoidal profile from where the joint is."""
+        """Follow a trapezoidal profile from the measured position."""
         if self._position is None or self._velocity is None:
             self._position = measured.position or 0.0
             self._velocity = clamp(measured.velocity or 0.0, limits.velocity)
         rest = limits.inside(wanted.position) - self._position
-        # the highest speed from which the rest of the way, less this step's, is enough to stop
+        # the highest speed from which the remaining distance, less this step's, is enough to stop
         reach = 0.5 * limits.acceleration * dt
         stopping = max(0.0, sqrt(reach * reach + 2.0 * limits.acceleration * abs(rest)) - reach)
         speed = copysign(min(limits.velocity, stopping), rest)
@@ -123,7 +129,7 @@ class Profile:
 
 
 def clamp(value: float, limit: float) -> float:
-    """The value within ± limit."""
+    """Return the value within ± limit."""
     return max(-limit, min(limit, value))
 
 

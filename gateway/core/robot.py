@@ -1,10 +1,10 @@
-"""A robot as the robot file describes it. Values only; `gateway.config` makes them."""
+"""A robot as its robot file describes it: values only, made by `gateway.config`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from gateway.core.joint import JointSettings
 from protocols.messages import Nanos
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from brain.settings import BrainSettings
 
 TWIN = "twin"
-"""The interface of a bus that is no wire: the world with its twins."""
+"""The interface of a simulated bus: the world with the twins of its devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class BusSettings:
     name: str
     kind: Literal["can", "canfd", "serial"]
     interface: str
-    """What it is reached by: "socketcan:can0", "serial:/dev/ttyUSB0", or "twin"."""
+    """Interface and channel: "socketcan:can0", "serial:/dev/ttyUSB0", or "twin"."""
     bitrate: int = 0
     """bit/s of a CAN bus, in the arbitration phase; 0 on a serial line."""
     data_bitrate: int = 0
@@ -33,9 +33,9 @@ class BusSettings:
     baudrate: int = 0
     """bit/s of a serial line; 0 on a CAN bus."""
     receive_filter: tuple[tuple[int, int], ...] = ()
-    """Which CAN ids are let in, as (id, mask): those whose masked bits are these. (): everything."""
+    """CAN ids to receive, as (id, mask): those that equal `id` in the bits of `mask`. (): all."""
     acknowledged: bool = False
-    """Whether somebody has said that he knows what it means for languages to share this bus."""
+    """Whether the robot file acknowledges what it means for several protocols to share this bus."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,21 @@ class Sensor:
     device: Device
     spec: Spec
     mount: Mount
+    """In the robot's frame: m, rad."""
     timeout: Nanos
-    """Silence after which its measurements are too old; the brain goes slow and stands at shares of it."""
+    """Age at which its measurements are too old; the brain slows down and stands at fractions of it."""
+
+
+BusDevice: TypeAlias = Motor | Sensor
+"""A device with an address on a bus."""
+
+
+def by_protocol(devices: Iterable[BusDevice]) -> list[tuple[Plugin, list[BusDevice]]]:
+    """Group devices by protocol; one driver speaks for each group of a bus. Keeps the order."""
+    groups: dict[str, list[BusDevice]] = {}
+    for device in devices:
+        groups.setdefault(device.plugin.name, []).append(device)
+    return [(group[0].plugin, group) for group in groups.values()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +82,14 @@ class BagTopics:
     """The table [bag]: what the topics of a recording made elsewhere (a ROS bag) are on this robot."""
 
     odometry: str
-    """nav_msgs/Odometry: its twist is what the wheels did."""
+    """nav_msgs/Odometry: its twist is taken as the motion of the wheels."""
     sensors: dict[str, str] = field(default_factory=dict)
-    """A sensor of this robot, and its topic: sensor_msgs/Imu."""
+    """Topic by sensor of this robot: sensor_msgs/Imu."""
     truth: str = ""
-    """sensor_msgs/NavSatFix: what the believed path is judged by; never an input. "" if there is none."""
+    """sensor_msgs/NavSatFix: the reference for the estimated path; never an input. "" if there is none."""
 
     def parts(self) -> Iterator[tuple[str, str]]:
-        """Each topic and its part, as the key that names it: "odometry", "sensors.imu", "truth"."""
+        """Yield each topic with the key that names it: "odometry", "sensors.imu", "truth"."""
         yield self.odometry, "odometry"
         yield from ((topic, f"sensors.{sensor}") for sensor, topic in self.sensors.items())
         if self.truth:
@@ -85,19 +98,33 @@ class BagTopics:
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """The whole of a robot file."""
+    """A complete robot file."""
 
     name: str
     text: str
-    """The file itself: what a recording carries, and what a replay is built from."""
+    """The file itself: a recording carries it, and a replay is built from it."""
     period: Nanos
-    """Between two steps."""
+    """Time between two steps."""
     world: str | None
-    """What stands behind the twins: a shipped world's name or a file's path."""
+    """The simulated world behind the twins: a shipped world's name or a file's path."""
     seed: int
+    """Seed of the simulated world."""
     buses: dict[str, BusSettings]
     motors: dict[str, Motor]
     sensors: dict[str, Sensor]
     brain: BrainSettings
     bag: BagTopics | None = None
-    """What the topics of somebody else's bag are; None if the file says nothing of that."""
+    """Topics of a foreign bag; None if the file has no table [bag]."""
+
+    def devices(self) -> list[BusDevice]:
+        """Return all devices, in the order of the file: motors first, then sensors."""
+        return [*self.motors.values(), *self.sensors.values()]
+
+    def devices_on(self, bus: str) -> list[BusDevice]:
+        """Return the devices on a bus, in the order of `devices`."""
+        return [device for device in self.devices() if device.bus == bus]
+
+    def by_protocol(self, bus: str) -> list[tuple[Plugin, list[Device]]]:
+        """Return the devices on a bus, grouped by protocol, as a driver or a decoder takes them."""
+        groups = by_protocol(self.devices_on(bus))
+        return [(plugin, [one.device for one in group]) for plugin, group in groups]

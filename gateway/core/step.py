@@ -1,15 +1,15 @@
-"""The gateway: `step(now, inputs) -> outputs` is everything the robot does.
+"""The gateway: `step(now, inputs) -> outputs` is everything that the robot does.
 
-Rules. No clock, no bus, no thread, no file and no randomness in here or below: what a step does follows
-from the robot file and the inputs so far, hence a recording of the inputs repeats it to the byte. The way
-of one measurement in and one command out is the order of the lines of `step`. Every joint has exactly one
-command at every step. What goes to a wire goes through `_out`, and there only.
+Rules. No clock, bus, thread, file or randomness in here or below: a step follows from the robot file and the
+inputs so far, hence a replay of recorded inputs repeats it to the byte. The way from a measurement to a
+command is the order of the lines of `step`. Every joint has exactly one command at every step. Every
+outgoing frame passes through `_out`, and only there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from brain.belief import Belief
@@ -18,28 +18,37 @@ from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, Frame, Packet
-from protocols.messages import Command, Event, Mode, Nanos, Request
-from protocols.plugin import CommandDecoder, Device, Driver, Plugin, RxCounters
+from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.plugin import CommandDecoder, Driver, RxCounters
 
 if TYPE_CHECKING:
-    from gateway.core.robot import Motor, Robot, Sensor
+    from gateway.core.robot import Robot
 
 ALL = "all"
-"""The name by which a request means every motor."""
+"""Instead of a motor's name in a request: every motor."""
 
-
-OfMotor: TypeAlias = (
+MotorRequest: TypeAlias = (
     msg.ClearFault | msg.Estop | msg.Zero | msg.Home | msg.ReadParameter | msg.WriteParameter | msg.Reboot
 )
-"""The requests that are about one motor, or about all."""
+"""The requests to one motor, or to all."""
+
+
+@dataclass(frozen=True, slots=True)
+class _BusDriver:
+    """One driver: it speaks for all devices of its protocol on a bus."""
+
+    bus: str
+    protocol: str
+    motors: frozenset[str]
+    driver: Driver
 
 
 class Gateway:
-    """One robot: its drivers, its joints, its brain, and what a person has asked for."""
+    """One robot: its drivers, its joints, its brain, and the operator's stop."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self.joints = {m.device.name: Joint(m.device.name, m.joint, m.spec) for m in robot.motors.values()}
+        self.joints = {name: Joint(name, motor.joint, motor.spec) for name, motor in robot.motors.items()}
         self.brain = Brain(
             robot.brain,
             list(robot.motors),
@@ -48,58 +57,53 @@ class Gateway:
             | {name: sensor.timeout for name, sensor in robot.sensors.items()},
         )
         self.stopped = ""
-        """Why an operator has stopped the robot; "" if nobody has."""
-        self._languages: list[str] = []
-        self._drivers: list[tuple[str, frozenset[str], Driver]] = []
-        """Bus, the names of its motors, driver: in the order of the robot file."""
+        """Why an operator has stopped the robot; "" if no stop is in force."""
+        self._drivers: list[_BusDriver] = []
+        """In the order of the robot file."""
         for bus in robot.buses:
-            for plugin, devices in by_plugin(robot, bus):
-                motors = frozenset(d.name for d in devices if d.name in self.joints)
-                self._languages.append(plugin.name)
-                self._drivers.append((bus, motors, plugin.driver(devices)))
-        self._of_bus = {bus: [d for b, _, d in self._drivers if b == bus] for bus in robot.buses}
-        self._specs = {name: motor.spec for name, motor in robot.motors.items()}
+            for plugin, devices in robot.by_protocol(bus):
+                motors = frozenset(one.name for one in devices if one.name in self.joints)
+                self._drivers.append(_BusDriver(bus, plugin.name, motors, plugin.driver(devices)))
+        self._on_bus = {bus: [one.driver for one in self._drivers if one.bus == bus] for bus in robot.buses}
         self._requests: list[Request] = []
+        """For the drivers, in this step."""
         self._late: list[Event] = []
+        """Events that arose while sending: processed first in the next step."""
         self._notes: list[Note] = []
 
     # -- the step -----------------------------------------------------------------------------
 
     def step(self, now: Nanos, inputs: Inputs) -> Outputs:
-        """Take in what has come, think, and give out what is to be said."""
-        for name, state in inputs.states:
-            self._bus(now, name, state)
-        received = self._handle(self._late)
-        self._late = []
-        for packet in inputs.packets:
-            for driver in self._of_bus[packet.bus]:
-                received += self._handle(driver.receive(packet.t, packet.frame))
-        tasks = self._ask(now, inputs.instructions)
+        """Process one tick's inputs; return the frames to send, the events and the notes."""
+        self._on_bus_states(now, inputs.states)
+        events = self._receive(inputs.packets)
+        tasks = self._on_instructions(now, inputs.instructions)
         stopped = self.why_stopped()
-        said = {c.motor: c for c in self.brain.step(now, received, tasks, stopped)}
-        self._notes += [Note(level, "brain", text) for level, text in self.brain.take_notes()]
-        words = {name: joint.allow(now, said.get(name), bool(stopped)) for name, joint in self.joints.items()}
-        self._report_joints()
-        packets = self._send(now, words)
-        notes, self._notes = tuple(self._notes), []
-        return Outputs(tuple(packets), tuple(received), notes)
+        wanted = {command.motor: command for command in self.brain.step(now, events, tasks, stopped)}
+        commands = {
+            name: joint.command(now, wanted.get(name), bool(stopped)) for name, joint in self.joints.items()
+        }
+        packets = self._send(now, commands)
+        return Outputs(tuple(packets), tuple(events), self._take_notes())
 
     def leave(self, now: Nanos) -> tuple[Packet, ...]:
-        """The safe word for every motor, without asking the brain: for the way out after an error."""
-        words = {name: joint.allow(now, None, stopped=True, last=True) for name, joint in self.joints.items()}
-        return tuple(self._send(now, words))
+        """Return the stop command for every motor, without the brain: the last frames after an error."""
+        commands = {
+            name: joint.command(now, None, stopped=True, last=True) for name, joint in self.joints.items()
+        }
+        return tuple(self._send(now, commands))
 
     def due(self) -> Nanos | None:
-        """When a driver next has something to say by itself."""
-        moments = [due for _, _, driver in self._drivers if (due := driver.due()) is not None]
-        return min(moments) if moments else None
+        """Return when a driver next has to send by itself; None if none has to."""
+        times = [due for one in self._drivers if (due := one.driver.due()) is not None]
+        return min(times, default=None)
 
     def belief(self) -> Belief:
-        """What the brain believes."""
+        """Return the brain's state estimate."""
         return self.brain.belief()
 
     def still_armed(self) -> list[str]:
-        """The motors that we commanded, that are to be disarmed, and that do not say that they are."""
+        """Return the motors that we have commanded, that are to be disarmed, and that report being armed."""
         return [
             name
             for name, joint in self.joints.items()
@@ -107,11 +111,11 @@ class Gateway:
         ]
 
     def why_stopped(self) -> str:
-        """Why the whole robot must not move; "" if it may."""
+        """Return why the whole robot must not move; "" if it may."""
         return self.stopped or self.in_fault()
 
     def in_fault(self) -> str:
-        """The first fault that stops the whole robot, with its joint; "" if there is none."""
+        """Return the first fault that stops the whole robot, with its joint; "" if there is none."""
         for name, joint in self.joints.items():
             if joint.faults and joint.settings.on_fault == "stop":
                 fault = next(iter(joint.faults.values()))
@@ -119,205 +123,198 @@ class Gateway:
         return ""
 
     def rx_counters(self) -> list[tuple[str, str, RxCounters]]:
-        """What each driver has counted, with its bus and language. What is foreign to one of a bus's drivers
-        may be another's."""
-        return [
-            (bus, language, driver.counters)
-            for language, (bus, _, driver) in zip(self._languages, self._drivers, strict=True)
-        ]
+        """Return each driver's counters with its bus and protocol. What one of a bus's drivers ignores may be
+        another's."""
+        return [(one.bus, one.protocol, one.driver.counters) for one in self._drivers]
 
     # -- in -----------------------------------------------------------------------------------
 
-    def _bus(self, now: Nanos, name: str, state: BusState) -> None:
-        for driver in self._of_bus[name]:
-            driver.bus(now, state)
-        bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
-        self._notes.append(Note("error" if bad else "warning", name, _BUS_SENTENCES[state]))
+    def _on_bus_states(self, now: Nanos, states: Sequence[tuple[str, BusState]]) -> None:
+        for bus, state in states:
+            for driver in self._on_bus[bus]:
+                driver.bus(now, state)
+            bad = state in (BusState.OFF, BusState.GONE, BusState.FULL)
+            self._note("error" if bad else "warning", bus, _BUS_TEXTS[state])
 
-    def _handle(self, events: Iterable[Event]) -> list[Event]:
-        received: list[Event] = []
+    def _receive(self, packets: Sequence[Packet]) -> list[Event]:
+        events = self._on_events(self._late)
+        self._late = []
+        for packet in packets:
+            for driver in self._on_bus[packet.bus]:
+                events += self._on_events(driver.receive(packet.t, packet.frame))
+        return events
+
+    def _on_events(self, events: Iterable[Event]) -> list[Event]:
+        """Pass the events of motors through their joints; return what goes on to the brain."""
+        passed: list[Event] = []
         for event in events:
-            if isinstance(event, msg.Feedback | msg.State | msg.Fault):
-                joint = self.joints.get(event.motor)
-                if joint is None:
+            if not isinstance(event, msg.Feedback | msg.State | msg.Fault):
+                self._note_answer(event)
+                passed.append(event)
+            elif (joint := self.joints.get(event.motor)) is not None:
+                before = joint.mode
+                moved = joint.on_event(event)
+                if moved is None:
+                    self._note("warning", joint.name, f"a value of {event} is not finite: left out")
                     continue
-                mode = joint.mode
-                passed = joint.on_event(event)
-                if passed is None:
-                    self._notes.append(
-                        Note("warning", joint.name, f"a value of {event} is not finite: left out")
-                    )
-                    continue
-                if isinstance(event, msg.State) and event.mode is not mode:
-                    detail = f" ({event.detail})" if event.detail else ""
-                    self._notes.append(Note(_LEVELS[event.mode], joint.name, f"{event.mode}{detail}"))
-                received.append(passed)
-            else:
-                self._report(event)
-                received.append(event)
-        return received
+                if isinstance(event, msg.State) and event.mode is not before:
+                    level: Literal["info", "warning"] = "warning" if event.mode in _BAD_MODES else "info"
+                    self._note(level, joint.name, f"{event.mode}{_in_brackets(event.detail)}")
+                passed.append(moved)
+        return passed
 
-    def _report(self, event: Event) -> None:
+    def _note_answer(self, event: Event) -> None:
+        """Note the answer to a request; Done to a ClearFault also clears the joint."""
         match event:
             case msg.Done(_, request, name, detail):
                 if request == msg.ClearFault.__name__ and name in self.joints:
                     self.joints[name].clear()
-                self._notes.append(Note("info", name or "operator", f"{request}: done{_in_brackets(detail)}"))
+                self._note("info", name or "operator", f"{request}: done{_in_brackets(detail)}")
             case msg.Refused(_, request, name, reason):
-                self._notes.append(Note("warning", name or "operator", f"{request}: refused: {reason}"))
+                self._note("warning", name or "operator", f"{request}: refused: {reason}")
             case msg.Parameter(motor, _, parameter, value):
-                self._notes.append(Note("info", motor, f"{parameter} = {value:g}"))
-            case msg.Found(_, protocol, address, serial, detail, twice):
+                self._note("info", motor, f"{parameter} = {value:g}")
+            case msg.Found(_, protocol, address, serial, detail, duplicate):
                 number = "" if serial is None else f", serial number {serial:X}"
                 text = f"{protocol} at address {address}{number}{_in_brackets(detail)}"
-                text += "; more than one device holds this address" if twice else ""
-                self._notes.append(Note("warning" if twice else "info", "scan", text))
-            case _:
-                pass
+                text += "; more than one device holds this address" if duplicate else ""
+                self._note("warning" if duplicate else "info", "scan", text)
 
-    # -- what is asked ------------------------------------------------------------------------
+    # -- instructions -------------------------------------------------------------------------
 
-    def _ask(self, now: Nanos, asked: Sequence[msg.Instruction]) -> list[msg.Goal | msg.Drive | Command]:
-        tasks: list[msg.Goal | msg.Drive | Command] = []
-        for word in asked:
-            match word:
+    def _on_instructions(self, now: Nanos, instructions: Sequence[Instruction]) -> list[Task | Command]:
+        """Carry out what concerns the gateway, queue requests for the drivers, return the brain's part."""
+        tasks: list[Task | Command] = []
+        for one in instructions:
+            match one:
                 case msg.Stop(reason):
-                    self.stopped = reason or "an operator said stop"
-                    self._notes.append(Note("warning", "operator", f"stopped: {self.stopped}"))
-                    self._requests.append(word)
+                    self.stopped = reason or "an operator sent stop"
+                    self._note("warning", "operator", f"stopped: {self.stopped}")
+                    self._requests.append(one)
                 case msg.Leave(reason):
                     self.stopped = self.stopped or reason
-                    self._notes.append(Note("info", "operator", f"leaving: {reason}"))
+                    self._note("info", "operator", f"leaving: {reason}")
                 case msg.Release():
                     text = "released" if self.stopped else "nothing to release: no stop is in force"
                     self.stopped = ""
-                    self._notes.append(Note("info", "operator", text))
+                    self._note("info", "operator", text)
                 case msg.Set(key, value):
                     self._set(key, value)
-                case (
-                    msg.Goal()
-                    | msg.Drive()
-                    | msg.Idle()
-                    | msg.Hold()
-                    | msg.Position()
-                    | msg.Velocity()
-                    | msg.Torque()
-                    | msg.Impedance()
-                ):
-                    tasks.append(word)
                 case msg.Scan() | msg.SetId():
-                    self._requests.append(word)
+                    self._requests.append(one)
+                case (
+                    msg.ClearFault()
+                    | msg.Estop()
+                    | msg.Zero()
+                    | msg.Home()
+                    | msg.ReadParameter()
+                    | msg.WriteParameter()
+                    | msg.Reboot()
+                ):
+                    self._on_motor_request(now, one)
                 case _:
-                    self._request(now, word)
+                    tasks.append(one)
         return tasks
 
     def _set(self, key: str, value: float) -> None:
-        room, _, rest = key.partition(".")
-        if room in self.joints:
-            objection = self.joints[room].change(rest.removeprefix("limits."), value)
-        elif room == "brain":
+        owner, _, rest = key.partition(".")
+        if owner in self.joints:
+            objection = self.joints[owner].change(rest.removeprefix("limits."), value)
+        elif owner == "brain":
             objection = self.brain.set(rest, value)
         else:
-            rooms = ", ".join(["brain", *self.joints])
-            objection = f"{key!r} begins with neither of {rooms}"
+            owners = ", ".join(["brain", *self.joints])
+            objection = f"{key!r} begins with none of {owners}"
         text = f"set {key}: refused: {objection}" if objection else f"{key} = {value:g}"
-        self._notes.append(Note("warning" if objection else "info", "operator", text))
+        self._note("warning" if objection else "info", "operator", text)
 
-    def _request(self, now: Nanos, word: OfMotor) -> None:
-        kind = type(word).__name__
-        for motor in self.joints if word.motor == ALL else (word.motor,):
-            if motor not in self.joints:
-                known = ", ".join(self.joints)
-                self._late.append(
-                    msg.Refused(now, kind, motor, f"there is no motor {motor!r}; there are {known}")
-                )
-            elif type(word) in self._specs[motor].requests:
-                self._requests.append(replace(word, motor=motor))
-            elif isinstance(word, msg.ClearFault):
-                self._late.append(msg.Done(now, kind, motor, "in the joint; the device has nothing to clear"))
+    def _on_motor_request(self, now: Nanos, request: MotorRequest) -> None:
+        """Queue a request for its driver, or answer it here if the motor's protocol does not have it."""
+        kind = type(request).__name__
+        for name in self.joints if request.motor == ALL else (request.motor,):
+            motor = self.robot.motors.get(name)
+            if motor is None:
+                text = f"there is no motor {name!r}; there are {', '.join(self.joints)}"
+                self._late.append(msg.Refused(now, kind, name, text))
+            elif type(request) in motor.spec.requests:
+                self._requests.append(replace(request, motor=name))
+            elif isinstance(request, msg.ClearFault):
+                self._late.append(msg.Done(now, kind, name, "in the joint; the device has nothing to clear"))
             else:
-                self._late.append(msg.Refused(now, kind, motor, "its protocol cannot do this"))
+                self._late.append(msg.Refused(now, kind, name, "its protocol cannot do this"))
 
     # -- out ----------------------------------------------------------------------------------
 
-    def _report_joints(self) -> None:
+    def _send(self, now: Nanos, commands: dict[str, Command]) -> list[Packet]:
+        requests, self._requests = self._requests, []
+        packets: list[Packet] = []
+        for one in self._drivers:
+            messages: list[Command | Request] = [r for r in requests if _is_for(r, one)]
+            messages += [command for name, command in commands.items() if name in one.motors]
+            events, frames = one.driver.send(now, messages)
+            self._late += events
+            packets += self._out(now, one.bus, frames)
+        return packets
+
+    def _out(self, now: Nanos, bus: str, frames: Sequence[Frame]) -> Iterable[Packet]:
+        """The one place through which every outgoing frame passes: the place of a guard."""
+        return [Packet(now, bus, frame) for frame in frames]
+
+    # -- notes --------------------------------------------------------------------------------
+
+    def _note(self, level: Literal["info", "warning", "error"], source: str, text: str) -> None:
+        self._notes.append(Note(level, source, text))
+
+    def _take_notes(self) -> tuple[Note, ...]:
+        """Return the notes of this step: its own, then those of the brain and of the joints."""
+        for level, text in self.brain.take_notes():
+            self._note(level, "brain", text)
         for name, joint in self.joints.items():
             if joint.refused:
-                self._notes.append(Note("error", name, f"command refused: {joint.refused}"))
+                self._note("error", name, f"command refused: {joint.refused}")
                 joint.refused = ""
             for fault in joint.take_unreported():
                 cause = f"; likely cause: {fault.cause}" if fault.cause else ""
                 remedy = f"; {fault.remedy}" if fault.remedy else ""
-                self._notes.append(Note("error", name, f"fault: {fault.name}{cause}{remedy}"))
-
-    def _send(self, now: Nanos, words: dict[str, Command]) -> list[Packet]:
-        requests, self._requests = self._requests, []
-        packets: list[Packet] = []
-        for bus, motors, driver in self._drivers:
-            mine: list[Command | Request] = [r for r in requests if _is_for(r, bus, motors)]
-            mine += [word for name, word in words.items() if name in motors]
-            events, frames = driver.send(now, mine)
-            self._late += events
-            packets += self._out(now, bus, frames)
-        return packets
-
-    def _out(self, now: Nanos, bus: str, frames: Sequence[Frame]) -> Iterable[Packet]:
-        """The one place through which everything passes on its way to a wire: a guard stands here."""
-        return [Packet(now, bus, frame) for frame in frames]
+                self._note("error", name, f"fault: {fault.name}{cause}{remedy}")
+        notes, self._notes = tuple(self._notes), []
+        return notes
 
 
-class _Decoders:
-    """The ears of all languages of a bus as one."""
+class _BusDecoder:
+    """The command decoders of all protocols of a bus as one."""
 
     def __init__(self, decoders: Sequence[CommandDecoder]) -> None:
         self._decoders = decoders
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
-        """What any device on the bus would obey."""
-        return [word for decoder in self._decoders for word in decoder.decode(t, frame)]
+        """Decode what any device on the bus would obey."""
+        return [message for decoder in self._decoders for message in decoder.decode(t, frame)]
 
 
 def decoder_of(robot: Robot, bus: str) -> CommandDecoder:
-    """What the devices on a bus would obey."""
-    return _Decoders([plugin.decoder(devices) for plugin, devices in by_plugin(robot, bus)])
+    """Return a decoder of what the devices on a bus would obey."""
+    return _BusDecoder([plugin.decoder(devices) for plugin, devices in robot.by_protocol(bus)])
 
 
-def _is_for(request: Request, bus: str, motors: frozenset[str]) -> bool:
+def _is_for(request: Request, driver: _BusDriver) -> bool:
     if isinstance(request, msg.Stop):
-        return bool(motors)
+        return bool(driver.motors)
     if isinstance(request, msg.Scan | msg.SetId):
-        return request.bus == bus
-    return getattr(request, "motor", "") in motors
+        return request.bus == driver.bus
+    return getattr(request, "motor", "") in driver.motors
 
 
 def _in_brackets(detail: str) -> str:
     return f" ({detail})" if detail else ""
 
 
-_LEVELS: dict[Mode, Literal["info", "warning"]] = {
-    Mode.INITIALISING: "info",
-    Mode.READY: "info",
-    Mode.ARMED: "info",
-    Mode.FAULT: "warning",
-    Mode.OFFLINE: "warning",
-}
-
-
-def by_plugin(robot: Robot, bus: str) -> list[tuple[Plugin, list[Device]]]:
-    """The devices on a bus, gathered by language, in the order of the robot file."""
-    gathered: dict[str, tuple[Plugin, list[Device]]] = {}
-    parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]
-    for part in parts:
-        if part.bus == bus:
-            gathered.setdefault(part.plugin.name, (part.plugin, []))[1].append(part.device)
-    return list(gathered.values())
-
-
-_BUS_SENTENCES = {
+_BAD_MODES = (Mode.FAULT, Mode.OFFLINE)
+_BUS_TEXTS = {
     BusState.UP: "is up",
     BusState.PASSIVE: "is error-passive: check the wiring, the termination and the bit rate",
-    BusState.OFF: "is bus-off: nothing goes out; check the wiring, the termination and the bit rate",
-    BusState.FULL: "its transmit queue is full: older commands were dropped; is anything listening?",
+    BusState.OFF: "is bus-off: nothing is sent; check the wiring, the termination and the bit rate",
+    BusState.FULL: "its transmit queue is full: older commands were dropped; is any device listening?",
     BusState.GONE: "has vanished: the interface or port is gone",
     BusState.BACK: "is back",
 }

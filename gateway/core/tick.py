@@ -1,6 +1,6 @@
-"""A tick: all that went into one step of the gateway, and all that came out. Values only.
+"""A tick: everything that went into one step of the gateway, and everything that came out. Values only.
 
-A recording is the list of ticks; replay maps `Gateway.step` over their inputs and compares outputs.
+A recording is the list of ticks; replay maps `Gateway.step` over their inputs and compares the outputs.
 """
 
 from __future__ import annotations
@@ -9,38 +9,39 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.frames import BusState, Packet
-from protocols.messages import Event, Instruction, Nanos
+from protocols.messages import SECOND, Event, Instruction, Nanos
 
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What one step takes in, in the order in which it is taken in."""
+    """The inputs of one step, in the order in which it processes them."""
 
     states: tuple[tuple[str, BusState], ...] = ()
-    """Changes of buses, by name of the bus."""
+    """State changes of buses, as (bus, state)."""
     packets: tuple[Packet, ...] = ()
+    """Frames received, with their receive times."""
     instructions: tuple[Instruction, ...] = ()
-    """What a person or a tool asked for."""
+    """Requests, tasks and commands of an operator or a tool."""
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A sentence for a person: what happened, where, what to do."""
+    """A message for the operator: what happened, where, what to do."""
 
     level: Literal["info", "warning", "error"]
-    about: str
-    """A motor, a sensor, a bus, "brain" or "operator"."""
+    source: str
+    """A motor, a sensor, a bus, "scan", "brain" or "operator"."""
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """What one step gives out."""
+    """The outputs of one step."""
 
     packets: tuple[Packet, ...] = ()
-    """To be written, in order; every t is the step's now."""
+    """Frames to send, in order; every t is the step's now."""
     events: tuple[Event, ...] = ()
-    """What the drivers heard, at the joints' output shafts: what the brain was told."""
+    """What the drivers decoded and the brain received, at the joints' output shafts."""
     notes: tuple[Note, ...] = ()
 
 
@@ -52,3 +53,8 @@ class Tick:
     now: Nanos
     inputs: Inputs
     outputs: Outputs
+
+    @property
+    def seconds(self) -> float:
+        """The time of the step in s, on the session's clock."""
+        return self.now / SECOND

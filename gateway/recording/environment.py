@@ -25,7 +25,6 @@ PACKAGES = (
     "msgpack",
     "mujoco",
     "numpy",
-    "pydantic",
     "pyserial",
     "python-can",
     "rosbags",

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gateway.core.robot import Robot
-from gateway.core.step import by_plugin
 from protocols.frames import Packet
 from protocols.messages import MILLISECOND, Event, Fault, Mode, Nanos, State
 from protocols.plugin import Driver
@@ -30,7 +29,7 @@ class DeviceLog:
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
         self._drivers: dict[str, list[Driver]] = {
-            bus: [plugin.driver(devices) for plugin, devices in by_plugin(robot, bus)] for bus in robot.buses
+            bus: [plugin.driver(devices) for plugin, devices in robot.by_protocol(bus)] for bus in robot.buses
         }
         self._modes: dict[str, Mode] = {}
 

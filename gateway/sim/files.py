@@ -12,16 +12,13 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import Field
-
+from gateway.core.bounds import Bounds, NotNegative, Positive, PositiveInt
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 STEP: Nanos = MILLISECOND
 """One step of every world: what the wheels' contacts were tried with, and short for a motor's loops."""
 
-Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
-NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
-Part: TypeAlias = Annotated[float, Field(ge=0.0, lt=1.0)]
+Part: TypeAlias = Annotated[float, Bounds(least=0.0, below=1.0)]
 Point: TypeAlias = tuple[float, float]
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -30,7 +27,7 @@ Vector: TypeAlias = tuple[float, float, float]
 class Encoder:
     """The disc on the device's own shaft, before the gear."""
 
-    counts_per_turn: Annotated[int, Field(gt=0)] = 16384
+    counts_per_turn: PositiveInt = 16384
 
 
 # -- the bench: bare shafts ----------------------------------------------------------------------------
@@ -110,7 +107,7 @@ class Wheel:
 
     motor: str
     """Name of the motor in the robot file; its joint turns this wheel, forward is positive."""
-    radius_error: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
+    radius_error: Annotated[float, Bounds(above=-0.1, below=0.1)] = 0.0
     """The wheel's true radius is wheel_radius × (1 + this): wear, pressure, load."""
 
 
@@ -162,7 +159,7 @@ class Body:
 class Lidar:
     """A planar lidar: beams evenly over a full turn, the first at -180 degrees, counter-clockwise."""
 
-    beams: Annotated[int, Field(ge=2, le=10_000)] = 360
+    beams: Annotated[int, Bounds(least=2, most=10_000)] = 360
     rate_hz: Positive = 10.0
     range_min: NotNegative = 0.1
     range_max: Positive = 10.0

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from gateway.__main__ import main
+from gateway.cli.main import main
 from gateway.recording import read
 from protocols.messages import Velocity
 from tests.gateway.rig import BENCH, Rig, said
 
-HEAVY = {"numpy", "can", "serial", "mcap", "rosbags", "pydantic", "filterpy", "mujoco", "matplotlib"}
+HEAVY = {"numpy", "can", "serial", "mcap", "rosbags", "filterpy", "mujoco", "matplotlib"}
 
 
 @pytest.fixture(autouse=True)
@@ -183,7 +183,7 @@ def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> Non
 
 def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
     code = (
-        "import sys\nfrom gateway.__main__ import main\n"
+        "import sys\nfrom gateway.cli.main import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
         f"sys.exit(', '.join(sorted({HEAVY} & set(sys.modules))) or None)"
     )

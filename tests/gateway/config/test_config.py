@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.config import cautions, describe, devices, load_robot, parse_robot, resources, with_interfaces
+from gateway.config import cautions, describe, load_robot, parse_robot, resources, with_interfaces
 from gateway.config.errors import Mistakes, lines, shown
 from gateway.config.schema import build
-from gateway.config.sharing import clash
+from gateway.config.validate import id_conflict
 from gateway.core.robot import Robot
 from gateway.errors import ConfigError
 from protocols import plugin
@@ -166,8 +166,8 @@ def test_what_the_file_says_is_what_the_robot_is() -> None:
     assert robot.brain.body == "differential"
     assert robot.brain.differential is not None
     assert robot.brain.differential.wheel_separation == 0.22
-    assert [d.name for _, d in devices(robot, "can0")] == ["left", "right"]
-    assert [d.name for _, d in devices(robot, "sensors")] == ["lidar", "imu"]
+    assert [d.name for d in robot.devices_on("can0")] == ["left", "right"]
+    assert [d.name for d in robot.devices_on("sensors")] == ["lidar", "imu"]
 
 
 def test_defaults_are_inherited_all_the_way_down_and_can_be_overruled() -> None:
@@ -209,9 +209,13 @@ def test_interfaces_are_replaced_and_wrong_ones_told() -> None:
 MISTAKES: dict[str, list[tuple[str, str, str]]] = {
     # key: what stands in the rover's file, what stands there instead, what is told
     "rate_hz": [
-        ("rate_hz = 200", "rate_hz = 0", "found 0, expected a number greater than 0"),
+        (
+            "rate_hz = 200",
+            "rate_hz = 0",
+            "found 0, expected a finite number of steps per second greater than 0",
+        ),
         ("rate_hz = 200", "rate_hz = nan", "found nan, expected a finite number"),
-        ("rate_hz = 200", "rate_hz = 1e6", "expected at most 2000 steps per second"),
+        ("rate_hz = 200", "rate_hz = 1e6", "of steps per second greater than 0 and of at most 2000"),
         ("rate_hz = 200", "rate_hz = true", "found true, expected a finite number"),
         ("rate_hz = 200", "rate_hz = 2026-01-01", "found 2026-01-01, expected a finite number"),
     ],
@@ -219,7 +223,7 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         ("rate_hz = 200", "rate = 200", "no key 'rate'"),
     ],
     "seed": [
-        ("rate_hz = 200", "seed = -1", "found -1, expected an integer from 0"),
+        ("rate_hz = 200", "seed = -1", "found -1, expected an integer of at least 0"),
     ],
     "name": [
         ('name = "rover"', 'name = "diff/bot"', "expected letters, digits, _ and -"),
@@ -234,7 +238,7 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
     ],
     "buses.can0.bitrate": [
         ("bitrate = 1_000_000", "", "missing; expected an integer"),
-        ("bitrate = 1_000_000", "bitrate = 0", "found 0, expected a number greater than 0"),
+        ("bitrate = 1_000_000", "bitrate = 0", "found 0, expected an integer greater than 0"),
     ],
     "buses.can0.baudrate": [
         (
@@ -272,8 +276,8 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         ("address = 1\n", "address = 2\n", "'left' has address 2 on bus 'can0' too"),
     ],
     "motors.left.gear": [
-        ("gear = 8.0", "gear = 0", "found 0, expected a number greater than 0"),
-        ("gear = 8.0", "gear = -8.0", "found -8.0, expected a number greater than 0"),
+        ("gear = 8.0", "gear = 0", "found 0, expected a finite number greater than 0"),
+        ("gear = 8.0", "gear = -8.0", "found -8.0, expected a finite number greater than 0"),
         ("gear = 8.0", "gear = inf", "found inf, expected a finite number"),
     ],
     "motors.left.geer": [
@@ -293,7 +297,11 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         ('on_fault = "stop"', 'on_fault = "ignore"', "expected 'stop' or 'continue'"),
     ],
     "motors.left.command_timeout_ms": [
-        ("command_timeout_ms = 100", "command_timeout_ms = 0", "found 0, expected a number greater than 0"),
+        (
+            "command_timeout_ms = 100",
+            "command_timeout_ms = 0",
+            "found 0, expected a finite number of milliseconds greater than 0",
+        ),
         (
             "command_timeout_ms = 100",
             "command_timeout_ms = inf",
@@ -316,11 +324,15 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         ),
     ],
     "motors.left.limits.torque": [
-        ("torque = 2.0", "torque = 0.0", "found 0.0, expected a number greater than 0"),
+        ("torque = 2.0", "torque = 0.0", "found 0.0, expected a finite number greater than 0"),
         ("torque = 2.0", "", "missing; expected a finite number"),
     ],
     "motors.left.limits.position": [
-        ("torque = 2.0", "torque = 2.0\nposition = [1, -1]", "found [1, -1], expected the lowest first"),
+        (
+            "torque = 2.0",
+            "torque = 2.0\nposition = [1, -1]",
+            "position is [1, -1], expected the lowest first",
+        ),
         (
             "torque = 2.0",
             "torque = 2.0\nposition = [1]",
@@ -344,11 +356,15 @@ MISTAKES: dict[str, list[tuple[str, str, str]]] = {
         (
             'protocol = "plain"',
             'protocol = "odrive_can"',
-            "'odrive_can' speaks to a motor here, expected a sensor",
+            "'odrive_can' is the protocol of a motor here, expected a sensor",
         ),
     ],
     "sensors.lidar.timeout_ms": [
-        ("timeout_ms = 500", "timeout_ms = 0", "found 0, expected a number greater than 0"),
+        (
+            "timeout_ms = 500",
+            "timeout_ms = 0",
+            "found 0, expected a finite number of milliseconds greater than 0",
+        ),
     ],
     "sensors.lidar.mount.x": [
         ("mount = { x = 0.12,", "mount = { x = nan,", "found nan, expected a finite number"),
@@ -461,7 +477,7 @@ def test_a_mistake_in_a_default_is_told_once_where_it_stands() -> None:
     text = changed("gear = 8.0", "gear = 0", BENCH)
     number = line_of(text, "gear = 0")
     assert reported(text) == [
-        f"r.toml:{number}: defaults.motors.gear: found 0, expected a number greater than 0"
+        f"r.toml:{number}: defaults.motors.gear: found 0, expected a finite number greater than 0"
     ]
 
 
@@ -549,7 +565,7 @@ def test_hold_cannot_be_the_last_word_of_a_device_that_lets_go() -> None:
     (said,) = with_stranger(
         text, holds_unattended=False, sends=frozenset(), expects=frozenset(), obeys_also=()
     )
-    assert 'motors.left.stop_action: found "hold", expected "idle": with nobody feeding it' in said
+    assert 'motors.left.stop_action: found "hold", expected "idle": without commands from its host' in said
 
 
 def test_a_silent_brain_may_mean_hold_on_any_device_for_the_joint_goes_on_feeding_it() -> None:
@@ -609,7 +625,8 @@ def test_two_languages_do_not_report_on_one_id() -> None:
         for number, motor in enumerate(motors.values())
     )
     assert (
-        clash(left, right) == "uses CAN ids of 'left' (odrive_can) on bus 'can0': 0x041 (both report there)"
+        id_conflict(left, right)
+        == "uses CAN ids of 'left' (odrive_can) on bus 'can0': 0x041 (both report there)"
     )
 
 
@@ -620,7 +637,9 @@ def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
     assert len(with_stranger(ROVER, **ids, extended=None)) == 1
     assert with_stranger(ROVER, **ids, extended=frozenset({0x41, 0x1041, 0x47})) == []
     options = 'watchdog = "acknowledged"'
-    old = parse_robot(changed(options, f'{options}\nfirmware = "0.5"\nis_extended = true')).motors["left"].spec
+    old = (
+        parse_robot(changed(options, f'{options}\nfirmware = "0.5"\nis_extended = true')).motors["left"].spec
+    )
     assert all(old.is_extended(number) for number in old.sends | old.expects)
     new = parse_robot(ROVER).motors["left"].spec
     assert not any(new.is_extended(number) for number in new.sends | new.expects)
@@ -680,9 +699,7 @@ def test_classic_can_beside_can_fd_is_told_until_it_is_acknowledged() -> None:
     text = changed('kind = "can" ', FD)
     assert mixed(text) == []  # all of it classic
     (said,) = mixed(text, bus="canfd")
-    assert said.startswith(
-        "can0: left speaks CAN FD, and right classic CAN alone; the controller of right must"
-    )
+    assert said.startswith("can0: left uses CAN FD, and right classic CAN only; the controller of right must")
     assert said.endswith('If so, write shared_bus = "acknowledged" under [buses.can0]')
     assert mixed(changed('kind = "can" ', f'{FD}\nshared_bus = "acknowledged"'), bus="canfd") == []
 
@@ -691,10 +708,10 @@ def test_what_another_language_takes_for_its_own_is_told_until_it_is_acknowledge
     """ODrive's driver heeds every heartbeat, 0x01 in the low five bits, whoever is there."""
     expects = frozenset({0x181, 0x701, 0x582})
     (said,) = mixed(ROVER, expects=expects, sends=frozenset({0x202}))
-    assert said.startswith("left: odrive_can takes what it sends on 0x181, 0x701 for words of its own kind")
+    assert said.startswith("left: odrive_can takes its frames on 0x181, 0x701 for messages of its own kind")
     assert mixed(changed('kind = "can" ', 'kind = "can"\nshared_bus = "acknowledged"'), expects=expects) == []
     (said,) = mixed(ROVER, receives_also=((0x41, 0x7FF), (0x55, 0x7FF)))
-    assert said.startswith("right: stranger takes what it sends on 0x041, 0x055 for words")
+    assert said.startswith("right: stranger takes its frames on 0x041, 0x055 for messages")
 
 
 def test_limits_that_a_device_cannot_be_told_are_cautions() -> None:
@@ -712,7 +729,9 @@ def test_a_body_that_is_faster_than_its_joints_is_a_caution() -> None:
 def test_feedback_that_is_always_too_old_for_the_brain_is_a_caution() -> None:
     def at(timeout_ms: int, more: str = "") -> list[str]:
         return cautions(
-            parse_robot(ROVER.replace("feedback_timeout_ms = 100 ", f"feedback_timeout_ms = {timeout_ms} ") + more)
+            parse_robot(
+                ROVER.replace("feedback_timeout_ms = 100 ", f"feedback_timeout_ms = {timeout_ms} ") + more
+            )
         )
 
     assert at(21) == []
@@ -731,7 +750,10 @@ def test_a_sensor_that_nobody_uses_is_a_caution() -> None:
     imu += '[sensors.imu]\nprotocol = "plain"\nbus = "line"\naddress = 1\n'
     assert cautions(parse_robot(BENCH)) == []
     (said,) = cautions(parse_robot(f"{BENCH}\n{imu}"))
-    assert said == "imu: bare joints use no sensor; it is recorded, and its silence goes unnoticed"
+    assert (
+        said
+        == "imu: bare joints use no sensor; it is recorded, and a loss of its measurements goes unnoticed"
+    )
 
 
 def numbers_of(robot: Robot) -> list[str]:

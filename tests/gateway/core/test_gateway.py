@@ -77,7 +77,7 @@ def test_stop_latches_above_every_joint_until_release(driven: Rig) -> None:
 def test_a_motor_that_falls_silent_gets_a_sentence_and_the_rest_goes_on_if_the_file_says_so(
     driven: Rig,
 ) -> None:
-    driven.world.silence("right")  # on_fault = "continue"
+    driven.world.disconnect("right")  # on_fault = "continue"
     ticks = driven.run(1.0)
     (fault,) = [n for n in reported(ticks, "right") if n.level == "error"]
     assert "silent: no feedback for" in fault.text
@@ -89,7 +89,7 @@ def test_a_motor_that_falls_silent_gets_a_sentence_and_the_rest_goes_on_if_the_f
 
 
 def test_a_motor_that_falls_silent_stops_the_robot_if_the_file_says_so(driven: Rig) -> None:
-    driven.world.silence("left")  # on_fault = "stop"
+    driven.world.disconnect("left")  # on_fault = "stop"
     ticks = driven.run(1.0)
     assert "left: silent" in driven.gateway.why_stopped()
     words = [word for _, word in said(driven, ticks[-100:])]
@@ -98,9 +98,9 @@ def test_a_motor_that_falls_silent_stops_the_robot_if_the_file_says_so(driven: R
 
 
 def test_a_motor_that_comes_back_does_not_start_by_itself(driven: Rig) -> None:
-    driven.world.silence("right")
+    driven.world.disconnect("right")
     driven.run(0.5)
-    driven.world.unsilence("right")
+    driven.world.reconnect("right")
     ticks = driven.run(1.0)
     assert not [w for _, w in said(driven, ticks) if w.motor == "right" and not isinstance(w, msg.Idle)]
     driven.run(0.3, msg.ClearFault("right"))
@@ -169,7 +169,7 @@ def test_limits_and_gains_are_set_while_it_runs_or_refused_in_words(driven: Rig)
     texts = [n.text for n in reported(ticks, "operator")]
     assert texts[0] == "left.limits.velocity = 2"
     assert "positive finite" in texts[1]
-    assert "begins with neither of brain, left, right" in texts[2]
+    assert "begins with none of brain, left, right" in texts[2]
 
 
 def test_a_lost_bus_and_one_that_is_back_are_told_and_nothing_starts_by_itself(driven: Rig) -> None:

@@ -75,7 +75,7 @@ def drive(
         fed = plant(out[-1]) if plant and out else made.feedback
         ratio = made.settings.gear * made.settings.sign
         made.on_event(msg.Feedback("m", now, (fed.position or 0.0) * ratio, (fed.velocity or 0.0) * ratio))
-        out.append(made.allow(now, said, stopped=False))
+        out.append(made.command(now, said, stopped=False))
     return out
 
 
@@ -91,7 +91,7 @@ def test_the_device_turns_gear_times_as_far_the_other_way_round_if_it_is_mounted
 @given(gear=st.floats(0.1, 200.0), sign=st.sampled_from([1, -1]), torque=st.floats(-2.0, 2.0))
 def test_power_is_the_same_on_both_sides_of_the_gear(gear: float, sign: int, torque: float) -> None:
     made = armed(joint(gear=gear, sign=sign))
-    out = made.allow(STEP, msg.Impedance("m", 0.5, 3.0, torque, 20.0, 2.0), stopped=False)
+    out = made.command(STEP, msg.Impedance("m", 0.5, 3.0, torque, 20.0, 2.0), stopped=False)
     assert isinstance(out, msg.Impedance)
     assert out.torque * out.velocity == pytest.approx(torque * 3.0)
     # the spring at the device's shaft feels as stiff at the joint's
@@ -100,7 +100,7 @@ def test_power_is_the_same_on_both_sides_of_the_gear(gear: float, sign: int, tor
 
 def test_nothing_but_idle_before_the_device_was_heard() -> None:
     made = joint()
-    assert made.allow(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
+    assert made.command(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
     assert not made.owned
     assert not made.faults
 
@@ -166,12 +166,12 @@ def test_a_velocity_towards_the_end_of_travel_brakes_before_it_and_stops_at_it()
 
 def test_torque_is_clamped_and_not_given_beyond_the_speed_limit_or_the_end_of_travel() -> None:
     made = armed(joint(position=(-1.0, 1.0)))
-    assert made.allow(STEP, msg.Torque("m", 99.0), stopped=False) == msg.Torque("m", 2.0)
+    assert made.command(STEP, msg.Torque("m", 99.0), stopped=False) == msg.Torque("m", 2.0)
     made.on_event(msg.Feedback("m", STEP, 0.0, 12.0))
-    assert made.allow(2 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
-    assert made.allow(2 * STEP, msg.Torque("m", -1.0), stopped=False) == msg.Torque("m", -1.0)
+    assert made.command(2 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
+    assert made.command(2 * STEP, msg.Torque("m", -1.0), stopped=False) == msg.Torque("m", -1.0)
     made.on_event(msg.Feedback("m", 2 * STEP, 1.1, 0.0))
-    assert made.allow(3 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
+    assert made.command(3 * STEP, msg.Torque("m", 1.0), stopped=False) == msg.Torque("m", 0.0)
 
 
 @pytest.mark.parametrize(
@@ -181,9 +181,9 @@ def test_nothing_moves_where_the_position_must_be_known_and_is_not(command: Comm
     made = joint(position=(-1.0, 2.0))
     made.on_event(msg.Feedback("m", 0, velocity=0.0))
     made.on_event(msg.State("m", 0, Mode.ARMED))
-    assert made.allow(STEP, command, stopped=False) == msg.Idle("m")
+    assert made.command(STEP, command, stopped=False) == msg.Idle("m")
     made.on_event(msg.Feedback("m", STEP, position=0.5))
-    assert made.allow(2 * STEP, command, stopped=False) != msg.Idle("m")
+    assert made.command(2 * STEP, command, stopped=False) != msg.Idle("m")
 
 
 BAD = [math.nan, math.inf, -math.inf]
@@ -207,7 +207,7 @@ def test_a_value_that_is_not_finite_is_refused_and_counted(
     make: Callable[[float], Command], bad: float
 ) -> None:
     made = armed(joint())
-    assert made.allow(STEP, make(bad), stopped=False) == msg.Idle("m")
+    assert made.command(STEP, make(bad), stopped=False) == msg.Idle("m")
     assert "not finite" in made.refused
     assert made.not_finite == 1
 
@@ -224,26 +224,26 @@ def test_feedback_that_is_not_finite_goes_nowhere(bad: float) -> None:
 def test_a_command_that_the_device_cannot_do_is_refused_by_name() -> None:
     made = Joint("m", JointSettings(Limits(1.0, 1.0, 1.0)), spec(msg.Idle, msg.Velocity))
     armed(made)
-    assert made.allow(STEP, msg.Torque("m", 0.5), stopped=False) == msg.Idle("m")
+    assert made.command(STEP, msg.Torque("m", 0.5), stopped=False) == msg.Idle("m")
     assert made.refused == "Torque is not among what m can do: Idle, Velocity"
 
 
 @pytest.mark.parametrize("silent", ["idle", "hold"])
 def test_a_silent_brain_means_what_the_file_says(silent: str) -> None:
     made = armed(joint(silent=silent))
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.Feedback("m", 100 * MS, 0.0, 0.0))
-    assert isinstance(made.allow(100 * MS, None, stopped=False), msg.Velocity)
+    assert isinstance(made.command(100 * MS, None, stopped=False), msg.Velocity)
     made.on_event(msg.Feedback("m", 110 * MS, 0.0, 0.0))
-    out = made.allow(110 * MS, None, stopped=False)
+    out = made.command(110 * MS, None, stopped=False)
     assert out == (msg.Hold("m") if silent == "hold" else msg.Idle("m"))
 
 
 @pytest.mark.parametrize("safe", ["idle", "hold"])
 def test_stop_is_the_safe_word_at_once(safe: str) -> None:
     made = armed(joint(safe=safe))
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
-    out = made.allow(2 * STEP, msg.Velocity("m", 1.0), stopped=True)
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
+    out = made.command(2 * STEP, msg.Velocity("m", 1.0), stopped=True)
     assert out == (msg.Hold("m") if safe == "hold" else msg.Idle("m"))
 
 
@@ -251,14 +251,14 @@ def test_braking_slows_down_within_the_limit_and_then_disarms() -> None:
     made = armed(joint(safe="brake"), velocity=5.0)
     drive(made, msg.Velocity("m", 5.0), 1)
     speeds, now = [5.0], STEP
-    while isinstance(out := made.allow(now + STEP, None, stopped=True), msg.Velocity):
+    while isinstance(out := made.command(now + STEP, None, stopped=True), msg.Velocity):
         now += STEP
         speeds.append(out.velocity)
         made.on_event(msg.Feedback("m", now, 0.0, out.velocity))
     assert out == msg.Idle("m")
     assert len(speeds) == pytest.approx(5.0 / (50.0 * 0.005), abs=2)
     assert all(a - b <= 50.0 * 0.005 + 1e-9 for a, b in pairwise(speeds))
-    assert made.allow(now + 2 * STEP, None, stopped=True) == msg.Idle("m")
+    assert made.command(now + 2 * STEP, None, stopped=True) == msg.Idle("m")
 
 
 def test_braking_ends_in_bounded_time_even_if_the_shaft_does_not_slow_down() -> None:
@@ -267,7 +267,7 @@ def test_braking_ends_in_bounded_time_even_if_the_shaft_does_not_slow_down() -> 
     out = []
     for now in range(2 * STEP, 1000 * MS, STEP):
         made.on_event(msg.Feedback("m", now, 0.0, 5.0))
-        out.append(made.allow(now, None, stopped=True))
+        out.append(made.command(now, None, stopped=True))
     braked = [c for c in out if isinstance(c, msg.Velocity)]
     assert len(braked) * STEP <= made.braking_time == 400 * MS
     assert out[-1] == msg.Idle("m")
@@ -280,36 +280,36 @@ def test_what_cannot_be_trusted_to_brake_is_disarmed_at_once(why: str) -> None:
     if why == "fault":
         made.on_event(msg.Fault("m", STEP, 1, "X"))
     later = 500 * MS if why == "blind" else 2 * STEP
-    assert made.allow(later, None, stopped=True, last=why == "last") == msg.Idle("m")
+    assert made.command(later, None, stopped=True, last=why == "last") == msg.Idle("m")
 
 
 def test_a_commanded_joint_that_falls_silent_latches_and_does_not_start_by_itself() -> None:
     made = armed(joint())
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
-    assert made.allow(200 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
+    assert made.command(200 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
     assert [f.code for f in made.take_unreported()] == [FEEDBACK_LOST]
     made.on_event(msg.Feedback("m", 205 * MS, 0.0, 0.0))
-    assert made.allow(205 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
+    assert made.command(205 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
     made.clear()
-    assert isinstance(made.allow(210 * MS, msg.Velocity("m", 1.0), stopped=False), msg.Velocity)
+    assert isinstance(made.command(210 * MS, msg.Velocity("m", 1.0), stopped=False), msg.Velocity)
     assert made.take_unreported() == []
 
 
 def test_how_long_a_joint_may_be_silent_is_the_robot_files_not_the_drivers() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))  # the driver's own patience has ended
-    made.allow(400 * MS, msg.Velocity("m", 1.0), stopped=False)
+    made.command(400 * MS, msg.Velocity("m", 1.0), stopped=False)
     assert not made.faults
-    made.allow(510 * MS, msg.Velocity("m", 1.0), stopped=False)
+    made.command(510 * MS, msg.Velocity("m", 1.0), stopped=False)
     assert [f.code for f in made.faults.values()] == [FEEDBACK_LOST]
 
 
 def test_a_device_that_comes_back_disarmed_from_a_short_silence_has_left() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))
     made.on_event(msg.State("m", 300 * MS, Mode.READY))
     assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
@@ -317,23 +317,23 @@ def test_a_device_that_comes_back_disarmed_from_a_short_silence_has_left() -> No
 
 def test_an_idle_joint_that_falls_silent_is_blind_but_not_in_fault() -> None:
     made = armed(joint())
-    made.allow(200 * MS, None, stopped=False)
+    made.command(200 * MS, None, stopped=False)
     assert made.feedback_lost(200 * MS)
     assert not made.faults
 
 
 def test_a_device_that_disarms_itself_latches() -> None:
     made = armed(joint())
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.State("m", 2 * STEP, Mode.INITIALISING, "INITIALIZING"))
     assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
-    assert made.allow(3 * STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
+    assert made.command(3 * STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
 
 
 def test_a_device_that_we_disarmed_is_in_no_fault() -> None:
     made = armed(joint())
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
-    made.allow(2 * STEP, msg.Idle("m"), stopped=False)
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.command(2 * STEP, msg.Idle("m"), stopped=False)
     made.on_event(msg.State("m", 3 * STEP, Mode.READY))
     assert not made.faults
 
@@ -346,16 +346,16 @@ def test_faults_latch_once_each_and_stay_when_the_device_forgets_them() -> None:
     made.on_event(msg.State("m", 2, Mode.READY))
     assert [f.code for f in made.take_unreported()] == [0x40, 0x80]
     assert len(made.faults) == 2
-    assert made.allow(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
+    assert made.command(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
 
 
 def test_after_clearing_the_old_command_is_not_taken_up_again() -> None:
     made = armed(joint())
-    made.allow(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.Fault("m", 1, 1, "X"))
     made.clear()
     made.on_event(msg.Feedback("m", 2 * STEP, 0.0, 0.0))
-    assert made.allow(2 * STEP, None, stopped=False) == msg.Idle("m")
+    assert made.command(2 * STEP, None, stopped=False) == msg.Idle("m")
 
 
 @pytest.mark.parametrize(

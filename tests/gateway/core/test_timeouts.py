@@ -49,7 +49,7 @@ def pulled(text: str, name: str, seconds: float) -> Seen:
     rig.run(2.0, Goal(1.5, 0.0))
     assert rig.gateway.belief().state is BrainState.RUNNING
     assert rig.velocity("right") > 8.0
-    rig.world.silence(name)
+    rig.world.disconnect(name)
     beliefs: list[tuple[Nanos, BrainState, str]] = []
     speeds: list[tuple[Nanos, float]] = []
 
@@ -124,8 +124,8 @@ def test_an_outage_that_a_longer_timeout_bears_slows_nothing(
     rig.run(0.5)
     rig.run(1.5, Goal(1.5, 0.0))
     seen: set[BrainState] = set()
-    rig.world.silence("lidar")
+    rig.world.disconnect("lidar")
     rig.run(0.5, at=lambda _: seen.add(rig.gateway.belief().state))
-    rig.world.unsilence("lidar")
+    rig.world.reconnect("lidar")
     rig.run(0.3, at=lambda _: seen.add(rig.gateway.belief().state))
     assert seen == states

@@ -80,6 +80,7 @@ size = [1.0, 0.0, 1.0]
         (7, "body.mass"),
         (9, "lidars.lidar.beam"),
         (11, "lidars.other.range_min"),
+        (13, "imus.imu.rate_hz"),
         (14, "imus.imu.gyro_bias"),
         (17, "walls.a.end"),
         (18, "boxes.b.y"),
