@@ -1,7 +1,8 @@
-"""mjbots moteus over CAN FD: the multiplex protocol with registers. See README.md beside this.
+"""mjbots moteus over CAN FD: the multiplex protocol with registers (README.md). Exports `plugin`.
 
 Rules. This file is the contract (`Spec`) and the entry point; nothing is decided here that the device or the
-robot file should decide. Ranges are what the wire can carry in sense, not what a joint may do.
+robot file should decide. Ranges are what the frames can carry in sense, not what a joint may do. Imports
+nothing but `protocols`; driver and twin meet only in `codec`, `registers` and `faults`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass, replace
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND
-from protocols.moteus.codec import BROADCAST, REPLY_BIT, Ask, command_id, parse, reply_id
+from protocols.moteus.codec import BROADCAST, REPLY_BIT, Query, command_id, parse, reply_id
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusDriver
 from protocols.moteus.faults import FAULTS
@@ -21,6 +22,8 @@ from protocols.moteus.messages import names
 from protocols.moteus.options import ADDRESS_MAX, Options, Settings
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
+
+__all__ = ["plugin"]
 
 BINARY32 = 2.0**-24
 """Largest relative error of rounding to binary32."""
@@ -31,52 +34,46 @@ MAX_SPEED = 1e3
 MAX_TORQUE = 1e3
 """N·m"""
 
-_position = Range(-MAX_REVOLUTIONS * math.tau, MAX_REVOLUTIONS * math.tau, 1e-12, BINARY32 * 1.01)
-_velocity = Range(-MAX_SPEED * math.tau, MAX_SPEED * math.tau, 1e-12, BINARY32 * 1.01)
-_torque = Range(-MAX_TORQUE, MAX_TORQUE, 1e-12, BINARY32 * 1.01)
-_scalar = Range(-3.4e38, 3.4e38, 1e-12, BINARY32 * 1.01)
+
+def _binary32(most: float) -> Range:
+    return Range(-most, most, 1e-12, BINARY32 * 1.01)
+
+
 RANGES: dict[str, Range] = {
-    "Position.position": _position,
-    "Position.velocity": _velocity,
-    "Position.torque": _torque,
-    "Velocity.velocity": _velocity,
-    "Velocity.torque": _torque,
-    "Torque.torque": _torque,
-    "Feedback.position": _scalar,
-    "Feedback.velocity": _scalar,
-    "Feedback.torque": _scalar,
-    "Feedback.current": _scalar,
+    "Position.position": _binary32(MAX_REVOLUTIONS * math.tau),
+    "Position.velocity": _binary32(MAX_SPEED * math.tau),
+    "Position.torque": _binary32(MAX_TORQUE),
+    "Velocity.velocity": _binary32(MAX_SPEED * math.tau),
+    "Velocity.torque": _binary32(MAX_TORQUE),
+    "Torque.torque": _binary32(MAX_TORQUE),
+    "Feedback.position": _binary32(3.4e38),
+    "Feedback.velocity": _binary32(3.4e38),
+    "Feedback.torque": _binary32(3.4e38),
+    "Feedback.current": _binary32(3.4e38),
     "Feedback.voltage": Range(0.0, 3276.7, 0.05001),
     "Feedback.temperature": Range(-3276.7, 3276.7, 0.05001),
 }
-
-
-def _measured(settings: Settings) -> Range:
-    """A position is told to half a count of the encoder, and rounded to binary32."""
-    return replace(_scalar, resolution=math.pi / settings.encoder_cpr * 1.001)
+DESTINATION = 0x1FFF_00FF
+"""Bits of an identifier that address a device: prefix and destination, of a frame of any format, CAN FD or
+classic (mjbots/moteus@1f4a195 `fw/fdcan_micro_server.h`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadOnly:
-    """Whether a frame only asks: registers are read, and nothing else stands in it."""
+    """True of a frame that only queries registers. A value rather than a function, so that equal specs are
+    equal."""
 
     ids: frozenset[int]
 
     def __call__(self, frame: Frame) -> bool:
-        """A value rather than a function, so that equal specs are equal."""
         if not isinstance(frame, CanFrame) or frame.remote or frame.id not in self.ids:
             return False
-        subframes, sound = parse(frame.data)
-        return sound and all(isinstance(subframe, Ask) for subframe in subframes)
-
-
-DESTINATION = 0x1FFF_00FF
-"""The bits of an identifier that say for whom it is: prefix and destination, of a frame of any format, CAN FD
-or classic (mjbots/moteus@1f4a195 `fw/fdcan_micro_server.h`)."""
+        subframes, well_formed = parse(frame.data)
+        return well_formed and all(isinstance(subframe, Query) for subframe in subframes)
 
 
 def spec(device: Device) -> Spec:
-    """The contract of one moteus. ValueError if its address cannot be one."""
+    """Return the contract of one moteus. Raises ValueError if its address cannot be one."""
     options, settings = device.options, device.settings
     if not isinstance(options, Options) or not isinstance(settings, Settings):
         raise TypeError("a moteus device takes moteus' Options and Settings")
@@ -84,6 +81,8 @@ def spec(device: Device) -> Spec:
         raise ValueError(f"address {device.address} of {device.name}: an id is 1 to {ADDRESS_MAX}")
     host, prefix = options.host_id, options.can_prefix
     sends = frozenset(command_id(address, host, prefix) for address in (device.address, BROADCAST))
+    # Feedback of a position is rounded to half a count of the encoder, and to binary32.
+    position = replace(RANGES["Feedback.position"], resolution=math.pi / settings.encoder_cpr * 1.001)
     return Spec(
         bus="canfd",
         kind="motor",
@@ -97,7 +96,7 @@ def spec(device: Device) -> Spec:
         requests=frozenset(
             {msg.ClearFault, msg.Scan, msg.SetId, msg.Zero, msg.ReadParameter, msg.WriteParameter}
         ),
-        ranges=RANGES | {"Feedback.position": _measured(settings)},
+        ranges=RANGES | {"Feedback.position": position},
         watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True),
         holds_unattended=False,
         stop_clears_faults=True,
@@ -108,11 +107,11 @@ def spec(device: Device) -> Spec:
 
 
 def driver(devices: Sequence[Device]) -> Driver:
-    """Our end, for all moteus controllers of one bus. ValueError if two have the same address."""
+    """Return the driver of all moteus controllers of one bus. Raises ValueError for a duplicate address."""
     addresses = [(device.address, device.options.can_prefix) for device in devices]
     for device, address in zip(devices, addresses, strict=True):
         if addresses.count(address) > 1:
-            raise ValueError(f"address {device.address} of {device.name} is given twice on this bus")
+            raise ValueError(f"duplicate address {device.address} on this bus ({device.name})")
     return MoteusDriver(devices, RANGES)
 
 
@@ -120,7 +119,7 @@ plugin = Plugin(
     name="moteus",
     title="mjbots moteus (r4, c1, n1, x1) over CAN FD",
     trust=(
-        "bytes of every frame that moves a motor, answers, discovery: moteus 1.1.1 (the vendor's);"
+        "bytes of every frame that moves a motor, replies, discovery: moteus 1.1.1 (the vendor's);"
         " worked examples: mjbots/moteus@db1a762; the twin driven by moteus 1.1.1's Controller and Transport"
     ),
     options=Options,

@@ -1,9 +1,9 @@
-"""What a moteus complains of: fault codes in the vendor's words, with likely cause and cure.
+"""Fault codes of a moteus: the vendor's name, likely cause and remedy.
 
 Sources: codes and names mjbots/moteus@db1a762 `docs/protocol/registers.md` (0x00f) and, for 49 and 50,
-`docs/reference/configuration.md`; the timeout `docs/troubleshooting/timeout-mode-11.md`. Codes 96 to 103 say
-what limits the output at the moment, while all is well: they are no faults, and are told with the state.
-Codes from 0x100 on are ours.
+`docs/reference/configuration.md`; the timeout `docs/troubleshooting/timeout-mode-11.md`. Codes 96 to 103 mean
+that something limits the output at the moment, without a fault: they are reported with the state. Codes from
+0x100 on are the driver's.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ from protocols.plugin import FaultInfo
 
 TIMEOUT = int(Mode.TIMEOUT)
 """The device's watchdog: not a code of the fault register, but a mode that latches like one."""
-HELD_TWICE = 0x100
+DUPLICATE_ID = 0x100
 NOT_ARMED = 0x101
 
-_SETTINGS = "compare the device's configuration with moteus_tool --dump-config, then clear"
 FAULTS: Mapping[int, FaultInfo] = {
     TIMEOUT: FaultInfo(
         "timeout",
@@ -73,12 +72,12 @@ FAULTS: Mapping[int, FaultInfo] = {
     ),
     42: FaultInfo(
         "theta invalid",
-        "no commutation encoder tells a valid angle",
+        "no commutation encoder has a valid angle",
         "check the encoder's configuration (motor_position.sources) and cable",
     ),
     43: FaultInfo(
         "position invalid",
-        "no output encoder tells a valid position",
+        "no output encoder has a valid position",
         "check the output encoder, or search its index first",
     ),
     44: FaultInfo(
@@ -104,7 +103,7 @@ FAULTS: Mapping[int, FaultInfo] = {
     48: FaultInfo(
         "invalid limits",
         "servopos.position_min or position_max lies outside what the device can count",
-        _SETTINGS,
+        "compare the device's configuration with moteus_tool --dump-config, then clear",
     ),
     49: FaultInfo(
         "position control error",
@@ -127,11 +126,11 @@ LIMITS: Mapping[int, str] = {
     102: "the commanded maximum torque",
     103: "servopos.position_min or servopos.position_max",
 }
-"""What the fault register says in a mode that is not fault."""
+"""What limits the output, by the content of the fault register in a mode that is not fault."""
 
 
 def fault_info_of(code: int) -> FaultInfo:
-    """The text of a fault, also of one that is not in the table."""
+    """Return the description of a fault code, also of an unknown one."""
     unknown = FaultInfo(
         f"fault {code}",
         "a code that this driver does not know: newer firmware?",

@@ -1,10 +1,10 @@
-"""What our end says to a moteus: the data of its frames, and the names of their messages.
+"""What the host sends to a moteus: the data of its frames, and the names of their messages.
 
 Rules. The mode is the first register of a frame. Registers that a frame does not name fall back to their
-defaults, and that of the position is 0: so the position is always named. The watchdog is named in every frame
-that moves a motor, and never off. Torque is position control whose gains are scaled to zero, the integrator's
-too. NaN ("not given") is a constant of this file. Revolutions at the output shaft, s, N·m. Layouts:
-mjbots/moteus@db1a762 `docs/protocol/registers.md`; the grouping of registers is moteus 1.1.1's.
+defaults, and that of the position is 0: so the position is always named. The watchdog timeout is named in
+every frame that moves a motor, and never off. Torque is position control whose gains are scaled to zero, the
+integrator's too. NaN ("not given") is a constant of this file. Revolutions at the output shaft, s, N·m.
+Layouts: mjbots/moteus@db1a762 `docs/protocol/registers.md`; the grouping of registers is moteus 1.1.1's.
 """
 
 from __future__ import annotations
@@ -15,58 +15,37 @@ from dataclasses import dataclass
 from math import nan
 
 from protocols.frames import CanFrame, Frame
-from protocols.moteus.codec import (
-    F32,
-    INT32,
-    TO_DEVICE,
-    WRITE,
-    Ask,
-    Stream,
-    Subframe,
-    Values,
-    encode,
-    head,
-    parse,
-    quantity,
-    single,
-    write,
-)
+from protocols.moteus import codec
+from protocols.moteus.codec import F32, INT32, WRITE, Console, Query, Subframe, Values, header, to_single
 from protocols.moteus.registers import Mode, Register, mode_name
 
 STOP = bytes.fromhex("010000")
 DISCOVER = bytes.fromhex("1804d00211d802")
-"""UUID as four int32, and whether the device can be told apart by it (moteus 1.1.1 `transport.py`)."""
-IDENTIFY = head(0x10, Register.MODEL_NUMBER, INT32, 3) + DISCOVER
-"""Model, firmware and register map as well."""
+"""Query for the UUID as four int32, and whether the device can be addressed by it (moteus 1.1.1
+`transport.py`)."""
+IDENTIFY = header(codec.READ, Register.MODEL_NUMBER, INT32, 3) + DISCOVER
+"""Query for model, firmware and register map as well."""
 
-_MODE = bytes((WRITE + 1, Register.MODE, Mode.POSITION))
-_HEADS = {
-    name: head(WRITE, start, F32, count)
-    for name, start, count in (
-        ("inputs", Register.COMMAND_POSITION, 3),
-        ("scaled", Register.COMMAND_POSITION, 5),
-        ("scaled and limited", Register.COMMAND_POSITION, 6),
-        ("most", Register.COMMAND_POSITION_MAX_TORQUE, 1),
-        ("time", Register.COMMAND_TIMEOUT, 1),
-        ("time and limits", Register.COMMAND_TIMEOUT, 3),
-        ("integrator", Register.COMMAND_ILIMIT_SCALE, 1),
-    )
-}
+_POSITION_MODE = bytes((WRITE + 1, Register.MODE, Mode.POSITION))
+_SETPOINT = _POSITION_MODE + header(WRITE, Register.COMMAND_POSITION, F32, 3)
+_SCALED = _POSITION_MODE + header(WRITE, Register.COMMAND_POSITION, F32, 5)
+_SCALED_LIMITED = _POSITION_MODE + header(WRITE, Register.COMMAND_POSITION, F32, 6)
+_MAX_TORQUE = header(WRITE, Register.COMMAND_POSITION_MAX_TORQUE, F32, 1)
+_TIMEOUT = header(WRITE, Register.COMMAND_TIMEOUT, F32, 1)
+_TIMEOUT_LIMITS = header(WRITE, Register.COMMAND_TIMEOUT, F32, 3)
+_ILIMIT = header(WRITE, Register.COMMAND_ILIMIT_SCALE, F32, 1)
 _MOVE = struct.Struct("<5s3f2sf")
 _MOVE_LIMITED = struct.Struct("<5s3f2sf2s3f")
 _PUSH = struct.Struct("<6s5f2sf2sf")
 _PUSH_LIMITED = struct.Struct("<6s6f2s3f2sf")
-_INPUTS = _MODE + _HEADS["inputs"]
-_SCALED = _MODE + _HEADS["scaled"]
-_SCALED_LIMITED = _MODE + _HEADS["scaled and limited"]
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What stands in every frame that moves a motor: finite numbers above 0, or None for the device's own."""
+    """Limits in every frame that moves a motor: finite numbers above 0, or None for the device's own."""
 
     timeout: float
-    """s"""
+    """s, of the watchdog"""
     torque: float | None = None
     """N·m"""
     velocity: float | None = None
@@ -75,115 +54,101 @@ class Limits:
     """rev/s²"""
 
     @property
-    def plain(self) -> bool:
-        """Whether the watchdog is the only one of them."""
+    def only_timeout(self) -> bool:
+        """True if the watchdog timeout is the only one of them."""
         return self.torque is None and self.velocity is None and self.acceleration is None
 
 
-def move(position: float | None, velocity: float, torque: float, limits: Limits) -> bytes:
-    """Position control; no position: go on from where the device's set-point is, with this velocity."""
-    p = nan if position is None else single(position)
-    v, t = single(velocity), single(torque)
-    if limits.plain:
-        return _MOVE.pack(_INPUTS, p, v, t, _HEADS["time"], limits.timeout)
-    most, fastest, hardest = _given(limits)
-    parts = (_HEADS["most"], most, _HEADS["time and limits"], limits.timeout, fastest, hardest)
-    return _MOVE_LIMITED.pack(_INPUTS, p, v, t, *parts)
+def position_command(position: float | None, velocity: float, torque: float, limits: Limits) -> bytes:
+    """Encode position control; position None: go on from the device's own set-point at this velocity."""
+    p = nan if position is None else to_single(position)
+    v, t = to_single(velocity), to_single(torque)
+    if limits.only_timeout:
+        return _MOVE.pack(_SETPOINT, p, v, t, _TIMEOUT, limits.timeout)
+    max_torque, max_velocity, max_acceleration = _registers_of(limits)
+    rest = (_MAX_TORQUE, max_torque, _TIMEOUT_LIMITS, limits.timeout, max_velocity, max_acceleration)
+    return _MOVE_LIMITED.pack(_SETPOINT, p, v, t, *rest)
 
 
-def push(position: float, torque: float, limits: Limits) -> bytes:
-    """Torque alone. The set-point of the position goes with the shaft, so that nothing jumps afterwards."""
-    p, t = single(position), single(torque)
-    if limits.plain:
-        time, integrator = _HEADS["time"], _HEADS["integrator"]
-        return _PUSH.pack(_SCALED, p, 0.0, t, 0.0, 0.0, time, limits.timeout, integrator, 0.0)
-    most, fastest, hardest = _given(limits)
-    parts = (_HEADS["time and limits"], limits.timeout, fastest, hardest, _HEADS["integrator"], 0.0)
-    return _PUSH_LIMITED.pack(_SCALED_LIMITED, p, 0.0, t, 0.0, 0.0, most, *parts)
+def torque_command(position: float, torque: float, limits: Limits) -> bytes:
+    """Encode torque alone: all gains are scaled to 0. The position is the measured one, so that nothing jumps
+    afterwards."""
+    p, t = to_single(position), to_single(torque)
+    if limits.only_timeout:
+        return _PUSH.pack(_SCALED, p, 0.0, t, 0.0, 0.0, _TIMEOUT, limits.timeout, _ILIMIT, 0.0)
+    max_torque, max_velocity, max_acceleration = _registers_of(limits)
+    rest = (_TIMEOUT_LIMITS, limits.timeout, max_velocity, max_acceleration, _ILIMIT, 0.0)
+    return _PUSH_LIMITED.pack(_SCALED_LIMITED, p, 0.0, t, 0.0, 0.0, max_torque, *rest)
 
 
-def _given(limits: Limits) -> tuple[float, float, float]:
-    most, fastest, hardest = limits.torque, limits.velocity, limits.acceleration
+def _registers_of(limits: Limits) -> tuple[float, float, float]:
+    """Return torque, velocity and acceleration, NaN for the device's own."""
+    torque, velocity, acceleration = limits.torque, limits.velocity, limits.acceleration
     return (
-        nan if most is None else most,
-        nan if fastest is None else fastest,
-        nan if hardest is None else hardest,
+        nan if torque is None else torque,
+        nan if velocity is None else velocity,
+        nan if acceleration is None else acceleration,
     )
 
 
 def masked(uuid: bytes, rest: bytes) -> bytes:
-    """For the one device whose UUID begins so (a multiple of four bytes): the rest of the frame."""
-    words = struct.unpack(f"<{len(uuid) // 4}i", uuid)
-    return encode(Values(WRITE, Register.UUID_MASK1, INT32, words)) + rest
+    """Address the rest of a frame to the device whose UUID begins so (a multiple of four bytes)."""
+    numbers = struct.unpack(f"<{len(uuid) // 4}i", uuid)
+    return codec.encode(Values(WRITE, Register.UUID_MASK1, INT32, numbers)) + rest
 
 
 def console(line: str) -> bytes:
-    """A line for the diagnostic console."""
-    return encode(Stream(TO_DEVICE, 1, line.encode("ascii") + b"\n"))
+    """Encode a line for the diagnostic console."""
+    return codec.encode(Console(codec.TO_DEVICE, 1, line.encode("ascii") + b"\n"))
 
 
-def ask(register: int, resolution: int) -> bytes:
-    """One register is asked for."""
-    return encode(Ask(register, resolution, 1))
-
-
-def set_register(register: int, value: float) -> bytes:
-    """One register is written, as binary32."""
-    return write(register, value)
-
-
-# -- what a frame says, by name ------------------------------------------------------------------------
+# -- the names of messages -----------------------------------------------------------------------------
 
 
 def names(frame: Frame) -> Sequence[str]:
-    """The messages to a device in a frame: a command by its mode and registers, a question, a console's line.
+    """Return the names of the messages in a frame to a device: a command by mode and registers, "read",
+    a console line.
 
     A name holds the registers that are written, so that messages of one name differ in their values only."""
     if not isinstance(frame, CanFrame) or frame.remote or frame.id & 0x80:
         return ()
-    subframes, sound = parse(frame.data)
-    if not sound or any(isinstance(s, Values) and s.code != WRITE for s in subframes):
+    subframes, well_formed = codec.parse(frame.data)
+    if not well_formed or any(isinstance(s, Values) and s.code != WRITE for s in subframes):
         return ()
-    said = dict.fromkeys(name for s in subframes if (name := _named(s)))
-    command = _command(subframes)
-    return (*((command,) if command else ()), *said)
+    others = dict.fromkeys(name for s in subframes if (name := _name_of(s)))
+    command = _command_name(subframes)
+    return (*((command,) if command else ()), *others)
 
 
-def _named(subframe: Subframe) -> str:
+def _name_of(subframe: Subframe) -> str:
     match subframe:
-        case Ask():
+        case Query():
             return "read"
-        case Stream(code, _, data) if code == TO_DEVICE:
-            return f"console: {_verb(data)}"
-        case Stream():
+        case Console(code, _, data) if code == codec.TO_DEVICE:
+            words = data.decode("ascii", "replace").split()
+            return f"console: {' '.join(words[:3] if words[:2] == ['conf', 'set'] else words[:2])}"
+        case Console():
             return "console: read"
     return ""
 
 
-def _verb(data: bytes) -> str:
-    words = data.decode("ascii", "replace").split()
-    return " ".join(words[:3] if words[:2] == ["conf", "set"] else words[:2])
-
-
 def written(subframes: Sequence[Subframe]) -> dict[int, float | None]:
-    """The registers that a frame writes, the last value of each."""
-    out: dict[int, float | None] = {}
+    """Return the registers that a frame writes, with the last value of each."""
+    values: dict[int, float | None] = {}
     for subframe in subframes:
         if isinstance(subframe, Values) and subframe.code == WRITE:
-            for i, raw in enumerate(subframe.raw):
-                register = subframe.start + i
-                out[register] = quantity(register, subframe.resolution, raw)
-    return out
+            for register, raw in enumerate(subframe.raw, subframe.start):
+                values[register] = codec.from_raw(register, subframe.resolution, raw)
+    return values
 
 
-def _command(subframes: Sequence[Subframe]) -> str:
+def _command_name(subframes: Sequence[Subframe]) -> str:
     values = written(subframes)
     if not values:
         return ""
     rest = " ".join(f"{register:03X}" for register in sorted(values) if register != Register.MODE)
-    if Register.MODE not in values:
-        return f"write {rest}"
-    return f"{_kind(values)} {rest}".rstrip()
+    kind = _kind(values) if Register.MODE in values else "write"
+    return f"{kind} {rest}".rstrip()
 
 
 def _kind(values: dict[int, float | None]) -> str:

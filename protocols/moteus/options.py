@@ -1,8 +1,8 @@
-"""What can be set: `Options` for our driver, `Settings` for what is configured on the device itself.
+"""Configuration: `Options` of the driver, `Settings` of the device itself.
 
 Rules. Options never repeat what the device knows, except to be stricter in each command; the driver does not
 read settings. Options are SI; names and units of settings are the vendor's own (rev, N·m, A, V, °C, s),
-so that they can be compared with `moteus_tool --dump-config`. No watchdog can be switched off by an option.
+so that they can be compared with `moteus_tool --dump-config`. No option switches a watchdog off.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from protocols.plugin import Device
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the driver should do."""
+    """Configuration of the driver."""
 
     host_id: int = 0
-    """Our own id on the bus, to which devices answer: another one for each host on it."""
+    """Our own id on the bus, to which devices reply: another one for each host on it."""
     can_prefix: int = 0
-    """`can.prefix` of the device: the upper 13 bits of its identifiers. Give one where other languages share
+    """`can.prefix` of the device: the upper 13 bits of its identifiers. Set one where other protocols share
     the bus: a moteus obeys any identifier whose lower 7 bits are its id."""
     timeout_ms: int = 100
-    """The watchdog, written with every command: without another for so long the device latches a timeout."""
+    """Watchdog timeout, written with every command: without another in time the device latches a timeout."""
     max_torque: float = 0.0
-    """N·m, in every command; 0: as the device is configured."""
+    """N·m, in every command; 0: as configured on the device."""
     velocity_limit: float = 0.0
-    """rad/s of the device's own trajectories, in every command; 0: as the device is configured."""
+    """rad/s of the device's own trajectories, in every command; 0: as configured on the device."""
     acceleration_limit: float = 0.0
     """rad/s², likewise."""
     feedback_ms: int = 10
-    """How often a device that is not commanded is asked; each command asks by itself."""
+    """Period of queries to a device that is not commanded; each command is a query too."""
     details_ms: int = 200
-    """How often current, voltage and temperatures are asked for too."""
+    """Period of queries for current, voltage and temperatures as well."""
     offline_ms: int = 200
-    """Silence after which the device counts as offline."""
+    """Time without a reply after which the device is offline."""
 
     def __post_init__(self) -> None:
         wrong = [
@@ -68,7 +68,7 @@ class Options:
 
 
 def limits_of(options: Options) -> Limits:
-    """What stands in every command, in the device's units."""
+    """Return the limits in every command, in the device's units."""
     return Limits(
         options.timeout_ms / 1000,
         options.max_torque or None,
@@ -79,10 +79,10 @@ def limits_of(options: Options) -> Limits:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What is configured on the device: a commissioned servo."""
+    """Configuration of the device: by default a commissioned servo."""
 
     uuid: str = ""
-    """32 hexadecimal digits, as on the packaging; "": made up from the address and the twin's seed."""
+    """32 hexadecimal digits, as on the packaging; "": generated from the address and the twin's seed."""
     firmware: str = "1.3.4"
     model: int = 0x030404
     register_map: int = 5
@@ -128,9 +128,9 @@ class Settings:
     encoder_bandwidth: float = 1500.0
     """rad/s of the velocity's filter"""
     enable_ms: int = 5
-    """From stopped to any mode with torque: the driver is enabled, the current sensors are zeroed."""
+    """Time from stopped to a mode with torque: the gate driver is enabled, the current sensors are zeroed."""
     reply_delay_us: int = 0
-    """From the end of a frame to the beginning of its answer."""
+    """Time from the end of a frame to the beginning of its reply."""
 
     bus_voltage: float = 24.0
     """V, without load"""
@@ -147,10 +147,12 @@ class Settings:
     """K below a fault's temperature from which on the current is limited"""
 
     def __post_init__(self) -> None:
-        wrong = [f"{name} must not be infinite" for name, value in self._floats() if math.isinf(value)]
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        floats = {name: value for name, value in values.items() if isinstance(value, float)}
+        wrong = [f"{name} must not be infinite" for name, value in floats.items() if math.isinf(value)]
         wrong += [
             f"{name} must be a number"
-            for name, value in self._floats()
+            for name, value in floats.items()
             if math.isnan(value) and name not in _MAY_BE_NAN
         ]
         wrong += [f"{name} must be above 0" for name in _POSITIVE if not getattr(self, name) > 0]
@@ -164,21 +166,10 @@ class Settings:
         if wrong:
             raise ValueError("; ".join(wrong))
 
-    def _floats(self) -> list[tuple[str, float]]:
-        values = [(field.name, getattr(self, field.name)) for field in fields(self)]
-        return [(name, value) for name, value in values if isinstance(value, float)]
 
-
-_MAY_BE_NAN = (
-    "position_min",
-    "position_max",
-    "default_velocity_limit",
-    "default_accel_limit",
-    "default_timeout_s",
-    "fault_position_error",
-    "fault_velocity_error",
-    "motor_fault_temperature",
-)
+_MAY_BE_NAN = {"default_timeout_s"} | {
+    f.name for f in fields(Settings) if isinstance(f.default, float) and math.isnan(f.default)
+}
 _POSITIVE = (
     "motor_kv",
     "max_current",
@@ -210,18 +201,18 @@ ADDRESS_MAX = BROADCAST - 1
 
 
 def torque_constant(settings: Settings) -> float:
-    """N·m/A of a motor with this Kv."""
+    """Return the torque constant [N·m/A] of a motor with this Kv."""
     return 8.27 / settings.motor_kv
 
 
 def firmware_number(settings: Settings) -> int:
-    """As the firmware register tells it: 1.3.4 is 0x010304."""
+    """Return the content of the firmware register: 1.3.4 is 0x010304."""
     major, minor, micro = (int(part) for part in settings.firmware.split("."))
     return major << 16 | minor << 8 | micro
 
 
 def uuid_of(device: Device, seed: int) -> bytes:
-    """16 bytes: as configured, or made up."""
+    """Return the 16 bytes of the UUID, as configured or generated."""
     settings: Settings = device.settings
     if settings.uuid:
         return bytes.fromhex(settings.uuid)
@@ -230,9 +221,9 @@ def uuid_of(device: Device, seed: int) -> bytes:
 
 
 SERIAL_BYTES = 8
-"""A serial number is the first so many bytes of a UUID, the first 16 digits as printed."""
+"""A serial number is the first 8 bytes of a UUID, its first 16 digits as printed."""
 
 
 def serial_of(uuid: bytes) -> int:
-    """The serial number in words."""
+    """Return the serial number in messages."""
     return int.from_bytes(uuid[:SERIAL_BYTES], "big")

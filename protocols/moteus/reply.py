@@ -1,8 +1,8 @@
-"""What a device tells: the bytes of its frames → registers, errors, and what its console says.
+"""Replies of a device: the bytes of its frames → registers, errors, and console output.
 
-Rules. A frame that is ill-formed anywhere, or is none of a device's, tells nothing (`decode` gives None). The
-answers to the two questions that are asked all the time have a known shape and are read without a loop; they
-come to the same. Layouts: mjbots/moteus@db1a762 `docs/protocol/can.md`, `docs/protocol/registers.md`.
+Rules. A frame that is malformed anywhere, or is no reply, has no meaning (`decode` returns None). The replies
+to the two queries that are sent all the time have a known layout and are decoded without a loop, to the same
+result. Layouts: mjbots/moteus@db1a762 `docs/protocol/can.md`, `docs/protocol/registers.md`.
 """
 
 from __future__ import annotations
@@ -12,25 +12,13 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from protocols.moteus.codec import (
-    F32,
-    FROM_DEVICE,
-    INT16,
-    REPLY,
-    SOUND,
-    Error,
-    Stream,
-    Subframe,
-    Values,
-    normal,
-    parse,
-    quantity,
-)
+from protocols.moteus import codec
+from protocols.moteus.codec import Console, Error, Subframe, Values, from_raw, normalise
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """One frame of a device: its registers, what it could not do, and what its console says."""
+    """One frame of a device: its registers, the registers that it could not read or write, console output."""
 
     values: Mapping[int, float | None]
     errors: tuple[Error, ...] = ()
@@ -38,44 +26,44 @@ class Reply:
 
 
 def decode(data: bytes) -> Reply | None:
-    """What a device's frame tells; None if it is ill-formed, or is none of a device's."""
-    if len(data) not in SOUND:
+    """Decode a device's frame; None if it is malformed or no reply."""
+    if len(data) not in codec.LENGTHS:
         return None
-    known = SHAPES.get(len(data))
-    if known is not None:
-        values = known(data)
+    fast_path = FAST_PATHS.get(len(data))
+    if fast_path is not None:
+        values = fast_path(data)
         if values is not None:
             return Reply(values)
-    subframes, sound = parse(data)
-    return _reported(subframes) if sound else None
+    subframes, well_formed = codec.parse(data)
+    return _reply(subframes) if well_formed else None
 
 
-def _reported(subframes: list[Subframe]) -> Reply | None:
+def _reply(subframes: list[Subframe]) -> Reply | None:
     values: dict[int, float | None] = {}
     errors: list[Error] = []
     console = b""
     for subframe in subframes:
         match subframe:
-            case Values(code, start, resolution, raw) if code == REPLY:
-                if resolution == F32 and not all(math.isfinite(x) or math.isnan(x) for x in raw):
+            case Values(codec.REPLY, start, resolution, raw):
+                if resolution == codec.F32 and any(math.isinf(x) for x in raw):
                     return None
-                for i, value in enumerate(raw):
-                    values[start + i] = quantity(start + i, resolution, value)
+                for register, value in enumerate(raw, start):
+                    values[register] = from_raw(register, resolution, value)
             case Error():
                 errors.append(subframe)
-            case Stream(code, _, piece) if code == FROM_DEVICE:
+            case Console(codec.FROM_DEVICE, _, piece):
                 console += piece
             case _:
                 return None
     return Reply(values, tuple(errors), console)
 
 
-# The two questions that are asked all the time have answers of a known shape: the same, without a loop.
+# -- the two queries that are sent all the time --------------------------------------------------------
 
 FAST = bytes.fromhex("11001f01110f")
-"""Mode as int8, position, velocity, torque as binary32, fault as int8: 20 bytes of answer."""
+"""Query for mode as int8, position, velocity, torque as binary32, fault as int8: a reply of 20 bytes."""
 FULL = bytes.fromhex("11001c040114060a")
-"""And the current, motor's temperature, trajectory, home state, voltage, temperature, fault as int16."""
+"""Query for current, motor temperature, trajectory, home state, voltage, temperature as well."""
 _FAST = struct.Struct("<2sb2sfff2sb")
 _FULL = struct.Struct("<2sb3sffff3shhhhhh11s")
 _PADDING = b"\x50" * 11
@@ -87,7 +75,7 @@ def _fast(data: bytes) -> dict[int, float | None] | None:
         return None
     if not math.isfinite(position + velocity + torque):
         return None
-    return {0: mode, 1: normal(position), 2: normal(velocity), 3: normal(torque), 0x0F: fault}
+    return {0: mode, 1: normalise(position), 2: normalise(velocity), 3: normalise(torque), 0x0F: fault}
 
 
 def _full(data: bytes) -> dict[int, float | None] | None:
@@ -96,11 +84,10 @@ def _full(data: bytes) -> dict[int, float | None] | None:
         return None
     if mode == -128 or not math.isfinite(position + velocity + torque + current):
         return None
-    floats = (position, velocity, torque, current)
-    reply: dict[int, float | None] = {0: mode}
-    reply |= {1 + i: normal(value) for i, value in enumerate(floats)}
-    return reply | {0x0A + i: quantity(0x0A + i, INT16, value) for i, value in enumerate(rest)}
+    values: dict[int, float | None] = {0: mode}
+    values |= {1 + i: normalise(value) for i, value in enumerate((position, velocity, torque, current))}
+    return values | {0x0A + i: from_raw(0x0A + i, codec.INT16, value) for i, value in enumerate(rest)}
 
 
-SHAPES = {20: _fast, 48: _full}
-"""By length of the frame."""
+FAST_PATHS = {20: _fast, 48: _full}
+"""Decoders by length of the frame; they return None for another layout."""

@@ -1,10 +1,10 @@
-"""Requests that wait for a device: what is sent, what counts as carried out, when it is given up.
+"""Requests to a device: what is sent, which reply completes them, when they time out.
 
-Rules. Every request ends in Done or Refused within its deadline, whatever the device does. A request that is
-impossible is refused at once with the reason. What is written is read back in the same frame: the answer to
-it tells this register alone, and must hold what was written. Nothing that drops a load or moves a running
-shaft is said to a device that is armed. An id is given by the device's console, to the one whose UUID begins
-with the serial number.
+Rules. Every request ends in Done, Parameter or Refused before its deadline, whatever the device does. A
+request that is impossible is refused at once with the reason. What is written is read back in the same frame:
+the reply to that holds this register alone, and must hold what was written. Nothing that drops a load or
+moves a running shaft is sent to a device that is armed. An id is set over the device's console, at the device
+whose UUID begins with the serial number.
 """
 
 from __future__ import annotations
@@ -14,88 +14,96 @@ from math import isclose, isfinite
 
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, Event, Nanos, Request
-from protocols.moteus.codec import F32, FLOAT_MAX, FLOAT_TINY, INT32, READ_ERROR, WRITE_ERROR, Error
-from protocols.moteus.decoder import NOT_WRITEABLE
-from protocols.moteus.faults import fault_info_of
-from protocols.moteus.messages import DISCOVER, ask, console, masked, set_register
-from protocols.moteus.node import Node
+from protocols.moteus import codec
+from protocols.moteus.codec import F32, INT32, Query, encode, write
+from protocols.moteus.controller import ControllerState
+from protocols.moteus.decoder import ACTIONS, NOT_WRITEABLE
+from protocols.moteus.faults import TIMEOUT, fault_info_of
+from protocols.moteus.messages import DISCOVER, console, masked
 from protocols.moteus.options import ADDRESS_MAX, SERIAL_BYTES, serial_of
 from protocols.moteus.registers import LATCHED, NAMES, SCALES, Mode, Register
 from protocols.moteus.reply import Reply
 from protocols.request_queue import PendingRequest, refusal
 
 ANSWER = 600 * MILLISECOND
+"""Timeout of a request to one device, ..."""
 RESEND = 60 * MILLISECOND
-SCAN_STEP = 200 * MILLISECOND
-SCAN_STEPS = 4
-ASSIGN = 1500 * MILLISECOND
-ASSIGN_AGAIN = 150 * MILLISECOND
+"""... and the period in which it is sent again."""
+SCAN_RESEND = 200 * MILLISECOND
+SCAN = 4 * SCAN_RESEND
+SET_ID = 1500 * MILLISECOND
+SET_ID_RESEND = 150 * MILLISECOND
 ZERO_WITHIN = 0.01
 """rev"""
 SAVE = "conf_write"
-"""Written with 1, the device saves its configuration."""
+"""Parameter that saves the device's configuration when 1 is written."""
 REGISTER_MAX = 0x7FFF
-
 BINARY32 = 2.0**-23
-"""A number and what a binary32 makes of it lie no further apart, relative to it."""
+"""Largest relative difference between a number and its binary32."""
 
 COMMANDED = (range(0x010, 0x030), range(0x040, 0x049))
 """Registers that commands write."""
-REFUSED = {
+NOT_WRITTEN = {
     Register.MODE: "the mode is what commands are for",
     Register.MULTIPLEX_ID: "use SetId with the serial number",
     0x071: "a trimmed clock may end all communication",
 }
+ARMED = "it is armed: send Idle first"
+WOULD_JUMP = "it is armed, and would jump: send Idle first"
 
 
 @dataclass(slots=True)
 class Pending(PendingRequest):
-    """A request under way."""
+    """A request that waits for one device, or for all."""
 
-    node: Node | None
-    """None: all on the bus are asked."""
+    controller: ControllerState | None
+    """None: all on the bus."""
     data: tuple[bytes, ...]
-    """Of the frames that are sent."""
-    again: Nanos = RESEND
-    """Sent again so long after it was last sent."""
+    """The data of its frames."""
+    period: Nanos = RESEND
     register: int = -1
-    """Which register it is about."""
+    """The register that it is about."""
     sent: int = 0
     taken: bool = False
-    """The device has said that it arrived."""
+    """The device has confirmed that the write arrived."""
     reads: float | None = None
-    """What a register holds in which something else was written."""
+    """Content of the register, if it is not what was written."""
     found: dict[tuple[int, bytes], str] = field(default_factory=dict)
+    """Devices found by a scan: details by id and UUID."""
 
 
-def begin(now: Nanos, request: Request, node: Node) -> Pending | msg.Refused:
-    """A request to one device."""
-    running = node.owned or node.mode not in (None, Mode.STOPPED, *LATCHED)
+def begin(now: Nanos, request: Request, controller: ControllerState) -> Pending | msg.Refused:
+    """Begin a request to one device, or refuse it."""
     match request:
         case msg.ClearFault():
-            return _pending(now, request, node, ())
-        case msg.Zero() if running:
-            return refusal(now, request, "it is armed, and would jump: say idle first")
+            return _pending(now, request, controller, ())
         case msg.Zero():
-            exact = Register.SET_OUTPUT_EXACT  # read back, for the answer that this frame arrived
-            return _pending(now, request, node, (set_register(exact, 0.0) + _asks(exact),), exact)
+            if _is_running(controller):
+                return refusal(now, request, WOULD_JUMP)
+            exact = Register.SET_OUTPUT_EXACT  # read back, so that the reply shows that this frame arrived
+            return _pending(now, request, controller, (write(exact, 0.0) + _query(exact),), exact)
         case msg.ReadParameter(_, parameter):
-            return _read(now, request, node, parameter)
-        case msg.WriteParameter(_, parameter, value):
-            if running and parameter == SAVE:
-                return refusal(now, request, "it is armed: say idle first")
-            return _write(now, request, node, parameter, value)
+            register = register_of(parameter)
+            if register is None:
+                return _unknown(now, request, parameter)
+            return _pending(now, request, controller, (_query(register),), register)
+        case msg.WriteParameter():
+            return _write(now, request, controller)
     return refusal(now, request, f"a moteus has no {type(request).__name__} on its bus")
 
 
+def _is_running(controller: ControllerState) -> bool:
+    return controller.owned or controller.mode not in (None, Mode.STOPPED, *LATCHED)
+
+
 def _pending(
-    now: Nanos, request: Request, node: Node, data: tuple[bytes, ...], register: int = -1
+    now: Nanos, request: Request, controller: ControllerState, data: tuple[bytes, ...], register: int = -1
 ) -> Pending:
-    return Pending(request, node.name, now, now + ANSWER, now, node, data, register=register)
+    return Pending(request, controller.name, now, now + ANSWER, now, controller, data, register=register)
 
 
 def register_of(parameter: str) -> int | None:
-    """A register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88)."""
+    """Return a register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88); or None."""
     known = NAMES.get(parameter.lower())
     if known is not None:
         return known
@@ -107,95 +115,87 @@ def register_of(parameter: str) -> int | None:
 
 
 def _unknown(now: Nanos, request: Request, parameter: str) -> msg.Refused:
-    said = f"no register {parameter!r}: give its number (0x058), or one of {', '.join(NAMES)}"
-    return refusal(now, request, said)
+    reason = f"no register {parameter!r}: give its number (0x058), or one of {', '.join(NAMES)}"
+    return refusal(now, request, reason)
 
 
-def _asks(register: int) -> bytes:
-    """Quantities are read as binary32, the rest as int32."""
-    return ask(register, F32 if register in SCALES else INT32)
+def _query(register: int) -> bytes:
+    """Encode a query for one register: quantities are read as binary32, the rest as int32."""
+    return encode(Query(register, F32 if register in SCALES else INT32, 1))
 
 
-def _read(now: Nanos, request: Request, node: Node, parameter: str) -> Pending | msg.Refused:
-    register = register_of(parameter)
-    if register is None:
-        return _unknown(now, request, parameter)
-    return _pending(now, request, node, (_asks(register),), register)
-
-
-def _write(now: Nanos, request: Request, node: Node, parameter: str, value: float) -> Pending | msg.Refused:
+def _write(now: Nanos, request: msg.WriteParameter, controller: ControllerState) -> Pending | msg.Refused:
+    parameter, value = request.parameter, request.value
     if parameter == SAVE:
+        if _is_running(controller):
+            return refusal(now, request, ARMED)
         if value != 1:
             return refusal(now, request, f"{SAVE} takes 1")
-        return _pending(now, request, node, (console("conf write") + _asks(Register.MULTIPLEX_ID),), 0x110)
+        data = console("conf write") + _query(Register.MULTIPLEX_ID)
+        return _pending(now, request, controller, (data,), Register.MULTIPLEX_ID)
     register = register_of(parameter)
     if register is None:
         return _unknown(now, request, parameter)
-    if not (isfinite(value) and abs(value) <= FLOAT_MAX):
-        return refusal(now, request, f"{value} is no finite number of 32 bits")
-    if register in REFUSED:
-        return refusal(now, request, REFUSED[register])
-    if any(register in commanded for commanded in COMMANDED):
-        return refusal(now, request, "that register is what commands are for")
-    if Register.UUID_MASK1 <= register <= Register.UUID_MASK4:
-        return refusal(now, request, "a mask of UUIDs is no parameter")
-    if register in _MOVING and (node.owned or node.mode not in (Mode.STOPPED, *LATCHED)):
-        return refusal(now, request, "it is armed, and would jump: say idle first")
-    return _pending(now, request, node, (set_register(register, value) + ask(register, F32),), register)
-
-
-_MOVING = (
-    Register.SET_OUTPUT_NEAREST,
-    Register.SET_OUTPUT_EXACT,
-    Register.REQUIRE_REINDEX,
-    Register.RECAPTURE_POSITION_VELOCITY,
-)
+    reason = ""
+    if not (isfinite(value) and abs(value) <= codec.FLOAT_MAX):
+        reason = f"{value} is no finite number of 32 bits"
+    elif register in NOT_WRITTEN:
+        reason = NOT_WRITTEN[register]
+    elif any(register in commanded for commanded in COMMANDED):
+        reason = "that register is what commands are for"
+    elif Register.UUID_MASK1 <= register <= Register.UUID_MASK4:
+        reason = "a mask of UUIDs is no parameter"
+    elif register in ACTIONS and (_is_running(controller) or controller.mode is None):
+        reason = WOULD_JUMP
+    if reason:
+        return refusal(now, request, reason)
+    data = write(register, value) + encode(Query(register, F32, 1))
+    return _pending(now, request, controller, (data,), register)
 
 
 def scan(now: Nanos, request: msg.Scan) -> Pending:
-    """Discovery: a question to all."""
-    end = now + SCAN_STEP * SCAN_STEPS
-    return Pending(request, request.bus, now, end, now, None, (DISCOVER,), SCAN_STEP)
+    """Begin discovery: a query to all devices."""
+    return Pending(request, request.bus, now, now + SCAN, now, None, (DISCOVER,), SCAN_RESEND)
 
 
 def set_id(
-    now: Nanos, request: msg.SetId, nodes: list[Node], holders: dict[int, set[int]]
+    now: Nanos, request: msg.SetId, controllers: list[ControllerState], holders: dict[int, set[int]]
 ) -> Pending | msg.Refused:
-    """Give the device with a serial number an id, and ask it who it is. `holders`: serial numbers by id."""
+    """Begin to set the id of the device with a serial number. `holders`: known serial numbers by id."""
     if not 1 <= request.address <= ADDRESS_MAX:
         return refusal(now, request, f"{request.address} is not an id: 1 to {ADDRESS_MAX}")
     if not 0 < request.serial < 1 << 8 * SERIAL_BYTES:
         return refusal(now, request, f"{request.serial} is no serial number of 64 bits")
     others = sorted(holders.get(request.address, set()) - {request.serial})
     if others:
-        said = f"id {request.address} is held by serial number {others[0]:016X}"
-        return refusal(now, request, said)
-    for node in nodes:
-        mine = request.serial in map(serial_of, node.uuids) or node.address == request.address
-        if mine and (node.owned or node.mode not in (None, Mode.STOPPED, *LATCHED)):
-            return refusal(now, request, f"{node.name} is armed: say idle first")
+        reason = f"id {request.address} is held by serial number {others[0]:016X}"
+        return refusal(now, request, reason)
+    for each in controllers:
+        concerned = request.serial in map(serial_of, each.uuids) or each.address == request.address
+        if concerned and _is_running(each):
+            return refusal(now, request, f"{each.name} is armed: send Idle first")
     uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
     data = (masked(uuid, console(f"conf set id.id {request.address}")), masked(uuid, DISCOVER))
-    return Pending(request, request.bus, now, now + ASSIGN, now, None, data, ASSIGN_AGAIN)
+    return Pending(request, request.bus, now, now + SET_ID, now, None, data, SET_ID_RESEND)
 
 
 def data_of(pending: Pending, now: Nanos) -> tuple[bytes, ...]:
-    """What is to be sent for a request now."""
-    if isinstance(pending.request, msg.ClearFault) and pending.node is not None:
-        return (pending.node.clearing(now),)
-    if isinstance(pending.request, msg.Zero) and pending.node is not None:
-        return (pending.data[0] + pending.node.question(now),)
+    """Return the data of the frames that a request sends now."""
+    if pending.controller is not None and isinstance(pending.request, msg.ClearFault):
+        return (pending.controller.clear_command(now),)
+    if pending.controller is not None and isinstance(pending.request, msg.Zero):
+        return (pending.data[0] + pending.controller.query(now),)
     return pending.data
 
 
 def handle(pending: Pending, t: Nanos, reply: Reply) -> list[Event]:
-    """Let a request of one device hear its answer; the events that end it, or none."""
-    node = pending.node
-    if node is None or not pending.sent:
+    """Give a reply to a request of its device. Returns the events that complete the request, or none."""
+    controller = pending.controller
+    if controller is None or not pending.sent:
         return []
     match pending.request:
-        case msg.ClearFault() if Register.MODE in reply.values and node.mode not in LATCHED:
-            return [*node.cleared(t), pending.done(t)]
+        case msg.ClearFault() if Register.MODE in reply.values and controller.mode not in LATCHED:
+            return [*controller.cleared(t), pending.done(t)]
         case msg.Zero():
             return _on_zero(pending, t, reply)
         case msg.ReadParameter(_, parameter):
@@ -206,10 +206,10 @@ def handle(pending: Pending, t: Nanos, reply: Reply) -> list[Event]:
 
 
 def _on_zero(pending: Pending, t: Nanos, reply: Reply) -> list[Event]:
-    """Taken, as its answer says, and then measured: a position near zero alone may be from before."""
-    if not_taken := _not_taken(reply, pending.register):
-        return [pending.refuse(t, not_taken)]
-    if pending.register in _about(reply):
+    """Require the confirmed write, and a position after it: one near zero alone may be from before."""
+    if reason := _write_error(reply, pending.register):
+        return [pending.refuse(t, reason)]
+    if pending.register in _registers_in(reply):
         pending.taken = True
         return []
     position = reply.values.get(Register.POSITION)
@@ -217,65 +217,61 @@ def _on_zero(pending: Pending, t: Nanos, reply: Reply) -> list[Event]:
     return [pending.done(t)] if pending.taken and near else []
 
 
-def _wrong(reply: Reply, code: int, register: int) -> Error | None:
-    return next((e for e in reply.errors if e.code == code and e.register == register), None)
-
-
 def _on_read(pending: Pending, t: Nanos, reply: Reply, parameter: str) -> list[Event]:
-    if _wrong(reply, READ_ERROR, pending.register):
+    if any(e.code == codec.READ_ERROR and e.register == pending.register for e in reply.errors):
         return [pending.refuse(t, "the device has no such register, or cannot read it so")]
     if pending.register not in reply.values:
         return []
     value = reply.values[pending.register]
     if value is None:
-        return [pending.refuse(t, "the device says that it is not given")]
+        return [pending.refuse(t, "the device replies that it is not given")]
     return [msg.Parameter(pending.name, t, parameter, float(value))]
 
 
-def _about(reply: Reply) -> set[int]:
-    """The registers that an answer tells, or cannot tell."""
-    return {*reply.values, *(error.register for error in reply.errors)}
-
-
-def _not_taken(reply: Reply, register: int) -> str:
-    """Why a device does not take what was written; "" if it does not say so."""
-    wrong = _wrong(reply, WRITE_ERROR, register)
-    if wrong is None:
-        return ""
-    why = "read only" if wrong.number == NOT_WRITEABLE else f"error {wrong.number}: no such register?"
-    return f"the device does not take it ({why})"
-
-
 def _on_written(pending: Pending, t: Nanos, reply: Reply, value: float | None) -> list[Event]:
-    """`value`: what the register must hold then, if it can be read at all.
+    """Require a reply with this register alone; `value`: its content then, if it can be read at all.
 
-    Many answers tell a register beside others, and may have been under way when it was written."""
-    if not_taken := _not_taken(reply, pending.register):
-        return [pending.refuse(t, not_taken)]
-    if _about(reply) != {pending.register}:
+    Replies that hold other registers too may have been on their way when it was written."""
+    if reason := _write_error(reply, pending.register):
+        return [pending.refuse(t, reason)]
+    if _registers_in(reply) != {pending.register}:
         return []
     reads = reply.values.get(pending.register)
-    if value is None or reads is None or isclose(reads, value, rel_tol=BINARY32, abs_tol=FLOAT_TINY):
+    if value is None or reads is None or isclose(reads, value, rel_tol=BINARY32, abs_tol=codec.FLOAT_TINY):
         return [pending.done(t)]
     pending.reads = reads
     return []
 
 
-def give_up(pending: Pending, now: Nanos) -> list[Event]:
-    """The deadline has passed."""
-    node = pending.node
-    if isinstance(pending.request, msg.SetId):
-        said = f"no device with serial number {pending.request.serial:016X} took the id"
-        return [pending.refuse(now, said)]
-    if node is None or node.received_at is None or node.received_at < pending.began:
-        return [pending.refuse(now, "no answer of the device")]
-    if isinstance(pending.request, msg.ClearFault):
-        node.report_again()
-        code = int(Mode.TIMEOUT) if node.mode == Mode.TIMEOUT else node.fault
-        return [pending.refuse(now, f"still in fault: {fault_info_of(code).name}")]
-    if isinstance(pending.request, msg.Zero):
-        return [pending.refuse(now, "its position did not become zero: is it turning?")]
-    if isinstance(pending.request, msg.WriteParameter) and pending.reads is not None:
-        said = f"the device holds {pending.reads:.6g} there, not {pending.request.value:.6g}"
-        return [pending.refuse(now, said)]
-    return [pending.refuse(now, "the device did not answer this")]
+def _registers_in(reply: Reply) -> set[int]:
+    """Return the registers in a reply, with a value or an error."""
+    return {*reply.values, *(error.register for error in reply.errors)}
+
+
+def _write_error(reply: Reply, register: int) -> str:
+    """Return why a device does not accept what was written; "" if it reports no error."""
+    for error in reply.errors:
+        if error.code == codec.WRITE_ERROR and error.register == register:
+            read_only = error.number == NOT_WRITEABLE
+            why = "read only" if read_only else f"error {error.number}: no such register?"
+            return f"the device does not accept it ({why})"
+    return ""
+
+
+def give_up(pending: Pending, now: Nanos) -> msg.Refused:
+    """Refuse a request whose deadline has passed, with what is known."""
+    request, controller = pending.request, pending.controller
+    reason = "no reply to this request"
+    if isinstance(request, msg.SetId):
+        reason = f"no device with serial number {request.serial:016X} took the id"
+    elif controller is None or controller.received_at is None or controller.received_at < pending.began:
+        reason = "no reply of the device"
+    elif isinstance(request, msg.ClearFault):
+        controller.report_again()
+        code = TIMEOUT if controller.mode == Mode.TIMEOUT else controller.fault
+        reason = f"still in fault: {fault_info_of(code).name}"
+    elif isinstance(request, msg.Zero):
+        reason = "its position did not become zero: is it turning?"
+    elif isinstance(request, msg.WriteParameter) and pending.reads is not None:
+        reason = f"the device holds {pending.reads:.6g} there, not {request.value:.6g}"
+    return pending.refuse(now, reason)

@@ -1,9 +1,10 @@
-"""The control loops of the firmware: set-point → torque → current, and what it watches over.
+"""The control loops of the firmware: set-point → torque → current, and its fault monitors.
 
-Rules. One call of `step` is one turn of the loop, whatever its `dt`. Units are the firmware's: rev, rev/s,
-N·m, A, s. Everything the loops know of the shaft comes through `measure`, quantised as an encoder would. No
-wire and no word in here. Sources: modes and their transitions, watchdog, limit codes mjbots/moteus@1f4a195
-`fw/bldc_servo.cc`, `fw/bldc_servo_control.h`. Supply and heat are models of ours (README, "the twin").
+Rules. One call of `step` is one cycle of the loop, whatever its `dt`. Units are the firmware's: rev, rev/s,
+N·m, A, s. Everything the loops know of the shaft comes through `measure`, quantised as by an encoder. No
+frame and no message in here. Sources: modes and their transitions, watchdog, limit codes
+mjbots/moteus@1f4a195 `fw/bldc_servo.cc`, `fw/bldc_servo_control.h`. Supply and heat are our own models
+(README, "The twin").
 """
 
 from __future__ import annotations
@@ -13,43 +14,43 @@ from collections.abc import Mapping
 
 from protocols.moteus.options import Settings, torque_constant
 from protocols.moteus.registers import LATCHED, RISING, Mode, Register
-from protocols.moteus.setpoint import Setpoint, limits_of, or_else
+from protocols.moteus.setpoint import Setpoint, or_default, trajectory_limits
 
 FET_RESISTANCE = 0.01
-"""Ω of the power stage, for its heat."""
+"""Ω of the power stage, for its heat"""
 THERMAL_RESISTANCE = 2.0
-"""K/W from the power stage to the ambient."""
+"""K/W from the power stage to ambient"""
 THERMAL_CAPACITY = 15.0
 """J/K"""
-LEAST_CURRENT = 0.01
-"""A: less than that does not damp, but only makes noise."""
-WATCHED = (Mode.POSITION, Mode.STAY_WITHIN)
+MIN_CURRENT = 0.01
+"""A: a smaller damping current is noise, and is not applied"""
+WATCHDOG_MODES = (Mode.POSITION, Mode.STAY_WITHIN)
 """Modes in which the watchdog runs."""
 MAX_CURRENT, MAX_TORQUE, MAX_VELOCITY, BOUNDS, HOT = 99, 102, 96, 103, 100
-"""What limits the output, as the fault register says it."""
+"""Codes of the fault register for what limits the output."""
 
 
 class Servo:
-    """One controller's loops. Plain data."""
+    """The control loops of one controller. Plain data."""
 
     def __init__(self, settings: Settings, command: Mapping[int, float]) -> None:
         self.settings = settings
         self.kt = torque_constant(settings)
         self.command = command
-        self.wanted: int = Mode.STOPPED
-        """The mode commanded; `mode` follows it if it can."""
+        self.commanded_mode: int = Mode.STOPPED
+        """`mode` follows it where it can."""
         self.mode: int = Mode.STOPPED
-        self.stopping = False
-        """A stop was commanded and is still to be taken."""
+        self.stop_pending = False
+        """A stop was commanded and is still to be executed."""
         self.fault = 0
         self.limit = 0
-        """Which limit is active."""
+        """Code of the active limit, or 0"""
         self.timeout: float | None = None
         """s left; None: no watchdog runs"""
-        self.rising = 0.0
+        self.enabling = 0.0
         """s since enabling began"""
         self.offset = 0.0
-        """What is subtracted from the shaft's revolutions."""
+        """rev, subtracted from the position of the shaft"""
         self.shaft = 0.0
         self.position = 0.0
         self.velocity = 0.0
@@ -58,57 +59,57 @@ class Servo:
         self.error = 0.0
         self.velocity_error = 0.0
         self.terms = (0.0, 0.0, 0.0)
-        """Torque of the proportional, integral and derivative part."""
+        """Torque of the proportional, integral and derivative term"""
         self.control_torque = 0.0
         self.iq = 0.0
         self.bus_voltage = settings.bus_voltage
         self.temperature = settings.ambient
         self.power = 0.0
-        self.homed = 1
+        self.home_state = 1
         """0 relative, 1 rotor, 2 output"""
 
-    # -- what comes in ----------------------------------------------------------------------------
+    # -- inputs -----------------------------------------------------------------------------------
 
     def measure(self, dt: float, shaft: float, velocity: float) -> None:
-        """The encoder: position in whole counts, velocity behind its filter's lag."""
+        """Read the encoder: position in whole counts, velocity with the lag of its filter."""
         self.shaft = shaft
         cpr = self.settings.encoder_cpr
         self.position = math.floor(shaft * cpr + 0.5) / cpr - self.offset
         self.velocity += _lag(dt, self.settings.encoder_bandwidth) * (velocity - self.velocity)
 
-    def call_position(self, position: float) -> None:
-        """Set output exact or nearest: the present position is called so; a running set-point stays."""
+    def set_output(self, position: float) -> None:
+        """Assign a value to the present position (registers 0x130, 0x131); an active set-point stays."""
         self.offset += self.position - position
         self.position = position
-        self.homed = 2
+        self.home_state = 2
 
     def recapture(self) -> None:
-        """The set-point becomes what is measured (register 0x133)."""
+        """Set the set-point to what is measured (register 0x133)."""
         if self.mode == Mode.POSITION:
             self.setpoint.position, self.setpoint.velocity, self.integral = self.position, self.velocity, 0.0
 
     def take(self, mode: int, command: Mapping[int, float]) -> None:
-        """A command arrived; it feeds the watchdog, and counts from the next turn of the loop on."""
-        self.wanted, self.command = mode, command
-        self.stopping = mode == Mode.STOPPED
+        """Take a command; it feeds the watchdog, and is executed from the next cycle on."""
+        self.commanded_mode, self.command = mode, command
+        self.stop_pending = mode == Mode.STOPPED
         timeout = command[Register.COMMAND_TIMEOUT]
         timeout = self.settings.default_timeout_s if timeout == 0.0 else timeout
         self.timeout = None if math.isnan(timeout) else max(0.0, timeout)
         self.setpoint.take(command[Register.COMMAND_POSITION])
 
     def trip(self, code: int) -> None:
-        """A fault: no torque until a stop."""
+        """Enter fault: no torque until a stop."""
         self.mode, self.fault = Mode.FAULT, code
 
-    # -- one turn of the loop ---------------------------------------------------------------------
+    # -- one cycle of the loop --------------------------------------------------------------------
 
     def step(self, dt: float) -> None:
-        """One turn: mode, watches, torque."""
+        """Run one cycle: mode, fault monitors, torque."""
         if self.timeout is not None:
             self.timeout = max(0.0, self.timeout - dt)
         self._change_mode(dt)
-        self._watch()
-        if self.mode in WATCHED and self.timeout is not None and self.timeout <= 0.0:
+        self._monitor()
+        if self.mode in WATCHDOG_MODES and self.timeout is not None and self.timeout <= 0.0:
             self.mode = Mode.TIMEOUT
         if self.mode != Mode.FAULT:
             self.fault = 0
@@ -118,30 +119,30 @@ class Servo:
         self._drive(dt, self._limited(self._torque(dt)))
 
     def _change_mode(self, dt: float) -> None:
-        """A fault and a timeout are left through a stop only; from a stop, enabling comes first."""
-        if self.stopping:
-            self.mode, self.stopping = Mode.STOPPED, False
-        elif self.wanted == Mode.STOPPED:
+        """Follow the commanded mode. Only a stop leaves fault and timeout; enabling comes after a stop."""
+        if self.stop_pending:
+            self.mode, self.stop_pending = Mode.STOPPED, False
+        elif self.commanded_mode == Mode.STOPPED:
             return
         elif self.mode == Mode.STOPPED:
-            self.mode, self.rising = Mode.ENABLING, 0.0
+            self.mode, self.enabling = Mode.ENABLING, 0.0
         elif self.mode in RISING:
-            self.rising += dt
-            share = self.rising * 1000.0 / self.settings.enable_ms if self.settings.enable_ms else 1.0
+            self.enabling += dt
+            share = self.enabling * 1000.0 / self.settings.enable_ms if self.settings.enable_ms else 1.0
             self.mode = Mode.ENABLING if share < 0.5 else Mode.CALIBRATING
             if share >= 1.0:
                 self._enter()
-        elif self.mode not in LATCHED and self.mode != self.wanted:
+        elif self.mode not in LATCHED and self.mode != self.commanded_mode:
             self._enter()
 
     def _enter(self) -> None:
-        if self.wanted in WATCHED and self._outside():
+        if self.commanded_mode in WATCHDOG_MODES and self._outside():
             self.trip(39)
             return
-        if self.wanted in WATCHED and self._bounds_invalid():
+        if self.commanded_mode in WATCHDOG_MODES and self._bounds_invalid():
             self.trip(48)
             return
-        self.mode = self.wanted
+        self.mode = self.commanded_mode
         self._clear()
 
     def _clear(self) -> None:
@@ -157,7 +158,7 @@ class Servo:
     def _bounds_invalid(self) -> bool:
         return abs(self.settings.position_min) > 32768.0 or abs(self.settings.position_max) > 32768.0
 
-    def _watch(self) -> None:
+    def _monitor(self) -> None:
         if self.mode in (Mode.STOPPED, Mode.FAULT):
             return
         s = self.settings
@@ -175,55 +176,55 @@ class Servo:
     # -- torque -----------------------------------------------------------------------------------
 
     def _torque(self, dt: float) -> float:
-        """N·m that the mode asks for, before the limits of the current."""
+        """Return the torque [N·m] of the mode, before the current limits."""
         match self.mode:
             case Mode.POSITION:
                 return self._position(dt)
             case Mode.STAY_WITHIN:
-                return self._stay(dt)
+                return self._stay_within(dt)
             case Mode.CURRENT:
-                return or_else(self.command[Register.COMMAND_Q_CURRENT], 0.0) * self.kt
+                return or_default(self.command[Register.COMMAND_Q_CURRENT], 0.0) * self.kt
             case Mode.VOLTAGE_DQ:
-                return self._voltage() * self.kt
+                return self._voltage_current() * self.kt
             case Mode.ZERO_VELOCITY:
-                return self._damp()
+                return self._zero_velocity()
             case Mode.BRAKE:
-                return self._short()
+                return self._brake()
             case Mode.TIMEOUT:
-                return self._abandoned(dt)
+                return self._timeout_torque(dt)
         return 0.0
 
     def _position(self, dt: float) -> float:
-        if self._deprecated():
+        if self._stop_position_deprecated():
             self.trip(45)
             return 0.0
         self.setpoint.follow(dt, self.settings, self.command, self.position, self.velocity)
-        return self._bounded_by(self._pid(dt), self.command[Register.COMMAND_POSITION_MAX_TORQUE])
+        return self._limit_torque(self._pid(dt), self.command[Register.COMMAND_POSITION_MAX_TORQUE])
 
-    def _deprecated(self) -> bool:
+    def _stop_position_deprecated(self) -> bool:
         stop = self.command[Register.COMMAND_STOP_POSITION]
-        return not math.isnan(stop) and limits_of(self.settings, self.command) != (None, None)
+        return not math.isnan(stop) and trajectory_limits(self.settings, self.command) != (None, None)
 
     def _pid(self, dt: float) -> float:
-        """The position loop around the set-point; also the feed-forward."""
+        """Return the torque of the position loop around the set-point, with feed-forward."""
         position, velocity = self.setpoint.position, self.setpoint.velocity
         s, get = self.settings, self.command.__getitem__
-        kp = or_else(get(Register.COMMAND_KP_SCALE), 1.0)
-        kd = min(or_else(get(Register.COMMAND_KD_SCALE), 1.0), max(kp, 0.0))
+        kp = or_default(get(Register.COMMAND_KP_SCALE), 1.0)
+        kd = min(or_default(get(Register.COMMAND_KD_SCALE), 1.0), max(kp, 0.0))
         self.error = 0.0 if position is None else position - self.position
         self.velocity_error = velocity - self.velocity
-        most = s.ilimit * or_else(get(Register.COMMAND_ILIMIT_SCALE), 1.0)
+        most = s.ilimit * or_default(get(Register.COMMAND_ILIMIT_SCALE), 1.0)
         self.integral = max(-most, min(most, self.integral + s.ki * self.error * dt))
         self.terms = (s.kp * kp * self.error, self.integral, s.kd * kd * self.velocity_error)
-        return sum(self.terms) + or_else(get(Register.COMMAND_FEEDFORWARD_TORQUE), 0.0)
+        return sum(self.terms) + or_default(get(Register.COMMAND_FEEDFORWARD_TORQUE), 0.0)
 
-    def _bounded_by(self, torque: float, most: float) -> float:
+    def _limit_torque(self, torque: float, most: float) -> float:
         if math.isnan(most) or abs(torque) <= abs(most):
             return torque
         self.limit = MAX_TORQUE
         return math.copysign(abs(most), torque)
 
-    def _stay(self, dt: float) -> float:
+    def _stay_within(self, dt: float) -> float:
         low = self.command[Register.COMMAND_WITHIN_LOWER_BOUND]
         high = self.command[Register.COMMAND_WITHIN_UPPER_BOUND]
         if self.position < low or self.position > high:
@@ -231,30 +232,31 @@ class Servo:
             torque = self._pid(dt)
         else:
             self._clear()
-            torque = or_else(self.command[Register.COMMAND_FEEDFORWARD_TORQUE], 0.0)
-        return self._bounded_by(torque, self.command[Register.COMMAND_POSITION_MAX_TORQUE])
+            torque = or_default(self.command[Register.COMMAND_FEEDFORWARD_TORQUE], 0.0)
+        return self._limit_torque(torque, self.command[Register.COMMAND_POSITION_MAX_TORQUE])
 
-    def _damp(self) -> float:
-        return -self.settings.kd * or_else(self.command[Register.COMMAND_KD_SCALE], 1.0) * self.velocity
+    def _zero_velocity(self) -> float:
+        return -self.settings.kd * or_default(self.command[Register.COMMAND_KD_SCALE], 1.0) * self.velocity
 
-    def _short(self) -> float:
-        """Brake: the phases are shorted through their resistance."""
+    def _brake(self) -> float:
+        """Return the torque of phases that are shorted through their resistance."""
         return -self.kt * self.kt * math.tau * self.velocity / (self.settings.phase_resistance * 1.5)
 
-    def _voltage(self) -> float:
-        """A that a voltage on the q axis drives against the motor's own."""
-        back = self.kt * math.tau * self.velocity
-        return (or_else(self.command[Register.VOLTAGEDQ_Q], 0.0) - back) / self.settings.phase_resistance
+    def _voltage_current(self) -> float:
+        """Return the current [A] that the q-axis voltage drives against the back-EMF."""
+        back_emf = self.kt * math.tau * self.velocity
+        voltage = or_default(self.command[Register.VOLTAGEDQ_Q], 0.0)
+        return (voltage - back_emf) / self.settings.phase_resistance
 
-    def _abandoned(self, dt: float) -> float:
-        """What servo.timeout_mode says, with its own limit of torque."""
+    def _timeout_torque(self, dt: float) -> float:
+        """Return the torque of servo.timeout_mode, with its own torque limit."""
         s = self.settings
         if s.timeout_mode == Mode.ZERO_VELOCITY:
             most = s.timeout_max_torque
             damping = -s.kd * self.velocity
-            return 0.0 if abs(damping) < LEAST_CURRENT * self.kt else max(-most, min(most, damping))
+            return 0.0 if abs(damping) < MIN_CURRENT * self.kt else max(-most, min(most, damping))
         if s.timeout_mode == Mode.BRAKE:
-            return self._short()
+            return self._brake()
         if s.timeout_mode == Mode.POSITION:
             self.setpoint.come_to_rest(dt, s.default_accel_limit, self.position)
             return self._pid(dt)
@@ -263,12 +265,9 @@ class Servo:
     # -- current ----------------------------------------------------------------------------------
 
     def _limited(self, torque: float) -> float:
-        """N·m after the limits of position, velocity, temperature and current."""
-        s, velocity, ignored = (
-            self.settings,
-            self.velocity,
-            self.command[Register.COMMAND_IGNORE_POSITION_BOUNDS],
-        )
+        """Return the torque [N·m] after the limits of position, velocity, temperature and current."""
+        s, velocity = self.settings, self.velocity
+        ignored = self.command[Register.COMMAND_IGNORE_POSITION_BOUNDS]
         beyond = max(self.position - s.position_max, s.position_min - self.position, 0.0)
         outwards = (torque > 0) == (self.position > s.position_max)
         if beyond > 0.0 and outwards and not ignored and torque:
@@ -290,8 +289,8 @@ class Servo:
     def _drive(self, dt: float, torque: float) -> None:
         s = self.settings
         self.control_torque = torque
-        let_go = self.mode == Mode.TIMEOUT and s.timeout_mode == Mode.STOPPED
-        off = self.mode in (Mode.STOPPED, Mode.FAULT) or self.mode in RISING or let_go
+        released = self.mode == Mode.TIMEOUT and s.timeout_mode == Mode.STOPPED
+        off = self.mode in (Mode.STOPPED, Mode.FAULT) or self.mode in RISING or released
         wanted = 0.0 if off else torque / self.kt
         self.iq = 0.0 if off else self.iq + _lag(dt, s.current_bandwidth) * (wanted - self.iq)
         square = 1.5 * self.iq * self.iq
@@ -302,14 +301,14 @@ class Servo:
         self.temperature += _lag(dt, 1.0 / (THERMAL_RESISTANCE * THERMAL_CAPACITY)) * heat
 
     def torque(self) -> float:
-        """N·m on the shaft."""
+        """Return the torque on the shaft [N·m]."""
         return self.iq * self.kt
 
-    def reply(self) -> int:
-        """The fault register: the fault, or which limit is active."""
+    def fault_register(self) -> int:
+        """Return the fault, or the code of the active limit."""
         return self.fault if self.mode == Mode.FAULT else self.limit
 
 
 def _lag(dt: float, bandwidth: float) -> float:
-    """How much of a step a first-order lag has followed after dt."""
+    """Return the share of a step that a first-order lag has followed after dt."""
     return -math.expm1(-bandwidth * dt)

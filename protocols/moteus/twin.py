@@ -1,10 +1,10 @@
-"""The twin: one moteus, its registers, its console and its answers (README, "the twin").
+"""The twin: one moteus, its registers, its console and its replies (README, "The twin").
 
-Rules. The ear's `Axis` decides what is obeyed, `Servo` what the motor then does; here is what is told. A
-frame is taken from left to right, and what it asks for is answered as things stand before the command in it
-takes effect. Only frames with the reply bit are answered, `reply_delay_us` later and at the earliest at the
-next step. Questions do not feed the watchdog. Before its first step it has not started, and hears nothing.
-Time is an argument; a made-up UUID comes from address and seed.
+Rules. The decoder's `CommandState` decides what is obeyed, `Servo` what the motor then does; here replies are
+made. A frame is executed from left to right, and its queries are replied to as things are before the command
+in it takes effect. Only frames with the reply bit get a reply, `reply_delay_us` later and at the earliest
+with the next step. Queries do not feed the watchdog. Before its first step the device has not started, and
+receives nothing. Time is an argument; a generated UUID comes from address and seed.
 """
 
 from __future__ import annotations
@@ -15,38 +15,29 @@ from collections.abc import Callable, Sequence
 
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Event, Feedback, Nanos, Torque, seconds
-from protocols.moteus.codec import (
-    F32,
-    FROM_DEVICE,
-    INT32,
-    POLL,
-    READ_ERROR,
-    REPLY,
-    REPLY_BIT,
-    TO_DEVICE,
-    WRITE_ERROR,
-    Ask,
-    Error,
-    Raw,
-    Stream,
-    Subframe,
-    Values,
-    encode,
-    framed,
-    quantity,
-    raw_of,
-    reply_id,
+from protocols.moteus import codec
+from protocols.moteus.codec import F32, INT32, Console, Error, Query, Raw, Subframe, Values
+from protocols.moteus.decoder import (
+    DEFAULTS,
+    SHADOWS,
+    UNKNOWN,
+    command_state,
+    effective,
+    is_addressed,
+    is_for_another,
 )
-from protocols.moteus.decoder import DEFAULTS, SHADOWS, UNKNOWN, addressed, axis_of, effective, for_another
 from protocols.moteus.faults import FAULTS, TIMEOUT
 from protocols.moteus.options import Settings, firmware_number, uuid_of
 from protocols.moteus.registers import Mode, Register
-from protocols.moteus.servo import WATCHED, Servo
+from protocols.moteus.servo import WATCHDOG_MODES, Servo
 from protocols.plugin import Device
 
-MOST = 64
-"""Bytes of an answer: what does not fit is left out."""
-CONSOLE_MOST = 512
+MAX_REPLY = 64
+"""Bytes of a reply: what does not fit is left out."""
+MAX_CONSOLE = 512
+"""Bytes of console output that are kept, ..."""
+MAX_CONSOLE_REPLY = 48
+"""... and of one poll."""
 INT32_ONLY = frozenset(
     {Register.MODEL_NUMBER, Register.FIRMWARE_VERSION, Register.REGISTER_MAP_VERSION}
     | {Register.SERIAL_NUMBER1, Register.SERIAL_NUMBER2, Register.SERIAL_NUMBER3}
@@ -62,43 +53,44 @@ class MoteusTwin:
         self.device = device
         self.settings = settings
         self.uuid = uuid_of(device, seed)
-        self.axis = axis_of(device, self.uuid)
+        self.state = command_state(device, self.uuid)
         self.servo = Servo(settings, dict(DEFAULTS))
         self._now: Nanos | None = None
         self._shaft = (0.0, 0.0)
-        self._answers: list[tuple[Nanos, CanFrame]] = []
+        """rad, rad/s"""
+        self._replies: list[tuple[Nanos, CanFrame]] = []
+        """Replies and when they are due."""
         self._console = b""
-        """What the console has to say."""
+        """Console output that was not polled yet."""
 
-    # -- the wire -----------------------------------------------------------------------------
+    # -- receiving ----------------------------------------------------------------------------
 
     def receive(self, t: Nanos, frame: Frame) -> None:
-        """A wire reached the device; what is not for it changes nothing."""
-        if self._now is None or not isinstance(frame, CanFrame) or not addressed(self.axis, frame):
+        """Execute a frame and prepare the reply; what is not for this device changes nothing."""
+        if self._now is None or not isinstance(frame, CanFrame) or not is_addressed(self.state, frame):
             return
         commanded, out = False, list[Subframe]()
-        for subframe in effective(self.axis, frame.data):
+        for subframe in effective(self.state, frame.data):
             match subframe:
                 case Values():
                     commanded |= self._write(subframe, out)
-                case Ask():
+                case Query():
                     self._read(subframe, out)
-                case Stream():
-                    self._stream(subframe, out)
+                case Console(channel=1):
+                    self._console_subframe(subframe, out)
         if commanded:
-            self.servo.take(self.axis.mode, dict(self.axis.command))
-        if frame.id & REPLY_BIT and not for_another(self.axis, frame.data):
-            self._answer(t, frame.id >> 8 & 0x7F, out)
+            self.servo.take(self.state.mode, dict(self.state.command))
+        if frame.id & codec.REPLY_BIT and not is_for_another(self.state, frame.data):
+            self._reply(t, frame.id >> 8 & 0x7F, out)
 
     def _write(self, subframe: Values, out: list[Subframe]) -> bool:
-        """Whether a command began."""
+        """Write registers. Returns True if the mode is among them: that begins a command."""
         commanded = False
-        for i, raw in enumerate(subframe.raw):
-            register = subframe.start + i
-            value = quantity(register, subframe.resolution, raw)
-            number = self.axis.write(register, value)
+        for register, raw in enumerate(subframe.raw, subframe.start):
+            value = codec.from_raw(register, subframe.resolution, raw)
+            number = self.state.write(register, value)
             if number:
-                out.append(Error(WRITE_ERROR, register, number))
+                out.append(Error(codec.WRITE_ERROR, register, number))
                 continue
             commanded |= register == Register.MODE
             self._act(register, value)
@@ -106,94 +98,99 @@ class MoteusTwin:
 
     def _act(self, register: int, value: float | None) -> None:
         if register in (Register.SET_OUTPUT_EXACT, Register.SET_OUTPUT_NEAREST) and value is not None:
-            self.servo.call_position(value)
+            self.servo.set_output(value)
         elif register == Register.RECAPTURE_POSITION_VELOCITY:
             self.servo.recapture()
         elif register == Register.REQUIRE_REINDEX:
-            self.servo.homed = 0
+            self.servo.home_state = 0
 
-    def _read(self, subframe: Ask, out: list[Subframe]) -> None:
-        """Neighbours are told together, as they were asked for; what cannot be told is an error each."""
+    def _read(self, subframe: Query, out: list[Subframe]) -> None:
+        """Reply neighbouring registers in one subframe, and an error for each that cannot be read."""
         run, start = list[Raw](), subframe.start
         for register in range(subframe.start, subframe.start + subframe.count):
-            value = self.report(register, subframe.resolution)
+            value = self.read(register, subframe.resolution)
             if value is None:
                 if run:
-                    out.append(Values(REPLY, start, subframe.resolution, tuple(run)))
+                    out.append(Values(codec.REPLY, start, subframe.resolution, tuple(run)))
                 run, start = [], register + 1
-                out.append(Error(READ_ERROR, register, UNKNOWN))
+                out.append(Error(codec.READ_ERROR, register, UNKNOWN))
             else:
                 run.append(value)
         if run:
-            out.append(Values(REPLY, start, subframe.resolution, tuple(run)))
+            out.append(Values(codec.REPLY, start, subframe.resolution, tuple(run)))
 
-    def _answer(self, t: Nanos, host: int, said: Sequence[Subframe]) -> None:
+    def _reply(self, t: Nanos, host: int, subframes: Sequence[Subframe]) -> None:
         data = b""
-        for subframe in said:
-            piece = encode(subframe)
-            if len(data) + len(piece) > MOST:
+        for subframe in subframes:
+            piece = codec.encode(subframe)
+            if len(data) + len(piece) > MAX_REPLY:
                 break
             data += piece
-        identifier = reply_id(self.axis.address, host, self.axis.prefix)
-        self._answers.append((t + self.settings.reply_delay_us * 1000, framed(identifier, data)))
+        identifier = codec.reply_id(self.state.address, host, self.state.prefix)
+        frame = codec.make_frame(identifier, data)
+        self._replies.append((t + self.settings.reply_delay_us * 1000, frame))
 
-    # -- the console ----------------------------------------------------------------------------
+    def _console_subframe(self, subframe: Console, out: list[Subframe]) -> None:
+        if subframe.code == codec.TO_DEVICE:
+            for line in self.state.console_lines(subframe.data):
+                self._console = (self._console + self._execute(line))[-MAX_CONSOLE:]
+        elif subframe.code == codec.POLL:
+            most = min(subframe.most, MAX_CONSOLE_REPLY)
+            data, self._console = self._console[:most], self._console[most:]
+            out.append(Console(codec.FROM_DEVICE, subframe.channel, data))
 
-    def _stream(self, subframe: Stream, out: list[Subframe]) -> None:
-        if subframe.channel != 1:
-            return
-        if subframe.code == TO_DEVICE:
-            for line in self.axis.console(subframe.data):
-                self._console = (self._console + self._typed(line))[-CONSOLE_MOST:]
-        elif subframe.code == POLL:
-            most = min(subframe.most, 48)
-            said, self._console = self._console[:most], self._console[most:]
-            out.append(Stream(FROM_DEVICE, subframe.channel, said))
-
-    def _typed(self, line: str) -> bytes:
-        if self.axis.renamed(line) or line == "conf write":
+    def _execute(self, line: str) -> bytes:
+        """Execute a console line. Returns its output."""
+        if self.state.set_id(line) or line == "conf write":
             return b"OK\r\n"
         if line == "conf get id.id":
-            return f"{self.axis.address}\r\n".encode("ascii")
+            return f"{self.state.address}\r\n".encode("ascii")
         return b"ERR unknown command\r\n"
 
-    # -- what is told -----------------------------------------------------------------------------
+    # -- registers ----------------------------------------------------------------------------
 
-    def report(self, register: int, resolution: int) -> Raw | None:
-        """A register as it stands on the wire; None if it cannot be read so."""
+    def read(self, register: int, resolution: int) -> Raw | None:
+        """Return the encoded value of a register; None if it cannot be read at this resolution."""
         if register in INT32_ONLY:
-            return self._number(register) if resolution == INT32 else None
-        reports = _REPORTS.get(register)
-        if reports is not None:
-            return _reported(register, resolution, reports(self))
-        command = self.axis.command.get(SHADOWS.get(register, register))
-        return None if command is None else _reported(register, resolution, command)
+            return self._identity(register) if resolution == INT32 else None
+        quantity = _QUANTITIES.get(register)
+        if quantity is not None:
+            value = quantity(self)
+        else:
+            command = self.state.command.get(SHADOWS.get(register, register))
+            if command is None:
+                return None
+            value = command
+        if not math.isfinite(value):
+            return math.nan if resolution == F32 else codec.NOT_GIVEN[resolution]
+        return codec.to_raw(register, resolution, value)
 
-    def _number(self, register: int) -> int:
+    def _identity(self, register: int) -> int:
+        """Return a register of UUID, serial number, model or version."""
         if Register.UUID1 <= register <= Register.UUID4:
-            at = 4 * (register - Register.UUID1)
-            word: int = struct.unpack_from("<i", self.uuid, at)[0]
-            return word
+            return _int32(self.uuid, register - Register.UUID1)
         if Register.SERIAL_NUMBER1 <= register <= Register.SERIAL_NUMBER3:
-            at = 4 * (register - Register.SERIAL_NUMBER1)
-            part: int = struct.unpack_from("<i", self.uuid[::-1], at)[0]
-            return part
-        numbers = {
-            Register.MODEL_NUMBER: self.settings.model,
-            Register.FIRMWARE_VERSION: firmware_number(self.settings),
-        }
-        return numbers.get(Register(register), self.settings.register_map)
+            return _int32(self.uuid[::-1], register - Register.SERIAL_NUMBER1)
+        if register == Register.MODEL_NUMBER:
+            return self.settings.model
+        if register == Register.FIRMWARE_VERSION:
+            return firmware_number(self.settings)
+        return self.settings.register_map
 
     def milliseconds(self) -> int:
-        """The counter of register 0x070."""
+        """Return the counter of register 0x070."""
         return (self._now or 0) // 1_000_000 % 2**15
 
     # -- time ---------------------------------------------------------------------------------
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
-        """Run the firmware up to `now`; the shaft's Feedback [rad, rad/s] is what the encoder sees."""
+        """Run the firmware up to `now`; the shaft's Feedback [rad, rad/s] is what the encoder measures."""
         for event in truth:
-            self._see(event)
+            if isinstance(event, Feedback) and event.motor == self.device.name:
+                position = self._shaft[0] if event.position is None else event.position
+                velocity = self._shaft[1] if event.velocity is None else event.velocity
+                if math.isfinite(position) and math.isfinite(velocity):
+                    self._shaft = (position, velocity)
         dt = 0.0 if self._now is None else seconds(max(0, now - self._now))
         first, self._now = self._now is None, now
         shaft, velocity = self._shaft[0] / math.tau, self._shaft[1] / math.tau
@@ -202,44 +199,35 @@ class MoteusTwin:
         elif dt > 0.0:
             self.servo.measure(dt, shaft, velocity)
             self.servo.step(dt)
-        due = [frame for at, frame in self._answers if at <= now]
-        self._answers = [(at, frame) for at, frame in self._answers if at > now]
+        due = [frame for at, frame in self._replies if at <= now]
+        self._replies = [(at, frame) for at, frame in self._replies if at > now]
         return (Torque(self.device.name, self.servo.torque()),), due
 
-    def _see(self, event: Event) -> None:
-        if isinstance(event, Feedback) and event.motor == self.device.name:
-            position = self._shaft[0] if event.position is None else event.position
-            velocity = self._shaft[1] if event.velocity is None else event.velocity
-            if math.isfinite(position) and math.isfinite(velocity):
-                self._shaft = (position, velocity)
-
     def due(self) -> Nanos | None:
-        """When an answer goes out, or the watchdog expires."""
-        times = [at for at, _ in self._answers]
+        """Return when the next reply is due, or the watchdog expires."""
+        times = [at for at, _ in self._replies]
         left = self.servo.timeout
-        if self._now is not None and left is not None and self.servo.mode in WATCHED:
+        if self._now is not None and left is not None and self.servo.mode in WATCHDOG_MODES:
             times.append(self._now + round(left * SECOND) + 1)
         return min(times, default=None)
 
     def provoke(self, code: int) -> None:
-        """The firmware trips this fault by itself."""
+        """Trip a fault. Raises ValueError for an unknown code."""
         if code not in FAULTS:
             raise ValueError(f"a moteus has no fault {code}; it has {', '.join(map(str, FAULTS))}")
+        self.servo.stop_pending = False
         if code == TIMEOUT:
-            self.servo.mode, self.servo.stopping = Mode.TIMEOUT, False
+            self.servo.mode = Mode.TIMEOUT
         else:
             self.servo.trip(code)
-            self.servo.stopping = False
 
 
-def _reported(register: int, resolution: int, value: float) -> Raw:
-    """Rounded and saturated; what is not a number is "not given"."""
-    if resolution == F32 and not math.isfinite(value):
-        return math.nan
-    return raw_of(register, resolution, value if math.isfinite(value) else None)
+def _int32(data: bytes, index: int) -> int:
+    number: int = struct.unpack_from("<i", data, 4 * index)[0]
+    return number
 
 
-_REPORTS: dict[int, Callable[[MoteusTwin], float]] = {
+_QUANTITIES: dict[int, Callable[[MoteusTwin], float]] = {
     Register.MODE: lambda twin: twin.servo.mode,
     Register.POSITION: lambda twin: twin.servo.position,
     Register.VELOCITY: lambda twin: twin.servo.velocity,
@@ -250,10 +238,10 @@ _REPORTS: dict[int, Callable[[MoteusTwin], float]] = {
     Register.POWER: lambda twin: twin.servo.power,
     Register.MOTOR_TEMPERATURE: lambda _: 0.0,
     Register.TRAJECTORY_COMPLETE: lambda twin: float(twin.servo.setpoint.done),
-    Register.HOME_STATE: lambda twin: twin.servo.homed,
+    Register.HOME_STATE: lambda twin: twin.servo.home_state,
     Register.VOLTAGE: lambda twin: twin.servo.bus_voltage,
     Register.TEMPERATURE: lambda twin: twin.servo.temperature,
-    Register.FAULT: lambda twin: twin.servo.reply(),
+    Register.FAULT: lambda twin: twin.servo.fault_register(),
     Register.POSITION_KP: lambda twin: twin.servo.terms[0],
     Register.POSITION_KI: lambda twin: twin.servo.terms[1],
     Register.POSITION_KD: lambda twin: twin.servo.terms[2],
@@ -275,4 +263,4 @@ _REPORTS: dict[int, Callable[[MoteusTwin], float]] = {
     Register.DRIVER_FAULT2: lambda _: 0.0,
     Register.UUID_MASK_CAPABLE: lambda _: 1.0,
 }
-"""The quantities that change by themselves; command registers are told as they were written."""
+"""The quantities that change by themselves; command registers hold what was written."""

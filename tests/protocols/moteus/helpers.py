@@ -9,9 +9,9 @@ from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos
 from protocols.moteus import RANGES
 from protocols.moteus.codec import Subframe, parse
+from protocols.moteus.controller import ControllerState
 from protocols.moteus.driver import MoteusDriver
 from protocols.moteus.messages import names, written
-from protocols.moteus.node import Node
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device
@@ -44,9 +44,9 @@ class Bench(CanBench[MoteusDriver, MoteusTwin]):
         return self.twins[0]
 
     @property
-    def node(self) -> Node:
+    def node(self) -> ControllerState:
         """What the driver knows of the first one."""
-        return next(iter(self.driver.nodes.values()))
+        return next(iter(self.driver.controllers.values()))
 
     def said(self, since: Nanos = 0, address: int = 1) -> list[str]:
         """The names of the messages to a device, without questions."""

@@ -29,19 +29,19 @@ from protocols.moteus.codec import (
     TO_DEVICE,
     WRITE,
     WRITE_ERROR,
-    Ask,
+    Console,
     Error,
-    Stream,
+    Query,
     Subframe,
     Values,
     command_id,
     encode,
-    framed,
-    head,
+    from_raw,
+    header,
+    make_frame,
     parse,
-    quantity,
-    raw_of,
     reply_id,
+    to_raw,
     varuint,
     write,
 )
@@ -52,10 +52,9 @@ from protocols.moteus.messages import (
     Limits,
     console,
     masked,
-    move,
     names,
-    push,
-    set_register,
+    position_command,
+    torque_command,
     written,
 )
 from protocols.moteus.registers import NAMES, SCALES, Mode, Register, mode_name, scale_of
@@ -70,29 +69,29 @@ MOVE = (0.25, -1.5, 0.125)
 
 
 def made(data: bytes, address: int = 5, host: int = 0, prefix: int = 0) -> CanFrame:
-    return framed(command_id(address, host, prefix), data)
+    return make_frame(command_id(address, host, prefix), data)
 
 
 # What our end says, beside the frame that moteus 1.1.1 makes of the same values.
 SAID: dict[str, CanFrame] = {
-    "position_watchdog_0.1s": made(move(*MOVE, PLAIN) + FAST),
-    "velocity_watchdog_0.1s": made(move(None, -1.5, 0.125, PLAIN) + FAST),
-    "torque_watchdog_0.1s": made(push(0.25, 0.125, PLAIN) + FAST),
-    "position_limited": made(move(*MOVE, LIMITED) + FAST),
-    "position_limited_no_accel": made(move(*MOVE, Limits(0.1, 1.5, 4.0)) + FAST),
-    "velocity_limited": made(move(None, -1.5, 0.125, LIMITED) + FAST),
-    "torque_limited": made(push(0.25, 0.125, LIMITED) + FULL),
-    "position_full_query": made(move(*MOVE, PLAIN) + FULL),
+    "position_watchdog_0.1s": made(position_command(*MOVE, PLAIN) + FAST),
+    "velocity_watchdog_0.1s": made(position_command(None, -1.5, 0.125, PLAIN) + FAST),
+    "torque_watchdog_0.1s": made(torque_command(0.25, 0.125, PLAIN) + FAST),
+    "position_limited": made(position_command(*MOVE, LIMITED) + FAST),
+    "position_limited_no_accel": made(position_command(*MOVE, Limits(0.1, 1.5, 4.0)) + FAST),
+    "velocity_limited": made(position_command(None, -1.5, 0.125, LIMITED) + FAST),
+    "torque_limited": made(torque_command(0.25, 0.125, LIMITED) + FULL),
+    "position_full_query": made(position_command(*MOVE, PLAIN) + FULL),
     "query_fast": made(FAST),
     "query_full": made(FULL),
     "stop_with_query": made(STOP + FAST),
     "stop_id_100": made(STOP + FAST, 100),
     "stop_host_3": made(STOP + FAST, host=3),
     "stop_prefix": made(STOP + FAST, prefix=0x1ABC),
-    "stop_no_reply": framed(5, STOP),
-    "set_output_exact_0": made(set_register(Register.SET_OUTPUT_EXACT, 0.0) + FAST),
-    "console_conf_write": framed(5, console("conf write")),
-    "set_id_by_uuid": framed(0x7F, masked(UUID[:8], console("conf set id.id 9"))),
+    "stop_no_reply": make_frame(5, STOP),
+    "set_output_exact_0": made(write(Register.SET_OUTPUT_EXACT, 0.0) + FAST),
+    "console_conf_write": make_frame(5, console("conf write")),
+    "set_id_by_uuid": make_frame(0x7F, masked(UUID[:8], console("conf set id.id 9"))),
     "discover_by_uuid": made(masked(UUID[:8], DISCOVER), 0x7F),
     "discover_broadcast_0x7f": made(DISCOVER, 0x7F),
 }
@@ -141,13 +140,13 @@ SUBFRAMES: tuple[tuple[Subframe, str], ...] = (
     (Values(WRITE, 0x131, F32, (0.0,)), "0db102 00000000"),
     (Values(REPLY, 0, INT16, (10, 80, 256, -144)), "240400 0a00 5000 0001 70ff"),
     (Values(REPLY, 0x150, INT32, (1, -2)), "2ad002 01000000 feffffff"),
-    (Ask(0, INT16, 4), "140400"),
-    (Ask(0x0D, INT8, 3), "130d"),
-    (Ask(0x4000, F32, 5), "1c05808001"),
+    (Query(0, INT16, 4), "140400"),
+    (Query(0x0D, INT8, 3), "130d"),
+    (Query(0x4000, F32, 5), "1c05808001"),
     (Error(WRITE_ERROR, 0x0F, 2), "300f02"),
     (Error(READ_ERROR, 0x158, 1), "31d80201"),
-    (Stream(TO_DEVICE, 1, b"tel stop\n"), "400109 74656c2073746f700a"),
-    (Stream(POLL, 1, b"", 48), "420130"),
+    (Console(TO_DEVICE, 1, b"tel stop\n"), "400109 74656c2073746f700a"),
+    (Console(POLL, 1, b"", 48), "420130"),
 )
 
 
@@ -168,7 +167,7 @@ def test_vectors_of_subframes(subframe: Subframe, data: str) -> None:
 )
 def test_vectors_of_varuints(value: int, data: str) -> None:
     assert varuint(value) == bytes.fromhex(data)
-    assert parse(bytes.fromhex("11" + data))[0] == [Ask(value, INT8, 1)]
+    assert parse(bytes.fromhex("11" + data))[0] == [Query(value, INT8, 1)]
 
 
 @pytest.mark.parametrize("flaw", ["03", "0101", "60", "32", "1080808080808001", "10ff0100", "4001ff00", "43"])
@@ -187,13 +186,13 @@ def test_vectors_of_identifiers_and_padding() -> None:
     assert (command_id(5), command_id(0x7F), command_id(5, 3, 0x1ABC)) == (0x8005, 0x807F, 0x1ABC8305)
     assert (reply_id(5), reply_id(100, 3), reply_id(7, 0, 1)) == (0x500, 0x6403, 0x10700)
     for length in range(65):
-        frame = framed(0x8005, b"\x01" * length)
+        frame = make_frame(0x8005, b"\x01" * length)
         assert len(frame.data) in LENGTHS
         assert frame.data == b"\x01" * length + b"\x50" * (len(frame.data) - length)
-    assert len(framed(0x8005, bytes(9)).data) == 12
-    assert (framed(0x7FF, b"").extended, framed(0x800, b"").extended) == (False, True)
-    assert framed(1, b"").fd
-    assert framed(1, b"").brs
+    assert len(make_frame(0x8005, bytes(9)).data) == 12
+    assert (make_frame(0x7FF, b"").extended, make_frame(0x800, b"").extended) == (False, True)
+    assert make_frame(1, b"").fd
+    assert make_frame(1, b"").brs
 
 
 @pytest.mark.parametrize("register", Register)
@@ -236,8 +235,8 @@ def test_vectors_of_modes_are_the_package_s() -> None:
     ],
 )
 def test_vectors_of_numbers_in_counts(register: int, resolution: int, value: float | None, raw: int) -> None:
-    assert raw_of(register, resolution, value) == raw
-    back = quantity(register, resolution, raw)
+    assert to_raw(register, resolution, value) == raw
+    back = from_raw(register, resolution, raw)
     if value is None:
         assert back is None
     elif abs(value) < 99.0:
@@ -245,20 +244,20 @@ def test_vectors_of_numbers_in_counts(register: int, resolution: int, value: flo
 
 
 def test_vectors_of_numbers_in_binary32() -> None:
-    assert raw_of(1, F32, -0.0) == 0.0
-    assert math.copysign(1.0, raw_of(1, F32, -0.0)) == 1.0
-    assert raw_of(1, F32, 1e-40) == 0.0
-    assert raw_of(1, F32, 1e300) == pytest.approx(3.4028234663852886e38)
-    assert math.isnan(raw_of(1, F32, None))
-    assert quantity(1, F32, math.nan) is None
-    assert quantity(1, F32, math.inf) is None
+    assert to_raw(1, F32, -0.0) == 0.0
+    assert math.copysign(1.0, to_raw(1, F32, -0.0)) == 1.0
+    assert to_raw(1, F32, 1e-40) == 0.0
+    assert to_raw(1, F32, 1e300) == pytest.approx(3.4028234663852886e38)
+    assert math.isnan(to_raw(1, F32, None))
+    assert from_raw(1, F32, math.nan) is None
+    assert from_raw(1, F32, math.inf) is None
     for bad in (math.nan, math.inf, -math.inf):
         with pytest.raises(ValueError, match="not finite"):
-            raw_of(1, F32, bad)
+            to_raw(1, F32, bad)
         with pytest.raises(ValueError, match="not finite"):
-            move(bad, 0.0, 0.0, PLAIN)
+            position_command(bad, 0.0, 0.0, PLAIN)
         with pytest.raises(ValueError, match="not finite"):
-            push(0.0, bad, PLAIN)
+            torque_command(0.0, bad, PLAIN)
 
 
 def test_vectors_of_a_wrong_length_or_of_a_host_tell_nothing() -> None:
@@ -286,7 +285,7 @@ def test_damaged_vectors_are_read_by_short_cut_and_loop_alike(size: int) -> None
             assert not sound or len(loud) != len(subframes) or infinite
             continue
         again = {
-            s.start + i: quantity(s.start + i, s.resolution, raw)
+            s.start + i: from_raw(s.start + i, s.resolution, raw)
             for s in subframes
             if isinstance(s, Values)
             for i, raw in enumerate(s.raw)
@@ -311,7 +310,7 @@ def test_random_vectors_of_writes_are_the_package_s_within_a_count() -> None:
         resolution = int(generator.integers(4))
         value = float(np.float32(generator.uniform(-2.0, 2.0)))
         ours, other = write(register, value, resolution=resolution), _their_write(register, resolution, value)
-        assert head(WRITE, register, resolution, 1) == other[: -(1, 2, 4, 4)[resolution]]
+        assert header(WRITE, register, resolution, 1) == other[: -(1, 2, 4, 4)[resolution]]
         (mine,), (yours,) = (s.raw for s in (*parse(ours)[0], *parse(other)[0]) if isinstance(s, Values))
         assert abs(mine - yours) <= (0 if resolution == F32 else 1)
 
@@ -323,8 +322,8 @@ def test_random_vectors_of_questions_are_the_package_s() -> None:
         start, count = int(generator.integers(0, 0x200)), int(generator.integers(1, 8))
         resolution = int(generator.integers(4))
         command = controller.make_custom_query({start + i: resolution for i in range(count)})
-        assert parse(command.data) == ([Ask(start, resolution, count)], True)
-        assert encode(Ask(start, resolution, count)) == command.data
+        assert parse(command.data) == ([Query(start, resolution, count)], True)
+        assert encode(Query(start, resolution, count)) == command.data
 
 
 def test_what_vectors_write_is_what_the_package_reads() -> None:
@@ -370,4 +369,4 @@ def test_what_is_no_vector_to_a_device_has_no_name() -> None:
 
 
 def test_vectors_of_questions_begin_at_0x10() -> None:
-    assert head(READ, Register.MODE, INT8, 1) == b"\x11\x00"
+    assert header(READ, Register.MODE, INT8, 1) == b"\x11\x00"

@@ -10,8 +10,8 @@ import pytest
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command
-from protocols.moteus.codec import READ_ERROR, Error, Values, encode, framed, reply_id
-from protocols.moteus.faults import FAULTS, HELD_TWICE, NOT_ARMED, TIMEOUT
+from protocols.moteus.codec import READ_ERROR, Error, Values, encode, make_frame, reply_id
+from protocols.moteus.faults import DUPLICATE_ID, FAULTS, NOT_ARMED, TIMEOUT
 from protocols.moteus.messages import IDENTIFY
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.registers import Mode, Register
@@ -62,7 +62,7 @@ def _without_uuid(frame: CanFrame) -> CanFrame:
     """As an older firmware would have answered."""
     errors = b"".join(encode(Error(READ_ERROR, r, 1)) for r in (0x150, 0x151, 0x152, 0x153, 0x158))
     kept = [encode(s) for s in subframes(frame) if not (isinstance(s, Values) and s.start >= 0x150)]
-    return frame if len(kept) == len(subframes(frame)) else framed(frame.id, b"".join(kept) + errors)
+    return frame if len(kept) == len(subframes(frame)) else make_frame(frame.id, b"".join(kept) + errors)
 
 
 def test_feedback_is_in_si_and_of_the_time_of_the_answer() -> None:
@@ -338,7 +338,7 @@ def test_what_another_host_stopped_is_still_not_commanded_before_clear() -> None
     bench.run(50, msg.Hold("left"))
     bench.twin.provoke(38)
     bench.run(50)
-    bench.twin.receive(bench.now, framed(0x0201, b"\x01\x00\x00"))
+    bench.twin.receive(bench.now, make_frame(0x0201, b"\x01\x00\x00"))
     bench.run(100)
     assert bench.twin.servo.mode == Mode.STOPPED
     assert modes(bench.events)[-1] == "fault"
@@ -363,7 +363,7 @@ def test_limits_that_are_active_are_no_faults() -> None:
     bench = ready()
     bench.shaft.held = True
     events = bench.run(300, msg.Torque("left", 50.0))
-    assert bench.twin.servo.reply() == 99
+    assert bench.twin.servo.fault_register() == 99
     assert of(msg.Fault, events) == []
     assert modes(events)[-1] == "armed"
 
@@ -385,7 +385,9 @@ def test_limits_that_come_and_go_with_every_answer_are_told_once() -> None:
     reported = list[msg.State]()
     for i in range(500):  # at 200 Hz: none, the current, none, the torque
         frame = f"21000a2f01{'00000000' * 3}210f{(0, 99, 0, 102)[i % 4]:02x}"
-        events = bench.driver.receive(bench.now + i * 5_000_000, framed(reply_id(1), bytes.fromhex(frame)))
+        events = bench.driver.receive(
+            bench.now + i * 5_000_000, make_frame(reply_id(1), bytes.fromhex(frame))
+        )
         reported += of(msg.State, events)
     assert [state.detail for state in reported] == [
         "position, limited by servo.max_current_A",
@@ -399,15 +401,15 @@ def test_limits_that_come_and_go_with_every_answer_are_told_once() -> None:
 def test_a_limit_is_told_of_an_armed_device_only(mode: int, said: str) -> None:
     bench = ready()
     limited = "21000a2f01000000000000000000000000210f63"
-    bench.driver.receive(bench.now, framed(reply_id(1), bytes.fromhex(limited)))
-    frame = framed(reply_id(1), bytes.fromhex(limited.replace("0a", f"{mode:02x}", 1)))
+    bench.driver.receive(bench.now, make_frame(reply_id(1), bytes.fromhex(limited)))
+    frame = make_frame(reply_id(1), bytes.fromhex(limited.replace("0a", f"{mode:02x}", 1)))
     assert of(msg.State, bench.driver.receive(bench.now + 1, frame))[-1].detail == said
 
 
 def test_a_limit_from_before_the_bus_was_lost_is_not_told() -> None:
     bench = ready()
     armed = f"21000a2f01{'00000000' * 3}210f"
-    limited, free = (framed(reply_id(1), bytes.fromhex(armed + code)) for code in ("63", "00"))
+    limited, free = (make_frame(reply_id(1), bytes.fromhex(armed + code)) for code in ("63", "00"))
     (state,) = of(msg.State, bench.driver.receive(bench.now, limited))
     assert state.detail == "position, limited by servo.max_current_A"
     bench.driver.bus(bench.now + 1, BusState.BACK)
@@ -417,7 +419,7 @@ def test_a_limit_from_before_the_bus_was_lost_is_not_told() -> None:
 
 def test_a_fault_outside_the_table_is_told_by_its_number() -> None:
     bench = ready()
-    frame = framed(reply_id(1), bytes.fromhex("210001210f3f"))
+    frame = make_frame(reply_id(1), bytes.fromhex("210001210f3f"))
     reported = of(msg.Fault, bench.driver.receive(bench.now, frame))
     assert [(f.code, f.name) for f in reported] == [(63, "fault 63")]
 
@@ -553,7 +555,7 @@ def test_an_id_that_is_held_twice_is_noticed_and_told_once() -> None:
     found = of(msg.Found, events)
     assert [f.duplicate_address for f in found] == [True, True]
     assert len({f.serial for f in found}) == 2
-    assert [f.code for f in of(msg.Fault, events)] == [HELD_TWICE]
+    assert [f.code for f in of(msg.Fault, events)] == [DUPLICATE_ID]
     bench.twins.pop()
     bench.shafts.pop()
     bench.devices = [device()]

@@ -10,7 +10,7 @@ from protocols import messages as msg
 from protocols.frames import BusState, CanFrame
 from protocols.messages import MILLISECOND, Command, Event
 from protocols.moteus import RANGES
-from protocols.moteus.codec import framed, parse
+from protocols.moteus.codec import make_frame, parse
 from protocols.moteus.driver import MoteusDriver
 from protocols.moteus.messages import written
 from protocols.moteus.options import Options
@@ -25,7 +25,7 @@ STANDS = "2100{:02x}2f01" + "00000000" * 3 + "210f00"
 def _driver(options: Options | None = None, mode: int = Mode.POSITION) -> MoteusDriver:
     driver = MoteusDriver([device(options=options)], RANGES)
     driver.send(0, [])
-    driver.receive(1, framed(0x100, bytes.fromhex(STANDS.format(mode))))
+    driver.receive(1, make_frame(0x100, bytes.fromhex(STANDS.format(mode))))
     return driver
 
 
@@ -62,7 +62,7 @@ def test_a_device_that_stays_stopped_is_said_to() -> None:
     events: list[Event] = []
     for at in range(1, 220):
         events += driver.send(at * 5 * MILLISECOND, [msg.Hold("left")])[0]
-        driver.receive(at * 5 * MILLISECOND, framed(0x100, bytes.fromhex(STANDS.format(0))))
+        driver.receive(at * 5 * MILLISECOND, make_frame(0x100, bytes.fromhex(STANDS.format(0))))
     assert [fault.cause for fault in of(msg.Fault, events)] == ["it stayed in mode stopped for 1000 ms"]
 
 
@@ -77,8 +77,8 @@ def test_what_a_lost_bus_ends_is_told_whatever_else_befalls_the_bus() -> None:
 def test_who_it_is_and_how_it_is_may_come_in_one_answer() -> None:
     driver = _driver()
     uuid = bytes.fromhex("2804d002") + bytes(range(16))
-    events = driver.receive(2, framed(0x100, bytes.fromhex("2d01000000002100002d0d0000c041") + uuid))
+    events = driver.receive(2, make_frame(0x100, bytes.fromhex("2d01000000002100002d0d0000c041") + uuid))
     assert [type(event) for event in events] == [msg.Feedback, msg.State]
     other = bytes.fromhex("2804d002") + bytes(range(1, 17))
-    events = driver.receive(3, framed(0x100, bytes.fromhex("2d0100000000") + other))
+    events = driver.receive(3, make_frame(0x100, bytes.fromhex("2d0100000000") + other))
     assert [type(event) for event in events] == [msg.Feedback, msg.Found, msg.Found, msg.Fault]

@@ -11,9 +11,17 @@ from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Request
 from protocols.moteus import plugin
-from protocols.moteus.codec import F32, INT8, REPLY, Ask, Values, command_id, encode, framed, write
+from protocols.moteus.codec import F32, INT8, REPLY, Query, Values, command_id, encode, make_frame, write
 from protocols.moteus.decoder import MoteusDecoder
-from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
+from protocols.moteus.messages import (
+    DISCOVER,
+    STOP,
+    Limits,
+    console,
+    masked,
+    position_command,
+    torque_command,
+)
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.registers import Mode, Register
 from protocols.moteus.twin import MoteusTwin
@@ -26,7 +34,7 @@ LIMITS = Limits(0.1)
 
 
 def handle(data: bytes, to: int = 1, settings: Settings | None = None) -> list[Command | Request]:
-    return list(MoteusDecoder([device(settings=settings)]).decode(0, framed(command_id(to), data)))
+    return list(MoteusDecoder([device(settings=settings)]).decode(0, make_frame(command_id(to), data)))
 
 
 def mode(value: Mode, *rest: bytes) -> bytes:
@@ -37,10 +45,10 @@ def mode(value: Mode, *rest: bytes) -> bytes:
     ("data", "words"),
     [
         (STOP, [msg.Idle("left")]),
-        (move(0.5, 0.25, -0.5, LIMITS), [msg.Position("left", rev(0.5), rev(0.25), -0.5)]),
-        (move(None, 0.25, 0.125, LIMITS), [msg.Velocity("left", rev(0.25), 0.125)]),
-        (push(7.0, 0.25, LIMITS), [msg.Torque("left", 0.25)]),
-        (push(7.0, 0.25, Limits(0.1, 1.0, 2.0, 3.0)), [msg.Torque("left", 0.25)]),
+        (position_command(0.5, 0.25, -0.5, LIMITS), [msg.Position("left", rev(0.5), rev(0.25), -0.5)]),
+        (position_command(None, 0.25, 0.125, LIMITS), [msg.Velocity("left", rev(0.25), 0.125)]),
+        (torque_command(7.0, 0.25, LIMITS), [msg.Torque("left", 0.25)]),
+        (torque_command(7.0, 0.25, Limits(0.1, 1.0, 2.0, 3.0)), [msg.Torque("left", 0.25)]),
         (mode(Mode.POSITION), [msg.Position("left", 0.0, 0.0, 0.0)]),
         (mode(Mode.POSITION, write(0x20, None), write(0x23, 0.0)), [msg.Velocity("left", 0.0, 0.0)]),
         # a stop position and a limit together: fault 45, no torque; a negative limit is none
@@ -58,7 +66,7 @@ def mode(value: Mode, *rest: bytes) -> bytes:
         (mode(Mode.FAULT), []),
         (write(0x20, 1.0), []),
         (write(Register.POSITION, 1.0), []),
-        (encode(Ask(0, F32, 3)), []),
+        (encode(Query(0, F32, 3)), []),
         (encode(Values(REPLY, 0, INT8, (0,))), []),
         (write(Register.SET_OUTPUT_EXACT, 0.0), [msg.Zero("left")]),
         (write(Register.SET_OUTPUT_NEAREST, 0.5), [msg.WriteParameter("left", "set_output_nearest", 0.5)]),
@@ -78,17 +86,17 @@ def test_what_a_frame_makes_a_device_do(data: bytes, words: list[Command | Reque
 
 
 def test_two_commands_in_a_frame_are_one() -> None:
-    assert handle(move(0.5, 0.0, 0.0, LIMITS) + STOP) == [msg.Idle("left")]
+    assert handle(position_command(0.5, 0.0, 0.0, LIMITS) + STOP) == [msg.Idle("left")]
 
 
 def test_who_is_addressed() -> None:
     decoder = MoteusDecoder(
         [device("left", 1), device("right", 2), device("far", 2, options=Options(can_prefix=3))]
     )
-    assert decoder.decode(0, framed(command_id(2), STOP)) == [msg.Idle("right")]
-    assert decoder.decode(0, framed(command_id(2, 5, 3), STOP)) == [msg.Idle("far")]
-    assert decoder.decode(0, framed(command_id(0x7F), STOP)) == [msg.Idle("left"), msg.Idle("right")]
-    assert decoder.decode(0, framed(2, STOP)) == [msg.Idle("right")]
+    assert decoder.decode(0, make_frame(command_id(2), STOP)) == [msg.Idle("right")]
+    assert decoder.decode(0, make_frame(command_id(2, 5, 3), STOP)) == [msg.Idle("far")]
+    assert decoder.decode(0, make_frame(command_id(0x7F), STOP)) == [msg.Idle("left"), msg.Idle("right")]
+    assert decoder.decode(0, make_frame(2, STOP)) == [msg.Idle("right")]
     assert decoder.decode(0, CanFrame(2, STOP, extended=True)) == [msg.Idle("right")]
     for frame in (b"\x01\x00\x00", CanFrame(0x82, STOP, fd=True), CanFrame(2, b"", remote=True)):
         assert decoder.decode(0, frame) == []
@@ -99,30 +107,30 @@ def test_a_mask_chooses_by_uuid() -> None:
         [device("left", 1, Settings(uuid=UUID)), device("right", 2, Settings(uuid="f" * 32))]
     )
     uuid = bytes.fromhex(UUID)
-    assert decoder.decode(0, framed(0x7F, masked(uuid[:8], STOP))) == [msg.Idle("left")]
-    assert decoder.decode(0, framed(0x7F, masked(uuid, console("conf set id.id 9")))) == [
+    assert decoder.decode(0, make_frame(0x7F, masked(uuid[:8], STOP))) == [msg.Idle("left")]
+    assert decoder.decode(0, make_frame(0x7F, masked(uuid, console("conf set id.id 9")))) == [
         msg.SetId("", serial_of(uuid), 9)
     ]
-    assert decoder.decode(0, framed(9, STOP)) == [msg.Idle("left")]
-    assert decoder.decode(0, framed(1, STOP)) == []
+    assert decoder.decode(0, make_frame(9, STOP)) == [msg.Idle("left")]
+    assert decoder.decode(0, make_frame(1, STOP)) == []
 
 
 def test_an_ear_without_uuids_tells_what_one_of_them_would_do() -> None:
     decoder = MoteusDecoder([device("left", 1)])
     uuid = bytes.fromhex(UUID)
-    assert decoder.decode(0, framed(0x7F, masked(uuid[:8], console("conf set id.id 9")))) == [
+    assert decoder.decode(0, make_frame(0x7F, masked(uuid[:8], console("conf set id.id 9")))) == [
         msg.SetId("", serial_of(uuid), 9)
     ]
-    assert decoder.decode(0, framed(0x7F, masked(uuid[:8], DISCOVER))) == []
-    assert decoder.decode(0, framed(1, STOP)) == [msg.Idle("left")]  # whose id it was, is not known
+    assert decoder.decode(0, make_frame(0x7F, masked(uuid[:8], DISCOVER))) == []
+    assert decoder.decode(0, make_frame(1, STOP)) == [msg.Idle("left")]  # whose id it was, is not known
 
 
 def test_a_console_line_may_come_in_pieces() -> None:
     decoder = MoteusDecoder([device(settings=Settings(uuid=UUID))])
     line = b"conf set id.id 7\n"
-    pieces = [framed(1, b"\x40\x01" + bytes((len(p),)) + p) for p in (line[:7], line[7:])]
+    pieces = [make_frame(1, b"\x40\x01" + bytes((len(p),)) + p) for p in (line[:7], line[7:])]
     assert [len(decoder.decode(0, piece)) for piece in pieces] == [0, 1]
-    assert decoder.decode(0, framed(7, b"\x40\x02\x05conf\n" + STOP)) == [msg.Idle("left")]
+    assert decoder.decode(0, make_frame(7, b"\x40\x02\x05conf\n" + STOP)) == [msg.Idle("left")]
 
 
 def test_vectors_of_commands_are_heard_as_they_are_meant() -> None:
@@ -153,14 +161,14 @@ def test_ear_and_twin_hear_the_same_registers() -> None:
     for _ in range(200):
         decoder, twin = MoteusDecoder([device()]), MoteusTwin(device(), 0)
         twin.step(0, [msg.Feedback("left", 0, 0.0, 0.0)])
-        frame = framed(command_id(1), _random_frame(generator))
+        frame = make_frame(command_id(1), _random_frame(generator))
         words = decoder.decode(MILLISECOND, frame)
         twin.receive(MILLISECOND, frame)
-        assert repr(decoder.axes[0].command) == repr(twin.axis.command)
-        assert decoder.axes[0].mode == twin.axis.mode
+        assert repr(decoder.states[0].command) == repr(twin.state.command)
+        assert decoder.states[0].mode == twin.state.mode
         if any(isinstance(word, Command) for word in words):
-            assert repr(twin.servo.command) == repr(decoder.axes[0].command)
-            assert twin.servo.wanted == decoder.axes[0].mode
+            assert repr(twin.servo.command) == repr(decoder.states[0].command)
+            assert twin.servo.commanded_mode == decoder.states[0].mode
 
 
 def _random_frame(generator: np.random.Generator) -> bytes:

@@ -11,12 +11,13 @@ import moteus
 import pytest
 
 from benchmarks.codec import theirs
+from benchmarks.samples import moteus as samples
 from protocols.frames import CanFrame
 from protocols.messages import Estop, Hold, Idle, Impedance, Position, Reboot, Torque, Velocity
-from protocols.moteus import bench, driver, plugin, spec
-from protocols.moteus.codec import command_id, framed
+from protocols.moteus import driver, plugin, spec
+from protocols.moteus.codec import Query, command_id, encode, make_frame
 from protocols.moteus.faults import FAULTS, LIMITS, fault_info_of
-from protocols.moteus.messages import DISCOVER, IDENTIFY, STOP, Limits, ask, console, masked, move
+from protocols.moteus.messages import DISCOVER, IDENTIFY, STOP, Limits, console, masked, position_command
 from protocols.moteus.options import Options, Settings, limits_of
 from protocols.moteus.registers import Register
 from protocols.moteus.reply import FAST, FULL
@@ -55,12 +56,14 @@ def test_specs_of_equal_devices_are_equal() -> None:
     assert not {Estop, Reboot} & spec(device()).requests
 
 
-@pytest.mark.parametrize("data", [FAST, FULL, DISCOVER, IDENTIFY, ask(Register.VOLTAGE, 3), b"", b"\x50"])
+@pytest.mark.parametrize(
+    "data", [FAST, FULL, DISCOVER, IDENTIFY, encode(Query(Register.VOLTAGE, 3, 1)), b"", b"\x50"]
+)
 def test_questions_are_read_only(data: bytes) -> None:
     read_only = spec(device()).read_only
-    assert read_only(framed(command_id(1), data))
-    assert read_only(framed(command_id(0x7F), data))
-    assert not read_only(framed(command_id(2), data))
+    assert read_only(make_frame(command_id(1), data))
+    assert read_only(make_frame(command_id(0x7F), data))
+    assert not read_only(make_frame(command_id(2), data))
     assert not read_only(data)
 
 
@@ -68,7 +71,7 @@ def test_questions_are_read_only(data: bytes) -> None:
     "data",
     [
         STOP,
-        move(0.0, 0.0, 0.0, Limits(0.1)) + FAST,
+        position_command(0.0, 0.0, 0.0, Limits(0.1)) + FAST,
         console("conf get id.id"),
         masked(bytes(8), DISCOVER),
         FAST + b"\x60",
@@ -77,7 +80,7 @@ def test_questions_are_read_only(data: bytes) -> None:
     ],
 )
 def test_all_else_is_not(data: bytes) -> None:
-    assert not spec(device()).read_only(framed(command_id(1), data))
+    assert not spec(device()).read_only(make_frame(command_id(1), data))
 
 
 @pytest.mark.parametrize("address", [0, -1, 127, 200])
@@ -87,7 +90,7 @@ def test_an_address_that_is_no_id(address: int) -> None:
 
 
 def test_an_address_that_is_given_twice() -> None:
-    with pytest.raises(ValueError, match="given twice"):
+    with pytest.raises(ValueError, match="duplicate address"):
         driver([device("left", 1), device("right", 1)])
     driver([device("left", 1), device("right", 1, options=Options(can_prefix=1))])
 
@@ -173,10 +176,10 @@ def test_every_fault_has_all_its_words() -> None:
     assert not set(FAULTS) & set(LIMITS)
 
 
-@pytest.mark.parametrize("sample", bench.SAMPLES, ids=lambda sample: sample.what)
-def test_both_sides_of_a_sample_come_to_the_same(sample: bench.Sample) -> None:
+@pytest.mark.parametrize("sample", samples.SAMPLES, ids=lambda sample: sample.what)
+def test_both_sides_of_a_sample_come_to_the_same(sample: samples.Sample) -> None:
     package: ModuleType = moteus
-    theirs(sample, bench.prepared(package))
+    theirs(sample, samples.prepared(package))
 
 
 def test_the_ear_and_the_twin_are_the_plugin_s() -> None:

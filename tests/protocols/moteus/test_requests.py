@@ -6,7 +6,17 @@ import pytest
 
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, Event, Request
-from protocols.moteus.codec import F32, INT16, READ_ERROR, REPLY, WRITE_ERROR, Error, Values, encode, framed
+from protocols.moteus.codec import (
+    F32,
+    INT16,
+    READ_ERROR,
+    REPLY,
+    WRITE_ERROR,
+    Error,
+    Values,
+    encode,
+    make_frame,
+)
 from protocols.moteus.messages import DISCOVER
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.registers import Register
@@ -55,7 +65,7 @@ def test_a_device_without_a_uuid_is_found_too() -> None:
     bench.run(5)
     old = bytes.fromhex("31d0020131d1020131d2020131d3020131d8020150505050")[:24]
 
-    reported = list(bench.driver.receive(bench.now, framed(0x900, old)))
+    reported = list(bench.driver.receive(bench.now, make_frame(0x900, old)))
     assert [(f.address, f.serial, f.detail) for f in of(msg.Found, reported)] == [
         (9, None, "it has no UUID: older firmware")
     ]
@@ -77,7 +87,7 @@ def test_the_answer_to_another_host_s_question_is_not_found() -> None:
         if (reported := decode(f.data)) and Register.MODEL_NUMBER in reported.values
     ]
     assert asked
-    assert of(msg.Found, bench.driver.receive(bench.now, framed(0x900, asked[0].data))) == []
+    assert of(msg.Found, bench.driver.receive(bench.now, make_frame(0x900, asked[0].data))) == []
 
 
 # -- ids -------------------------------------------------------------------------------------------
@@ -89,7 +99,7 @@ def test_an_id_is_given_by_serial_number_and_confirmed_by_the_device() -> None:
     reported = bench.ask(msg.SetId("can0", serial, 12), 300)
     assert [d.request for d in of(msg.Done, reported)] == ["SetId"]
     assert "conf_write" in of(msg.Done, reported)[0].detail
-    assert [twin.axis.address for twin in bench.twins] == [1, 12]
+    assert [twin.state.address for twin in bench.twins] == [1, 12]
 
 
 @pytest.mark.parametrize(
@@ -127,7 +137,7 @@ def test_zero_is_confirmed_by_the_position() -> None:
 def test_zero_is_refused_while_armed() -> None:
     bench = ready()
     bench.run(50, msg.Hold("left"))
-    assert "say idle first" in of(msg.Refused, bench.ask(msg.Zero("left")))[0].reason
+    assert "send Idle first" in of(msg.Refused, bench.ask(msg.Zero("left")))[0].reason
 
 
 # -- parameters ------------------------------------------------------------------------------------
@@ -210,7 +220,7 @@ def reads(register: int, value: float) -> bytes:
 def answered(bench: Bench, *data: bytes) -> list[list[Event]]:
     """What is told of each of the device's frames; the device itself is not asked."""
     node = bench.node
-    return [list(bench.driver.receive(bench.now, framed(node.tells_at, each))) for each in data]
+    return [list(bench.driver.receive(bench.now, make_frame(node.reply_id, each))) for each in data]
 
 
 def writing(name: str, value: float) -> Bench:
@@ -226,14 +236,14 @@ def test_an_answer_that_was_under_way_does_not_end_a_write() -> None:
     bench = writing("home_state", 2.0)
     reported = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, 2)))
     assert [of(msg.Done, each) + of(msg.Refused, each) for each in reported[:2]] == [[], []]
-    assert of(msg.Refused, reported[2])[0].reason == "the device does not take it (read only)"
+    assert of(msg.Refused, reported[2])[0].reason == "the device does not accept it (read only)"
 
 
 def test_an_answer_that_was_under_way_does_not_end_a_write_to_the_twin() -> None:
     bench = ready(device(settings=Settings(reply_delay_us=15_000)))
     reported = bench.ask(msg.WriteParameter("left", "position", 0.0), 60)
     assert of(msg.Done, reported) == []
-    assert [r.reason for r in of(msg.Refused, reported)] == ["the device does not take it (read only)"]
+    assert [r.reason for r in of(msg.Refused, reported)] == ["the device does not accept it (read only)"]
 
 
 def test_a_write_is_done_when_the_device_holds_what_was_written() -> None:
@@ -301,7 +311,7 @@ def test_every_request_ends(request_: Request, within: int) -> None:
     bench.to_device = lambda _: False
     reported = of(msg.Refused, bench.ask(request_, within + 10))
     assert [r.request for r in reported] == [type(request_).__name__]
-    assert list(bench.driver._waiting) == []
+    assert list(bench.driver._queue) == []
 
 
 def test_a_zero_that_does_not_become_zero_is_refused() -> None:
@@ -317,7 +327,7 @@ def test_a_read_that_is_answered_by_other_frames_only_is_refused() -> None:
     bench = ready()
     bench.to_device = lambda frame: frame.data[:1] != b"\x1d"
     reported = bench.ask(msg.ReadParameter("left", "power"), 700)
-    assert of(msg.Refused, reported)[0].reason == "the device did not answer this"
+    assert of(msg.Refused, reported)[0].reason == "no reply to this request"
 
 
 def test_too_many_requests_are_refused() -> None:

@@ -9,7 +9,7 @@ import pytest
 from protocols.moteus.decoder import DEFAULTS
 from protocols.moteus.options import Settings
 from protocols.moteus.registers import Register
-from protocols.moteus.setpoint import Setpoint, limits_of
+from protocols.moteus.setpoint import Setpoint, trajectory_limits
 
 DT = 1e-3
 GENTLE = Settings(default_accel_limit=1.0)
@@ -65,6 +65,6 @@ def test_it_comes_to_rest_at_once_or_with_its_acceleration(hardest: float, turns
 
 def test_the_limits_of_a_command_go_before_those_of_the_device() -> None:
     settings = Settings(default_velocity_limit=2.0, default_accel_limit=3.0)
-    assert limits_of(settings, command()) == (2.0, 3.0)
-    assert limits_of(settings, command(velocity_limit=1.0, accel_limit=-1.0)) == (1.0, None)
-    assert limits_of(Settings(), command()) == (None, None)
+    assert trajectory_limits(settings, command()) == (2.0, 3.0)
+    assert trajectory_limits(settings, command(velocity_limit=1.0, accel_limit=-1.0)) == (1.0, None)
+    assert trajectory_limits(Settings(), command()) == (None, None)

@@ -15,18 +15,26 @@ from protocols.moteus.codec import (
     INT16,
     INT32,
     REPLY,
-    Ask,
     Error,
+    Query,
     Raw,
     Values,
     command_id,
     encode,
-    framed,
+    make_frame,
     reply_id,
     write,
 )
 from protocols.moteus.faults import FAULTS, TIMEOUT
-from protocols.moteus.messages import DISCOVER, STOP, Limits, console, masked, move, push
+from protocols.moteus.messages import (
+    DISCOVER,
+    STOP,
+    Limits,
+    console,
+    masked,
+    position_command,
+    torque_command,
+)
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.registers import Mode, Register
 from protocols.moteus.reply import FAST, decode
@@ -63,18 +71,18 @@ class Rig:
 
     def say(self, data: bytes, to: int = 1, milliseconds: int = 1) -> list[CanFrame]:
         """Say it, and run on; the answers."""
-        self.twin.receive(self.now, framed(command_id(to), data))
+        self.twin.receive(self.now, make_frame(command_id(to), data))
         return self.run(milliseconds)
 
     def report(self, register: int, resolution: int = F32) -> Raw | None:
         """One register, as the wire has it; None for an error."""
-        (answer,) = self.say(encode(Ask(register, resolution, 1)))
+        (answer,) = self.say(encode(Query(register, resolution, 1)))
         (reported,) = subframes(answer)
         return reported.raw[0] if isinstance(reported, Values) else None
 
     def value(self, register: int) -> float | None:
         """One register, as a quantity."""
-        (answer,) = self.say(encode(Ask(register, F32, 1)))
+        (answer,) = self.say(encode(Query(register, F32, 1)))
         reported = decode(answer.data)
         return reported.values[register] if reported else None
 
@@ -90,7 +98,7 @@ def test_from_stopped_it_enables_first() -> None:
     rig = Rig(Settings(enable_ms=10))
     seen = [rig.mode]
     for _ in range(14):
-        rig.say(move(0.0, 0.0, 0.0, LIMITS))
+        rig.say(position_command(0.0, 0.0, 0.0, LIMITS))
         seen.append(rig.mode)
     assert list(dict.fromkeys(seen)) == [Mode.STOPPED, Mode.ENABLING, Mode.CALIBRATING, Mode.POSITION]
     assert rig.twin.servo.torque() == 0.0
@@ -98,7 +106,7 @@ def test_from_stopped_it_enables_first() -> None:
 
 def test_a_command_is_answered_as_things_stood_before_it() -> None:
     rig = Rig()
-    rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     (answer,) = rig.say(STOP + FAST)
     reported = decode(answer.data)
     assert reported is not None
@@ -109,14 +117,14 @@ def test_a_command_is_answered_as_things_stood_before_it() -> None:
 @pytest.mark.parametrize("latched", [Mode.FAULT, Mode.TIMEOUT])
 def test_only_a_stop_leaves_fault_and_timeout(latched: Mode) -> None:
     rig = Rig()
-    rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     rig.twin.provoke(38 if latched == Mode.FAULT else TIMEOUT)
     for value in (Mode.POSITION, Mode.CURRENT, Mode.BRAKE, Mode.ZERO_VELOCITY):
         rig.say(mode(value), milliseconds=20)
         assert rig.mode == latched
     rig.say(STOP)
     assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.STOPPED, 0)
-    rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     assert rig.mode == Mode.POSITION
 
 
@@ -125,7 +133,7 @@ def test_only_a_stop_leaves_fault_and_timeout(latched: Mode) -> None:
 def test_every_fault_can_be_provoked_and_gives_no_torque(code: int, running: bool) -> None:
     rig = Rig()
     if running:
-        rig.say(move(None, 2.0, 0.0, LIMITS), milliseconds=100)
+        rig.say(position_command(None, 2.0, 0.0, LIMITS), milliseconds=100)
     rig.twin.provoke(code)
     rig.run(5)
     if code == TIMEOUT:
@@ -152,7 +160,7 @@ def test_what_a_frame_does_not_name_falls_back_to_its_default() -> None:
     rig = Rig()
     rig.shaft.position = rev(0.75)
     rig.run(5)
-    rig.say(move(0.75, 0.0, 0.0, Limits(10.0, 0.5)), milliseconds=20)
+    rig.say(position_command(0.75, 0.0, 0.0, Limits(10.0, 0.5)), milliseconds=20)
     assert rig.value(Register.COMMAND_POSITION_MAX_TORQUE) == 0.5
     rig.say(mode(Mode.POSITION), milliseconds=60)  # no position: 0, and the motor turns there
     assert rig.value(Register.COMMAND_POSITION) == 0.0
@@ -163,19 +171,19 @@ def test_what_a_frame_does_not_name_falls_back_to_its_default() -> None:
 
 def test_registers_without_a_mode_change_nothing() -> None:
     rig = Rig()
-    rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     rig.say(write(Register.COMMAND_POSITION, 5.0), milliseconds=100)
     assert rig.shaft.position == pytest.approx(0.0, abs=0.01)
 
 
 def test_position_velocity_and_torque() -> None:
     rig = Rig()
-    rig.say(move(0.5, 0.0, 0.0, LIMITS), milliseconds=3000)
+    rig.say(position_command(0.5, 0.0, 0.0, LIMITS), milliseconds=3000)
     assert rig.shaft.position == pytest.approx(rev(0.5), abs=0.02)
-    rig.say(move(None, 1.5, 0.0, LIMITS), milliseconds=600)
+    rig.say(position_command(None, 1.5, 0.0, LIMITS), milliseconds=600)
     assert rig.shaft.velocity == pytest.approx(rev(1.5), rel=0.02)
     rig.shaft.velocity, rig.shaft.held = 0.0, True
-    rig.say(push(0.0, 0.25, LIMITS), milliseconds=50)
+    rig.say(torque_command(0.0, 0.25, LIMITS), milliseconds=50)
     assert rig.twin.servo.torque() == pytest.approx(0.25, rel=1e-3)
     assert rig.value(Register.TORQUE) == pytest.approx(0.25, rel=1e-3)
     assert rig.value(Register.Q_CURRENT) == pytest.approx(0.25 * 304 / 8.27, rel=1e-3)
@@ -184,14 +192,14 @@ def test_position_velocity_and_torque() -> None:
 def test_a_position_that_is_said_again_begins_again() -> None:
     rig = Rig()
     for _ in range(10):
-        rig.say(move(0.25, 1.0, 0.0, LIMITS), milliseconds=10)
+        rig.say(position_command(0.25, 1.0, 0.0, LIMITS), milliseconds=10)
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(0.26, abs=0.002)
 
 
 def test_without_a_position_it_goes_on_from_its_set_point() -> None:
     rig = Rig()
-    rig.say(move(3.0, 0.0, 0.0, LIMITS), milliseconds=30)
-    rig.say(move(None, 0.0, 0.0, LIMITS), milliseconds=30)
+    rig.say(position_command(3.0, 0.0, 0.0, LIMITS), milliseconds=30)
+    rig.say(position_command(None, 0.0, 0.0, LIMITS), milliseconds=30)
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(3.0)
 
 
@@ -205,7 +213,7 @@ def test_kd_is_scaled_no_higher_than_kp() -> None:
 def test_the_commanded_torque_is_the_limit_and_is_told() -> None:
     rig = Rig()
     rig.shaft.held = True
-    rig.say(move(5.0, 0.0, 0.0, Limits(10.0, 0.125)), milliseconds=50)
+    rig.say(position_command(5.0, 0.0, 0.0, Limits(10.0, 0.125)), milliseconds=50)
     assert rig.twin.servo.torque() == pytest.approx(0.125, rel=1e-3)
     assert rig.report(Register.FAULT, INT8) == 102
 
@@ -213,7 +221,7 @@ def test_the_commanded_torque_is_the_limit_and_is_told() -> None:
 def test_the_current_is_limited_and_told() -> None:
     rig = Rig()
     rig.shaft.held = True
-    rig.say(push(0.0, 9.0, LIMITS), milliseconds=50)
+    rig.say(torque_command(0.0, 9.0, LIMITS), milliseconds=50)
     assert rig.value(Register.Q_CURRENT) == pytest.approx(40.0, rel=1e-3)
     assert rig.report(Register.FAULT, INT16) == 99
     assert rig.mode == Mode.POSITION
@@ -243,7 +251,7 @@ def test_modes_that_turn_a_field_give_no_torque_here(value: Mode) -> None:
 @pytest.mark.parametrize("value", [Mode.BRAKE, Mode.ZERO_VELOCITY])
 def test_brake_and_zero_velocity_slow_down(value: Mode) -> None:
     rig = Rig()
-    rig.say(move(None, 3.0, 0.0, LIMITS), milliseconds=300)
+    rig.say(position_command(None, 3.0, 0.0, LIMITS), milliseconds=300)
     rig.say(mode(value), milliseconds=300)
     assert abs(rig.shaft.velocity) < 0.05
 
@@ -265,7 +273,7 @@ def test_stay_within_pushes_back_at_its_bounds_only() -> None:
 def test_a_trajectory_keeps_its_limits_and_says_when_it_is_done() -> None:
     rig = Rig()
     limits = Limits(10.0, None, 1.0, 4.0)
-    rig.say(move(1.0, 0.0, 0.0, limits), milliseconds=400)
+    rig.say(position_command(1.0, 0.0, 0.0, limits), milliseconds=400)
     assert rig.report(Register.TRAJECTORY_COMPLETE, INT8) == 0
     fastest = max(_velocity_of(rig) for _ in range(700))
     assert fastest == pytest.approx(1.0, rel=0.02)
@@ -281,7 +289,7 @@ def _velocity_of(rig: Rig) -> float:
 
 def test_configured_limits_hold_unless_a_command_switches_them_off() -> None:
     rig = Rig(Settings(default_velocity_limit=0.5))
-    rig.say(move(5.0, 0.0, 0.0, LIMITS), milliseconds=200)
+    rig.say(position_command(5.0, 0.0, 0.0, LIMITS), milliseconds=200)
     assert rig.twin.servo.setpoint.velocity == pytest.approx(0.5)
     rig.say(mode(Mode.POSITION, write(0x20, 5.0), write(0x27, 10.0, -1.0)), milliseconds=5)
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(5.0)
@@ -289,7 +297,7 @@ def test_configured_limits_hold_unless_a_command_switches_them_off() -> None:
 
 def test_a_trajectory_to_a_velocity() -> None:
     rig = Rig()
-    rig.say(move(None, 1.0, 0.0, Limits(10.0, None, None, 2.0)), milliseconds=250)
+    rig.say(position_command(None, 1.0, 0.0, Limits(10.0, None, None, 2.0)), milliseconds=250)
     assert 0.4 < rig.twin.servo.setpoint.velocity < 0.6
     rig.run(1000)
     assert rig.twin.servo.setpoint.velocity == pytest.approx(1.0)
@@ -311,7 +319,7 @@ def test_starting_outside_the_bounds_is_a_fault_unless_they_are_ignored() -> Non
     rig = Rig(Settings(position_min=-0.5, position_max=0.5))
     rig.shaft.position = rev(0.7)
     rig.run(5)
-    rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.FAULT, 39)
     rig.say(STOP)
     ignore = write(Register.COMMAND_IGNORE_POSITION_BOUNDS, 1.0, resolution=INT8)
@@ -321,17 +329,17 @@ def test_starting_outside_the_bounds_is_a_fault_unless_they_are_ignored() -> Non
 
 def test_a_set_point_is_kept_within_the_bounds_and_torque_outwards_fades() -> None:
     rig = Rig(Settings(position_max=0.5))
-    rig.say(move(2.0, 0.0, 0.0, LIMITS), milliseconds=2000)
+    rig.say(position_command(2.0, 0.0, 0.0, LIMITS), milliseconds=2000)
     assert rig.shaft.position == pytest.approx(rev(0.5), abs=0.05)
     rig.shaft.position, rig.shaft.held = rev(0.53), True
-    rig.say(push(0.53, 0.5, LIMITS), milliseconds=20)
+    rig.say(torque_command(0.53, 0.5, LIMITS), milliseconds=20)
     assert rig.twin.servo.torque() == pytest.approx(0.0, abs=1e-3)
     assert rig.report(Register.FAULT, INT8) == 103
 
 
 def test_bounds_that_it_cannot_count_are_a_fault() -> None:
     rig = Rig(Settings(position_max=40000.0))
-    rig.say(move(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     assert rig.report(Register.FAULT, INT8) == 48
 
 
@@ -348,14 +356,14 @@ def test_bounds_that_it_cannot_count_are_a_fault() -> None:
 def test_what_it_watches_over(settings: Settings, code: int) -> None:
     rig = Rig(settings)
     rig.shaft.held = True
-    rig.say(move(1.0, 0.5, 0.0, LIMITS), milliseconds=30)
+    rig.say(position_command(1.0, 0.5, 0.0, LIMITS), milliseconds=30)
     assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.FAULT, code)
 
 
 def test_it_grows_warm_and_gives_less() -> None:
     rig = Rig(Settings(fault_temperature=40.0, temperature_margin=14.0))
     rig.shaft.held = True
-    rig.say(push(0.0, 9.0, LIMITS), milliseconds=9000)
+    rig.say(torque_command(0.0, 9.0, LIMITS), milliseconds=9000)
     assert 26.0 < rig.twin.servo.temperature < 40.0
     assert rig.twin.servo.iq < 39.0
     assert rig.report(Register.FAULT, INT8) == 100
@@ -364,7 +372,7 @@ def test_it_grows_warm_and_gives_less() -> None:
 def test_above_its_highest_velocity_the_torque_falls() -> None:
     rig = Rig(Settings(max_velocity=5.0, max_velocity_derate=1.0, fault_velocity_error=nan))
     rig.shaft.load = 0.0
-    rig.say(push(0.0, 0.5, LIMITS), milliseconds=1500)
+    rig.say(torque_command(0.0, 0.5, LIMITS), milliseconds=1500)
     assert rig.shaft.velocity / tau < 6.0
     assert rig.report(Register.FAULT, INT8) == 96
 
@@ -374,7 +382,7 @@ def test_above_its_highest_velocity_the_torque_falls() -> None:
 
 def test_the_watchdog_runs_as_each_command_says() -> None:
     rig = Rig()
-    rig.say(move(0.0, 0.0, 0.0, Limits(0.05)), milliseconds=45)
+    rig.say(position_command(0.0, 0.0, 0.0, Limits(0.05)), milliseconds=45)
     assert rig.mode == Mode.POSITION
     rig.run(10)
     assert rig.mode == Mode.TIMEOUT
@@ -382,7 +390,7 @@ def test_the_watchdog_runs_as_each_command_says() -> None:
 
 def test_questions_do_not_feed_it() -> None:
     rig = Rig()
-    rig.say(move(0.0, 0.0, 0.0, Limits(0.05)))
+    rig.say(position_command(0.0, 0.0, 0.0, Limits(0.05)))
     for _ in range(60):
         rig.say(FAST)
     assert rig.mode == Mode.TIMEOUT
@@ -408,7 +416,7 @@ def test_a_current_has_no_watchdog() -> None:
 def test_what_it_does_after_a_timeout_is_configured(timeout_mode: Mode) -> None:
     rig = Rig(Settings(timeout_mode=timeout_mode, default_accel_limit=100.0))
     rig.shaft.inertia = 5e-4
-    rig.say(move(None, 2.0, 0.0, Limits(0.3, None, -1.0, None)), milliseconds=290)
+    rig.say(position_command(None, 2.0, 0.0, Limits(0.3, None, -1.0, None)), milliseconds=290)
     before = rig.shaft.velocity
     rig.run(200)
     assert rig.mode == Mode.TIMEOUT
@@ -450,7 +458,7 @@ def test_what_does_not_fit_saturates_and_what_is_none_is_not_given() -> None:
 
 def test_unknown_registers_are_errors_and_their_neighbours_are_told() -> None:
     rig = Rig()
-    (answer,) = rig.say(encode(Ask(0x07, INT8, 4)))
+    (answer,) = rig.say(encode(Query(0x07, INT8, 4)))
     assert subframes(answer) == [
         Error(0x31, 0x08, 1),
         Error(0x31, 0x09, 1),
@@ -481,7 +489,7 @@ def test_model_firmware_serial_and_uuid_are_int32_only() -> None:
 
 def test_every_other_register_that_is_told() -> None:
     rig = Rig()
-    rig.say(move(0.1, 0.0, 0.0, LIMITS), milliseconds=10)
+    rig.say(position_command(0.1, 0.0, 0.0, LIMITS), milliseconds=10)
     for register in range(0x72):
         if rig.report(register) is None:
             assert register in {
@@ -493,7 +501,7 @@ def test_every_other_register_that_is_told() -> None:
 
 def test_an_answer_is_no_longer_than_a_frame() -> None:
     rig = Rig()
-    (answer,) = rig.say(encode(Ask(0, F32, 8)) + encode(Ask(0x20, F32, 8)))
+    (answer,) = rig.say(encode(Query(0, F32, 8)) + encode(Query(0x20, F32, 8)))
     assert len(answer.data) <= 64
     assert decode(answer.data) is not None
 
@@ -511,7 +519,7 @@ def test_the_output_is_set_and_the_home_state_follows() -> None:
 def test_recapturing_takes_the_set_point_to_the_shaft() -> None:
     rig = Rig()
     rig.shaft.held = True
-    rig.say(move(3.0, 0.0, 0.0, LIMITS), milliseconds=20)
+    rig.say(position_command(3.0, 0.0, 0.0, LIMITS), milliseconds=20)
     rig.say(write(Register.RECAPTURE_POSITION_VELOCITY, 1.0, resolution=INT8))
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(rig.shaft.position / tau, abs=0.05)
 
@@ -521,7 +529,7 @@ def test_recapturing_takes_the_set_point_to_the_shaft() -> None:
 
 def test_only_frames_with_the_reply_bit_are_answered() -> None:
     rig = Rig()
-    rig.twin.receive(rig.now, framed(1, move(0.0, 0.0, 0.0, LIMITS) + FAST))
+    rig.twin.receive(rig.now, make_frame(1, position_command(0.0, 0.0, 0.0, LIMITS) + FAST))
     assert rig.run(20) == []
     assert rig.mode == Mode.POSITION
     (answer,) = rig.say(b"\x50")
@@ -531,7 +539,7 @@ def test_only_frames_with_the_reply_bit_are_answered() -> None:
 @pytest.mark.parametrize("identifier", [0x8002, 0x8081, 0x18001])
 def test_frames_to_others_are_not_heard(identifier: int) -> None:
     rig = Rig()
-    rig.twin.receive(rig.now, framed(identifier, move(0.0, 0.0, 0.0, LIMITS) + FAST))
+    rig.twin.receive(rig.now, make_frame(identifier, position_command(0.0, 0.0, 0.0, LIMITS) + FAST))
     assert rig.run(20) == []
     assert rig.mode == Mode.STOPPED
 
@@ -539,7 +547,7 @@ def test_frames_to_others_are_not_heard(identifier: int) -> None:
 def test_the_answer_goes_to_who_asked_and_bears_the_prefix() -> None:
     twin = MoteusTwin(device("left", 100, options=Options(can_prefix=0x123)), 0)
     twin.step(0, [])
-    twin.receive(0, framed(command_id(100, 5, 0x123), FAST))
+    twin.receive(0, make_frame(command_id(100, 5, 0x123), FAST))
     ((answer,)) = twin.step(MILLISECOND, [])[1]
     assert isinstance(answer, CanFrame)
     assert (answer.id, answer.extended) == (0x1236405, True)
@@ -547,7 +555,7 @@ def test_the_answer_goes_to_who_asked_and_bears_the_prefix() -> None:
 
 def test_a_broken_frame_is_obeyed_up_to_the_flaw() -> None:
     rig = Rig()
-    rig.say(move(0.0, 0.0, 0.0, LIMITS)[:20], milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, LIMITS)[:20], milliseconds=20)
     assert rig.mode == Mode.POSITION
     assert rig.value(Register.COMMAND_TIMEOUT) == 0.0  # it was cut off
 
@@ -578,13 +586,13 @@ def test_an_answer_waits_for_its_delay() -> None:
 def test_it_is_due_when_its_watchdog_expires() -> None:
     rig = Rig()
     assert rig.twin.due() is None
-    rig.say(move(0.0, 0.0, 0.0, Limits(0.05)), milliseconds=20)
+    rig.say(position_command(0.0, 0.0, 0.0, Limits(0.05)), milliseconds=20)
     assert rig.twin.due() == pytest.approx(rig.now + 30 * MILLISECOND, abs=2 * MILLISECOND)
 
 
 def test_before_its_first_step_it_hears_nothing() -> None:
     twin = MoteusTwin(device(), 0)
-    twin.receive(0, framed(command_id(1), FAST))
+    twin.receive(0, make_frame(command_id(1), FAST))
     assert twin.step(0, [])[1] == []
 
 
@@ -602,10 +610,10 @@ def test_what_is_not_finite_is_not_measured() -> None:
 def test_the_console_gives_the_device_another_id() -> None:
     rig = Rig()
     line = console("conf set id.id 9")
-    rig.twin.receive(rig.now, framed(1, line[:1] + b"\x01\x05" + b"conf "))
-    rig.twin.receive(rig.now, framed(1, b"\x40\x01\x0cset id.id 9\n"))
+    rig.twin.receive(rig.now, make_frame(1, line[:1] + b"\x01\x05" + b"conf "))
+    rig.twin.receive(rig.now, make_frame(1, b"\x40\x01\x0cset id.id 9\n"))
     rig.run(1)
-    assert rig.twin.axis.address == 9
+    assert rig.twin.state.address == 9
     (answer,) = rig.say(bytes.fromhex("420130"), to=9)
     reported = decode(answer.data)
     assert reported is not None
@@ -623,12 +631,12 @@ def test_the_console_gives_the_device_another_id() -> None:
 def test_ids_that_cannot_be_are_errors(line: str) -> None:
     rig = Rig()
     rig.say(console(line))
-    assert rig.twin.axis.address == 1
+    assert rig.twin.state.address == 1
 
 
 def test_a_copy_goes_on_as_the_original() -> None:
     rig = Rig()
-    rig.say(move(None, 2.0, 0.0, Limits(10.0, 0.5, 4.0, 20.0)), milliseconds=50)
+    rig.say(position_command(None, 2.0, 0.0, Limits(10.0, 0.5, 4.0, 20.0)), milliseconds=50)
     other = copy.deepcopy(rig)
     assert [f.data for f in rig.say(FAST, milliseconds=20)] == [
         f.data for f in other.say(FAST, milliseconds=20)

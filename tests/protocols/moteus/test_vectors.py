@@ -11,7 +11,7 @@ from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Request
 from protocols.moteus import RANGES, plugin
-from protocols.moteus.codec import framed, reply_id
+from protocols.moteus.codec import make_frame, reply_id
 from protocols.moteus.driver import MoteusDriver
 from protocols.moteus.options import Options, serial_of
 from protocols.reference_vectors import vectors_of
@@ -37,7 +37,7 @@ class Talk:
         self.say()
 
     def handle(self, data: str | Frame) -> list[Event]:
-        frame = framed(self.reply, bytes.fromhex(data)) if isinstance(data, str) else data
+        frame = make_frame(self.reply, bytes.fromhex(data)) if isinstance(data, str) else data
         return list(self.driver.receive(self.now, frame))
 
     def say(self, *words: Command | Request) -> list[CanFrame]:

@@ -163,7 +163,7 @@ NO_REGISTER = "the device has no such register, or cannot read it so"
             READ,
             "read_power",
             "reply_power_not_given",
-            [msg.Refused(0, "ReadParameter", "left", "the device says that it is not given")],
+            [msg.Refused(0, "ReadParameter", "left", "the device replies that it is not given")],
         ),
         (
             WRITE,
@@ -175,7 +175,7 @@ NO_REGISTER = "the device has no such register, or cannot read it so"
             WRITE,
             "write_output_exact_1.5_read_back",
             "reply_output_refused",
-            [msg.Refused(0, "WriteParameter", "left", "the device does not take it (read only)")],
+            [msg.Refused(0, "WriteParameter", "left", "the device does not accept it (read only)")],
         ),
         (
             SAVE,
@@ -206,7 +206,7 @@ def test_a_request_that_no_vector_answers_is_said_ten_times_and_given_up(request
     it = talk()
     it.say(request_)
     kind = type(request_).__name__
-    assert waits(it, 600) == [msg.Refused(it.now, kind, "left", "the device did not answer this")]
+    assert waits(it, 600) == [msg.Refused(it.now, kind, "left", "no reply to this request")]
 
 
 def test_zero_as_vectors() -> None:
@@ -219,7 +219,7 @@ def test_zero_as_vectors() -> None:
     assert reported(it, "reply_output_taken", "reply_stopped") == []
     assert reported(it, "reply_zeroed") == [msg.Done(it.now, "Zero", "left")]
     it.say(msg.Zero("left"))
-    refused = msg.Refused(it.now, "Zero", "left", "the device does not take it (read only)")
+    refused = msg.Refused(it.now, "Zero", "left", "the device does not accept it (read only)")
     assert reported(it, "reply_output_refused") == [refused]
     it.say(msg.Zero("left"))
     said_ = "its position did not become zero: is it turning?"
@@ -301,13 +301,13 @@ def test_an_id_is_given_as_vectors() -> None:
 def test_two_uuids_at_one_id_as_vectors() -> None:
     it = talk()
     one, other = "01234567-89ab-cdef-fedc-ba9876543210", "10325476-98ba-dcfe-efcd-ab8967452301"
-    said = f"id 5 is held twice: by {one} and {other}"
-    cause = f"two devices answer to it: UUIDs {one} and {other}"
+    said = f"duplicate id 5: UUIDs {one} and {other}"
+    cause = f"two devices reply to it: UUIDs {one} and {other}"
     remedy = "take one off the bus, or give it another id (SetId with its serial number)"
     assert reported(it, "reply_uuid_other") == [
         msg.Found(it.now, "moteus", 5, serial_of(UUID), said, True),
         msg.Found(it.now, "moteus", 5, serial_of(UUID[::-1]), said, True),
-        msg.Fault("left", it.now, 0x100, "id 5 is held twice", cause, remedy),
+        msg.Fault("left", it.now, 0x100, "duplicate id 5", cause, remedy),
     ]
     assert reported(it, "reply_uuid", "reply_uuid_other") == []
 
@@ -405,9 +405,9 @@ def test_a_request_to_a_device_that_says_no_vector_is_not_answered() -> None:
         it.now += 5_000_000
         events += it.driver.send(it.now, ())[0]
     refused = [event for event in events if isinstance(event, msg.Refused)]
-    assert [(r.name, r.reason) for r in refused] == [("left", "no answer of the device")]
+    assert [(r.name, r.reason) for r in refused] == [("left", "no reply of the device")]
     (offline,) = (event for event in events if isinstance(event, msg.State))
-    assert (offline.motor, offline.mode, offline.detail) == ("left", Mode.OFFLINE, "nothing heard")
+    assert (offline.motor, offline.mode, offline.detail) == ("left", Mode.OFFLINE, "no reply")
 
 
 def test_a_stop_ends_with_its_second_answer_as_vectors() -> None:

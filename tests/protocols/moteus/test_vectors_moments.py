@@ -57,7 +57,7 @@ def test_a_device_is_asked_as_in_vectors_when_it_is_due() -> None:
 def test_silence_is_told_once_and_asked_after_beside_vectors(start: Nanos) -> None:
     options = Options(feedback_ms=20, details_ms=1000, offline_ms=90)
     asked, events = moments(options, hears=False, milliseconds=300, start=start)
-    offline = msg.State("left", start + 90 * MILLISECOND, Mode.OFFLINE, "nothing heard")
+    offline = msg.State("left", start + 90 * MILLISECOND, Mode.OFFLINE, "no reply")
     assert events == [offline]
     assert [at for at, _ in asked] == [0, 20, 40, 60, 80, 130, 180, 230, 280]
     assert MoteusDriver([], RANGES).due() is None
@@ -76,7 +76,7 @@ def test_silence_after_a_vector_forgets_who_is_armed() -> None:
         events += told_
         commands = [w for w in frames if getattr(w, "data", b"")[:3] == b"\x01\x00\x0a"]
         assert commands
-    assert events == [msg.State("left", received + 200 * MILLISECOND, Mode.OFFLINE, "nothing heard")]
+    assert events == [msg.State("left", received + 200 * MILLISECOND, Mode.OFFLINE, "no reply")]
     assert [w for w in it.say(msg.Hold("left")) if w.data[:1] == b"\x01"] == []
     assert reported(it, "reply_stopped") == [msg.State("left", it.now, Mode.READY, "stopped")]
     assert [w.data[:3] for w in it.say(msg.Hold("left"))][:1] == [b"\x01\x00\x0a"]
@@ -126,7 +126,7 @@ def test_a_uuid_without_more_is_as_good_as_the_vector() -> None:
         msg.Found(it.now, "moteus", 12, None, "it has no UUID: older firmware")
     ]
     assert it.handle(frame("300f02", 0xD00)) == []
-    twice = f"UUID {'-'.join(('10325476', '98ba', 'dcfe', 'efcd', 'ab8967452301'))}; id 9 is held twice"
+    twice = f"UUID {'-'.join(('10325476', '98ba', 'dcfe', 'efcd', 'ab8967452301'))}; duplicate id 9"
     assert it.handle(frame("2804d002" + UUID[::-1].hex(), 0x900)) == [
         msg.Found(it.now, "moteus", 9, serial_of(UUID[::-1]), twice, True)
     ]

@@ -13,7 +13,7 @@ from protocols.moteus.registers import NAMES
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import reported, talk
 
-STILL = "it is armed, and would jump: say idle first"
+STILL = "it is armed, and would jump: send Idle first"
 COMMANDS_OWN = "that register is what commands are for"
 UNKNOWN = f"give its number (0x058), or one of {', '.join(NAMES)}"
 
@@ -120,12 +120,12 @@ def test_what_may_be_asked_in_the_mode_that_a_vector_tells(mode: int) -> None:
     running = mode not in (0, 1, 11)
     asks: tuple[tuple[Request, str, str], ...] = (
         (msg.Zero("left"), "left", STILL),
-        (write("conf_write"), "left", "it is armed: say idle first"),
+        (write("conf_write"), "left", "it is armed: send Idle first"),
         (write("set_output_nearest"), "left", STILL),
         (write("set_output_exact"), "left", STILL),
         (write("require_reindex"), "left", STILL),
         (write("recapture_position_velocity"), "left", STILL),
-        (msg.SetId("can0", 7, 5), "can0", "left is armed: say idle first"),
+        (msg.SetId("can0", 7, 5), "can0", "left is armed: send Idle first"),
     )
     for request, name, reason in asks:
         refused = [msg.Refused(it.now + 5_000_000, type(request).__name__, name, reason)]
@@ -154,10 +154,10 @@ def test_what_we_have_commanded_is_as_good_as_armed_whatever_the_vector_tells() 
     assert asked(it, msg.Zero("left")) == [msg.Refused(it.now, "Zero", "left", STILL)]
     assert asked(it, write("set_output_exact")) == [msg.Refused(it.now, "WriteParameter", "left", STILL)]
     assert asked(it, write("conf_write")) == [
-        msg.Refused(it.now, "WriteParameter", "left", "it is armed: say idle first")
+        msg.Refused(it.now, "WriteParameter", "left", "it is armed: send Idle first")
     ]
     mine = msg.SetId("can0", 0x0123456789ABCDEF, 9)
-    assert asked(it, mine) == [msg.Refused(it.now, "SetId", "can0", "left is armed: say idle first")]
+    assert asked(it, mine) == [msg.Refused(it.now, "SetId", "can0", "left is armed: send Idle first")]
     assert asked(it, msg.SetId("can0", 7, 9)) == []
 
 
@@ -227,5 +227,5 @@ def test_an_answer_ends_only_what_it_answers_beside_vectors() -> None:
     assert [type(event) for event in reported(it, "reply_stopped")] == [msg.Done]
     assert [getattr(event, "parameter", "") for event in reported(it, "reply_power")] == ["power"]
     it.now += SECOND
-    said = "the device did not answer this"
+    said = "no reply to this request"
     assert it.driver.send(it.now, ())[0][:1] == [msg.Refused(it.now, "ReadParameter", "left", said)]

@@ -10,7 +10,7 @@ import pytest
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Event, Mode
-from protocols.moteus.codec import single
+from protocols.moteus.codec import to_single
 from protocols.moteus.faults import FAULTS
 from protocols.moteus.options import Options
 from protocols.moteus.reply import decode
@@ -179,8 +179,8 @@ def test_what_an_answer_of_another_shape_tells_beside_vectors() -> None:
 
 def test_numbers_at_the_end_of_binary32_beside_vectors() -> None:
     most = 3.4028234663852886e38
-    assert [single(x) for x in (most, -most, 1e39, -1e39)] == [most, -most, most, -most]
-    assert [single(x) for x in (2.0**-126, -(2.0**-126), 2.0**-127, -(2.0**-127))] == [
+    assert [to_single(x) for x in (most, -most, 1e39, -1e39)] == [most, -most, most, -most]
+    assert [to_single(x) for x in (2.0**-126, -(2.0**-126), 2.0**-127, -(2.0**-127))] == [
         2.0**-126,
         -(2.0**-126),
         0.0,
@@ -298,7 +298,7 @@ def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
     it.say(msg.ClearFault("left"))
     start = it.now
     mute = [e for _ in range(125) for e in later(it) if isinstance(e, msg.Refused)]
-    assert mute == [msg.Refused(start + 600 * MILLISECOND, "ClearFault", "left", "no answer of the device")]
+    assert mute == [msg.Refused(start + 600 * MILLISECOND, "ClearFault", "left", "no reply of the device")]
 
 
 # -- zero --------------------------------------------------------------------------------------------

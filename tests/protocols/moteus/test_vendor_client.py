@@ -142,7 +142,7 @@ def session(bus: Bus, talk: Callable[[Transport], Awaitable[None]]) -> None:
 
 
 async def until(state: Callable[[], Awaitable[Any]], true: Callable[[Any], bool]) -> Any:
-    """Ask until it is so."""
+    """Query until it is so."""
     for _ in range(2000):
         reported = await state()
         if true(reported.values):
@@ -180,7 +180,7 @@ def test_the_controller_drives_a_twin(bus: Bus) -> None:
         c.position_resolution.position = mp.INT16
         await c.set_position(position=0.3, velocity=0.0, query=True)
         c.position_resolution.position = mp.F32
-        assert twin.axis.command[Register.COMMAND_POSITION] == pytest.approx(0.3, abs=1e-4)  # it truncates
+        assert twin.state.command[Register.COMMAND_POSITION] == pytest.approx(0.3, abs=1e-4)  # it truncates
         shaft.held, shaft.velocity = True, 0.0
         pushing: Callable[[], Awaitable[Any]] = lambda: c.set_position(  # noqa: E731
             position=math.nan,
@@ -256,7 +256,7 @@ def test_discovery_and_uuids(bus: Bus) -> None:
                 break
         assert sorted(info.uuid.hex() for info in twice) == sorted(UUIDS)
         assert all(info.address.can_id is None for info in twice)
-        assert bus.twins[1].axis.address == 5
+        assert bus.twins[1].state.address == 5
 
     session(bus, dialogue)
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from protocols import messages as msg
-from protocols.conformance.bench import Bench, sights
+from protocols.conformance.bench import Bench, sensor_events
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Event, Mode
 from protocols.plain import codec, plugin
@@ -31,7 +31,7 @@ def torque(stage: Bench, *words: Command) -> float:
 
 def test_a_sensor_tells_what_it_is_shown_exactly_and_at_once() -> None:
     stage = bench(sensors=["s", "other"], motors=[])
-    shown = sights("s", stage.now + 1 * MILLISECOND - 250_000, 3)
+    shown = sensor_events("s", stage.now + 1 * MILLISECOND - 250_000, 3)
     for twin, spec in zip(stage.twins, stage.specs, strict=True):
         assert spec.kind == "sensor"
         frames = twin.step(stage.now + MILLISECOND, shown)[1]
@@ -42,7 +42,7 @@ def test_a_sensor_tells_what_it_is_shown_exactly_and_at_once() -> None:
 
 def test_a_sensor_does_not_tell_what_is_not_finite() -> None:
     stage = bench(sensors=["s"], motors=[])
-    imu, scan, fix = sights("s", stage.now, 1)
+    imu, scan, fix = sensor_events("s", stage.now, 1)
     shown: list[Event] = [
         replace(imu, angular_velocity=(math.nan, 0.0, 0.0)),
         replace(scan, range_max=math.inf),

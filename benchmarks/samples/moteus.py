@@ -1,10 +1,10 @@
-"""What `gateway bench` measures of this language, beside the vendor's own package on the same frames.
+"""Benchmark samples of moteus, measured beside the vendor's package on the same frames.
 
-Rules. Data and calls only: nothing here is used by the robot. Everybody starts from plain values, or from a
-frame's data. The package does what its documentation shows: `Controller.make_position` and `make_stop` with
-the registers that our driver writes and asks for, `parse_reply` on the data. It makes a command without
+Rules. Data and calls only: the robot uses nothing of this. Every contestant starts from plain values, or from
+a frame's data. The package does what its documentation shows: `Controller.make_position` and `make_stop` with
+the registers that our driver writes and queries, `parse_reply` on the data. It makes a command without
 padding and without a frame; ours makes the whole frame, padded. Bare `struct` knows its message beforehand,
-checks nothing and makes no frame: it is the floor.
+checks nothing and makes no frame: it is the lower bound.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from protocols.moteus.codec import command_id, framed
-from protocols.moteus.messages import STOP, Limits, move, push
+from protocols.moteus.codec import command_id, make_frame
+from protocols.moteus.messages import STOP, Limits, position_command, torque_command
 from protocols.moteus.reply import FAST, Reply, decode
 
 RIVAL = ("moteus", "moteus", "the vendor's package")
@@ -24,19 +24,19 @@ LIMITS = Limits(0.1)
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """The package, prepared."""
+class Prepared:
+    """What the package's calls need."""
 
     controller: Any
     fast: Any
     parse: Callable[[bytes], Mapping[int, Any]]
 
 
-def prepared(moteus: Any) -> Known:  # noqa: ANN401 -- a package without types
-    """A controller, and the question that our driver asks."""
+def prepared(moteus: Any) -> Prepared:  # noqa: ANN401 -- a package without types
+    """Return a controller, and the query of our driver."""
     fast = moteus.QueryResolution()
     fast.voltage = fast.temperature = moteus.multiplex.IGNORE
-    return Known(moteus.Controller(id=ADDRESS, transport=object()), fast, moteus.protocol.parse_reply)
+    return Prepared(moteus.Controller(id=ADDRESS, transport=object()), fast, moteus.protocol.parse_reply)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +47,12 @@ class Sample:
     ours: Callable[[], Any]
     struct: Callable[[], Any]
     values: Mapping[str, float] = field(default_factory=dict)
-    """Of `make_position`; {}: a stop, or it is decoded."""
+    """Arguments of `make_position`; {} for a stop, or a reply to decode."""
     data: bytes = b""
-    """What is decoded; b"": it is encoded."""
+    """The data to decode; b"" to encode."""
 
-    def theirs(self, known: Known) -> Callable[[], Any]:
-        """What the package does for it."""
+    def theirs(self, known: Prepared) -> Callable[[], Any]:
+        """Return the same operation in the package."""
         if self.data:
             parse, data = known.parse, self.data
             return lambda: parse(data)
@@ -62,7 +62,7 @@ class Sample:
         return lambda: controller.make_position(**values, query_override=query).data
 
     def alike(self, ours: Any, theirs: Any, struct: Any) -> bool:  # noqa: ANN401 -- a frame, or registers
-        """Encoding gives the same bytes, decoding the same registers."""
+        """True if encoding gave the same bytes, or decoding the same registers."""
         if not isinstance(ours, Reply):
             return bool(ours.data.rstrip(b"\x50") == theirs == struct)
         reply = {register: value for register, value in ours.values.items() if value is not None}
@@ -70,7 +70,7 @@ class Sample:
 
 
 def _near(one: Mapping[int, float], other: Mapping[int, float], scale: float = 1e-6) -> bool:
-    """Scaled the same, or (of bare struct) not scaled at all."""
+    """True if all registers agree within `scale`: bare struct does not scale them."""
     return one.keys() == other.keys() and all(abs(one[key] - other[key]) <= scale for key in one)
 
 
@@ -86,14 +86,14 @@ _TO = command_id(ADDRESS)
 
 SAMPLES = (
     Sample(
-        "encode position with a question",
-        lambda: framed(_TO, move(0.25, -1.5, 0.125, LIMITS) + FAST),
+        "encode position with a query",
+        lambda: make_frame(_TO, position_command(0.25, -1.5, 0.125, LIMITS) + FAST),
         lambda: _MOVE.pack(b"\x01\x00\x0a\x0f\x20", 0.25, -1.5, 0.125, b"\x0d\x27", 0.1, FAST),
         {"position": 0.25, "velocity": -1.5, "feedforward_torque": 0.125, "watchdog_timeout": 0.1},
     ),
     Sample(
-        "encode torque with a question",
-        lambda: framed(_TO, push(0.25, 0.125, LIMITS) + FAST),
+        "encode torque with a query",
+        lambda: make_frame(_TO, torque_command(0.25, 0.125, LIMITS) + FAST),
         lambda: _PUSH.pack(
             b"\x01\x00\x0a\x0c\x05\x20", 0.25, 0, 0.125, 0, 0, b"\x0d\x27", 0.1, b"\x0d\x2b", 0, FAST
         ),
@@ -107,7 +107,7 @@ SAMPLES = (
             "ilimit_scale": 0.0,
         },
     ),
-    Sample("encode stop with a question", lambda: framed(_TO, STOP + FAST), lambda: STOP + FAST),
+    Sample("encode stop with a query", lambda: make_frame(_TO, STOP + FAST), lambda: STOP + FAST),
     Sample("decode state", lambda: decode(_SHORT), lambda: _REPLY.unpack(_SHORT), {}, _SHORT),
     Sample("decode state and details", lambda: decode(_LONG), lambda: _DETAILS.unpack(_LONG), {}, _LONG),
 )
