@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from benchmarks.measure import Call, Effort, in_turn, rival
 from benchmarks.rows import Row, against
-from brain.planning.astar import Cells, Search
-from brain.planning.costmap import Costmap, build
+from brain.planning.astar import CellPath, Search
+from brain.planning.costmap import Costmap, build_costmap
 from protocols.messages import Nanos
 
 GROUP = "the cheapest way through a house of rooms, corner to corner"
@@ -75,7 +75,7 @@ def rooms(size: int) -> Mask:
 
 def costmap_of(blocked: Mask) -> Costmap:
     """All that is not a wall is free, and costs the same everywhere."""
-    return build(blocked, np.zeros_like(blocked), resolution=1.0, origin=(0.0, 0.0))
+    return build_costmap(blocked, np.zeros_like(blocked), resolution=1.0, origin=(0.0, 0.0))
 
 
 def ours(costmap: Costmap) -> float:
@@ -83,7 +83,7 @@ def ours(costmap: Costmap) -> float:
     rows = len(costmap.level) // costmap.stride - 2
     end = rows * costmap.stride + rows
     outcome = Search(costmap, costmap.stride + 1, end).advance(EVERYTHING)
-    assert isinstance(outcome, Cells), f"no way through {rows} × {rows} rooms: {outcome}"
+    assert isinstance(outcome, CellPath), f"no way through {rows} × {rows} rooms: {outcome}"
     return outcome.cost
 
 

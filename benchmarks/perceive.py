@@ -20,8 +20,8 @@ from brain.perception.ekf import Ekf
 from brain.perception.ekf_settings import EkfSettings
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.measurement import wheels
-from brain.perception.motion_model import SIZE, V, W, jacobian, move, process_noise
-from brain.perception.mount import Mount, Sweep, place, sweep
+from brain.perception.motion_model import SIZE, V, W, jacobian, process_noise, propagate
+from brain.perception.mount import BodyScan, Mount, to_body, to_world
 from protocols.messages import MILLISECOND, LaserScan, Nanos, seconds
 
 EKF, GRID = (
@@ -66,7 +66,7 @@ def _filter(effort: Effort) -> Row:
 def model(state: Floats) -> tuple[Floats, Floats, Floats]:
     """How the brain's filter believes that a state moves within a period."""
     dt = seconds(PERIOD)
-    return move(state, dt), jacobian(state, dt), process_noise(state, dt, EkfSettings())
+    return propagate(state, dt), jacobian(state, dt), process_noise(state, dt, EkfSettings())
 
 
 class OurFilter:
@@ -88,7 +88,7 @@ class OurFilter:
 def _map(effort: Effort) -> Row:
     settings = GridSettings()
     drawing = rival("skimage.draw", "scikit-image")
-    scans = [(pose, sweep(scan_at(pose), Mount(), settings.farthest)) for pose in places()]
+    scans = [(pose, to_body(scan_at(pose), Mount(), settings.farthest)) for pose in places()]
     grid = Grid(settings)
     loop, lines = _loop(grid), _loop(grid)
     cells = [_cells(grid, pose, swept) for pose, swept in scans]
@@ -144,6 +144,6 @@ def _loop(grid: Grid) -> BresenhamLoop:
     return BresenhamLoop((grid.rows, grid.columns), chosen.hit, chosen.miss, chosen.low, chosen.high)
 
 
-def _cells(grid: Grid, pose: Pose, swept: Sweep) -> tuple[tuple[int, int], list[tuple[int, int]]]:
-    ends: Floats = place(swept.ends, pose)
+def _cells(grid: Grid, pose: Pose, swept: BodyScan) -> tuple[tuple[int, int], list[tuple[int, int]]]:
+    ends: Floats = to_world(swept.ends, pose)
     return grid.cell(pose.x, pose.y), [grid.cell(x, y) for x, y in ends.tolist()]

@@ -1,4 +1,4 @@
-"""What the brain believes and wants, as values that a recorder or a screen may read. No logic."""
+"""The brain's estimate, map, path and state as values for recorder and user interface. No logic."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class BrainState(StrEnum):
     INITIALISING = "initialising"
     """Waiting for the first feedback of every motor and the first reading of every sensor."""
     READY = "ready"
-    """Everything is heard; nothing is asked for."""
+    """Every source reports; there is no task."""
     RUNNING = "running"
     DEGRADED = "degraded"
-    """Something is missing or late: slow, and then stop."""
+    """A measurement is late or missing: slow, then standing still."""
     STOPPED = "stopped"
-    """An operator stopped it, a joint is in fault, or what was missing did not come back."""
+    """Stopped by an operator, by a joint in fault, or by a source that did not come back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class MapView:
     """The occupancy grid: log-odds, row = y, column = x; unknown is exactly 0."""
 
     version: int
-    """Grows at each change."""
+    """Incremented at each change."""
     resolution: float
     """m per cell"""
     origin_x: float
@@ -67,21 +67,21 @@ class MapView:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """All of it, after a step."""
+    """The brain's output for observers, after a step."""
 
     state: BrainState
     reason: str
-    """Why the state is what it is, in one sentence; "" where it needs none."""
+    """Cause of the state, in one sentence; "" if it needs none."""
     estimate: Estimate | None
-    """None for a body that does not move about (bare joints), and before the first feedback."""
+    """None for bare joints, and before the first feedback."""
     goal: Goal | None
     path: tuple[tuple[float, float], ...]
-    """The path wanted [m], in the frame "odom"; empty if there is none."""
+    """Planned path [m] in the frame "odom"; empty if there is none."""
     path_version: int
     map: MapView | None
     rejected: dict[str, int]
-    """How many measurements the chi-square gate refused, by sensor."""
+    """Number of measurements rejected by the chi-square gate, by motor or sensor."""
     reached: int
-    """How many goals were reached so far."""
+    """Number of goals reached so far."""
     raw: Pose | None = None
-    """Dead reckoning by the wheels alone, for comparison; nothing is steered by it."""
+    """Dead reckoning by the wheels alone, for comparison; not used for control."""

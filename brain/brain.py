@@ -1,8 +1,8 @@
-"""The brain: `step(now, events, tasks, stopped)` gives one command per motor. It knows no vendor and no bus.
+"""The brain: `step(now, events, tasks, stopped)` returns one command per motor.
 
-Rules. What a body needs of a brain stands in that body's file (`driving`, `bench`); here is what all share.
-Time is an argument, work is bounded, state is plain data: a deep copy goes on as the original, and the
-same inputs give the same commands.
+Rules. It knows no vendor and no bus. What is specific to a body is in `base_brain` and `joint_brain`. Time is
+an argument, work is bounded, state is plain data: a deep copy continues exactly as the original, and equal
+inputs give equal commands.
 
     timeouts = {"left": 100 * MILLISECOND, "right": 100 * MILLISECOND, "lidar": 500 * MILLISECOND}
     brain = Brain(settings, ["left", "right"], {"lidar": Mount(x=0.12)}, timeouts)
@@ -13,24 +13,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from brain.base_brain import BaseBrain
 from brain.belief import Belief
-from brain.bench import JointBrain
-from brain.driving import BaseBrain
 from brain.health import HealthSettings
+from brain.joint_brain import JointBrain
 from brain.perception.mount import Mount
-from brain.planning.mission import Note
 from brain.settings import BrainSettings, changed
+from brain.status import Note
 from protocols.messages import Command, Drive, Event, Goal, Nanos
 
 __all__ = ["Brain", "BrainSettings", "HealthSettings"]
 
 
 class Brain:
-    """One brain for one body. `timeouts` are by motor and by sensor: from which age on its newest
-    measurement is too old; the brain acts at shares of it (`health`).
+    """One brain for one body.
 
-    Raises ValueError if the settings lack the body's own table, or if not each motor and sensor has one
-    timeout above 0 and nobody else has any."""
+    `timeouts` are by motor and by sensor: the age from which on the newest measurement is too old. The brain
+    reacts at shares of it (`health`).
+
+    Raises ValueError if the settings lack the body's own table, or if motors, sensors and timeouts do not
+    match one to one, with timeouts above 0."""
 
     def __init__(
         self,
@@ -47,28 +49,28 @@ class Brain:
     def step(
         self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
     ) -> Sequence[Command]:
-        """Perceive, plan, control: one command per motor, in the order in which they were named.
+        """Perceive, plan, control: return one command per motor, in the order of `motors`.
 
-        `now` must not go back. `events` are what was heard since the last step, in order; `stopped` is why
-        the gateway has stopped the robot, or "": while it is there, every command is Idle, and
-        what was asked for is dropped."""
+        `now` must not decrease. `events` are those received since the last step, in order. `stopped` is why
+        the gateway has stopped the robot, or "": while it is set every command is Idle, and tasks are
+        dropped."""
         return self._body.step(now, events, tasks, stopped)
 
     def belief(self) -> Belief:
-        """What is believed and wanted, as a value."""
+        """Return estimate, goal, path, map and state as a value."""
         return self._body.belief()
 
     def take_notes(self) -> list[Note]:
-        """(level, sentence) for the operator, in order, since this was last asked."""
+        """Return the notes for the operator since the last call, in order."""
         return self._body.take_notes()
 
     def set(self, key: str, value: float) -> str:
-        """Change a number of the settings while running, e.g. "pursuit.lookahead_time"; "" or why not."""
-        settings, why = changed(self.settings, key, value, self._file)
-        if not why:
+        """Change a setting at run time, e.g. "pursuit.lookahead_time"; return "" or why not."""
+        settings, why_not = changed(self.settings, key, value, self._file)
+        if not why_not:
             self.settings = settings
             self._body.adopt(settings)
-        return why
+        return why_not
 
 
 def _check(sources: Sequence[str], timeouts: Mapping[str, Nanos]) -> None:
@@ -91,7 +93,7 @@ def _body(
         if settings.differential is None:
             raise ValueError('the body "differential" needs its table, brain.differential')
         wheels = (settings.differential.left, settings.differential.right)
-        if strange := [name for name in wheels if name not in motors]:
-            raise ValueError(f"brain.differential names wheels that are no motors: {', '.join(strange)}")
+        if unknown := [name for name in wheels if name not in motors]:
+            raise ValueError(f"brain.differential names wheels that are no motors: {', '.join(unknown)}")
         return BaseBrain(settings, settings.differential, motors, sensors, timeouts)
     return JointBrain(settings, motors, timeouts)

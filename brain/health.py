@@ -1,80 +1,80 @@
-"""Whether the brain may trust what it hears: the ladder from full speed to standing still, and back.
+"""Whether the brain may trust its sources: levels from full speed to standing still, and back.
 
-Rules. Every source (a motor's feedback, a sensor) is judged by the age of its newest measurement, as a share
-of that source's own timeout (the robot file's, which is the one place where a timeout stands), and by the
-share of its measurements that perception has rejected. Worse is believed at once, better only after it
-has lasted for `recover`. What stays bad for `give_up` is gone: the tasks are dropped, and when it comes back
-the brain is ready, but does not go on by itself. A motor in fault is gone at once. At the start one that
-initialises is missing, whatever it already measures; later some do so for a moment whenever they are armed.
+Rules. Every source (a motor's feedback, a sensor) is assessed by the age of its newest measurement, as a
+share of its own timeout (the robot file's, the only place where a timeout is set), and by the share of its
+measurements that perception has rejected. A worse level takes effect at once, a better one only after it has
+lasted for `recover`. A source that stays bad for `give_up` is lost: the tasks are dropped, and when it comes
+back the brain is ready, but does not go on by itself. A motor in fault is lost at once. At the start a motor
+that initialises is missing, even if it already measures; later some do so briefly whenever they are armed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum
-from math import isfinite
 
+from brain.checks import positive, shares
 from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Fix, Imu, LaserScan, Mode, Nanos, State
+
+MIN_WINDOW_COUNT = 5
+"""Measurements in a window, below which no share of rejected ones is computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class HealthSettings:
-    """When the brain goes slow, when it stands still, and when it goes on."""
+    """When the brain slows down, stands still, and continues."""
 
     slow_age: float = 0.5
-    """Share of a source's timeout: with a newest measurement older than this it goes slow,"""
+    """Share of a source's timeout: slow when the newest measurement is older than this,"""
     stand_age: float = 0.9
-    """and older than this it stands: a little before the joint itself goes blind, at 1.0."""
+    """and standing when older than this: a little before the joint's own feedback timeout, at 1.0."""
     give_up: Nanos = 5 * SECOND
-    """Standing still for so long, the tasks are dropped."""
+    """After standing still for this time the tasks are dropped."""
     recover: Nanos = 300 * MILLISECOND
-    """All must have been well for so long before it goes at full speed again."""
+    """All sources must have been well for this time before full speed is allowed again."""
     slow: float = 0.3
     """Share of the largest speeds while slow."""
     window: Nanos = SECOND
-    """Over which rejected measurements are counted."""
+    """Time over which rejected measurements are counted."""
     rejected_slow: float = 0.3
-    """Share of a source's measurements rejected, from which on it goes slow,"""
+    """Share of a source's measurements rejected, from which on it is slow,"""
     rejected_stop: float = 0.8
     """and from which on it stands."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (isfinite(value) and value > 0):
-                raise ValueError(f"{field.name} must be more than 0, not {value}")
-        for name in ("slow_age", "stand_age", "slow", "rejected_slow", "rejected_stop"):
-            if getattr(self, name) > 1.0:
-                raise ValueError(f"{name} is a share: at most 1, not {getattr(self, name)}")
+        positive(self)
+        shares(self, "slow_age", "stand_age", "slow", "rejected_slow", "rejected_stop")
         for less, more in (("slow_age", "stand_age"), ("rejected_slow", "rejected_stop")):
             if getattr(self, more) < getattr(self, less):
                 raise ValueError(f"{more} must not be less than {less}")
 
 
-class Level(IntEnum):
-    """How bad it is."""
+class HealthLevel(IntEnum):
+    """Severity, from full speed to giving up."""
 
-    WELL = 0
+    OK = 0
     SLOW = 1
-    STAND = 2
-    GONE = 3
+    HALT = 2
+    """Stand still, keeping the tasks."""
+    LOST = 3
+    """Stand still, and drop the tasks."""
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """How bad it is, and what is."""
+class SourceHealth:
+    """Severity, and its cause in words."""
 
-    level: Level
+    level: HealthLevel
     reason: str = ""
 
 
-WELL = Verdict(Level.WELL)
-_WORDS = {Feedback: "feedback", Imu: "reading", LaserScan: "scan", Fix: "fix"}
+OK = SourceHealth(HealthLevel.OK)
+_MEASUREMENT_NAMES = {Feedback: "feedback", Imu: "reading", LaserScan: "scan", Fix: "fix"}
 
 
 class Health:
-    """Judges the sources that the body needs, each by its timeout. State is plain data."""
+    """Assesses the sources that the body needs, each by its timeout. State is plain data."""
 
     def __init__(
         self,
@@ -87,104 +87,111 @@ class Health:
         self._timeouts = {name: timeouts[name] for name in (*motors, *sensors)}
         self._motors, self._sensors = tuple(motors), tuple(sensors)
         self._last: dict[str, Nanos] = {}
-        self._word: dict[str, str] = {}
-        """What a source says, in a word."""
+        """Time of the newest measurement, by source,"""
+        self._measurement: dict[str, str] = {}
+        """and what it is called."""
         self._received: dict[str, int] = {}
         self._faults: dict[str, str] = {}
+        """The motors in fault, with the detail of their state."""
         self._initialising: dict[str, str] = {}
-        """The motors that cannot be commanded yet, and what they say of it."""
-        self._bad: Verdict = WELL
+        """The motors that cannot be commanded yet, with the detail of their state."""
+        self._bad = OK
+        """The last assessment worse than OK,"""
         self._bad_at: Nanos | None = None
-        self._standing_since: Nanos | None = None
+        """and its time; None once recovered."""
+        self._halted_since: Nanos | None = None
         self._window_end: Nanos | None = None
-        self._before: dict[str, tuple[int, int]] = {}
-        self._shares: dict[str, float] = {}
+        self._at_window_start: dict[str, tuple[int, int]] = {}
+        """Received and rejected counts at the start of the window, by source."""
+        self._rejected_share: dict[str, float] = {}
 
     def observe(self, events: Sequence[Event]) -> None:
-        """Note who said something, and when it was measured."""
+        """Record which sources have reported, and when they measured."""
         for event in events:
             if isinstance(event, State):
                 self._on_state(event)
             elif isinstance(event, Feedback):
                 if event.position is not None or event.velocity is not None:
-                    self._note(event.motor, event)
+                    self._on_measurement(event.motor, event)
             elif isinstance(event, Imu | LaserScan | Fix):
-                self._note(event.sensor, event)
+                self._on_measurement(event.sensor, event)
 
     def missing(self) -> str:
-        """What has never been heard or is not ready to be commanded, in words; "" if all is well."""
+        """Return what has never reported or cannot be commanded yet, in words; "" if nothing is missing."""
         parts = [f"feedback of {name}" for name in self._motors if name not in self._last]
         parts += [
-            f"{name} to initialise{said}" for name, said in self._initialising.items() if name in self._last
+            f"{name} to initialise{detail}"
+            for name, detail in self._initialising.items()
+            if name in self._last
         ]
         parts += [f"a reading of {name}" for name in self._sensors if name not in self._last]
         return ", ".join(parts)
 
-    def judge(self, now: Nanos, rejected: Mapping[str, int]) -> Verdict:
-        """The worst of all sources, with memory: worse at once, better after a while."""
-        self._count(now, rejected)
-        worst = max((self.source(now, name) for name in self._last), key=lambda v: v.level, default=WELL)
-        if worst.level >= Level.STAND:
-            if self._standing_since is None:
-                self._standing_since = now
-            if now - self._standing_since >= self.settings.give_up:
-                worst = Verdict(Level.GONE, worst.reason)
+    def assess(self, now: Nanos, rejected: Mapping[str, int]) -> SourceHealth:
+        """Return the worst of all sources, with memory: worse at once, better after `recover`."""
+        self._update_window(now, rejected)
+        worst = max((self.source(now, name) for name in self._last), key=lambda h: h.level, default=OK)
+        if worst.level >= HealthLevel.HALT:
+            if self._halted_since is None:
+                self._halted_since = now
+            if now - self._halted_since >= self.settings.give_up:
+                worst = SourceHealth(HealthLevel.LOST, worst.reason)
         else:
-            self._standing_since = None
-        if worst.level > Level.WELL:
+            self._halted_since = None
+        if worst.level > HealthLevel.OK:
             self._bad, self._bad_at = worst, now
         elif self._bad_at is not None:
             if now - self._bad_at < self.settings.recover:
-                return Verdict(Level.SLOW, f"just recovered: {self._bad.reason}")
+                return SourceHealth(HealthLevel.SLOW, f"just recovered: {self._bad.reason}")
             self._bad_at = None
         return worst
 
-    def source(self, now: Nanos, name: str) -> Verdict:
-        """How one source is, without memory."""
+    def source(self, now: Nanos, name: str) -> SourceHealth:
+        """Return the health of one source, without memory."""
         if name in self._faults:
-            return Verdict(Level.GONE, f"{name} is in fault{self._faults[name]}")
+            return SourceHealth(HealthLevel.LOST, f"{name} is in fault{self._faults[name]}")
         if name not in self._last:
-            return Verdict(Level.STAND, f"{name} was never heard")
+            return SourceHealth(HealthLevel.HALT, f"{name} has never reported")
         if name not in self._timeouts:
-            return WELL
-        age, timeout = now - self._last[name], self._timeouts[name]
-        for level, share in ((Level.STAND, self.settings.stand_age), (Level.SLOW, self.settings.slow_age)):
+            return OK
+        age, timeout, settings = now - self._last[name], self._timeouts[name], self.settings
+        for level, share in (
+            (HealthLevel.HALT, settings.stand_age),
+            (HealthLevel.SLOW, settings.slow_age),
+        ):
             limit = round(share * timeout)
             if age > limit:
-                said = f"{name}: no {self._word[name]} for more than {limit / MILLISECOND:g} ms"
-                return Verdict(level, said)
-        share = self._shares.get(name, 0.0)
-        if share >= self.settings.rejected_slow:
-            said = f"{name}: {100 * share:.0f} % of its measurements do not fit what is believed"
-            return Verdict(Level.STAND if share >= self.settings.rejected_stop else Level.SLOW, said)
-        return WELL
+                reason = f"{name}: no {self._measurement[name]} for more than {limit / MILLISECOND:g} ms"
+                return SourceHealth(level, reason)
+        share = self._rejected_share.get(name, 0.0)
+        if share >= settings.rejected_slow:
+            level = HealthLevel.HALT if share >= settings.rejected_stop else HealthLevel.SLOW
+            return SourceHealth(level, f"{name}: {100 * share:.0f} % of its measurements are rejected")
+        return OK
 
     def _on_state(self, event: State) -> None:
         if event.motor not in self._motors:
             return
-        for mode, of_mode in ((Mode.FAULT, self._faults), (Mode.INITIALISING, self._initialising)):
+        for mode, motors in ((Mode.FAULT, self._faults), (Mode.INITIALISING, self._initialising)):
             if event.mode is mode:
-                of_mode[event.motor] = f": {event.detail}" if event.detail else ""
+                motors[event.motor] = f": {event.detail}" if event.detail else ""
             else:
-                of_mode.pop(event.motor, None)
+                motors.pop(event.motor, None)
 
-    def _note(self, name: str, event: Feedback | Imu | LaserScan | Fix) -> None:
+    def _on_measurement(self, name: str, event: Feedback | Imu | LaserScan | Fix) -> None:
         self._last[name] = max(event.t, self._last.get(name, event.t))
-        self._word[name] = _WORDS[type(event)]
+        self._measurement[name] = _MEASUREMENT_NAMES[type(event)]
         self._received[name] = self._received.get(name, 0) + 1
 
-    def _count(self, now: Nanos, rejected: Mapping[str, int]) -> None:
-        """At the end of each window: which share of each source was rejected in it."""
+    def _update_window(self, now: Nanos, rejected: Mapping[str, int]) -> None:
+        """At the end of each window, compute the share of rejected measurements of each source in it."""
         if self._window_end is not None and now < self._window_end:
             return
         self._window_end = now + self.settings.window
         for name, received in self._received.items():
-            was_received, was_rejected = self._before.get(name, (0, 0))
-            refused = rejected.get(name, 0)
-            self._before[name] = (received, refused)
+            was_received, was_rejected = self._at_window_start.get(name, (0, 0))
+            now_rejected = rejected.get(name, 0)
+            self._at_window_start[name] = (received, now_rejected)
             new = received - was_received
-            self._shares[name] = (refused - was_rejected) / new if new >= FEWEST else 0.0
-
-
-FEWEST = 5
-"""Measurements in a window, below which no share is formed."""
+            share = (now_rejected - was_rejected) / new if new >= MIN_WINDOW_COUNT else 0.0
+            self._rejected_share[name] = share

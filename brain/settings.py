@@ -1,29 +1,30 @@
-"""The brain's settings, whole, and how one of them changes while it runs.
+"""The brain's settings, and changing one of them at run time.
 
-Rules. Frozen dataclasses with defaults, in SI; each checks itself. A change names a number by its dotted
+Rules. Frozen dataclasses with defaults, in SI; each validates itself. A change names a number by its dotted
 key, as in the robot file below [brain]; times are in milliseconds there, with `_ms` in the name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import Field, dataclass, field, fields, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from math import isfinite
-from typing import Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Literal, TypeVar
 
 from brain.bodies.differential import Differential
 from brain.bodies.joints import Joints
+from brain.checks import Settings
 from brain.control.pursuit import PursuitSettings
 from brain.health import HealthSettings
 from brain.perception.perception import PerceptionSettings
-from brain.planning.survey import PlannerSettings
+from brain.planning.costmap import PlannerSettings
 from protocols.messages import MILLISECOND
 
 
 @dataclass(frozen=True, slots=True)
 class BrainSettings:
-    """Which body, and how the three systems are set. The body's own table must be there."""
+    """The body, and the settings of perception, planning and control. The body's own table is required."""
 
     body: Literal["differential", "joints"] = "joints"
     differential: Differential | None = None
@@ -34,27 +35,21 @@ class BrainSettings:
     health: HealthSettings = field(default_factory=HealthSettings)
 
 
-class Settings(Protocol):
-    """Any dataclass."""
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-
 S = TypeVar("S", bound=Settings)
 
-AT_START = (
+FIXED_AT_START = (
     "perception.",
     "differential.wheel_radius",
     "differential.wheel_separation",
     "differential.radius",
 )
-"""Keys that hold as the robot file has them: a change would make wrong what is believed."""
-LOWER = "differential.max_"
-"""Limits of the body: while it runs they may be lowered, and raised again up to what the robot file has."""
+"""Keys that keep the robot file's value: a change would invalidate the present estimate and map."""
+LIMITS = "differential.max_"
+"""Limits of the body: at run time they may be lowered, and raised again up to the robot file's value."""
 
 
 def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Every number below a dataclass: its dotted key and its value, as in the robot file."""
+    """Yield every number of a settings dataclass: its dotted key and its value, as in the robot file."""
     for one in fields(settings):
         value = getattr(settings, one.name)
         if hasattr(value, "__dataclass_fields__"):
@@ -65,24 +60,28 @@ def keys(settings: Settings, prefix: str = "") -> Iterator[tuple[str, float]]:
             yield f"{prefix}{one.name}", value
 
 
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """Return "did you mean …?" with up to three similar names; "" if none is similar."""
+    near = get_close_matches(name, list(known), 3, 0.5)
+    return f"did you mean {' or '.join(map(repr, near))}?" if near else ""
+
+
 def changed(
     settings: BrainSettings, key: str, value: float, file: BrainSettings
 ) -> tuple[BrainSettings, str]:
-    """The settings with one number changed, and ""; or the same as before, and why not.
+    """Return the settings with one number changed, and ""; or the same settings, and why not.
 
-    `file` are the settings as the robot file has them."""
-    known = dict(keys(settings))
+    `file` holds the settings of the robot file."""
+    known, in_file = dict(keys(settings)), dict(keys(file))
     if key not in known:
-        near = get_close_matches(key, known, 3, 0.5)
-        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(known)}"
+        hint = suggestion(key, known) or f"there are {', '.join(known)}"
         return settings, f"there is no setting {key!r}; {hint}"
-    if key.startswith(AT_START):
-        return settings, f"{key} counts from the start on: change it in the robot file"
+    if key.startswith(FIXED_AT_START):
+        return settings, f"{key} is fixed at the start: change it in the robot file"
     if not isfinite(value):
         return settings, f"{key} must be a finite number, not {value}"
-    if key.startswith(LOWER) and value > dict(keys(file))[key]:
-        most = dict(keys(file))[key]
-        return settings, f"{key} must not be more than {most:g}, as the robot file has it, but is {value:g}"
+    if key.startswith(LIMITS) and value > in_file[key]:
+        return settings, f"{key} must be at most {in_file[key]:g}, the value in the robot file, not {value:g}"
     now = known[key]
     if isinstance(now, bool) and value not in (0.0, 1.0):
         return settings, f"{key} must be 0 or 1, not {value:g}"

@@ -1,4 +1,4 @@
-"""A body without a base: bare motors, each on its own."""
+"""A body without a base: independent motors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Joints:
-    """Motors on a bench, in the order in which the robot file names them."""
+    """Motors, in the order of the robot file."""
 
     motors: tuple[str, ...]
 

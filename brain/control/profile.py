@@ -1,8 +1,8 @@
-"""From the twist that was commanded to the twist that is wanted, no faster than the base can.
+"""Acceleration limits: from the commanded twist towards the wanted one.
 
-Rules. A pure function of (previous, wanted, dt): no state, so it can be tested and replayed by itself.
-The linear speed goes first; while the base speeds up the angular speed follows it at the wanted curvature,
-so that it stays on its arc. Previous is what was *commanded*, not what was measured.
+Rules. A pure function of (previous, wanted, dt). The linear speed has priority; while the base speeds up the
+angular speed follows it at the wanted curvature, so that the base stays on its arc. Previous is the
+*commanded* twist, not the measured one.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from math import isfinite
 
 @dataclass(frozen=True, slots=True)
 class Twist:
-    """The motion of a base: m/s forward, rad/s to the left."""
+    """Motion of a base: m/s forward, rad/s to the left."""
 
     linear: float = 0.0
     angular: float = 0.0
@@ -25,9 +25,9 @@ REST = Twist()
 def approach(
     previous: Twist, wanted: Twist, dt: float, linear_acceleration: float, angular_acceleration: float
 ) -> Twist:
-    """The next twist, dt [s] after the previous, within both accelerations [m/s², rad/s²].
+    """Return the next twist, dt [s] after the previous, within both accelerations [m/s², rad/s²].
 
-    A wanted twist that is not finite is rest; a dt that is not positive changes nothing."""
+    A wanted twist that is not finite counts as rest; a dt that is not positive changes nothing."""
     if not (isfinite(wanted.linear) and isfinite(wanted.angular)):
         wanted = REST
     if not dt > 0.0:
@@ -39,6 +39,6 @@ def approach(
     return Twist(linear, step(previous.angular, angular, angular_acceleration * dt))
 
 
-def step(previous: float, wanted: float, most: float) -> float:
-    """From previous to wanted, by at most so much."""
-    return min(max(wanted, previous - most), previous + most)
+def step(previous: float, wanted: float, largest: float) -> float:
+    """Move from previous towards wanted, by at most `largest`."""
+    return min(max(wanted, previous - largest), previous + largest)

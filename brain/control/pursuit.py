@@ -1,33 +1,34 @@
-"""Regulated pure pursuit: steer at the point a look-ahead distance ahead on the path.
+"""Regulated pure pursuit: steer at the point one lookahead distance ahead on the path.
 
-Rules. The look-ahead point lies on the path, at the look-ahead distance from the robot, beyond the place
-of the path that is nearest to it; the robot steers on the circle through itself and that point, which is
-tangent to its heading (Coulter 1992, CMU-RI-TR-92-01). The distance grows with the speed, within bounds.
-The speed is lowered in bends, near obstacles and before the end (Macenski et al. 2023, arXiv 2305.20026).
-Where the way ahead lies too far to the side, the robot first turns on the spot. Headings are the estimate's.
-Beyond its end the path goes straight on for the look-ahead point's sake, so steering stays calm there.
+Rules. The lookahead point lies on the path, at the lookahead distance from the robot, beyond the point of the
+path nearest to it; the robot steers on the circle through itself and that point which is tangent to its
+heading (Coulter 1992, CMU-RI-TR-92-01). The distance grows with the speed, within bounds. The speed is
+lowered in bends, near obstacles and before the end (Macenski et al. 2023, arXiv 2305.20026). Where the path
+lies too far to the side, the robot first turns on the spot. For the lookahead point the path is extended
+straight beyond its end, so steering stays calm there.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from math import atan2, hypot, isfinite, sin, sqrt
+from dataclasses import dataclass
+from math import atan2, hypot, sin, sqrt
 
 from brain.belief import Pose
 from brain.bodies.differential import wrap
+from brain.checks import positive, shares
 from brain.control.profile import REST, Twist
-from brain.planning.line import Line, Point
+from brain.planning.polyline import Point, Polyline
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 
 @dataclass(frozen=True, slots=True)
 class PursuitSettings:
-    """How a path is followed. SI."""
+    """Parameters of path following, SI."""
 
     period: Nanos = 20 * MILLISECOND
-    """Between two commands."""
+    """Period of the commands."""
     lookahead_time: float = 1.0
-    """s; the look-ahead distance is the speed times this,"""
+    """s; the lookahead distance is the speed times this,"""
     lookahead_min: float = 0.25
     """m, but at least this"""
     lookahead_max: float = 1.0
@@ -35,43 +36,38 @@ class PursuitSettings:
     lateral_acceleration: float = 0.5
     """m/s², in bends"""
     turn_from: float = 0.8
-    """rad to the look-ahead point from which on the robot turns on the spot,"""
+    """rad: bearing of the lookahead point from which on the robot turns on the spot,"""
     turn_until: float = 0.1
-    """rad, until it is as near as this"""
+    """rad: until the bearing is below this"""
     turn_gain: float = 3.0
     """rad/s per rad of heading error, on the spot"""
     obstacle_distance: float = 0.3
-    """m between the footprint and an obstacle below which the speed is lowered,"""
+    """m between footprint and obstacle, below which the speed is lowered,"""
     obstacle_speed: float = 0.3
-    """down to this share of the largest, where they all but touch"""
+    """down to this share of the largest at no distance"""
     braking: float = 0.6
-    """Share of the largest deceleration that is planned with before the end of the path."""
+    """Share of the largest deceleration that is used to brake before the end of the path."""
     creep: float = 0.04
-    """m/s, the lowest speed that is asked for before the end"""
+    """m/s, the lowest speed before the end"""
     tolerance: float = 0.05
-    """m: the goal is reached within this, as the estimate has it"""
+    """m: the goal is reached within this, by the estimate"""
     yaw_tolerance: float = 0.05
-    """rad, where a goal has a yaw"""
+    """rad, if the goal has a yaw"""
     idle_after: Nanos = SECOND
-    """At rest for so long with nothing to do, the motors are let go."""
+    """After this time at rest with nothing to do, the motors are disarmed."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (isfinite(value) and value > 0.0):
-                raise ValueError(f"{field.name} must be more than 0, not {value}")
+        positive(self)
+        shares(self, "obstacle_speed", "braking")
         if self.lookahead_max < self.lookahead_min:
             raise ValueError(f"lookahead_max must not be less than lookahead_min, {self.lookahead_min}")
         if self.turn_until >= self.turn_from:
             raise ValueError(f"turn_until must be less than turn_from, {self.turn_from}")
-        for name in ("obstacle_speed", "braking"):
-            if getattr(self, name) > 1.0:
-                raise ValueError(f"{name} is a share: at most 1, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What the base may do at this moment."""
+    """Limits of the base at this moment."""
 
     linear: float
     """m/s"""
@@ -84,46 +80,46 @@ class Bounds:
 
 
 class Pursuit:
-    """Follows one path after another. State: the path, how far it has come, whether it turns."""
+    """Path follower. State: the path, the progress along it, whether the robot turns on the spot."""
 
     def __init__(self) -> None:
-        self.line: Line | None = None
+        self.path: Polyline | None = None
         self.yaw: float | None = None
         self.along = 0.0
-        """m of the path that lie behind"""
+        """m of the path already covered"""
         self.turning = False
         self.at_end = False
-        """Near enough to the end to have only the last turn before it."""
+        """Within tolerance of the end: only the final turn is left."""
         self.arrived = False
-        """At rest at the end, in the yaw wanted."""
+        """At rest at the end, in the wanted yaw."""
         self.lookahead: Point | None = None
-        """Where it steered at last, for pictures and tests."""
+        """Point last steered at, for tests."""
 
     def follow(self, points: tuple[Point, ...], yaw: float | None = None) -> None:
-        """Take up a new path (at least one point), and the yaw to end with."""
-        self.line, self.yaw = Line(points), yaw
+        """Follow a new path (at least one point), ending in this yaw if given."""
+        self.path, self.yaw = Polyline(points), yaw
         self.along, self.at_end, self.arrived, self.lookahead = 0.0, False, False, None
 
     def drop(self) -> None:
-        """There is no path any more."""
-        self.line, self.yaw, self.lookahead = None, None, None
+        """Forget the path."""
+        self.path, self.yaw, self.lookahead = None, None, None
         self.turning, self.at_end, self.arrived = False, False, False
 
     def step(
         self, pose: Pose, previous: Twist, bounds: Bounds, clearance: float, settings: PursuitSettings
     ) -> Twist:
-        """The twist wanted now, before acceleration limits; rest where there is no path, or at its end.
+        """Return the wanted twist, before acceleration limits; rest if there is no path, or at its end.
 
-        `clearance` [m] is what lies between the footprint and the nearest obstacle."""
-        if self.line is None:
+        `clearance` [m] is the distance between the footprint and the nearest obstacle."""
+        if self.path is None:
             return REST
-        place = (pose.x, pose.y)
+        position = (pose.x, pose.y)
         window = max(1.0, 2.0 * settings.lookahead_max)
-        self.along, _ = self.line.project(place, self.along, self.along + window)
-        end = self.line.points[-1]
+        self.along, _ = self.path.project(position, self.along, self.along + window)
+        end = self.path.points[-1]
         distance = hypot(end[0] - pose.x, end[1] - pose.y)
         self.arrived = False
-        # Having come near enough, a turn on the spot that carries it off a little does not send it back.
+        # Hysteresis: drifting off a little during the final turn must not send the robot back.
         self.at_end = distance <= settings.tolerance * (2.0 if self.at_end else 1.0)
         if self.at_end:
             return self._final_turn(pose, previous, bounds, settings)
@@ -138,17 +134,17 @@ class Pursuit:
         distance: float,
         settings: PursuitSettings,
     ) -> Twist:
-        assert self.line is not None
-        remaining = max(self.line.length - self.along, 0.0)
-        reach = min(
+        assert self.path is not None
+        remaining = max(self.path.length - self.along, 0.0)
+        lookahead = min(
             max(abs(previous.linear) * settings.lookahead_time, settings.lookahead_min),
             settings.lookahead_max,
         )
-        # Past the end, or beside it, only the end itself is left to steer at.
+        # Past the end, or beside it, steer at the end itself.
         target = (
-            self.line.points[-1]
+            self.path.points[-1]
             if remaining <= settings.tolerance
-            else self.line.ahead((pose.x, pose.y), self.along, reach)
+            else self.path.ahead((pose.x, pose.y), self.along, lookahead)
         )
         self.lookahead = target
         bearing = wrap(atan2(target[1] - pose.y, target[0] - pose.x) - pose.yaw)
@@ -157,12 +153,17 @@ class Pursuit:
             return self._on_the_spot(bearing, previous, bounds, settings)
         self.turning = False
         curvature = 2.0 * sin(bearing) / max(hypot(target[0] - pose.x, target[1] - pose.y), 1e-6)
-        to_go = max(remaining, distance if remaining <= settings.tolerance else 0.0)
-        speed = self._speed(curvature, to_go, clearance, bounds, settings)
+        distance_left = max(remaining, distance if remaining <= settings.tolerance else 0.0)
+        speed = self._speed(curvature, distance_left, clearance, bounds, settings)
         return Twist(speed, curvature * speed)
 
     def _speed(
-        self, curvature: float, to_go: float, clearance: float, bounds: Bounds, settings: PursuitSettings
+        self,
+        curvature: float,
+        distance_left: float,
+        clearance: float,
+        bounds: Bounds,
+        settings: PursuitSettings,
     ) -> float:
         speed = bounds.linear
         if abs(curvature) > 1e-6:
@@ -174,7 +175,7 @@ class Pursuit:
             speed = min(
                 speed, bounds.linear * (settings.obstacle_speed + (1.0 - settings.obstacle_speed) * share)
             )
-        braking = sqrt(2.0 * settings.braking * bounds.linear_acceleration * to_go)
+        braking = sqrt(2.0 * settings.braking * bounds.linear_acceleration * distance_left)
         return min(max(min(speed, braking), settings.creep), bounds.linear)
 
     def _final_turn(self, pose: Pose, previous: Twist, bounds: Bounds, settings: PursuitSettings) -> Twist:
@@ -186,7 +187,7 @@ class Pursuit:
         return REST
 
     def _on_the_spot(self, error: float, previous: Twist, bounds: Bounds, settings: PursuitSettings) -> Twist:
-        """Brake first, then turn; slow enough to be able to stop at the wanted heading."""
+        """Brake first, then turn, slowly enough to be able to stop at the wanted heading."""
         if abs(previous.linear) > settings.creep:
             return REST
         braking = sqrt(2.0 * settings.braking * bounds.angular_acceleration * abs(error))

@@ -1,12 +1,11 @@
-"""An extended Kalman filter of the base's motion, on filterpy.
+"""The extended Kalman filter of the base's motion, on filterpy.
 
-Rules of this file. Every measurement brings its own time; the filter predicts to that time, so no
-caller forms a dt. A measurement up to `rewind` late is put in its place and what came after it is
-applied again; an older one is refused. Each is gated as a vector by its squared Mahalanobis distance
-against chi-square; a refused one changes nothing and is counted. No gate locks the filter out: when
-a sensor has been refused for longer than `lockout` without a break, its next measurement is taken
-with the covariance widened, and that is counted too. What is not finite never enters. The state and
-how it moves: `brain.perception.motion_model`.
+Rules. Every measurement brings its own time; the filter predicts to that time, so no caller computes a dt. A
+measurement up to `rewind` late is inserted at its time, and the later ones are applied again; an older one is
+not used. Each is gated as a vector by its squared Mahalanobis distance against chi-square; a rejected one
+changes nothing and is counted. No gate locks the filter out: when a sensor has been rejected for longer than
+`lockout` without interruption, its next measurement is accepted with the covariance inflated, and that is
+counted too. Values that are not finite never enter. State and motion: `brain.perception.motion_model`.
 """
 
 from __future__ import annotations
@@ -20,39 +19,69 @@ import numpy as np
 
 from brain.belief import Floats
 from brain.bodies.differential import wrap
-from brain.perception.ekf import Nis
 from brain.perception.ekf_settings import CHI_SQUARE, EkfSettings
-from brain.perception.measurement import Measurement, Verdict
-from brain.perception.motion_model import POSE, SIZE, SLIP, YAW, X, jacobian, move, process_noise
+from brain.perception.measurement import GateResult, Measurement
+from brain.perception.motion_model import POSE, SIZE, SLIP, YAW, X, jacobian, process_noise, propagate
 from protocols.messages import Nanos, seconds
+
+
+@dataclass(slots=True)
+class Nis:
+    """Normalised innovations squared (NIS) of one sensor since the start: is the filter consistent?
+
+    NIS is an innovation's squared Mahalanobis distance, a chi-square of as many degrees of freedom as
+    the measurement has components, if the covariances are right (Bar-Shalom, Li, Kirubarajan 2001, section
+    5.4). Every measurement that the gate judged counts once, as first judged, rejected ones too."""
+
+    count: int = 0
+    """Measurements."""
+    freedom: int = 0
+    """Sum of their degrees of freedom."""
+    total: float = 0.0
+    """Sum of the squared distances."""
+    beyond: int = 0
+    """Measurements beyond the 95 % quantile: one in twenty if the filter is consistent."""
+
+    def add(self, distance: float, quantile: float, freedom: int) -> None:
+        """Add a squared distance, with the 95 % quantile for its degrees of freedom."""
+        self.count += 1
+        self.freedom += freedom
+        self.total += distance
+        self.beyond += distance > quantile
+
+    @property
+    def mean(self) -> float:
+        """Per degree of freedom: 1 if consistent, above 1 if overconfident, below 1 if too cautious; 0 before
+        the first measurement."""
+        return self.total / self.freedom if self.freedom else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """A measurement in its place, what was decided on it, and the state after it."""
+    """A measurement, the gate's decision, and the state after it."""
 
     t: Nanos
     measurement: Measurement | None
     """None: the start"""
-    verdict: Verdict
+    result: GateResult
     state: Floats
     covariance: Floats
-    doubt: float = 1.0
-    """By what the variances were widened before it was taken."""
+    inflation: float = 1.0
+    """Factor on the variances before it was applied."""
 
 
 class Ekf:
-    """The filter: `hear` measurements in any order, read the state."""
+    """The filter: takes measurements in any order."""
 
     def __init__(self, settings: EkfSettings) -> None:
         self.settings = settings
         self.t: Nanos | None = None
         """Time of the newest measurement; None before the first."""
         self.nis: dict[str, Nis] = {}
-        """How well the covariances fit what came, by source."""
+        """By source."""
         self._filter = _filter(settings)
         self._history: deque[_Entry] = deque()
-        self._refused_since: dict[str, Nanos] = {}
+        self._rejected_since: dict[str, Nanos] = {}
 
     @property
     def state(self) -> Floats:
@@ -66,43 +95,43 @@ class Ekf:
         covariance: Floats = self._filter.P
         return covariance
 
-    def observe(self, measurement: Measurement) -> Verdict:
-        """Put one measurement in its place, and say what became of it."""
+    def observe(self, measurement: Measurement) -> GateResult:
+        """Apply a measurement at its own time, and return the gate's decision."""
         if not _finite(measurement):
-            return Verdict.NOT_FINITE
+            return GateResult.NOT_FINITE
         t = measurement.t
         if self.t is None:
             self._start(t)
-        later = self._back_to(t)
+        later = self._rewind(t)
         if later is None:
-            return Verdict.LATE
-        verdict = self._judge(measurement)
+            return GateResult.LATE
+        result = self._judge(measurement)
         for entry in later:
             self._predict(entry.t)
-            self._repeat(entry)
-        self._forget()
-        return verdict
+            self._reapply(entry)
+        self._trim()
+        return result
 
     def at(self, t: Nanos) -> tuple[Floats, Floats] | None:
-        """State and covariance at a time within the rewind (newer: predicted); None if older."""
+        """Return state and covariance at a time within the rewind (newer: predicted); None if older."""
         entry = next((e for e in reversed(self._history) if e.t <= t), None)
         if entry is None:
             return None
         dt = seconds(t - entry.t)
         F = jacobian(entry.state, dt)
         covariance = F @ entry.covariance @ F.T + process_noise(entry.state, dt, self.settings)
-        return move(entry.state, dt), covariance
+        return propagate(entry.state, dt), covariance
 
-    def refused_for(self, source: str, t: Nanos) -> float:
-        """How long [s] the gate has refused this sensor without a break, up to a time."""
-        return max(0.0, seconds(t - self._refused_since.get(source, t)))
+    def rejected_for(self, source: str, t: Nanos) -> float:
+        """Return for how long [s] the gate has rejected this sensor without interruption, up to a time."""
+        return max(0.0, seconds(t - self._rejected_since.get(source, t)))
 
     def _start(self, t: Nanos) -> None:
         self.t = t
-        self._history.append(_Entry(t, None, Verdict.ACCEPTED, self.state, self.covariance))
+        self._history.append(_Entry(t, None, GateResult.ACCEPTED, self.state, self.covariance))
 
-    def _back_to(self, t: Nanos) -> list[_Entry] | None:
-        """Stand at time t; what lies after it, to be done again. None if t is too long ago."""
+    def _rewind(self, t: Nanos) -> list[_Entry] | None:
+        """Go back to time t; return the later entries, to be applied again. None if t is too long ago."""
         if t < self._history[0].t:
             return None
         later: list[_Entry] = []
@@ -123,52 +152,51 @@ class Ekf:
             self._filter.Q = process_noise(state, dt, self.settings)
             self._filter.predict()
             self._filter.P = (self._filter.P + self._filter.P.T) / 2.0
-            self._filter.x = move(state, dt)  # filterpy's own mean is F x: the arc is exact
+            self._filter.x = propagate(state, dt)  # filterpy's own mean is F x: the arc is exact
             self.t = t
 
-    def _judge(self, measurement: Measurement) -> Verdict:
+    def _judge(self, measurement: Measurement) -> GateResult:
         prior = self.state, self.covariance
         freedom = len(measurement.value)
         gate = CHI_SQUARE[self.settings.confidence][freedom - 1]
-        doubt = 1.0
+        inflation = 1.0
         distance = self._update(measurement)
         nis = self.nis.setdefault(measurement.source, Nis())
         nis.add(distance, CHI_SQUARE[0.95][freedom - 1], freedom)
-        since = self._refused_since.get(measurement.source)
+        since = self._rejected_since.get(measurement.source)
         if distance <= gate:
-            verdict = Verdict.ACCEPTED
-            self._refused_since.pop(measurement.source, None)
+            result = GateResult.ACCEPTED
+            self._rejected_since.pop(measurement.source, None)
         elif since is not None and measurement.t - since >= self.settings.lockout:
-            verdict = Verdict.FORCED
-            self._refused_since.pop(measurement.source, None)
+            result = GateResult.FORCED
+            self._rejected_since.pop(measurement.source, None)
             self._filter.x, self._filter.P = prior
-            doubt = self._doubt(measurement)
-            self._widened(measurement, doubt)
+            inflation = self._inflation(measurement)
+            self._update_inflated(measurement, inflation)
         else:
-            verdict = Verdict.REFUSED
-            self._refused_since.setdefault(measurement.source, measurement.t)
+            result = GateResult.REJECTED
+            self._rejected_since.setdefault(measurement.source, measurement.t)
             self._filter.x, self._filter.P = prior
-        self._remember(measurement, verdict, doubt)
-        return verdict
+        self._record(measurement, result, inflation)
+        return result
 
-    def _doubt(self, measurement: Measurement) -> float:
-        """By what the variances must grow for the state to be as far off as the measurement just
-        refused says that it is."""
+    def _inflation(self, measurement: Measurement) -> float:
+        """Return the factor by which the variances must grow to cover the innovation just rejected."""
         H = measurement.matrix
-        believed = np.diag(H @ self.covariance @ H.T)
-        return min(max(1.0, float(np.max(self._filter.y**2 / believed))), WIDEST)
+        variance = np.diag(H @ self.covariance @ H.T)
+        return min(max(1.0, float(np.max(self._filter.y**2 / variance))), MAX_INFLATION)
 
-    def _repeat(self, entry: _Entry) -> None:
-        """Apply a measurement again, as it was decided on before."""
-        if entry.measurement is not None and entry.verdict is not Verdict.REFUSED:
-            if entry.verdict is Verdict.FORCED:
-                self._widened(entry.measurement, entry.doubt)
+    def _reapply(self, entry: _Entry) -> None:
+        """Apply a measurement again, with its former decision."""
+        if entry.measurement is not None and entry.result is not GateResult.REJECTED:
+            if entry.result is GateResult.FORCED:
+                self._update_inflated(entry.measurement, entry.inflation)
             else:
                 self._update(entry.measurement)
-        self._remember(entry.measurement, entry.verdict, entry.doubt)
+        self._record(entry.measurement, entry.result, entry.inflation)
 
     def _update(self, measurement: Measurement) -> float:
-        """Take a measurement in; its squared Mahalanobis distance before that."""
+        """Apply a measurement; return its squared Mahalanobis distance before that."""
         H, heading = measurement.matrix, measurement.heading
 
         def residual(a: Floats, b: Floats) -> Floats:
@@ -184,39 +212,40 @@ class Ekf:
         self._filter.P = (self._filter.P + self._filter.P.T) / 2.0
         return float(self._filter.mahalanobis) ** 2
 
-    def _widened(self, measurement: Measurement, doubt: float) -> None:
-        """Take a measurement in that contradicts the state, after doubting what it is about; and the
-        slip, if it is about the place, for wheels that spin on the spot are how places go wrong."""
+    def _update_inflated(self, measurement: Measurement, inflation: float) -> None:
+        """Apply a measurement that contradicts the state, after inflating the variances of what it observes;
+        and of the slip, if it observes the position: wheels spinning on the spot are the usual cause
+        of a wrong position."""
         scale = np.ones(SIZE)
-        about = np.any(measurement.matrix != 0.0, axis=0)
-        about[SLIP] |= about[X]
-        scale[about] = math.sqrt(doubt)
+        observed = np.any(measurement.matrix != 0.0, axis=0)
+        observed[SLIP] |= observed[X]
+        scale[observed] = math.sqrt(inflation)
         self._filter.P = self._filter.P * np.outer(scale, scale)
         self._update(measurement)
 
-    def _remember(self, measurement: Measurement | None, verdict: Verdict, doubt: float) -> None:
+    def _record(self, measurement: Measurement | None, result: GateResult, inflation: float) -> None:
         assert self.t is not None
-        self._history.append(_Entry(self.t, measurement, verdict, self.state, self.covariance, doubt))
+        self._history.append(_Entry(self.t, measurement, result, self.state, self.covariance, inflation))
 
-    def _forget(self) -> None:
+    def _trim(self) -> None:
         oldest = self._history[-1].t - self.settings.rewind
         while len(self._history) > 1 and self._history[1].t <= oldest:
             self._history.popleft()
 
 
-WIDEST = 1e6
-"""How much a variance is widened at most."""
+MAX_INFLATION = 1e6
+"""Largest factor on a variance."""
 
 
 def _filter(settings: EkfSettings) -> Any:  # noqa: ANN401 -- filterpy has no types
     from filterpy.kalman import ExtendedKalmanFilter  # here, because it takes seconds to import
 
-    made = ExtendedKalmanFilter(dim_x=SIZE, dim_z=1)
-    made.x = np.zeros(SIZE)
-    made.x[POSE] = settings.start_x, settings.start_y, wrap(settings.start_yaw)
+    ekf = ExtendedKalmanFilter(dim_x=SIZE, dim_z=1)
+    ekf.x = np.zeros(SIZE)
+    ekf.x[POSE] = settings.start_x, settings.start_y, wrap(settings.start_yaw)
     sigmas = (settings.start_sigma,) * 3 + (1.0, 1.0, settings.bias_sigma, settings.slip_sigma)
-    made.P = np.diag(np.square(sigmas))
-    return made
+    ekf.P = np.diag(np.square(sigmas))
+    return ekf
 
 
 def _finite(measurement: Measurement) -> bool:

@@ -1,26 +1,27 @@
-"""An occupancy grid in the frame "odom", in log-odds, that lasts from scan to scan.
+"""The occupancy grid, in the frame "odom", in log-odds.
 
-Rules of this file. A cell's value is the logarithm of its odds of being occupied: above 0 occupied,
-below 0 free, and exactly 0 only if no beam ever told anything of it. Each scan changes a cell at most
-once: cells in which a beam ended rise by `hit` (also if other beams passed through them), cells that
-beams only passed through fall by `miss`; values stay within bounds, so that what has moved away is
-forgotten after a known number of scans. A beam that met nothing clears as far as the lidar sees.
-Neighbouring beams diverge: the gap between two of them, where it is no wider than `gap`, may tell an
-unknown cell free, as far as the shorter of them went, but never clears one.
-Beside its value an occupied cell keeps the mean of its first hits, finer than the cell, for matching.
-Rows count y, columns x; the cell (0, 0) has its lower left corner at the origin.
+Rules. A cell's value is the log-odds of being occupied: above 0 occupied, below 0 free, and exactly 0 only
+if it was never observed. Each scan changes a cell at most once: cells in which a beam ended are raised by
+`hit` (also if other beams passed through them), cells that beams only passed through are lowered by `miss`;
+values are clamped, so that an obstacle that has moved away is cleared after a known number of scans. A beam
+without a hit clears up to the lidar's largest range. Neighbouring beams diverge: an unknown cell in the gap
+between two of them becomes free, if the gap is at most `gap` wide there, up to the shorter of the two ranges;
+an occupied cell is never cleared that way. Beside its value an occupied cell keeps the mean of its first
+hits, finer than the cell, for scan matching. Rows are y, columns x; the cell (0, 0) has its lower left corner
+at the origin.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, MapView, Pose
-from brain.perception.mount import Bools, Sweep, place
+from brain.checks import finite, positive
+from brain.perception.mount import BodyScan, Bools, to_world
 
 Cells = npt.NDArray[np.int64]
 """n × 2: column, row"""
@@ -30,7 +31,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class GridSettings:
-    """Size of the map and how beams change it."""
+    """Size of the map and the sensor model of beams."""
 
     resolution: float = 0.05
     """m per cell"""
@@ -44,21 +45,17 @@ class GridSettings:
     hit: float = 0.85
     miss: float = 0.4
     low: float = -2.0
-    """The most that a cell can be free"""
+    """Lower bound of a cell's log-odds"""
     high: float = 3.5
-    """The most that a cell can be occupied: gone after high / miss scans"""
+    """Upper bound of a cell's log-odds: cleared after high / miss scans"""
     farthest: float = 12.0
-    """m: beams are believed up to here"""
+    """m: largest range of beams that is used"""
     gap: float = 0.2
-    """m between neighbouring beams, where nothing that matters can stand unseen"""
+    """m between neighbouring beams, below which no relevant obstacle fits unseen between them"""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if not math.isfinite(getattr(self, field.name)):
-                raise ValueError(f"{field.name} must be finite, not {getattr(self, field.name)!r}")
-        for name in ("resolution", "width", "height", "hit", "miss", "high", "farthest"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"{name} must be above 0, not {getattr(self, name)!r}")
+        finite(self)
+        positive(self, "resolution", "width", "height", "hit", "miss", "high", "farthest")
         if self.low >= 0.0 or self.gap < 0.0:
             raise ValueError(f"low must be below 0 and gap not negative, not {self.low!r} and {self.gap!r}")
         cells = self.width * self.height / self.resolution**2
@@ -67,7 +64,7 @@ class GridSettings:
 
 
 class Grid:
-    """The map. `add` scans; read values, masks and views."""
+    """The map."""
 
     def __init__(self, settings: GridSettings) -> None:
         self.settings = settings
@@ -77,43 +74,37 @@ class Grid:
         self.origin_x = settings.center_x - self.columns * settings.resolution / 2.0
         self.origin_y = settings.center_y - self.rows * settings.resolution / 2.0
         self.version = 0
-        """Grows at each change."""
+        """Incremented at each change."""
         self.log_odds = np.zeros((self.rows, self.columns), dtype=np.float32)
         """Must not be written to from outside."""
-        self.outside = 0
-        """How many beams ended outside the map so far."""
         self.hits = np.zeros(self.rows * self.columns, dtype=np.int32)
-        """How many hits each cell's mean is made of, up to FIRST."""
+        """Number of hits in each cell's mean, up to MAX_MEAN_HITS."""
         self.means = np.zeros((self.rows * self.columns, 2))
-        """Each cell's mean of its first hits [m]; of no meaning where `hits` is 0."""
+        """Mean of each cell's first hits [m]; undefined where `hits` is 0."""
         self.facing = np.zeros((self.rows * self.columns, 2))
-        """The mean of the unit vectors from those hits to the lidar: from which side it was seen."""
+        """Mean of the unit vectors from those hits to the lidar: the side from which the cell was seen."""
         self._view: MapView | None = None
         self._blocked: dict[float, Bools] = {}
         self._blocked_version = 0
 
-    # -- places and cells ----------------------------------------------------------------------
+    # -- positions and cells -------------------------------------------------------------------
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """The cell (row, column) of a place [m]; it may lie outside the map."""
+        """Return the cell (row, column) of a position [m]; it may lie outside the map."""
         return (
             math.floor((y - self.origin_y) / self.resolution),
             math.floor((x - self.origin_x) / self.resolution),
         )
 
     def center(self, row: int, column: int) -> tuple[float, float]:
-        """The middle of a cell [m]."""
+        """Return the middle of a cell [m]."""
         return (
             self.origin_x + (column + 0.5) * self.resolution,
             self.origin_y + (row + 0.5) * self.resolution,
         )
 
-    def inside(self, row: int, column: int) -> bool:
-        """Whether the map has this cell."""
-        return 0 <= row < self.rows and 0 <= column < self.columns
-
     def cells(self, points: Floats) -> Cells:
-        """The cells (column, row) of points (n × 2)."""
+        """Return the cells (column, row) of points (n × 2) [m]."""
         corner = np.array([self.origin_x, self.origin_y])
         cells: Cells = np.floor((points - corner) / self.resolution).astype(np.int64)
         return cells
@@ -132,15 +123,16 @@ class Grid:
 
     @property
     def unknown(self) -> Bools:
-        """rows × columns: no beam ever told anything of these. They are not free."""
+        """rows × columns: never observed. They are not free."""
         unknown: Bools = self.log_odds == 0.0
         return unknown
 
     def blocked(self, radius: float) -> Bools:
-        """Where the middle of a round robot of this radius [m] must not be: cells whose middle is
-        closer than that to any part of an occupied cell. Unknown cells are not in it: see `unknown`.
+        """Return the occupied cells inflated by a radius [m]: cells whose middle is closer than that to any
+        part of an occupied cell, where the middle of a round robot must not be. Unknown cells are not
+        included: see `unknown`.
 
-        rows × columns; kept until the map changes, must not be written to."""
+        rows × columns; cached until the map changes, must not be written to."""
         if self._blocked_version != self.version:
             self._blocked.clear()
             self._blocked_version = self.version
@@ -149,18 +141,8 @@ class Grid:
             self._blocked[radius].flags.writeable = False
         return self._blocked[radius]
 
-    def clearance(self, x: float, y: float) -> float:
-        """From a place to the nearest part of an occupied cell [m]; infinite if there is none."""
-        rows, columns = np.nonzero(self.occupied)
-        if not len(rows):
-            return math.inf
-        half = self.resolution / 2.0
-        dx = np.maximum(np.abs(self.origin_x + (columns + 0.5) * self.resolution - x) - half, 0.0)
-        dy = np.maximum(np.abs(self.origin_y + (rows + 0.5) * self.resolution - y) - half, 0.0)
-        return float(np.sqrt(np.min(dx * dx + dy * dy)))
-
     def view(self) -> MapView:
-        """The map as a value: a copy that nobody can write to, the same until the map changes."""
+        """Return the map as a value: a read-only copy, the same object until the map changes."""
         if self._view is None or self._view.version != self.version:
             copy = self.log_odds.copy()
             copy.flags.writeable = False
@@ -169,36 +151,35 @@ class Grid:
 
     # -- writing -------------------------------------------------------------------------------
 
-    def add(self, pose: Pose, sweep: Sweep) -> None:
-        """Take in a scan that was taken with the robot at this pose."""
-        origin = place(np.array([sweep.origin]), pose)
-        ends = place(sweep.ends, pose)
+    def add(self, pose: Pose, scan: BodyScan) -> None:
+        """Add a scan that was taken with the robot at this pose."""
+        origin = to_world(np.array([scan.origin]), pose)
+        ends = to_world(scan.ends, pose)
         start, stops = self.cells(origin)[0], self.cells(ends)
-        read = sweep.ranges > 0.0
-        hit_beams = sweep.hit & self._within(stops)
-        self.outside += int(np.count_nonzero(read & ~self._within(stops)))
+        read = scan.ranges > 0.0
+        hit_beams = scan.hit & self._within(stops)
         hit = np.zeros(self.rows * self.columns, dtype=np.bool_)
         hit[self._flat(stops[hit_beams])] = True
         passed = np.zeros_like(hit)
         passed[self._rays(start, stops[read])] = True
-        self._fall(np.flatnonzero(passed & ~hit))
-        self._rise(np.flatnonzero(hit))
-        self._fill(origin[0], pose.yaw, sweep, ends)
-        self._average(self._flat(stops[hit_beams]), ends[hit_beams], origin[0])
+        self._lower(np.flatnonzero(passed & ~hit))
+        self._raise(np.flatnonzero(hit))
+        self._fill_gaps(origin[0], pose.yaw, scan, ends)
+        self._update_means(self._flat(stops[hit_beams]), ends[hit_beams], origin[0])
         self.version += 1
 
-    def _fall(self, cells: Indices) -> None:
+    def _lower(self, cells: Indices) -> None:
         values = self.log_odds.reshape(-1)
-        fallen = np.maximum(values[cells] - np.float32(self.settings.miss), np.float32(self.settings.low))
-        fallen[fallen == 0.0] = KNOWN
-        values[cells] = fallen
-        self.hits[cells[fallen < 0.0]] = 0
+        lowered = np.maximum(values[cells] - np.float32(self.settings.miss), np.float32(self.settings.low))
+        lowered[lowered == 0.0] = OBSERVED_FREE
+        values[cells] = lowered
+        self.hits[cells[lowered < 0.0]] = 0
 
-    def _rise(self, cells: Indices) -> None:
+    def _raise(self, cells: Indices) -> None:
         values = self.log_odds.reshape(-1)
-        risen = np.minimum(values[cells] + np.float32(self.settings.hit), np.float32(self.settings.high))
-        risen[risen == 0.0] = KNOWN
-        values[cells] = risen
+        raised = np.minimum(values[cells] + np.float32(self.settings.hit), np.float32(self.settings.high))
+        raised[raised == 0.0] = OBSERVED_FREE
+        values[cells] = raised
 
     def _within(self, cells: Cells) -> Bools:
         inside: Bools = np.all((cells >= 0) & (cells < (self.columns, self.rows)), axis=1)
@@ -209,7 +190,7 @@ class Grid:
         return flat
 
     def _rays(self, start: npt.NDArray[np.int64], stops: Cells) -> Indices:
-        """The cells on the lines from a cell to others, without the last: one per step of the longer
+        """Return the cells on the lines from a cell to others, without the last: one per step of the longer
         side, the other coordinate rounded (Bresenham, 1965), all lines at once."""
         steps = stops - start
         lengths = np.max(np.abs(steps), axis=1)
@@ -227,8 +208,8 @@ class Grid:
         flat: Indices = (rows * kind(self.columns) + columns)[inside].astype(np.int64)
         return flat
 
-    def _fill(self, origin: Floats, yaw: float, sweep: Sweep, ends: Floats) -> None:
-        """Tell unknown cells free that lie in the narrow gaps between neighbouring beams."""
+    def _fill_gaps(self, origin: Floats, yaw: float, scan: BodyScan, ends: Floats) -> None:
+        """Mark unknown cells in the narrow gaps between neighbouring beams as free."""
         corners = np.minimum(ends.min(axis=0), origin), np.maximum(ends.max(axis=0), origin)
         low, high = self.cells(np.array(corners))
         left, bottom = np.maximum(low, 0)
@@ -239,21 +220,21 @@ class Grid:
         rows, columns = rows + bottom, columns + left
         dx = self.origin_x + (columns + 0.5) * self.resolution - origin[0]
         dy = self.origin_y + (rows + 0.5) * self.resolution - origin[1]
-        reach = _reach(dx, dy, yaw, sweep)
+        reach = _gap_range(dx, dy, yaw, scan)
         distance = np.sqrt(dx * dx + dy * dy)
         seen = (distance < reach - self.resolution) & (
-            distance * abs(sweep.angle_increment) <= self.settings.gap
+            distance * abs(scan.angle_increment) <= self.settings.gap
         )
         self.log_odds[rows[seen], columns[seen]] = -np.float32(self.settings.miss)
 
-    def _average(self, cells: Indices, points: Floats, origin: Floats) -> None:
-        """Take hits into the means of those cells that are occupied and have too few."""
-        wanted = (self.hits[cells] < FIRST) & (self.log_odds.reshape(-1)[cells] > 0.0)
+    def _update_means(self, cells: Indices, points: Floats, origin: Floats) -> None:
+        """Add hits to the means of those cells that are occupied and have too few."""
+        wanted = (self.hits[cells] < MAX_MEAN_HITS) & (self.log_odds.reshape(-1)[cells] > 0.0)
         cells, points = cells[wanted], points[wanted]
         touched, which = np.unique(cells, return_inverse=True)
         before = self.hits[touched]
         after = before + np.bincount(which, minlength=len(touched))
-        towards = unit(origin - points)
+        towards = normalised(origin - points)
         for means, values in ((self.means, points), (self.facing, towards)):
             for axis in (0, 1):
                 new = np.bincount(which, weights=values[:, axis], minlength=len(touched))
@@ -261,38 +242,38 @@ class Grid:
         self.hits[touched] = after
 
 
-FIRST = 10
-"""How many hits make a cell's mean: the first, from when the pose was best known."""
-KNOWN = np.float32(-1e-3)
-"""What a cell is set to whose hits and misses happen to cancel: known, and free by a hair."""
+MAX_MEAN_HITS = 10
+"""Hits in a cell's mean: the first ones, from when the pose was best known."""
+OBSERVED_FREE = np.float32(-1e-3)
+"""Value of a cell whose hits and misses happen to cancel: observed, and barely free."""
 
 
-def unit(vectors: Floats) -> Floats:
-    """Vectors (n × 2) of length 1; those of length 0 stay."""
+def normalised(vectors: Floats) -> Floats:
+    """Return vectors (n × 2) scaled to length 1; those of length 0 stay."""
     lengths = np.sqrt(np.sum(vectors * vectors, axis=1))
     units: Floats = vectors / np.maximum(lengths, 1e-12)[:, None]
     return units
 
 
-def _reach(dx: Floats, dy: Floats, yaw: float, sweep: Sweep) -> Floats:
-    """For places relative to the lidar, in the world's axes: the shorter range [m] of the two beams
-    that each place lies between; 0 where there is no such pair."""
+def _gap_range(dx: Floats, dy: Floats, yaw: float, scan: BodyScan) -> Floats:
+    """Return for each position relative to the lidar, in the world's axes, the shorter range [m] of the two
+    beams that it lies between; 0 where there is no such pair."""
     c, s = math.cos(yaw), math.sin(yaw)
     bx, by = c * dx + s * dy, c * dy - s * dx
-    (xx, xy), (yx, yy) = sweep.axes
+    (xx, xy), (yx, yy) = scan.axes
     bearing = np.arctan2(xy * bx + yy * by, xx * bx + yx * by)
-    beam = np.floor(np.mod(bearing - sweep.angle_min, 2.0 * math.pi) / sweep.angle_increment).astype(np.int64)
-    count = len(sweep.ranges)
-    after = np.roll(sweep.ranges, -1)
-    if count * sweep.angle_increment < 2.0 * math.pi - sweep.angle_increment / 2.0:
+    beam = np.floor(np.mod(bearing - scan.angle_min, 2.0 * math.pi) / scan.angle_increment).astype(np.int64)
+    count = len(scan.ranges)
+    after = np.roll(scan.ranges, -1)
+    if count * scan.angle_increment < 2.0 * math.pi - scan.angle_increment / 2.0:
         after[-1] = 0.0
-    shorter = np.minimum(sweep.ranges, after)
+    shorter = np.minimum(scan.ranges, after)
     reach: Floats = np.where(beam < count, shorter[np.minimum(beam, count - 1)], 0.0)
     return reach
 
 
 def _inflated(occupied: Bools, radius: float) -> Bools:
-    """Cells whose middle is closer than the radius [cells] to any part of a cell that is set."""
+    """Return the cells whose middle is closer than the radius [cells] to any part of a cell that is set."""
     reach = max(math.ceil(radius + 0.5), 0)
     span = np.arange(-reach, reach + 1)
     near = np.maximum(np.abs(span) - 0.5, 0.0)

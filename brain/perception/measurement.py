@@ -1,7 +1,4 @@
-"""What sensors say to the filter: measurements, and what became of them.
-
-Rules of this file. Values only. A measurement says: value = H · state + noise, at its own time.
-"""
+"""Measurements for the filter: value = H · state + noise, each at its own time; and what the gate decided."""
 
 from __future__ import annotations
 
@@ -11,59 +8,59 @@ from enum import StrEnum
 import numpy as np
 
 from brain.belief import Floats, Pose
-from brain.perception.motion import BIAS, POSE, SIZE, YAW, V, W
+from brain.perception.motion_model import BIAS, POSE, SIZE, YAW, V, W
 from protocols.messages import Nanos
 
 
-class Verdict(StrEnum):
-    """What became of a measurement."""
+class GateResult(StrEnum):
+    """What the filter did with a measurement."""
 
     ACCEPTED = "accepted"
-    REFUSED = "refused by the gate"
-    FORCED = "believed again after refusals"
-    """Taken although the gate refused it, with the covariance widened: see `lockout`."""
+    REJECTED = "rejected by the gate"
+    FORCED = "accepted again after rejections"
+    """Accepted although the gate rejected it, with the covariance inflated: see `EkfSettings.lockout`."""
     LATE = "too late"
     NOT_FINITE = "not finite"
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What one sensor says at one time: value = H · state + noise of covariance R."""
+    """One measurement at one time: value = H · state + noise of covariance R."""
 
     source: str
-    """Gates and lockouts are kept by this name."""
+    """Gate statistics and lockouts are kept by this name."""
     t: Nanos
     value: Floats
-    """m of them: m ≤ 3"""
+    """m ≤ 3 components"""
     matrix: Floats
     """H, m × 7"""
     noise: Floats
     """R, m × m"""
     heading: int | None = None
-    """Which component is a heading, whose residual must be wrapped."""
+    """Index of the component that is a heading, whose residual must be wrapped."""
 
 
 def wheels(source: str, t: Nanos, linear: float, angular: float, noise: Floats) -> Measurement:
-    """Treads' speed [m/s] and rate of turn [rad/s] as the wheels have them; R is 2 × 2."""
+    """Return the wheels' tread speed [m/s] and yaw rate [rad/s] as a measurement; R is 2 × 2."""
     return Measurement(source, t, np.array([linear, angular]), _WHEELS, noise)
 
 
 def gyro(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
-    """Rate of turn about the robot's own z axis [rad/s], bias included."""
+    """Return the yaw rate about the robot's z axis [rad/s], bias included, as a measurement."""
     return Measurement(source, t, np.array([rate]), _GYRO, np.array([[sigma * sigma]]))
 
 
-def resting(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
-    """What the gyro reads [rad/s] while the base is known to rest: its bias, and nothing else."""
-    return Measurement(source, t, np.array([rate]), _RESTING, np.array([[sigma * sigma]]))
+def gyro_at_rest(source: str, t: Nanos, rate: float, sigma: float) -> Measurement:
+    """Return the gyro's reading [rad/s] of a base at rest as a measurement of its bias."""
+    return Measurement(source, t, np.array([rate]), _BIAS, np.array([[sigma * sigma]]))
 
 
-def located(source: str, t: Nanos, pose: Pose, noise: Floats) -> Measurement:
-    """A pose, from a reference outside the robot; R is 3 × 3."""
-    return Measurement(source, t, np.array([pose.x, pose.y, pose.yaw]), _LOCATED, noise, heading=YAW)
+def pose_fix(source: str, t: Nanos, pose: Pose, noise: Floats) -> Measurement:
+    """Return a pose from a reference outside the robot as a measurement; R is 3 × 3."""
+    return Measurement(source, t, np.array([pose.x, pose.y, pose.yaw]), _POSE, noise, heading=YAW)
 
 
 _WHEELS = np.eye(SIZE)[[V, W]]
 _GYRO = np.eye(SIZE)[[W]] + np.eye(SIZE)[[BIAS]]
-_RESTING = np.eye(SIZE)[[BIAS]]
-_LOCATED = np.eye(SIZE)[POSE]
+_BIAS = np.eye(SIZE)[[BIAS]]
+_POSE = np.eye(SIZE)[POSE]

@@ -1,20 +1,21 @@
-"""How a sensor sits on the robot, and what that makes of its readings.
+"""Sensor mounting (extrinsics), and readings transformed to the robot's frame.
 
-Rules of this file. A mount is the pose of the sensor's frame in the robot's frame (x forward, y left,
-z up, origin midway between the wheels, on the ground). The rotation is R = Rz(yaw) Ry(pitch)
-Rx(roll), applied to vectors of the sensor. The world is flat: of what a lidar sees, the robot's x and
-y are kept, so a lidar mounted upside down (roll = pi) is right and a tilted one is foreshortened.
+Rules. A mount is the pose of the sensor's frame in the robot's frame (x forward, y left, z up, origin midway
+between the wheels, on the ground). The rotation is R = Rz(yaw) Ry(pitch) Rx(roll), applied to vectors of the
+sensor. The world is flat: of a lidar's points the robot's x and y are kept, so a lidar mounted upside down
+(roll = pi) is right and a tilted one is foreshortened.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from brain.belief import Floats, Pose
+from brain.checks import finite
 from protocols.messages import LaserScan
 
 Vector = tuple[float, float, float]
@@ -23,7 +24,7 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """A sensor's pose in the robot's frame: m, rad."""
+    """Pose of a sensor in the robot's frame: m, rad."""
 
     x: float = 0.0
     y: float = 0.0
@@ -33,12 +34,10 @@ class Mount:
     roll: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if not math.isfinite(getattr(self, field.name)):
-                raise ValueError(f"{field.name} of a mount must be finite, not {getattr(self, field.name)!r}")
+        finite(self)
 
     def rotation(self) -> tuple[Vector, Vector, Vector]:
-        """The rows of R, which turns a vector of the sensor into the robot's frame."""
+        """Return the rows of R, which rotates a vector of the sensor into the robot's frame."""
         cy, sy = math.cos(self.yaw), math.sin(self.yaw)
         cp, sp = math.cos(self.pitch), math.sin(self.pitch)
         cr, sr = math.cos(self.roll), math.sin(self.roll)
@@ -49,31 +48,31 @@ class Mount:
         )
 
     def rotate(self, vector: Vector) -> Vector:
-        """A free vector (rate of turn, acceleration) of the sensor, in the robot's frame."""
+        """Return a free vector (angular velocity, acceleration) of the sensor in the robot's frame."""
         x, y, z = (sum(a * b for a, b in zip(row, vector, strict=True)) for row in self.rotation())
         return x, y, z
 
 
 @dataclass(frozen=True, slots=True)
-class Sweep:
-    """A scan in the robot's frame: where each beam starts, ends, and whether it hit something."""
+class BodyScan:
+    """A scan in the robot's frame: where each beam starts and ends, and whether it hit something."""
 
     origin: tuple[float, float]
-    """m, of the lidar"""
+    """m, position of the lidar"""
     axes: Floats
     """2 × 2: its columns are the lidar's x and y axes in the robot's x-y plane"""
     angle_min: float
     angle_increment: float
     ranges: Floats
-    """m, n; 0 where the beam gave no reading, cut at the farthest range that is believed"""
+    """m, n; 0 where the beam gave no reading, cut at the largest range that is used"""
     hit: Bools
-    """n; False also where the beam went on to the farthest range without meeting anything"""
+    """n; False also where the beam reached the largest range without a hit"""
     ends: Floats
     """n × 2, m; equal to the origin where the beam gave no reading"""
 
 
-def sweep(scan: LaserScan, mount: Mount, farthest: float = math.inf) -> Sweep:
-    """The scan in the robot's frame. Beams that saw nothing up to `farthest` [m] end there.
+def to_body(scan: LaserScan, mount: Mount, farthest: float = math.inf) -> BodyScan:
+    """Return the scan in the robot's frame. Beams without a hit up to `farthest` [m] end there.
 
     A range below range_min, or not finite, is no reading: nothing is known along that beam."""
     ranges = np.asarray(scan.ranges, dtype=np.float64)
@@ -88,11 +87,11 @@ def sweep(scan: LaserScan, mount: Mount, farthest: float = math.inf) -> Sweep:
     along, across = lengths * np.cos(angles), lengths * np.sin(angles)
     ends[:, 0] = mount.x + axes[0, 0] * along + axes[0, 1] * across
     ends[:, 1] = mount.y + axes[1, 0] * along + axes[1, 1] * across
-    return Sweep((mount.x, mount.y), axes, scan.angle_min, scan.angle_increment, lengths, hit, ends)
+    return BodyScan((mount.x, mount.y), axes, scan.angle_min, scan.angle_increment, lengths, hit, ends)
 
 
-def place(points: Floats, pose: Pose) -> Floats:
-    """Points (n × 2) of the robot's frame, in the world as the robot stands at the pose."""
+def to_world(points: Floats, pose: Pose) -> Floats:
+    """Return points (n × 2) of the robot's frame in the world, for the robot at this pose."""
     c, s = math.cos(pose.yaw), math.sin(pose.yaw)
     world = np.empty_like(points)
     world[:, 0] = pose.x + c * points[:, 0] - s * points[:, 1]

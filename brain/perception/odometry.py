@@ -1,11 +1,11 @@
-"""From two wheels that report each in its own time to what the base has done.
+"""Wheel odometry: from two wheels with separate time stamps to the base's motion.
 
-Rules of this file. Each wheel's angle is interpolated to the times of the left wheel's reports, so
-that both are known at one moment; from one such moment to the next is one `Travel`. Nothing is
-extrapolated: a travel waits until the slower wheel has reported. An angle that jumps by more than the
-wheel can have turned since its last report (a device was reset, or its zero was moved) is a new zero,
-not a motion: what was travelled in between is lost, and told. A wheel that goes silent gives
-no travels; when it comes back, its angle tells all that it has turned meanwhile.
+Rules. Each wheel's angle is interpolated to the times of the left wheel's feedback, so that both are known
+at one time; the motion between two such times is one `Travel`. Nothing is extrapolated: a travel waits
+until the slower wheel has reported. An angle that jumps by more than the wheel can have turned since its
+last feedback (a device was reset, or its zero was moved) is a new zero, not a motion: the travel in between
+is lost, and this is reported. A silent wheel gives no travels; when it comes back, its angle contains all
+that it has turned meanwhile.
 """
 
 from __future__ import annotations
@@ -15,37 +15,36 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from brain.bodies.differential import Differential
+from brain.checks import not_negative, positive
 from protocols.messages import MILLISECOND, Feedback, Nanos, seconds
 
-LONGEST = 256
-"""How many reports of one wheel wait for the other."""
-BURST = 10 * MILLISECOND
-"""Two reports may be stamped by this much closer together than their angles were taken."""
+MAX_SAMPLES = 256
+"""Samples of one wheel that are kept while the other is silent."""
+STAMP_ERROR: Nanos = 10 * MILLISECOND
+"""Two samples may be stamped by this much closer together than their angles were measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """What the wheels' encoders can tell."""
+    """Properties of the wheels' encoders."""
 
     resolution: float = 2.0 * math.pi / 8192.0
     """rad of the wheel: one count of the encoder, seen through the gear"""
     shortest: Nanos = 4 * MILLISECOND
-    """Travels shorter than this are joined: their speed would be mostly rounding."""
+    """Shorter travels are joined: their speed would be mostly rounding."""
     jump_margin: float = 2.0
-    """A wheel that turns faster than its largest speed times this has jumped."""
+    """An angle that changes faster than the wheel's largest speed times this has jumped."""
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.resolution) and self.resolution > 0.0):
-            raise ValueError(f"resolution must be an angle above 0, not {self.resolution!r}")
-        if self.shortest < 0:
-            raise ValueError(f"shortest must not be negative, but is {self.shortest!r}")
-        if not (math.isfinite(self.jump_margin) and self.jump_margin >= 1.0):
+        positive(self, "resolution", "jump_margin")
+        not_negative(self, "shortest")
+        if self.jump_margin < 1.0:
             raise ValueError(f"jump_margin must be at least 1, not {self.jump_margin!r}")
 
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """What both wheels did between two moments."""
+    """Rotation of both wheels between two times."""
 
     since: Nanos
     t: Nanos
@@ -62,71 +61,71 @@ class _Sample:
 
 @dataclass(slots=True)
 class _Wheel:
-    """The reports of one wheel that are still needed, oldest first."""
+    """Samples of one wheel that are still needed, oldest first."""
 
     samples: deque[_Sample] = field(default_factory=deque)
 
     def add(self, sample: _Sample) -> None:
-        """Keep one more; of too many (the other wheel is silent) the oldest but the base goes."""
+        """Add a sample; of too many (the other wheel is silent) drop the oldest after the base."""
         self.samples.append(sample)
-        if len(self.samples) > LONGEST:
+        if len(self.samples) > MAX_SAMPLES:
             del self.samples[1]
 
     def at(self, t: Nanos) -> float:
-        """The angle at a time within the samples."""
+        """Return the angle [rad] at a time within the samples."""
         before = self.samples[0]
         for sample in self.samples:
             if sample.t >= t:
-                return _between(before, sample, t)
+                return _interpolated(before, sample, t)
             before = sample
         return before.angle
 
     def forget(self, t: Nanos) -> None:
-        """Drop what is not needed for times from t on."""
+        """Drop samples not needed for times from t on."""
         while len(self.samples) > 1 and self.samples[1].t <= t:
             self.samples.popleft()
 
 
-def _between(a: _Sample, b: _Sample, t: Nanos) -> float:
+def _interpolated(a: _Sample, b: _Sample, t: Nanos) -> float:
     if b.t <= a.t:
         return b.angle
     return a.angle + (b.angle - a.angle) * ((t - a.t) / (b.t - a.t))
 
 
 class Odometry:
-    """Pairs the two wheels. `hear` one feedback at a time; take what it returns."""
+    """Pairs the samples of the two wheels."""
 
     def __init__(self, body: Differential, settings: OdometrySettings) -> None:
         self._body = body
         self._settings = settings
         self._wheels = {body.left: _Wheel(), body.right: _Wheel()}
         self._base: Nanos | None = None
-        self._wanted: deque[Nanos] = deque(maxlen=LONGEST)
+        self._wanted: deque[Nanos] = deque(maxlen=MAX_SAMPLES)
 
     def observe(self, feedback: Feedback) -> tuple[list[Travel], str]:
-        """The travels that this report of a wheel completes, and "" or what is wrong with it."""
+        """Return the travels that this feedback completes, and "" or what is wrong with it."""
         angle = feedback.position
         if angle is None:
             return [], ""
         if not math.isfinite(angle):
             return [], "not finite"
         samples = self._wheels[feedback.motor].samples
-        trouble = ""
+        defect = ""
         if samples:
             last = samples[-1]
             if feedback.t <= last.t:
                 return [], "" if feedback.t == last.t and angle == last.angle else "out of order"
             if self._jumped(last, feedback.t, angle):
                 self._restart()
-                trouble = "position jumped"
+                defect = "position jumped"
         self._wheels[feedback.motor].add(_Sample(feedback.t, angle))
         if feedback.motor == self._body.left:
             self._wanted.append(feedback.t)
-        return self._travels(), trouble
+        return self._travels(), defect
 
     def _jumped(self, last: _Sample, t: Nanos, angle: float) -> bool:
         fastest = self._body.wheel_speed * self._settings.jump_margin
-        possible = fastest * seconds(t - last.t + BURST) + 2.0 * self._settings.resolution
+        possible = fastest * seconds(t - last.t + STAMP_ERROR) + 2.0 * self._settings.resolution
         return abs(angle - last.angle) > possible
 
     def _restart(self) -> None:

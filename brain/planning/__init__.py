@@ -1,0 +1,6 @@
+"""Planning: from goals, a pose and the occupancy grid to a path.
+
+Exports: `navigator.Navigator` (goal queue and replanning), `planner` (one path query, answered over several
+steps), `costmap` with `PlannerSettings`, `polyline.Polyline`.
+Must not import: perception (the map is described by the protocol `costmap.Map`), control.
+"""

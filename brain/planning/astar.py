@@ -1,11 +1,11 @@
 """A* on a costmap, a bounded number of expansions at a time.
 
 Rules. Eight neighbours; a diagonal only where both cells beside it may be entered (no corner is cut). A
-move costs its length times the multiplier of the cell entered; the octile distance never overestimates
-that, since multipliers are >= 1, so the result is optimal in this metric (Hart, Nilsson and Raphael 1968;
-an entry of the queue is stale once a cheaper way to its cell was found, and cells may be opened again).
-Equal costs are settled by depth and then by cell, so the same question has the same answer. The state is
-plain lists: it can be copied and taken up again between any two calls of `advance`.
+move costs its length times the multiplier of the cell entered; the octile distance is an admissible
+heuristic, since multipliers are >= 1, so the result is optimal in this metric (Hart, Nilsson and Raphael
+1968; an entry of the queue is stale once a cheaper path to its cell was found, and cells may be reopened).
+Ties are broken by depth and then by cell, so equal queries have equal results. The state is plain lists: it
+can be copied and resumed between any two calls of `advance`.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ DIAGONAL = sqrt(2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Cells:
-    """The cheapest way."""
+class CellPath:
+    """The cheapest path."""
 
     cells: tuple[int, ...]
-    """Neighbour by neighbour, start and goal included."""
+    """From start to goal, both included; each a neighbour of the one before."""
     cost: float
     """m, weighted by the multipliers"""
 
 
 @dataclass(frozen=True, slots=True)
-class NoWay:
-    """All that can be reached was searched, and the goal is not among it."""
+class Unreachable:
+    """Every reachable cell was expanded; the goal is not among them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Searching:
-    """Not done yet: advance again."""
+    """Not finished: call `advance` again."""
 
     expansions: int
     """So far."""
 
 
-Outcome: TypeAlias = Cells | NoWay | Searching
+Outcome: TypeAlias = CellPath | Unreachable | Searching
 
 
 class Search:
-    """One search from a cell to a cell; `through_unknown` lets it guess its way over unknown ground."""
+    """One search from a cell to a cell; `through_unknown` assumes that unknown ground is passable."""
 
     def __init__(self, costmap: Costmap, start: int, goal: int, *, through_unknown: bool = False) -> None:
         self.costmap, self.start, self.goal = costmap, start, goal
@@ -61,29 +61,29 @@ class Search:
         self._open = [(octile(costmap.stride, start, goal), 0.0, start)]
         self._outcome: Outcome = Searching(0)
         if self._multiplier[costmap.level[goal]] == inf:
-            self._outcome = NoWay()
+            self._outcome = Unreachable()
 
     def advance(self, expansions: int) -> Outcome:
-        """Take at most so many cells off the queue. After the end the outcome stays what it is."""
+        """Expand at most this many cells. Once finished, the outcome does not change."""
         if not isinstance(self._outcome, Searching):
             return self._outcome
         before = self._outcome.expansions
         done, found = self._expand(expansions)
         if found:
-            self._outcome = Cells(self._trace(), self._cost[self.goal] * self.costmap.resolution)
+            self._outcome = CellPath(self._trace(), self._cost[self.goal] * self.costmap.resolution)
         elif not self._open:
-            self._outcome = NoWay()
+            self._outcome = Unreachable()
         else:
             self._outcome = Searching(before + done)
         return self._outcome
 
-    def _expand(self, most: int) -> tuple[int, bool]:
+    def _expand(self, limit: int) -> tuple[int, bool]:
         queue, cost, parent, goal = self._open, self._cost, self._parent, self.goal
         level, multiplier, stride = self.costmap.level, self._multiplier, self.costmap.stride
         goal_row, goal_column = divmod(goal, stride)
         excess = DIAGONAL - 2.0
         done = 0
-        while queue and done < most:
+        while queue and done < limit:
             _, minus, cell = heappop(queue)
             done += 1
             here = -minus
@@ -128,7 +128,7 @@ class Search:
 
 
 def octile(stride: int, start: int, goal: int) -> float:
-    """The length, in cells, of the shortest eight-connected way over an empty map."""
+    """Return the length [cells] of the shortest eight-connected path over an empty map."""
     (row, column), (goal_row, goal_column) = divmod(start, stride), divmod(goal, stride)
     dx, dy = abs(column - goal_column), abs(row - goal_row)
     return dx + dy + (DIAGONAL - 2.0) * min(dx, dy)

@@ -1,36 +1,77 @@
-"""What it costs to stand on each cell of the map: the planner's whole picture of the world.
+"""The costmap: what it costs to be in each cell of the map, and how it is built from the occupancy grid.
 
 Rules. A costmap is a value: it is built once from the grid and never changes. A cell is blocked, unknown,
-or free at one of a few levels, the lowest nearest to what is blocked; its multiplier (>= 1) is what a
-metre through the cell costs. Blocked means: the robot's centre must not be there, since its footprint
-circle would touch what is occupied. A border of blocked cells stands around the map, so that no search has
-to ask whether it has left it. Positions are in metres in the map's frame, cells are indices into `level`.
+or free at one of a few levels, the lowest nearest to blocked cells; its multiplier (>= 1) is the cost of a
+metre through the cell. Blocked means: the robot's centre must not be there, since its footprint circle would
+touch an occupied cell (inflation). Distances are taken between the middles of cells, which is what the margin
+beside the footprint's radius is for. A border of blocked cells surrounds the map, so that no search has to
+check whether it has left it. Positions are in metres in the map's frame, cells are indices into `level`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, hypot, inf
+from math import dist, floor, hypot, inf
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from brain.planning.line import Point
+from brain.checks import finite, not_negative, positive
+from brain.planning.polyline import Point
+from protocols.messages import MILLISECOND, SECOND, Nanos
 
 Mask = npt.NDArray[np.bool_]
 
 BLOCKED = 0
 UNKNOWN = 1
 FREE = 2
-"""The free level nearest to what is blocked; each level above it is one cell farther away."""
+"""The free level nearest to blocked cells; each level above it is one cell farther away."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerSettings:
+    """Parameters of planning and replanning, SI."""
+
+    expansions_per_step: int = 1000
+    """A* expansions per step of the brain: about 2 µs each."""
+    margin: float = 0.05
+    """m, clearance kept beyond the footprint's radius"""
+    comfort: float = 0.4
+    """m: within this distance of obstacles, a metre costs more"""
+    dislike: float = 3.0
+    """Additional cost of a metre next to an obstacle, over one far from any."""
+    unknown_multiplier: float = 1.2
+    """Assumed cost of a metre through unknown ground, where no known path leads to the goal.
+    The larger, the longer the search."""
+    unknown_is_free: bool = False
+    """Plan through unknown ground as if it were free. For open ground only."""
+    escape: float = 0.5
+    """m: how far the start may lie from the nearest place that fits the footprint"""
+    slack: float = 0.1
+    """m: how far a goal too close to an obstacle may be moved to a place that fits"""
+    period: Nanos = 250 * MILLISECOND
+    """Period of checking the path against the map."""
+    explore: Nanos = 500 * MILLISECOND
+    """Period of replanning while no known path leads to the goal."""
+    patience: Nanos = 8 * SECOND
+    """After this time without any path to a goal, the goal is given up."""
+    drive_timeout: Nanos = 500 * MILLISECOND
+    """Watchdog of Drive: not repeated within this time, it ends (a lost operator means stop)."""
+
+    def __post_init__(self) -> None:
+        not_negative(self, "margin", "comfort", "dislike", "slack")
+        positive(self, "expansions_per_step", "escape", "period", "explore", "patience", "drive_timeout")
+        finite(self, "unknown_multiplier")
+        if self.unknown_multiplier < 1.0:
+            raise ValueError(f"unknown_multiplier must be at least 1, not {self.unknown_multiplier}")
 
 
 class Map(Protocol):
-    """What of the occupancy grid is needed here."""
+    """The part of the occupancy grid that is needed here."""
 
     version: int
-    """Grows at each change."""
+    """Incremented at each change."""
     resolution: float
     """m per cell"""
     origin_x: float
@@ -39,38 +80,33 @@ class Map(Protocol):
 
     @property
     def unknown(self) -> Mask:
-        """Rows (y) × columns (x): nothing was ever told of these."""
+        """Cells never observed: rows (y) × columns (x)."""
         ...
 
     def blocked(self, radius: float) -> Mask:
-        """Whether anything occupied lies within the radius [m] of the cell's middle."""
+        """Cells with an occupied cell within the radius [m] of their middle."""
         ...
-
-
-def origin(grid: Map) -> Point:
-    """m, of the lower left corner of cell (0, 0)."""
-    return grid.origin_x, grid.origin_y
 
 
 @dataclass(frozen=True, slots=True)
 class Costmap:
-    """The levels of all cells, and what they cost."""
+    """The levels of all cells, and the cost of each level."""
 
     resolution: float
     """m per cell"""
     origin: Point
-    """m, of the lower left corner of the cell in the first row and column within the border"""
+    """m, of the lower left corner of the first cell within the border"""
     stride: int
-    """Cells per row, the border's two included."""
+    """Cells per row, including the border's two."""
     level: bytes
-    """One per cell, row by row, the border included."""
+    """One per cell, row by row, including the border."""
     multiplier: tuple[float, ...]
-    """By level, for what must keep to known ground: infinite where it must not go."""
+    """Cost factor by level, on known ground only: infinite for unknown and blocked."""
     unknown_multiplier: float
-    """What a metre through unknown ground is guessed to cost."""
+    """Assumed cost of a metre through unknown ground."""
 
     def index(self, x: float, y: float) -> int | None:
-        """The cell at a position; None outside of the map."""
+        """Return the cell at a position [m]; None outside the map."""
         column = floor((x - self.origin[0]) / self.resolution) + 1
         row = floor((y - self.origin[1]) / self.resolution) + 1
         if 0 < column < self.stride - 1 and 0 < row < len(self.level) // self.stride - 1:
@@ -78,7 +114,7 @@ class Costmap:
         return None
 
     def centre(self, cell: int) -> Point:
-        """The middle of a cell [m]."""
+        """Return the middle of a cell [m]."""
         row, column = divmod(cell, self.stride)
         return (
             self.origin[0] + (column - 0.5) * self.resolution,
@@ -86,21 +122,21 @@ class Costmap:
         )
 
     def level_at(self, x: float, y: float) -> int:
-        """The level at a position; outside of the map all is blocked."""
+        """Return the level at a position [m]; BLOCKED outside the map."""
         cell = self.index(x, y)
         return BLOCKED if cell is None else self.level[cell]
 
     def clearance(self, x: float, y: float) -> float:
-        """How far [m, in cells] what is blocked lies from a position, as far as the levels tell.
+        """Return the distance [m, whole cells] to the nearest blocked cell, as far as the levels resolve it.
 
-        0 where it is blocked or unknown; infinite where nothing is near."""
+        0 if the position is blocked or unknown; infinite beyond the last level."""
         level = self.level_at(x, y)
         if level < FREE:
             return 0.0
         return inf if level == len(self.multiplier) - 1 else (level - FREE + 1) * self.resolution
 
     def crossing(self, start: Point, end: Point) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-        """The cells that a straight line crosses, and the length [m] within each; -1 is outside."""
+        """Return the cells that a straight line crosses, and its length [m] in each; cell -1 is outside."""
         a = ((start[0] - self.origin[0]) / self.resolution, (start[1] - self.origin[1]) / self.resolution)
         d = ((end[0] - start[0]) / self.resolution, (end[1] - start[1]) / self.resolution)
         cuts = [np.array((0.0, 1.0))]
@@ -117,7 +153,7 @@ class Costmap:
         return np.where(inside, row * self.stride + column, -1), span
 
     def line_cost(self, start: Point, end: Point) -> float:
-        """What a straight line over known ground costs [m]; infinite if it meets anything else."""
+        """Return the cost [m] of a straight line; infinite if it leaves known free ground."""
         cells, span = self.crossing(start, end)
         level = np.frombuffer(self.level, np.uint8)[cells]
         if bool(np.any((level < FREE) | (cells < 0))):
@@ -125,13 +161,13 @@ class Costmap:
         return float(np.asarray(self.multiplier)[level] @ span)
 
     def is_blocked(self, start: Point, end: Point) -> bool:
-        """Whether a straight line meets anything blocked; unknown ground does not count."""
+        """True if a straight line meets a blocked cell; unknown cells do not count."""
         cells, _ = self.crossing(start, end)
         level = np.frombuffer(self.level, np.uint8)[cells]
         return bool(np.any((level == BLOCKED) | (cells < 0)))
 
 
-def build(
+def build_costmap(
     blocked: Mask,
     unknown: Mask,
     *,
@@ -142,10 +178,10 @@ def build(
     unknown_multiplier: float = 1.0,
     unknown_is_free: bool = False,
 ) -> Costmap:
-    """The costmap of a grid (rows = y, columns = x).
+    """Return the costmap for these masks (rows = y, columns = x).
 
-    Free ground costs 1 a metre at `comfort` [m] and more from what is blocked, and 1 + `dislike` next
-    to it, linearly between. Distances are counted in cells with octagonal rings.
+    Free ground costs 1 per metre at `comfort` [m] or more from blocked cells, and 1 + `dislike` next to
+    them, linearly in between. Distances are counted in cells, by octagonal rings.
     """
     rings = round(comfort / resolution) if dislike > 0.0 else 0
     height, width = blocked.shape
@@ -168,8 +204,65 @@ def build(
     )
 
 
+def planning_costmap(
+    grid: Map,
+    radius: float,
+    settings: PlannerSettings,
+    *,
+    standing: Point,
+    unreachable: tuple[Point, ...] = (),
+) -> Costmap:
+    """Return the costmap of the present grid for a footprint circle of this radius [m].
+
+    Unknown ground under the robot at `standing` counts as free. Unknown ground about the places
+    `unreachable`, which stayed unknown when seen from near, counts as blocked."""
+    resolution, corner = grid.resolution, (grid.origin_x, grid.origin_y)
+    blocked, unknown = grid.blocked(radius + settings.margin), grid.unknown
+    unknown = unknown & ~_disc(unknown.shape, corner, resolution, standing, radius)
+    for place in unreachable:
+        blocked = blocked | (unknown & _disc(unknown.shape, corner, resolution, place, radius))
+    return build_costmap(
+        blocked,
+        unknown,
+        resolution=resolution,
+        origin=corner,
+        comfort=settings.comfort,
+        dislike=settings.dislike,
+        unknown_multiplier=settings.unknown_multiplier,
+        unknown_is_free=settings.unknown_is_free,
+    )
+
+
+def footprint_costmap(grid: Map, radius: float) -> Costmap:
+    """Return a costmap with only the cells blocked for this radius [m]; unknown ground is free."""
+    return build_costmap(
+        grid.blocked(radius),
+        grid.unknown,
+        resolution=grid.resolution,
+        origin=(grid.origin_x, grid.origin_y),
+        unknown_is_free=True,
+    )
+
+
+def nearest_cell(
+    costmap: Costmap, place: Point, within: float, lowest: int, visible_in: Costmap | None = None
+) -> int | None:
+    """Return the nearest cell within a distance [m] that has at least this level; None if there is none.
+
+    With `visible_in`, only cells on a straight line that is not blocked in that costmap."""
+    rows = len(costmap.level) // costmap.stride
+    level = np.frombuffer(costmap.level, np.uint8).reshape(rows, costmap.stride)
+    near = _disc((rows - 2, costmap.stride - 2), costmap.origin, costmap.resolution, place, within)
+    row, column = np.nonzero((level[1:-1, 1:-1] >= lowest) & near)
+    cells = [int(c) for c in (row + 1) * costmap.stride + column + 1]
+    for _, cell in sorted((dist(place, costmap.centre(cell)), cell) for cell in cells):
+        if visible_in is None or not visible_in.is_blocked(place, costmap.centre(cell)):
+            return cell
+    return None
+
+
 def dilated(mask: Mask, *, diagonal: bool) -> Mask:
-    """The mask grown by one cell to four sides, or to all eight."""
+    """Return the mask grown by one cell to its four neighbours, or to all eight."""
     grown = mask.copy()
     grown[1:] |= mask[:-1]
     grown[:-1] |= mask[1:]
@@ -177,3 +270,10 @@ def dilated(mask: Mask, *, diagonal: bool) -> Mask:
     grown[:, 1:] |= across[:, :-1]
     grown[:, :-1] |= across[:, 1:]
     return grown
+
+
+def _disc(shape: tuple[int, ...], corner: Point, resolution: float, centre: Point, radius: float) -> Mask:
+    x = corner[0] + (np.arange(shape[1]) + 0.5) * resolution - centre[0]
+    y = corner[1] + (np.arange(shape[0]) + 0.5) * resolution - centre[1]
+    inside: Mask = x[None, :] ** 2 + y[:, None] ** 2 <= radius**2
+    return inside

@@ -19,7 +19,7 @@ import numpy as np
 
 from brain.belief import Estimate, Floats, Pose
 from brain.bodies.differential import Differential, arc
-from brain.perception.consistency import Nis
+from brain.perception.ekf import Nis
 from brain.perception.perception import Perception
 from gateway.core.robot import Robot
 from gateway.errors import BagError
@@ -57,7 +57,7 @@ class Verdict:
     odometry: PathError | None
     """And for the poses that the bag's odometry told."""
     nis: Mapping[str, Nis]
-    ledger: Mapping[str, Mapping[str, int]]
+    anomalies: Mapping[str, Mapping[str, int]]
     """What perception refused or did against the rule, by motor or sensor and reason."""
     at_most: float | None
     """m: the largest error (RMS) that is asked for"""
@@ -93,7 +93,7 @@ class Verdict:
             lines += self._errors(self.believed)
         lines += ["consistency (NIS per degree of freedom: 1 if the covariances are honest)"]
         lines += [f"  {name}: {_nis(nis)}" for name, nis in self.nis.items()]
-        reported = [f"  {name}: {_reasons(reasons)}" for name, reasons in self.ledger.items() if reasons]
+        reported = [f"  {name}: {_reasons(reasons)}" for name, reasons in self.anomalies.items() if reasons]
         lines += ["measurements refused, or taken against the rule:", *(reported or ["  none"])]
         lines += ["messages used", *(f"  {_use(t)}" for t in self.bag.topics if t.part)]
         rest = [f"  {t.name}: {t.count} of {t.type}" for t in self.bag.topics if not t.part]
@@ -168,7 +168,7 @@ def judge(bag: Bag, robot: Robot, at_most: float | None = None) -> Verdict:
         wheels=_error_of(along.wheels, truth),
         odometry=_error_of(along.odometry, truth),
         nis={f"{body.left} and {body.right}" if n == body.left else n: v for n, v in perception.nis.items()},
-        ledger=perception.ledger,
+        anomalies=perception.anomalies,
         at_most=at_most,
     )
 

@@ -18,14 +18,14 @@ import scipy.sparse
 import scipy.sparse.csgraph
 
 from benchmarks import codec, drive, measure, paths, perceive, process, rivals, rows, steps
+from benchmarks.__main__ import main
 from benchmarks.measure import Effort, Figures, NotMeasured, Rival
 from benchmarks.rows import Beside, Row, Target
 from benchmarks.samples import odrive_can as samples
 from brain.perception.grid import Grid, GridSettings
 from brain.perception.motion_model import V, W
-from brain.perception.mount import Mount, place, sweep
+from brain.perception.mount import Mount, to_body, to_world
 from gateway import config
-from gateway.__main__ import main
 from gateway.config import resources
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Feedback, Velocity
@@ -72,7 +72,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     with pytest.MonkeyPatch.context() as patch:
         said: list[str] = []
         patch.setattr("builtins.print", lambda *parts, **_: said.append(" ".join(map(str, parts))))
-        status = main(["bench", "--quick", "--json", str(file)])
+        status = main(["--quick", "--json", str(file)])
     return Run(status, "\n".join(said), json.loads(file.read_text(encoding="utf-8")))
 
 
@@ -152,7 +152,7 @@ def test_the_table_has_a_line_for_every_comparison(run: Run) -> None:
 def test_a_file_that_cannot_be_written_is_told_before_anything_is_measured(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["bench", "--json", str(tmp_path / "no" / "figures.json")]) == 2
+    assert main(["--json", str(tmp_path / "no" / "figures.json")]) == 2
     reported = capsys.readouterr()
     assert "figures.json" in reported.err
     assert "measuring" not in reported.out
@@ -353,10 +353,10 @@ def test_the_loop_over_beams_sees_the_walls_that_our_map_sees() -> None:
         rivals.BresenhamLoop(shape, settings.hit, settings.miss, settings.low, settings.high) for _ in "12"
     )
     pose = perceive.places()[3]
-    swept = sweep(perceive.scan_at(pose), Mount(), settings.farthest)
+    swept = to_body(perceive.scan_at(pose), Mount(), settings.farthest)
     grid.add(pose, swept)
     start = grid.cell(pose.x, pose.y)
-    ends = [grid.cell(x, y) for x, y in place(swept.ends, pose).tolist()]
+    ends = [grid.cell(x, y) for x, y in to_world(swept.ends, pose).tolist()]
     loop.add(start, ends)
     drawn.add_by(_line, start, ends)
     np.testing.assert_allclose(drawn.log_odds, loop.log_odds, atol=1e-5)

@@ -1,4 +1,4 @@
-"""A kinematic office, a judge of paths, and small makers: shared by the tests of the brain."""
+"""A kinematic office and an oracle for paths, shared by the tests of the brain."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 
 from brain.belief import Belief, Floats, Pose
-from brain.bodies.differential import Differential
+from brain.bodies.differential import Differential, arc
 from brain.brain import Brain, BrainSettings
 from brain.perception.grid import GridSettings
 from brain.perception.mount import Mount
@@ -74,7 +74,7 @@ ROOMS: tuple[Box, ...] = (
 
 @dataclass
 class Noise:
-    """What a body does not do as it should."""
+    """Errors of body and sensors."""
 
     gyro: float = 0.005
     """rad/s, each reading"""
@@ -83,7 +83,7 @@ class Noise:
     range: float = 0.01
     """m, each beam"""
     slip: float = 0.0
-    """Share of the wheels' way that is lost"""
+    """Share of the wheels' travel that is lost"""
     encoder: float = 2.0 * pi / 65536.0
     """rad, one count"""
 
@@ -105,7 +105,7 @@ class Office:
         self.boxes, self.pose, self.body, self.noise = list(boxes), pose, body, noise or Noise()
         self.now: Nanos = SECOND
         self.silent: set[str] = set()
-        """Motors and sensors that say nothing."""
+        """Motors and sensors without events."""
         self.touched = 0
         """Ticks in which the robot's rectangle of 0.4 × 0.2 m touched a box."""
         self.speed = 0.0
@@ -115,7 +115,7 @@ class Office:
         self._turn_rate = 0.0
 
     def step(self, commands: Sequence[Command]) -> list[Event]:
-        """One tick on: the wheels follow with a lag of 30 ms; Idle lets them roll out."""
+        """One tick: the wheels follow with a lag of 30 ms; on Idle they roll out."""
         dt = seconds(TICK)
         self.now += TICK
         for command in commands:
@@ -126,7 +126,7 @@ class Office:
             self._angle[name] += angle
         distance, turn = self.body.forward(turned[self.body.left], turned[self.body.right])
         distance *= 1.0 - self.noise.slip
-        self.pose = self.body.arc(self.pose, distance, turn)
+        self.pose = arc(self.pose, distance, turn)
         self.speed, self._turn_rate = distance / dt, turn / dt
         self.touched += self.touches()
         return self._events()
@@ -148,9 +148,9 @@ class Office:
         )
 
     def scan(self) -> msg.LaserScan:
-        """360 beams from the lidar's place, exact against the boxes, and then noise."""
+        """360 beams from the lidar, exact against the boxes, plus noise."""
         mount = MOUNTS["lidar"]
-        at = self.body.arc(self.pose, mount.x, 0.0)
+        at = arc(self.pose, mount.x, 0.0)
         angles: Floats = np.linspace(-pi, pi, 360, endpoint=False)
         ranges = beams(self.boxes, (at.x, at.y), np.asarray(angles + self.pose.yaw, np.float64))
         noisy = np.maximum(ranges + self._rng.normal(0.0, self.noise.range, 360), 0.0)
@@ -171,7 +171,7 @@ class Office:
 
 
 def beams(boxes: Sequence[Box], origin: tuple[float, float], angles: Floats) -> Floats:
-    """How far [m] each beam goes until it meets a box, by the slabs of each; infinite if it meets none."""
+    """Range [m] of each beam to the nearest box (slab method); infinite without a hit."""
     dx, dy = np.cos(angles), np.sin(angles)
     dx, dy = np.where(np.abs(dx) < 1e-12, 1e-12, dx), np.where(np.abs(dy) < 1e-12, 1e-12, dy)
     best: Floats = np.full(len(angles), inf)
@@ -190,7 +190,7 @@ SMALL = PerceptionSettings(grid=GridSettings(width=9.0, height=7.0, center_x=2.0
 
 
 class Trip:
-    """A brain in an office, and what it has done so far."""
+    """A brain in an office, with a log of what it did."""
 
     def __init__(
         self, office: Office, settings: BrainSettings | None = None, timeouts: dict[str, Nanos] = TIMEOUTS
@@ -206,15 +206,15 @@ class Trip:
         self.notes: list[tuple[str, str]] = []
         self.states: list[str] = []
         """Each state once per change."""
-        self.said: list[Sequence[Command]] = []
+        self.log: list[Sequence[Command]] = []
         self.track: list[Pose] = []
 
     def tick(self, tasks: Sequence[msg.Goal | msg.Drive | Command] = (), stopped: str = "") -> Belief:
-        """The office and then the brain, one tick on."""
+        """Step the office, then the brain."""
         events = self.office.step(self.commands)
         self.commands = self.brain.step(self.office.now, events, tasks, stopped)
         self.notes += self.brain.take_notes()
-        self.said.append(self.commands)
+        self.log.append(self.commands)
         self.track.append(self.office.pose)
         belief = self.brain.belief()
         if not self.states or self.states[-1] != belief.state:
@@ -222,7 +222,7 @@ class Trip:
         return belief
 
     def run(self, span: float, until: Callable[[Belief], bool] = lambda _: False) -> Belief:
-        """Tick for so many seconds, or until it is so."""
+        """Tick for this many seconds, or until the condition holds."""
         belief = self.brain.belief()
         for _ in range(round(span / seconds(TICK))):
             belief = self.tick()
@@ -231,7 +231,7 @@ class Trip:
         return belief
 
     def go(self, *goals: msg.Goal, span: float = 60.0) -> Belief:
-        """Ask for the goals, and run until all are reached or the time is over."""
+        """Send the goals, and run until all are reached or the time is over."""
         count = self.brain.belief().reached + len(goals)
         self.tick(goals)
         return self.run(span, lambda b: b.reached >= count)

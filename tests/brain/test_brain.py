@@ -1,7 +1,7 @@
 """The brain, whole, in a kinematic office: goals through a doorway, and one test per demand.
 
-Simulated time, seeded noise, no ground truth: the brain hears Feedback, Imu and LaserScan and says Velocity
-or Idle. The office alone knows where the robot truly is, and judges it.
+Simulated time, seeded noise, no ground truth: the brain gets Feedback, Imu and LaserScan and returns Velocity
+or Idle. Only the office knows the true pose.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from math import hypot, inf, isfinite, nan
 
 import pytest
 
+from brain.base_brain import BaseBrain
 from brain.belief import BrainState
-from brain.bodies.differential import wrap
+from brain.bodies.differential import arc, wrap
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
-from brain.driving import BaseBrain
 from brain.perception.grid import GridSettings
 from brain.perception.perception import PerceptionSettings
 from protocols import messages as msg
@@ -74,16 +74,16 @@ def test_goals_through_a_doorway_are_reached_and_no_wall_is_touched() -> None:
     assert all_idle(trip.commands)
 
 
-def test_two_runs_say_the_same_and_a_copy_goes_on_as_the_original() -> None:
+def test_equal_runs_are_equal_and_a_deep_copy_continues_alike() -> None:
     runs = [Trip(Office(seed=3)) for _ in range(2)]
     for trip in runs:
         trip.tick([NEXT_ROOM])
         trip.run(6.0)
-    assert runs[0].said == runs[1].said
+    assert runs[0].log == runs[1].log
     other = copy.deepcopy(runs[0])
     for trip in (runs[0], other):
         trip.run(3.0)
-    assert runs[0].said == other.said
+    assert runs[0].log == other.log
     assert runs[0].notes == other.notes
     assert runs[0].brain.belief().path == other.brain.belief().path
 
@@ -92,9 +92,9 @@ def test_every_motor_has_one_finite_command_at_every_step_within_the_limits() ->
     trip = driving(7.0)
     per_step = 0.0
     before = {"left": 0.0, "right": 0.0}
-    for said in trip.said:
-        assert [command.motor for command in said] == ["left", "right"]
-        for command in said:
+    for commands in trip.log:
+        assert [command.motor for command in commands] == ["left", "right"]
+        for command in commands:
             velocity = command.velocity if isinstance(command, msg.Velocity) else 0.0
             assert isfinite(velocity)
             assert abs(velocity) <= BODY.wheel_speed + 1e-9
@@ -107,14 +107,14 @@ def test_every_motor_has_one_finite_command_at_every_step_within_the_limits() ->
 
 def test_control_is_due_by_time_not_by_count() -> None:
     trip = driving(2.0)
-    start = len(trip.said)
+    start = len(trip.log)
     trip.run(1.0)
-    changes = sum(a != b for a, b in zip(trip.said[start:], trip.said[start - 1 :], strict=False))
+    changes = sum(a != b for a, b in zip(trip.log[start:], trip.log[start - 1 :], strict=False))
     assert 40 <= changes <= 50
     assert trip.brain.set("pursuit.period_ms", 50.0) == ""
-    start = len(trip.said)
+    start = len(trip.log)
     trip.run(1.0)
-    changes = sum(a != b for a, b in zip(trip.said[start:], trip.said[start - 1 :], strict=False))
+    changes = sum(a != b for a, b in zip(trip.log[start:], trip.log[start - 1 :], strict=False))
     assert 15 <= changes <= 20
 
 
@@ -167,7 +167,7 @@ def test_demand_sensor_noise() -> None:
 
 @pytest.mark.parametrize(("silent", "word"), [("lidar", "scan"), ("left", "feedback"), ("imu", "reading")])
 def test_demand_safe_mode_on_perception_failure(silent: str, word: str) -> None:
-    """Slow, then stop, then say why; and on again when it comes back in time."""
+    """Slow, then standing, with the reason; and on again when it comes back in time."""
     trip = driving()
     trip.office.silent = {silent}
     trip.states.clear()
@@ -199,7 +199,7 @@ def test_slow_means_slow_before_it_means_standing() -> None:
     assert top_speed(trip, 20) < 1e-3
 
 
-def test_what_does_not_come_back_stops_and_nothing_resumes_by_itself() -> None:
+def test_a_lost_source_stops_the_base_and_nothing_resumes_by_itself() -> None:
     trip = driving()
     trip.office.silent = {"lidar"}
     belief = trip.run(8.0, lambda b: b.state is BrainState.STOPPED)
@@ -219,7 +219,7 @@ def test_what_does_not_come_back_stops_and_nothing_resumes_by_itself() -> None:
 
 
 def test_demand_stop_when_no_path_arrives() -> None:
-    """A closed room: it looks for a way, stops, says why, and lets the motors go."""
+    """A closed room: it searches for a path, stops, gives the reason, and disarms the motors."""
     closed = (*ROOMS, (2.0, 1.4, 2.1, 2.6))
     trip = Trip(Office(closed))
     trip.tick([NEXT_ROOM])
@@ -250,10 +250,10 @@ def test_a_box_put_in_the_way_is_driven_around() -> None:
     trip.office.boxes.append((-0.75, 1.6, -0.45, 1.9))
     assert trip.run(30.0, lambda b: b.reached == 1).reached == 1
     assert trip.office.touched == 0
-    assert any("something stands on it" in text for _, text in trip.notes)
+    assert any("it is blocked near" in text for _, text in trip.notes)
 
 
-def test_initialising_until_everything_is_heard_and_goals_wait_for_it() -> None:
+def test_initialising_until_every_source_reports_and_goals_wait_for_it() -> None:
     office = Office()
     office.silent = {"lidar"}
     trip = Trip(office)
@@ -261,7 +261,7 @@ def test_initialising_until_everything_is_heard_and_goals_wait_for_it() -> None:
     belief = trip.run(4.0)
     assert belief.state is BrainState.INITIALISING
     assert belief.reason == "waiting for a reading of lidar"
-    assert all(all_idle(said) for said in trip.said)
+    assert all(map(all_idle, trip.log))
     assert ("warning", "still waiting for a reading of lidar") in trip.notes
     trip.tick([msg.Drive(0.2, 0.0)])
     assert trip.notes[-1] == ("warning", "Drive refused: waiting for a reading of lidar")
@@ -271,17 +271,17 @@ def test_initialising_until_everything_is_heard_and_goals_wait_for_it() -> None:
     assert belief.goal == ACROSS
 
 
-def test_stop_lets_go_at_once_and_release_does_not_resume() -> None:
+def test_stop_disarms_at_once_and_release_does_not_resume() -> None:
     trip = driving()
-    trip.tick(stopped="an operator said stop")
+    trip.tick(stopped="stopped by the operator")
     assert all_idle(trip.commands)
     belief = trip.brain.belief()
-    assert (belief.state, belief.reason) == (BrainState.STOPPED, "an operator said stop")
-    assert ("warning", "1 goal dropped: an operator said stop") in trip.notes
-    assert ("warning", "stopped: an operator said stop") in trip.notes
+    assert (belief.state, belief.reason) == (BrainState.STOPPED, "stopped by the operator")
+    assert ("warning", "1 goal dropped: stopped by the operator") in trip.notes
+    assert ("warning", "stopped: stopped by the operator") in trip.notes
     assert not [text for level, text in trip.notes if level == "error"]
-    trip.tick([ACROSS, msg.Drive(0.1, 0.0)], stopped="an operator said stop")
-    assert trip.notes[-1][1] == "Drive refused: an operator said stop"
+    trip.tick([ACROSS, msg.Drive(0.1, 0.0)], stopped="stopped by the operator")
+    assert trip.notes[-1][1] == "Drive refused: stopped by the operator"
     belief = trip.run(1.0)
     assert belief.state is BrainState.READY
     assert all_idle(trip.commands)
@@ -300,7 +300,7 @@ def test_a_motor_in_fault_stops_the_base() -> None:
     assert belief.goal is None
 
 
-def test_driving_by_hand_obeys_the_limits_and_stops_by_itself() -> None:
+def test_manual_driving_obeys_the_limits_and_times_out() -> None:
     trip = Trip(Office())
     trip.run(0.5)
     for _ in range(200):
@@ -319,7 +319,7 @@ def test_a_command_to_a_wheel_is_refused() -> None:
     trip.tick([msg.Velocity("left", 3.0)])
     assert trip.notes[-1] == (
         "warning",
-        "Velocity refused: left is a wheel of a base: ask for a goal, or drive",
+        "Velocity refused: left is a wheel of a base: use a goal, or drive",
     )
     assert all_idle(trip.commands)
 
@@ -374,7 +374,7 @@ def test_what_is_not_finite_is_refused() -> None:
     assert trip.brain.belief().state is BrainState.READY
 
 
-def test_belief_tells_goal_path_and_version() -> None:
+def test_belief_has_goal_path_and_version() -> None:
     trip = driving()
     belief = trip.brain.belief()
     assert belief.goal == ACROSS
@@ -388,17 +388,17 @@ def test_belief_tells_goal_path_and_version() -> None:
     assert belief.raw is not None
 
 
-def test_an_estimate_is_carried_on_to_now_by_its_own_speeds_but_not_far() -> None:
+def test_an_estimate_is_extrapolated_by_its_own_twist_up_to_a_limit() -> None:
     trip = driving()
     body, estimate = trip.brain._body, trip.brain.belief().estimate
     assert isinstance(body, BaseBrain)
     assert estimate is not None
     for late, span in ((0, 0.0), (40, 0.04), (100, 0.1), (900, 0.1)):
         there = body._pose(estimate.t + late * MILLISECOND)
-        assert there == BODY.arc(estimate.pose, estimate.linear * span, estimate.angular * span)
+        assert there == arc(estimate.pose, estimate.linear * span, estimate.angular * span)
 
 
-def test_a_pause_of_the_loop_is_no_leave_to_leap() -> None:
+def test_after_a_pause_of_the_loop_the_speed_does_not_jump() -> None:
     """Half a second without a step: the next command changes by no more than a tenth of a second's worth."""
     trip = driving(2.0)
     before = [c.velocity for c in trip.commands if isinstance(c, msg.Velocity)]
@@ -413,8 +413,8 @@ def test_a_pause_of_the_loop_is_no_leave_to_leap() -> None:
 # -- bare joints -------------------------------------------------------------------------------
 
 
-class BenchTop:
-    """Two motors that say that they are there."""
+class TwoJoints:
+    """A brain of two bare joints."""
 
     def __init__(self) -> None:
         timeouts = {"a": 100 * MILLISECOND, "b": 200 * MILLISECOND}
@@ -434,85 +434,99 @@ class BenchTop:
 
 
 def test_joints_keep_their_targets() -> None:
-    bench = BenchTop()
-    assert bench.tick() == (msg.Idle("a"), msg.Idle("b"))
-    assert bench.state() == ("ready", "")
-    bench.tick(msg.Velocity("a", 2.0))
+    joints = TwoJoints()
+    assert joints.tick() == (msg.Idle("a"), msg.Idle("b"))
+    assert joints.state() == ("ready", "")
+    joints.tick(msg.Velocity("a", 2.0))
     for _ in range(500):
-        assert bench.tick() == (msg.Velocity("a", 2.0), msg.Idle("b"))
-    assert bench.state() == ("running", "")
-    assert bench.tick(msg.Torque("a", 0.2), msg.Position("b", 1.0)) == (
+        assert joints.tick() == (msg.Velocity("a", 2.0), msg.Idle("b"))
+    assert joints.state() == ("running", "")
+    assert joints.tick(msg.Torque("a", 0.2), msg.Position("b", 1.0)) == (
         msg.Torque("a", 0.2),
         msg.Position("b", 1.0),
     )
-    belief = bench.brain.belief()
+    belief = joints.brain.belief()
     assert (belief.estimate, belief.map, belief.path, belief.goal) == (None, None, (), None)
 
 
-def test_joints_initialise_until_every_motor_is_heard() -> None:
-    bench = BenchTop()
-    bench.silent = {"b"}
-    bench.tick()
-    assert bench.state() == ("initialising", "waiting for feedback of b")
-    bench.silent = set()
-    bench.tick()
-    assert bench.state() == ("ready", "")
+def test_joints_initialise_until_every_motor_reports() -> None:
+    joints = TwoJoints()
+    joints.silent = {"b"}
+    joints.tick()
+    assert joints.state() == ("initialising", "waiting for feedback of b")
+    joints.silent = set()
+    joints.tick()
+    assert joints.state() == ("ready", "")
 
 
 def test_a_stop_ends_all_targets_and_they_do_not_come_back() -> None:
-    bench = BenchTop()
-    bench.tick(msg.Velocity("a", 2.0), msg.Position("b", 1.0))
-    assert bench.tick(stopped="stop") == (msg.Idle("a"), msg.Idle("b"))
-    assert bench.state() == ("stopped", "stop")
-    bench.tick(msg.Velocity("a", 2.0), stopped="stop")
-    assert bench.brain.take_notes()[-1] == ("warning", "Velocity refused: stopped: stop")
-    assert bench.tick() == (msg.Idle("a"), msg.Idle("b"))
-    assert bench.state() == ("ready", "")
+    joints = TwoJoints()
+    joints.tick(msg.Velocity("a", 2.0), msg.Position("b", 1.0))
+    assert joints.tick(stopped="stop") == (msg.Idle("a"), msg.Idle("b"))
+    assert joints.state() == ("stopped", "stop")
+    joints.tick(msg.Velocity("a", 2.0), stopped="stop")
+    assert joints.brain.take_notes()[-1] == ("warning", "Velocity refused: stopped: stop")
+    assert joints.tick() == (msg.Idle("a"), msg.Idle("b"))
+    assert joints.state() == ("ready", "")
 
 
 def test_a_silent_motor_loses_its_target_and_the_other_goes_on() -> None:
-    bench = BenchTop()
-    bench.tick(msg.Velocity("a", 2.0), msg.Velocity("b", 3.0))
-    bench.silent = {"a"}
+    joints = TwoJoints()
+    joints.tick(msg.Velocity("a", 2.0), msg.Velocity("b", 3.0))
+    joints.silent = {"a"}
     for _ in range(12):
-        said = bench.tick()
-    assert said == (msg.Idle("a"), msg.Velocity("b", 3.0))
-    assert bench.state() == ("degraded", "a: no feedback for more than 90 ms")
-    bench.tick(msg.Velocity("a", 1.0))
-    assert bench.brain.take_notes()[-1] == ("warning", "Velocity refused: a: no feedback for more than 90 ms")
-    bench.silent = set()
-    assert bench.tick() == (msg.Idle("a"), msg.Velocity("b", 3.0))
-    bench.silent = {"a", "b"}
+        commands = joints.tick()
+    assert commands == (msg.Idle("a"), msg.Velocity("b", 3.0))
+    assert joints.state() == ("degraded", "a: no feedback for more than 90 ms")
+    joints.tick(msg.Velocity("a", 1.0))
+    assert joints.brain.take_notes()[-1] == (
+        "warning",
+        "Velocity refused: a: no feedback for more than 90 ms",
+    )
+    joints.silent = set()
+    assert joints.tick() == (msg.Idle("a"), msg.Velocity("b", 3.0))
+    joints.silent = {"a", "b"}
     for _ in range(12):
-        bench.tick()
-    assert bench.state() == ("degraded", "a: no feedback for more than 90 ms")
+        joints.tick()
+    assert joints.state() == ("degraded", "a: no feedback for more than 90 ms")
     for _ in range(7):
-        bench.tick()
+        joints.tick()
     both = "a: no feedback for more than 90 ms; b: no feedback for more than 180 ms"
-    assert bench.state() == ("stopped", both)
-    assert bench.brain.take_notes()[-1] == ("error", f"stopped: {both}")
+    assert joints.state() == ("stopped", both)
+    assert joints.brain.take_notes()[-1] == ("error", f"stopped: {both}")
 
 
 def test_a_joint_in_fault_loses_its_target() -> None:
-    bench = BenchTop()
-    bench.tick(msg.Velocity("a", 2.0))
-    assert bench.tick(state=msg.State("a", bench.now, Mode.FAULT, "STALL")) == (msg.Idle("a"), msg.Idle("b"))
-    assert bench.state() == ("degraded", "a is in fault: STALL")
+    joints = TwoJoints()
+    joints.tick(msg.Velocity("a", 2.0))
+    assert joints.tick(state=msg.State("a", joints.now, Mode.FAULT, "STALL")) == (
+        msg.Idle("a"),
+        msg.Idle("b"),
+    )
+    assert joints.state() == ("degraded", "a is in fault: STALL")
 
 
-def test_bare_joints_have_nowhere_to_go() -> None:
-    bench = BenchTop()
-    bench.tick()
-    bench.tick(msg.Goal(1.0, 1.0))
-    said = "Goal refused: these are bare joints: there is no base to drive"
-    assert bench.brain.take_notes()[-1] == ("warning", said)
+def test_an_unknown_motor_is_refused_with_the_nearest_name() -> None:
+    joints = TwoJoints()
+    joints.tick()
+    joints.tick(msg.Idle("aa"))
+    note = "Idle refused: there is no motor 'aa'; there are a, b; did you mean 'a'?"
+    assert joints.brain.take_notes()[-1] == ("warning", note)
 
 
-def test_settings_of_a_bench_change_too() -> None:
-    bench = BenchTop()
-    bench.tick(msg.Velocity("a", 1.0))
-    assert bench.brain.set("health.stand_age", 0.6) == ""
-    bench.silent = {"a"}
+def test_bare_joints_refuse_goals() -> None:
+    joints = TwoJoints()
+    joints.tick()
+    joints.tick(msg.Goal(1.0, 1.0))
+    note = "Goal refused: these are bare joints: there is no base to drive"
+    assert joints.brain.take_notes()[-1] == ("warning", note)
+
+
+def test_settings_of_bare_joints_change_too() -> None:
+    joints = TwoJoints()
+    joints.tick(msg.Velocity("a", 1.0))
+    assert joints.brain.set("health.stand_age", 0.6) == ""
+    joints.silent = {"a"}
     for _ in range(6):
-        assert bench.tick()[0] == msg.Velocity("a", 1.0)
-    assert bench.tick()[0] == msg.Idle("a")
+        assert joints.tick()[0] == msg.Velocity("a", 1.0)
+    assert joints.tick()[0] == msg.Idle("a")

@@ -8,7 +8,15 @@ import pytest
 
 from brain.bodies.joints import Joints
 from brain.brain import Brain, BrainSettings
+from brain.control.pursuit import PursuitSettings
+from brain.health import HealthSettings
+from brain.perception.ekf_settings import EkfSettings
+from brain.perception.grid import GridSettings
 from brain.perception.mount import Mount
+from brain.perception.odometry import OdometrySettings
+from brain.perception.perception import PerceptionSettings, WheelSettings
+from brain.perception.scan_match import MatchSettings
+from brain.planning.costmap import PlannerSettings
 from brain.settings import changed, keys
 from protocols.messages import MILLISECOND, Goal, Nanos
 from tests.brain.helpers import BODY, MOUNTS, TIMEOUTS, Office, Trip
@@ -16,13 +24,13 @@ from tests.brain.helpers import BODY, MOUNTS, TIMEOUTS, Office, Trip
 SETTINGS = BrainSettings("differential", BODY)
 
 
-def test_every_key_takes_its_own_value_or_says_that_it_counts_from_the_start() -> None:
+def test_every_key_takes_its_own_value_or_is_fixed_at_the_start() -> None:
     known = dict(keys(SETTINGS))
     assert len(known) > 40
     for key, value in known.items():
         after, why = changed(SETTINGS, key, value, SETTINGS)
         assert after == SETTINGS, key
-        assert why == "" or "from the start" in why, key
+        assert why == "" or "fixed at the start" in why, key
 
 
 def test_a_change_changes_that_and_nothing_else() -> None:
@@ -47,12 +55,12 @@ def test_times_are_in_milliseconds_as_in_the_robot_file() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "message"),
     [
         ("pursuit.lookahed_time", 1.0, "did you mean 'pursuit.lookahead_time'"),
         ("nothing like it", 1.0, "there are differential.wheel_radius"),
         ("pursuit", 1.0, "there is no setting 'pursuit'"),
-        ("pursuit.lookahead_time", -1.0, "lookahead_time must be more than 0"),
+        ("pursuit.lookahead_time", -1.0, "lookahead_time must be above 0"),
         ("pursuit.lookahead_min", 3.0, "lookahead_max must not be less than lookahead_min, 3.0"),
         ("pursuit.lookahead_time", nan, "must be a finite number, not nan"),
         ("health.slow", inf, "must be a finite number"),
@@ -60,16 +68,16 @@ def test_times_are_in_milliseconds_as_in_the_robot_file() -> None:
         ("health.stand_age", 1.1, "stand_age is a share: at most 1, not 1.1"),
         ("planner.expansions_per_step", 10.5, "must be an integer, not 10.5"),
         ("planner.unknown_is_free", 2.0, "must be 0 or 1, not 2"),
-        ("planner.patience_ms", 0.0, "patience must be more than 0"),
-        ("differential.max_linear", 0.0, "max_linear must be a number above 0"),
-        ("differential.max_linear", 0.7, "must not be more than 0.6, as the robot file has it, but is 0.7"),
-        ("differential.wheel_radius", 0.06, "counts from the start on: change it in the robot file"),
-        ("perception.gyro_sigma", 0.1, "counts from the start on"),
+        ("planner.patience_ms", 0.0, "patience must be above 0"),
+        ("differential.max_linear", 0.0, "max_linear must be above 0"),
+        ("differential.max_linear", 0.7, "must be at most 0.6, the value in the robot file, not 0.7"),
+        ("differential.wheel_radius", 0.06, "is fixed at the start: change it in the robot file"),
+        ("perception.gyro_sigma", 0.1, "is fixed at the start"),
     ],
 )
-def test_what_cannot_be_is_a_sentence_and_changes_nothing(key: str, value: float, said: str) -> None:
+def test_an_invalid_change_gives_the_reason_and_changes_nothing(key: str, value: float, message: str) -> None:
     after, why = changed(SETTINGS, key, value, SETTINGS)
-    assert said in why
+    assert message in why
     assert after is SETTINGS
 
 
@@ -89,7 +97,7 @@ def test_a_body_without_its_table_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"ldiar": MILLISECOND}, "there is no 'ldiar' to have a timeout"),
         ({"lidar": None, "left": None}, "'left' has no timeout; 'lidar' has no timeout"),
@@ -98,14 +106,12 @@ def test_a_body_without_its_table_is_refused() -> None:
         ({"left": -1}, "the timeout of 'left' must be more than 0"),
     ],
 )
-def test_each_source_has_one_timeout_and_no_timeout_is_nobodys(
-    change: dict[str, Nanos | None], said: str
-) -> None:
+def test_sources_and_timeouts_match_one_to_one(change: dict[str, Nanos | None], message: str) -> None:
     timeouts = {name: t for name, t in {**TIMEOUTS, **change}.items() if t is not None}
     for settings in (SETTINGS, BrainSettings("joints", joints=Joints(("left", "right")))):
-        with pytest.raises(ValueError, match=said) as error:
+        with pytest.raises(ValueError, match=message) as error:
             Brain(settings, ["left", "right"], MOUNTS, timeouts)
-        assert str(error.value) == said
+        assert str(error.value) == message
 
 
 def test_a_wheel_that_is_no_motor_is_refused() -> None:
@@ -117,3 +123,59 @@ def test_a_wheel_that_is_no_motor_is_refused() -> None:
 def test_a_motor_and_a_sensor_of_one_name_are_refused() -> None:
     with pytest.raises(ValueError, match="'left' is the name of two"):
         Brain(SETTINGS, ["left", "right"], {**MOUNTS, "left": Mount()}, TIMEOUTS)
+
+
+@pytest.mark.parametrize(
+    ("settings", "field", "value"),
+    [
+        (EkfSettings, "start_x", nan),
+        (EkfSettings, "start_sigma", 0.0),
+        (EkfSettings, "linear_noise", -1.0),
+        (EkfSettings, "confidence", 0.9),
+        (EkfSettings, "lockout", -1),
+        (EkfSettings, "bias_sigma", inf),
+        (GridSettings, "resolution", 0.0),
+        (GridSettings, "width", nan),
+        (GridSettings, "height", 0.01),
+        (GridSettings, "resolution", 0.001),
+        (GridSettings, "low", 0.1),
+        (GridSettings, "gap", -1.0),
+        (GridSettings, "hit", -0.1),
+        (HealthSettings, "slow", 0.0),
+        (HealthSettings, "slow", 1.5),
+        (HealthSettings, "slow_age", 0.0),
+        (HealthSettings, "slow_age", 0.95),
+        (HealthSettings, "stand_age", 0.4),
+        (HealthSettings, "stand_age", 1.01),
+        (HealthSettings, "give_up", 0),
+        (HealthSettings, "window", -1),
+        (MatchSettings, "beams", -1),
+        (MatchSettings, "reach", -1),
+        (MatchSettings, "sigma", -1),
+        (MatchSettings, "overlap", -1),
+        (MatchSettings, "overlap", 1.5),
+        (OdometrySettings, "resolution", 0.0),
+        (OdometrySettings, "resolution", nan),
+        (OdometrySettings, "shortest", -1),
+        (OdometrySettings, "jump_margin", 0.5),
+        (PerceptionSettings, "gyro_sigma", 0.0),
+        (PerceptionSettings, "gyro_sigma", nan),
+        (PerceptionSettings, "scan_wait", -1),
+        (PlannerSettings, "margin", -0.1),
+        (PlannerSettings, "period", 0),
+        (PlannerSettings, "unknown_multiplier", 0.5),
+        (PlannerSettings, "comfort", inf),
+        (PursuitSettings, "lookahead_min", 2.0),
+        (PursuitSettings, "turn_until", 1.0),
+        (PursuitSettings, "braking", 1.5),
+        (PursuitSettings, "tolerance", 0.0),
+        (PursuitSettings, "period", 0),
+        (WheelSettings, "jitter", -1.0),
+        (WheelSettings, "still_sigma", 0.0),
+        (WheelSettings, "slip_lasts", inf),
+    ],
+)
+def test_settings_out_of_bounds_are_refused_by_name(settings: type, field: str, value: float) -> None:
+    cells = "cells" if (field, value) in (("height", 0.01), ("resolution", 0.001)) else field
+    with pytest.raises(ValueError, match=cells):
+        settings(**{field: value})

@@ -14,7 +14,7 @@ import pytest
 
 from brain.perception.mount import Mount
 from gateway import config
-from gateway.__main__ import main
+from gateway.cli.main import main
 from gateway.config import resources
 from gateway.core.robot import Robot
 from gateway.rosbag import Bag, read
@@ -70,7 +70,7 @@ def test_the_others_on_the_same_fixes(judged: Verdict) -> None:
 
 
 def test_nothing_was_refused_and_the_filter_is_not_too_sure(judged: Verdict) -> None:
-    assert not any(judged.ledger.values())
+    assert not any(judged.anomalies.values())
     assert all(0.0 < nis.mean < 1.0 for nis in judged.nis.values())
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import Differential, arc, wrap
+from brain.perception.grid import Grid
 from brain.perception.mount import Mount
 from brain.perception.odometry import OdometrySettings
 from brain.perception.perception import Perception, PerceptionSettings
@@ -214,3 +215,14 @@ def _measure(result: Drive, before: Pose, raw: Pose) -> None:
     result.believed_length += math.dist((before.x, before.y), (estimate.pose.x, estimate.pose.y))
     result.raw_length += math.dist((raw.x, raw.y), (result.perception.raw.x, result.perception.raw.y))
     result.worst = max(result.worst, result.apart)
+
+
+def clearance(grid: Grid, x: float, y: float) -> float:
+    """From a position to the nearest part of an occupied cell [m]; infinite if there is none."""
+    rows, columns = np.nonzero(grid.occupied)
+    if not len(rows):
+        return math.inf
+    half = grid.resolution / 2.0
+    dx = np.maximum(np.abs(grid.origin_x + (columns + 0.5) * grid.resolution - x) - half, 0.0)
+    dy = np.maximum(np.abs(grid.origin_y + (rows + 0.5) * grid.resolution - y) - half, 0.0)
+    return float(np.sqrt(np.min(dx * dx + dy * dy)))

@@ -11,10 +11,22 @@ from scipy import stats
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import wrap
-from brain.perception.ekf import Ekf
-from brain.perception.filter_settings import CHI_SQUARE, EkfSettings
-from brain.perception.measurement import Measurement, Verdict, gyro, located, resting, wheels
-from brain.perception.motion import BIAS, POSE, SIZE, SLIP, YAW, V, W, X, jacobian, move, process_noise
+from brain.perception.ekf import Ekf, Nis
+from brain.perception.ekf_settings import CHI_SQUARE, EkfSettings
+from brain.perception.measurement import GateResult, Measurement, gyro, gyro_at_rest, pose_fix, wheels
+from brain.perception.motion_model import (
+    BIAS,
+    POSE,
+    SIZE,
+    SLIP,
+    YAW,
+    V,
+    W,
+    X,
+    jacobian,
+    process_noise,
+    propagate,
+)
 from protocols.messages import MILLISECOND, SECOND, Nanos, seconds
 
 MS = MILLISECOND
@@ -51,7 +63,7 @@ def test_jacobian_equals_differences(seed: int, turning: float) -> None:
         for i in range(SIZE):
             h = np.zeros(SIZE)
             h[i] = 1e-6
-            difference = move(state + h, dt) - move(state - h, dt)
+            difference = propagate(state + h, dt) - propagate(state - h, dt)
             difference[YAW] = wrap(difference[YAW])
             numeric[:, i] = difference / 2e-6
         assert jacobian(state, dt) == pytest.approx(numeric, abs=1e-8), f"seed {seed}"
@@ -73,7 +85,7 @@ def test_process_noise_does_not_depend_on_how_time_is_cut() -> None:
     for _ in range(50):
         F = jacobian(now, 0.001)
         covariance = F @ covariance @ F.T + process_noise(now, 0.001, settings)
-        now = move(now, 0.001)
+        now = propagate(now, 0.001)
     assert np.sqrt(np.diag(once)) == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.02, abs=1e-9)
 
 
@@ -92,17 +104,17 @@ def test_an_update_equals_the_joseph_form(seed: int) -> None:
     belief = fed(Ekf(EkfSettings()))
     x, P, t = belief.state, belief.covariance, belief.t
     assert t is not None
-    measurement = located("lidar", t, Pose(*(float(n) for n in 0.001 * rng.normal(size=3))), POSE_NOISE)
+    measurement = pose_fix("lidar", t, Pose(*(float(n) for n in 0.001 * rng.normal(size=3))), POSE_NOISE)
     H, R = measurement.matrix, measurement.noise
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
     left = np.eye(SIZE) - K @ H
-    assert belief.observe(measurement) is Verdict.ACCEPTED
+    assert belief.observe(measurement) is GateResult.ACCEPTED
     assert belief.state == pytest.approx(x + K @ (measurement.value - H @ x), abs=1e-15), f"seed {seed}"
     assert belief.covariance == pytest.approx(left @ P @ left.T + K @ R @ K.T, abs=1e-15), f"seed {seed}"
 
 
 def test_the_librarys_mahalanobis_is_not_nought() -> None:
-    """filterpy 1.4.5 said 0.0 always (rlabbe/filterpy#188), and a gate on it never refused anything."""
+    """filterpy 1.4.5 sent 0.0 always (rlabbe/filterpy#188), and a gate on it never rejected anything."""
     belief = Ekf(EkfSettings(start_sigma=3.0))
     belief.observe(gyro("imu", 0, 0.0, 0.01))
     before = belief.covariance[X, X]
@@ -121,11 +133,11 @@ def test_the_table_of_chi_square(confidence: float) -> None:
 # -- gates -------------------------------------------------------------------------------------
 
 
-def test_a_refused_measurement_changes_nothing() -> None:
+def test_a_rejected_measurement_changes_nothing() -> None:
     belief = fed(Ekf(EkfSettings()))
     x, P, t = belief.state.copy(), belief.covariance.copy(), belief.t
     assert t is not None
-    assert belief.observe(gyro("imu", t, 1.0, 0.01)) is Verdict.REFUSED
+    assert belief.observe(gyro("imu", t, 1.0, 0.01)) is GateResult.REJECTED
     assert (belief.state == x).all()
     assert (belief.covariance == P).all()
 
@@ -138,21 +150,23 @@ def test_a_vector_is_gated_as_a_vector() -> None:
     value = belief.state[[V, W]] + 1.9 * deviation
     alone = copy.deepcopy(belief)
     v, w = (float(n) for n in value)
-    assert alone.observe(wheels("left", belief.t, v, float(belief.state[W]), WHEEL_NOISE)) is Verdict.ACCEPTED
-    assert belief.observe(wheels("left", belief.t, v, w, WHEEL_NOISE)) is Verdict.REFUSED
+    assert (
+        alone.observe(wheels("left", belief.t, v, float(belief.state[W]), WHEEL_NOISE)) is GateResult.ACCEPTED
+    )
+    assert belief.observe(wheels("left", belief.t, v, w, WHEEL_NOISE)) is GateResult.REJECTED
 
 
 def test_no_gate_locks_the_filter_out() -> None:
-    """Something carried the robot 2 m away: refused at first, believed again after the lockout."""
+    """Something carried the robot 2 m away: rejected at first, believed again after the lockout."""
     belief = fed(Ekf(EkfSettings(lockout=SECOND)))
-    verdicts: list[Verdict] = []
+    results: list[GateResult] = []
     for i in range(40):
         t = 1 * SECOND + 100 * i * MS
         belief.observe(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
-        verdicts.append(belief.observe(located("lidar", t, Pose(2.0, 0.0, 0.0), POSE_NOISE)))
-    assert verdicts[:10] == [Verdict.REFUSED] * 10
-    assert Verdict.FORCED in verdicts[10:12]
-    assert verdicts[-5:] == [Verdict.ACCEPTED] * 5
+        results.append(belief.observe(pose_fix("lidar", t, Pose(2.0, 0.0, 0.0), POSE_NOISE)))
+    assert results[:10] == [GateResult.REJECTED] * 10
+    assert GateResult.FORCED in results[10:12]
+    assert results[-5:] == [GateResult.ACCEPTED] * 5
     assert belief.state[X] == pytest.approx(2.0, abs=0.02)
 
 
@@ -162,28 +176,28 @@ def test_wheels_that_spin_on_the_spot_are_found_out() -> None:
     for t in range(1000 * MS, 4000 * MS, 10 * MS):
         belief.observe(wheels("left", t, min(0.3, 1e-9 * (t - SECOND)), 0.0, WHEEL_NOISE))
         if t % (100 * MS) == 0:
-            belief.observe(located("lidar", t, Pose(0.0, 0.0, 0.0), POSE_NOISE))
+            belief.observe(pose_fix("lidar", t, Pose(0.0, 0.0, 0.0), POSE_NOISE))
     assert belief.state[X] == pytest.approx(0.0, abs=0.03)
     assert belief.state[SLIP] == pytest.approx(1.0, abs=0.1)
 
 
-def test_how_long_a_sensor_has_been_refused() -> None:
+def test_how_long_a_sensor_has_been_rejected() -> None:
     belief = fed(Ekf(EkfSettings()))
-    assert belief.refused_for("lidar", SECOND) == 0.0
-    belief.observe(located("lidar", 1000 * MS, Pose(2.0, 0.0, 0.0), POSE_NOISE))
-    assert belief.refused_for("lidar", 1250 * MS) == pytest.approx(0.25)
-    belief.observe(located("lidar", 1050 * MS, Pose(0.0, 0.0, 0.0), POSE_NOISE))
-    assert belief.refused_for("lidar", 1250 * MS) == 0.0
+    assert belief.rejected_for("lidar", SECOND) == 0.0
+    belief.observe(pose_fix("lidar", 1000 * MS, Pose(2.0, 0.0, 0.0), POSE_NOISE))
+    assert belief.rejected_for("lidar", 1250 * MS) == pytest.approx(0.25)
+    belief.observe(pose_fix("lidar", 1050 * MS, Pose(0.0, 0.0, 0.0), POSE_NOISE))
+    assert belief.rejected_for("lidar", 1250 * MS) == 0.0
 
 
 def test_being_believed_once_ends_the_lockouts_count() -> None:
     belief = fed(Ekf(EkfSettings(lockout=SECOND)))
-    verdicts = []
+    results = []
     for i in range(30):  # every fifth is good
         pose = Pose(0.0 if i % 5 == 4 else 2.0, 0.0, 0.0)
-        verdicts.append(belief.observe(located("lidar", 1 * SECOND + 100 * i * MS, pose, POSE_NOISE)))
-    assert Verdict.FORCED not in verdicts
-    assert verdicts.count(Verdict.ACCEPTED) == 6
+        results.append(belief.observe(pose_fix("lidar", 1 * SECOND + 100 * i * MS, pose, POSE_NOISE)))
+    assert GateResult.FORCED not in results
+    assert results.count(GateResult.ACCEPTED) == 6
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -193,16 +207,16 @@ def test_being_believed_once_ends_the_lockouts_count() -> None:
         lambda bad, t: gyro("imu", t, bad, 0.01),
         lambda bad, t: gyro("imu", t, 0.0, bad),
         lambda bad, t: wheels("left", t, 0.0, bad, WHEEL_NOISE),
-        lambda bad, t: located("lidar", t, Pose(0.0, 0.0, bad), POSE_NOISE),
+        lambda bad, t: pose_fix("lidar", t, Pose(0.0, 0.0, bad), POSE_NOISE),
     ],
 )
 def test_nan_never_enters(bad: float, spoilt: Callable[[float, Nanos], Measurement]) -> None:
     belief = fed(Ekf(EkfSettings()))
     assert belief.t is not None
     x = belief.state.copy()
-    assert belief.observe(spoilt(bad, belief.t + MS)) is Verdict.NOT_FINITE
+    assert belief.observe(spoilt(bad, belief.t + MS)) is GateResult.NOT_FINITE
     assert (belief.state == x).all()
-    assert belief.observe(gyro("imu", belief.t + 2 * MS, 0.0, 0.01)) is Verdict.ACCEPTED
+    assert belief.observe(gyro("imu", belief.t + 2 * MS, 0.0, 0.01)) is GateResult.ACCEPTED
 
 
 # -- time --------------------------------------------------------------------------------------
@@ -211,45 +225,45 @@ def test_nan_never_enters(bad: float, spoilt: Callable[[float, Nanos], Measureme
 def a_drive(seed: int) -> list[Measurement]:
     """Two seconds of a straight drive into a turn, as three sensors see it."""
     rng = random(seed)
-    said: list[Measurement] = []
+    sent: list[Measurement] = []
     for t in range(0, 2 * SECOND, 5 * MS):
         v, w = min(0.5, seconds(t)), 0.4 * max(0.0, seconds(t) - 1.0)
         if t % (10 * MS) == 0:
-            said.append(wheels("left", t, v, w + 0.02 * rng.normal(), WHEEL_NOISE))
-        said.append(gyro("imu", t + 1 * MS, w + 0.01 + 0.01 * rng.normal(), 0.01))
-    return said
+            sent.append(wheels("left", t, v, w + 0.02 * rng.normal(), WHEEL_NOISE))
+        sent.append(gyro("imu", t + 1 * MS, w + 0.01 + 0.01 * rng.normal(), 0.01))
+    return sent
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_late_measurements_are_put_in_their_place(seed: int) -> None:
     """In any order of arrival within the rewind the filter comes to the same belief."""
-    said = a_drive(seed)
+    sent = a_drive(seed)
     in_order, shuffled = Ekf(EkfSettings()), Ekf(EkfSettings())
-    for measurement in said:
+    for measurement in sent:
         in_order.observe(measurement)
     rng = random(100 + seed)
-    late = {id(m): m.t + int(rng.integers(0, 100)) * MS for m in said[1:]}
-    for measurement in [said[0], *sorted(said[1:], key=lambda m: late[id(m)])]:
-        assert shuffled.observe(measurement) is Verdict.ACCEPTED
+    late = {id(m): m.t + int(rng.integers(0, 100)) * MS for m in sent[1:]}
+    for measurement in [sent[0], *sorted(sent[1:], key=lambda m: late[id(m)])]:
+        assert shuffled.observe(measurement) is GateResult.ACCEPTED
     assert shuffled.t == in_order.t
     assert shuffled.state == pytest.approx(in_order.state, abs=1e-12), f"seed {seed}"
     assert shuffled.covariance == pytest.approx(in_order.covariance, abs=1e-12), f"seed {seed}"
 
 
-def test_a_late_measurement_keeps_old_verdicts() -> None:
+def test_a_late_measurement_keeps_old_results() -> None:
     belief, without = fed(Ekf(EkfSettings())), fed(Ekf(EkfSettings()))
     for one in (belief, without):
-        assert one.observe(gyro("imu", 1010 * MS, 5.0, 0.01)) is Verdict.REFUSED
+        assert one.observe(gyro("imu", 1010 * MS, 5.0, 0.01)) is GateResult.REJECTED
         one.observe(gyro("imu", 1020 * MS, 0.0, 0.01))
     belief.observe(wheels("left", 1015 * MS, 0.0, 0.0, WHEEL_NOISE))
     assert belief.t == without.t == 1020 * MS
-    assert abs(belief.state[W]) < 0.01  # what was refused stays refused
+    assert abs(belief.state[W]) < 0.01  # what was rejected stays rejected
 
 
-def test_a_measurement_that_is_too_late_is_refused() -> None:
+def test_a_measurement_that_is_too_late_is_rejected() -> None:
     belief = fed(Ekf(EkfSettings()))
     x = belief.state.copy()
-    assert belief.observe(gyro("imu", 300 * MS, 0.0, 0.01)) is Verdict.LATE
+    assert belief.observe(gyro("imu", 300 * MS, 0.0, 0.01)) is GateResult.LATE
     assert (belief.state == x).all()
 
 
@@ -261,15 +275,15 @@ def test_history_is_bounded() -> None:
 def test_a_widened_measurement_is_repeated_alike() -> None:
     """A report that comes after a forced one, late: the same belief as if it had come in time."""
     late, ordered = fed(Ekf(EkfSettings(lockout=SECOND))), fed(Ekf(EkfSettings(lockout=SECOND)))
-    jump = located("lidar", 2000 * MS, Pose(1.0, 0.0, 0.0), POSE_NOISE)
+    jump = pose_fix("lidar", 2000 * MS, Pose(1.0, 0.0, 0.0), POSE_NOISE)
     extra = wheels("left", 1995 * MS, 0.0, 0.0, WHEEL_NOISE)
     for one in (late, ordered):
         for t in range(1000 * MS, 2000 * MS, 10 * MS):
             one.observe(wheels("left", t, 0.0, 0.0, WHEEL_NOISE))
             if t % (100 * MS) == 0:
-                assert one.observe(replace(jump, t=t)) is Verdict.REFUSED
-    assert [late.observe(said) for said in (jump, extra)] == [Verdict.FORCED, Verdict.ACCEPTED]
-    assert [ordered.observe(said) for said in (extra, jump)] == [Verdict.ACCEPTED, Verdict.FORCED]
+                assert one.observe(replace(jump, t=t)) is GateResult.REJECTED
+    assert [late.observe(sent) for sent in (jump, extra)] == [GateResult.FORCED, GateResult.ACCEPTED]
+    assert [ordered.observe(sent) for sent in (extra, jump)] == [GateResult.ACCEPTED, GateResult.FORCED]
     assert late.state[X] > 0.5
     assert late.state == pytest.approx(ordered.state, abs=0.02)
 
@@ -301,14 +315,14 @@ def test_yaw_wraps() -> None:
     assert belief.state[YAW] == pytest.approx(wrap(3.1 + 2.99), abs=0.03)
     assert belief.t is not None
     pose = Pose(float(belief.state[X]), 0.0, wrap(float(belief.state[YAW])))
-    assert belief.observe(located("lidar", belief.t, pose, POSE_NOISE)) is Verdict.ACCEPTED
+    assert belief.observe(pose_fix("lidar", belief.t, pose, POSE_NOISE)) is GateResult.ACCEPTED
 
 
 def test_a_heading_across_the_seam_is_no_contradiction() -> None:
     belief = fed(Ekf(EkfSettings(start_yaw=math.pi - 0.001)))
     assert belief.t is not None
-    said = located("lidar", belief.t, Pose(0.0, 0.0, -math.pi + 0.001), POSE_NOISE)
-    assert belief.observe(said) is Verdict.ACCEPTED
+    sent = pose_fix("lidar", belief.t, Pose(0.0, 0.0, -math.pi + 0.001), POSE_NOISE)
+    assert belief.observe(sent) is GateResult.ACCEPTED
     assert abs(belief.state[YAW]) > 3.13
 
 
@@ -326,7 +340,7 @@ def test_an_outside_reference_tells_the_slip() -> None:
         t = i * 10 * MS
         belief.observe(wheels("left", t, 0.5, 0.0, WHEEL_NOISE))
         if i % 10 == 0:
-            belief.observe(located("lidar", t, Pose(0.5 * 0.96 * seconds(t), 0.0, 0.0), POSE_NOISE))
+            belief.observe(pose_fix("lidar", t, Pose(0.5 * 0.96 * seconds(t), 0.0, 0.0), POSE_NOISE))
     assert belief.state[SLIP] == pytest.approx(0.04, abs=0.005)
 
 
@@ -334,7 +348,7 @@ def test_a_gyro_at_rest_tells_its_bias() -> None:
     belief = Ekf(EkfSettings())
     rng = random(3)
     for i in range(200):
-        belief.observe(resting("imu", i * 5 * MS, 0.02 + 0.01 * rng.normal(), 0.01))
+        belief.observe(gyro_at_rest("imu", i * 5 * MS, 0.02 + 0.01 * rng.normal(), 0.01))
     assert belief.state[BIAS] == pytest.approx(0.02, abs=0.002)
     assert math.sqrt(belief.covariance[BIAS, BIAS]) == pytest.approx(0.01 / math.sqrt(200), rel=0.05)
     assert belief.state[W] == 0.0
@@ -358,7 +372,7 @@ def test_the_covariance_stays_one(seed: int) -> None:
         kind = rng.integers(0, 10)
         if kind == 0:
             pose = Pose(*(float(n) for n in belief.state[POSE] + 0.01 * rng.normal(size=3)))
-            belief.observe(located("lidar", t, pose, np.eye(3) * 1e-12))
+            belief.observe(pose_fix("lidar", t, pose, np.eye(3) * 1e-12))
         elif kind < 5:
             belief.observe(gyro("imu", t, float(rng.normal()), 1e-5))
         else:
@@ -370,12 +384,12 @@ def test_the_covariance_stays_one(seed: int) -> None:
 
 
 def test_a_copy_goes_on_alike() -> None:
-    said = a_drive(2)
+    sent = a_drive(2)
     one = Ekf(EkfSettings())
-    for measurement in said[:200]:
+    for measurement in sent[:200]:
         one.observe(measurement)
     other = copy.deepcopy(one)
-    for measurement in said[200:]:
+    for measurement in sent[200:]:
         one.observe(measurement)
         other.observe(measurement)
     assert (one.state == other.state).all()
@@ -404,14 +418,14 @@ def simulated(rng: np.random.Generator, runs: int = 30) -> tuple[Floats, Floats]
             for _ in range(5):
                 values, vectors = np.linalg.eigh(process_noise(truth, 0.01, MODEL))
                 shake = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.normal(size=SIZE))
-                truth = move(truth, 0.01) + shake
-            said = wheels("left", t, *_pair(truth[[V, W]], rng), WHEEL_NOISE)
+                truth = propagate(truth, 0.01) + shake
+            sent = wheels("left", t, *_pair(truth[[V, W]], rng), WHEEL_NOISE)
             if step % 10 == 0:
-                said = located("lidar", t, Pose(*_noisy(truth[POSE], POSE_NOISE, rng)), POSE_NOISE)
+                sent = pose_fix("lidar", t, Pose(*_noisy(truth[POSE], POSE_NOISE, rng)), POSE_NOISE)
             elif step % 2:
-                said = gyro("imu", t, float(truth[W] + truth[BIAS] + 0.01 * rng.normal()), 0.01)
-            nis[len(said.value)].append(_nis(belief, said))
-            belief.observe(said)
+                sent = gyro("imu", t, float(truth[W] + truth[BIAS] + 0.01 * rng.normal()), 0.01)
+            nis[len(sent.value)].append(_nis(belief, sent))
+            belief.observe(sent)
             if step % 20 == 0:
                 error = belief.state - truth
                 error[YAW] = wrap(float(error[YAW]))
@@ -430,13 +444,13 @@ def _noisy(value: Floats, covariance: Floats, rng: np.random.Generator) -> list[
     return noisy
 
 
-def _nis(belief: Ekf, said: Measurement) -> float:
-    state = belief.at(said.t)
+def _nis(belief: Ekf, sent: Measurement) -> float:
+    state = belief.at(sent.t)
     assert state is not None
-    away = said.value - said.matrix @ state[0]
-    if said.heading is not None:
-        away[said.heading] = wrap(float(away[said.heading]))
-    S = said.matrix @ state[1] @ said.matrix.T + said.noise
+    away = sent.value - sent.matrix @ state[0]
+    if sent.heading is not None:
+        away[sent.heading] = wrap(float(away[sent.heading]))
+    S = sent.matrix @ state[1] @ sent.matrix.T + sent.noise
     return float(away @ np.linalg.solve(S, away))
 
 
@@ -457,23 +471,49 @@ def test_a_filter_that_is_too_sure_is_caught() -> None:
     assert (nees * 100.0).mean() > stats.chi2.ppf(0.9995, SIZE * 4) / 4
 
 
-# -- settings ----------------------------------------------------------------------------------
+def driven(reported: float, really: float, seed: int, readings: int = 2000) -> Ekf:
+    """A base that turns at random, whose gyro has a noise of `really`, assumed as `reported` [rad/s]."""
+    rng = random(seed)
+    settings = EkfSettings(start_sigma=1e-6, bias_sigma=1e-9, bias_noise=0.0, angular_noise=0.5)
+    ekf = Ekf(settings)
+    rate = float(rng.normal(0.0, 1.0))
+    for step in range(1, readings + 1):
+        rate += float(rng.normal(0.0, 0.5 * np.sqrt(0.01)))
+        ekf.observe(gyro("imu", 10 * step * MS, rate + float(rng.normal(0.0, really)), reported))
+    return ekf
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("start_x", math.nan),
-        ("start_sigma", 0.0),
-        ("linear_noise", -1.0),
-        ("confidence", 0.9),
-        ("lockout", -1),
-        ("bias_sigma", math.inf),
-    ],
-)
-def test_settings_are_checked(field: str, value: float) -> None:
-    with pytest.raises(ValueError, match=field):
-        EkfSettings(**{field: value})  # type: ignore[arg-type]  # one of them is an integer
+@pytest.mark.parametrize("seed", range(3))
+def test_right_covariances_give_a_nis_of_one(seed: int) -> None:
+    nis = driven(0.05, 0.05, seed).nis["imu"]
+    assert nis.count == nis.freedom == 2000
+    # chi-square of 2000 degrees of freedom over 2000: 1 ± 0.032; three sigma, and the first readings
+    assert 0.9 < nis.mean < 1.1
+    assert 0.03 < nis.beyond / nis.count < 0.07
+
+
+def test_nis_shows_assumed_noise_that_is_too_small_or_too_large() -> None:
+    nis = driven(0.01, 0.05, 1).nis["imu"]
+    assert nis.mean > 1.5
+    assert nis.beyond / nis.count > 0.1
+    assert driven(0.5, 0.05, 1).nis["imu"].mean < 0.5
+
+
+def test_nis_counts_a_rejected_measurement_and_a_late_one_once() -> None:
+    ekf = Ekf(EkfSettings())
+    for step in range(1, 11):
+        ekf.observe(gyro("imu", 100 * step * MS, 0.0, 0.01))
+    assert ekf.observe(gyro("imu", 1010 * MS, 50.0, 0.01)) is GateResult.REJECTED
+    before = copy.deepcopy(ekf.nis)
+    assert Nis().mean == 0.0
+    assert before["imu"].count == 11
+    assert before["imu"].mean > 1000
+    # put in its place before what came after it, which is applied again but not judged again
+    assert ekf.observe(wheels("left", 950 * MS, 0.0, 0.0, np.eye(2) * 1e-2)) is GateResult.ACCEPTED
+    assert ekf.nis["imu"] == before["imu"]
+    assert (ekf.nis["left"].count, ekf.nis["left"].freedom) == (1, 2)
+    assert ekf.observe(gyro("imu", 1, 0.0, 0.01)) is not GateResult.ACCEPTED
+    assert ekf.nis["imu"] == before["imu"]
 
 
 def test_only_the_filter_itself_loads_the_library() -> None:

@@ -6,16 +6,18 @@ import pytest
 from brain.belief import Pose
 from brain.bodies.differential import wrap
 from brain.perception.grid import Grid, GridSettings
-from brain.perception.mount import Sweep, sweep
-from brain.perception.scan_match import Match, MatchSettings, match, misfits
+from brain.perception.mount import BodyScan, to_body
+from brain.perception.scan_match import Match, MatchSettings, contradicts_map, match
 from tests.brain.perception.office import MOUNTS, OFFICE, box, scan_at
 
 LIDAR = MOUNTS["lidar"]
 SETTINGS = MatchSettings()
 
 
-def seen(pose: Pose, random: np.random.Generator, walls: np.ndarray = OFFICE, sigma: float = 0.01) -> Sweep:
-    return sweep(scan_at(walls, pose, LIDAR, 0, sigma * random.normal(size=360)), LIDAR)
+def seen(
+    pose: Pose, random: np.random.Generator, walls: np.ndarray = OFFICE, sigma: float = 0.01
+) -> BodyScan:
+    return to_body(scan_at(walls, pose, LIDAR, 0, sigma * random.normal(size=360)), LIDAR)
 
 
 def drawn(
@@ -120,7 +122,7 @@ def test_another_place_has_no_match() -> None:
 def test_no_hits_no_match() -> None:
     random = np.random.Generator(np.random.PCG64(8))
     grid = drawn([Pose(0.0, 0.0, 0.0)], random)
-    void = sweep(scan_at(OFFICE + 100.0, Pose(0.0, 0.0, 0.0), LIDAR, 0), LIDAR)
+    void = to_body(scan_at(OFFICE + 100.0, Pose(0.0, 0.0, 0.0), LIDAR, 0), LIDAR)
     assert match(grid, void, Pose(0.0, 0.0, 0.0), SETTINGS) is None
 
 
@@ -129,10 +131,10 @@ def test_what_contradicts_the_map_does_not_fit() -> None:
     random = np.random.Generator(np.random.PCG64(12))
     here = Pose(0.0, 0.0, 0.0)
     grid = drawn([here], random)
-    assert not misfits(grid, seen(here, random), here, SETTINGS)
-    assert misfits(grid, seen(Pose(0.6, 0.4, 1.0), random), here, SETTINGS)
-    assert not misfits(grid, seen(Pose(7.5, 1.5, 0.0), random), Pose(7.5, 1.5, 0.0), SETTINGS)
-    assert not misfits(grid, seen(here, random), Pose(90.0, 0.0, 0.0), SETTINGS)
+    assert not contradicts_map(grid, seen(here, random), here, SETTINGS)
+    assert contradicts_map(grid, seen(Pose(0.6, 0.4, 1.0), random), here, SETTINGS)
+    assert not contradicts_map(grid, seen(Pose(7.5, 1.5, 0.0), random), Pose(7.5, 1.5, 0.0), SETTINGS)
+    assert not contradicts_map(grid, seen(here, random), Pose(90.0, 0.0, 0.0), SETTINGS)
 
 
 def test_at_the_edge_of_the_map() -> None:
@@ -142,14 +144,3 @@ def test_at_the_edge_of_the_map() -> None:
     grid = drawn([Pose(0.0, 0.0, 0.0)], random, settings=small)
     found = match(grid, seen(Pose(1.5, 1.5, 0.0), random), Pose(1.5, 1.5, 0.0), SETTINGS)
     assert found is None or np.isfinite(found.noise).all()
-
-
-@pytest.mark.parametrize("field", ["beams", "reach", "sigma", "overlap"])
-def test_settings_are_checked(field: str) -> None:
-    with pytest.raises(ValueError, match=field):
-        MatchSettings(**{field: -1})
-
-
-def test_overlap_is_a_share() -> None:
-    with pytest.raises(ValueError, match="overlap"):
-        MatchSettings(overlap=1.5)

@@ -1,4 +1,4 @@
-"""A*: optimal in its own metric to 1e-9 against scipy's Dijkstra, bounded, repeatable, typed in failure."""
+"""A*: optimal in its own metric to 1e-9 against scipy's Dijkstra, bounded, repeatable."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ from math import inf, sqrt
 import numpy as np
 import pytest
 
-from brain.planning.astar import Cells, NoWay, Outcome, Search, Searching
-from brain.planning.costmap import BLOCKED, UNKNOWN, Costmap, Mask, build
+from brain.planning.astar import CellPath, Outcome, Search, Searching, Unreachable
+from brain.planning.costmap import BLOCKED, UNKNOWN, Mask
 from tests.brain.helpers import dijkstra
-
-
-def costmap(blocked: Mask, unknown: Mask | None = None, **options: float) -> Costmap:
-    known = np.zeros_like(blocked) if unknown is None else unknown
-    return build(blocked, known, resolution=0.1, origin=(0.0, 0.0), **options)  # type: ignore[arg-type]  # floats only
+from tests.brain.planning.test_planner import costmap_of
 
 
 def picture(*rows: str) -> tuple[Mask, Mask]:
@@ -43,25 +39,25 @@ def random_map(rng: np.random.Generator, size: int, share: float) -> Mask:
 def test_cost_is_the_eight_connected_optimum(seed: int, dislike: float) -> None:
     """Not 4-connected, not Manhattan: the cost equals Dijkstra's to 1e-9, walls disliked or not."""
     rng = np.random.Generator(np.random.PCG64(seed))
-    there = costmap(random_map(rng, 40, 0.1 + 0.02 * seed), comfort=0.3, dislike=dislike)
+    there = costmap_of(random_map(rng, 40, 0.1 + 0.02 * seed), comfort=0.3, dislike=dislike)
     free = [cell for cell, level in enumerate(there.level) if level != BLOCKED]
     start, goal = (int(c) for c in rng.choice(free, 2, replace=False))
     optimum = dijkstra(there, start, goal)
     outcome = run(Search(there, start, goal))
     if optimum == inf:
-        assert outcome == NoWay()
+        assert outcome == Unreachable()
     else:
-        assert isinstance(outcome, Cells)
+        assert isinstance(outcome, CellPath)
         assert outcome.cost == pytest.approx(optimum, abs=1e-9)
 
 
 def test_an_empty_map_costs_the_octile_distance() -> None:
-    there = costmap(np.zeros((30, 30), bool))
+    there = costmap_of(np.zeros((30, 30), bool))
     start, goal = there.index(0.05, 0.05), there.index(2.05, 0.75)
     assert start is not None
     assert goal is not None
     outcome = run(Search(there, start, goal))
-    assert isinstance(outcome, Cells)
+    assert isinstance(outcome, CellPath)
     assert outcome.cost == pytest.approx(0.1 * (13 + 7 * sqrt(2.0)), abs=1e-12)
     assert (outcome.cells[0], outcome.cells[-1]) == (start, goal)
 
@@ -73,23 +69,23 @@ def test_no_corner_is_cut() -> None:
         ".....",
         "..#..",
     )
-    there = costmap(blocked, unknown)
+    there = costmap_of(blocked, unknown)
     outcome = run(Search(there, 2 * 7 + 2, 2 * 7 + 5))
-    assert isinstance(outcome, Cells)
+    assert isinstance(outcome, CellPath)
     for a, b in zip(outcome.cells, outcome.cells[1:], strict=False):
         (row, column), (next_row, next_column) = divmod(a, 7), divmod(b, 7)
         assert there.level[row * 7 + next_column] != BLOCKED
         assert there.level[next_row * 7 + column] != BLOCKED
 
 
-def test_a_diagonal_gap_between_two_corners_is_no_way() -> None:
+def test_a_diagonal_gap_between_two_corners_is_closed() -> None:
     blocked, unknown = picture(
         "..#",
         ".#.",
         "#..",
     )
-    there = costmap(blocked, unknown)
-    assert run(Search(there, 3 * 5 + 1, 1 * 5 + 3)) == NoWay()
+    there = costmap_of(blocked, unknown)
+    assert run(Search(there, 3 * 5 + 1, 1 * 5 + 3)) == Unreachable()
 
 
 def test_unknown_is_never_planned_through_unless_allowed() -> None:
@@ -98,36 +94,36 @@ def test_unknown_is_never_planned_through_unless_allowed() -> None:
         "..?..",
     )
     start, goal = 1 * 7 + 1, 1 * 7 + 5
-    assert run(Search(costmap(blocked, unknown), start, goal)) == NoWay()
-    guessed = run(Search(costmap(blocked, unknown), start, goal, through_unknown=True))
-    assert isinstance(guessed, Cells)
-    there = build(blocked, unknown, resolution=0.1, origin=(0.0, 0.0), unknown_is_free=True)
+    assert run(Search(costmap_of(blocked, unknown), start, goal)) == Unreachable()
+    assumed = run(Search(costmap_of(blocked, unknown), start, goal, through_unknown=True))
+    assert isinstance(assumed, CellPath)
+    there = costmap_of(blocked, unknown, unknown_is_free=True)
     assert UNKNOWN not in there.level
-    assert isinstance(run(Search(there, start, goal)), Cells)
+    assert isinstance(run(Search(there, start, goal)), CellPath)
 
 
-def test_no_way_is_typed_and_never_a_partial_path() -> None:
+def test_failure_is_typed_and_never_a_partial_path() -> None:
     """The usual defect returns came_from.get(goal), an empty or partial path, on failure."""
     blocked, unknown = picture(
         ".#.",
         ".#.",
     )
-    there = costmap(blocked, unknown)
+    there = costmap_of(blocked, unknown)
     search = Search(there, 1 * 5 + 1, 1 * 5 + 3)
-    assert run(search) == NoWay()
-    assert search.advance(10) == NoWay()
+    assert run(search) == Unreachable()
+    assert search.advance(10) == Unreachable()
     blocked_goal = Search(there, 1 * 5 + 1, 1 * 5 + 2)
-    assert blocked_goal.advance(1) == NoWay()
+    assert blocked_goal.advance(1) == Unreachable()
 
 
 def test_start_is_the_goal() -> None:
-    there = costmap(np.zeros((4, 4), bool))
-    assert run(Search(there, 14, 14)) == Cells((14,), 0.0)
+    there = costmap_of(np.zeros((4, 4), bool))
+    assert run(Search(there, 14, 14)) == CellPath((14,), 0.0)
 
 
 def test_each_call_is_bounded_by_expansions_and_slicing_changes_nothing() -> None:
     rng = np.random.Generator(np.random.PCG64(4))
-    there = costmap(random_map(rng, 60, 0.2), comfort=0.3, dislike=2.0)
+    there = costmap_of(random_map(rng, 60, 0.2), comfort=0.3, dislike=2.0)
     free = [cell for cell, level in enumerate(there.level) if level != BLOCKED]
     start, goal = free[0], free[-1]
     search, total = Search(there, start, goal), 0
@@ -138,11 +134,11 @@ def test_each_call_is_bounded_by_expansions_and_slicing_changes_nothing() -> Non
     assert run(Search(there, start, goal), 10**9) == outcome == run(Search(there, start, goal), 1)
 
 
-def test_a_copy_goes_on_as_the_original() -> None:
+def test_a_deep_copy_continues_alike() -> None:
     rng = np.random.Generator(np.random.PCG64(5))
-    there = costmap(random_map(rng, 50, 0.2))
+    there = costmap_of(random_map(rng, 50, 0.2))
     free = [cell for cell, level in enumerate(there.level) if level != BLOCKED]
     search = Search(there, free[3], free[-3])
     search.advance(100)
-    twin = copy.deepcopy(search)
-    assert run(search) == run(twin)
+    copied = copy.deepcopy(search)
+    assert run(search) == run(copied)

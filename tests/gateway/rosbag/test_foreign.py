@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from brain.belief import Estimate, Pose
-from gateway.__main__ import main
+from gateway.cli.main import main
 from gateway.core.robot import Robot
 from gateway.errors import BagError
 from gateway.recording import Recorder
@@ -71,11 +71,11 @@ def test_no_truth_is_among_the_inputs(slalom: Bag, judged: Verdict) -> None:
     there = tuple(replace(one, latitude=one.latitude + 1e-4 * n) for n, one in enumerate(slalom.truth))
     moved = judge(replace(slalom, truth=there), rover(ON_EDGE))
     feedback_lost = judge(replace(slalom, truth=()), rover(ON_EDGE))
-    assert (moved.driven, moved.nis, moved.ledger) == (judged.driven, judged.nis, judged.ledger)
-    assert (feedback_lost.driven, feedback_lost.nis, feedback_lost.ledger) == (
+    assert (moved.driven, moved.nis, moved.anomalies) == (judged.driven, judged.nis, judged.anomalies)
+    assert (feedback_lost.driven, feedback_lost.nis, feedback_lost.anomalies) == (
         judged.driven,
         judged.nis,
-        judged.ledger,
+        judged.anomalies,
     )
     assert moved.believed is not None
     assert moved.believed.rms > 100.0

@@ -1,4 +1,4 @@
-"""A polyline by its length."""
+"""Polylines."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from math import hypot
 import numpy as np
 import pytest
 
-from brain.planning.line import Line
+from brain.planning.polyline import Polyline
 
-L = Line(((0.0, 0.0), (2.0, 0.0), (2.0, 0.0), (2.0, 1.0)))
+L = Polyline(((0.0, 0.0), (2.0, 0.0), (2.0, 0.0), (2.0, 1.0)))
 
 
 @pytest.mark.parametrize(
     ("along", "point"),
     [(0.0, (0.0, 0.0)), (1.0, (1.0, 0.0)), (2.0, (2.0, 0.0)), (2.5, (2.0, 0.5)), (4.0, (2.0, 2.0))],
 )
-def test_a_point_so_far_along(along: float, point: tuple[float, float]) -> None:
+def test_the_point_at_a_length(along: float, point: tuple[float, float]) -> None:
     assert L.point(along) == pytest.approx(point)
 
 
-def test_length_leaves_out_points_said_twice() -> None:
+def test_repeated_points_are_dropped() -> None:
     assert L.length == 3.0
     assert len(L.points) == 3
 
@@ -42,7 +42,7 @@ def test_projection(place: tuple[float, float], low: float, high: float, along: 
 
 
 def test_a_line_of_one_point() -> None:
-    dot = Line(((1.0, 2.0),))
+    dot = Polyline(((1.0, 2.0),))
     assert dot.length == 0.0
     assert dot.point(3.0) == (1.0, 2.0)
     assert dot.project((1.0, 0.0)) == (0.0, 2.0)
@@ -54,7 +54,7 @@ def test_the_point_ahead_is_at_the_distance_and_on_the_line() -> None:
     rng = np.random.Generator(np.random.PCG64(7))
     for trial in range(300):
         steps = rng.uniform(-0.4, 0.6, (12, 2))
-        line = Line(tuple((float(x), float(y)) for x, y in np.cumsum(steps, axis=0)))
+        line = Polyline(tuple((float(x), float(y)) for x, y in np.cumsum(steps, axis=0)))
         at = float(rng.uniform(0.0, line.length))
         px, py = line.point(at)
         place = (px + float(rng.uniform(-0.1, 0.1)), py + float(rng.uniform(-0.1, 0.1)))

@@ -1,4 +1,4 @@
-"""A polyline by the length along it: where a path is nearest, where it goes on, where it leaves a circle."""
+"""A polyline parametrised by arc length: projection on it, points along it, its exit from a circle."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ Point = tuple[float, float]
 """m, m"""
 
 
-class Line:
-    """A polyline by the length along it. Immutable."""
+class Polyline:
+    """A polyline parametrised by the length along it [m]. Immutable."""
 
     def __init__(self, points: tuple[Point, ...]) -> None:
-        apart = [b for a, b in pairwise(points) if a != b]
-        self.points = (points[0], *apart)
+        self.points = (points[0], *(b for a, b in pairwise(points) if a != b))
         steps = (hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(self.points))
         self.at = (0.0, *accumulate(steps))
-        """m along the line, of each point"""
+        """Length [m] along the line, of each point."""
 
     @property
     def length(self) -> float:
-        """m"""
+        """Total length [m]."""
         return self.at[-1]
 
     def point(self, along: float) -> Point:
-        """The point so many metres along the line; beyond its end, straight on."""
+        """Return the point at this length [m] along the line; beyond its end, straight on."""
         if len(self.points) == 1:
             return self.points[0]
         i = min(max(bisect_right(self.at, along) - 1, 0), len(self.points) - 2)
@@ -35,7 +34,7 @@ class Line:
         return ax + share * (bx - ax), ay + share * (by - ay)
 
     def project(self, place: Point, low: float = 0.0, high: float = inf) -> tuple[float, float]:
-        """Of the stretch from low to high: how far along [m] its nearest point is, and how far off [m]."""
+        """Return (length along the line, distance) [m] of the nearest point between `low` and `high` [m]."""
         best = (low, inf)
         for i in range(len(self.points) - 1):
             begin, end = self.at[i], self.at[i + 1]
@@ -55,24 +54,24 @@ class Line:
         return best
 
     def ahead(self, place: Point, along: float, distance: float) -> Point:
-        """The first point beyond `along` that lies this distance from the place.
+        """Return the first point beyond `along` at this distance [m] from the place.
 
-        Where the line goes on past its end, it is met there; a place that is farther off than
-        the distance gets the point that lies the distance along."""
+        The last segment is extended beyond its end. If the place is farther off the line than the
+        distance, return the point that lies the distance further along."""
         x, y = self.point(along)
         if hypot(x - place[0], y - place[1]) >= distance:
             return self.point(along + distance)
         i = min(max(bisect_right(self.at, along) - 1, 0), max(len(self.points) - 2, 0))
         for j in range(i, len(self.points) - 1):
             last = j == len(self.points) - 2
-            hit = _leaves(self.points[j], self.points[j + 1], place, distance, onward=last)
+            hit = _circle_exit(self.points[j], self.points[j + 1], place, distance, extended=last)
             if hit is not None:
                 return hit
         return self.point(along + distance)
 
 
-def _leaves(a: Point, b: Point, centre: Point, radius: float, *, onward: bool) -> Point | None:
-    """Where the line from a through b leaves the circle: before b, or anywhere if it goes onward."""
+def _circle_exit(a: Point, b: Point, centre: Point, radius: float, *, extended: bool) -> Point | None:
+    """Return where the segment from a to b (extended: the ray) leaves the circle; None if it does not."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     fx, fy = a[0] - centre[0], a[1] - centre[1]
     square, half, rest = dx * dx + dy * dy, fx * dx + fy * dy, fx * fx + fy * fy - radius * radius
@@ -80,6 +79,6 @@ def _leaves(a: Point, b: Point, centre: Point, radius: float, *, onward: bool) -
     if root < 0.0:
         return None
     share = (-half + sqrt(root)) / square
-    if share < 0.0 or (share > 1.0 and not onward):
+    if share < 0.0 or (share > 1.0 and not extended):
         return None
     return a[0] + share * dx, a[1] + share * dy

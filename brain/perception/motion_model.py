@@ -1,11 +1,11 @@
-"""How the base moves, as the filter has it: its state, the state's motion, and what is uncertain in it.
+"""The filter's motion model: its state, propagation, Jacobian and process noise.
 
-Rules of this file. Pure functions of a state, whose parts are named below (SI, frame "odom"): x, y, yaw;
-v: the speed of the wheels' treads [m/s]; w: the base's rate of turn [rad/s]; bias of the gyro [rad/s];
-slip: the share of the treads' way that the base does not go. The base goes on an exact arc of length
-(1 - slip) v dt and turn w dt; derivatives are analytic. Because v is what the wheels measure, wheels
-alone never move the slip (nor do they have anything to say on it): only a reference to the outside, such
-as a matched scan, does. A scale that wheels and gyro settle between themselves makes odometry worse.
+Rules. Pure functions of a state with these components (SI, frame "odom"): x, y, yaw; v: speed of the wheels'
+treads [m/s]; w: yaw rate of the base [rad/s]; bias of the gyro [rad/s]; slip: the share of the treads' travel
+that the base does not move. The base moves on an exact arc of length (1 - slip) v dt and turn w dt;
+derivatives are analytic. Since v is what the wheels measure, the slip is not observable from wheels alone and
+they never change it: only a reference to the outside, such as a matched scan, does. A scale factor estimated
+from wheels and gyro alone makes odometry worse.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 
 from brain.belief import Floats, Pose
 from brain.bodies.differential import arc, sinc
-from brain.perception.filter_settings import EkfSettings
+from brain.perception.ekf_settings import EkfSettings
 
 X, Y, YAW, V, W, BIAS, SLIP = range(7)
 POSE = slice(X, YAW + 1)
 SIZE = 7
 
 
-def move(state: Floats, dt: float) -> Floats:
-    """The state after dt seconds without news."""
+def propagate(state: Floats, dt: float) -> Floats:
+    """Return the state after dt seconds without a measurement."""
     x, y, yaw, v, w, bias, slip = state.tolist()
     pose = arc(Pose(x, y, yaw), (1.0 - slip) * v * dt, w * dt)
     return np.array([pose.x, pose.y, pose.yaw, v, w, bias, slip])
@@ -34,7 +34,7 @@ Triple = tuple[float, float, float]
 
 
 def arc_jacobian(yaw: float, distance: float, turn: float) -> tuple[Triple, Triple, Triple]:
-    """How the end (x, y, yaw) of an arc changes with the heading at its start, its length, its turn."""
+    """Return d(x, y, yaw) of an arc's end by its initial heading, by its length, and by its turn."""
     half = turn / 2.0
     chord = sinc(half)
     if abs(half) < 1e-4:
@@ -49,7 +49,7 @@ def arc_jacobian(yaw: float, distance: float, turn: float) -> tuple[Triple, Trip
 
 
 def jacobian(state: Floats, dt: float) -> Floats:
-    """d move / d state, 7 × 7."""
+    """Return d propagate / d state, 7 × 7."""
     _, _, yaw, v, w, _, slip = state.tolist()
     keep = 1.0 - slip
     of_yaw, along, around = arc_jacobian(yaw, keep * v * dt, w * dt)
@@ -61,8 +61,8 @@ def jacobian(state: Floats, dt: float) -> Floats:
 
 
 def process_noise(state: Floats, dt: float, settings: EkfSettings) -> Floats:
-    """What dt seconds add to the covariance, 7 × 7: speeds that wander (white acceleration, carried
-    through to the pose), bias and slip that wander, and a floor that is not quite even."""
+    """Return what dt seconds add to the covariance, 7 × 7: white acceleration (carried through to the
+    pose), random walks of bias and slip, and displacements by an uneven floor."""
     _, _, yaw, v, w, _, slip = state.tolist()
     keep = 1.0 - slip
     distance = keep * v * dt
