@@ -6,15 +6,13 @@ the nearest right name.
 
 from __future__ import annotations
 
-import re
-import tomllib
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from gateway.config.errors import Mistake, Mistakes, shown, unknown
-from gateway.config.schema import build
-from gateway.errors import ConfigError
+from gateway.config.errors import Mistakes, shown, unknown
+from gateway.config.schema import build, read_toml
+from gateway.errors import ConfigError, Mistake
 from gateway.sim.files import BenchFile, SceneFile, WorldFile
 
 
@@ -50,11 +48,9 @@ def loads_world(text: str, source: str = "world.toml") -> WorldFile:
     """A world from the text of its file; `source` names the file in complaints."""
     mistakes = Mistakes(source, text)
     try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        line = re.search(r"line (\d+)", str(error))
-        mistakes.add((), f"not TOML: {error}", int(line[1]) if line else 0)
-        raise WorldError(mistakes.error().mistakes) from error
+        table = read_toml(text, mistakes)
+    except ConfigError as error:
+        raise WorldError(error.mistakes) from error
     made: WorldFile | None = None
     if table.get("kind") == "scene":
         made = build(SceneFile, table, (), mistakes)
