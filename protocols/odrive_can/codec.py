@@ -1,10 +1,10 @@
-"""CANSimple of ODrive firmware 0.5.x and 0.6.x: values ↔ CAN frames, both ways, from one table per line.
+"""CANSimple of ODrive firmware 0.5.x and 0.6.x: messages ↔ CAN frames, both ways, from one table per line.
 
 Rules. A message is a value in the device's own units: turns, turns/s, N·m, A, V, °C; `turns` and `radians`
 below are the only place where turns meet radians. `TABLES` has one table per firmware line; nothing else
-knows which command number means what, and `layout` alone knows a byte. The lines share identifiers with
-other payloads under them, so whoever decodes must say which line is spoken; "" is "not known yet" and holds
-only what both mean the same by, and what tells them apart. To encode takes no line: a message is of one.
+knows which command number means what, and `layout` alone knows a byte. The lines use the same identifiers
+with other payloads, so decoding takes the line; "" is "not known yet", and its table holds only what has the
+same meaning in both, and what identifies the line. Encoding takes no line: a message is of one.
 
 A *node* is the node id of a device, plus `EXTENDED` if its frames have 29-bit identifiers (0.5.x only).
 
@@ -18,34 +18,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 from protocols.frames import CanFrame
 from protocols.odrive_can import messages as m
-from protocols.odrive_can import messages05 as m05
 from protocols.odrive_can.layout import Layout, layout
-from protocols.odrive_can.messages import Address, Ask, Message
-from protocols.odrive_can.messages05 import Message05
-
-AnyMessage: TypeAlias = Message | Message05
 
 BROADCAST = 0x3F
 """Node id of a broadcast, and of a device that has no address yet (0.6.x)."""
 MAX_NODE = 0x3E
 """Highest node id that a device can be given."""
 EXTENDED = 1 << 32
-"""Added to a node id: the axis listens to, and speaks with, 29-bit identifiers."""
+"""Added to a node id: the axis receives and sends 29-bit identifiers."""
 MAX_EXTENDED_NODE = 0xFFFFFF
 CMD_BITS = 5
 
 
 def turns(radians_: float) -> float:
-    """Radians (or rad/s) at the device's shaft as turns (or turns/s)."""
+    """Convert radians (or rad/s) at the device's shaft to turns (or turns/s)."""
     return radians_ / math.tau
 
 
 def radians(turns_: float) -> float:
-    """Turns (or turns/s) at the device's shaft as radians (or rad/s)."""
+    """Convert turns (or turns/s) at the device's shaft to radians (or rad/s)."""
     return turns_ * math.tau
 
 
@@ -72,7 +67,7 @@ COMMON: tuple[Layout, ...] = (
 
 VERSION = layout(m.GetVersion, 0x00, "from_device", "BBBBBBBB")
 ADDRESS = layout(m.Address, 0x06, "both", "BSc", 7)
-BEACON = layout(m.Beacon, 0x01, "from_device", "IBBBB", 7)
+UNIDENTIFIED_HEARTBEAT = layout(m.UnidentifiedHeartbeat, 0x01, "from_device", "IBBBB", 7)
 
 LINE06: tuple[Layout, ...] = (
     VERSION,
@@ -91,21 +86,31 @@ LINE06: tuple[Layout, ...] = (
 )
 
 LINE05: tuple[Layout, ...] = (
-    layout(m05.Heartbeat05, 0x01, "from_device", "IBbbb7"),
-    layout(m05.GetMotorError, 0x03, "from_device", "Q"),
-    layout(m05.GetEncoderError, 0x04, "from_device", "I"),
-    layout(m05.GetSensorlessError, 0x05, "from_device", "I"),
-    layout(m05.SetAxisNodeId, 0x06, "to_device", "I"),
-    layout(m05.GetEncoderCount, 0x0A, "from_device", "ii"),
-    layout(m05.StartAnticogging, 0x10, "to_device", "", 0),
-    layout(m05.GetSensorlessEstimates, 0x15, "from_device", "ff"),
-    layout(m05.Reboot05, 0x16, "to_device", "", 0),
-    layout(m05.ClearErrors05, 0x18, "to_device", "", 0),
-    layout(m05.SetLinearCount, 0x19, "to_device", "i"),
-    layout(m05.AskAdcVoltage, 0x1C, "to_device", "B"),
-    layout(m05.GetAdcVoltage, 0x1C, "from_device", "f"),
-    layout(m05.GetControllerError, 0x1D, "from_device", "I"),
+    layout(m.Heartbeat05, 0x01, "from_device", "IBbbb7"),
+    layout(m.GetMotorError, 0x03, "from_device", "Q"),
+    layout(m.GetEncoderError, 0x04, "from_device", "I"),
+    layout(m.GetSensorlessError, 0x05, "from_device", "I"),
+    layout(m.SetAxisNodeId, 0x06, "to_device", "I"),
+    layout(m.GetEncoderCount, 0x0A, "from_device", "ii"),
+    layout(m.StartAnticogging, 0x10, "to_device", "", 0),
+    layout(m.GetSensorlessEstimates, 0x15, "from_device", "ff"),
+    layout(m.Reboot05, 0x16, "to_device", "", 0),
+    layout(m.ClearErrors05, 0x18, "to_device", "", 0),
+    layout(m.SetLinearCount, 0x19, "to_device", "i"),
+    layout(m.RequestAdcVoltage, 0x1C, "to_device", "B"),
+    layout(m.GetAdcVoltage, 0x1C, "from_device", "f"),
+    layout(m.GetControllerError, 0x1D, "from_device", "I"),
 )
+
+WRITABLE: dict[type[m.Message], tuple[str, ...]] = {
+    m.SetLimits: ("Velocity_Limit", "Current_Limit"),
+    m.SetTrajVelLimit: ("Traj_Vel_Limit",),
+    m.SetTrajAccelLimits: ("Traj_Accel_Limit", "Traj_Decel_Limit"),
+    m.SetTrajInertia: ("Traj_Inertia",),
+    m.SetPosGain: ("Pos_Gain",),
+    m.SetVelGains: ("Vel_Gain", "Vel_Integrator_Gain"),
+}
+"""The messages that write parameters, in both lines, with the vendor's names of their fields in order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,115 +120,118 @@ class Table:
     layouts: tuple[Layout, ...]
     from_device: dict[int, Layout]
     to_device: dict[int, Layout]
-    askable: frozenset[int]
-    """Commands that a device answers when it is asked by a remote frame or an empty one."""
-    remote_obeyed: bool
+    requestable: frozenset[int]
+    """Commands that a device sends in reply to a remote frame or an empty one."""
+    obeys_remote_frames: bool
     """A remote frame of a host's message is obeyed, as if its data were zeros."""
-    always_told: frozenset[int] = frozenset()
-    """Commands that are answered whatever the frame."""
+    always_replied: frozenset[int] = frozenset()
+    """Commands that are replied to whatever the frame."""
 
 
-def _table(layouts: tuple[Layout, ...], told_unasked: frozenset[int], remote_obeyed: bool = False) -> Table:
+def _table(layouts: tuple[Layout, ...], not_requestable: frozenset[int], obeys_remote: bool = False) -> Table:
     from_device = {row.cmd: row for row in layouts if row.direction != "to_device"}
     to_device = {row.cmd: row for row in layouts if row.direction != "from_device"}
-    return Table(layouts, from_device, to_device, frozenset(from_device) - told_unasked, remote_obeyed)
+    return Table(layouts, from_device, to_device, frozenset(from_device) - not_requestable, obeys_remote)
 
 
 def _table05() -> Table:
-    """0.5.x tells a heartbeat by its clock only and an ADC's voltage for a data frame only, answers any frame
-    with Get_Controller_Error's number, and obeys remote frames (ODrive@f9b5419 `can_simple.cpp`)."""
-    table = _table(COMMON + LINE05, frozenset({0x01, 0x1C}), remote_obeyed=True)
+    """0.5.x sends a heartbeat cyclically only and an ADC's voltage in reply to a data frame only, replies to
+    any frame with Get_Controller_Error's number, and obeys remote frames (ODrive@f9b5419
+    `can_simple.cpp`)."""
+    table = _table(COMMON + LINE05, frozenset({0x01, 0x1C}), obeys_remote=True)
     return replace(
         table,
-        # A device of this line never says Get_Version: whoever does is none, and must be understood.
+        # A device of this line never sends Get_Version: one that does is of another, which must be noticed.
         from_device=table.from_device | {VERSION.cmd: VERSION},
-        always_told=frozenset({0x1D}),
+        always_replied=frozenset({0x1D}),
     )
 
 
-UNREPORTED = (*(row for row in COMMON if row.direction == "from_device"), VERSION, BEACON, ADDRESS)
+UNIDENTIFIED = (
+    *(row for row in COMMON if row.direction == "from_device"),
+    VERSION,
+    UNIDENTIFIED_HEARTBEAT,
+    ADDRESS,
+)
 TABLES: dict[str, Table] = {
-    "": _table(UNREPORTED, frozenset()),
+    "": _table(UNIDENTIFIED, frozenset()),
     "0.5": _table05(),
     "0.6": _table(COMMON + LINE06, frozenset()),
 }
 """By firmware line; "" before it is known."""
-BY_TYPE: dict[type[Any], Layout] = {row.message: row for row in COMMON + LINE06 + LINE05 + (BEACON,)}
+BY_TYPE: dict[type[Any], Layout] = {
+    row.message: row for row in (*COMMON, *LINE06, *LINE05, UNIDENTIFIED_HEARTBEAT)
+}
 
 
 # -- frames -------------------------------------------------------------------------------------------
 
 
 def cmd_of(message: type[Any]) -> int:
-    """The command number of a kind of message."""
+    """Return the command number of a type of message."""
     return BY_TYPE[message].cmd
 
 
 def frame_id(node: int, cmd: int) -> int:
-    """The identifier: 6 (extended: 24) bits of node id, 5 bits of command."""
+    """Return the identifier: 6 (extended: 24) bits of node id, 5 bits of command."""
     return (node & MAX_EXTENDED_NODE) << CMD_BITS | cmd
 
 
 def node_of(frame: CanFrame) -> int:
-    """The node that a frame is from or for."""
+    """Return the node that a frame is from or for."""
     node = frame.id >> CMD_BITS
     return node | EXTENDED if frame.extended else node
 
 
-def asking(node: int, cmd: int) -> CanFrame:
-    """The remote frame that asks a node for a message, by its command number."""
+def remote_frame(node: int, cmd: int) -> CanFrame:
+    """Return the remote frame that requests a message of a node, by its command number."""
     return CanFrame(frame_id(node, cmd), extended=node >= EXTENDED, remote=True)
 
 
-def ask(node: int, message: type[Any]) -> CanFrame:
-    """The remote frame that asks a node for a message."""
-    return asking(node, BY_TYPE[message].cmd)
-
-
-def encode(node: int, message: AnyMessage) -> CanFrame:
-    """The frame of a message of or to a node. ValueError for a number that is not finite."""
+def encode(node: int, message: m.Message) -> CanFrame:
+    """Return the frame of a message from or to a node. ValueError for a number that is not finite."""
     row = BY_TYPE[type(message)]
     data = row.encode(message)
-    if row is ADDRESS and isinstance(message, Address) and message.connection is None:
+    if row is ADDRESS and isinstance(message, m.Address) and message.connection is None:
         data = data[: row.dlc]
     if node < EXTENDED:
         return CanFrame(node << CMD_BITS | row.cmd, data)
     return CanFrame(frame_id(node, row.cmd), data, extended=True)
 
 
-def decode_from_device(frame: CanFrame, line: str = "0.6") -> AnyMessage | None:
-    """What a device of a firmware line says with this data frame; None if it says nothing that there is, is
-    too short, or holds a number that is not one."""
+def decode_from_device(frame: CanFrame, line: str = "0.6") -> m.Message | None:
+    """Decode a data frame of a device of a firmware line. None for a command that the line does not have,
+    wrong lengths, and numbers that are not finite."""
     row = TABLES[line].from_device.get(frame.id & 0x1F)
     data = frame.data
     if row is None or not row.dlc <= len(data) <= 8:
         return None
     if len(data) == 8:
-        message: AnyMessage | None = row.decode(data)
+        message: m.Message | None = row.decode(data)
         return message
-    return _padded(row, data)
+    return _decode_padded(row, data)
 
 
-def decode_to_device(frame: CanFrame, line: str = "0.6") -> AnyMessage | Ask | None:
-    """What a device of a firmware line understands of this frame; None if nothing.
+def decode_to_device(frame: CanFrame, line: str = "0.6") -> m.Message | m.RemoteRequest | None:
+    """Decode a frame of a host as a device of a firmware line does; None if the device ignores it.
 
-    A remote frame, or an empty data frame, asks for a message. Short data is read as if the rest were
+    A remote frame, or an empty data frame, requests a message. Short data is read as if the rest were
     zeros: a device reads its 8-byte buffer whatever the DLC (ODrive@f9b5419
     `communication/can/can_simple.cpp`), and vendor hosts send Set_Axis_State with DLC 4.
     """
     table, cmd, data = TABLES[line], frame.id & 0x1F, frame.data
     if frame.fd or len(data) > 8:
         return None
-    if cmd in table.always_told or (cmd in table.askable and (frame.remote or not data)):
-        return Ask(cmd)
+    if cmd in table.always_replied or (cmd in table.requestable and (frame.remote or not data)):
+        return m.RemoteRequest(cmd)
     row = table.to_device.get(cmd)
-    if row is None or (frame.remote and not table.remote_obeyed):
+    if row is None or (frame.remote and not table.obeys_remote_frames):
         return None
-    return _padded(row, data)
+    return _decode_padded(row, data)
 
 
-def _padded(row: Layout, data: bytes) -> AnyMessage | None:
-    message: AnyMessage | None = row.decode(data.ljust(8, b"\0"))
-    if row is ADDRESS and isinstance(message, Address) and len(data) < 8:
-        return Address(message.node, message.serial)
+def _decode_padded(row: Layout, data: bytes) -> m.Message | None:
+    message: m.Message | None = row.decode(data.ljust(8, b"\0"))
+    if row is ADDRESS and isinstance(message, m.Address) and len(data) < 8:
+        return m.Address(message.node, message.serial)
     return message

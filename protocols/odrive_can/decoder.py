@@ -1,10 +1,10 @@
-"""What ODrives would obey: mode and state remembered, a frame becomes the words that it means.
+"""What ODrives would obey: mode and state are kept, a frame is decoded to the commands that it amounts to.
 
-Rules. `Axis` is what one device remembers of what it was told; the twin's firmware runs on the very same
-object, so ear and twin cannot disagree on what is obeyed. A frame that changes nothing gives no word: a
-set-point to a disarmed axis is remembered and says nothing until the axis arms. Broadcasts (node 0x3F)
-reach every device of 0.6.x for Reboot, Clear_Errors and Address, as in odriverobotics/ODriveResources@06dc846
-`examples/can_enumerate.py`; in 0.5.x both axes of a board hear Reboot and Clear_Errors of either
+Rules. `Axis` is what one device keeps of the frames it received; the twin's firmware runs on the very same
+object, so decoder and twin cannot disagree on what is obeyed. A frame that changes nothing gives no command:
+a set-point to a disarmed axis is kept and takes effect when the axis arms. Broadcasts (node 0x3F) reach every
+device of 0.6.x for Reboot, Clear_Errors and Address, as in odriverobotics/ODriveResources@06dc846
+`examples/can_enumerate.py`; in 0.5.x both axes of a board obey Reboot and Clear_Errors to either
 (odriverobotics/ODrive@f9b5419 `communication/can/can_simple.cpp`).
 """
 
@@ -16,60 +16,29 @@ from dataclasses import dataclass
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Nanos, Request
-from protocols.messages import Estop as EstopWord
-from protocols.messages import Reboot as RebootWord
+from protocols.odrive_can import messages as m
 from protocols.odrive_can.codec import (
     BROADCAST,
     EXTENDED,
     MAX_EXTENDED_NODE,
-    AnyMessage,
+    WRITABLE,
     decode_to_device,
     node_of,
     radians,
 )
-from protocols.odrive_can.messages import (
-    Address,
-    Ask,
-    AxisState,
-    ClearErrors,
-    ControlMode,
-    EnterDfuMode,
-    Estop,
-    InputMode,
-    Reboot,
-    RxSdo,
-    SetAbsolutePosition,
-    SetAxisState,
-    SetControllerMode,
-    SetInputPos,
-    SetInputTorque,
-    SetInputVel,
-    SetLimits,
-    SetPosGain,
-    SetTrajAccelLimits,
-    SetTrajInertia,
-    SetTrajVelLimit,
-    SetVelGains,
-)
-from protocols.odrive_can.messages05 import (
-    ClearErrors05,
-    Reboot05,
-    SetAxisNodeId,
-    SetLinearCount,
-    StartAnticogging,
-)
+from protocols.odrive_can.messages import AxisState, ControlMode, InputMode
 from protocols.odrive_can.options import Settings, line_of, node_of_device, serial_of
 from protocols.plugin import Device
 
-BROADCASTS = (Reboot, ClearErrors, Address)
-"""What a device of 0.6.x takes from the broadcast node."""
-BOARD = (Reboot05, ClearErrors05)
-"""What an axis of 0.5.x takes from the other axis on its board."""
+BROADCASTS = (m.Reboot, m.ClearErrors, m.Address)
+"""What a device of 0.6.x obeys on the broadcast node."""
+BOARD = (m.Reboot05, m.ClearErrors05)
+"""What an axis of 0.5.x obeys on the node of the other axis on its board."""
 
 
 @dataclass(slots=True)
 class Axis:
-    """What one device remembers of what it was told. Turns, turns/s, N·m."""
+    """The commanded state of one device. Turns, turns/s, N·m."""
 
     motor: str
     line: str
@@ -86,8 +55,8 @@ class Axis:
     velocity: float = 0.0
     torque: float = 0.0
 
-    def word(self) -> Sequence[Command]:
-        """The command that the inputs amount to now."""
+    def command(self) -> Sequence[Command]:
+        """Return the command that mode and inputs amount to now."""
         if not self.armed or self.input_mode == InputMode.INACTIVE:
             return ()
         if self.control_mode == ControlMode.TORQUE:
@@ -102,7 +71,7 @@ class Axis:
 
 
 def axis_of(device: Device) -> Axis:
-    """A device as it stands after power-on."""
+    """Return the state of a device after power-on."""
     settings: Settings = device.settings
     other = None if settings.other_axis < 0 else node_of_device(device, settings.other_axis)
     return Axis(
@@ -116,32 +85,32 @@ def axis_of(device: Device) -> Axis:
     )
 
 
-def obey(axis: Axis, message: AnyMessage) -> Sequence[Command | Request]:
-    """Let an axis hear a message to its own node; what that makes it do, in words."""
+def obey(axis: Axis, message: m.Message) -> Sequence[Command | Request]:
+    """Apply a message to an axis' own node; return what it then does."""
     match message:
-        case SetInputPos(position, velocity, torque):
+        case m.SetInputPos(position, velocity, torque):
             axis.position, axis.velocity, axis.torque = position, velocity, torque
-            return axis.word()
-        case SetInputVel(velocity, torque):
+            return axis.command()
+        case m.SetInputVel(velocity, torque):
             axis.velocity, axis.torque = velocity, torque
-            return axis.word()
-        case SetInputTorque(torque):
+            return axis.command()
+        case m.SetInputTorque(torque):
             axis.torque = torque
-            return axis.word()
-        case SetControllerMode(control_mode, input_mode):
+            return axis.command()
+        case m.SetControllerMode(control_mode, input_mode):
             return _set_mode(axis, control_mode, input_mode)
-        case SetAxisState(state):
+        case m.SetAxisState(state):
             return _set_state(axis, state)
-        case Estop():
+        case m.Estop():
             axis.armed = False
-            return (EstopWord(axis.motor),)
-        case Reboot() | Reboot05() | EnterDfuMode():
+            return (msg.Estop(axis.motor),)
+        case m.Reboot() | m.Reboot05() | m.EnterDfuMode():
             axis.armed = False
-            return (RebootWord(axis.motor),)
-        case ClearErrors() | ClearErrors05():
+            return (msg.Reboot(axis.motor),)
+        case m.ClearErrors() | m.ClearErrors05():
             return (msg.ClearFault(axis.motor),)
-        case SetAxisNodeId(node):
-            axis.node = renamed(axis.node, node)
+        case m.SetAxisNodeId(node):
+            axis.node = _with_node_id(axis.node, node)
             return (msg.SetId("", axis.serial, node),)
     return _configure(axis.motor, message)
 
@@ -150,7 +119,7 @@ def _set_mode(axis: Axis, control_mode: int, input_mode: int) -> Sequence[Comman
     if control_mode == ControlMode.POSITION and axis.control_mode != ControlMode.POSITION:
         axis.position = None
     axis.control_mode, axis.input_mode = control_mode, input_mode
-    return axis.word()
+    return axis.command()
 
 
 def _set_state(axis: Axis, state: int) -> Sequence[Command | Request]:
@@ -164,49 +133,24 @@ def _set_state(axis: Axis, state: int) -> Sequence[Command | Request]:
         # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
         axis.position = None
         axis.armed = True
-    return axis.word()
+    return axis.command()
 
 
-def _configure(motor: str, message: AnyMessage) -> Sequence[Request]:
+def _configure(motor: str, message: m.Message) -> Sequence[Request]:
     match message:
-        case SetAbsolutePosition(position):
-            return (
-                (msg.Zero(motor),)
-                if position == 0
-                else (msg.WriteParameter(motor, "Position", radians(position)),)
-            )
-        case SetLinearCount(count):
-            return (
-                (msg.Zero(motor),)
-                if count == 0
-                else (msg.WriteParameter(motor, "Linear_Count", float(count)),)
-            )
-        case StartAnticogging():  # a procedure of the device's own that turns the shaft
+        case m.SetAbsolutePosition(position):
+            write = msg.WriteParameter(motor, "Position", radians(position))
+            return (msg.Zero(motor),) if position == 0 else (write,)
+        case m.SetLinearCount(count):
+            write = msg.WriteParameter(motor, "Linear_Count", float(count))
+            return (msg.Zero(motor),) if count == 0 else (write,)
+        case m.StartAnticogging():  # a procedure of the device that turns the shaft
             return (msg.Home(motor),)
-        case SetLimits(velocity, current):
-            return (
-                msg.WriteParameter(motor, "Velocity_Limit", velocity),
-                msg.WriteParameter(motor, "Current_Limit", current),
-            )
-        case SetVelGains(gain, integrator):
-            return (
-                msg.WriteParameter(motor, "Vel_Gain", gain),
-                msg.WriteParameter(motor, "Vel_Integrator_Gain", integrator),
-            )
-        case SetTrajAccelLimits(acceleration, deceleration):
-            return (
-                msg.WriteParameter(motor, "Traj_Accel_Limit", acceleration),
-                msg.WriteParameter(motor, "Traj_Decel_Limit", deceleration),
-            )
-        case SetPosGain(gain):
-            return (msg.WriteParameter(motor, "Pos_Gain", gain),)
-        case SetTrajVelLimit(velocity):
-            return (msg.WriteParameter(motor, "Traj_Vel_Limit", velocity),)
-        case SetTrajInertia(inertia):
-            return (msg.WriteParameter(motor, "Traj_Inertia", inertia),)
-        case RxSdo(1, endpoint, _, value):
+        case m.RxSdo(1, endpoint, _, value):
             return (msg.WriteParameter(motor, f"endpoint {endpoint}", float(value)),)
-    return ()
+    names = WRITABLE.get(type(message), ())
+    fields = zip(names, message.__slots__, strict=True) if names else ()
+    return tuple(msg.WriteParameter(motor, name, getattr(message, slot)) for name, slot in fields)
 
 
 class OdriveDecoder:
@@ -217,29 +161,29 @@ class OdriveDecoder:
         self._lines = sorted({axis.line for axis in self.axes})
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
-        """The words that the devices would obey; [] if none would do anything."""
+        """Decode what the devices would obey; [] if no device would do anything."""
         if not isinstance(frame, CanFrame):
             return []
         node = node_of(frame)
-        words: list[Command | Request] = []
+        obeyed: list[Command | Request] = []
         for line in self._lines:
             message = decode_to_device(frame, line)
-            if message is not None and not isinstance(message, Ask):
-                words += [w for axis in self.axes if axis.line == line for w in decode(axis, node, message)]
-        return words
+            if message is not None and not isinstance(message, m.RemoteRequest):
+                obeyed += [c for axis in self.axes if axis.line == line for c in receive(axis, node, message)]
+        return obeyed
 
 
-def decode(axis: Axis, node: int, message: AnyMessage) -> Sequence[Command | Request]:
-    """Let an axis hear a message to any node; what that makes it do."""
-    if isinstance(message, SetAxisNodeId) and node == axis.other:
-        axis.other = renamed(node, message.node)
-    if isinstance(message, Address):
+def receive(axis: Axis, node: int, message: m.Message) -> Sequence[Command | Request]:
+    """Apply a message to any node to an axis; return what it then does."""
+    if isinstance(message, m.SetAxisNodeId) and node == axis.other:
+        axis.other = _with_node_id(node, message.node)
+    if isinstance(message, m.Address):
         return assign(axis, node, message)
     return obey(axis, message) if addressed(axis, node, message) else ()
 
 
-def addressed(axis: Axis, node: int, message: AnyMessage) -> bool:
-    """Whether a message to this node is for this axis."""
+def addressed(axis: Axis, node: int, message: m.Message) -> bool:
+    """True if a message to this node is for this axis."""
     return (
         node == axis.node
         or (node == BROADCAST and isinstance(message, BROADCASTS))
@@ -247,13 +191,13 @@ def addressed(axis: Axis, node: int, message: AnyMessage) -> bool:
     )
 
 
-def renamed(node: int, to: int) -> int:
-    """A node with another node id, and its kind of identifiers."""
-    return to & MAX_EXTENDED_NODE | node & EXTENDED
+def _with_node_id(node: int, node_id: int) -> int:
+    """Return a node with another node id and the same format of identifiers."""
+    return node_id & MAX_EXTENDED_NODE | node & EXTENDED
 
 
-def assign(axis: Axis, node: int, message: Address) -> Sequence[msg.SetId]:
-    """A node id is given out on the broadcast node: take it, or vacate it if it is ours."""
+def assign(axis: Axis, node: int, message: m.Address) -> Sequence[msg.SetId]:
+    """Apply an assignment on the broadcast node: take the node id, or vacate it if another gets it."""
     if node != BROADCAST or message.node > BROADCAST:
         return ()
     if message.serial == axis.serial:

@@ -1,93 +1,103 @@
-"""What our end does differently by firmware line: one value per line, and nobody else asks which it is.
+"""What the host does differently by firmware line: one value per line, and no other code asks which it is.
 
-Rules. A `Dialect` is a constant; a node keeps its line's name and looks it up in `DIALECTS`. "" is the line
-of a device that has not been told apart yet: it is asked what both lines answer alike, and told nothing.
+Rules. A `Dialect` is a constant; a `HostAxis` keeps its line's name and looks it up in `DIALECTS`. "" is the
+line of a device that is not identified yet: it is sent only requests that both lines answer alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from protocols.odrive_can import messages as m
-from protocols.odrive_can import messages05 as m05
-from protocols.odrive_can.codec import AnyMessage, cmd_of
+from protocols.odrive_can.codec import cmd_of
 from protocols.odrive_can.faults import ERRORS, Error, Result
 from protocols.odrive_can.faults05 import (
-    AXIS,
     AXIS_BASE,
-    CONTROLLER,
+    AXIS_FAULTS,
     CONTROLLER_BASE,
-    ENCODER,
+    CONTROLLER_FAULTS,
     ENCODER_BASE,
-    MOTOR,
+    ENCODER_FAULTS,
     MOTOR_BASE,
-    SENSORLESS,
+    MOTOR_FAULTS,
     SENSORLESS_BASE,
+    SENSORLESS_FAULTS,
     AxisError,
 )
 from protocols.plugin import FaultInfo
 
 Readable = Mapping[str, tuple[type[Any], str]]
-"""The vendor's name of a signal → the message that tells it, and its field there."""
+"""The vendor's name of a signal → the message that carries it, and its field there."""
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
-    """What a heartbeat says, of either line."""
+class Status:
+    """The content of a heartbeat of either line."""
 
     error: int
     state: int
     result: int = Result.SUCCESS
     """Of the last procedure (0.6.x)."""
-    parts: tuple[int, ...] = ()
-    """The commands of the error words that are not empty (0.5.x)."""
+    components: tuple[int, ...] = ()
+    """The commands of the components' error words that are not 0 (0.5.x)."""
+
+    @property
+    def faulty(self) -> bool:
+        """True if the device reports any error."""
+        return bool(self.error or self.components)
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """One firmware line as our end speaks it."""
+    """One firmware line as the host uses it."""
 
     line: str
-    polled: tuple[int, ...]
-    """Commands asked for every `poll_ms`."""
-    heartbeat_asked: bool
-    """Whether a heartbeat that does not come by itself can be asked for."""
-    reasons: tuple[int, ...]
-    """Commands that tell why an axis disarmed by itself."""
-    axis: Mapping[int, FaultInfo]
-    """The bits of the heartbeat's error word; none: what they mean is not known."""
-    base: int
+    polled: tuple[int, ...] = ()
+    """Commands requested every `poll_ms`."""
+    heartbeat_on_request: bool = True
+    """Whether a heartbeat that is not sent cyclically can be requested."""
+    disarm_reasons: tuple[int, ...] = ()
+    """Commands that report why an axis disarmed by itself."""
+    axis_faults: Mapping[int, FaultInfo] = field(default_factory=dict)
+    """The bits of the heartbeat's error word; empty while their meaning is not known."""
+    axis_base: int = 0
     """Added to one of them to make its fault's code."""
-    parts: Mapping[int, tuple[int, Mapping[int, FaultInfo]]]
-    """Error words of their own, by command: what is added to a bit to make its fault's code, and the bits."""
-    initializing: int
-    """Bits of the error word that say "not up yet"."""
-    estop: int
-    clear: AnyMessage | None
-    reboot: AnyMessage | None
-    save: AnyMessage | None
+    component_faults: Mapping[int, tuple[int, Mapping[int, FaultInfo]]] = field(default_factory=dict)
+    """Error words of components, by command: what is added to a bit to make its fault's code, and the
+    bits."""
+    initializing: int = 0
+    """Bits of the error word that mean "still starting"."""
+    estop: int = 0
+    """The bit of the error word that an emergency stop sets."""
+    clear: m.Message | None = None
+    reboot: m.Message | None = None
+    save: m.Message | None = None
     """None: the configuration cannot be saved over CAN."""
-    zero: AnyMessage | None
-    boards: bool
-    """Clearing and restarting reach every axis of a board, not just the one that was meant."""
-    readable: Readable
+    zero: m.Message | None = None
+    boards: bool = False
+    """Clearing and rebooting affect every axis of a board, not only the addressed one."""
+    readable: Readable = field(default_factory=dict)
 
 
-def beat_of(message: AnyMessage) -> Beat | None:
-    """A heartbeat of either line, or what both mean the same by; None if it is another message."""
+def status_of(message: m.Message) -> Status | None:
+    """Return the content of a heartbeat, of either line or not identified; None for another message."""
     match message:
         case m.Heartbeat(error, state, result, _):
-            return Beat(error, state, result)
-        case m05.Heartbeat05(error, state, motor, encoder, controller, _):
-            flags = ((motor, m05.GetMotorError), (encoder, m05.GetEncoderError))
-            parts = [cmd_of(kind) for flag, kind in (*flags, (controller, m05.GetControllerError)) if flag]
+            return Status(error, state, result)
+        case m.Heartbeat05(error, state, motor, encoder, controller, _):
+            flags = (
+                (motor, m.GetMotorError),
+                (encoder, m.GetEncoderError),
+                (controller, m.GetControllerError),
+            )
+            components = [cmd_of(kind) for flag, kind in flags if flag]
             if error & AxisError.SENSORLESS_ESTIMATOR_FAILED:
-                parts.append(cmd_of(m05.GetSensorlessError))
-            return Beat(error, state, parts=tuple(parts))
-        case m.Beacon(error, state, _, _, _):
-            return Beat(error, state)
+                components.append(cmd_of(m.GetSensorlessError))
+            return Status(error, state, components=tuple(components))
+        case m.UnidentifiedHeartbeat(error, state, _, _, _):
+            return Status(error, state)
     return None
 
 
@@ -128,76 +138,53 @@ READABLE06: Readable = {
 }
 READABLE05: Readable = {
     **READABLE_COMMON,
-    "Axis_Error": (m05.Heartbeat05, "error"),
-    "Axis_State": (m05.Heartbeat05, "state"),
-    "Motor_Error_Flag": (m05.Heartbeat05, "motor"),
-    "Encoder_Error_Flag": (m05.Heartbeat05, "encoder"),
-    "Controller_Error_Flag": (m05.Heartbeat05, "controller"),
-    "Trajectory_Done_Flag": (m05.Heartbeat05, "trajectory_done"),
-    "Motor_Error": (m05.GetMotorError, "errors"),
-    "Encoder_Error": (m05.GetEncoderError, "errors"),
-    "Controller_Error": (m05.GetControllerError, "errors"),
-    "Sensorless_Error": (m05.GetSensorlessError, "errors"),
-    "Shadow_Count": (m05.GetEncoderCount, "shadow"),
-    "Count_in_CPR": (m05.GetEncoderCount, "in_cpr"),
-    "Sensorless_Pos_Estimate": (m05.GetSensorlessEstimates, "position"),
-    "Sensorless_Vel_Estimate": (m05.GetSensorlessEstimates, "velocity"),
+    "Axis_Error": (m.Heartbeat05, "error"),
+    "Axis_State": (m.Heartbeat05, "state"),
+    "Motor_Error_Flag": (m.Heartbeat05, "motor"),
+    "Encoder_Error_Flag": (m.Heartbeat05, "encoder"),
+    "Controller_Error_Flag": (m.Heartbeat05, "controller"),
+    "Trajectory_Done_Flag": (m.Heartbeat05, "trajectory_done"),
+    "Motor_Error": (m.GetMotorError, "errors"),
+    "Encoder_Error": (m.GetEncoderError, "errors"),
+    "Controller_Error": (m.GetControllerError, "errors"),
+    "Sensorless_Error": (m.GetSensorlessError, "errors"),
+    "Shadow_Count": (m.GetEncoderCount, "shadow"),
+    "Count_in_CPR": (m.GetEncoderCount, "in_cpr"),
+    "Sensorless_Pos_Estimate": (m.GetSensorlessEstimates, "position"),
+    "Sensorless_Vel_Estimate": (m.GetSensorlessEstimates, "velocity"),
 }
 
-UNREPORTED = Dialect(
-    line="",
-    polled=(),
-    heartbeat_asked=True,
-    reasons=(),
-    axis={},
-    base=0,
-    parts={},
-    initializing=0,
-    estop=0,
-    clear=None,
-    reboot=None,
-    save=None,
-    zero=None,
-    boards=False,
-    readable=READABLE_COMMON,
-)
+UNIDENTIFIED = Dialect(line="", readable=READABLE_COMMON)
 LINE06 = Dialect(
     line="0.6",
     polled=_cmds(m.GetIq, m.GetBusVoltageCurrent, m.GetTemperature, m.GetTorques),
-    heartbeat_asked=True,
-    reasons=_cmds(m.GetError),
-    axis=ERRORS,
-    base=0,
-    parts={},
+    disarm_reasons=_cmds(m.GetError),
+    axis_faults=ERRORS,
     initializing=Error.INITIALIZING,
     estop=Error.ESTOP_REQUESTED,
     clear=m.ClearErrors(),
     reboot=m.Reboot(m.RebootAction.REBOOT),
     save=m.Reboot(m.RebootAction.SAVE),
     zero=m.SetAbsolutePosition(0.0),
-    boards=False,
     readable=READABLE06,
 )
 LINE05 = Dialect(
     line="0.5",
     polled=_cmds(m.GetIq, m.GetBusVoltageCurrent),
-    heartbeat_asked=False,
-    reasons=(),
-    axis=AXIS,
-    base=AXIS_BASE,
-    parts={
-        cmd_of(m05.GetMotorError): (MOTOR_BASE, MOTOR),
-        cmd_of(m05.GetEncoderError): (ENCODER_BASE, ENCODER),
-        cmd_of(m05.GetControllerError): (CONTROLLER_BASE, CONTROLLER),
-        cmd_of(m05.GetSensorlessError): (SENSORLESS_BASE, SENSORLESS),
+    heartbeat_on_request=False,
+    axis_faults=AXIS_FAULTS,
+    axis_base=AXIS_BASE,
+    component_faults={
+        cmd_of(m.GetMotorError): (MOTOR_BASE, MOTOR_FAULTS),
+        cmd_of(m.GetEncoderError): (ENCODER_BASE, ENCODER_FAULTS),
+        cmd_of(m.GetControllerError): (CONTROLLER_BASE, CONTROLLER_FAULTS),
+        cmd_of(m.GetSensorlessError): (SENSORLESS_BASE, SENSORLESS_FAULTS),
     },
-    initializing=0,
     estop=AxisError.ESTOP_REQUESTED,
-    clear=m05.ClearErrors05(),
-    reboot=m05.Reboot05(),
-    save=None,
-    zero=m05.SetLinearCount(0),
+    clear=m.ClearErrors05(),
+    reboot=m.Reboot05(),
+    zero=m.SetLinearCount(0),
     boards=True,
     readable=READABLE05,
 )
-DIALECTS: dict[str, Dialect] = {dialect.line: dialect for dialect in (UNREPORTED, LINE05, LINE06)}
+DIALECTS: dict[str, Dialect] = {dialect.line: dialect for dialect in (UNIDENTIFIED, LINE05, LINE06)}

@@ -1,7 +1,8 @@
-"""What a device complains of: the error bits that were told, and the error words that are waited for.
+"""The faults of one device: the error bits already reported, and the error words still awaited.
 
-Rules. A bit is told once for as long as it is there. A word that a heartbeat says to be not empty is asked
-for, and so is why an axis disarmed by itself; one that is not told in `ATTEMPTS` is not waited for.
+Rules. A bit is reported once for as long as it is set. An error word that a heartbeat shows to be set is
+requested, and so is the reason why an axis disarmed by itself; one without a reply to `ATTEMPTS` requests is
+no longer awaited.
 """
 
 from __future__ import annotations
@@ -11,66 +12,65 @@ from dataclasses import dataclass, field
 
 from protocols.messages import Event, Fault, Nanos
 from protocols.odrive_can.codec import cmd_of
-from protocols.odrive_can.dialect import Beat, Dialect
-from protocols.odrive_can.faults import bits, text_of
+from protocols.odrive_can.dialect import Dialect, Status
+from protocols.odrive_can.faults import bits, fault_info
 from protocols.odrive_can.faults05 import BASE_SHIFT
 from protocols.odrive_can.messages import GetError
 from protocols.plugin import FaultInfo
 
 ATTEMPTS = 5
-"""An error word that is not told in so many tries is not waited for."""
 
 
 @dataclass(slots=True)
 class FaultReports:
-    """The complaints of one device. Plain data."""
+    """The reported and awaited faults of one device. Plain data."""
 
     motor: str
     reported: set[int] = field(default_factory=set)
-    """Codes of error bits that are told, and still there."""
-    wanted: dict[int, int] = field(default_factory=dict)
-    """Error words that are waited for, by command, and how often they were asked for."""
+    """Codes of error bits that were reported and are still set."""
+    awaited: dict[int, int] = field(default_factory=dict)
+    """Error words that are awaited, by command, and how often each was requested."""
 
-    def on_beat(self, t: Nanos, dialect: Dialect, before: Beat, beat: Beat, fell: bool) -> list[Event]:
-        """A heartbeat, and the one before it; `fell`: the axis has just disarmed by itself."""
-        self.wanted |= dict.fromkeys(dialect.reasons, 0) if fell else {}
-        self.wanted |= {cmd: 0 for cmd in beat.parts if cmd not in before.parts}
-        errors = beat.error & ~dialect.initializing if dialect.axis else 0  # else nobody knows what they mean
-        events = self._fresh(t, errors, dialect.axis, dialect.base)
-        self._forget(dialect, beat)
-        return events
-
-    def on_errors(self, t: Nanos, dialect: Dialect, active: int, reason: int) -> list[Event]:
-        """Get_Error: the disarm reason counts only where we saw it disarm; an old one is history."""
-        events = self._fresh(t, active & ~dialect.initializing, dialect.axis, dialect.base)
-        if self.wanted.pop(cmd_of(GetError), None) is not None:
-            reason &= ~dialect.initializing
-            events += self._fresh(t, reason, dialect.axis, dialect.base, "it disarmed the axis: ")
-        return events
-
-    def on_part(self, t: Nanos, dialect: Dialect, cmd: int, errors: int) -> list[Event]:
-        """An error word of its own (0.5.x)."""
-        self.wanted.pop(cmd, None)
-        base, texts = dialect.parts[cmd]
-        return self._fresh(t, errors, texts, base)
-
-    def asked(self, cmds: Sequence[int]) -> None:
-        """These were asked for, other commands among them."""
-        counts = {cmd: count + cmds.count(cmd) for cmd, count in self.wanted.items()}
-        self.wanted = {cmd: count for cmd, count in counts.items() if count < ATTEMPTS}
-
-    def _fresh(
-        self, t: Nanos, errors: int, texts: Mapping[int, FaultInfo], base: int = 0, prefix: str = ""
+    def on_status(
+        self, t: Nanos, dialect: Dialect, before: Status, status: Status, disarmed_itself: bool
     ) -> list[Event]:
-        fresh = [bit for bit in bits(errors) if base + bit not in self.reported]
-        self.reported |= {base + bit for bit in fresh}
-        said = [(bit, text_of(bit, texts)) for bit in fresh]
-        return [Fault(self.motor, t, base + bit, x.name, prefix + x.cause, x.remedy) for bit, x in said]
-
-    def _forget(self, dialect: Dialect, beat: Beat) -> None:
-        """What is gone is told anew when it comes again."""
-        words = {dialect.parts[cmd][0] for cmd in beat.parts}
-        axis = {dialect.base + bit for bit in bits(beat.error)}
+        """Handle a heartbeat, given the one before it."""
+        self.awaited |= dict.fromkeys(dialect.disarm_reasons, 0) if disarmed_itself else {}
+        self.awaited |= {cmd: 0 for cmd in status.components if cmd not in before.components}
+        errors = status.error & ~dialect.initializing if dialect.axis_faults else 0  # else of unknown meaning
+        events = self._report(t, errors, dialect.axis_faults, dialect.axis_base)
+        words = {dialect.component_faults[cmd][0] for cmd in status.components}
+        axis = {dialect.axis_base + bit for bit in bits(status.error)}
+        # A bit that is no longer set is reported anew when it is set again.
         self.reported = {
             code for code in self.reported if code in axis or code >> BASE_SHIFT << BASE_SHIFT in words
         }
+        return events
+
+    def on_errors(self, t: Nanos, dialect: Dialect, active: int, reason: int) -> list[Event]:
+        """Handle Get_Error: the disarm reason counts only after a disarming that was observed."""
+        table, base = dialect.axis_faults, dialect.axis_base
+        events = self._report(t, active & ~dialect.initializing, table, base)
+        if self.awaited.pop(cmd_of(GetError), None) is not None:
+            events += self._report(t, reason & ~dialect.initializing, table, base, "it disarmed the axis: ")
+        return events
+
+    def on_component(self, t: Nanos, dialect: Dialect, cmd: int, errors: int) -> list[Event]:
+        """Handle the error word of a component (0.5.x)."""
+        self.awaited.pop(cmd, None)
+        base, table = dialect.component_faults[cmd]
+        return self._report(t, errors, table, base)
+
+    def on_requests(self, cmds: Sequence[int]) -> None:
+        """Count the requests just sent, of awaited words and others."""
+        counts = {cmd: count + cmds.count(cmd) for cmd, count in self.awaited.items()}
+        self.awaited = {cmd: count for cmd, count in counts.items() if count < ATTEMPTS}
+
+    def _report(
+        self, t: Nanos, errors: int, table: Mapping[int, FaultInfo], base: int, prefix: str = ""
+    ) -> list[Event]:
+        """Return the faults of the bits that are not reported yet."""
+        new = [bit for bit in bits(errors) if base + bit not in self.reported]
+        self.reported |= {base + bit for bit in new}
+        found = [(bit, fault_info(bit, table)) for bit in new]
+        return [Fault(self.motor, t, base + bit, x.name, prefix + x.cause, x.remedy) for bit, x in found]

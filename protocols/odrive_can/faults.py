@@ -1,8 +1,8 @@
-"""What an ODrive of firmware 0.6.x complains of: its own words, the likely cause, what to do.
+"""The faults of an ODrive of firmware 0.6.x: the vendor's names, the likely cause, the remedy.
 
 Rules. One row per bit of `ODrive.Error` and per value of `ODrive.ProcedureResult`; names as in
-odriverobotics/ODriveArduino@f52eef5 `src/ODriveEnums.h`. A bit without a row is told by its number. Codes
-above 32 bits are not the device's: a procedure result, or what the driver itself has noticed (of either
+odriverobotics/ODriveArduino@f52eef5 `src/ODriveEnums.h`. A bit without a row is reported by its number. Codes
+above 32 bits are not the device's: a procedure result, or what the driver itself detects (in either
 firmware line; `faults05` has the bits of 0.5.x).
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from enum import IntEnum, IntFlag
+from typing import TypeVar
 
 from protocols.plugin import FaultInfo
 
@@ -42,7 +43,7 @@ class Error(IntFlag):
 
 
 class Result(IntEnum):
-    """`ODrive.ProcedureResult`: how the last state request ended."""
+    """`ODrive.ProcedureResult`: the outcome of the last state request."""
 
     SUCCESS = 0
     BUSY = 1
@@ -63,184 +64,155 @@ class Result(IntEnum):
 
 
 PROCEDURE = 1 << 32
-"""Added to a procedure result, to tell it from an error bit."""
+"""Added to a procedure result, to distinguish it from an error bit."""
 DUPLICATE_NODE = 2 << 32
 WRONG_FIRMWARE = 3 << 32
 NOT_ARMED = 4 << 32
 
-ERRORS: dict[int, FaultInfo] = {
-    Error.INITIALIZING: FaultInfo(
-        "INITIALIZING", "the device is starting", "wait; if it stays, look at its supply"
-    ),
-    Error.SYSTEM_LEVEL: FaultInfo(
-        "SYSTEM_LEVEL",
-        "a fault of the firmware, or memory corrupted",
-        "reboot it; if it comes back, update its firmware",
-    ),
-    Error.TIMING_ERROR: FaultInfo(
-        "TIMING_ERROR",
-        "the firmware missed a deadline of its control loop",
-        "reboot it; lower its cyclic message rates",
-    ),
-    Error.MISSING_ESTIMATE: FaultInfo(
-        "MISSING_ESTIMATE",
-        "no valid position or velocity: encoder not calibrated, not connected or disturbed",
-        "check the encoder's cable and magnet, then calibrate",
-    ),
-    Error.BAD_CONFIG: FaultInfo(
-        "BAD_CONFIG",
-        "a setting of the device is missing or contradicts another",
-        "compare its configuration with a known one",
-    ),
-    Error.DRV_FAULT: FaultInfo(
-        "DRV_FAULT",
-        "the gate driver reported a fault: short circuit, over-current or over-temperature",
-        "unplug the motor, look for shorts between phases, reboot",
-    ),
-    Error.MISSING_INPUT: FaultInfo(
-        "MISSING_INPUT", "no valid set-point", "check what is sent, and which input mode is set"
-    ),
-    Error.DC_BUS_OVER_VOLTAGE: FaultInfo(
-        "DC_BUS_OVER_VOLTAGE",
-        "braking fed energy back into a supply that cannot take it",
-        "fit or configure a brake resistor, brake more gently",
-    ),
-    Error.DC_BUS_UNDER_VOLTAGE: FaultInfo(
-        "DC_BUS_UNDER_VOLTAGE",
-        "the supply sagged or is off",
-        "check battery, fuse and cables; lower the current limit",
-    ),
-    Error.DC_BUS_OVER_CURRENT: FaultInfo(
-        "DC_BUS_OVER_CURRENT",
-        "more current drawn than dc_max_positive_current",
-        "accelerate more gently, or raise the limit",
-    ),
-    Error.DC_BUS_OVER_REGEN_CURRENT: FaultInfo(
-        "DC_BUS_OVER_REGEN_CURRENT",
-        "more current fed back than dc_max_negative_current allows",
-        "configure the brake resistor, or raise the limit if a battery can take it",
-    ),
-    Error.CURRENT_LIMIT_VIOLATION: FaultInfo(
-        "CURRENT_LIMIT_VIOLATION",
-        "motor current above its hard limit",
-        "check gains and phase wires; raise current_hard_max",
-    ),
-    Error.MOTOR_OVER_TEMP: FaultInfo(
-        "MOTOR_OVER_TEMP", "the motor is too hot", "let it cool; reduce load or current limit"
-    ),
-    Error.INVERTER_OVER_TEMP: FaultInfo(
-        "INVERTER_OVER_TEMP", "the power stage is too hot", "let it cool; improve its cooling"
-    ),
-    Error.VELOCITY_LIMIT_VIOLATION: FaultInfo(
-        "VELOCITY_LIMIT_VIOLATION",
-        "the shaft turned faster than vel_limit × vel_limit_tolerance",
-        "check for a load that drives the motor; raise vel_limit; lower vel_gain if it overshot",
-    ),
-    Error.POSITION_LIMIT_VIOLATION: FaultInfo(
-        "POSITION_LIMIT_VIOLATION",
-        "the position left the range allowed on the device",
-        "move it back by hand",
-    ),
-    Error.WATCHDOG_TIMER_EXPIRED: FaultInfo(
-        "WATCHDOG_TIMER_EXPIRED",
-        "no set-point came within watchdog_timeout",
-        "find out why the host fell silent, then clear; set-points must come faster than the timeout",
-    ),
-    Error.ESTOP_REQUESTED: FaultInfo(
-        "ESTOP_REQUESTED", "an emergency stop was sent over the bus", "make sure it is safe, then clear"
-    ),
-    Error.SPINOUT_DETECTED: FaultInfo(
-        "SPINOUT_DETECTED",
-        "electrical and mechanical power contradict each other: the encoder slipped or is badly calibrated",
-        "fasten the encoder, calibrate its offset again",
-    ),
-    Error.BRAKE_RESISTOR_DISARMED: FaultInfo(
-        "BRAKE_RESISTOR_DISARMED",
-        "the brake resistor is switched off after a fault",
-        "clear; check resistor and its settings",
-    ),
-    Error.THERMISTOR_DISCONNECTED: FaultInfo(
-        "THERMISTOR_DISCONNECTED",
-        "the motor's thermistor is not connected",
-        "check its cable, or switch it off in the settings",
-    ),
-    Error.CALIBRATION_ERROR: FaultInfo(
-        "CALIBRATION_ERROR",
-        "a calibration failed",
-        "read the procedure result, calibrate with the shaft free",
-    ),
-}
-FAULT_TABLE06 = {int(bit): said for bit, said in ERRORS.items() if bit != Error.INITIALIZING}
-"""All that a device tells by itself, by their codes. (INITIALIZING is a state to us.)"""
+
+Bit = TypeVar("Bit", bound=IntFlag | IntEnum)
+
+
+def fault_table(rows: Mapping[Bit, tuple[str, str]], prefix: str = "") -> dict[int, FaultInfo]:
+    """Return the faults by bit or value, from (cause, remedy) each; the name is prefix and member."""
+    return {int(bit): FaultInfo(f"{prefix}{bit.name}", *texts) for bit, texts in rows.items()}
+
+
+ERRORS = fault_table(
+    {
+        Error.INITIALIZING: ("the device is starting", "wait; if it stays, check its supply"),
+        Error.SYSTEM_LEVEL: (
+            "a fault of the firmware, or memory corrupted",
+            "reboot it; if it comes back, update its firmware",
+        ),
+        Error.TIMING_ERROR: (
+            "the firmware missed a deadline of its control loop",
+            "reboot it; lower its cyclic message rates",
+        ),
+        Error.MISSING_ESTIMATE: (
+            "no valid position or velocity: encoder not calibrated, not connected or disturbed",
+            "check the encoder's cable and magnet, then calibrate",
+        ),
+        Error.BAD_CONFIG: (
+            "a setting of the device is missing or contradicts another",
+            "compare its configuration with a known one",
+        ),
+        Error.DRV_FAULT: (
+            "the gate driver reported a fault: short circuit, over-current or over-temperature",
+            "unplug the motor, look for shorts between phases, reboot",
+        ),
+        Error.MISSING_INPUT: ("no valid set-point", "check what is sent, and which input mode is set"),
+        Error.DC_BUS_OVER_VOLTAGE: (
+            "braking fed energy back into a supply that cannot take it",
+            "fit or configure a brake resistor, brake more gently",
+        ),
+        Error.DC_BUS_UNDER_VOLTAGE: (
+            "the supply sagged or is off",
+            "check battery, fuse and cables; lower the current limit",
+        ),
+        Error.DC_BUS_OVER_CURRENT: (
+            "more supply current than dc_max_positive_current",
+            "accelerate more gently, or raise the limit",
+        ),
+        Error.DC_BUS_OVER_REGEN_CURRENT: (
+            "more current fed back than dc_max_negative_current allows",
+            "configure the brake resistor, or raise the limit if a battery can take it",
+        ),
+        Error.CURRENT_LIMIT_VIOLATION: (
+            "motor current above its hard limit",
+            "check gains and phase wires; raise current_hard_max",
+        ),
+        Error.MOTOR_OVER_TEMP: ("the motor is too hot", "let it cool; reduce load or current limit"),
+        Error.INVERTER_OVER_TEMP: ("the power stage is too hot", "let it cool; improve its cooling"),
+        Error.VELOCITY_LIMIT_VIOLATION: (
+            "the shaft turned faster than vel_limit × vel_limit_tolerance",
+            "check for a load that drives the motor; raise vel_limit; lower vel_gain if it overshot",
+        ),
+        Error.POSITION_LIMIT_VIOLATION: (
+            "the position left the range allowed on the device",
+            "move it back by hand",
+        ),
+        Error.WATCHDOG_TIMER_EXPIRED: (
+            "no set-point came within watchdog_timeout",
+            "find out why the host stopped sending, then clear; set-points must come faster than the timeout",
+        ),
+        Error.ESTOP_REQUESTED: (
+            "an emergency stop was sent over the bus",
+            "make sure it is safe, then clear",
+        ),
+        Error.SPINOUT_DETECTED: (
+            "electrical and mechanical power are inconsistent: the encoder slipped or is badly calibrated",
+            "fasten the encoder, calibrate its offset again",
+        ),
+        Error.BRAKE_RESISTOR_DISARMED: (
+            "the brake resistor is switched off after a fault",
+            "clear; check resistor and its settings",
+        ),
+        Error.THERMISTOR_DISCONNECTED: (
+            "the motor's thermistor is not connected",
+            "check its cable, or switch it off in the settings",
+        ),
+        Error.CALIBRATION_ERROR: (
+            "a calibration failed",
+            "read the procedure result, calibrate with the shaft free",
+        ),
+    }
+)
+FAULT_TABLE06 = {bit: info for bit, info in ERRORS.items() if bit != Error.INITIALIZING}
+"""Every fault that a device reports by itself, by code. (INITIALIZING counts as a state.)"""
 
 _CALIBRATE = "calibrate with the vendor's tool, shaft free, and save"
-RESULTS: dict[int, FaultInfo] = {
-    Result.CANCELLED: FaultInfo(
-        "CANCELLED", "another state was requested meanwhile", "ask again; is there a second host?"
-    ),
-    Result.DISARMED: FaultInfo(
-        "DISARMED", "the axis disarmed by a fault", "read the disarm reason, remove it, clear"
-    ),
-    Result.NO_RESPONSE: FaultInfo(
-        "NO_RESPONSE", "the encoder does not answer", "check its cable and settings"
-    ),
-    Result.POLE_PAIR_CPR_MISMATCH: FaultInfo(
-        "POLE_PAIR_CPR_MISMATCH",
-        "pole pairs or encoder resolution are set wrongly",
-        "correct them, calibrate again",
-    ),
-    Result.PHASE_RESISTANCE_OUT_OF_RANGE: FaultInfo(
-        "PHASE_RESISTANCE_OUT_OF_RANGE", "phase resistance is not plausible", "check the phase wires"
-    ),
-    Result.PHASE_INDUCTANCE_OUT_OF_RANGE: FaultInfo(
-        "PHASE_INDUCTANCE_OUT_OF_RANGE", "phase inductance is not plausible", "check the phase wires"
-    ),
-    Result.UNBALANCED_PHASES: FaultInfo(
-        "UNBALANCED_PHASES", "the three phases differ", "check the phase wires"
-    ),
-    Result.INVALID_MOTOR_TYPE: FaultInfo(
-        "INVALID_MOTOR_TYPE", "motor_type does not allow this", "correct motor_type"
-    ),
-    Result.ILLEGAL_HALL_STATE: FaultInfo(
-        "ILLEGAL_HALL_STATE", "the Hall sensors contradict each other", "check their wires"
-    ),
-    Result.TIMEOUT: FaultInfo("TIMEOUT", "the procedure took too long", "is the shaft blocked? try again"),
-    Result.HOMING_WITHOUT_ENDSTOP: FaultInfo(
-        "HOMING_WITHOUT_ENDSTOP", "no end stop is configured", "configure one"
-    ),
-    Result.INVALID_STATE: FaultInfo("INVALID_STATE", "the requested state is not allowed now", _CALIBRATE),
-    Result.NOT_CALIBRATED: FaultInfo("NOT_CALIBRATED", "motor or encoder is not calibrated", _CALIBRATE),
-    Result.NOT_CONVERGING: FaultInfo(
-        "NOT_CONVERGING", "the calibration did not settle", "calibrate with the shaft free"
-    ),
-}
+RESULTS = fault_table(
+    {
+        Result.CANCELLED: (
+            "another state was requested meanwhile",
+            "request it again; is there a second host?",
+        ),
+        Result.DISARMED: ("the axis disarmed by a fault", "read the disarm reason, remove it, clear"),
+        Result.NO_RESPONSE: ("the encoder does not answer", "check its cable and settings"),
+        Result.POLE_PAIR_CPR_MISMATCH: (
+            "pole pairs or encoder resolution are set wrongly",
+            "correct them, calibrate again",
+        ),
+        Result.PHASE_RESISTANCE_OUT_OF_RANGE: ("phase resistance is not plausible", "check the phase wires"),
+        Result.PHASE_INDUCTANCE_OUT_OF_RANGE: ("phase inductance is not plausible", "check the phase wires"),
+        Result.UNBALANCED_PHASES: ("the three phases differ", "check the phase wires"),
+        Result.INVALID_MOTOR_TYPE: ("motor_type does not allow this", "correct motor_type"),
+        Result.ILLEGAL_HALL_STATE: ("the Hall sensors contradict each other", "check their wires"),
+        Result.TIMEOUT: ("the procedure took too long", "is the shaft blocked? try again"),
+        Result.HOMING_WITHOUT_ENDSTOP: ("no end stop is configured", "configure one"),
+        Result.INVALID_STATE: ("the requested state is not allowed now", _CALIBRATE),
+        Result.NOT_CALIBRATED: ("motor or encoder is not calibrated", _CALIBRATE),
+        Result.NOT_CONVERGING: ("the calibration did not settle", "calibrate with the shaft free"),
+    }
+)
 
 
 def bits(errors: int) -> Iterator[int]:
-    """The set bits of an error word, lowest first."""
+    """Yield the set bits of an error word, lowest first."""
     for shift in range(errors.bit_length()):
         if errors >> shift & 1:
             yield 1 << shift
 
 
-def text_of(bit: int, texts: Mapping[int, FaultInfo] = ERRORS) -> FaultInfo:
-    """The words for one error bit."""
-    known = texts.get(bit)
+def fault_info(bit: int, table: Mapping[int, FaultInfo] = ERRORS) -> FaultInfo:
+    """Return what is known of one error bit."""
+    known = table.get(bit)
     return known or FaultInfo(
         f"error bit 0x{bit:X}", "not known to this driver", "look it up for this firmware"
     )
 
 
-def names(errors: int, texts: Mapping[int, FaultInfo] = ERRORS) -> str:
-    """The vendor's names of all set bits, for a sentence."""
-    return ", ".join(text_of(bit, texts).name for bit in bits(errors))
+def names(errors: int, table: Mapping[int, FaultInfo] = ERRORS) -> str:
+    """Return the vendor's names of all set bits, as text."""
+    return ", ".join(fault_info(bit, table).name for bit in bits(errors))
 
 
 def result_name(result: int) -> str:
-    """The vendor's name of a procedure result."""
+    """Return the vendor's name of a procedure result."""
     return Result(result).name if result in Result._value2member_map_ else f"procedure result {result}"
 
 
 def state_name(state: int, enum: type[IntEnum]) -> str:
-    """The vendor's name of an axis state."""
+    """Return the vendor's name of an axis state."""
     return enum(state).name if state in enum._value2member_map_ else f"axis state {state}"

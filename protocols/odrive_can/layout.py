@@ -1,8 +1,8 @@
-"""One message ↔ the bytes of one frame: the fields by their letters, and the code for each shape of message.
+"""One message ↔ the bytes of one frame: the codes of its fields, and the functions that pack and unpack it.
 
 Rules. All values are little-endian, floats IEEE-754 binary32, feed-forwards int16 × 0.001 that saturate. No
-number that is not finite is encoded (ValueError: our own mistake) or decoded (None: the frame is bad). −0.0
-and denormals become 0.0. Everything that can be known before a frame comes is worked out once, in `layout`.
+number that is not finite is encoded (ValueError: a defect of ours) or decoded (None: the frame is malformed).
+−0.0 and denormals become 0.0. Whatever does not depend on a frame is computed once, in `layout`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MILLI = 0.001
 FEED_FORWARD_MAX = 32767 * MILLI
 FLOAT_MAX = 3.4028234663852886e38
 FLOAT_TINY = 2.0**-126
-"""Smallest normal binary32: below it a number counts as 0."""
+"""Smallest normal binary32: smaller magnitudes count as 0."""
 
 Direction: TypeAlias = Literal["to_device", "from_device", "both"]
 Encode: TypeAlias = Callable[[Any], bytes]
@@ -30,7 +30,7 @@ Decode: TypeAlias = Callable[[bytes], Any]
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """One row of the table: how one message stands in a frame."""
+    """One row of the message table."""
 
     message: type[Any]
     cmd: int
@@ -39,60 +39,61 @@ class Layout:
     """One letter per field: b bit 0, 7 bit 7 of the byte before, B u8, c u8 that may be left out, H u16,
     i i32, I u32, S u48, Q u64, f binary32, n binary32 or NaN, m int16 × 0.001."""
     dlc: int
-    """Bytes that we send, and the fewest that are taken from a device."""
+    """Bytes that are sent, and the fewest that are accepted from a device."""
     encode: Encode
     decode: Decode
 
 
 def layout(message: type[Any], cmd: int, direction: Direction, codes: str, dlc: int = 8) -> Layout:
-    """A row of the table."""
+    """Return a row of the message table."""
     frame = "<" + "".join(_STRUCT.get(code, code) for code in codes)
     packer = struct.Struct(frame + "x" * (8 - struct.calcsize(frame)))
-    encode, decode = _shape(message, codes, packer)
+    encode, decode = _codec(message, codes, packer)
     if direction == "to_device" and dlc < 8:
-        encode = _cut(encode, dlc)
+        encode = _truncated(encode, dlc)
     return Layout(message, cmd, direction, codes, dlc, encode, decode)
 
 
-def _cut(encode: Encode, dlc: int) -> Encode:
+def _truncated(encode: Encode, dlc: int) -> Encode:
     return lambda message: encode(message)[:dlc]
 
 
-# -- one field, by its letter -----------------------------------------------------------------------
+# -- one field, by its code -------------------------------------------------------------------------
 
 _STRUCT = {"S": "6s", "m": "h", "n": "f", "b": "B", "c": "B", "7": ""}
 
 
 def binary32(value: float) -> float:
-    """Saturating. ValueError for what is not finite, in both directions: it is neither said nor believed."""
+    """Return the value as binary32 carries it, saturated. ValueError if it is not finite, in both
+    directions."""
     if -FLOAT_MAX <= value <= FLOAT_MAX:
         return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
     if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite: it never reaches the wire")
+        raise ValueError(f"{value} is not finite: it is never sent")
     return math.copysign(FLOAT_MAX, value)
 
 
 def milli(value: float) -> int:
-    """int16 × 0.001, saturating: a wrapped feed-forward would kick the other way."""
+    """Return counts of 0.001 in int16, saturated: a wrapped feed-forward would push the other way."""
     if -32.768 <= value <= 32.767:
         return round(value / MILLI)
     if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite: it never reaches the wire")
+        raise ValueError(f"{value} is not finite: it is never sent")
     return 32767 if value > 0 else -32768
 
 
-def _same(value: Any) -> Any:  # noqa: ANN401 -- whatever the field is
+def _unchanged(value: Any) -> Any:  # noqa: ANN401 -- whatever the field is
     return value
 
 
-_TO_WIRE: dict[str, Callable[[Any], Any]] = {
+_PACK: dict[str, Callable[[Any], Any]] = {
     "S": lambda serial: serial.to_bytes(6, "little"),
     "f": binary32,
     "n": lambda value: math.nan if value is None else binary32(value),
     "m": milli,
     "c": lambda value: value or 0,
 }
-_FROM_WIRE: dict[str, Callable[[Any], Any]] = {
+_UNPACK: dict[str, Callable[[Any], Any]] = {
     "S": lambda data: int.from_bytes(data, "little"),
     "f": binary32,
     "n": lambda value: binary32(value) if math.isfinite(value) else None,
@@ -101,36 +102,36 @@ _FROM_WIRE: dict[str, Callable[[Any], Any]] = {
 }
 
 
-# -- one message, by its shape ----------------------------------------------------------------------
+# -- one message, by the codes of its fields ---------------------------------------------------------
 
-Shape: TypeAlias = tuple[Encode, Decode]
-Take: TypeAlias = Callable[[Any], tuple[Any, ...]]
-"""The fields of a message."""
+Codec: TypeAlias = tuple[Encode, Decode]
+FieldsOf: TypeAlias = Callable[[Any], tuple[Any, ...]]
 
 
-def _shape(message: type[Any], codes: str, packer: struct.Struct) -> Shape:
-    """Set-points, estimates and heartbeats never cease and have code of their own; the rest shares one."""
+def _codec(message: type[Any], codes: str, packer: struct.Struct) -> Codec:
+    """Return the functions of a message. Set-points, estimates and heartbeats are the bulk of all traffic and
+    have functions of their own; the other messages share one pair."""
     names = tuple(field.name for field in fields(message))
     match codes:
         case "ff":
-            return _pair(message, attrgetter(*names), packer)
+            return _two_floats(message, attrgetter(*names), packer)
         case "fmm":
-            return _fed_forward(message, attrgetter(*names), packer)
+            return _float_and_feed_forwards(message, attrgetter(*names), packer)
         case "IBBb":
-            return _beat(message, attrgetter(*names), packer)
+            return _heartbeat06(message, attrgetter(*names), packer)
         case "IBbbb7":
-            return _flags(message, attrgetter(*names), packer)
-    take = _taker(names)
+            return _heartbeat05(message, attrgetter(*names), packer)
+    fields_of = _fields_of(names)
     if set(codes) <= set("BHiIQ"):
-        return lambda value: packer.pack(*take(value)), lambda data: message(*packer.unpack(data))
-    return _any(message, take, codes, packer)
+        return lambda value: packer.pack(*fields_of(value)), lambda data: message(*packer.unpack(data))
+    return _any_fields(message, fields_of, codes, packer)
 
 
-def _pair(message: type[Any], take: Take, packer: struct.Struct) -> Shape:
+def _two_floats(message: type[Any], fields_of: FieldsOf, packer: struct.Struct) -> Codec:
     pack, unpack = packer.pack, packer.unpack
 
     def encode(value: Any) -> bytes:  # noqa: ANN401 -- a message
-        a, b = take(value)
+        a, b = fields_of(value)
         if -FLOAT_MAX <= a <= FLOAT_MAX and -FLOAT_MAX <= b <= FLOAT_MAX:  # as binary32, without two calls
             return pack(
                 0.0 if -FLOAT_TINY < a < FLOAT_TINY else a, 0.0 if -FLOAT_TINY < b < FLOAT_TINY else b
@@ -146,11 +147,11 @@ def _pair(message: type[Any], take: Take, packer: struct.Struct) -> Shape:
     return encode, decode
 
 
-def _fed_forward(message: type[Any], take: Take, packer: struct.Struct) -> Shape:
+def _float_and_feed_forwards(message: type[Any], fields_of: FieldsOf, packer: struct.Struct) -> Codec:
     pack, unpack = packer.pack, packer.unpack
 
     def encode(value: Any) -> bytes:  # noqa: ANN401 -- a message
-        a, b, c = take(value)
+        a, b, c = fields_of(value)
         return pack(binary32(a), milli(b), milli(c))
 
     def decode(data: bytes) -> Any:  # noqa: ANN401 -- a message
@@ -162,27 +163,22 @@ def _fed_forward(message: type[Any], take: Take, packer: struct.Struct) -> Shape
     return encode, decode
 
 
-def _beat(message: type[Any], take: Take, packer: struct.Struct) -> Shape:
-    """Three numbers and a flag."""
-    pack, unpack = packer.pack, packer.unpack
-
-    def encode(value: Any) -> bytes:  # noqa: ANN401 -- a message
-        a, b, c, d = take(value)
-        return pack(a, b, c, d)
+def _heartbeat06(message: type[Any], fields_of: FieldsOf, packer: struct.Struct) -> Codec:
+    unpack = packer.unpack
 
     def decode(data: bytes) -> Any:  # noqa: ANN401 -- a message
         a, b, c, d = unpack(data)
         return message(a, b, c, d & 1)
 
-    return encode, decode
+    return lambda value: packer.pack(*fields_of(value)), decode
 
 
-def _flags(message: type[Any], take: Take, packer: struct.Struct) -> Shape:
+def _heartbeat05(message: type[Any], fields_of: FieldsOf, packer: struct.Struct) -> Codec:
     """Two numbers and four flags, the last two of which share a byte."""
     pack, unpack = packer.pack, packer.unpack
 
     def encode(value: Any) -> bytes:  # noqa: ANN401 -- a message
-        a, b, c, d, e, f = take(value)
+        a, b, c, d, e, f = fields_of(value)
         return pack(a, b, c & 1, d & 1, e & 1 | (f & 1) << 7)
 
     def decode(data: bytes) -> Any:  # noqa: ANN401 -- a message
@@ -192,25 +188,25 @@ def _flags(message: type[Any], take: Take, packer: struct.Struct) -> Shape:
     return encode, decode
 
 
-def _any(message: type[Any], take: Take, codes: str, packer: struct.Struct) -> Shape:
+def _any_fields(message: type[Any], fields_of: FieldsOf, codes: str, packer: struct.Struct) -> Codec:
     pack, unpack = packer.pack, packer.unpack
-    to_wire = tuple(_TO_WIRE.get(code, _same) for code in codes)
-    from_wire = tuple(_FROM_WIRE.get(code, _same) for code in codes)
+    to_raw = tuple(_PACK.get(code, _unchanged) for code in codes)
+    from_raw = tuple(_UNPACK.get(code, _unchanged) for code in codes)
 
     def encode(value: Any) -> bytes:  # noqa: ANN401 -- a message
-        return pack(*[f(x) for f, x in zip(to_wire, take(value), strict=True)])
+        return pack(*[f(x) for f, x in zip(to_raw, fields_of(value), strict=True)])
 
     def decode(data: bytes) -> Any:  # noqa: ANN401 -- a message
         try:
-            return message(*[f(x) for f, x in zip(from_wire, unpack(data), strict=True)])
-        except ValueError:  # a float that is not finite: the frame changes nothing
+            return message(*[f(x) for f, x in zip(from_raw, unpack(data), strict=True)])
+        except ValueError:  # a float that is not finite: the frame is malformed
             return None
 
     return encode, decode
 
 
-def _taker(names: tuple[str, ...]) -> Take:
+def _fields_of(names: tuple[str, ...]) -> FieldsOf:
     if not names:
         return lambda _: ()
-    take = attrgetter(*names)
-    return take if len(names) > 1 else lambda message: (take(message),)
+    fields_of = attrgetter(*names)
+    return fields_of if len(names) > 1 else lambda message: (fields_of(message),)

@@ -1,27 +1,37 @@
 """The messages of CANSimple as values in the device's own units, and its enums.
 
 Rules. Names and order of fields as in the vendor's DBC; units turns, turns/s, N·m, A, V, °C, W. Nothing here
-knows a byte: that is `codec`'s table. Here stands what both firmware lines share, and what is of 0.6.x alone;
-`messages05` has what is of 0.5.x alone.
+knows a byte: that is the table of `codec`. Each docstring gives the command number and the direction. Where
+both firmware lines have a message of one name with different payloads, the one of 0.5.x ends in 05.
 
 Source: odriverobotics/ODriveArduino@f52eef5 `src/can_simple_messages.hpp` and `src/ODriveEnums.h`; the DBC
-`odrive-cansimple-0.6.10.dbc` of package odrive-can 2.1.0.
+`odrive-cansimple-0.6.10.dbc` of package odrive-can 2.1.0; for 0.5.x odriverobotics/ODrive@f9b5419
+`Firmware/communication/can/can_simple.cpp` and the DBC `odrive-cansimple-0.5.6.dbc` of the same package, but
+for its bugs (README, "Trust").
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeAlias, TypeVar, dataclass_transform
+from typing import TypeVar, dataclass_transform
 
 T = TypeVar("T")
 
 
 @dataclass_transform(frozen_default=True)
 def value(kind: type[T]) -> type[T]:
-    """A message: a value that is never changed. The type checker sees to that; a dataclass that is frozen at
-    run time takes three times as long to make, and messages are made for every frame."""
+    """Make a class a message: a value that is never changed.
+
+    The type checker enforces that; a dataclass frozen at run time takes three times as long to create, and a
+    message is created for every frame."""
     return dataclass(slots=True, unsafe_hash=True)(kind)
+
+
+class Message:
+    """Any message of CANSimple, of either firmware line."""
+
+    __slots__: tuple[str, ...] = ()
 
 
 class AxisState(IntEnum):
@@ -55,7 +65,7 @@ class ControlMode(IntEnum):
 
 
 class InputMode(IntEnum):
-    """`ODrive.Controller.InputMode`: how an input becomes a set-point."""
+    """`ODrive.Controller.InputMode`: how an input value becomes a set-point."""
 
     INACTIVE = 0
     PASSTHROUGH = 1
@@ -76,13 +86,13 @@ class RebootAction(IntEnum):
     ERASE = 2
 
 
-# -- messages -------------------------------------------------------------------------------------
+# -- messages of both lines, and those of 0.6.x alone ----------------------------------------------
 
 
 @value
-class Beacon:
-    """0x01, device → host: a heartbeat of a device whose firmware line is not known. Both lines mean the same
-    by the first two fields; the rest are bytes."""
+class UnidentifiedHeartbeat(Message):
+    """0x01, device → host: a heartbeat of a device whose firmware line is not known. The first two fields are
+    the same in both lines; the rest are bytes."""
 
     error: int
     state: int
@@ -92,7 +102,7 @@ class Beacon:
 
 
 @value
-class GetVersion:
+class GetVersion(Message):
     """0x00, device → host."""
 
     protocol: int
@@ -106,7 +116,7 @@ class GetVersion:
 
 
 @value
-class Heartbeat:
+class Heartbeat(Message):
     """0x01, device → host, cyclic."""
 
     error: int
@@ -117,20 +127,20 @@ class Heartbeat:
 
 
 @value
-class Estop:
+class Estop(Message):
     """0x02, host → device: disarm with error ESTOP_REQUESTED."""
 
 
 @value
-class GetError:
-    """0x03, device → host: what is wrong now, and why the axis last disarmed."""
+class GetError(Message):
+    """0x03, device → host: the active errors, and why the axis last disarmed."""
 
     active: int
     disarm_reason: int
 
 
 @value
-class RxSdo:
+class RxSdo(Message):
     """0x04, host → device: read (opcode 0) or write (1) any parameter by its endpoint number."""
 
     opcode: int
@@ -141,8 +151,8 @@ class RxSdo:
 
 
 @value
-class TxSdo:
-    """0x05, device → host: the answer to RxSdo."""
+class TxSdo(Message):
+    """0x05, device → host: the reply to RxSdo."""
 
     reserved: int
     endpoint: int
@@ -151,8 +161,8 @@ class TxSdo:
 
 
 @value
-class Address:
-    """0x06, both ways: a device tells, or (on the broadcast node) is given, its node id."""
+class Address(Message):
+    """0x06, both ways: a device reports, or (on the broadcast node) is assigned, its node id."""
 
     node: int
     serial: int
@@ -161,14 +171,14 @@ class Address:
 
 
 @value
-class SetAxisState:
-    """0x07, host → device."""
+class SetAxisState(Message):
+    """0x07, host → device: request an `AxisState`."""
 
     state: int
 
 
 @value
-class GetEncoderEstimates:
+class GetEncoderEstimates(Message):
     """0x09, device → host, cyclic: turns, turns/s."""
 
     position: float
@@ -176,15 +186,15 @@ class GetEncoderEstimates:
 
 
 @value
-class SetControllerMode:
-    """0x0B, host → device."""
+class SetControllerMode(Message):
+    """0x0B, host → device: a `ControlMode` and an `InputMode`."""
 
     control_mode: int
     input_mode: int
 
 
 @value
-class SetInputPos:
+class SetInputPos(Message):
     """0x0C, host → device: turns; feed-forward of turns/s and N·m, each int16 × 0.001."""
 
     position: float
@@ -193,7 +203,7 @@ class SetInputPos:
 
 
 @value
-class SetInputVel:
+class SetInputVel(Message):
     """0x0D, host → device: turns/s, N·m."""
 
     velocity: float
@@ -201,14 +211,14 @@ class SetInputVel:
 
 
 @value
-class SetInputTorque:
+class SetInputTorque(Message):
     """0x0E, host → device: N·m."""
 
     torque: float
 
 
 @value
-class SetLimits:
+class SetLimits(Message):
     """0x0F, host → device: turns/s, A."""
 
     velocity: float
@@ -216,14 +226,14 @@ class SetLimits:
 
 
 @value
-class SetTrajVelLimit:
+class SetTrajVelLimit(Message):
     """0x11, host → device: turns/s."""
 
     velocity: float
 
 
 @value
-class SetTrajAccelLimits:
+class SetTrajAccelLimits(Message):
     """0x12, host → device: turns/s²."""
 
     acceleration: float
@@ -231,14 +241,14 @@ class SetTrajAccelLimits:
 
 
 @value
-class SetTrajInertia:
+class SetTrajInertia(Message):
     """0x13, host → device: N·m/(turn/s²)."""
 
     inertia: float
 
 
 @value
-class GetIq:
+class GetIq(Message):
     """0x14, device → host: A."""
 
     setpoint: float
@@ -246,22 +256,22 @@ class GetIq:
 
 
 @value
-class GetTemperature:
-    """0x15, device → host: °C. NaN is the device's own word for "no thermistor fitted": None here."""
+class GetTemperature(Message):
+    """0x15, device → host: °C. NaN means "no thermistor fitted" and is None here."""
 
     fet: float | None
     motor: float | None
 
 
 @value
-class Reboot:
-    """0x16, host → device."""
+class Reboot(Message):
+    """0x16, host → device: a `RebootAction`."""
 
     action: int
 
 
 @value
-class GetBusVoltageCurrent:
+class GetBusVoltageCurrent(Message):
     """0x17, device → host: V, A (positive: consumed)."""
 
     voltage: float
@@ -269,28 +279,28 @@ class GetBusVoltageCurrent:
 
 
 @value
-class ClearErrors:
-    """0x18, host → device; identify 1 lets the LED blink."""
+class ClearErrors(Message):
+    """0x18, host → device; identify 1 makes the LED blink."""
 
     identify: int = 0
 
 
 @value
-class SetAbsolutePosition:
-    """0x19, host → device: turns that the present position is to be called."""
+class SetAbsolutePosition(Message):
+    """0x19, host → device: the new value of the present position, turns."""
 
     position: float
 
 
 @value
-class SetPosGain:
+class SetPosGain(Message):
     """0x1A, host → device: (turn/s)/turn."""
 
     gain: float
 
 
 @value
-class SetVelGains:
+class SetVelGains(Message):
     """0x1B, host → device: N·m/(turn/s), N·m/turn."""
 
     gain: float
@@ -298,7 +308,7 @@ class SetVelGains:
 
 
 @value
-class GetTorques:
+class GetTorques(Message):
     """0x1C, device → host: N·m."""
 
     target: float
@@ -306,7 +316,7 @@ class GetTorques:
 
 
 @value
-class GetPowers:
+class GetPowers(Message):
     """0x1D, device → host: W."""
 
     electrical: float
@@ -314,45 +324,115 @@ class GetPowers:
 
 
 @value
-class EnterDfuMode:
-    """0x1F, host → device: leave for the boot loader."""
+class EnterDfuMode(Message):
+    """0x1F, host → device: enter the boot loader."""
+
+
+# -- messages that only 0.5.x has, or has with another payload -------------------------------------
 
 
 @value
-class Ask:
-    """A remote frame (or, to the device, an empty data frame): tell me your message `cmd`."""
+class Heartbeat05(Message):
+    """0x01, device → host, cyclic. It is not sent on request."""
+
+    error: int
+    state: int
+    motor: int
+    """1 if Get_Motor_Error is not 0; the next two likewise."""
+    encoder: int
+    controller: int
+    trajectory_done: int
+
+
+@value
+class GetMotorError(Message):
+    """0x03, device → host: 64 bits of `faults05.MotorError`."""
+
+    errors: int
+
+
+@value
+class GetEncoderError(Message):
+    """0x04, device → host: bits of `faults05.EncoderError`."""
+
+    errors: int
+
+
+@value
+class GetSensorlessError(Message):
+    """0x05, device → host: bits of `faults05.SensorlessError`."""
+
+    errors: int
+
+
+@value
+class SetAxisNodeId(Message):
+    """0x06, host → device: effective at once, lost at the next restart unless saved over USB."""
+
+    node: int
+
+
+@value
+class GetEncoderCount(Message):
+    """0x0A, device → host: counts since power-on, and within one turn. Signed."""
+
+    shadow: int
+    in_cpr: int
+
+
+@value
+class StartAnticogging(Message):
+    """0x10, host → device: start the calibration that measures the motor's cogging."""
+
+
+@value
+class GetSensorlessEstimates(Message):
+    """0x15, device → host: turns, turns/s."""
+
+    position: float
+    velocity: float
+
+
+@value
+class Reboot05(Message):
+    """0x16, host → device: restart the board with all its axes."""
+
+
+@value
+class ClearErrors05(Message):
+    """0x18, host → device: clear the errors of the board with all its axes."""
+
+
+@value
+class SetLinearCount(Message):
+    """0x19, host → device: the new value of the present position, encoder counts."""
+
+    count: int
+
+
+@value
+class RequestAdcVoltage(Message):
+    """0x1C, host → device: request the voltage of a GPIO (a data frame, not a remote one)."""
+
+    gpio: int
+
+
+@value
+class GetAdcVoltage(Message):
+    """0x1C, device → host: V."""
+
+    voltage: float
+
+
+@value
+class GetControllerError(Message):
+    """0x1D, device → host: bits of `faults05.ControllerError`."""
+
+    errors: int
+
+
+@value
+class RemoteRequest:
+    """A remote frame (or, to the device, an empty data frame): a request for the device's message `cmd`."""
 
     cmd: int
-
-
-Message: TypeAlias = (
-    Beacon
-    | GetVersion
-    | Heartbeat
-    | Estop
-    | GetError
-    | RxSdo
-    | TxSdo
-    | Address
-    | SetAxisState
-    | GetEncoderEstimates
-    | SetControllerMode
-    | SetInputPos
-    | SetInputVel
-    | SetInputTorque
-    | SetLimits
-    | SetTrajVelLimit
-    | SetTrajAccelLimits
-    | SetTrajInertia
-    | GetIq
-    | GetTemperature
-    | Reboot
-    | GetBusVoltageCurrent
-    | ClearErrors
-    | SetAbsolutePosition
-    | SetPosGain
-    | SetVelGains
-    | GetTorques
-    | GetPowers
-    | EnterDfuMode
-)

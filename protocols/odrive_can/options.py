@@ -1,6 +1,6 @@
-"""What can be set: `Options` for our driver, `Settings` for what is configured on the device itself.
+"""The settings: `Options` of the driver, and `Settings` configured on the device itself.
 
-Rules. Options never repeat what the device knows; the driver does not read settings. Names and units of
+Rules. Options never repeat what the device reports; the driver does not read settings. Names and units of
 settings are the vendor's own (turns, N·m, A, V, °C, ms), so that they can be compared with its tool.
 """
 
@@ -18,23 +18,24 @@ from protocols.plugin import Device
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the driver should do."""
+    """How the driver behaves."""
 
     firmware: Literal["auto", "0.5", "0.6"] = "auto"
-    """Firmware line of the device. "auto": found out by asking, and then spoken; a line that is named is
-    found out too, and another one is a fault."""
+    """Firmware line of the device. "auto": identified by requests, and then used; a line that is given is
+    checked in the same way, and another one is a fault."""
     is_extended: bool = False
     """The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only)."""
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
-    """"acknowledged": the person who wrote the robot file knows that the device's watchdog is off."""
+    """"acknowledged": the author of the robot file knows that the device's watchdog is off."""
     feedback_ms: int = 10
-    """Expected period of encoder estimates; a device that does not send them by itself is asked so often."""
+    """Expected period of encoder estimates; the polling period of a device that does not send them
+    cyclically."""
     poll_ms: int = 200
-    """How often current, voltage, temperature and torque are each asked for; 0: never."""
+    """Polling period of each of current, voltage, temperature and torque; 0: never."""
     offline_ms: int = 250
-    """Silence after which the device counts as offline."""
+    """Time without a frame after which the device counts as offline."""
     arm_retry_ms: int = 250
-    """How often arming is tried again. At least two heartbeats: the first one may be stale."""
+    """Period of arming attempts. At least two heartbeats: the first one may be stale."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -56,16 +57,16 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What is configured on the device: a commissioned axis, not the vendor's factory defaults."""
+    """The configuration of the device: by default a commissioned axis, not the vendor's factory defaults."""
 
     serial_number: int = 0
-    """48 bits; 0: made up from the address."""
+    """48 bits; 0: derived from the address."""
     firmware: str = ""
-    """Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest that is known of the line under options."""
+    """Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest known of the line under options."""
     other_axis: int = -1
-    """Node id of the other axis on the same board (0.5.x): what clears or restarts the board reaches both."""
+    """Node id of the other axis on the same board (0.5.x): clearing or restarting the board affects both."""
     hw_line: int = 5
-    """Product line 5: ODrive S1 (only told, never used)."""
+    """Product line 5: ODrive S1 (only reported, never used)."""
     calibrated: bool = True
     """Motor and encoder are calibrated; without it the axis refuses to arm."""
 
@@ -98,7 +99,7 @@ class Settings:
     torque_constant: float = 8.27 / 270.0
     """N·m/A: a motor of 270 rpm/V"""
     current_soft_max: float = 30.0
-    """A: the controller asks for no more"""
+    """A: limit of the controller's current command"""
     current_hard_max: float = 50.0
     """A: above it the axis disarms"""
     current_bandwidth: float = 1000.0
@@ -143,9 +144,9 @@ class Settings:
     watchdog_timeout: float = 0.0
     """s"""
     reboot_ms: int = 800
-    """How long a reboot is silent."""
+    """Time without frames after a reboot."""
     initializing_ms: int = 300
-    """How long the axis then reports INITIALIZING."""
+    """Time for which the axis then reports INITIALIZING."""
 
     # Periods of cyclic messages; 0: never. Firmware 0.5.x calls them heartbeat_rate_ms, encoder_rate_ms,
     # iq_rate_ms and bus_vi_rate_ms, and has those with its own names below instead of version, error,
@@ -166,9 +167,12 @@ class Settings:
     sensorless_rate_ms: int = 0
 
     def __post_init__(self) -> None:
-        wrong = [f"{name} must be finite" for name, value in self._numbers() if not math.isfinite(value)]
-        wrong += [f"{name} must be above 0" for name in _POSITIVE if not getattr(self, name) > 0]
-        wrong += [f"{name} must not be negative" for name in _NOT_NEGATIVE if getattr(self, name) < 0]
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        floats = {name: value for name, value in values.items() if isinstance(value, float)}
+        wrong = [f"{name} must be finite" for name, value in floats.items() if not math.isfinite(value)]
+        wrong += [f"{name} must be above 0" for name in _POSITIVE if not values[name] > 0]
+        not_negative = (*_NOT_NEGATIVE, *(name for name in values if name.endswith("_rate_ms")))
+        wrong += [f"{name} must not be negative" for name in not_negative if values[name] < 0]
         if self.firmware and not re.fullmatch(r"0\.[56]\.\d{1,2}", self.firmware):
             wrong.append(f"firmware {self.firmware!r} must be like 0.5.6 or 0.6.10")
         if not -1 <= self.other_axis <= MAX_EXTENDED_NODE:
@@ -179,10 +183,6 @@ class Settings:
             wrong.append("watchdog_timeout must be above 0 when enable_watchdog is true")
         if wrong:
             raise ValueError("; ".join(wrong))
-
-    def _numbers(self) -> list[tuple[str, float]]:
-        values = [(field.name, getattr(self, field.name)) for field in fields(self)]
-        return [(name, value) for name, value in values if isinstance(value, float)]
 
 
 _POSITIVE = (
@@ -212,25 +212,11 @@ _NOT_NEGATIVE = (
     "watchdog_timeout",
     "reboot_ms",
     "initializing_ms",
-    "version_msg_rate_ms",
-    "heartbeat_msg_rate_ms",
-    "encoder_msg_rate_ms",
-    "iq_msg_rate_ms",
-    "error_msg_rate_ms",
-    "temperature_msg_rate_ms",
-    "bus_voltage_msg_rate_ms",
-    "torques_msg_rate_ms",
-    "motor_error_rate_ms",
-    "encoder_error_rate_ms",
-    "controller_error_rate_ms",
-    "sensorless_error_rate_ms",
-    "encoder_count_rate_ms",
-    "sensorless_rate_ms",
 )
 
 
 def serial_of(settings: Settings, address: int) -> int:
-    """The serial number of a device: its own, or one made up from its address."""
+    """Return the serial number of a device: as configured, or derived from its address."""
     return settings.serial_number or 0x385F_3473_3300 + (address & BROADCAST)
 
 
@@ -238,18 +224,18 @@ NEWEST = {"auto": "0.6.10", "0.6": "0.6.10", "0.5": "0.5.6"}
 
 
 def firmware_of(device: Device) -> str:
-    """The firmware that a device has: as configured, or the newest of the line that the driver expects."""
+    """Return the firmware of a device: as configured, or the newest of the line that the driver expects."""
     settings: Settings = device.settings
     options: Options = device.options
     return settings.firmware or NEWEST[options.firmware]
 
 
 def line_of(device: Device) -> str:
-    """Its firmware line: "0.5" or "0.6"."""
+    """Return its firmware line: "0.5" or "0.6"."""
     return firmware_of(device)[:3]
 
 
 def node_of_device(device: Device, address: int) -> int:
-    """A node id of a device's board as `codec` has it."""
+    """Return a node id of a device's board as a node in the sense of `codec`."""
     options: Options = device.options
     return address | EXTENDED if options.is_extended else address

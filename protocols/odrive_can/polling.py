@@ -1,7 +1,7 @@
-"""What a device is asked for and when: remote frames only, which neither firmware line obeys.
+"""Which messages of a device are requested and when: remote frames only, which neither firmware line obeys.
 
-Rules. What comes by the device's own clock is not asked for. Nothing is asked for faster than the periods
-below and those of the options, whether it is answered or not.
+Rules. What a device sends cyclically is not requested. Nothing is requested faster than the periods below and
+those of the options, whether it is answered or not.
 """
 
 from __future__ import annotations
@@ -16,109 +16,110 @@ from protocols.odrive_can.identify import Identity
 from protocols.odrive_can.messages import GetBusVoltageCurrent, GetEncoderEstimates, GetVersion, Heartbeat
 from protocols.odrive_can.options import Options
 
-VERSION, HEARTBEAT, ESTIMATES, OTHER = map(
+VERSION, HEARTBEAT, ESTIMATES, SUPPLY = map(
     cmd_of, (GetVersion, Heartbeat, GetEncoderEstimates, GetBusVoltageCurrent)
 )
-"""OTHER: the question that both firmware lines answer alike, and not by themselves as they come."""
-ASK_AGAIN = 100 * MILLISECOND
-"""An unanswered question is repeated so often."""
-VERSION_AGAIN = 5 * SECOND
-"""A device that was told apart without Get_Version, or not at all, is asked for it so often."""
-HEARTBEAT_MISSED = 250 * MILLISECOND
-"""Without a heartbeat for so long, one is asked for."""
+"""SUPPLY: both firmware lines answer it alike, and do not send it cyclically by default."""
+RETRY_PERIOD = 100 * MILLISECOND
+"""Period in which an unanswered request is repeated."""
+VERSION_PERIOD = 5 * SECOND
+"""Period of Get_Version to a device that was identified without it, or not at all."""
+HEARTBEAT_TIMEOUT = 250 * MILLISECOND
+"""Time without a heartbeat after which one is requested."""
 NEVER: Nanos = 1 << 62
 
 
 @dataclass(slots=True)
-class Asking:
-    """The questions to one device. Plain data."""
+class Polling:
+    """The requests to one device. Plain data."""
 
     options: Options
     started: Nanos = 0
-    asked: dict[int, Nanos] = field(default_factory=dict)
-    """When each command was last asked for."""
-    polls: dict[int, Nanos] = field(default_factory=dict)
-    """When each polled one is to be asked for next."""
+    requested: dict[int, Nanos] = field(default_factory=dict)
+    """When each command was last requested."""
+    next_polls: dict[int, Nanos] = field(default_factory=dict)
+    """When each polled command is due next."""
     heartbeat_at: Nanos | None = None
-    """When one was last heard."""
-    unanswered: bool = False
-    """An encoder estimate was asked for and has not come."""
-    cyclic_at: Nanos = 0
-    """When one last came unasked."""
+    """When the last one was received."""
+    estimates_pending: bool = False
+    """Encoder estimates were requested and have not been received."""
+    cyclic_estimates_at: Nanos = 0
+    """When they were last received without a request."""
 
-    def handle(self, t: Nanos, cmd: int) -> None:
-        """A message came."""
+    def on_message(self, t: Nanos, cmd: int) -> None:
+        """Handle a received message."""
         if cmd == ESTIMATES:
-            if not self.unanswered:
-                self.cyclic_at = t
-            self.unanswered = False
+            if not self.estimates_pending:
+                self.cyclic_estimates_at = t
+            self.estimates_pending = False
         elif cmd == HEARTBEAT:
             self.heartbeat_at = t
-        elif cmd in self.polls:
-            self.polls[cmd] = t + self.options.poll_ms * MILLISECOND
+        elif cmd in self.next_polls:
+            self.next_polls[cmd] = t + self.options.poll_ms * MILLISECOND
 
-    def ask(self, now: Nanos, cmd: int) -> None:
-        """A question goes out."""
-        self.asked[cmd] = now
-        self.unanswered = self.unanswered or cmd == ESTIMATES
-        if cmd in self.polls:
-            self.polls[cmd] = now + self.options.poll_ms * MILLISECOND
+    def on_request(self, now: Nanos, cmd: int) -> None:
+        """Handle a request that is sent now."""
+        self.requested[cmd] = now
+        self.estimates_pending = self.estimates_pending or cmd == ESTIMATES
+        if cmd in self.next_polls:
+            self.next_polls[cmd] = now + self.options.poll_ms * MILLISECOND
 
-    def plan(self, identity: Identity, wanted: Collection[int], alive: bool) -> list[tuple[Nanos, int]]:
-        """When each question is next to be asked. `wanted`: error words; `alive`: heartbeats come."""
-        dialect = DIALECTS[identity.reading]
-        plan = [(self._version_at(identity), VERSION), (self._estimates_at(alive), ESTIMATES)]
-        if dialect.heartbeat_asked or not identity.expects:
-            plan.append((self._heartbeat_at(), HEARTBEAT))
-        if identity.expects:  # else it is asked what both lines answer alike, and no more
-            plan += [(self._again(cmd), cmd) for cmd in wanted]
+    def plan(self, identity: Identity, awaited: Collection[int], alive: bool) -> list[tuple[Nanos, int]]:
+        """Return when each command is due. `awaited`: error words; `alive`: heartbeats are received."""
+        dialect = DIALECTS[identity.decoded_as]
+        plan = [(self._version_due(identity), VERSION), (self._estimates_due(alive), ESTIMATES)]
+        if dialect.heartbeat_on_request or not identity.as_expected:
+            plan.append((self._heartbeat_due(), HEARTBEAT))
+        if identity.as_expected:  # else only what both lines answer alike is requested
+            plan += [(self._retry_due(cmd), cmd) for cmd in awaited]
             plan += [(at, cmd) for cmd, at in self._polls(dialect.polled, alive).items()]
         return plan
 
-    def due(self, identity: Identity, wanted: Collection[int], alive: bool) -> Nanos:
-        """When the first question of the plan is to be asked: called at every step, so without the plan."""
-        due = self.pressing(identity, wanted, alive)
-        if identity.expects:
-            due = min(due, *self._polls(DIALECTS[identity.reading].polled, alive).values(), NEVER)
+    def due(self, identity: Identity, awaited: Collection[int], alive: bool) -> Nanos:
+        """Return when the first request of the plan is due; called at every step, so without making the
+        plan."""
+        due = self.urgent_due(identity, awaited, alive)
+        if identity.as_expected:
+            due = min(due, *self._polls(DIALECTS[identity.decoded_as].polled, alive).values(), NEVER)
         return due
 
-    def pressing(self, identity: Identity, wanted: Collection[int], alive: bool) -> Nanos:
-        """When the first question is due that is worth a step of its own, in which every set-point goes out
-        once more. Polls are not: with twelve motors, they would nearly double what is on the bus."""
-        due = min(self._version_at(identity), self._estimates_at(alive))
-        if DIALECTS[identity.reading].heartbeat_asked or not identity.expects:
-            due = min(due, self._heartbeat_at())
-        if identity.expects:
-            due = min(due, *map(self._again, wanted), NEVER)
+    def urgent_due(self, identity: Identity, awaited: Collection[int], alive: bool) -> Nanos:
+        """Return when the first request is due that is worth a step of its own, which repeats every
+        set-point. Polls are not: with twelve motors they would nearly double the bus load."""
+        due = min(self._version_due(identity), self._estimates_due(alive))
+        if DIALECTS[identity.decoded_as].heartbeat_on_request or not identity.as_expected:
+            due = min(due, self._heartbeat_due())
+        if identity.as_expected:
+            due = min(due, *map(self._retry_due, awaited), NEVER)
         return due
 
-    def _heartbeat_at(self) -> Nanos:
+    def _heartbeat_due(self) -> Nanos:
         received = self.started if self.heartbeat_at is None else self.heartbeat_at
-        return max(self._again(HEARTBEAT), received + HEARTBEAT_MISSED)
+        return max(self._retry_due(HEARTBEAT), received + HEARTBEAT_TIMEOUT)
 
-    def _again(self, cmd: int) -> Nanos:
-        asked = self.asked.get(cmd)
-        return self.started if asked is None else asked + ASK_AGAIN
+    def _retry_due(self, cmd: int) -> Nanos:
+        requested = self.requested.get(cmd)
+        return self.started if requested is None else requested + RETRY_PERIOD
 
-    def _version_at(self, identity: Identity) -> Nanos:
+    def _version_due(self, identity: Identity) -> Nanos:
         if identity.version is not None and not identity.wrong:
             return NEVER
-        settled = (identity.line or identity.wrong) and VERSION in self.asked
-        return self.asked[VERSION] + VERSION_AGAIN if settled else self._again(VERSION)
+        settled = (identity.line or identity.wrong) and VERSION in self.requested
+        return self.requested[VERSION] + VERSION_PERIOD if settled else self._retry_due(VERSION)
 
-    def _estimates_at(self, alive: bool) -> Nanos:
+    def _estimates_due(self, alive: bool) -> Nanos:
         if not alive:
-            return self._again(ESTIMATES)
+            return self._retry_due(ESTIMATES)
         period = self.options.feedback_ms * MILLISECOND
-        return max(self.asked.get(ESTIMATES, 0), self.cyclic_at + period) + period
+        return max(self.requested.get(ESTIMATES, 0), self.cyclic_estimates_at + period) + period
 
     def _polls(self, polled: tuple[int, ...], alive: bool) -> dict[int, Nanos]:
-        """What is polled, spread over the period at first; nothing while no heartbeat comes."""
+        """Return when each polled command is due, spread over the first period; none without heartbeats."""
         period = self.options.poll_ms * MILLISECOND
         if not period or not alive:
             return {}
-        if tuple(self.polls) != polled:
+        if tuple(self.next_polls) != polled:
             now = max(self.started, self.heartbeat_at or 0)
             count = len(polled)
-            self.polls = {cmd: now + period * (1 + i) // count for i, cmd in enumerate(polled)}
-        return self.polls
+            self.next_polls = {cmd: now + period * (1 + i) // count for i, cmd in enumerate(polled)}
+        return self.next_polls

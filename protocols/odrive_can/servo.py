@@ -1,8 +1,8 @@
-"""The control loops of the firmware: position → velocity → torque → current, and what it watches over.
+"""The control loops of the firmware: position → velocity → torque → current, and its monitoring.
 
-Rules. One call of `step` is one turn of the loop, whatever its `dt`; the firmware's 8 kHz constants are
-scaled to it. Units are the firmware's: turns, turns/s, N·m, A. Everything the loops know of the shaft comes
-through `measure`, quantised as an encoder would. No wire and no word in here.
+Rules. One call of `step` is one cycle of the loop, whatever its `dt`; the firmware's 8 kHz constants are
+scaled to it. Units are the firmware's: turns, turns/s, N·m, A. All that the loops know of the shaft comes
+through `measure`, quantised as by an encoder. No frames and no messages in here.
 
 Sources: loop structure, order of limits, velocity limit in torque control, overspeed check, integrator
 decay of 0.99 per turn and input modes: odriverobotics/ODrive@0153e35 `MotorControl/controller.cpp`;
@@ -21,10 +21,10 @@ from protocols.odrive_can.messages import ControlMode, InputMode
 from protocols.odrive_can.options import Settings
 
 LOOP_RATE = 8000.0
-"""Turns of the firmware's control loop per second."""
+"""Cycles of the firmware's control loop per second."""
 INTEGRATOR_DECAY = 0.99
 TEMPERATURE_MARGIN = 5.0
-"""K above the upper limit at which a thermistor's error trips."""
+"""K above the upper limit at which a thermistor's error is raised."""
 FET_RESISTANCE = 0.01
 """Ω of the power stage, for its heat."""
 FET_THERMAL_RESISTANCE = 4.0
@@ -33,7 +33,7 @@ FET_THERMAL_CAPACITY = 15.0
 
 @dataclass(slots=True)
 class Gains:
-    """What can be changed over the bus while it runs."""
+    """The parameters that can be changed over the bus while it runs."""
 
     pos_gain: float
     vel_gain: float
@@ -46,29 +46,19 @@ class Gains:
     inertia: float
 
 
-def gains_of(settings: Settings) -> Gains:
-    """The gains as configured."""
-    return Gains(
-        settings.pos_gain,
-        settings.vel_gain,
-        settings.vel_integrator_gain,
-        settings.vel_limit,
-        settings.current_soft_max,
-        settings.trap_vel_limit,
-        settings.trap_accel_limit,
-        settings.trap_decel_limit,
-        settings.inertia,
-    )
+def gains_of(source: Settings | Gains) -> Gains:
+    """Return the gains as configured, or a copy."""
+    return Gains(*(getattr(source, name) for name in Gains.__slots__))
 
 
 class Servo:
-    """One axis' loops. Plain data."""
+    """The loops of one axis. Plain data."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.gains = gains_of(settings)
         self.offset = 0.0
-        """What is subtracted from the shaft's turns."""
+        """turns: shaft angle minus position"""
         self.shaft = 0.0
         self.position = 0.0
         self.velocity = 0.0
@@ -91,30 +81,30 @@ class Servo:
         self._mechanical_slow = 0.0
 
     def measure(self, dt: float, shaft: float, velocity: float) -> None:
-        """The encoder: position in whole counts, velocity behind its estimator's lag."""
+        """Update the encoder: position in whole counts, velocity with its estimator's lag."""
         self.shaft = shaft
         cpr = self.settings.encoder_cpr
         self.position = math.floor(shaft * cpr + 0.5) / cpr - self.offset
         self.velocity += _lag(dt, self.settings.encoder_bandwidth) * (velocity - self.velocity)
 
-    def call_position(self, position: float) -> None:
-        """Set_Absolute_Position: the present position is called so from now on."""
+    def set_position(self, position: float) -> None:
+        """Give the present position this value (Set_Absolute_Position)."""
         self.offset += self.position - position
         self.position = position
 
     def start(self) -> None:
-        """Arming: the present position is the set-point, the integrator empty."""
+        """Arm: the present position is the set-point, the integrator empty."""
         self.pos_setpoint = self.position
         self.vel_setpoint = self.torque_setpoint = self.integrator = 0.0
         self._electrical_slow = self._mechanical_slow = 0.0
         self.trajectory_done = True
 
     def torque(self) -> float:
-        """N·m on the shaft."""
+        """Return the torque on the shaft, N·m."""
         return self.iq * self.settings.torque_constant
 
     def step(self, dt: float, axis: Axis) -> Error:
-        """One turn of the loop; the errors that it found."""
+        """Run one cycle of the loop; return the errors that it raised."""
         if axis.control_mode != self.mode:
             self.mode = axis.control_mode
             if self.mode == ControlMode.POSITION:
@@ -126,9 +116,9 @@ class Servo:
         else:
             self.iq_setpoint = self.iq = self.torque_target = 0.0
         self._power(dt)
-        return errors | self._watch(armed=axis.armed)
+        return errors | self._monitor(armed=axis.armed)
 
-    # -- inputs become set-points -------------------------------------------------------------
+    # -- input modes: from inputs to set-points -------------------------------------------------------------
 
     def _follow_inputs(self, dt: float, axis: Axis) -> None:
         goal = self.pos_setpoint if axis.position is None else axis.position
@@ -136,13 +126,13 @@ class Servo:
         if mode == InputMode.PASSTHROUGH:
             self.pos_setpoint, self.vel_setpoint, self.torque_setpoint = goal, axis.velocity, axis.torque
         elif mode == InputMode.VEL_RAMP:
-            most = self.settings.vel_ramp_rate * dt
-            step = _clamp(axis.velocity - self.vel_setpoint, most)
+            limit = self.settings.vel_ramp_rate * dt
+            step = _clamp(axis.velocity - self.vel_setpoint, limit)
             self.vel_setpoint += step
             self.torque_setpoint = step / dt * self.gains.inertia
         elif mode == InputMode.TORQUE_RAMP:
-            most = self.settings.torque_ramp_rate * dt
-            self.torque_setpoint += _clamp(axis.torque - self.torque_setpoint, most)
+            limit = self.settings.torque_ramp_rate * dt
+            self.torque_setpoint += _clamp(axis.torque - self.torque_setpoint, limit)
         elif mode == InputMode.POS_FILTER:
             self._filter(dt, goal, axis.velocity)
         elif mode == InputMode.TRAP_TRAJ and axis.position is not None:
@@ -158,15 +148,15 @@ class Servo:
         self.pos_setpoint += dt * self.vel_setpoint
 
     def _trapezoid(self, dt: float, goal: float) -> None:
-        """The velocity profile of a trapezoidal move, found step by step instead of planned ahead."""
-        gains, way = self.gains, goal - self.pos_setpoint
-        braking = math.sqrt(2.0 * gains.trap_decel_limit * abs(way))
-        wanted = math.copysign(min(gains.trap_vel_limit, braking), way)
+        """The velocity profile of a trapezoidal move, computed step by step instead of planned ahead."""
+        gains, distance = self.gains, goal - self.pos_setpoint
+        braking = math.sqrt(2.0 * gains.trap_decel_limit * abs(distance))
+        wanted = math.copysign(min(gains.trap_vel_limit, braking), distance)
         speeding_up = abs(wanted) > abs(self.vel_setpoint)
-        most = (gains.trap_accel_limit if speeding_up else gains.trap_decel_limit) * dt
-        change = _clamp(wanted - self.vel_setpoint, most)
+        limit = (gains.trap_accel_limit if speeding_up else gains.trap_decel_limit) * dt
+        change = _clamp(wanted - self.vel_setpoint, limit)
         self.vel_setpoint += change
-        self.trajectory_done = abs(way) <= abs(self.vel_setpoint) * dt + 1e-6
+        self.trajectory_done = abs(distance) <= abs(self.vel_setpoint) * dt + 1e-6
         if self.trajectory_done:
             self.pos_setpoint, self.vel_setpoint, self.torque_setpoint = goal, 0.0, 0.0
         else:
@@ -207,13 +197,13 @@ class Servo:
         return Error(0)
 
     def current_limit(self) -> float:
-        """A: the soft limit, falling linearly between a thermistor's lower and upper limit."""
+        """Return the soft limit, A; it falls linearly between a thermistor's lower and upper limit."""
         s = self.settings
         motor = _derate(self.motor_temperature, s.motor_temp_limit_lower, s.motor_temp_limit_upper)
         fet = _derate(self.fet_temperature, s.fet_temp_limit_lower, s.fet_temp_limit_upper)
         return self.gains.current_soft_max * min(motor, fet)
 
-    # -- what it watches over ---------------------------------------------------------------------
+    # -- monitoring -----------------------------------------------------------------------------------
 
     def _power(self, dt: float) -> None:
         s = self.settings
@@ -223,21 +213,21 @@ class Servo:
         self.electrical = self.mechanical + copper + stage
         self.bus_current = self.electrical / max(self.bus_voltage, 1.0)
         self.bus_voltage = s.bus_voltage - s.bus_resistance * self.bus_current
-        self.motor_temperature += _warm(
+        self.motor_temperature += _temperature_rise(
             dt,
             copper,
             self.motor_temperature - s.ambient,
             s.motor_thermal_resistance,
             s.motor_thermal_capacity,
         )
-        self.fet_temperature += _warm(
+        self.fet_temperature += _temperature_rise(
             dt, stage, self.fet_temperature - s.ambient, FET_THERMAL_RESISTANCE, FET_THERMAL_CAPACITY
         )
         lag = _lag(dt, s.spinout_power_bandwidth)
         self._electrical_slow += lag * (self.electrical - self._electrical_slow)
         self._mechanical_slow += lag * (self.mechanical - self._mechanical_slow)
 
-    def _watch(self, armed: bool) -> Error:
+    def _monitor(self, armed: bool) -> Error:
         s = self.settings
         errors = Error(0)
         if self.bus_voltage < s.dc_bus_undervoltage_trip_level:
@@ -248,9 +238,9 @@ class Servo:
             errors |= Error.MOTOR_OVER_TEMP
         if self.fet_temperature > s.fet_temp_limit_upper + TEMPERATURE_MARGIN:
             errors |= Error.INVERTER_OVER_TEMP
-        return errors | self._watch_current() if armed else errors
+        return errors | self._monitor_current() if armed else errors
 
-    def _watch_current(self) -> Error:
+    def _monitor_current(self) -> Error:
         s = self.settings
         errors = Error(0)
         if self.bus_current > s.dc_max_positive_current:
@@ -265,12 +255,12 @@ class Servo:
         return errors
 
 
-def _clamp(value: float, most: float) -> float:
-    return max(-most, min(most, value))
+def _clamp(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
 
 
 def _lag(dt: float, bandwidth: float) -> float:
-    """How much of a step a first-order lag has followed after dt."""
+    """Return the share of a step that a first-order lag has followed after dt."""
     return -math.expm1(-bandwidth * dt)
 
 
@@ -280,6 +270,6 @@ def _derate(temperature: float, lower: float, upper: float) -> float:
     return max(0.0, (upper - temperature) / (upper - lower)) if upper > lower else 0.0
 
 
-def _warm(dt: float, heat: float, above: float, resistance: float, capacity: float) -> float:
-    """K that a body gains in dt: exact for constant heat [W]."""
+def _temperature_rise(dt: float, heat: float, above: float, resistance: float, capacity: float) -> float:
+    """Return the temperature rise of a body in dt, K: exact for constant heat [W]."""
     return _lag(dt, 1.0 / (resistance * capacity)) * (heat * resistance - above)

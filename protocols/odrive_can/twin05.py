@@ -1,17 +1,19 @@
-"""The twin's firmware 0.5.x: states without verdicts, errors by parts, a watchdog that any frame feeds.
+"""The twin's firmware 0.5.x: states without results, errors by component, a watchdog that any frame feeds.
 
-Rules as in `twin`; sources of each habit in the README. One twin is one axis: of a board with two, each is a
-node of its own, and hears what is said to the other where that concerns the board.
+Rules as in `twin`; the sources of each behaviour are in the README. One twin is one axis: of a board with
+two, each is a node of its own, and also obeys those messages to the other that concern the board.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import ClassVar
 
 from protocols.messages import Nanos
-from protocols.odrive_can.codec import AnyMessage, cmd_of
-from protocols.odrive_can.decoder import addressed, decode, obey
+from protocols.odrive_can import messages as m
+from protocols.odrive_can.codec import cmd_of
+from protocols.odrive_can.decoder import addressed, obey, receive
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import (
     AXIS_BASE,
@@ -26,50 +28,29 @@ from protocols.odrive_can.faults05 import (
     MotorError,
     SensorlessError,
 )
-from protocols.odrive_can.messages import (
-    AxisState,
-    Estop,
-    GetBusVoltageCurrent,
-    GetEncoderEstimates,
-    GetIq,
-    SetAxisState,
-)
-from protocols.odrive_can.messages05 import (
-    AskAdcVoltage,
-    ClearErrors05,
-    GetAdcVoltage,
-    GetControllerError,
-    GetEncoderCount,
-    GetEncoderError,
-    GetMotorError,
-    GetSensorlessError,
-    GetSensorlessEstimates,
-    Heartbeat05,
-    Reboot05,
-    SetLinearCount,
-)
+from protocols.odrive_can.messages import AxisState
 from protocols.odrive_can.options import node_of_device
 from protocols.odrive_can.servo import gains_of
-from protocols.odrive_can.twin import OdriveTwin
+from protocols.odrive_can.twin import COMMON_REPORTS, OdriveTwin, Reports
 from protocols.plugin import Device
 
 GPIO_COUNT = 17
 
-MOTOR_TRIPS: dict[Error, MotorError] = {
+MOTOR_ERRORS: dict[Error, MotorError] = {
     Error.CURRENT_LIMIT_VIOLATION: MotorError.CURRENT_LIMIT_VIOLATION,
     Error.MOTOR_OVER_TEMP: MotorError.MOTOR_THERMISTOR_OVER_TEMP,
     Error.INVERTER_OVER_TEMP: MotorError.FET_THERMISTOR_OVER_TEMP,
-    # What is wrong with the supply is the board's error, which CANSimple does not tell.
+    # A fault of the supply is the board's error, which CANSimple does not report.
     Error.DC_BUS_UNDER_VOLTAGE: MotorError.SYSTEM_LEVEL,
     Error.DC_BUS_OVER_VOLTAGE: MotorError.SYSTEM_LEVEL,
     Error.DC_BUS_OVER_CURRENT: MotorError.SYSTEM_LEVEL,
     Error.DC_BUS_OVER_REGEN_CURRENT: MotorError.SYSTEM_LEVEL,
 }
-CONTROLLER_TRIPS: dict[Error, ControllerError] = {
+CONTROLLER_ERRORS: dict[Error, ControllerError] = {
     Error.VELOCITY_LIMIT_VIOLATION: ControllerError.OVERSPEED,
     Error.SPINOUT_DETECTED: ControllerError.SPINOUT_DETECTED,
 }
-AXIS_TRIPS: dict[Error, AxisError] = {
+AXIS_ERRORS: dict[Error, AxisError] = {
     Error.WATCHDOG_TIMER_EXPIRED: AxisError.WATCHDOG_TIMER_EXPIRED,
     Error.ESTOP_REQUESTED: AxisError.ESTOP_REQUESTED,
 }
@@ -78,67 +59,63 @@ AXIS_TRIPS: dict[Error, AxisError] = {
 class Twin05(OdriveTwin):
     """One axis of firmware 0.5.x."""
 
-    watchdog_sleeps = False
+    watchdog_needs_arming = False
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
-        self.errors = AxisError(0)
-        self.motor_errors = MotorError(0)
-        self.encoder_errors = EncoderError(0)
-        self.controller_errors = ControllerError(0)
-        self.sensorless_errors = SensorlessError(0)
+        self._clear()
+
+    def _clear(self) -> None:
+        self.errors, self.motor_errors, self.encoder_errors = AxisError(0), MotorError(0), EncoderError(0)
+        self.controller_errors, self.sensorless_errors = ControllerError(0), SensorlessError(0)
 
     def rates(self) -> Sequence[tuple[int, int]]:
         """See the base."""
         s = self.settings
         return (
-            (cmd_of(Heartbeat05), s.heartbeat_msg_rate_ms),
-            (cmd_of(GetEncoderEstimates), s.encoder_msg_rate_ms),
-            (cmd_of(GetMotorError), s.motor_error_rate_ms),
-            (cmd_of(GetEncoderError), s.encoder_error_rate_ms),
-            (cmd_of(GetControllerError), s.controller_error_rate_ms),
-            (cmd_of(GetSensorlessError), s.sensorless_error_rate_ms),
-            (cmd_of(GetEncoderCount), s.encoder_count_rate_ms),
-            (cmd_of(GetIq), s.iq_msg_rate_ms),
-            (cmd_of(GetSensorlessEstimates), s.sensorless_rate_ms),
-            (cmd_of(GetBusVoltageCurrent), s.bus_voltage_msg_rate_ms),
+            (cmd_of(m.Heartbeat05), s.heartbeat_msg_rate_ms),
+            (cmd_of(m.GetEncoderEstimates), s.encoder_msg_rate_ms),
+            (cmd_of(m.GetMotorError), s.motor_error_rate_ms),
+            (cmd_of(m.GetEncoderError), s.encoder_error_rate_ms),
+            (cmd_of(m.GetControllerError), s.controller_error_rate_ms),
+            (cmd_of(m.GetSensorlessError), s.sensorless_error_rate_ms),
+            (cmd_of(m.GetEncoderCount), s.encoder_count_rate_ms),
+            (cmd_of(m.GetIq), s.iq_msg_rate_ms),
+            (cmd_of(m.GetSensorlessEstimates), s.sensorless_rate_ms),
+            (cmd_of(m.GetBusVoltageCurrent), s.bus_voltage_msg_rate_ms),
         )
 
     def feed(self, t: Nanos, node: int) -> None:
-        """Any frame to the axis feeds its watchdog, also one that says nothing."""
+        """Feed the watchdog by any frame to the axis, also one that is ignored otherwise."""
         if node == self.axis.node:
             self._fed = t
 
-    def handle(self, t: Nanos, node: int, message: AnyMessage) -> None:
+    def on_message(self, t: Nanos, node: int, message: m.Message) -> None:
         """See the base."""
         if not addressed(self.axis, node, message):
-            decode(self.axis, node, message)
+            receive(self.axis, node, message)
             return
         match message:
-            case SetAxisState(state):
+            case m.SetAxisState(state):
                 self._request_state(t, state)
                 return
-            case Estop():
+            case m.Estop():
                 self.trip(Error.ESTOP_REQUESTED)
-            case ClearErrors05():
+            case m.ClearErrors05():
                 self._clear()
-            case Reboot05():
+            case m.Reboot05():
                 self._clear()
                 # What was set over CAN cannot be saved over CAN: the node id, too, is as configured again.
-                home = node_of_device(self.device, self.device.address)
-                self.restart(t, home, gains_of(self.settings))
+                node = node_of_device(self.device, self.device.address)
+                self.restart(t, node, gains_of(self.settings))
                 return
-            case SetLinearCount(count):
-                self.servo.call_position(count / self.settings.encoder_cpr)
-            case AskAdcVoltage(gpio):
-                self.reply(GetAdcVoltage(0.0) if gpio < GPIO_COUNT else None)
+            case m.SetLinearCount(count):
+                self.servo.set_position(count / self.settings.encoder_cpr)
+            case m.RequestAdcVoltage(gpio):
+                self.reply(m.GetAdcVoltage(0.0) if gpio < GPIO_COUNT else None)
             case _:
                 self.configure(message)
         obey(self.axis, message)
-
-    def _clear(self) -> None:
-        self.errors, self.motor_errors, self.encoder_errors = AxisError(0), MotorError(0), EncoderError(0)
-        self.controller_errors, self.sensorless_errors = ControllerError(0), SensorlessError(0)
 
     def _request_state(self, t: Nanos, state: int) -> None:
         if state == AxisState.UNDEFINED:
@@ -158,14 +135,14 @@ class Twin05(OdriveTwin):
         arms = state == AxisState.CLOSED_LOOP_CONTROL and not self.errors
         if arms:
             self.servo.start()
-        obey(self.axis, SetAxisState(AxisState.CLOSED_LOOP_CONTROL if arms else AxisState.IDLE))
+        obey(self.axis, m.SetAxisState(AxisState.CLOSED_LOOP_CONTROL if arms else AxisState.IDLE))
 
     def trip(self, errors: Error) -> None:
-        """An axis with errors disarms; they stay until Clear_Errors."""
+        """Raise errors, which stay until Clear_Errors; an axis with errors disarms."""
         for error in errors:
-            self.errors |= AXIS_TRIPS.get(error, AxisError(0))
-            self.motor_errors |= MOTOR_TRIPS.get(error, MotorError(0))
-            self.controller_errors |= CONTROLLER_TRIPS.get(error, ControllerError(0))
+            self.errors |= AXIS_ERRORS.get(error, AxisError(0))
+            self.motor_errors |= MOTOR_ERRORS.get(error, MotorError(0))
+            self.controller_errors |= CONTROLLER_ERRORS.get(error, ControllerError(0))
         self._fail()
 
     def provoke(self, code: int) -> None:
@@ -186,52 +163,37 @@ class Twin05(OdriveTwin):
         self._fail()
 
     def _fail(self) -> None:
-        """A part's error is the axis' too, and an axis with errors disarms."""
-        for part, bit in (
+        """Add the errors of components to the axis' errors, and disarm if there are any."""
+        for component, bit in (
             (self.motor_errors, AxisError.MOTOR_FAILED),
             (self.encoder_errors, AxisError.ENCODER_FAILED),
             (self.controller_errors, AxisError.CONTROLLER_FAILED),
             (self.sensorless_errors, AxisError.SENSORLESS_ESTIMATOR_FAILED),
         ):
-            self.errors |= bit if part else AxisError(0)
+            self.errors |= bit if component else AxisError(0)
         if self.errors:
             self.axis.armed = False
 
-    def report(self, cmd: int) -> AnyMessage | None:
-        """See the base."""
-        reports = _REPORTS.get(cmd)
-        return reports(self) if reports is not None else None
+    def _heartbeat(self) -> m.Heartbeat05:
+        state = AxisState.CLOSED_LOOP_CONTROL if self.axis.armed else AxisState.IDLE
+        components = (self.motor_errors, self.encoder_errors, self.controller_errors)
+        motor, encoder, controller = (int(bool(errors)) for errors in components)
+        done = int(self.servo.trajectory_done)
+        return m.Heartbeat05(self.errors, state, motor, encoder, controller, done)
 
+    def _encoder_count(self) -> m.GetEncoderCount:
+        cpr = self.settings.encoder_cpr
+        shadow = math.floor(self.servo.position * cpr + 0.5)
+        in_cpr = math.floor(self.servo.shaft * cpr + 0.5) % cpr
+        return m.GetEncoderCount((shadow + 2**31) % 2**32 - 2**31, in_cpr)
 
-def _heartbeat(twin: Twin05) -> Heartbeat05:
-    state = AxisState.CLOSED_LOOP_CONTROL if twin.axis.armed else AxisState.IDLE
-    return Heartbeat05(
-        twin.errors,
-        state,
-        int(bool(twin.motor_errors)),
-        int(bool(twin.encoder_errors)),
-        int(bool(twin.controller_errors)),
-        int(twin.servo.trajectory_done),
-    )
-
-
-def _counts(twin: Twin05) -> GetEncoderCount:
-    cpr = twin.settings.encoder_cpr
-    shadow = math.floor(twin.servo.position * cpr + 0.5)
-    return GetEncoderCount((shadow + 2**31) % 2**32 - 2**31, math.floor(twin.servo.shaft * cpr + 0.5) % cpr)
-
-
-_REPORTS: dict[int, Callable[[Twin05], AnyMessage]] = {
-    cmd_of(Heartbeat05): _heartbeat,
-    cmd_of(GetMotorError): lambda twin: GetMotorError(twin.motor_errors),
-    cmd_of(GetEncoderError): lambda twin: GetEncoderError(twin.encoder_errors),
-    cmd_of(GetControllerError): lambda twin: GetControllerError(twin.controller_errors),
-    cmd_of(GetSensorlessError): lambda twin: GetSensorlessError(twin.sensorless_errors),
-    cmd_of(GetEncoderEstimates): lambda twin: GetEncoderEstimates(twin.servo.position, twin.servo.velocity),
-    cmd_of(GetEncoderCount): _counts,
-    cmd_of(GetIq): lambda twin: GetIq(twin.servo.iq_setpoint, twin.servo.iq),
-    cmd_of(GetSensorlessEstimates): lambda _: GetSensorlessEstimates(0.0, 0.0),
-    cmd_of(GetBusVoltageCurrent): lambda twin: GetBusVoltageCurrent(
-        twin.servo.bus_voltage, twin.servo.bus_current
-    ),
-}
+    reports: ClassVar[Reports] = {
+        **COMMON_REPORTS,
+        cmd_of(m.Heartbeat05): _heartbeat,
+        cmd_of(m.GetMotorError): lambda twin: m.GetMotorError(twin.motor_errors),
+        cmd_of(m.GetEncoderError): lambda twin: m.GetEncoderError(twin.encoder_errors),
+        cmd_of(m.GetControllerError): lambda twin: m.GetControllerError(twin.controller_errors),
+        cmd_of(m.GetSensorlessError): lambda twin: m.GetSensorlessError(twin.sensorless_errors),
+        cmd_of(m.GetEncoderCount): _encoder_count,
+        cmd_of(m.GetSensorlessEstimates): lambda _: m.GetSensorlessEstimates(0.0, 0.0),
+    }

@@ -1,53 +1,33 @@
-"""The twin's firmware 0.6.x: arming and its verdicts, errors that stay, watchdog, addresses, reboot.
+"""The twin's firmware 0.6.x: arming and its results, latched errors, watchdog, addresses, reboot.
 
-Rules as in `twin`; sources of each habit in the README.
+Rules as in `twin`; the sources of each behaviour are in the README.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import ClassVar
 
 from protocols.messages import MILLISECOND, Nanos
-from protocols.odrive_can.codec import BROADCAST, AnyMessage, cmd_of
+from protocols.odrive_can import messages as m
+from protocols.odrive_can.codec import BROADCAST, cmd_of
 from protocols.odrive_can.decoder import addressed, assign, obey
 from protocols.odrive_can.faults import FAULT_TABLE06, Error, Result
-from protocols.odrive_can.messages import (
-    Address,
-    AxisState,
-    ClearErrors,
-    EnterDfuMode,
-    Estop,
-    GetBusVoltageCurrent,
-    GetEncoderEstimates,
-    GetError,
-    GetIq,
-    GetPowers,
-    GetTemperature,
-    GetTorques,
-    GetVersion,
-    Heartbeat,
-    Reboot,
-    RebootAction,
-    SetAbsolutePosition,
-    SetAxisState,
-    SetInputPos,
-    SetInputTorque,
-    SetInputVel,
-)
+from protocols.odrive_can.messages import AxisState, RebootAction
 from protocols.odrive_can.options import Settings, firmware_of
 from protocols.odrive_can.servo import Gains, gains_of
-from protocols.odrive_can.twin import NEVER, OdriveTwin
+from protocols.odrive_can.twin import COMMON_REPORTS, NEVER, OdriveTwin, Reports
 from protocols.plugin import Device
 
 PROTOCOL_VERSION = 2
-FEEDS = (SetInputPos, SetInputVel, SetInputTorque, SetAxisState)
-"""What feeds the watchdog (odriverobotics/ODriveResources@fdb25dd `examples/can_watchdog.py`)."""
+FEEDS = (m.SetInputPos, m.SetInputVel, m.SetInputTorque, m.SetAxisState)
+"""The messages that feed the watchdog (odriverobotics/ODriveResources@fdb25dd `examples/can_watchdog.py`)."""
 
 
 class Twin06(OdriveTwin):
     """One device of firmware 0.6.x."""
 
-    watchdog_sleeps = True
+    watchdog_needs_arming = True
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
@@ -63,49 +43,49 @@ class Twin06(OdriveTwin):
         """See the base."""
         s = self.settings
         return (
-            (cmd_of(GetVersion), s.version_msg_rate_ms),
-            (cmd_of(Heartbeat), s.heartbeat_msg_rate_ms),
-            (cmd_of(GetEncoderEstimates), s.encoder_msg_rate_ms),
-            (cmd_of(GetIq), s.iq_msg_rate_ms),
-            (cmd_of(GetError), s.error_msg_rate_ms),
-            (cmd_of(GetTemperature), s.temperature_msg_rate_ms),
-            (cmd_of(GetBusVoltageCurrent), s.bus_voltage_msg_rate_ms),
-            (cmd_of(GetTorques), s.torques_msg_rate_ms),
+            (cmd_of(m.GetVersion), s.version_msg_rate_ms),
+            (cmd_of(m.Heartbeat), s.heartbeat_msg_rate_ms),
+            (cmd_of(m.GetEncoderEstimates), s.encoder_msg_rate_ms),
+            (cmd_of(m.GetIq), s.iq_msg_rate_ms),
+            (cmd_of(m.GetError), s.error_msg_rate_ms),
+            (cmd_of(m.GetTemperature), s.temperature_msg_rate_ms),
+            (cmd_of(m.GetBusVoltageCurrent), s.bus_voltage_msg_rate_ms),
+            (cmd_of(m.GetTorques), s.torques_msg_rate_ms),
         )
 
-    def answer(self, node: int, cmd: int) -> None:
-        """Discovery goes to the broadcast node; a device without an address answers nothing else."""
-        discovery = node == BROADCAST and cmd == cmd_of(Address)
+    def on_request(self, node: int, cmd: int) -> None:
+        """Reply; discovery is on the broadcast node, and all that a device without an address answers."""
+        discovery = node == BROADCAST and cmd == cmd_of(m.Address)
         if discovery or (node == self.axis.node and node != BROADCAST):
             self.reply(self.report(cmd))
 
-    def handle(self, t: Nanos, node: int, message: AnyMessage) -> None:
+    def on_message(self, t: Nanos, node: int, message: m.Message) -> None:
         """See the base."""
-        if isinstance(message, Address):
+        if isinstance(message, m.Address):
             if assign(self.axis, node, message):
-                self.reply(Address(self.axis.node, self.axis.serial, 0))
+                self.reply(m.Address(self.axis.node, self.axis.serial, 0))
         elif addressed(self.axis, node, message):
-            self._handle(t, message)
+            self._on_own_message(t, message)
 
-    def _handle(self, t: Nanos, message: AnyMessage) -> None:
+    def _on_own_message(self, t: Nanos, message: m.Message) -> None:
         if isinstance(message, FEEDS):
             self._fed = t
         match message:
-            case SetAxisState(state):
+            case m.SetAxisState(state):
                 self._request_state(state)
                 return
-            case Estop():
+            case m.Estop():
                 self.trip(Error.ESTOP_REQUESTED)
-            case ClearErrors(identify):
+            case m.ClearErrors(identify):
                 self.errors &= Error.INITIALIZING
                 self.disarm_reason = Error(0)
                 self.identify = identify == 1
-            case Reboot(action):
+            case m.Reboot(action):
                 self._reboot(t, action)
-            case EnterDfuMode():
+            case m.EnterDfuMode():
                 self.silent_until = NEVER
-            case SetAbsolutePosition(position):
-                self.servo.call_position(position)
+            case m.SetAbsolutePosition(position):
+                self.servo.set_position(position)
             case _:
                 self.configure(message)
         obey(self.axis, message)
@@ -129,10 +109,10 @@ class Twin06(OdriveTwin):
             self.result = Result.HOMING_WITHOUT_ENDSTOP
         elif state != AxisState.UNDEFINED:
             self.result = Result.INVALID_STATE
-        obey(self.axis, SetAxisState(state))
+        obey(self.axis, m.SetAxisState(state))
 
     def trip(self, errors: Error) -> None:
-        """Errors stay active until Clear_Errors; an armed axis disarms."""
+        """Raise errors, which stay active until Clear_Errors; an armed axis disarms."""
         self.errors |= errors
         if self.axis.armed:
             self.axis.armed = False
@@ -159,11 +139,6 @@ class Twin06(OdriveTwin):
         if self.errors & Error.INITIALIZING and now >= self.initializing_until:
             self.errors &= ~Error.INITIALIZING
 
-    def report(self, cmd: int) -> AnyMessage | None:
-        """See the base."""
-        reports = _REPORTS.get(cmd)
-        return reports(self) if reports is not None else None
-
     def due(self) -> Nanos | None:
         """See the base."""
         time = super().due()
@@ -171,30 +146,24 @@ class Twin06(OdriveTwin):
             return time
         return self.initializing_until if time is None else min(time, self.initializing_until)
 
+    def _version(self) -> m.GetVersion:
+        major, minor, revision = (int(part) for part in firmware_of(self.device).split("."))
+        return m.GetVersion(PROTOCOL_VERSION, self.settings.hw_line, 1, 0, major, minor, revision, 0)
 
-def _version(twin: Twin06) -> GetVersion:
-    major, minor, revision = (int(part) for part in firmware_of(twin.device).split("."))
-    return GetVersion(PROTOCOL_VERSION, twin.settings.hw_line, 1, 0, major, minor, revision, 0)
+    def _heartbeat(self) -> m.Heartbeat:
+        state = AxisState.CLOSED_LOOP_CONTROL if self.axis.armed else AxisState.IDLE
+        return m.Heartbeat(self.errors, state, self.result, int(self.servo.trajectory_done))
 
+    def _temperature(self) -> m.GetTemperature:
+        return m.GetTemperature(self.servo.fet_temperature, self.servo.motor_temperature)
 
-def _heartbeat(twin: Twin06) -> Heartbeat:
-    state = AxisState.CLOSED_LOOP_CONTROL if twin.axis.armed else AxisState.IDLE
-    return Heartbeat(twin.errors, state, twin.result, int(twin.servo.trajectory_done))
-
-
-_REPORTS: dict[int, Callable[[Twin06], AnyMessage]] = {
-    cmd_of(GetVersion): _version,
-    cmd_of(Heartbeat): _heartbeat,
-    cmd_of(GetError): lambda twin: GetError(twin.errors, twin.disarm_reason),
-    cmd_of(Address): lambda twin: Address(twin.axis.node, twin.axis.serial, 0),
-    cmd_of(GetEncoderEstimates): lambda twin: GetEncoderEstimates(twin.servo.position, twin.servo.velocity),
-    cmd_of(GetIq): lambda twin: GetIq(twin.servo.iq_setpoint, twin.servo.iq),
-    cmd_of(GetTemperature): lambda twin: GetTemperature(
-        twin.servo.fet_temperature, twin.servo.motor_temperature
-    ),
-    cmd_of(GetBusVoltageCurrent): lambda twin: GetBusVoltageCurrent(
-        twin.servo.bus_voltage, twin.servo.bus_current
-    ),
-    cmd_of(GetTorques): lambda twin: GetTorques(twin.servo.torque_target, twin.servo.torque()),
-    cmd_of(GetPowers): lambda twin: GetPowers(twin.servo.electrical, twin.servo.mechanical),
-}
+    reports: ClassVar[Reports] = {
+        **COMMON_REPORTS,
+        cmd_of(m.GetVersion): _version,
+        cmd_of(m.Heartbeat): _heartbeat,
+        cmd_of(m.GetError): lambda twin: m.GetError(twin.errors, twin.disarm_reason),
+        cmd_of(m.Address): lambda twin: m.Address(twin.axis.node, twin.axis.serial, 0),
+        cmd_of(m.GetTemperature): _temperature,
+        cmd_of(m.GetTorques): lambda twin: m.GetTorques(twin.servo.torque_target, twin.servo.torque()),
+        cmd_of(m.GetPowers): lambda twin: m.GetPowers(twin.servo.electrical, twin.servo.mechanical),
+    }

@@ -439,7 +439,7 @@ class LearnsFromBadFrames(OdriveDriver):
         bad = self.counters.malformed
         events = super().receive(t, frame)
         if self.counters.malformed > bad:
-            for node in self.nodes.values():
+            for node in self.axes.values():
                 node.forget()
         return events
 
@@ -457,7 +457,7 @@ class FindsByArming(OdriveDriver):
 
     def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
         events, frames = super().send(now, words)
-        arm = CanFrame(min(self.nodes) << 5 | 0x07, b"\1\0\0\0")
+        arm = CanFrame(min(self.axes) << 5 | 0x07, b"\1\0\0\0")
         return events, frames if words or now % 64_000_000 else [*frames, arm]
 
 

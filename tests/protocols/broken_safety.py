@@ -207,8 +207,8 @@ class HearsItself(OdriveDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        if isinstance(frame, CanFrame) and not frame.extended and frame.id >> 5 in self.nodes:
-            self.nodes[frame.id >> 5].received_at = t
+        if isinstance(frame, CanFrame) and not frame.extended and frame.id >> 5 in self.axes:
+            self.axes[frame.id >> 5].received_at = t
         return events
 
 

@@ -122,7 +122,7 @@ def test_a_second_node_with_the_same_address_gets_a_sentence_and_the_safe_word(d
     driven.world.duplicate("left")
     ticks = driven.run(1.0)
     faults = [n for n in reported(ticks, "left") if n.level == "error"]
-    assert any("held twice" in n.text for n in faults)
+    assert any("duplicate node id" in n.text for n in faults)
     warned = [n.text for n in reported(ticks, "scan") if n.level == "warning"]
     assert warned
     assert all("more than one device holds this address" in text for text in warned)

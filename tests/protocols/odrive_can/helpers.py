@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from protocols.messages import Nanos
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import twin as made
-from protocols.odrive_can.codec import AnyMessage, decode_to_device, node_of
+from protocols.odrive_can.codec import decode_to_device, node_of
 from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.messages import Ask
+from protocols.odrive_can.messages import Message, RemoteRequest
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
@@ -51,11 +51,11 @@ class Bench(CanBench[OdriveDriver, OdriveTwin]):
         assert isinstance(first, Twin05)
         return first
 
-    def said(self, node: int = 1, since: Nanos = 0, line: str = "0.6") -> list[AnyMessage]:
+    def said(self, node: int = 1, since: Nanos = 0, line: str = "0.6") -> list[Message]:
         """What the driver told a node (questions left out), as its firmware line has it."""
         frames = [f for t, f in self.sent if t >= since and node_of(f) == node and not f.remote]
         messages = [decode_to_device(frame, line) for frame in frames]
-        return [m for m in messages if m is not None and not isinstance(m, Ask)]
+        return [m for m in messages if m is not None and not isinstance(m, RemoteRequest)]
 
 
 def ready(*devices: Device) -> Bench:

@@ -16,16 +16,9 @@ from odrive_can.odrive import ODriveCAN
 import fixtures
 from protocols.frames import CanFrame
 from protocols.odrive_can import codec, messages
-from protocols.odrive_can.codec import (
-    BY_TYPE,
-    TABLES,
-    AnyMessage,
-    decode_from_device,
-    decode_to_device,
-    encode,
-)
+from protocols.odrive_can.codec import BY_TYPE, TABLES, decode_from_device, decode_to_device, encode
 from protocols.odrive_can.layout import FLOAT_MAX, Layout
-from protocols.odrive_can.messages import Ask, Message
+from protocols.odrive_can.messages import Message, RemoteRequest
 from tests.protocols.odrive_can.conversation import DBCS
 
 VECTORS: list[dict[str, Any]] = json.loads(
@@ -77,12 +70,12 @@ MEANINGS: dict[str, tuple[type[Any], tuple[str, ...]]] = {
 }
 
 
-def message_of(vector: dict[str, Any]) -> Message | Ask:
+def message_of(vector: dict[str, Any]) -> Message | RemoteRequest:
     """A vector's meaning as our message."""
     meaning = vector["meaning"]
     name = meaning.get("cmd") or meaning["msg"]
     if meaning.get("request"):
-        return Ask(0x06 if name == "Address" else BY_TYPE[MEANINGS[name][0]].cmd)
+        return RemoteRequest(0x06 if name == "Address" else BY_TYPE[MEANINGS[name][0]].cmd)
     if name in ("RxSdo", "TxSdo"):
         raw = struct.unpack("<I", struct.pack("<f", meaning["value_f32"]))[0]
         if name == "RxSdo":
@@ -102,11 +95,11 @@ def frame_of(vector: dict[str, Any]) -> CanFrame:
     return CanFrame(vector["id"], bytes.fromhex(vector["data"]), vector["extended"], vector.get("rtr", False))
 
 
-def said(frame: CanFrame, direction: str) -> AnyMessage | Ask | None:
+def said(frame: CanFrame, direction: str) -> Message | RemoteRequest | None:
     return decode_to_device(frame) if direction == "to_device" else decode_from_device(frame)
 
 
-def close(a: AnyMessage | Ask | None, b: AnyMessage | Ask | None) -> bool:
+def close(a: Message | RemoteRequest | None, b: Message | RemoteRequest | None) -> bool:
     """Equal, floats to binary32."""
     if type(a) is not type(b) or a is None or b is None:
         return False
@@ -118,7 +111,7 @@ def close(a: AnyMessage | Ask | None, b: AnyMessage | Ask | None) -> bool:
 def test_a_vector_is_what_we_say_and_what_we_understand(vector: dict[str, Any]) -> None:
     message, frame = message_of(vector), frame_of(vector)
     assert close(said(frame, vector["direction"]), message)
-    if isinstance(message, Ask):
+    if isinstance(message, RemoteRequest):
         assert CanFrame(frame.id, remote=True) == frame
         return
     padded = encode(frame.id >> 5, message)
@@ -144,7 +137,7 @@ def test_no_vector_records_a_known_bug_of_a_package() -> None:
 
 def test_every_message_has_an_independent_vector() -> None:
     """The units of Address (assign and answer) and of both SDOs are in the vectors, too."""
-    covered = {type(message_of(vector)) for vector in OURS} - {Ask}
+    covered = {type(message_of(vector)) for vector in OURS} - {RemoteRequest}
     assert covered == {layout.message for layout in TABLES["0.6"].layouts}
 
 
@@ -361,8 +354,8 @@ def test_floats_are_rounded_to_binary32_and_saturate(value: float, sign: int) ->
         (0x0C, "0000c03f", messages.SetInputPos(1.5, 0.0, 0.0)),
         (0x0D, "000010c0", messages.SetInputVel(-2.25, 0.0)),
         (0x02, "", messages.Estop()),
-        (0x09, "", Ask(0x09)),
-        (0x17, "", Ask(0x17)),
+        (0x09, "", RemoteRequest(0x09)),
+        (0x17, "", RemoteRequest(0x17)),
     ],
 )
 def test_a_device_reads_short_frames_as_if_the_rest_were_zero(cmd: int, data: str, message: Message) -> None:

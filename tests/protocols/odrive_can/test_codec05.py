@@ -14,20 +14,19 @@ from numpy.random import PCG64, Generator
 from odrive_can.odrive import ODriveCAN
 
 from protocols.frames import CanFrame
-from protocols.odrive_can import messages, messages05
+from protocols.odrive_can import messages
 from protocols.odrive_can.codec import (
     COMMON,
     EXTENDED,
     LINE05,
     TABLES,
-    AnyMessage,
     decode_from_device,
     decode_to_device,
     encode,
     node_of,
 )
 from protocols.odrive_can.layout import Layout
-from protocols.odrive_can.messages import Ask
+from protocols.odrive_can.messages import Message, RemoteRequest
 from tests.protocols.odrive_can.conversation import DBCS
 from tests.protocols.odrive_can.test_codec import (
     MEANINGS,
@@ -52,7 +51,7 @@ SHARED = [
 
 MEANINGS05: dict[str, tuple[type[Any], tuple[str, ...]]] = {
     "Heartbeat": (
-        messages05.Heartbeat05,
+        messages.Heartbeat05,
         (
             "axis_error",
             "axis_state",
@@ -62,35 +61,35 @@ MEANINGS05: dict[str, tuple[type[Any], tuple[str, ...]]] = {
             "trajectory_done",
         ),
     ),
-    "Get_Motor_Error": (messages05.GetMotorError, ("motor_error",)),
-    "Get_Encoder_Error": (messages05.GetEncoderError, ("encoder_error",)),
-    "Get_Sensorless_Error": (messages05.GetSensorlessError, ("sensorless_error",)),
-    "Get_Controller_Error": (messages05.GetControllerError, ("controller_error",)),
-    "Get_Encoder_Count": (messages05.GetEncoderCount, ("shadow_count", "count_in_cpr")),
+    "Get_Motor_Error": (messages.GetMotorError, ("motor_error",)),
+    "Get_Encoder_Error": (messages.GetEncoderError, ("encoder_error",)),
+    "Get_Sensorless_Error": (messages.GetSensorlessError, ("sensorless_error",)),
+    "Get_Controller_Error": (messages.GetControllerError, ("controller_error",)),
+    "Get_Encoder_Count": (messages.GetEncoderCount, ("shadow_count", "count_in_cpr")),
     "Get_Sensorless_Estimates": (
-        messages05.GetSensorlessEstimates,
+        messages.GetSensorlessEstimates,
         ("position_turns", "velocity_turns_s"),
     ),
-    "Get_ADC_Voltage": (messages05.GetAdcVoltage, ("voltage_v",)),
-    "Ask_ADC_Voltage": (messages05.AskAdcVoltage, ("gpio",)),
-    "Set_Axis_Node_ID": (messages05.SetAxisNodeId, ("new_node_id",)),
-    "Set_Linear_Count": (messages05.SetLinearCount, ("position_counts",)),
-    "Start_Anticogging": (messages05.StartAnticogging, ()),
-    "Clear_Errors": (messages05.ClearErrors05, ()),
-    "Reboot": (messages05.Reboot05, ()),
+    "Get_ADC_Voltage": (messages.GetAdcVoltage, ("voltage_v",)),
+    "Ask_ADC_Voltage": (messages.RequestAdcVoltage, ("gpio",)),
+    "Set_Axis_Node_ID": (messages.SetAxisNodeId, ("new_node_id",)),
+    "Set_Linear_Count": (messages.SetLinearCount, ("position_counts",)),
+    "Start_Anticogging": (messages.StartAnticogging, ()),
+    "Clear_Errors": (messages.ClearErrors05, ()),
+    "Reboot": (messages.Reboot05, ()),
 }
 
 
-def message05_of(vector: dict[str, Any]) -> AnyMessage | Ask:
+def message05_of(vector: dict[str, Any]) -> Message | RemoteRequest:
     meaning = vector["meaning"]
     kind, names = MEANINGS05[meaning.get("cmd") or meaning["msg"]]
     if meaning.get("request"):
-        return Ask(next(row.cmd for row in LINE05 if row.message is kind))
-    message: AnyMessage = kind(*(meaning.get(field, 0) for field in names))
+        return RemoteRequest(next(row.cmd for row in LINE05 if row.message is kind))
+    message: Message = kind(*(meaning.get(field, 0) for field in names))
     return message
 
 
-def said(frame: CanFrame, direction: str) -> AnyMessage | Ask | None:
+def said(frame: CanFrame, direction: str) -> Message | RemoteRequest | None:
     decode = decode_to_device if direction == "to_device" else decode_from_device
     return decode(frame, "0.5")
 
@@ -99,7 +98,7 @@ def said(frame: CanFrame, direction: str) -> AnyMessage | Ask | None:
 def test_a_vector_is_what_we_say_and_what_we_understand(vector: dict[str, Any]) -> None:
     message, frame = message05_of(vector), frame_of(vector)
     assert close(said(frame, vector["direction"]), message)
-    if isinstance(message, Ask):
+    if isinstance(message, RemoteRequest):
         assert CanFrame(frame.id, remote=True) == frame
     else:
         assert encode(NODE, message) == frame
@@ -112,7 +111,7 @@ def test_what_both_lines_have_is_the_same_in_both(vector: dict[str, Any]) -> Non
 
 
 def test_every_message_of_the_line_has_an_independent_vector() -> None:
-    covered = {type(message05_of(vector)) for vector in VECTORS05} - {Ask}
+    covered = {type(message05_of(vector)) for vector in VECTORS05} - {RemoteRequest}
     assert covered == {row.message for row in LINE05}
     assert len(VECTORS05) == 22
 
@@ -140,8 +139,8 @@ def test_the_vectors_of_the_client_are_regenerated_from_it(monkeypatch: pytest.M
 # -- cantools with the vendor's DBC -------------------------------------------------------------------
 
 KNOWN_BUGS = {
-    messages05.GetEncoderCount: "the DBC types the counts unsigned; the firmware's are int32",
-    messages05.GetMotorError: "the DBC has the lower 32 of the 64 bits, beside choices beyond them",
+    messages.GetEncoderCount: "the DBC types the counts unsigned; the firmware's are int32",
+    messages.GetMotorError: "the DBC has the lower 32 of the 64 bits, beside choices beyond them",
 }
 UNITS = {
     "Axis3_Set_Input_Vel": ("rev", "rev/s"),
@@ -149,13 +148,13 @@ UNITS = {
 """Units that the DBC has wrong: turns/s and N·m on the wire."""
 NAMES = {kind: name for name, (kind, _) in (*MEANINGS.items(), *MEANINGS05.items())}
 SPANS: dict[type[Any], tuple[int, int]] = {
-    messages05.GetMotorError: (0, 2**32 - 1),
-    messages05.GetEncoderCount: (0, 2**31 - 1),
-    messages05.SetLinearCount: (-(2**31), 2**31 - 1),
+    messages.GetMotorError: (0, 2**32 - 1),
+    messages.GetEncoderCount: (0, 2**31 - 1),
+    messages.SetLinearCount: (-(2**31), 2**31 - 1),
 }
-NOT_IN_THE_DBC = (messages05.AskAdcVoltage, messages.Estop)
+NOT_IN_THE_DBC = (messages.RequestAdcVoltage, messages.Estop)
 ORDER05 = {
-    messages05.Heartbeat05: (
+    messages.Heartbeat05: (
         "Axis_Error",
         "Axis_State",
         "Motor_Error_Flag",
@@ -205,15 +204,15 @@ def random05(kind: type[Any], code: str, random: Generator) -> float | int:
 
 def test_the_known_bugs_of_the_dbc_are_still_there_and_not_ours() -> None:
     """When one is mended, it is time to compare the message in full."""
-    counts = encode(NODE, messages05.GetEncoderCount(-5, 3))
+    counts = encode(NODE, messages.GetEncoderCount(-5, 3))
     theirs = DBC.get_message_by_name(f"Axis{NODE}_Get_Encoder_Count").decode(counts.data)
     assert theirs == {"Shadow_Count": 4294967291, "Count_in_CPR": 3}, KNOWN_BUGS
-    assert said(counts, "from_device") == messages05.GetEncoderCount(-5, 3)
+    assert said(counts, "from_device") == messages.GetEncoderCount(-5, 3)
 
-    motor = encode(NODE, messages05.GetMotorError(0x800000000))
+    motor = encode(NODE, messages.GetMotorError(0x800000000))
     theirs = DBC.get_message_by_name(f"Axis{NODE}_Get_Motor_Error").decode(motor.data, decode_choices=False)
     assert theirs == {"Motor_Error": 0}, KNOWN_BUGS
-    assert said(motor, "from_device") == messages05.GetMotorError(0x800000000)
+    assert said(motor, "from_device") == messages.GetMotorError(0x800000000)
 
     for name, units in UNITS.items():
         signals = sorted(DBC.get_message_by_name(name).signals, key=lambda s: int(s.start))
@@ -229,17 +228,17 @@ def test_the_known_bugs_of_the_dbc_are_still_there_and_not_ours() -> None:
     [
         (CanFrame(0x67, remote=True), messages.SetAxisState(0)),
         (CanFrame(0x62, remote=True), messages.Estop()),
-        (CanFrame(0x76, remote=True), messages05.Reboot05()),
-        (CanFrame(0x66, remote=True), messages05.SetAxisNodeId(0)),
-        (CanFrame(0x78), messages05.ClearErrors05()),
-        (CanFrame(0x78, b"\x01"), messages05.ClearErrors05()),
-        (CanFrame(0x79, b"\xff\xff"), messages05.SetLinearCount(0xFFFF)),
-        (CanFrame(0x63, remote=True), Ask(0x03)),
-        (CanFrame(0x63), Ask(0x03)),
+        (CanFrame(0x76, remote=True), messages.Reboot05()),
+        (CanFrame(0x66, remote=True), messages.SetAxisNodeId(0)),
+        (CanFrame(0x78), messages.ClearErrors05()),
+        (CanFrame(0x78, b"\x01"), messages.ClearErrors05()),
+        (CanFrame(0x79, b"\xff\xff"), messages.SetLinearCount(0xFFFF)),
+        (CanFrame(0x63, remote=True), RemoteRequest(0x03)),
+        (CanFrame(0x63), RemoteRequest(0x03)),
         (CanFrame(0x63, bytes(8)), None),
-        (CanFrame(0x7D, bytes(8)), Ask(0x1D)),
-        (CanFrame(0x7C, b"\x03"), messages05.AskAdcVoltage(3)),
-        (CanFrame(0x7C, remote=True), messages05.AskAdcVoltage(0)),
+        (CanFrame(0x7D, bytes(8)), RemoteRequest(0x1D)),
+        (CanFrame(0x7C, b"\x03"), messages.RequestAdcVoltage(3)),
+        (CanFrame(0x7C, remote=True), messages.RequestAdcVoltage(0)),
         (CanFrame(0x61, remote=True), None),
         (CanFrame(0x60, remote=True), None),
         (CanFrame(0x67, bytes(8), fd=True), None),
@@ -247,7 +246,7 @@ def test_the_known_bugs_of_the_dbc_are_still_there_and_not_ours() -> None:
     ],
     ids=lambda value: str(value) if isinstance(value, CanFrame) else "",
 )
-def test_what_a_device_understands(frame: CanFrame, understood: AnyMessage | Ask | None) -> None:
+def test_what_a_device_understands(frame: CanFrame, understood: Message | RemoteRequest | None) -> None:
     assert decode_to_device(frame, "0.5") == understood
 
 
@@ -263,12 +262,12 @@ def test_a_short_frame_of_a_device_is_bad(row: Layout) -> None:
 def test_the_flags_of_the_last_byte_are_apart() -> None:
     for controller in (0, 1):
         for done in (0, 1):
-            beat = messages05.Heartbeat05(0, 8, 0, 0, controller, done)
+            beat = messages.Heartbeat05(0, 8, 0, 0, controller, done)
             frame = encode(NODE, beat)
             assert frame.data[7] == controller | done << 7
             assert said(frame, "from_device") == beat
     noise = CanFrame(0x61, struct.pack("<IBBBB", 7, 1, 0xFE, 0xFE, 0x7E))
-    assert said(noise, "from_device") == messages05.Heartbeat05(7, 1, 0, 0, 0, 0)
+    assert said(noise, "from_device") == messages.Heartbeat05(7, 1, 0, 0, 0, 0)
 
 
 @pytest.mark.parametrize("address", [0, 3, 0x3F, 0x40, 0xFEDCBA, 0xFFFFFF])
@@ -291,8 +290,8 @@ def test_a_line_that_is_not_known_holds_only_what_both_mean_the_same_by() -> Non
             data = bytes([NODE]) + struct.pack("<ff", *random.uniform(-9, 9, 2))[1:]
             frame = CanFrame(NODE << 5 | row.cmd, data)
             feedback_lost, known = decode_from_device(frame, ""), decode_from_device(frame, line)
-            if isinstance(feedback_lost, messages.Beacon):
-                assert isinstance(known, messages.Heartbeat | messages05.Heartbeat05)
+            if isinstance(feedback_lost, messages.UnidentifiedHeartbeat):
+                assert isinstance(known, messages.Heartbeat | messages.Heartbeat05)
                 assert (feedback_lost.error, feedback_lost.state) == (known.error, known.state)
             elif row.cmd not in (0x00, 0x06):
                 assert feedback_lost is None or feedback_lost == known

@@ -56,7 +56,7 @@ def test_3_a_silent_device_lets_every_request_end() -> None:
     bench.from_device = lambda frame: False
     bench.run(1)
     assert [r.reason for r in of(msg.Refused, bench.ask(msg.ClearFault("left"), 700))] == [
-        "no answer of the device"
+        "no reply from the device"
     ]
 
 
@@ -93,10 +93,10 @@ def test_5_a_fault_survives_a_mode_switch_and_the_first_setpoint_is_where_the_sh
 def test_6_its_own_frames_teach_it_nothing() -> None:
     bench = ready()
     bench.run(400, msg.Velocity("left", 20.0))
-    nodes = repr(vars(bench.driver.nodes[1]))
+    nodes = repr(vars(bench.driver.axes[1]))
     for _, frame in bench.sent:
         assert bench.driver.receive(bench.now, frame) == []
-    assert repr(vars(bench.driver.nodes[1])) == nodes
+    assert repr(vars(bench.driver.axes[1])) == nodes
 
 
 def test_7_all_frames_have_standard_identifiers() -> None:
@@ -170,7 +170,7 @@ def test_13_fractions_of_a_unit_survive_the_way_there_and_back() -> None:
         bench.run(5, msg.Position("left", position))
         assert bench.twin.axis.position == pytest.approx(turns(position), rel=1e-6), (seed, turn)
     bench.run(2000, msg.Position("left", 0.123))
-    assert bench.driver.nodes[1].position == pytest.approx(turns(0.123), abs=1e-3)
+    assert bench.driver.axes[1].position == pytest.approx(turns(0.123), abs=1e-3)
 
 
 def test_14_looking_for_devices_enables_none() -> None:

@@ -495,7 +495,7 @@ def test_two_devices_with_one_node_id_are_noticed_by_their_serial_numbers() -> N
     (fault,) = of(msg.Fault, events)
     assert (fault.code, fault.motor) == (DUPLICATE_NODE, "left")
     assert "000000ABCDEF" in fault.cause
-    assert len([found for found in of(msg.Found, events) if "held twice" in found.detail]) == 2
+    assert len([found for found in of(msg.Found, events) if found.duplicate_address]) == 2
 
 
 def test_heartbeats_that_contradict_each_other_in_turn_are_noticed() -> None:
@@ -546,7 +546,7 @@ def test_every_wire_is_counted_once() -> None:
 
 def test_what_a_host_sends_changes_no_state() -> None:
     bench = ready()
-    before = copy.deepcopy(vars(bench.driver.nodes[1]))
+    before = copy.deepcopy(vars(bench.driver.axes[1]))
     host = (
         CLOSED,
         SetInputVel(3.0, 0.0),
@@ -557,7 +557,7 @@ def test_what_a_host_sends_changes_no_state() -> None:
     )
     for message in host:
         assert bench.driver.receive(bench.now, encode(1, message)) == []
-    assert vars(bench.driver.nodes[1]) == before
+    assert vars(bench.driver.axes[1]) == before
 
 
 def test_a_copied_driver_goes_on_as_the_original_does() -> None:

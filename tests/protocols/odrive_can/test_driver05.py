@@ -12,7 +12,7 @@ from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Event, Mode, Request
 from protocols.odrive_can import plugin
-from protocols.odrive_can.codec import AnyMessage, encode, radians
+from protocols.odrive_can.codec import encode, radians
 from protocols.odrive_can.dialect import LINE05, READABLE05
 from protocols.odrive_can.faults import DUPLICATE_NODE, Error
 from protocols.odrive_can.faults05 import (
@@ -29,20 +29,19 @@ from protocols.odrive_can.faults05 import (
 )
 from protocols.odrive_can.messages import (
     AxisState,
-    ControlMode,
-    SetAxisState,
-    SetControllerMode,
-    SetInputPos,
-    SetInputVel,
-)
-from protocols.odrive_can.messages05 import (
     ClearErrors05,
+    ControlMode,
     GetControllerError,
     GetEncoderError,
     GetMotorError,
     GetSensorlessError,
     Heartbeat05,
+    Message,
     Reboot05,
+    SetAxisState,
+    SetControllerMode,
+    SetInputPos,
+    SetInputVel,
     SetLinearCount,
 )
 from protocols.odrive_can.options import Options, Settings
@@ -63,7 +62,7 @@ def axis(
 def ready(*devices: Device) -> Bench:
     bench = Bench(devices or (axis(),))
     bench.run(500)
-    assert all(node.identity.line == "0.5" for node in bench.driver.nodes.values())
+    assert all(node.identity.line == "0.5" for node in bench.driver.axes.values())
     return bench
 
 
@@ -174,7 +173,7 @@ def test_the_texts_are_those_of_the_vendor_s_dbc_all_of_them() -> None:
         "Controller_Error": ("Get_Controller_Error", ControllerError),
         "Sensorless_Error": ("Get_Sensorless_Error", SensorlessError),
     }
-    texts = [LINE05.axis, *(table for _, table in LINE05.parts.values())]
+    texts = [LINE05.axis_faults, *(table for _, table in LINE05.component_faults.values())]
     flags = [AxisError, MotorError, EncoderError, ControllerError, SensorlessError]
     for name, (message, kind) in signals.items():
         signal = dbc.get_message_by_name(f"Axis3_{message}").get_signal_by_name(name)
@@ -305,7 +304,7 @@ def test_zero_is_said_in_counts_and_not_while_armed() -> None:
     bench.run(50)
     assert isinstance(ends(bench.ask(msg.Zero("left"), 100))[0], msg.Done)
     assert SetLinearCount(0) in bench.said(line="0.5")
-    assert bench.driver.nodes[1].position == pytest.approx(0.0, abs=1e-4)
+    assert bench.driver.axes[1].position == pytest.approx(0.0, abs=1e-4)
     bench.run(400, msg.Velocity("left", 5.0))
     assert isinstance(ends(bench.ask(msg.Zero("left")))[0], msg.Refused)
 
@@ -378,7 +377,7 @@ def test_an_axis_that_is_armed_itself_is_told_so() -> None:
     bench.run(500, msg.Hold("left"), msg.Idle("right"))
     (end,) = ends(bench.ask(msg.Reboot("left"), 300))
     assert isinstance(end, msg.Refused)
-    assert end.reason == "it is armed, and would drop its load: say idle first"
+    assert end.reason == "it is armed and would drop its load: command idle first"
 
 
 def test_a_restart_is_refused_while_somebody_else_runs_the_other_axis() -> None:
@@ -387,7 +386,7 @@ def test_a_restart_is_refused_while_somebody_else_runs_the_other_axis() -> None:
     for message in (SetControllerMode(ControlMode.VELOCITY, 1), CLOSED):
         other.receive(bench.now, encode(2, message))
     bench.run(300)
-    assert not bench.driver.nodes[2].owned
+    assert not bench.driver.axes[2].owned
     (end,) = ends(bench.ask(msg.Reboot("left"), 300))
     assert isinstance(end, msg.Refused)
     assert "right, which is armed" in end.reason
@@ -398,7 +397,7 @@ def test_a_restart_is_refused_while_somebody_else_runs_the_other_axis() -> None:
     assert isinstance(end, msg.Done)
 
 
-def said_all(bench: Bench) -> list[AnyMessage]:
+def said_all(bench: Bench) -> list[Message]:
     return bench.said(1, line="0.5") + bench.said(2, line="0.5")
 
 

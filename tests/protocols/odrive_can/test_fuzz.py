@@ -65,7 +65,7 @@ def test_the_driver_survives_any_traffic(firmware: Literal["auto", "0.5", "0.6"]
         assert all(finite(event) for event in reported)
         for sent in frames:
             assert isinstance(sent, CanFrame)
-            line = driver.nodes[1].identity.line or "0.6"
+            line = driver.axes[1].identity.line or "0.6"
             assert sent.remote or decode_to_device(sent, line) is not None, (seed, turn, str(sent))
     assert min(driver.counters.accepted, driver.counters.malformed, driver.counters.ignored) > 50
 

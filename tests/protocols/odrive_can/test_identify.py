@@ -13,9 +13,8 @@ from protocols.odrive_can import plugin
 from protocols.odrive_can.codec import decode_from_device, encode
 from protocols.odrive_can.faults import WRONG_FIRMWARE, Error
 from protocols.odrive_can.faults05 import AxisError
-from protocols.odrive_can.identify import shape_of
-from protocols.odrive_can.messages import Address, Beacon, GetVersion, Heartbeat
-from protocols.odrive_can.messages05 import Heartbeat05
+from protocols.odrive_can.identify import line_by_form
+from protocols.odrive_can.messages import Address, GetVersion, Heartbeat, Heartbeat05, UnidentifiedHeartbeat
 from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
 from tests.protocols.helpers import modes, of
@@ -33,11 +32,11 @@ def made(line: str, expected: Expected = "auto", name: str = "left", address: in
 @pytest.mark.parametrize("line", ["0.5", "0.6"])
 def test_auto_speaks_what_it_finds_and_moves_nothing_before(line: str) -> None:
     bench = Bench([made(line)])
-    while not bench.driver.nodes[1].identity.line:
+    while not bench.driver.axes[1].identity.line:
         bench.run(1, Velocity("left", 5.0))
         assert all(frame.remote for _, frame in bench.sent)
         assert bench.now < 1500 * MILLISECOND
-    assert bench.driver.nodes[1].identity.line == line
+    assert bench.driver.axes[1].identity.line == line
     bench.run(600, Velocity("left", 5.0))
     assert bench.twins[0].axis.armed
     assert bench.shaft.velocity == pytest.approx(5.0, abs=0.5)
@@ -72,7 +71,7 @@ def test_a_line_that_is_named_and_wrong_is_a_fault_and_nothing_but_questions_goe
     assert all(frame.remote for _, frame in bench.sent)
     assert {frame.id for _, frame in bench.sent} <= plugin.spec(bench.devices[0]).sends
     assert all(plugin.spec(bench.devices[0]).read_only(frame) for _, frame in bench.sent)
-    assert bench.driver.nodes[1].identity.line == line
+    assert bench.driver.axes[1].identity.line == line
 
 
 def test_a_fault_of_the_wrong_line_is_found_anew_after_it_was_cleared() -> None:
@@ -91,7 +90,7 @@ def test_where_our_frames_do_not_arrive_nothing_is_concluded_but_a_fault(
     bench = Bench([made(line, expected)])
     bench.to_device = lambda frame: False
     bench.run(4000, Velocity("left", 5.0))
-    assert bench.driver.nodes[1].identity.line == ""
+    assert bench.driver.axes[1].identity.line == ""
     (fault,) = of(Fault, bench.events)
     assert (fault.code, fault.name) == (WRONG_FIRMWARE, "firmware unknown")
     assert "frames" in fault.cause
@@ -104,7 +103,7 @@ def test_one_lost_answer_does_not_make_another_line() -> None:
     lost = iter([True, True, True, False])
     bench.from_device = lambda frame: not (frame.id & 0x1F == 0 and next(lost, False))
     bench.run(1000)
-    assert bench.driver.nodes[1].identity.line == "0.6"
+    assert bench.driver.axes[1].identity.line == "0.6"
     assert of(Fault, bench.events) == []
 
 
@@ -112,7 +111,7 @@ def test_who_answers_the_roll_call_is_no_0_5() -> None:
     bench = Bench([made("0.6")])
     bench.from_device = lambda frame: frame.id & 0x1F != 0
     bench.run(3000, Velocity("left", 5.0))
-    assert bench.driver.nodes[1].identity.line == ""
+    assert bench.driver.axes[1].identity.line == ""
     assert [fault.name for fault in of(Fault, bench.events)] == ["firmware unknown"]
     assert bench.said() == []
 
@@ -138,9 +137,9 @@ def test_a_device_that_came_back_is_asked_again() -> None:
     bench.twins[0] = Bench([made("0.5")]).twins[0]
     bench.from_device = lambda frame: True
     start = bench.now
-    while not bench.driver.nodes[1].identity.line:
+    while not bench.driver.axes[1].identity.line:
         bench.run(1, Velocity("left", 5.0))
-    assert bench.driver.nodes[1].identity.line == "0.5"
+    assert bench.driver.axes[1].identity.line == "0.5"
     assert bench.said(since=start) == []
 
 
@@ -148,7 +147,7 @@ def test_both_lines_share_a_bus() -> None:
     bench = Bench([made("0.6"), made("0.5", name="right", address=2), made("0.5", name="third", address=3)])
     words = [Velocity("left", 4.0), Velocity("right", 5.0), Velocity("third", 6.0)]
     bench.run(1500, *words)
-    lines = {node.name: node.identity.line for node in bench.driver.nodes.values()}
+    lines = {node.name: node.identity.line for node in bench.driver.axes.values()}
     assert lines == {"left": "0.6", "right": "0.5", "third": "0.5"}
     assert [shaft.velocity for shaft in bench.shafts] == pytest.approx([4.0, 5.0, 6.0], abs=0.5)
     assert of(Fault, bench.events) == []
@@ -201,8 +200,8 @@ def test_a_bus_of_0_5_alone_is_never_asked_on_the_broadcast_node() -> None:
 )
 def test_the_shape_of_a_heartbeat(frame: CanFrame, line: str) -> None:
     beacon = decode_from_device(frame, "")
-    assert isinstance(beacon, Beacon)
-    assert shape_of(beacon) == line
+    assert isinstance(beacon, UnidentifiedHeartbeat)
+    assert line_by_form(beacon) == line
 
 
 def test_no_heartbeat_that_a_line_can_send_looks_like_the_other_s() -> None:
@@ -212,8 +211,8 @@ def test_no_heartbeat_that_a_line_can_send_looks_like_the_other_s() -> None:
         if state == 8 and (error or result != 1):
             continue
         beacon = decode_from_device(encode(1, Heartbeat(error, state, result, done)), "")
-        assert isinstance(beacon, Beacon)
-        assert shape_of(beacon) != "0.5", (error, state, result, done)
+        assert isinstance(beacon, UnidentifiedHeartbeat)
+        assert line_by_form(beacon) != "0.5", (error, state, result, done)
     for error, state, motor, encoder, done in itertools.product(
         (0, *AxisError), (1, 8), (0, 1), (0, 1), (0, 1)
     ):
@@ -222,8 +221,8 @@ def test_no_heartbeat_that_a_line_can_send_looks_like_the_other_s() -> None:
             continue
         beat = Heartbeat05(error | needed, state, motor, encoder, 0, done)
         beacon = decode_from_device(encode(1, beat), "")
-        assert isinstance(beacon, Beacon)
-        assert shape_of(beacon) != "0.6", beat
+        assert isinstance(beacon, UnidentifiedHeartbeat)
+        assert line_by_form(beacon) != "0.6", beat
 
 
 @pytest.mark.parametrize("line", ["0.5", "0.6"])
@@ -260,4 +259,4 @@ def test_an_address_that_is_given_out_is_no_answer_to_the_roll_call() -> None:
     bench = Bench([made("0.5")])
     bench.driver.receive(0, encode(0x3F, Address(1, 77)))
     bench.run(900)
-    assert bench.driver.nodes[1].identity.line == "0.5"
+    assert bench.driver.axes[1].identity.line == "0.5"

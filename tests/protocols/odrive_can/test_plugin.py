@@ -87,7 +87,7 @@ def test_an_address_that_is_no_node_id_is_refused(address: int) -> None:
 
 
 def test_two_devices_with_one_address_are_refused() -> None:
-    with pytest.raises(ValueError, match="twice"):
+    with pytest.raises(ValueError, match="used by two"):
         plugin.driver([device("left", 1), device("right", 1)])
 
 
@@ -199,10 +199,10 @@ def test_specs_of_each_option(firmware: Literal["auto", "0.5", "0.6"]) -> None:
     asks = {frame & 0x1F for frame in range(0x20, 0x40) if contract.read_only(CanFrame(frame, remote=True))}
     lines = {"auto": ("0.5", "0.6"), "0.5": ("0.5",), "0.6": ("0.6",)}[firmware]
     for line in lines:
-        assert {0x20 | cmd for cmd in TABLES[line].askable - {0x06}} <= contract.sends
-        assert {0x20 | cmd for cmd in TABLES[line].askable - {0x06}} <= contract.expects
+        assert {0x20 | cmd for cmd in TABLES[line].requestable - {0x06}} <= contract.sends
+        assert {0x20 | cmd for cmd in TABLES[line].requestable - {0x06}} <= contract.expects
         dialect = DIALECTS[line]
-        assert {*dialect.polled, *dialect.reasons, *dialect.parts} <= asks
+        assert {*dialect.polled, *dialect.disarm_reasons, *dialect.component_faults} <= asks
         said = {row.cmd for row in TABLES[line].to_device.values() if row.cmd not in (0x04, 0x1F, 0x10, 0x1C)}
         assert {0x20 | cmd for cmd in said - {0x06}} <= contract.sends
     obeyed = {0x02, 0x07, 0x0C, 0x0D, 0x0E, 0x16, 0x18}

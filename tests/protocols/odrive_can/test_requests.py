@@ -9,8 +9,7 @@ import pytest
 from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.messages import SECOND, Event, Request
-from protocols.messages import Reboot as RebootWord
-from protocols.odrive_can.codec import BROADCAST, encode, radians
+from protocols.odrive_can.codec import BROADCAST, WRITABLE, encode, radians
 from protocols.odrive_can.dialect import READABLE06
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.messages import (
@@ -27,7 +26,7 @@ from protocols.odrive_can.messages import (
     SetVelGains,
 )
 from protocols.odrive_can.options import Settings
-from protocols.odrive_can.requests import SAVE, WRITABLE
+from protocols.odrive_can.requests import SAVE
 from tests.protocols.helpers import of
 from tests.protocols.odrive_can.helpers import device, ready
 
@@ -40,7 +39,7 @@ ALL: tuple[Request, ...] = (
     msg.Zero("left"),
     msg.ReadParameter("left", "Bus_Voltage"),
     msg.WriteParameter("left", "Pos_Gain", 10.0),
-    RebootWord("left"),
+    msg.Reboot("left"),
 )
 
 
@@ -130,7 +129,7 @@ def test_zero_calls_the_present_position_zero_but_not_while_armed() -> None:
     bench.shaft.position = radians(7.25)
     bench.run(50)
     assert len(of(msg.Done, bench.ask(msg.Zero("left"), 100))) == 1
-    assert bench.driver.nodes[1].position == pytest.approx(0.0, abs=1e-4)
+    assert bench.driver.axes[1].position == pytest.approx(0.0, abs=1e-4)
     bench.run(400, msg.Velocity("left", 20.0))
     (end,) = ends(bench.ask(msg.Zero("left")))
     assert isinstance(end, msg.Refused)
@@ -140,7 +139,7 @@ def test_zero_calls_the_present_position_zero_but_not_while_armed() -> None:
 def test_reboot_and_save_are_refused_while_armed() -> None:
     bench = ready()
     bench.run(400, msg.Velocity("left", 20.0))
-    for request_ in (RebootWord("left"), msg.WriteParameter("left", SAVE, 1.0)):
+    for request_ in (msg.Reboot("left"), msg.WriteParameter("left", SAVE, 1.0)):
         (end,) = ends(bench.ask(request_))
         assert isinstance(end, msg.Refused)
         assert "armed" in end.reason
@@ -150,7 +149,7 @@ def test_reboot_and_save_are_refused_while_armed() -> None:
 def test_a_device_that_does_not_come_back_from_a_reboot() -> None:
     bench = ready()
     bench.twin.receive(bench.now, encode(1, EnterDfuMode()))
-    (end,) = ends(bench.ask(RebootWord("left"), 9000))
+    (end,) = ends(bench.ask(msg.Reboot("left"), 9000))
     assert isinstance(end, msg.Refused)
 
 
@@ -203,7 +202,7 @@ def test_single_parameters_are_sent_and_pairs_wait_for_their_partner() -> None:
     assert isinstance(ends(bench.ask(msg.WriteParameter("left", "Pos_Gain", 12.0), 200))[0], msg.Done)
     assert bench.said()[-1] == SetPosGain(12.0)
     assert bench.twin.servo.gains.pos_gain == 12.0
-    for message, pair in WRITABLE:
+    for message, pair in WRITABLE.items():
         if len(pair) < 2:
             continue
         before = len(bench.said())
@@ -227,7 +226,7 @@ def test_saving_keeps_what_was_written_through_a_reboot() -> None:
     assert isinstance(ends(bench.ask(msg.WriteParameter("left", SAVE, 1.0), 2000))[0], msg.Done)
     assert bench.twin.servo.gains.pos_gain == 12.0
     bench.ask(msg.WriteParameter("left", "Pos_Gain", 13.0), 200)
-    bench.ask(RebootWord("left"), 2000)
+    bench.ask(msg.Reboot("left"), 2000)
     assert bench.twin.servo.gains.pos_gain == 12.0
 
 
@@ -237,7 +236,7 @@ def test_saving_keeps_what_was_written_through_a_reboot() -> None:
 def test_a_scan_finds_all_with_remote_frames_only() -> None:
     bench = ready(device("left", 1), device("right", 2), device("new", BROADCAST - 1))
     bench.twins[2].axis.node = BROADCAST
-    del bench.driver.nodes[BROADCAST - 1]
+    del bench.driver.axes[BROADCAST - 1]
     start = bench.now
     events = bench.ask(msg.Scan("can0"), 2500)
     found = {(f.address, f.serial) for f in of(msg.Found, events)}

@@ -192,7 +192,7 @@ def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
 
 
 @pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
-@pytest.mark.parametrize("cmd", sorted(TABLES["0.6"].askable - {0x05}))
+@pytest.mark.parametrize("cmd", sorted(TABLES["0.6"].requestable - {0x05}))
 def test_every_message_is_told_when_asked(cmd: int, remote: bool) -> None:
     stand = Stand(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
     stand.run(5)

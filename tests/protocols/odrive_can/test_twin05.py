@@ -10,41 +10,32 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, ClearFault, Feedback, Nanos
 from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can import twin as made
-from protocols.odrive_can.codec import (
-    EXTENDED,
-    TABLES,
-    AnyMessage,
-    decode_from_device,
-    encode,
-    radians,
-    turns,
-)
+from protocols.odrive_can.codec import EXTENDED, TABLES, decode_from_device, encode, radians, turns
 from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import AxisError, ControllerError, MotorError
 from protocols.odrive_can.messages import (
     AxisState,
+    ClearErrors05,
     ControlMode,
     Estop,
+    GetAdcVoltage,
+    GetControllerError,
+    GetEncoderCount,
     GetEncoderEstimates,
+    GetMotorError,
+    Heartbeat05,
+    Message,
+    Reboot05,
+    RequestAdcVoltage,
+    SetAxisNodeId,
     SetAxisState,
     SetControllerMode,
     SetInputPos,
     SetInputVel,
     SetLimits,
-    SetPosGain,
-)
-from protocols.odrive_can.messages05 import (
-    AskAdcVoltage,
-    ClearErrors05,
-    GetAdcVoltage,
-    GetControllerError,
-    GetEncoderCount,
-    GetMotorError,
-    Heartbeat05,
-    Reboot05,
-    SetAxisNodeId,
     SetLinearCount,
+    SetPosGain,
 )
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.twin05 import Twin05
@@ -66,7 +57,7 @@ class Stand:
         self.now: Nanos = 0
         self.frames: list[tuple[Nanos, CanFrame]] = []
 
-    def say(self, *messages: AnyMessage, node: int | None = None) -> None:
+    def say(self, *messages: Message, node: int | None = None) -> None:
         for message in messages:
             self.handle(encode(self.node if node is None else node, message))
 
@@ -104,7 +95,7 @@ class Stand:
     def reported(self, cmd: int) -> list[tuple[Nanos, CanFrame]]:
         return [(t, frame) for t, frame in self.frames if frame.id & 0x1F == cmd]
 
-    def asked(self, cmd: int, frame: CanFrame | None = None) -> AnyMessage | None:
+    def asked(self, cmd: int, frame: CanFrame | None = None) -> Message | None:
         """The answer to a remote frame (or another one) of this command."""
         before = len(self.reported(cmd))
         self.handle(frame or CanFrame(0x20 | cmd, remote=True))
@@ -259,7 +250,7 @@ def test_the_cyclic_messages_of_the_line_keep_their_rates() -> None:
 
 
 @pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
-@pytest.mark.parametrize("cmd", sorted(TABLES["0.5"].askable))
+@pytest.mark.parametrize("cmd", sorted(TABLES["0.5"].requestable))
 def test_every_message_but_the_heartbeat_is_told_when_asked(cmd: int, remote: bool) -> None:
     stand = Stand(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
     stand.run(5)
@@ -293,9 +284,9 @@ def test_the_controller_s_error_is_told_for_any_frame_of_its_number() -> None:
 
 def test_an_adc_s_voltage_is_told_for_a_gpio_that_there_is() -> None:
     stand = Stand()
-    assert stand.asked(0x1C, encode(1, AskAdcVoltage(3))) == GetAdcVoltage(0.0)
+    assert stand.asked(0x1C, encode(1, RequestAdcVoltage(3))) == GetAdcVoltage(0.0)
     assert stand.asked(0x1C) == GetAdcVoltage(0.0)
-    assert stand.asked(0x1C, encode(1, AskAdcVoltage(17))) is None
+    assert stand.asked(0x1C, encode(1, RequestAdcVoltage(17))) is None
 
 
 def test_counts_are_signed_and_wrap_and_are_set() -> None:

@@ -141,7 +141,7 @@ def test_vectors_of_a_device_that_does_not_care() -> None:
         610…790 > 3:Set_Input_Torque 0
         800 > 3:Set_Input_Torque 0 | 3:Set_Axis_State 8
         810…990 > 3:Set_Input_Torque 0
-        1000 < Fault left 0x400000000 did not arm in 5 tries: it stayed in IDLE with CANCELLED
+        1000 < Fault left 0x400000000 did not arm in 5 attempts: it stayed in IDLE with CANCELLED
     """)
     talk.ask(ClearFault("left"))
     talk.run(100, Torque("left", 1.0))

@@ -15,7 +15,7 @@ def test_vectors_of_what_0_5_cannot_do_over_can() -> None:
     talk = standing05()
     talk.ask(msg.SetId("can0", SERIAL, 5), msg.WriteParameter("axis3", "save_configuration", 1.0))
     talk.reports("""
-        0 < Refused SetId can0: firmware 0.5.x tells no serial numbers over CAN*
+        0 < Refused SetId can0: firmware 0.5.x reports no serial numbers over CAN*
         0 < Refused WriteParameter axis3: firmware 0.5.x cannot do this over CAN*
     """)
 
@@ -64,10 +64,10 @@ def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
     # 0.5.x restarts without a word: its silence shows it. Done when it can be asked for something again.
     talk.reports("""
         0 > 3:Reboot
-        240 < State axis3 offline: nothing heard
-        240 < State axis4 offline: nothing heard
-        500 < State axis3 initialising: IDLE, asking for its firmware
-        500 < State axis4 initialising: IDLE, asking for its firmware
+        240 < State axis3 offline: no frames received
+        240 < State axis4 offline: no frames received
+        500 < State axis3 initialising: IDLE, identifying its firmware
+        500 < State axis4 initialising: IDLE, identifying its firmware
         600-800 < State axis3 ready: IDLE
         600-800 < Done Reboot axis3: it has restarted, and every axis of its board
         600-800 < State axis4 ready: IDLE

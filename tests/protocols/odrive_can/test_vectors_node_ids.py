@@ -52,8 +52,8 @@ def test_vectors_of_a_node_id_that_is_taken() -> None:
     talk.reports("0 > 63:0x06 05303373345f38")
     talk.handle(CanFrame(0xA6, bytes.fromhex("05303373345f3800")))
     talk.reports("""
-        0 < Found 5 385F34733330 twice: *
-        0 < Found 5 395F34733330 twice: *
+        0 < Found 5 385F34733330 duplicate: *
+        0 < Found 5 395F34733330 duplicate: *
         0 < Done SetId can0: not saved yet: write save_configuration 1 to keep it after power-off
     """)
 
@@ -102,7 +102,7 @@ def test_vectors_of_a_scan() -> None:
     talk.handle(CanFrame(0x2C1, b"\0\0\0\0\1\0"))  # too short for a heartbeat
     talk.run(1850)
     # Heartbeats tell of who answers no discovery; 7 has answered. Right is known, heard, and did not answer.
-    mute = "heard, but it did not answer discovery: firmware 0.5.x?"
+    mute = "sends heartbeats, but did not answer discovery: firmware 0.5.x?"
     talk.reports(
         f"""
         600…1200/600 > 63?Address
@@ -142,7 +142,7 @@ def test_vectors_of_a_scan_for_one_whose_firmware_is_not_known() -> None:
     talk.run(10)
     reported = [line.text for line in talk.lines if line.text.startswith(("Found", "Done"))]
     assert reported == [
-        "Found 4 ?: heard, but it did not answer discovery: firmware 0.5.x?",
+        "Found 4 ?: sends heartbeats, but did not answer discovery: firmware 0.5.x?",
         "Done Scan can0: 2 devices",
     ]
 
@@ -157,7 +157,7 @@ def test_vectors_of_a_scan_of_0_5() -> None:
         """
         1800 < Found 3 ?: axis3, firmware 0.5.x
         1800 < Found 4 ?: axis4, firmware 0.5.x
-        1800 < Found 9 ?: heard, but it did not answer discovery: firmware 0.5.x?
+        1800 < Found 9 ?: sends heartbeats, but did not answer discovery: firmware 0.5.x?
         1800 < Done Scan can0: 3 devices
         """,
         foreign=1,

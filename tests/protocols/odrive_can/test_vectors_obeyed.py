@@ -21,8 +21,14 @@ from protocols.messages import Message
 from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode
 from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.layout import FLOAT_MAX
-from protocols.odrive_can.messages import Address, Ask, GetEncoderEstimates, SetInputPos, SetInputVel
-from protocols.odrive_can.messages05 import AskAdcVoltage
+from protocols.odrive_can.messages import (
+    Address,
+    GetEncoderEstimates,
+    RemoteRequest,
+    RequestAdcVoltage,
+    SetInputPos,
+    SetInputVel,
+)
 from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
 from tests.protocols.odrive_can.conversation import frame
@@ -392,10 +398,10 @@ def test_vectors_of_a_connection_that_is_told_or_not(last: str, connection: int 
 
 
 def test_vectors_of_questions() -> None:
-    assert decode_to_device(CanFrame(0x77, remote=True)) == Ask(0x17)
-    assert decode_to_device(CanFrame(0x77)) == Ask(0x17)
-    assert decode_to_device(CanFrame(0x61, remote=True)) == Ask(0x01)
+    assert decode_to_device(CanFrame(0x77, remote=True)) == RemoteRequest(0x17)
+    assert decode_to_device(CanFrame(0x77)) == RemoteRequest(0x17)
+    assert decode_to_device(CanFrame(0x61, remote=True)) == RemoteRequest(0x01)
     assert decode_to_device(CanFrame(0x61, remote=True), "0.5") is None
-    assert decode_to_device(CanFrame(0x7D, b"\1"), "0.5") == Ask(0x1D)
+    assert decode_to_device(CanFrame(0x7D, b"\1"), "0.5") == RemoteRequest(0x1D)
     assert decode_to_device(CanFrame(0x7D, b"\1")) is None
-    assert decode_to_device(CanFrame(0x7C, remote=True), "0.5") == AskAdcVoltage(0)
+    assert decode_to_device(CanFrame(0x7C, remote=True), "0.5") == RequestAdcVoltage(0)

@@ -122,9 +122,9 @@ def test_vectors_of_parameters_that_are_not_told() -> None:
     talk.ask(ReadParameter("left", "nothing"), ReadParameter("nobody", "Iq_Measured"))
     talk.ask(ReadParameter("left", "Motor_Error"))  # of 0.5.x
     talk.reports("""
-        0 < Refused ReadParameter left: CANSimple does not tell 'nothing'; it tells *Iq_Measured*
+        0 < Refused ReadParameter left: CANSimple does not report 'nothing'; it reports *Iq_Measured*
         0 < Refused ReadParameter nobody: *
-        0 < Refused ReadParameter left: CANSimple does not tell 'Motor_Error'; *
+        0 < Refused ReadParameter left: CANSimple does not report 'Motor_Error'; *
     """)
 
 
@@ -150,7 +150,7 @@ def test_vectors_of_a_parameter_of_one_that_restarts_meanwhile() -> None:
     talk.run(650)
     talk.reports("""
         0 > 3?Get_Error
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         100 < State left initialising: IDLE
         100-150…480-599/100-150 > 3?Get_Error
         600 < Refused ReadParameter left: the device did not react

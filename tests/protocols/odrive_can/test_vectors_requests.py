@@ -107,8 +107,8 @@ def test_vectors_of_a_restart_that_is_seen() -> None:
     # INITIALIZING: restarted, and not up yet.
     talk.reports("""
         0…2000/2000 > 3:Reboot 0
-        2340-2350 < State left offline: nothing heard
-        3000 < State left initialising: IDLE, asking for its firmware
+        2340-2350 < State left offline: no frames received
+        3000 < State left initialising: IDLE, identifying its firmware
         3100-3200 < State left initialising: IDLE
     """)
     talk.beat(1, 0)
@@ -198,10 +198,10 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
         0 < Refused ReadParameter left: its firmware is not known, or not what the robot file says
         0 < Refused Reboot left: its firmware is not known, or not what the robot file says
         0…120/100-150 > 3:Estop
-        240 < State left offline: nothing heard
+        240 < State left offline: no frames received
         240…480-599/100-150 > 3:Estop
-        600 < Refused ClearFault left: no answer of the device
-        600 < Refused Estop left: no answer of the device
+        600 < Refused ClearFault left: no reply from the device
+        600 < Refused Estop left: no reply from the device
     """)
     talk.beat()
     talk.run(50)
@@ -209,7 +209,7 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
     talk.run(650)
     # Its firmware is not known: clearing has another length in each line, and does not go out.
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         50…530-649/100-150 > 3:Estop
         650 < Refused ClearFault left: its firmware is not known
         650 < Refused Estop left: the device did not react
@@ -227,11 +227,11 @@ def test_vectors_of_requests_to_one_that_falls_silent() -> None:
     talk.run(650)
     talk.reports("""
         0…120/100-150 > 3?Get_Powers | 3:Set_Absolute_Position 0 | 3:Set_Pos_Gain 1
-        240 < State left offline: nothing heard
+        240 < State left offline: no frames received
         240…480-599/100-150 > 3?Get_Powers | 3:Set_Absolute_Position 0 | 3:Set_Pos_Gain 1
-        600 < Refused ReadParameter left: no answer of the device
-        600 < Refused Zero left: no answer of the device
-        600 < Refused WriteParameter left: no answer of the device
+        600 < Refused ReadParameter left: no reply from the device
+        600 < Refused Zero left: no reply from the device
+        600 < Refused WriteParameter left: no reply from the device
     """)
 
 

@@ -30,7 +30,7 @@ def test_vectors_of_a_device_that_comes_up_is_read_and_falls_silent() -> None:
     # Asked for its version every 100 ms, and for its supply, as both lines tell it; then the next heartbeat
     # counts, and each of the others is polled once in poll_ms.
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         0-100 < left voltage 24
         100 < State left ready: IDLE
@@ -44,12 +44,12 @@ def test_vectors_of_a_device_that_comes_up_is_read_and_falls_silent() -> None:
     talk.reports("0 < left temperature 41")  # NaN: no sensor
     talk.mute()
     talk.run(400)
-    talk.reports("290-300 < State left offline: nothing heard")
+    talk.reports("290-300 < State left offline: no frames received")
     talk.up()
     talk.run(210)
     # Silent, so it may have been replaced: asked anew.
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         100-200 < State left ready: IDLE
     """)
 
@@ -58,7 +58,7 @@ def test_vectors_of_one_that_never_comes_up() -> None:
     talk = Talk([device()])
     talk.run(400, Velocity("left", 1.0))
     talk.run(200, Idle("left"))
-    talk.reports("250 < State left offline: nothing heard")
+    talk.reports("250 < State left offline: no frames received")
 
 
 def test_vectors_of_arming_steering_and_letting_go() -> None:
@@ -268,7 +268,7 @@ def test_vectors_of_frames_that_are_bad(raw: CanFrame) -> None:
     talk.run(100)
     talk.handle(raw)
     talk.run(200)
-    talk.reports("240 < State left offline: nothing heard", bad=1)
+    talk.reports("240 < State left offline: no frames received", bad=1)
 
 
 def test_vectors_of_states_that_are_neither_idle_nor_closed_loop() -> None:

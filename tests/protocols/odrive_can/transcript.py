@@ -109,10 +109,10 @@ def reported(event: Event) -> str:
             assert cause, name
             assert remedy, name
             return f"Fault {motor} {code:#x} {name}: {cause}"
-        case Found(_, protocol, address, serial, detail, twice):
+        case Found(_, protocol, address, serial, detail, duplicate):
             assert protocol == "odrive_can"
             number = "?" if serial is None else f"{serial:012X}"
-            return f"Found {address} {number}{' twice' if twice else ''}: {detail}"
+            return f"Found {address} {number}{' duplicate' if duplicate else ''}: {detail}"
         case Done(_, request, name, detail):
             return f"Done {request} {name}: {detail}"
         case Refused(_, request, name, reason):

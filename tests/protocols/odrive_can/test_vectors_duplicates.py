@@ -19,17 +19,17 @@ def test_vectors_of_two_that_answer_the_roll_call() -> None:
     for serial in (10, 11, 10, 11):
         talk.handle(address(3, serial))
     twice = """
-        0 < Found 3 00000000000A twice: node id 3 is held twice: by 00000000000A and 00000000000B
-        0 < Found 3 00000000000B twice: node id 3 is held twice: by 00000000000A and 00000000000B
-        0 < Fault left 0x200000000 node id 3 is held twice: *00000000000A and 00000000000B
+        0 < Found 3 00000000000A duplicate: serial numbers 00000000000A and 00000000000B answer to it
+        0 < Found 3 00000000000B duplicate: serial numbers 00000000000A and 00000000000B answer to it
+        0 < Fault left 0x200000000 duplicate node id 3: *00000000000A and 00000000000B*
     """
     talk.reports(twice)
     # Of others it is found, and no motor's fault; who has no node id yet is not alone with that.
     for serial in (12, 13):
         talk.handle(address(7, serial), address(63, serial + 2))
     talk.reports("""
-        0 < Found 7 00000000000C twice: *
-        0 < Found 7 00000000000D twice: *
+        0 < Found 7 00000000000C duplicate: *
+        0 < Found 7 00000000000D duplicate: *
     """)
     talk.ask(ClearFault("left"))
     talk.run(10)
@@ -55,9 +55,9 @@ def test_vectors_of_one_that_was_replaced_and_of_one_that_moved() -> None:
     talk.run(10_000)
     talk.handle(address(4, 13))
     talk.reports("""
-        10000 < Found 4 00000000000B twice: node id 4 is held twice: by 00000000000B and 00000000000D
-        10000 < Found 4 00000000000D twice: node id 4 is held twice: by 00000000000B and 00000000000D
-        10000 < Fault right 0x200000000 node id 4 is held twice: *00000000000B and 00000000000D
+        10000 < Found 4 00000000000B duplicate: serial numbers 00000000000B and 00000000000D answer to it
+        10000 < Found 4 00000000000D duplicate: serial numbers 00000000000B and 00000000000D answer to it
+        10000 < Fault right 0x200000000 duplicate node id 4: *00000000000B and 00000000000D*
     """)
 
 
@@ -84,13 +84,13 @@ def test_vectors_of_heartbeats_that_contradict_each_other(
     for state, error in beats:
         talk.report("Heartbeat", Axis_State=state, Axis_Error=error << 8)
         talk.run(50)
-    reported = [str(line) for line in talk.lines if "held twice" in line.text or "Found" in line.text]
+    reported = [str(line) for line in talk.lines if "duplicate" in line.text or "Found" in line.text]
     why = "its heartbeats contradict each other in turn"
     assert (
         reported
         == [
-            f"150 < Found 3 ? twice: {why}",
-            f"150 < Fault left 0x200000000 node id 3 is held twice: {why}",
+            f"150 < Found 3 ? duplicate: {why}",
+            f"150 < Fault left 0x200000000 duplicate node id 3: {why}",
         ]
         * twice
     )
@@ -103,12 +103,12 @@ def test_vectors_of_heartbeats_with_extended_identifiers_that_contradict_each_ot
         talk.report("Heartbeat", extended=True, Axis_State=state)
         talk.run(50)
     talk.reports("""
-        0 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
-        50 < State left initialising: IDLE, asking for its firmware
-        100 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
-        150 < State left initialising: IDLE, asking for its firmware
-        150 < Found 3 ? twice: its heartbeats contradict each other in turn
-        150 < Fault left 0x200000000 node id 3 is held twice: its heartbeats contradict each other in turn
+        0 < State left initialising: CLOSED_LOOP_CONTROL, identifying its firmware
+        50 < State left initialising: IDLE, identifying its firmware
+        100 < State left initialising: CLOSED_LOOP_CONTROL, identifying its firmware
+        150 < State left initialising: IDLE, identifying its firmware
+        150 < Found 3 ? duplicate: its heartbeats contradict each other in turn
+        150 < Fault left 0x200000000 duplicate node id 3: its heartbeats contradict each other in turn
     """)
 
 
@@ -123,7 +123,7 @@ def test_vectors_of_heartbeats_that_we_asked_for() -> None:
     for state in (8, 1, 8, 1):
         talk.report("Heartbeat", Axis_State=state)
         talk.run(20, Idle("left"))
-    assert not [line for line in talk.lines if "held twice" in line.text]
+    assert not [line for line in talk.lines if "duplicate" in line.text]
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_vectors_of_places_that_are_told_again_after_a_clearing() -> None:
             talk.ask(ClearFault("left"))
         talk.report("Get_Encoder_Estimates", Pos_Estimate=at % 2)
         talk.run(10)
-        reported += [at for line in talk.lines if "Fault" in line.text and "held twice" in line.text]
+        reported += [at for line in talk.lines if "Fault" in line.text and "duplicate" in line.text]
         talk.stage()
     # The eighth leap back is the tenth estimate here; after the clearing they are counted anew.
     assert len(reported) == 2

@@ -7,9 +7,9 @@ import math
 import pytest
 
 from protocols.messages import MILLISECOND, ClearFault, Fault, Found, Nanos
+from protocols.odrive_can.duplicate_address import JUMPS, POSITION_TOLERANCE, PositionCheck
 from protocols.odrive_can.faults import DUPLICATE_NODE
 from protocols.odrive_can.options import Options
-from protocols.odrive_can.places import APART, LEAPS, Places
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
@@ -21,8 +21,8 @@ Told = list[tuple[Nanos, float, float]]
 
 def first(reported: Told) -> int | None:
     """Which of these made it certain that there are two shafts."""
-    places = Places()
-    return next((at for at, place in enumerate(reported) if places.handle(*place)), None)
+    places = PositionCheck()
+    return next((at for at, place in enumerate(reported) if places.add(*place)), None)
 
 
 def every(period_ms: int, places: list[tuple[float, float]]) -> Told:
@@ -38,10 +38,10 @@ def vibration(amplitude: float, hertz: float) -> list[tuple[float, float]]:
 @pytest.mark.parametrize(
     ("reported", "at"),
     [
-        (every(10, [(0.0, 0.0), (1.0, 0.0)] * 20), LEAPS + 1),
-        (every(5, [(0.0, 0.0), (2.0 * APART, 0.0)] * 20), LEAPS + 1),
-        (every(10, [(3.0, 0.0), (3.0, 0.0), (3.0, 0.0), (-1.0, 0.0)] * 20), 4 * LEAPS),
-        (every(5, [(at * 0.05, 10.0) if at % 2 else (7.5, 0.0) for at in range(40)]), LEAPS + 1),
+        (every(10, [(0.0, 0.0), (1.0, 0.0)] * 20), JUMPS + 1),
+        (every(5, [(0.0, 0.0), (2.0 * POSITION_TOLERANCE, 0.0)] * 20), JUMPS + 1),
+        (every(10, [(3.0, 0.0), (3.0, 0.0), (3.0, 0.0), (-1.0, 0.0)] * 20), 4 * JUMPS),
+        (every(5, [(at * 0.05, 10.0) if at % 2 else (7.5, 0.0) for at in range(40)]), JUMPS + 1),
     ],
     ids=["far apart", "just apart", "one speaks more often", "one turns"],
 )
@@ -55,7 +55,7 @@ def test_two_shafts_are_noticed(reported: Told, at: int) -> None:
         every(10, [(at * 0.3, 30.0) for at in range(500)]),
         every(10, [(0.0, 0.0)] * 20 + [(5.0, 0.0)] * 20 + [(0.0, 0.0)] * 20),
         every(10, [(float(at % 7), 0.0) for at in range(500)]),
-        every(10, [(0.0, 0.0), (APART * 0.9, 0.0)] * 200),
+        every(10, [(0.0, 0.0), (POSITION_TOLERANCE * 0.9, 0.0)] * 200),
         every(400, [(0.0, 0.0), (1.0, 0.0)] * 50),
         *[every(10, vibration(0.024, hertz)) for hertz in (3.0, 17.0, 41.0, 49.0, 50.0, 51.0)],
     ],

@@ -10,8 +10,6 @@ from numpy.random import PCG64, Generator
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Request
-from protocols.messages import Estop as EstopWord
-from protocols.messages import Reboot as RebootWord
 from protocols.odrive_can.codec import BROADCAST, encode, radians
 from protocols.odrive_can.decoder import OdriveDecoder
 from protocols.odrive_can.messages import (
@@ -71,10 +69,10 @@ def test_inactive_inputs_and_voltage_control_give_no_word() -> None:
 @pytest.mark.parametrize(
     ("message", "words"),
     [
-        (Estop(), [EstopWord("left")]),
+        (Estop(), [msg.Estop("left")]),
         (ClearErrors(0), [msg.ClearFault("left")]),
-        (Reboot(0), [RebootWord("left")]),
-        (EnterDfuMode(), [RebootWord("left")]),
+        (Reboot(0), [msg.Reboot("left")]),
+        (EnterDfuMode(), [msg.Reboot("left")]),
         (SetAxisState(11), [msg.Home("left")]),
         (SetAxisState(4), [msg.Idle("left")]),
         (SetAxisState(0), []),
@@ -115,7 +113,7 @@ def test_what_clears_restarts_or_configures(message: Message, words: list[Reques
 
 def test_broadcasts_reach_all_and_other_nodes_none() -> None:
     decoder = OdriveDecoder([device("left", 1), device("right", 2)])
-    assert received(decoder, Reboot(0), node=BROADCAST) == [RebootWord("left"), RebootWord("right")]
+    assert received(decoder, Reboot(0), node=BROADCAST) == [msg.Reboot("left"), msg.Reboot("right")]
     assert received(decoder, ClearErrors(0), node=BROADCAST) == [
         msg.ClearFault("left"),
         msg.ClearFault("right"),

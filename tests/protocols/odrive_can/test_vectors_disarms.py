@@ -86,7 +86,7 @@ def test_vectors_of_a_restart_in_the_midst_of_motion() -> None:
     talk.beat(8)
     talk.run(100, Velocity("left", ROUND))
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         100 < State left initialising: IDLE
         200 < State left ready: IDLE
         200 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
@@ -105,9 +105,9 @@ def test_vectors_of_one_that_is_silent_in_the_midst_of_motion() -> None:
     # Heard last at -10. What it is is asked anew, every 100 ms; then it is taken over.
     talk.reports("""
         0…230 > 3:Set_Input_Vel 1 0
-        240 < State left offline: nothing heard
+        240 < State left offline: no frames received
         240 > 3:Set_Input_Vel 1 0
-        300 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
+        300 < State left initialising: CLOSED_LOOP_CONTROL, identifying its firmware
         400 < State left armed: CLOSED_LOOP_CONTROL
         400 > 3:Set_Input_Vel 1 0 | 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 1 0
         410…490 > 3:Set_Input_Vel 1 0
@@ -120,9 +120,9 @@ def test_vectors_of_one_that_is_silent_in_the_midst_of_motion() -> None:
     # Idle goes out to what was ours, heard or not, until two heartbeats confirm it: at 350 and 450.
     talk.reports("""
         0…250/50 > 3:Set_Axis_State 1
-        290 < State left offline: nothing heard
+        290 < State left offline: no frames received
         300 > 3:Set_Axis_State 1
-        350 < State left initialising: IDLE, asking for its firmware
+        350 < State left initialising: IDLE, identifying its firmware
         350…400/50 > 3:Set_Axis_State 1
         450 < State left ready: IDLE
     """)
@@ -172,8 +172,8 @@ def test_vectors_of_two_devices_on_a_bus_that_fails() -> None:
     talk.run(200, Idle("left"), Hold("right"))
     # Asked anew what they are; but Idle goes out at once to what was ours.
     talk.reports("""
-        0 < State left initialising: CLOSED_LOOP_CONTROL, asking for its firmware
-        0 < State right initialising: CLOSED_LOOP_CONTROL, asking for its firmware
+        0 < State left initialising: CLOSED_LOOP_CONTROL, identifying its firmware
+        0 < State right initialising: CLOSED_LOOP_CONTROL, identifying its firmware
         0…50/50 > 3:Set_Axis_State 1
         100 < State left armed: CLOSED_LOOP_CONTROL
         100 < State right armed: CLOSED_LOOP_CONTROL

@@ -29,7 +29,7 @@ def test_vectors_of_firmware_0_6(expected: str) -> None:
         1 < State left fault: IDLE
     """
     talk.reports(f"""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         {wrong.strip() if expected == "0.5" else ""}
     """)
@@ -51,7 +51,7 @@ def test_vectors_of_firmware_0_5(expected: str, answers: int) -> None:
     known = 100 * (answers - 1) + 1
     talk.run(known)
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
     """)
@@ -74,7 +74,7 @@ def test_vectors_of_a_question_that_is_answered_twice() -> None:
         talk.report("Get_Bus_Voltage_Current", Bus_Voltage=24.0)
     talk.run(100)
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
     """)
@@ -87,7 +87,7 @@ def test_vectors_of_a_device_that_answers_nothing() -> None:
     talk.run(1300, Velocity("left", 1.0))
     # Silence proves nothing: a fault, and no guess.
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         900-1100 < Fault left 0x300000000 firmware unknown: *
         900-1100 < State left fault: IDLE
@@ -98,7 +98,7 @@ def test_vectors_of_a_device_that_answers_nothing() -> None:
     talk.run(200)
     # Clearing goes out when its language is known.
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         301-400 > 3:Clear_Errors 0
         400 < State left ready: IDLE
         400 < Done ClearFault left:*
@@ -114,7 +114,7 @@ def test_vectors_of_a_device_that_answers_the_roll_call_but_not_get_version() ->
     talk.run(1150)
     # No 0.5.x does: then it is not one, however often it answers the other question.
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
         900-1100 < Fault left 0x300000000 firmware unknown: *
@@ -130,7 +130,7 @@ def test_vectors_of_a_device_that_is_not_what_the_robot_file_says() -> None:
     talk.run(550, Velocity("left", 1.0))
     # Its heartbeats can be read then; its parts are not asked.
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         1 < left voltage 24
         401 < Fault left 0x300000000 firmware 0.5.x: *
@@ -145,7 +145,7 @@ def test_vectors_of_a_line_that_this_driver_does_not_speak() -> None:
     talk.version(minor=7)
     talk.run(150, Velocity("left", 1.0))
     talk.reports("""
-        0 < State left initialising: IDLE, asking for its firmware
+        0 < State left initialising: IDLE, identifying its firmware
         0 < left position 0, velocity 0
         1 < Fault left 0x300000000 firmware 0.7.10: *
         1 < State left fault: IDLE
@@ -184,8 +184,8 @@ def test_vectors_of_a_device_of_0_6_that_is_replaced_by_0_5_while_it_is_off() ->
     talk.up05()
     talk.run(600)
     talk.reports("""
-        240 < State left offline: nothing heard
-        300 < State left initialising: IDLE, asking for its firmware
+        240 < State left offline: no frames received
+        300 < State left initialising: IDLE, identifying its firmware
         300-401 < left voltage 24
         800-900 < State left ready: IDLE
     """)
@@ -281,7 +281,7 @@ def test_vectors_of_heartbeats_that_tell_the_line_by_their_shape(
     """Read where only one line can have sent them; that is never enough to command."""
     talk = Talk([device(poll_ms=0)], line)
     talk.report("Heartbeat", **({"Axis_State": 1} | signals))
-    suffix = ", asking for its firmware"
+    suffix = ", identifying its firmware"
     talk.reports("\n".join(f"0 < {text}{suffix if text.startswith('State') else ': *'}" for text in reported))
     talk.report("Get_Encoder_Estimates")
     talk.run(1, Velocity("left", 1.0))
@@ -302,7 +302,7 @@ def test_vectors_of_heartbeats_that_tell_the_line_by_their_shape(
 def test_vectors_of_heartbeats_that_no_line_would_send(data: str, mode: str) -> None:
     talk = Talk([device(poll_ms=0)])
     talk.handle(CanFrame(0x61, bytes.fromhex(data)))
-    assert talk.lines[-1].text == f"State left {mode}: IDLE, asking for its firmware"
+    assert talk.lines[-1].text == f"State left {mode}: IDLE, identifying its firmware"
 
 
 # -- extended identifiers ---------------------------------------------------------------------------------
@@ -314,7 +314,7 @@ def test_vectors_of_an_axis_with_extended_identifiers(node: int) -> None:
     talk.up05(node, extended=True)
     talk.run(200)
     talk.reports("""
-        0 < State axis initialising: IDLE, asking for its firmware
+        0 < State axis initialising: IDLE, identifying its firmware
         0 < axis position 0, velocity 0
         1 < axis voltage 24
     """)

@@ -23,7 +23,7 @@ def test_a_vector_has_the_name_that_its_source_gives_it(vector: object) -> None:
     (vector,) = [v for v in vectors_of(plugin) if v == vector]
     name = str(vector.meaning.get("cmd") or vector.meaning["msg"])
     if vector.meaning.get("request"):
-        name = f"ask for {name}"
+        name = f"request for {name}"
     elif name in MARKED and not vector.entry["data"]:
         name += " (0.5.x)"
     assert name in messages_in(vector.frame)
@@ -40,7 +40,7 @@ def test_a_vector_has_the_name_that_its_source_gives_it(vector: object) -> None:
         (CanFrame(frame_id(1, 0x0C), b"\0" * 7), ()),
         (CanFrame(frame_id(BROADCAST, 0x06), b"\0" * 7), ("Address",)),
         (CanFrame(frame_id(1, 0x06), b"\0" * 8), ("Set_Axis_Node_ID",)),
-        (CanFrame(frame_id(1, 0x03), remote=True), ("ask for Get_Error", "ask for Get_Motor_Error")),
+        (CanFrame(frame_id(1, 0x03), remote=True), ("request for Get_Error", "request for Get_Motor_Error")),
         (CanFrame(frame_id(1, 0x07), remote=True), ()),
         (CanFrame(frame_id(1, 0x09), b"\0" * 8), ()),
         (CanFrame(frame_id(1, 0x07), b"\1\0\0\0", fd=True), ()),
