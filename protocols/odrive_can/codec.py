@@ -102,7 +102,7 @@ LINE05: tuple[Layout, ...] = (
     layout(m.GetControllerError, 0x1D, "from_device", "I"),
 )
 
-WRITABLE: dict[type[m.Message], tuple[str, ...]] = {
+WRITABLE: dict[type[Any], tuple[str, ...]] = {
     m.SetLimits: ("Velocity_Limit", "Current_Limit"),
     m.SetTrajVelLimit: ("Traj_Vel_Limit",),
     m.SetTrajAccelLimits: ("Traj_Accel_Limit", "Traj_Decel_Limit"),

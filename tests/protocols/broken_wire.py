@@ -202,7 +202,7 @@ class SaysAnUnsetFrame(OdriveDriver):
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
         asked = any(isinstance(word, msg.ReadParameter) for word in words)
-        unset = CanFrame(min(self.nodes) << 5 | cmd_of(SetAxisState), b"\0\0")
+        unset = CanFrame(min(self.axes) << 5 | cmd_of(SetAxisState), b"\0\0")
         return events, [*frames, unset] if asked else frames
 
 
@@ -212,7 +212,7 @@ class SpeaksInLongIds(OdriveDriver):
     def send(self, now: Nanos, words: Messages) -> Sent:
         events, frames = super().send(now, words)
         asked = any(isinstance(word, msg.ReadParameter) for word in words)
-        long = CanFrame(min(self.nodes) << 5 | 0x18, b"\0", extended=True)
+        long = CanFrame(min(self.axes) << 5 | 0x18, b"\0", extended=True)
         return events, [*frames, long] if asked else frames
 
 

@@ -103,7 +103,7 @@ def close(a: Message | RemoteRequest | None, b: Message | RemoteRequest | None) 
     """Equal, floats to binary32."""
     if type(a) is not type(b) or a is None or b is None:
         return False
-    pairs = [(getattr(a, name), getattr(b, name)) for name in a.__match_args__]
+    pairs = [(getattr(a, name), getattr(b, name)) for name in a.__slots__]
     return all(x == y or math.isclose(x, y, rel_tol=2**-23, abs_tol=1e-9) for x, y in pairs)
 
 
