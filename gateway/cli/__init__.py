@@ -1,0 +1,5 @@
+"""The command line: `main` and one module per command, each with `add_arguments(parser)` and `run(options)`.
+
+Exports nothing: `gateway.cli.main` is imported by `gateway.__main__` alone, and a command's module by
+`gateway.cli.main` when that command is given. No other package may import this one.
+"""

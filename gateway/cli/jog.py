@@ -1,121 +1,134 @@
-"""`gateway jog`: one motor, slowly, as long as a key is held; and what comes back.
+"""`gateway jog`: turn one motor slowly, as long as a key is held, and show its feedback.
 
 Rules. The motor goes through the gateway, its joint and the live loop like any other; the robot has this one
-motor and no more, so that no other is commanded. Its speed is a limit of its joint. Nothing is sent but
-read-only frames before the first key. Nothing moves again by itself: after a fault the key has to be pressed
-anew. Whatever ends it (q, a signal, an exception, a terminal that is gone), the safe word goes out first, and
-then the terminal is as it was.
+motor only, so that no other is commanded. Its speed is a limit of its joint. Only read-only frames are sent
+before the first key. Nothing moves again by itself: after a fault the key must be pressed anew. However it
+ends (q, a signal, an exception, a closed terminal), the stop command is sent first, and then the terminal is
+restored.
 """
 
 from __future__ import annotations
 
 import logging
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 
 from brain.bodies.joints import Joints
-from gateway import config
-from gateway.cli.terminal.keys import Held, Key, parse, press, raw, read, share
+from gateway.cli import arguments
+from gateway.cli.terminal.keys import HeldKey, Key, parse, press, raw_mode, read_keys, speed_share
 from gateway.cli.terminal.screen import Line
-from gateway.config import resources
 from gateway.config.errors import unknown
 from gateway.core.joint import Joint
 from gateway.core.robot import Robot
 from gateway.errors import UserError
-from gateway.monitor.render import QUANTITIES, age, fault
+from gateway.monitor.render import age_text, fault_text, feedback_texts
 from gateway.runtime.session import Session, open_session
 from protocols.messages import MILLISECOND, ClearFault, Idle, Instruction, Nanos, Velocity
 
 log = logging.getLogger("gateway")
 
-SHARE = 0.05
-"""Of the joint's limit of velocity, if no speed is given."""
-REFRESH: Nanos = 100 * MILLISECOND
+DEFAULT_SHARE = 0.05
+"""Speed as a share of the joint's velocity limit, if none is given."""
+REFRESH_PERIOD: Nanos = 100 * MILLISECOND
 
 
-def jog(options: Namespace) -> int:
-    """Jog a motor from the keyboard until told to leave."""
-    robot = config.load_robot(resources.find("robots", options.robot))
-    robot = alone(config.with_interfaces(robot, dict(options.bus)), options.motor, options.speed)
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("motor", metavar="MOTOR", help="its name in the robot file")
+    parser.add_argument(
+        "robot", nargs="?", default="bench", metavar="ROBOT", help="(default: bench, simulated)"
+    )
+    arguments.add_bus(parser, "where the motor's bus is: can0=socketcan:can0")
+    parser.add_argument(
+        "--speed",
+        type=arguments.number("rad/s"),
+        metavar="RAD_PER_S",
+        help="(default: 5 %% of the joint's velocity limit)",
+    )
+
+
+def run(options: Namespace) -> int:
+    """Return 1 if the motor is left in fault."""
+    robot = single_motor(arguments.read_robot(options.robot, options.bus), options.motor, options.speed)
     if not sys.stdin.isatty():
-        raise UserError("the motor turns as long as a key is held: this needs a terminal as standard input")
+        raise UserError("the motor turns as long as a key is held: standard input must be a terminal")
     terminal = sys.stdin.fileno()
-    with open_session(robot) as made:
+    with open_session(robot) as session:
         line = Line(sys.stdout)
-        line.above(help_text(robot, options.motor))
-        with raw(terminal), above(line):
-            drive(made, options.motor, lambda: read(terminal), line.draw)
+        line.print_above(help_text(robot, options.motor))
+        with raw_mode(terminal), log_above(line):
+            drive(session, options.motor, lambda: read_keys(terminal), line.draw)
         line.end()
-        left = made.gateway.joints[options.motor].faults
-    return 1 if left else 0
+        in_fault = session.joints[options.motor].faults
+    return 1 if in_fault else 0
 
 
-def alone(robot: Robot, motor: str, speed: float | None = None) -> Robot:
-    """The robot reduced to one motor, whose joint goes no faster than `speed` [rad/s].
+def single_motor(robot: Robot, motor: str, speed: float | None = None) -> Robot:
+    """Return the robot reduced to one motor, whose velocity limit is `speed` [rad/s].
 
-    Raises UserError for a motor that it does not have or that takes no velocity, and for too high a speed."""
+    Raises UserError for an unknown motor, one that takes no velocity, and a speed above its limit."""
     if motor not in robot.motors:
         raise UserError(unknown("motor", motor, robot.motors))
-    part = robot.motors[motor]
-    if Velocity not in part.spec.commands:
-        raise UserError(f"{motor} takes no velocity ({part.plugin.name}): it cannot be jogged")
-    limits = part.joint.limits
-    speed = SHARE * limits.velocity if speed is None else speed
+    settings = robot.motors[motor]
+    if Velocity not in settings.spec.commands:
+        raise UserError(f"{motor} takes no velocity ({settings.plugin.name}): it cannot be jogged")
+    limits = settings.joint.limits
+    speed = DEFAULT_SHARE * limits.velocity if speed is None else speed
     if speed > limits.velocity:
         raise UserError(f"--speed {speed:g}: the limit of {motor} is {limits.velocity:g} rad/s")
-    joint = replace(part.joint, limits=replace(limits, velocity=speed))
+    joint = replace(settings.joint, limits=replace(limits, velocity=speed))
     return replace(
         robot,
         world=robot.world if robot.brain.body == "joints" else None,
-        buses={part.bus: robot.buses[part.bus]},
-        motors={motor: replace(part, joint=joint)},
+        buses={settings.bus: robot.buses[settings.bus]},
+        motors={motor: replace(settings, joint=joint)},
         sensors={},
         brain=replace(robot.brain, body="joints", differential=None, joints=Joints((motor,))),
     )
 
 
 @dataclass(slots=True)
-class Hand:
-    """The keys as what they ask of one motor. Plain data."""
+class JogControl:
+    """Keys turned into instructions for one motor. Plain data."""
 
     motor: str
     speed: float
     """rad/s"""
-    held: Held = field(default_factory=Held)
+    held: HeldKey = field(default_factory=HeldKey)
     leaving: bool = False
-    wanted: float = 0.0
-    """rad/s, now"""
-    _asked: float | None = None
-    """The velocity that was last asked for; None: none since it was disarmed."""
+    velocity: float = 0.0
+    """rad/s, wanted now"""
+    _commanded: float | None = None
+    """The last velocity that was commanded; None: none since the motor was disarmed."""
     _rest: bytes = b""
 
-    def ask(self, now: Nanos, typed: bytes | None, blocked: bool) -> list[Instruction]:
-        """What is asked now; `typed`: what has come from the keys, None if there are none any more.
+    def on_input(self, now: Nanos, data: bytes | None, blocked: bool) -> list[Instruction]:
+        """Return the instructions of this step; `data` comes from the terminal, None if that is closed.
 
-        `blocked`: the joint will not move, since it is in fault, stopped, or not heard."""
-        if typed is None:
-            self.leaving, typed = True, b""
-        keys, self._rest = parse(self._rest + typed)
-        asked = [word for key in keys if (word := self._press(now, key)) is not None]
+        `blocked`: the joint cannot move, since it is in fault, stopped, or without feedback."""
+        if data is None:
+            self.leaving, data = True, b""
+        keys, self._rest = parse(self._rest + data)
+        instructions = [message for key in keys if (message := self._press(now, key)) is not None]
         if blocked or self.leaving:
-            self.held = Held()
-        self.wanted = share(self.held, now) * self.speed
+            self.held = HeldKey()
+        self.velocity = speed_share(self.held, now) * self.speed
         if blocked:
-            self._asked = None
-        elif self.wanted != self._asked and (self.wanted or self._asked is not None):
-            self._asked = self.wanted
-            asked.append(Velocity(self.motor, self.wanted))
-        return asked
+            self._commanded = None
+        elif self.velocity != self._commanded and (self.velocity or self._commanded is not None):
+            self._commanded = self.velocity
+            instructions.append(Velocity(self.motor, self.velocity))
+        return instructions
 
     def _press(self, now: Nanos, key: Key) -> Instruction | None:
         match key:
             case Key.FORWARD | Key.BACKWARD:
                 self.held = press(self.held, now, key.value)
             case Key.DISARM:
-                self.held, self._asked = Held(), None
+                self.held, self._commanded = HeldKey(), None
                 return Idle(self.motor)
             case Key.CLEAR:
                 return ClearFault(self.motor)
@@ -124,61 +137,58 @@ class Hand:
         return None
 
 
-def drive(made: Session, motor: str, typed: Callable[[], bytes | None], show: Callable[[str], None]) -> None:
-    """The loop: keys in, a line out, until somebody leaves. The safe word goes out before it returns."""
-    joint = made.gateway.joints[motor]
-    hand = Hand(motor, joint.settings.limits.velocity)
+def drive(
+    session: Session, motor: str, read: Callable[[], bytes | None], show: Callable[[str], None]
+) -> None:
+    """Run the session on what `read` returns, until it is to be left; the stop command is sent at the end."""
+    joint = session.joints[motor]
+    control = JogControl(motor, joint.settings.limits.velocity)
 
-    def ask() -> Sequence[Instruction]:
-        now = made.clock.now()
-        blocked = bool(joint.faults or made.gateway.why_stopped()) or joint.feedback_lost(now)
-        return hand.ask(now, typed(), blocked)
+    def poll() -> Sequence[Instruction]:
+        now = session.clock.now()
+        blocked = bool(joint.faults or session.gateway.why_stopped()) or joint.feedback_lost(now)
+        return control.on_input(now, read(), blocked)
 
-    shown: Nanos | None = None
-    with closing(made.run(poll=ask)) as ticks:
+    next_line: Nanos = session.clock.now()
+    with closing(session.run(poll=poll)) as ticks:
         for tick in ticks:
-            if shown is None or tick.now >= shown + REFRESH:
-                shown = tick.now
-                show(status(joint, hand.wanted, tick.now))
-            if hand.leaving:
+            if tick.now >= next_line:
+                next_line = tick.now + REFRESH_PERIOD
+                show(status_line(joint, control.velocity, tick.now))
+            if control.leaving:
                 break
-    show(status(joint, 0.0, made.clock.now()))
+    show(status_line(joint, 0.0, session.clock.now()))
 
 
-def status(joint: Joint, wanted: float, now: Nanos) -> str:
-    """What the motor is asked and what comes back, in one line."""
-    arrow = "→" if wanted > 0.0 else "←" if wanted < 0.0 else "·"
-    reported = [
-        f"{value:.{digits}f} {unit}"
-        for name, unit, digits in QUANTITIES
-        if (value := getattr(joint.feedback, name)) is not None
-    ]
-    received = joint.feedback_age(now)
-    parts = [
-        f"{joint.name} {arrow} {abs(wanted):.2f} rad/s",
-        *(f"FAULT {fault(one)}" for one in joint.faults.values()),
-        str(joint.mode) if received is not None else "never heard",
-        *reported,
-        age(None if received is None else now - received, now),
+def status_line(joint: Joint, velocity: float, now: Nanos) -> str:
+    """Return the commanded velocity [rad/s], mode, faults and feedback of the motor."""
+    arrow = "→" if velocity > 0.0 else "←" if velocity < 0.0 else "·"
+    age = joint.feedback_age(now)
+    fields = [
+        f"{joint.name} {arrow} {abs(velocity):.2f} rad/s",
+        *(f"FAULT {fault_text(fault)}" for fault in joint.faults.values()),
+        str(joint.mode) if age is not None else "no feedback yet",
+        *feedback_texts(joint.feedback).values(),
+        age_text(None if age is None else now - age, now),
         joint.detail,
     ]
-    return " | ".join(part for part in parts if part)
+    return " | ".join(text for text in fields if text)
 
 
 def help_text(robot: Robot, motor: str) -> str:
-    """What the keys do."""
-    part = robot.motors[motor]
-    bus = robot.buses[part.bus]
+    """Return what the keys do."""
+    settings = robot.motors[motor]
+    bus = robot.buses[settings.bus]
     return (
         f"{motor} on {bus.name} ({bus.interface}): hold → or + to turn forward, ← or - backward, at most "
-        f"{part.joint.limits.velocity:g} rad/s; space disarms, c clears faults, q leaves"
+        f"{settings.joint.limits.velocity:g} rad/s; space disarms, c clears faults, q leaves"
     )
 
 
 @contextmanager
-def above(line: Line) -> Iterator[None]:
-    """While inside, what is logged stands above the line that is drawn over."""
-    handler = _Above(line)
+def log_above(line: Line) -> Iterator[None]:
+    """While inside, print log records above the line that is redrawn."""
+    handler = _LineHandler(line)
     log.addHandler(handler)
     before, log.propagate = log.propagate, False
     try:
@@ -188,10 +198,10 @@ def above(line: Line) -> Iterator[None]:
         log.removeHandler(handler)
 
 
-class _Above(logging.Handler):
+class _LineHandler(logging.Handler):
     def __init__(self, line: Line) -> None:
         super().__init__()
         self._line = line
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._line.above(f"{record.levelname}: {record.getMessage()}")
+        self._line.print_above(f"{record.levelname}: {record.getMessage()}")

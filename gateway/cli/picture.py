@@ -1,81 +1,79 @@
-"""The picture of a tour: what was believed, wanted and true, and how the buses bore it.
+"""The picture of a tour: believed, planned and true path; bus load and age of feedback over time.
 
-Matplotlib is imported here only, and here only when a picture is drawn.
+Matplotlib is imported here only, and only when a picture is drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gateway.cli.demo import Figures, Log
+from gateway.cli.tour import Tour
 from protocols.messages import SECOND
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from brain.belief import Floats, MapView, Pose
+    from brain.belief import Floats, MapView
 
-TRUE, BELIEVED, WANTED, RAW = "#1b9e77", "#1f4fa8", "#d95f02", "#999999"
+TRUE, BELIEVED, PLANNED, RAW = "#1b9e77", "#1f4fa8", "#d95f02", "#999999"
 SIGMAS = 3.0
 ENLARGED = 5.0
-"""An ellipse of a few centimetres would hide under the line."""
+"""Magnification of the ellipses: one of a few centimetres would be hidden under the line."""
 WINDOW = 4
-"""Samples over which the bus load is averaged: two scans of the lidar."""
+"""Number of samples over which the bus load is averaged: two scans of the lidar."""
 
 
-def draw(log: Log, figures: Figures, outlines: Sequence[Sequence[tuple[float, float]]], file: Path) -> None:
-    """Write a PNG: the map with the paths above, bus load and age of commands below.
-
-    `outlines` are the true walls and boxes, as polygons [m] in the frame "odom".
-    """
+def draw(tour: Tour, file: Path) -> None:
+    """Write a PNG: the map with the paths above, bus load and age of feedback below."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 11), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(3, 1, height_ratios=(5, 1, 1))
-    _map(figure.add_subplot(grid[0]), log, figures, outlines)
-    seconds = np.array(log.t) / SECOND
-    _load(figure.add_subplot(grid[1]), log, seconds)
-    _age(figure.add_subplot(grid[2]), log, seconds)
+    _map(figure.add_subplot(grid[0]), tour)
+    seconds = np.array([sample.t for sample in tour.samples]) / SECOND
+    _load(figure.add_subplot(grid[1]), tour, seconds)
+    _age(figure.add_subplot(grid[2]), tour, seconds)
     figure.savefig(file, dpi=110, metadata={"Software": None})
 
 
-def _map(axes: Axes, log: Log, figures: Figures, outlines: Sequence[Sequence[tuple[float, float]]]) -> None:
-    belief = log.belief
-    if belief is not None and belief.map is not None:
-        _grid(axes, belief.map)
-    for outline in outlines:
+def _map(axes: Axes, tour: Tour) -> None:
+    if tour.belief.map is not None:
+        _grid(axes, tour.belief.map)
+    for outline in tour.outlines:
         closed = [*outline, outline[0]]
         axes.plot([x for x, _ in closed], [y for _, y in closed], color="#c0392b", lw=0.8)
-    for i, path in enumerate(log.paths):
-        name = "wanted" if i == 0 else None
-        axes.plot([x for x, _ in path], [y for _, y in path], color=WANTED, lw=2.5, alpha=0.5, label=name)
+    for i, path in enumerate(tour.paths):
+        label = "planned" if i == 0 else None
+        axes.plot([x for x, _ in path], [y for _, y in path], color=PLANNED, lw=2.5, alpha=0.5, label=label)
+    believed = [sample.believed for sample in tour.samples]
     sigma = f"believed, with {SIGMAS:g}-sigma ellipses × {ENLARGED:g}"
     for label, poses, colour, style in (
-        ("raw odometry", log.raw, RAW, ":"),
-        ("true", log.true, TRUE, "-"),
-        (sigma, log.believed, BELIEVED, "--"),
+        ("raw odometry", [sample.raw for sample in tour.samples], RAW, ":"),
+        ("true", [sample.true for sample in tour.samples], TRUE, "-"),
+        (sigma, believed, BELIEVED, "--"),
     ):
         axes.plot([p.x for p in poses], [p.y for p in poses], style, color=colour, lw=1.4, label=label)
-    _ellipses(axes, log.believed, log.covariance)
-    for i, arrival in enumerate(log.arrivals, 1):
-        axes.plot(arrival.x, arrival.y, "*", color=WANTED, ms=14, mec="black")
-        axes.annotate(str(i), (arrival.x, arrival.y), textcoords="offset points", xytext=(8, 6))
-    error = 100 * figures.believed_error / max(figures.length, 1e-9)
+    _ellipses(axes, tour)
+    for i, arrival in enumerate(tour.arrivals, 1):
+        goal = arrival.goal
+        axes.plot(goal.x, goal.y, "*", color=PLANNED, ms=14, mec="black")
+        axes.annotate(str(i), (goal.x, goal.y), textcoords="offset points", xytext=(8, 6))
+    error = 100 * tour.error(believed) / max(tour.length, 1e-9)
     axes.set_title(
-        f"{figures.length:.1f} m driven; believed path within {error:.2f} % of that from the true one; "
-        f"{sum(a.near for a in figures.arrivals)} of {figures.goals} goals, {figures.contacts} touches"
+        f"{tour.length:.1f} m driven; believed path within {error:.2f} % of that from the true one; "
+        f"{tour.near} of {len(tour.goals)} goals, {tour.contacts} contacts"
     )
     axes.set_aspect("equal")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.legend(loc="upper right")
-    points = [p for outline in outlines for p in outline] or [(p.x, p.y) for p in log.true] or [(0.0, 0.0)]
+    points = [point for outline in tour.outlines for point in outline]
+    points = points or [(sample.true.x, sample.true.y) for sample in tour.samples] or [(0.0, 0.0)]
     xs, ys = zip(*points, strict=True)
     axes.set_xlim(min(xs) - 0.3, max(xs) + 0.3)
     axes.set_ylim(min(ys) - 0.3, max(ys) + 0.3)
@@ -95,32 +93,31 @@ def _grid(axes: Axes, view: MapView) -> None:
     )
 
 
-def _ellipses(axes: Axes, poses: Sequence[Pose], covariances: Sequence[Floats]) -> None:
-    """Every two seconds, the ellipse that should hold the true position (3 sigma), enlarged."""
+def _ellipses(axes: Axes, tour: Tour) -> None:
+    """Draw, every two seconds, the enlarged 3-sigma ellipse, which should contain the true position."""
     from matplotlib.patches import Ellipse
 
-    for pose, covariance in list(zip(poses, covariances, strict=True))[::40]:
-        values, vectors = np.linalg.eigh(np.asarray(covariance)[:2, :2])
+    for sample in tour.samples[::40]:
+        x, y = sample.believed.x, sample.believed.y
+        values, vectors = np.linalg.eigh(np.asarray(sample.covariance)[:2, :2])
         width, height = 2 * SIGMAS * ENLARGED * np.sqrt(np.maximum(values, 0.0))
         angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-        axes.add_patch(
-            Ellipse((pose.x, pose.y), width, height, angle=angle, fill=False, color=BELIEVED, lw=0.8)
-        )
+        axes.add_patch(Ellipse((x, y), width, height, angle=angle, fill=False, color=BELIEVED, lw=0.8))
 
 
-def _load(axes: Axes, log: Log, seconds: Floats) -> None:
-    for name in log.load[-1] if log.load else ():
-        load = np.array([100 * sample.get(name, 0.0) for sample in log.load])
+def _load(axes: Axes, tour: Tour, seconds: Floats) -> None:
+    for name in tour.samples[-1].load if tour.samples else ():
+        load = np.array([100 * sample.load.get(name, 0.0) for sample in tour.samples])
         mean = np.convolve(load, np.full(WINDOW, 1 / WINDOW), mode="same")
         axes.plot(seconds, mean, lw=0.8, label=name)
     axes.set_ylabel("bus load [%]")
     axes.set_ylim(bottom=0.0)
-    if log.load:
+    if tour.samples:
         axes.legend(loc="upper right", ncols=3)
 
 
-def _age(axes: Axes, log: Log, seconds: Floats) -> None:
-    axes.plot(seconds, log.age, lw=0.8, color=BELIEVED)
-    axes.set_ylabel("age of what\ncommands\nrest on [ms]")
+def _age(axes: Axes, tour: Tour, seconds: Floats) -> None:
+    axes.plot(seconds, [sample.age for sample in tour.samples], lw=0.8, color=BELIEVED)
+    axes.set_ylabel("age of\nfeedback [ms]")
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time [s]")

@@ -1,17 +1,23 @@
-"""`gateway recover FILE [-o OUT]`: a recording that was cut off or damaged, made whole again."""
+"""`gateway recover`: a recording that was cut off or damaged, repaired."""
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from gateway.recording.recover import is_whole, salvage
 
-def recover(options: Namespace) -> int:
-    """Give back every tick that was written. Returns 0 if there is any, 1 if none; the input stays as it is.
 
-    Raises RecordingError if it is no recording, or the new file is there already or cannot be written."""
-    from gateway.recording.recover import is_whole, salvage
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument("file", type=Path, metavar="FILE")
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="OUT", help="the new file (default: FILE with .recovered in it)"
+    )
 
+
+def run(options: Namespace) -> int:
+    """Write every complete tick to a new file; return 1 if there is none. FILE itself is only read."""
     path: Path = options.file
     if options.out is None and is_whole(path):
         print(f"{path} is whole: nothing to recover, nothing written")

@@ -1,118 +1,102 @@
-"""Who may be on a bus, for one that only listens: the devices of a robot file, or anybody.
+"""Which devices may be on a bus: those of a robot file, or every one that an installed protocol allows.
 
-Rules. A tongue is one device language with one set of options on one bus: a driver to hear what devices say,
-an ear to hear what they would obey. Neither is ever asked to speak. Where there is no robot file every
-installed language is tried with a device at every address that it allows, and once more for every other
-choice that its options offer: whoever makes sense of what is heard has found a device. No language is known
-here by name.
+Rules. Without a robot file, every installed protocol is tried with a device at every address that it allows,
+and again for every other choice that its options offer: the variant that decodes the traffic has found a
+device. No protocol is known here by name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
-from gateway.core.robot import BusSettings, Motor, Robot, Sensor
-from protocols.messages import Nanos
-from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Spec
+from gateway.core.robot import BusDevice, BusSettings, Motor, Robot, by_protocol
+from gateway.monitor.state import Candidate, ProtocolVariant
+from protocols.plugin import Device, Plugin
 
-MOST_ADDRESSES = 256
-"""Of one language on one bus that are tried where no robot file says who is there."""
-MOST_CHOICES = 16
-FITS: dict[str, tuple[str, ...]] = {"can": ("can",), "canfd": ("can", "canfd"), "serial": ("serial",)}
-"""Which languages can be spoken on a kind of bus: classic frames also stand on a CAN FD bus."""
-UNGEARED = JointSettings(Limits(velocity=1.0, acceleration=1.0, torque=1.0))
-"""Of a motor that no robot file describes; nothing is commanded, so its limits are never asked for."""
-
-
-@dataclass(frozen=True, slots=True)
-class Party:
-    """A device that is on a bus, or may be."""
-
-    name: str
-    bus: str
-    protocol: str
-    address: int
-    spec: Spec
-    joint: JointSettings | None
-    """None: a sensor."""
-    silent_after: Nanos
-
-    @property
-    def ratio(self) -> float:
-        """Turns of the device's shaft per turn of the joint, with its sense."""
-        return self.joint.gear * self.joint.sign if self.joint else 1.0
+MAX_ADDRESSES = 256
+"""Addresses of one protocol that are tried on one bus without a robot file."""
+MAX_CHOICES = 16
+COMPATIBLE: dict[str, tuple[str, ...]] = {
+    "can": ("can",),
+    "canfd": ("can", "canfd"),
+    "serial": ("serial",),
+}
+"""Which kinds of protocol run on a kind of bus: a CAN FD bus also carries classic frames."""
+NO_GEAR = JointSettings(Limits(velocity=1.0, acceleration=1.0, torque=1.0))
+"""Of a motor that no robot file describes; nothing is commanded, so its limits are never used."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tongue:
-    """One language, with one set of options, on one bus."""
-
-    bus: str
-    protocol: str
-    parties: dict[str, Party]
-    """By the name in the words."""
-    driver: Driver
-    decoder: CommandDecoder
-
-
-def of_robot(robot: Robot, buses: Sequence[str]) -> list[Tongue]:
-    """The languages of the devices that the robot file has on these buses."""
-    gathered: dict[tuple[str, str], list[Motor | Sensor]] = {}
-    parts: list[Motor | Sensor] = [*robot.motors.values(), *robot.sensors.values()]
-    for part in parts:
-        if part.bus in buses:
-            gathered.setdefault((part.bus, part.plugin.name), []).append(part)
-    tongues: list[Tongue] = []
-    for (bus, protocol), those in gathered.items():
-        devices = [part.device for part in those]
-        plugin = those[0].plugin
-        parties = {part.name: _party(part) for part in those}
-        tongues.append(Tongue(bus, protocol, parties, plugin.driver(devices), plugin.decoder(devices)))
-    return tongues
-
-
-def _party(part: Motor | Sensor) -> Party:
-    joint = part.joint if isinstance(part, Motor) else None
-    patience = part.joint.feedback_timeout if isinstance(part, Motor) else part.timeout
-    device = part.device
-    return Party(part.name, part.bus, part.plugin.name, device.address, part.spec, joint, patience)
-
-
-def anybody(bus: BusSettings, plugins: Sequence[Plugin]) -> list[Tongue]:
-    """Every language that can be spoken on this bus, with every choice of options and every address."""
+def of_robot(robot: Robot, buses: Sequence[str]) -> list[ProtocolVariant]:
+    """Return the protocols of the devices that the robot file has on these buses."""
     return [
-        tongue
-        for plugin in plugins
-        for options in choices(plugin.options)
-        if (tongue := _everybody(bus, plugin, options)) is not None
+        _variant(bus, plugin, [_candidate(one) for one in group], [one.device for one in group])
+        for bus in buses
+        for plugin, group in by_protocol(robot.devices_on(bus))
     ]
 
 
-def choices(options: type) -> list[object]:
-    """An instance with the defaults, and one for every other value that a field of a few values allows.
+def _candidate(device: BusDevice) -> Candidate:
+    joint = device.joint if isinstance(device, Motor) else None
+    timeout = device.joint.feedback_timeout if isinstance(device, Motor) else device.timeout
+    protocol, address = device.plugin.name, device.device.address
+    return Candidate(device.name, device.bus, protocol, address, device.spec, joint, timeout)
 
-    A value that is not taken with the defaults is tried together with each of the others. What an options'
-    dataclass itself does not take is left out."""
+
+def _variant(
+    bus: str, plugin: Plugin, candidates: Sequence[Candidate], devices: Sequence[Device]
+) -> ProtocolVariant:
+    by_name = {candidate.name: candidate for candidate in candidates}
+    return ProtocolVariant(bus, plugin.name, by_name, plugin.driver(devices), plugin.decoder(devices))
+
+
+def of_plugins(bus: BusSettings, plugins: Sequence[Plugin]) -> Iterator[ProtocolVariant]:
+    """Yield every protocol that can run on this bus, with every choice of options and every address."""
+    for plugin in plugins:
+        for options in choices(plugin.options):
+            candidates: list[Candidate] = []
+            devices: list[Device] = []
+            for address in range(MAX_ADDRESSES):
+                device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
+                try:
+                    spec = plugin.spec(device)
+                except ValueError:  # the protocol does not allow this address
+                    continue
+                if spec.bus not in COMPATIBLE[bus.kind]:
+                    break
+                joint = NO_GEAR if spec.kind == "motor" else None
+                candidates.append(
+                    Candidate(device.name, bus.name, plugin.name, address, spec, joint, spec.offline_after)
+                )
+                devices.append(device)
+            if devices:
+                yield _variant(bus.name, plugin, candidates, devices)
+
+
+def choices(options: type) -> list[object]:
+    """Return an instance with the defaults, and one for every other value of a field with few values.
+
+    A value that is not valid with the defaults is tried together with each of the others. What the options'
+    dataclass itself refuses is left out."""
     hints = get_type_hints(options)
     changes = [
         {field.name: value}
         for field in fields(options)
-        for value in _few(hints[field.name])
+        for value in _few_values(hints[field.name])
         if value != field.default
     ]
     made = [options()]
     for change in changes:
         alone = _made(options, change)
         made += [alone] if alone else [o for other in changes if (o := _made(options, other | change))]
-    return [one for i, one in enumerate(made) if one not in made[:i]][:MOST_CHOICES]
+    return [one for i, one in enumerate(made) if one not in made[:i]][:MAX_CHOICES]
 
 
-def _few(hint: object) -> tuple[Any, ...]:
-    """The values of a type that has only a few."""
+def _few_values(hint: object) -> tuple[Any, ...]:
+    """Return the values of a type that has only a few."""
     if hint is bool:
         return (False, True)
     return get_args(hint) if get_origin(hint) is Literal else ()
@@ -124,24 +108,3 @@ def _made(options: type, change: Mapping[str, Any]) -> object | None:
     except ValueError:
         return None
     return made
-
-
-def _everybody(bus: BusSettings, plugin: Plugin, options: object) -> Tongue | None:
-    parties: dict[str, Party] = {}
-    devices: list[Device] = []
-    for address in range(MOST_ADDRESSES):
-        device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
-        try:
-            spec = plugin.spec(device)
-        except ValueError:  # no device of this language has this address
-            continue
-        if spec.bus not in FITS[bus.kind]:
-            return None
-        joint = UNGEARED if spec.kind == "motor" else None
-        parties[device.name] = Party(
-            device.name, bus.name, plugin.name, address, spec, joint, spec.offline_after
-        )
-        devices.append(device)
-    if not devices:
-        return None
-    return Tongue(bus.name, plugin.name, parties, plugin.driver(devices), plugin.decoder(devices))

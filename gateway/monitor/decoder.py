@@ -1,129 +1,136 @@
-"""What can be known of a bus by listening: who is there, what they say and are told, how often.
+"""Decodes all packets of some buses: which devices are there, what they send and are commanded, at what rate.
 
-Rules. Nothing here can say anything: packets come in, nothing comes out, and no driver is ever asked what it
-would send. A device of a robot file is known from the start. Where there is none, a device counts as found
-when a language has made sense of it `ENOUGH` times, a motor's state among them; until then what is made of it
-is a guess. What was found is believed of its ids; all other ids are unknown. Faults are in the device's own
-words; they are past when it says that it is well again. All is at the joints' output shafts.
+Rules. Nothing here can send: packets come in, nothing goes out, and no driver is ever asked what it would
+send. A device of a robot file is known from the start. Without a robot file, a device counts as found once a
+protocol has decoded `MIN_EVENTS` events of it, a motor's state among them; until then its events are guesses.
+The ids of a device that was found belong to it; all other ids are unknown. Faults have the texts of the
+device's protocol; they are past when it reports a state without fault. All values are at the joints' output
+shafts.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from dataclasses import replace
 
 from gateway.buses.frame_time import frame_time
 from gateway.core.joint import Joint
 from gateway.core.robot import BusSettings
-from gateway.monitor.candidates import Party, Tongue
-from gateway.monitor.rate import Rate
-from gateway.monitor.state import Heard, Id, Seen, SeenBus, SeenId, Told, about, at_joint
+from gateway.monitor.state import (
+    BusRecord,
+    Candidate,
+    CanId,
+    DecodedPacket,
+    DeviceRecord,
+    IdRecord,
+    Place,
+    ProtocolVariant,
+    Rate,
+    ToDevice,
+)
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Command, Event, Mode, Nanos
 
 WINDOW: Nanos = 2 * SECOND
-ENOUGH = 3
-SETTLED = 50
-"""When sense has been made of a device so often, no other language or option is tried on its ids."""
-MOST_IDS = 4096
-"""Ids of CAN frames of which something is kept; what has another one is counted by its bus alone."""
-MOST_NOTES = 8
+MIN_EVENTS = 3
+SETTLED_EVENTS = 50
+"""After this many events of a device, no other protocol or option is tried on its ids."""
+MAX_IDS = 4096
+"""Number of CAN ids of which anything is kept; packets with other ids are counted by their bus only."""
+MAX_NOTES = 8
 
 
-class Listener:
-    """Hears all packets of some buses, in order of time."""
+class BusMonitor:
+    """What is known of some buses. Its packets must come in order of time."""
 
     def __init__(
         self,
         buses: Mapping[str, BusSettings],
-        tongues: Sequence[Tongue],
+        variants: Sequence[ProtocolVariant],
         began: Nanos,
         *,
         known: bool,
         window: Nanos | None = WINDOW,
     ) -> None:
-        """`known`: all parties are there, since a robot file says so. `window`: of the rates; None: all."""
+        """`known`: all candidates are there, since a robot file lists them. `window`: of the rates; None: all
+        the time since `began`."""
         self._began, self._window = began, window
         self.known = known
-        self.buses = {name: SeenBus(bus, self._rate(), self._rate()) for name, bus in buses.items()}
-        self.ids: dict[Id, SeenId] = {}
-        self.notes: deque[Event] = deque(maxlen=MOST_NOTES)
-        """What was said of no device in particular: found, done, refused."""
-        self.found: dict[tuple[str, str, int], Seen] = {}
-        """By bus, language and address."""
-        self._tongues = list(enumerate(tongues))
-        self._of_bus = {bus: [one for one in self._tongues if one[1].bus == bus] for bus in buses}
-        self._seen: dict[tuple[int, str], Seen] = {}
-        self._best: dict[tuple[str, str, int], int] = {}
-        """The tongue that has made most sense of a device."""
-        self._owners: dict[tuple[str, int], list[Seen]] = {}
+        self.buses = {name: BusRecord(bus, self._rate(), self._rate()) for name, bus in buses.items()}
+        self.ids: dict[CanId, IdRecord] = {}
+        self.notes: deque[Event] = deque(maxlen=MAX_NOTES)
+        """Events of no candidate: Found, Done, Refused."""
+        self.found: dict[Place, DeviceRecord] = {}
+        self._variants = {bus: [variant for variant in variants if variant.bus == bus] for bus in buses}
+        self._best: dict[Place, DeviceRecord] = {}
+        """By the variant that has decoded most of a device."""
+        self._owners: dict[tuple[str, int], list[DeviceRecord]] = {}
         if known:
-            for number, tongue in self._tongues:
-                for party in tongue.parties.values():
-                    self._own(self._look(number, party))
+            for variant in variants:
+                for candidate in variant.candidates.values():
+                    self._own(self._record(variant, candidate))
 
-    def state(self, t: Nanos, bus: str, state: BusState) -> None:
-        """A bus has told a change."""
+    def on_state(self, t: Nanos, bus: str, state: BusState) -> None:
+        """Take in a change of a bus."""
         self.buses[bus].state = BusState.UP if state is BusState.BACK else state
-        for _, tongue in self._of_bus[bus]:
-            tongue.driver.bus(t, state)
+        for variant in self._variants[bus]:
+            variant.driver.bus(t, state)
 
-    def handle(self, packet: Packet, *, sent: bool | None = None) -> Heard:
-        """What a packet means; `sent`: whether the host did, None if that is not known."""
+    def decode(self, packet: Packet, *, sent: bool | None = None) -> DecodedPacket:
+        """Return what a packet means; `sent`: whether the host sent it, None if that is not known."""
         self._count(packet)
-        said: list[Event] = []
-        reported: list[Told] = []
-        guessed: list[Event] = []
-        ours = False
-        owners = self._owners_of(packet)
-        for number, tongue in self._listening(packet.bus, owners):
+        decoded = DecodedPacket(packet)
+        accepted = False
+        for variant in self._listening(packet.bus, self._owners_of(packet)):
             if not sent:
-                before = tongue.driver.counters.accepted
-                events = tongue.driver.receive(packet.t, packet.frame)
-                ours = ours or tongue.driver.counters.accepted > before
-                self._events(number, tongue, packet, events, said, guessed)
+                before = variant.driver.counters.accepted
+                events = variant.driver.receive(packet.t, packet.frame)
+                accepted = accepted or variant.driver.counters.accepted > before
+                self._on_events(variant, events, decoded)
             if sent is not False or isinstance(packet.frame, CanFrame):
-                self._words(number, tongue, packet.t, tongue.decoder.decode(packet.t, packet.frame), reported)
-        owners = self._owners_of(packet)  # it may have been found just now
-        if ours and len(owners) == 1:
+                self._on_commands(variant, variant.decoder.decode(packet.t, packet.frame), decoded)
+        owners = self._owners_of(packet)  # one may have been found just now
+        if accepted and len(owners) == 1:
             owners[0].received_at = packet.t
-        direction = self._direction(
-            packet, owners, sent=sent, said=bool(said), reported=bool(reported), ours=ours
-        )
-        names = tuple(seen.party.name for seen in owners)
-        return Heard(packet, direction, tuple(said), tuple(reported), tuple(guessed), names)
+        decoded.names = tuple(owner.candidate.name for owner in owners)
+        if sent or (decoded.commands and not decoded.events):
+            decoded.direction = "to"
+        elif decoded.events or (accepted and (owners or self.known)):
+            decoded.direction = "from"
+        elif owners and isinstance(packet.frame, CanFrame):
+            decoded.direction = "to" if packet.frame.id in owners[0].candidate.spec.sends else "from"
+        return decoded
 
-    def unknown(self, now: Nanos) -> list[tuple[Id, SeenId]]:
-        """The ids that belong to no device, the busiest first."""
-        strange = [(key, seen) for key, seen in self.ids.items() if not self._owned(key)]
-        return sorted(strange, key=lambda one: (-one[1].rate.per_second(now), one[0]))
+    def unknown(self, now: Nanos) -> list[tuple[CanId, IdRecord]]:
+        """Return the ids that belong to no device, the busiest first."""
+        unknown = [(key, record) for key, record in self.ids.items() if not self._owned(key)]
+        return sorted(unknown, key=lambda one: (-one[1].rate.per_second(now), one[0]))
 
     def not_understood(self, bus: str) -> int:
-        """Frames of unknown ids, and messages to or from devices that were wrong."""
-        ids = sum(seen.rate.total for key, seen in self.ids.items() if key[0] == bus and not self._owned(key))
-        rx_counters = [
-            tongue.driver.counters
-            for number, tongue in self._of_bus[bus]
-            if self.known or self._speaks(number, tongue)
-        ]
+        """Return the number of frames of unknown ids and of malformed messages from or to devices."""
+        in_use = [self._best[place].variant for place in self.found]
+        counters = [v.driver.counters for v in self._variants[bus] if self.known or v in in_use]
         if self.buses[bus].settings.kind == "serial":
-            return min((counters.malformed + counters.ignored for counters in rx_counters), default=0)
-        return ids + sum(counters.malformed for counters in rx_counters if self.known)
+            return min((count.malformed + count.ignored for count in counters), default=0)
+        ids = (
+            record.rate.total for key, record in self.ids.items() if key[0] == bus and not self._owned(key)
+        )
+        return sum(ids) + sum(count.malformed for count in counters if self.known)
 
-    def messages(self, seen: Seen, now: Nanos) -> list[tuple[str, float]]:
-        """What a device says how often: on CAN by id, with the kinds of words that come of it."""
-        bus, sent = seen.party.bus, []
-        for number in sorted(seen.party.spec.expects):
+    def message_rates(self, record: DeviceRecord, now: Nanos) -> list[tuple[str, float]]:
+        """Return what a device sends per second: on CAN by id, with the kinds of events decoded from it."""
+        bus, rates = record.candidate.bus, []
+        for number in sorted(record.candidate.spec.expects):
             for extended in (False, True):
                 one = self.ids.get((bus, extended, False, number))
                 if one is not None and len(self._owners.get((bus, number), ())) == 1:
                     head = f"{number:08X}" if extended else f"{number:03X}"
-                    sent.append((" ".join([head, *one.kinds]), one.rate.per_second(now)))
-        return sent or [(kind, rate.per_second(now)) for kind, rate in seen.says.items()]
+                    rates.append((" ".join([head, *one.kinds]), one.rate.per_second(now)))
+        return rates or [(kind, rate.per_second(now)) for kind, rate in record.kinds.items()]
 
-    # -- what is counted ----------------------------------------------------------------------
+    # -- counting -----------------------------------------------------------------------------
 
     def _rate(self) -> Rate:
         return Rate(self._began, self._window)
@@ -132,174 +139,152 @@ class Listener:
         bus, frame = self.buses[packet.bus], packet.frame
         settings = bus.settings
         bus.packets.add(packet.t)
-        rate = settings.baudrate or settings.bitrate
-        bus.busy.add(packet.t, frame_time(frame, rate, settings.data_bitrate))
+        bitrate = settings.baudrate or settings.bitrate
+        bus.busy.add(packet.t, frame_time(frame, bitrate, settings.data_bitrate))
         if not isinstance(frame, CanFrame):
             return
-        key = _id(packet.bus, frame)
-        seen = self.ids.get(key)
-        if seen is None:
-            if len(self.ids) >= MOST_IDS:
+        key = _can_id(packet.bus, frame)
+        record = self.ids.get(key)
+        if record is None:
+            if len(self.ids) >= MAX_IDS:
                 return
-            seen = self.ids[key] = SeenId(self._rate(), frame, packet.t)
-        seen.rate.add(packet.t)
-        seen.last, seen.at = frame, packet.t
+            record = self.ids[key] = IdRecord(self._rate(), frame, packet.t)
+        record.rate.add(packet.t)
+        record.last, record.received_at = frame, packet.t
 
-    # -- what devices say -----------------------------------------------------------------------
+    # -- what devices send --------------------------------------------------------------------
 
-    def _events(
-        self,
-        number: int,
-        tongue: Tongue,
-        packet: Packet,
-        events: Sequence[Event],
-        said: list[Event],
-        guessed: list[Event],
-    ) -> None:
+    def _on_events(self, variant: ProtocolVariant, events: Sequence[Event], decoded: DecodedPacket) -> None:
+        packet = decoded.packet
         for event in events:
-            party = tongue.parties.get(about(event))
-            if party is None:
-                said.append(event)
+            candidate = variant.candidates.get(_device_of(event))
+            if candidate is None:
+                decoded.events.append(event)
                 self.notes.append(event)
                 continue
-            seen = self._look(number, party)
+            record = self._record(variant, candidate)
+            one = None
             if isinstance(packet.frame, CanFrame):
-                seen.extended = packet.frame.extended
-            moved = self._learn(seen, packet.t, event)
-            if moved is not None and self._is_best(number, seen):
-                found = self.found.get(_place(party)) is seen
-                (said if found else guessed).append(moved)
-                self._mark(packet, type(event).__name__, party.name, found=found)
+                record.extended = packet.frame.extended
+                one = self.ids.get(_can_id(packet.bus, packet.frame))
+            believed = self._learn(record, packet.t, event)
+            if believed is None or not self._is_best(record):
+                continue
+            found = self.found.get(candidate.place) is record
+            (decoded.events if found else decoded.guesses).append(believed)
+            if one is not None and found:
+                one.kinds[type(event).__name__] = None
+            elif one is not None:
+                one.could_be[candidate.name] = None
 
-    def _learn(self, seen: Seen, t: Nanos, event: Event) -> Event | None:
-        """Remember what a device has said; at the output shaft, None if it is not to be believed."""
-        kind = type(event).__name__
-        if kind not in seen.says:
-            seen.says[kind] = self._rate()
-        seen.says[kind].add(t)
-        seen.received_at = t
+    def _learn(self, record: DeviceRecord, t: Nanos, event: Event) -> Event | None:
+        """Keep an event of a device; return it at the output shaft, None if it is not plausible."""
+        record.kinds.setdefault(type(event).__name__, self._rate()).add(t)
+        record.received_at = t
         if isinstance(event, msg.Fault):
-            seen.faults[event.code, event.name] = event
+            record.faults[event.code, event.name] = event
         elif isinstance(event, msg.Imu | msg.LaserScan | msg.Fix):
-            seen.measured = event
-        elif isinstance(event, msg.Feedback | msg.State) and seen.joint is not None:
+            record.measurement = event
+        elif isinstance(event, msg.Feedback | msg.State) and record.joint is not None:
             if isinstance(event, msg.State) and event.mode is not Mode.FAULT:
-                seen.past |= seen.faults
-                seen.faults = {}
-            return seen.joint.on_event(event)
+                record.past_faults |= record.faults
+                record.faults = {}
+            return record.joint.on_event(event)
         return event
 
-    def _mark(self, packet: Packet, kind: str, name: str, *, found: bool) -> None:
-        if isinstance(packet.frame, CanFrame) and (one := self.ids.get(_id(packet.bus, packet.frame))):
-            (one.kinds if found else one.could_be)[kind if found else name] = None
+    # -- what devices are sent ----------------------------------------------------------------
 
-    # -- what devices are told ------------------------------------------------------------------
-
-    def _words(
-        self, number: int, tongue: Tongue, t: Nanos, words: Sequence[Told], reported: list[Told]
+    def _on_commands(
+        self, variant: ProtocolVariant, commands: Sequence[ToDevice], decoded: DecodedPacket
     ) -> None:
-        for word in words:
-            party = tongue.parties.get(about(word))
-            if party is None:
-                if word not in reported:
-                    reported.append(word)
+        for command in commands:
+            candidate = variant.candidates.get(_device_of(command))
+            if candidate is None:
+                if command not in decoded.commands:
+                    decoded.commands.append(command)
                 continue
-            best = self._best.get(_place(party))
-            if best is None and not self.known and self._is_first(number, tongue):
-                reported.append(at_joint(word, party.ratio))
-            if best != number:
+            best = self._best.get(candidate.place)
+            at_output = at_joint(command, candidate.ratio)
+            if best is None and not self.known and self._is_first(variant):
+                decoded.commands.append(at_output)
+            if best is None or best.variant is not variant:
                 continue
-            seen = self._look(number, party)
-            moved = at_joint(word, party.ratio)
-            reported.append(moved)
-            if isinstance(moved, Command):
-                seen.command, seen.commanded_at = moved, t
-                seen.commands = seen.commands or self._rate()
-                seen.commands.add(t)
+            decoded.commands.append(at_output)
+            if isinstance(at_output, Command):
+                best.command, best.commanded_at = at_output, decoded.packet.t
+                best.commands = best.commands or self._rate()
+                best.commands.add(decoded.packet.t)
 
-    # -- who is who -----------------------------------------------------------------------------
+    # -- which devices are there --------------------------------------------------------------
 
-    def _listening(self, bus: str, owners: Sequence[Seen]) -> list[tuple[int, Tongue]]:
-        """Who listens to a packet: all, or the one that has proved right for the device whose id it has."""
-        if self.known or len(owners) != 1 or owners[0].weight < SETTLED:
-            return self._of_bus[bus]
-        number = self._best[_place(owners[0].party)]
-        return self._tongues[number : number + 1]
+    def _listening(self, bus: str, owners: Sequence[DeviceRecord]) -> list[ProtocolVariant]:
+        """Return the variants that decode a packet: all, or the one that has settled for the id's owner."""
+        if self.known or len(owners) != 1 or owners[0].weight < SETTLED_EVENTS:
+            return self._variants[bus]
+        return [self._best[owners[0].candidate.place].variant]
 
-    def _look(self, number: int, party: Party) -> Seen:
-        seen = self._seen.get((number, party.name))
-        if seen is None:
-            joint = Joint(party.name, party.joint, party.spec) if party.joint else None
-            seen = self._seen[number, party.name] = Seen(party, joint)
+    def _record(self, variant: ProtocolVariant, candidate: Candidate) -> DeviceRecord:
+        record = variant.records.get(candidate.name)
+        if record is None:
+            joint = Joint(candidate.name, candidate.joint, candidate.spec) if candidate.joint else None
+            record = variant.records[candidate.name] = DeviceRecord(candidate, variant, joint)
             if self.known:
-                self._best[_place(party)] = number
-        return seen
+                self._best[candidate.place] = record
+        return record
 
-    def _is_best(self, number: int, seen: Seen) -> bool:
-        """Whether no other choice of options makes more of this device; and whether it is found now."""
-        place = _place(seen.party)
+    def _is_best(self, record: DeviceRecord) -> bool:
+        """True if no other variant decodes more of this device; it may count as found from now on."""
+        place = record.candidate.place
         best = self._best.get(place)
-        if best is not None and best != number:
-            other = self._seen.get((best, seen.party.name))
-            if other is not None and other.merit >= seen.merit:
-                return False
-        self._best[place] = number
-        enough = seen.weight >= ENOUGH and (seen.joint is None or msg.State.__name__ in seen.says)
-        if enough and self.found.get(place) is not seen:
-            self._own(seen)
+        if best is not None and best is not record and best.merit >= record.merit:
+            return False
+        self._best[place] = record
+        enough = record.weight >= MIN_EVENTS and (record.joint is None or msg.State.__name__ in record.kinds)
+        if enough and self.found.get(place) is not record:
+            self._own(record)
         return True
 
-    def _own(self, seen: Seen) -> None:
-        """A device is there: its ids are no longer unknown."""
-        place, spec = _place(seen.party), seen.party.spec
-        former = self.found.get(place)
-        self.found[place] = seen
-        for number in sorted(spec.sends | spec.expects):
-            owners = self._owners.setdefault((seen.party.bus, number), [])
-            owners[:] = [owner for owner in owners if owner is not former] + [seen]
+    def _own(self, record: DeviceRecord) -> None:
+        """Add a device: its ids are no longer unknown."""
+        candidate = record.candidate
+        former = self.found.get(candidate.place)
+        self.found[candidate.place] = record
+        for number in sorted(candidate.spec.sends | candidate.spec.expects):
+            owners = self._owners.setdefault((candidate.bus, number), [])
+            owners[:] = [owner for owner in owners if owner is not former] + [record]
 
-    def _owned(self, key: Id) -> bool:
+    def _owned(self, key: CanId) -> bool:
         bus, extended, _, number = key
-        return any(seen.extended in (None, extended) for seen in self._owners.get((bus, number), ()))
+        return any(owner.extended in (None, extended) for owner in self._owners.get((bus, number), ()))
 
-    def _owners_of(self, packet: Packet) -> list[Seen]:
-        if not isinstance(packet.frame, CanFrame) or not self._owned(_id(packet.bus, packet.frame)):
+    def _owners_of(self, packet: Packet) -> list[DeviceRecord]:
+        if not isinstance(packet.frame, CanFrame) or not self._owned(_can_id(packet.bus, packet.frame)):
             return []
         return self._owners[packet.bus, packet.frame.id]
 
-    def _direction(
-        self,
-        packet: Packet,
-        owners: Sequence[Seen],
-        *,
-        sent: bool | None,
-        said: bool,
-        reported: bool,
-        ours: bool,
-    ) -> Literal["from", "to", ""]:
-        if sent or (reported and not said):
-            return "to"
-        if said or (ours and (owners or self.known)):
-            return "from"
-        if owners and isinstance(packet.frame, CanFrame):
-            return "to" if packet.frame.id in owners[0].party.spec.sends else "from"
-        return ""
-
-    def _is_first(self, number: int, tongue: Tongue) -> bool:
-        same = (n for n, t in self._tongues if (t.bus, t.protocol) == (tongue.bus, tongue.protocol))
-        return number == next(same)
-
-    def _speaks(self, number: int, tongue: Tongue) -> bool:
-        """Whether a device has been found that speaks so."""
-        return any(
-            self._best.get(place) == number and place[:2] == (tongue.bus, tongue.protocol)
-            for place in self.found
-        )
+    def _is_first(self, variant: ProtocolVariant) -> bool:
+        """True for one variant of each protocol on a bus."""
+        return variant is next(v for v in self._variants[variant.bus] if v.protocol == variant.protocol)
 
 
-def _id(bus: str, frame: CanFrame) -> Id:
+def at_joint(command: ToDevice, ratio: float) -> ToDevice:
+    """Return a command at the joint's output shaft; the device's shaft turns `ratio` times as far."""
+    factors = {
+        "position": 1.0 / ratio,
+        "velocity": 1.0 / ratio,
+        "torque": ratio,
+        "stiffness": ratio * ratio,
+        "damping": ratio * ratio,
+    }
+    changes = {name: getattr(command, name) * by for name, by in factors.items() if hasattr(command, name)}
+    return replace(command, **changes) if changes and isinstance(command, Command) else command
+
+
+def _device_of(message: Event | ToDevice) -> str:
+    """Return the device that a message names; "" if it names none."""
+    name = getattr(message, "motor", "") or getattr(message, "sensor", "") or getattr(message, "name", "")
+    return str(name)
+
+
+def _can_id(bus: str, frame: CanFrame) -> CanId:
     return bus, frame.extended, frame.remote, frame.id
-
-
-def _place(party: Party) -> tuple[str, str, int]:
-    return party.bus, party.protocol, party.address

@@ -1,117 +1,181 @@
-"""What is known of a bus, its devices and its ids by listening; `gateway.monitor.decoder` fills it in.
+"""What is known of buses, devices and ids by listening; `gateway.monitor.decoder` fills it in. Plain data.
 
 Rules. Positions, velocities and torques are at the joint's output shaft, as everywhere above a driver.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections import deque
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from gateway.core.joint import Joint
+from gateway.core.joint import Joint, JointSettings
 from gateway.core.robot import BusSettings
-from gateway.monitor.candidates import Party
-from gateway.monitor.rate import Rate
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import Command, Event, Fault, Fix, Imu, LaserScan, Nanos, Request
+from protocols.messages import SECOND, Command, Event, Fault, Fix, Imu, LaserScan, Nanos, Request
+from protocols.plugin import CommandDecoder, Driver, Spec
 
-Measured: TypeAlias = Imu | LaserScan | Fix
-Told: TypeAlias = Command | Request
-Id: TypeAlias = tuple[str, bool, bool, int]
+Measurement: TypeAlias = Imu | LaserScan | Fix
+ToDevice: TypeAlias = Command | Request
+CanId: TypeAlias = tuple[str, bool, bool, int]
 """Bus, whether extended, whether a remote frame, and the id."""
+Place: TypeAlias = tuple[str, str, int]
+"""Bus, protocol and address."""
+
+SLICES = 20
+"""Number of steps in which the window of a rate slides."""
 
 
-@dataclass(slots=True)
-class Seen:
+class Rate:
+    """The amount per second over a sliding window; or, if that is None, over the whole time since `began`."""
+
+    def __init__(self, began: Nanos, window: Nanos | None) -> None:
+        self.total = 0
+        self._began = began
+        self._window = window
+        self._recent: deque[tuple[Nanos, int]] = deque()
+        self._in_window = 0
+
+    def add(self, t: Nanos, amount: int = 1) -> None:
+        """Add an amount at a time; one that comes late counts as of the newest."""
+        self.total += amount
+        if self._window is None:
+            return
+        self._in_window += amount
+        start = t - t % (self._window // SLICES)
+        if self._recent and self._recent[-1][0] >= start:
+            last, before = self._recent[-1]
+            self._recent[-1] = (last, before + amount)
+        else:
+            self._recent.append((start, amount))
+            self._discard(t, self._window)
+
+    def per_second(self, now: Nanos) -> float:
+        """Return the rate up to now."""
+        amount, span = self.total, now - self._began
+        if self._window is not None:
+            self._discard(now, self._window)
+            amount, span = self._in_window, min(span, self._window)
+        return amount * SECOND / span if span > 0 else 0.0
+
+    def _discard(self, now: Nanos, window: Nanos) -> None:
+        while self._recent and self._recent[0][0] <= now - window:
+            self._in_window -= self._recent.popleft()[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A device that is on a bus, or may be."""
+
+    name: str
+    bus: str
+    protocol: str
+    address: int
+    spec: Spec
+    joint: JointSettings | None
+    """None: a sensor."""
+    timeout: Nanos
+    """Age of the last message after which the device counts as silent."""
+
+    @property
+    def ratio(self) -> float:
+        """Turns of the device's shaft per turn of the joint, with its sign."""
+        return self.joint.gear * self.joint.sign if self.joint else 1.0
+
+    @property
+    def place(self) -> Place:
+        """Where the device is; the same for all variants of its protocol."""
+        return self.bus, self.protocol, self.address
+
+
+@dataclass(slots=True, eq=False)
+class ProtocolVariant:
+    """One protocol with one set of options on one bus: a driver for what devices send, a decoder for what
+    they are sent. Neither is ever asked to send."""
+
+    bus: str
+    protocol: str
+    candidates: dict[str, Candidate]
+    """By the name in messages."""
+    driver: Driver
+    decoder: CommandDecoder
+    records: dict[str, DeviceRecord] = field(default_factory=dict)
+    """What these options make of the candidates of which anything was decoded, by name."""
+
+
+@dataclass(slots=True, eq=False)
+class DeviceRecord:
     """What is known of one device."""
 
-    party: Party
+    candidate: Candidate
+    variant: ProtocolVariant = field(repr=False)
     joint: Joint | None
     """Its newest feedback and mode; None: a sensor."""
-    says: dict[str, Rate] = field(default_factory=dict)
-    """What has been made of its messages, by the kind of word."""
+    kinds: dict[str, Rate] = field(default_factory=dict)
+    """Rates of its events, by kind."""
     received_at: Nanos | None = None
-    measured: Measured | None = None
+    measurement: Measurement | None = None
     faults: dict[tuple[int, str], Fault] = field(default_factory=dict)
-    past: dict[tuple[int, str], Fault] = field(default_factory=dict)
-    """Faults that it had."""
+    past_faults: dict[tuple[int, str], Fault] = field(default_factory=dict)
     command: Command | None = None
-    """What it was last told and would obey."""
+    """The last one that it was sent and would obey."""
     commanded_at: Nanos | None = None
     commands: Rate | None = None
     extended: bool | None = None
-    """Whether its ids are extended ones; None: not known, or not on CAN."""
+    """Whether its ids are extended; None: not known, or not on CAN."""
 
     @property
     def weight(self) -> int:
-        """How often a language has made sense of it; that it complains is none."""
-        return sum(rate.total for kind, rate in self.says.items() if kind != Fault.__name__)
+        """Number of decoded events; faults do not count."""
+        return sum(rate.total for kind, rate in self.kinds.items() if kind != Fault.__name__)
 
     @property
     def merit(self) -> float:
-        """How much sense these options make: less if they make the device complain."""
+        """Plausibility of the variant's options for this device: less if they yield faults."""
         return self.weight / (1 + len(self.faults))
 
     def silent(self, now: Nanos) -> bool:
-        """Whether what it last said is too old."""
-        return self.received_at is None or now - self.received_at > self.party.silent_after
+        """True if its last message is older than its timeout."""
+        return self.received_at is None or now - self.received_at > self.candidate.timeout
 
 
 @dataclass(slots=True)
-class SeenId:
-    """An id on a CAN bus."""
+class IdRecord:
+    """What is known of an id on a CAN bus."""
 
     rate: Rate
     last: CanFrame
-    at: Nanos
+    received_at: Nanos
     kinds: dict[str, None] = field(default_factory=dict)
-    """Of the words that have come from it."""
+    """Of the events decoded from it, in order of appearance."""
     could_be: dict[str, None] = field(default_factory=dict)
-    """Devices, not found, that a language would make of it."""
+    """Names of devices, not found yet, that some protocol would decode it to."""
 
 
 @dataclass(slots=True)
-class SeenBus:
-    """One bus."""
+class BusRecord:
+    """What is known of one bus."""
 
     settings: BusSettings
     packets: Rate
     busy: Rate
-    """ns on the wire, at most."""
+    """ns of transmission time, at most."""
     state: BusState = BusState.UP
-    trouble: str = ""
-    """Why it is not listened to."""
+    left_out: bool = False
+    """It could not be opened."""
 
 
-@dataclass(frozen=True, slots=True)
-class Heard:
+@dataclass(slots=True)
+class DecodedPacket:
     """What one packet means."""
 
     packet: Packet
-    direction: Literal["from", "to", ""]
-    """Whether it comes from a device or goes to one; "" if nobody knows."""
-    said: tuple[Event, ...] = ()
-    reported: tuple[Told, ...] = ()
-    """What devices would obey."""
-    guessed: tuple[Event, ...] = ()
-    """What it would mean if it came from a device that has not been found."""
+    direction: Literal["from", "to", ""] = ""
+    """Whether a device sent or receives it; "" if that is not known."""
+    events: list[Event] = field(default_factory=list)
+    commands: list[ToDevice] = field(default_factory=list)
+    """Commands and requests that devices would obey."""
+    guesses: list[Event] = field(default_factory=list)
+    """Events, if it was sent by a device that has not been found yet."""
     names: tuple[str, ...] = ()
-    """The devices whose id it has."""
-
-
-def about(word: Event | Told) -> str:
-    """The device that a word is about; "" if it is about none."""
-    return str(getattr(word, "motor", "") or getattr(word, "sensor", "") or getattr(word, "name", ""))
-
-
-def at_joint(word: Told, ratio: float) -> Told:
-    """A word of the device's shaft at the joint's output shaft: one turn there is `ratio` turns here."""
-    factors = {
-        "position": 1.0 / ratio,
-        "velocity": 1.0 / ratio,
-        "torque": ratio,
-        "stiffness": ratio * ratio,
-        "damping": ratio * ratio,
-    }
-    changes = {name: getattr(word, name) * by for name, by in factors.items() if hasattr(word, name)}
-    return replace(word, **changes) if changes and isinstance(word, Command) else word
+    """The devices to which its id belongs."""

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from gateway import config
-from gateway.__main__ import main
+from gateway.cli.main import main
 from gateway.config import resources
 from gateway.rosbag import read
 from gateway.rosbag.evaluate import judge

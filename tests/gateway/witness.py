@@ -80,7 +80,7 @@ def _serve() -> None:
 
 def _become_run(robot: str, file: str, board: Path, terminal: int, typed: str) -> None:
     """`gateway run`, never to return; at tick 20 somebody types a line on its terminal."""
-    from gateway.__main__ import main
+    from gateway.cli.main import main
     from gateway.recording import Recorder
 
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

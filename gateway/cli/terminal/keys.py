@@ -1,10 +1,11 @@
-"""Keys of a terminal, and what holding one means. Pure but for `raw` and `read`.
+"""Keys of a terminal, and how long one is held. Pure except `raw_mode` and `read_keys`.
 
-Rules. A terminal does not tell that a key was let go: it sends the key once, after a while again, and from
-then on quickly. So a key counts as held for `FIRST` after it was pressed, and moves slowly what it moves;
-once it has come again it counts as held for `AGAIN` after each time, and moves it at full speed. A tap is a
-short slow move, a held key one motion without a gap, and letting go stops within `AGAIN`. Sources of the
-times: X server 660 ms and 25 per second (xset(1)), Linux console 250 ms and 10.9 per second (kbdrate(8)).
+Rules. A terminal does not report that a key is released: it sends the key once, again after a delay, and
+then at a high rate. So a key counts as held for `FIRST_HOLD` after it was pressed, and moves at `CREEP_SHARE`
+of the speed; once it has repeated it counts as held for `REPEAT_HOLD` after each time, and moves at full
+speed. A tap is a short slow move, a held key one motion without a gap, and releasing it stops within
+`REPEAT_HOLD`. Sources of the times: X server 660 ms and 25 per second (xset(1)), Linux console 250 ms and
+10.9 per second (kbdrate(8)).
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from enum import Enum
 
 from protocols.messages import MILLISECOND, Nanos
 
-FIRST: Nanos = 700 * MILLISECOND
-"""A key that has come once is held for so long: longer than a terminal waits before it repeats a key."""
-AGAIN: Nanos = 150 * MILLISECOND
-"""A key that is repeated is held for so long: longer than from one repetition to the next."""
-CREEP = 0.25
-"""Part of the speed while it is not known whether a key is held or was tapped."""
-MOST_READ = 4096
+FIRST_HOLD: Nanos = 700 * MILLISECOND
+"""How long a first key press counts: longer than a terminal waits before it repeats a key."""
+REPEAT_HOLD: Nanos = 150 * MILLISECOND
+"""How long a repeated key counts: longer than the time between two repetitions."""
+CREEP_SHARE = 0.25
+"""Share of the speed while it is not known whether a key is held or was tapped."""
+MAX_READ = 4096
 
 
 class Key(Enum):
-    """What a key means."""
+    """The meaning of a key; of the two for motion, its direction."""
 
     FORWARD = 1
     BACKWARD = -1
@@ -56,11 +57,11 @@ KEYS: dict[bytes, Key] = {
     b"q": Key.LEAVE,
     b"Q": Key.LEAVE,
 }
-"""Arrows in both of a terminal's modes (ECMA-48 CUU CUD CUF CUB; DEC application mode), and letters."""
+"""Arrows in both modes of a terminal (ECMA-48 CUU CUD CUF CUB; DEC application mode), and characters."""
 
 
 def parse(data: bytes) -> tuple[list[Key], bytes]:
-    """The keys in what a terminal has sent, and what may be the beginning of another one."""
+    """Return the keys in what a terminal sent, and the rest, which may be the beginning of another."""
     keys: list[Key] = []
     while data:
         known = next((name for name in KEYS if data.startswith(name)), None)
@@ -75,47 +76,47 @@ def parse(data: bytes) -> tuple[list[Key], bytes]:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """A key of motion that is held, as far as can be known."""
+class HeldKey:
+    """The motion key that is held, as far as can be known."""
 
-    sense: int = 0
+    direction: int = 0
     """1 forward, -1 backward, 0 none."""
     until: Nanos = 0
     repeated: bool = False
 
 
-def press(held: Held, t: Nanos, sense: int) -> Held:
-    """A key has come."""
-    if sense == held.sense and t < held.until:
-        return Held(sense, t + AGAIN, repeated=True)
-    return Held(sense, t + FIRST)
+def press(held: HeldKey, t: Nanos, direction: int) -> HeldKey:
+    """Return the held key after a motion key was received."""
+    if direction == held.direction and t < held.until:
+        return HeldKey(direction, t + REPEAT_HOLD, repeated=True)
+    return HeldKey(direction, t + FIRST_HOLD)
 
 
-def share(held: Held, now: Nanos) -> float:
-    """The part of the speed to move at now, with its sense."""
+def speed_share(held: HeldKey, now: Nanos) -> float:
+    """Return the share of the speed to move at, with its sign."""
     if now >= held.until:
         return 0.0
-    return held.sense * (1.0 if held.repeated else CREEP)
+    return held.direction * (1.0 if held.repeated else CREEP_SHARE)
 
 
 # -- the terminal -----------------------------------------------------------------------------------
 
 
 @contextmanager
-def raw(terminal: int) -> Iterator[None]:
-    """While inside, keys come at once and are not shown; outside, the terminal is as it was.
+def raw_mode(terminal: int) -> Iterator[None]:
+    """While inside, keys are received at once and not echoed; the terminal is restored at the end.
 
-    Ctrl-C still interrupts. What would leave a motor turning with nobody at the keys, or stop us at our
-    output, is switched off: Ctrl-Z, Ctrl-backslash, Ctrl-S. Keys that nobody has read are thrown away."""
+    Ctrl-C still interrupts. Keys that would leave a motor turning unattended, or block our output, are
+    switched off: Ctrl-Z, Ctrl-backslash, Ctrl-S. Keys that were not read are discarded."""
     before = termios.tcgetattr(terminal)
     mode = termios.tcgetattr(terminal)
     mode[0] &= ~termios.IXON
     mode[3] &= ~(termios.ICANON | termios.ECHO)
-    nothing = bytes([os.fpathconf(terminal, "PC_VDISABLE")])
+    disabled = bytes([os.fpathconf(terminal, "PC_VDISABLE")])
     for control, value in ((termios.VMIN, 1), (termios.VTIME, 0)):
         mode[6][control] = value
     for control in (termios.VSUSP, termios.VQUIT):
-        mode[6][control] = nothing
+        mode[6][control] = disabled
     try:
         termios.tcsetattr(terminal, termios.TCSAFLUSH, mode)
         yield
@@ -124,11 +125,11 @@ def raw(terminal: int) -> Iterator[None]:
             termios.tcsetattr(terminal, termios.TCSAFLUSH, before)
 
 
-def read(terminal: int) -> bytes | None:
-    """What has been typed since; None if there is nobody any more. Never waits."""
+def read_keys(terminal: int) -> bytes | None:
+    """Return what was typed since the last call; None if the terminal is closed. Never waits."""
     try:
         if not select.select([terminal], [], [], 0)[0]:
             return b""
-        return os.read(terminal, MOST_READ) or None
+        return os.read(terminal, MAX_READ) or None
     except OSError:
         return None

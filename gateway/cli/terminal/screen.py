@@ -1,8 +1,8 @@
-"""What is drawn on a terminal: a page that is refreshed in place, a line that is; nothing but ANSI sequences.
+"""A page and a line that are redrawn in place on a terminal, by ANSI sequences.
 
-Rules. What cannot be drawn at once because the terminal is not reading is left out: nobody here waits for a
-screen. Lines are cut to the terminal's width, pages to its height, and a character that would do something to
-the terminal is replaced. Leaving gives the cursor back and leaves the last page standing.
+Rules. What cannot be drawn at once because the terminal is not reading is left out: nothing here blocks.
+Lines are cut to the terminal's width, pages to its height, and control characters are replaced. At the end
+the cursor is restored.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ FALLBACK = os.terminal_size((100, 30))
 
 
 def clean(text: str) -> str:
-    """A text without characters that would do something to a terminal."""
+    """Return the text with its control characters replaced."""
     return "".join(c if c.isprintable() else "·" for c in text)
 
 
 def cut(text: str, width: int) -> str:
-    """What fits into a width."""
+    """Return the part of a text that fits into a width."""
     text = clean(text)
     return text if len(text) <= width else text[: max(0, width - 1)] + "…"
 
 
 def page(lines: Sequence[str], size: os.terminal_size) -> str:
-    """Lines as they are drawn over the page before."""
+    """Return the sequence that draws lines over the page before."""
     fitting = [cut(line, size.columns) for line in lines]
     if len(fitting) > size.lines:
         hidden = len(fitting) - size.lines + 1
         fitting = [
             *fitting[: size.lines - 1],
-            cut(f"… {hidden} lines more: the window is too low", size.columns),
+            cut(f"… {hidden} more lines: the window is too low", size.columns),
         ]
     return HOME + "\r\n".join(line + CLEAR_LINE for line in fitting) + CLEAR_BELOW
 
@@ -62,40 +62,40 @@ class Screen:
             self._stream.flush()
 
     def draw(self, lines: Sequence[str]) -> None:
-        """A page instead of the one before."""
-        if takes(self._stream):
+        """Draw a page over the one before."""
+        if is_writable(self._stream):
             self._stream.write(page(lines, size_of(self._stream)))
             self._stream.flush()
 
 
 class Line:
-    """One line of a terminal, drawn over itself. Where there is no terminal, every line is a line."""
+    """One line of a terminal that is redrawn in place; without a terminal, each is a line of its own."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._terminal = stream.isatty()
-        self._begun = False
+        self._drawn = False
 
     def draw(self, text: str) -> None:
-        """A line instead of the one before."""
-        if not takes(self._stream):
+        """Draw a line over the one before."""
+        if not is_writable(self._stream):
             return
         if self._terminal:
             self._write(f"\r{cut(text, size_of(self._stream).columns - 1)}{CLEAR_LINE}")
         else:
             self._write(f"{clean(text)}\n")
-        self._begun = self._terminal
+        self._drawn = self._terminal
 
-    def above(self, text: str) -> None:
-        """A line that stays, above the one that is drawn over."""
-        self._write(f"\r{CLEAR_LINE}{clean(text)}\n" if self._begun else f"{clean(text)}\n")
-        self._begun = False
+    def print_above(self, text: str) -> None:
+        """Print a line that stays, above the one that is redrawn."""
+        self._write(f"\r{CLEAR_LINE}{clean(text)}\n" if self._drawn else f"{clean(text)}\n")
+        self._drawn = False
 
     def end(self) -> None:
-        """Leave the last line standing."""
-        if self._begun:
+        """Keep the last line, and begin a new one."""
+        if self._drawn:
             self._write("\n")
-        self._begun = False
+        self._drawn = False
 
     def _write(self, text: str) -> None:
         with suppress(OSError):  # the terminal may be gone; the motor is what matters
@@ -103,8 +103,8 @@ class Line:
             self._stream.flush()
 
 
-def takes(stream: TextIO) -> bool:
-    """Whether a write would not wait. What is no file is written to at once."""
+def is_writable(stream: TextIO) -> bool:
+    """True if a write would not block, as for a stream that is no file."""
     try:
         return bool(select.select([], [stream.fileno()], [], 0)[1])
     except (OSError, ValueError):
@@ -112,7 +112,7 @@ def takes(stream: TextIO) -> bool:
 
 
 def size_of(stream: TextIO) -> os.terminal_size:
-    """Columns and lines."""
+    """Return columns and lines."""
     try:
         size = os.get_terminal_size(stream.fileno())
     except (OSError, ValueError):

@@ -57,7 +57,7 @@ def wrong(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["run", "bench", "--bus", "can0=sockettcan:can0"], "sockettcan"),
         (
             ["run", "bench", "--bus", "can0=virtual:x", "--fast"],
-            "--fast needs a world: can0 is on a real interface",
+            "simulated time needs a simulated world: can0 is on a real interface",
         ),
         (["replay", "no.mcap"], "no.mcap"),
         (["replay", "pyproject.toml"], "not a recording of this gateway"),
@@ -99,7 +99,7 @@ def test_every_mistake_of_a_robot_file_is_told_at_once(
 def test_a_recording_is_not_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "old.mcap"
     file.write_bytes(b"precious")
-    assert "not overwritten" in wrong(capsys, "run", "bench", "--record", str(file))
+    assert "never overwritten" in wrong(capsys, "run", "bench", "--record", str(file))
     assert file.read_bytes() == b"precious"
 
 

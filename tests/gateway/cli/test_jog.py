@@ -19,10 +19,22 @@ import numpy as np
 import pytest
 
 from gateway import config
-from gateway.__main__ import main
 from gateway.buses.virtual.bus import open_world
-from gateway.cli.jog import SHARE, Hand, above, alone, drive, log, status
-from gateway.cli.terminal.keys import AGAIN, CREEP, FIRST, KEYS, Held, Key, parse, press, raw, read, share
+from gateway.cli.jog import DEFAULT_SHARE, JogControl, drive, log, log_above, single_motor, status_line
+from gateway.cli.main import main
+from gateway.cli.terminal.keys import (
+    CREEP_SHARE,
+    FIRST_HOLD,
+    KEYS,
+    REPEAT_HOLD,
+    HeldKey,
+    Key,
+    parse,
+    press,
+    raw_mode,
+    read_keys,
+    speed_share,
+)
 from gateway.cli.terminal.screen import Line
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import Robot
@@ -58,15 +70,15 @@ def test_what_is_no_key_is_nothing() -> None:
 
 def moves(keys: Sequence[tuple[Nanos, int]], now: Nanos) -> float:
     """The part of the speed, after those of the keys that have come by now."""
-    come = [(t, sense) for t, sense in keys if t <= now]
-    return share(reduce(lambda held, key: press(held, *key), come, Held()), now)
+    come = [(t, direction) for t, direction in keys if t <= now]
+    return speed_share(reduce(lambda held, key: press(held, *key), come, HeldKey()), now)
 
 
 def test_a_tap_is_a_short_slow_move() -> None:
     keys = [(SECOND, 1)]
     motion = {t: moves(keys, t * MS) for t in range(2500)}
-    assert [t for t, share in motion.items() if share] == list(range(1000, 1000 + FIRST // MS))
-    assert set(motion.values()) == {0.0, CREEP}
+    assert [t for t, share in motion.items() if share] == list(range(1000, 1000 + FIRST_HOLD // MS))
+    assert set(motion.values()) == {0.0, CREEP_SHARE}
 
 
 @pytest.mark.parametrize(
@@ -74,22 +86,22 @@ def test_a_tap_is_a_short_slow_move() -> None:
     [(250, 92), (500, 33), (660, 40), (600, 100)],
     ids=["console", "gnome", "x", "slow"],
 )
-@pytest.mark.parametrize("sense", [1, -1])
-def test_holding_is_one_motion_and_letting_go_stops_it(delay: int, interval: int, sense: int) -> None:
+@pytest.mark.parametrize("direction", [1, -1])
+def test_holding_is_one_motion_and_letting_go_stops_it(delay: int, interval: int, direction: int) -> None:
     times = [0, *range(delay, 3000, interval)]
-    keys = [(t * MS, sense) for t in times]
+    keys = [(t * MS, direction) for t in times]
     motion = [moves(keys, t * MS) for t in range(4000)]
-    end = times[-1] + AGAIN // MS
-    assert all(motion[t] == sense * CREEP for t in range(delay))
-    assert all(motion[t] == sense for t in range(delay, end))
+    end = times[-1] + REPEAT_HOLD // MS
+    assert all(motion[t] == direction * CREEP_SHARE for t in range(delay))
+    assert all(motion[t] == direction for t in range(delay, end))
     assert not any(motion[end:])
 
 
 def test_another_direction_begins_anew() -> None:
     keys = [(0, 1), (500 * MS, 1), (550 * MS, 1), (600 * MS, -1)]
     assert moves(keys, 599 * MS) == 1.0
-    assert moves(keys, 600 * MS) == -CREEP
-    assert moves(keys, 600 * MS + FIRST) == 0.0
+    assert moves(keys, 600 * MS) == -CREEP_SHARE
+    assert moves(keys, 600 * MS + FIRST_HOLD) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -98,63 +110,63 @@ def test_whatever_is_typed_motion_ends_soon_after_the_last_key(seed: int) -> Non
     times = np.cumsum(rng.integers(1, 900, 40)).tolist()
     keys = [(t * MS, int(rng.choice([-1, 1]))) for t in times]
     for now in range(0, times[-1] + 2000, 7):
-        before = [(t, sense) for t, sense in keys if t <= now * MS]
+        before = [(t, direction) for t, direction in keys if t <= now * MS]
         motion = moves(keys, now * MS)
         assert abs(motion) <= 1.0
         if motion:
-            last, sense = before[-1]
-            assert now * MS - last < FIRST
-            assert motion * sense > 0.0
-            if abs(motion) > CREEP:
+            last, direction = before[-1]
+            assert now * MS - last < FIRST_HOLD
+            assert motion * direction > 0.0
+            if abs(motion) > CREEP_SHARE:
                 assert len(before) > 1
-                assert now * MS - last < AGAIN
+                assert now * MS - last < REPEAT_HOLD
 
 
 def test_keys_that_come_all_at_once_move_no_longer_than_one() -> None:
     """What has waited while we stood still is old."""
-    assert moves([(0, 1)] * 30, AGAIN - 1) == 1.0
-    assert moves([(0, 1)] * 30, AGAIN) == 0.0
+    assert moves([(0, 1)] * 30, REPEAT_HOLD - 1) == 1.0
+    assert moves([(0, 1)] * 30, REPEAT_HOLD) == 0.0
 
 
 # -- what is asked of the motor ---------------------------------------------------------------------
 
 
 def test_nothing_is_asked_before_the_first_key_and_only_changes_after_it() -> None:
-    hand = Hand("left", 2.0)
-    assert hand.ask(0, b"", blocked=False) == []
-    assert hand.ask(1, b"+", blocked=False) == [Velocity("left", 2.0 * CREEP)]
-    assert hand.ask(2, b"", blocked=False) == []
-    assert hand.ask(3, b"+", blocked=False) == [Velocity("left", 2.0)]
-    assert hand.ask(4, b"\x1b[", blocked=False) == []
-    assert hand.ask(5, b"D", blocked=False) == [Velocity("left", -2.0 * CREEP)]
-    assert hand.ask(5 + FIRST, b"", blocked=False) == [Velocity("left", 0.0)]
-    assert hand.ask(6 + FIRST, b"", blocked=False) == []
-    assert not hand.leaving
+    control = JogControl("left", 2.0)
+    assert control.on_input(0, b"", blocked=False) == []
+    assert control.on_input(1, b"+", blocked=False) == [Velocity("left", 2.0 * CREEP_SHARE)]
+    assert control.on_input(2, b"", blocked=False) == []
+    assert control.on_input(3, b"+", blocked=False) == [Velocity("left", 2.0)]
+    assert control.on_input(4, b"\x1b[", blocked=False) == []
+    assert control.on_input(5, b"D", blocked=False) == [Velocity("left", -2.0 * CREEP_SHARE)]
+    assert control.on_input(5 + FIRST_HOLD, b"", blocked=False) == [Velocity("left", 0.0)]
+    assert control.on_input(6 + FIRST_HOLD, b"", blocked=False) == []
+    assert not control.leaving
 
 
 def test_space_disarms_and_the_next_key_begins_anew() -> None:
-    hand = Hand("left", 1.0)
-    hand.ask(0, b"++", blocked=False)
-    assert hand.ask(1, b" ", blocked=False) == [Idle("left")]
-    assert hand.ask(2, b"", blocked=False) == []
-    assert hand.ask(3, b"+", blocked=False) == [Velocity("left", CREEP)]
+    control = JogControl("left", 1.0)
+    control.on_input(0, b"++", blocked=False)
+    assert control.on_input(1, b" ", blocked=False) == [Idle("left")]
+    assert control.on_input(2, b"", blocked=False) == []
+    assert control.on_input(3, b"+", blocked=False) == [Velocity("left", CREEP_SHARE)]
 
 
 def test_a_blocked_motor_is_asked_nothing_and_needs_a_new_key() -> None:
-    hand = Hand("left", 1.0)
-    hand.ask(0, b"++", blocked=False)
-    assert hand.ask(1, b"+", blocked=True) == []
-    assert hand.ask(2, b"c", blocked=True) == [ClearFault("left")]
-    assert hand.ask(3, b"", blocked=False) == []
-    assert hand.ask(4, b"+", blocked=False) == [Velocity("left", CREEP)]
+    control = JogControl("left", 1.0)
+    control.on_input(0, b"++", blocked=False)
+    assert control.on_input(1, b"+", blocked=True) == []
+    assert control.on_input(2, b"c", blocked=True) == [ClearFault("left")]
+    assert control.on_input(3, b"", blocked=False) == []
+    assert control.on_input(4, b"+", blocked=False) == [Velocity("left", CREEP_SHARE)]
 
 
 @pytest.mark.parametrize("typed", [b"q", None])
 def test_q_and_the_end_of_the_keys_leave_and_stop(typed: bytes | None) -> None:
-    hand = Hand("left", 1.0)
-    hand.ask(0, b"++", blocked=False)
-    assert hand.ask(1, typed, blocked=False) == [Velocity("left", 0.0)]
-    assert hand.leaving
+    control = JogControl("left", 1.0)
+    control.on_input(0, b"++", blocked=False)
+    assert control.on_input(1, typed, blocked=False) == [Velocity("left", 0.0)]
+    assert control.leaving
 
 
 # -- one motor of a robot ---------------------------------------------------------------------------
@@ -162,27 +174,27 @@ def test_q_and_the_end_of_the_keys_leave_and_stop(typed: bytes | None) -> None:
 
 def test_the_robot_is_reduced_to_one_slow_motor() -> None:
     whole = config.parse_robot(BENCH)
-    robot = alone(whole, "right")
+    robot = single_motor(whole, "right")
     assert list(robot.motors) == ["right"]
     assert robot.motors["right"].joint.limits == replace(
-        whole.motors["right"].joint.limits, velocity=SHARE * 20.0
+        whole.motors["right"].joint.limits, velocity=DEFAULT_SHARE * 20.0
     )
     assert robot.sensors == {}
     assert robot.brain.joints is not None
     assert robot.brain.joints.motors == ("right",)
-    assert alone(whole, "left", 20.0).motors["left"].joint == whole.motors["left"].joint
+    assert single_motor(whole, "left", 20.0).motors["left"].joint == whole.motors["left"].joint
 
 
 def test_what_cannot_be_jogged_is_said() -> None:
     robot = config.parse_robot(BENCH)
     with pytest.raises(UserError, match="did you mean 'left'"):
-        alone(robot, "leftt")
+        single_motor(robot, "leftt")
     with pytest.raises(UserError, match="the limit of left is 20 rad/s"):
-        alone(robot, "left", 20.1)
+        single_motor(robot, "left", 20.1)
     left = robot.motors["left"]
     deaf = replace(left, spec=replace(left.spec, commands=left.spec.commands - {Velocity}))
     with pytest.raises(UserError, match="takes no velocity"):
-        alone(replace(robot, motors={"left": deaf}), "left")
+        single_motor(replace(robot, motors={"left": deaf}), "left")
 
 
 # -- driven, in simulated time ----------------------------------------------------------------------
@@ -196,7 +208,7 @@ class Bench:
     ) -> None:
         """`keys`: what is typed, and when [s]."""
         self.whole: Robot = config.parse_robot(text)
-        robot = alone(self.whole, "left", speed)
+        robot = single_motor(self.whole, "left", speed)
         self.clock = SimulatedClock()
         self.twins = open_world(self.whole, 0)
         self.ticks: list[Tick] = []
@@ -251,11 +263,11 @@ class Recorded(Session):
         self._kept.append(tick)
 
 
-def held(sense: bytes, since: float, until: float) -> list[tuple[float, bytes]]:
+def held(direction: bytes, since: float, until: float) -> list[tuple[float, bytes]]:
     """A key as a terminal sends it: at once, after 0.5 s again, then every 33 ms."""
     return [
-        (since, sense),
-        *((t / 1000, sense) for t in range(round(since * 1000) + 500, round(until * 1000), 33)),
+        (since, direction),
+        *((t / 1000, direction) for t in range(round(since * 1000) + 500, round(until * 1000), 33)),
     ]
 
 
@@ -274,13 +286,13 @@ def test_the_motor_turns_while_a_key_is_held_and_at_no_other_time() -> None:
     assert max(velocity for _, velocity in reported) == pytest.approx(1.0)  # 5 % of 20 rad/s
     assert all(velocity == 0.0 for t, velocity in reported if t < 0.5 * SECOND or t > 2.2 * SECOND)
     assert all(velocity > 0.0 for t, velocity in reported if 0.6 * SECOND < t < 2.0 * SECOND)
-    assert bench.turned() == pytest.approx(0.5 * CREEP + 1.0 + AGAIN / SECOND, abs=0.1)
+    assert bench.turned() == pytest.approx(0.5 * CREEP_SHARE + 1.0 + REPEAT_HOLD / SECOND, abs=0.1)
     assert any(" → 1.00 rad/s | armed | " in text for text in bench.shown)
 
 
 def test_a_tap_backwards_is_a_small_turn_back() -> None:
     bench = Bench([(0.5, b"-"), (3.0, b"q")], speed=2.0).drive()
-    assert bench.turned() == pytest.approx(-2.0 * CREEP * FIRST / SECOND, abs=0.05)
+    assert bench.turned() == pytest.approx(-2.0 * CREEP_SHARE * FIRST_HOLD / SECOND, abs=0.05)
 
 
 def test_no_other_motor_is_told_anything() -> None:
@@ -335,8 +347,8 @@ def test_an_error_at_the_keys_says_the_safe_word_first() -> None:
 def test_a_fault_is_shown_and_nothing_moves_again_by_itself() -> None:
     """The plug is out from 1.0 to 1.5 s, with the key held until 3 s; c at 3.5 s; a tap at 4 s."""
     bench = Bench([*held(b"+", 0.2, 3.0), (3.5, b"c"), (4.0, b"+"), (5.5, b"q")])
-    bench.at[SECOND] = lambda: bench.twins.silence("left")
-    bench.at[3 * SECOND // 2] = lambda: bench.twins.unsilence("left")
+    bench.at[SECOND] = lambda: bench.twins.disconnect("left")
+    bench.at[3 * SECOND // 2] = lambda: bench.twins.reconnect("left")
     bench.drive()
     assert any("FAULT silent: no feedback for more than 100 ms" in text for text in bench.shown)
     moving = [t for t, word in bench.obeyed() if isinstance(word, Velocity) and word.velocity]
@@ -347,16 +359,16 @@ def test_a_fault_is_shown_and_nothing_moves_again_by_itself() -> None:
 
 def test_the_line_says_what_comes_back() -> None:
     bench = Bench([(0.5, b"+"), (0.9, b"+"), (1.0, b"q")]).drive()
-    text = status(bench.made.gateway.joints["left"], 0.0, bench.clock.now())
+    text = status_line(bench.made.gateway.joints["left"], 0.0, bench.clock.now())
     for part in ("left · 0.00 rad/s", "ready", " rad | ", " rad/s | ", " N·m", " A", " V", " °C", "ms ago"):
         assert part in text
-    assert "never heard" in bench.shown[0]
+    assert "no feedback yet" in bench.shown[0]
 
 
 def test_what_is_logged_meanwhile_stands_above_the_line(caplog: pytest.LogCaptureFixture) -> None:
     stream = io.StringIO()
     line = Line(stream)
-    with above(line):
+    with log_above(line):
         log.warning("left: %s", "fault")
     log.warning("after")
     assert stream.getvalue() == "WARNING: left: fault\n"
@@ -372,30 +384,30 @@ def test_a_terminal_is_as_it_was_whatever_happens() -> None:
         before = termios.tcgetattr(terminal)
 
         def fail() -> None:
-            with raw(terminal):
+            with raw_mode(terminal):
                 inside = termios.tcgetattr(terminal)
                 assert not inside[3] & (termios.ICANON | termios.ECHO)
                 assert inside[3] & termios.ISIG  # Ctrl-C still interrupts
                 os.write(master, b"\x1a\x1c\x13+")  # Ctrl-Z, Ctrl-\ and Ctrl-S are keys like any other
                 select.select([terminal], [], [], 5)
-                assert read(terminal) == b"\x1a\x1c\x13+"
-                assert read(terminal) == b""
+                assert read_keys(terminal) == b"\x1a\x1c\x13+"
+                assert read_keys(terminal) == b""
                 os.write(master, b"rest")
                 raise ZeroDivisionError
 
         with pytest.raises(ZeroDivisionError):
             fail()
         assert termios.tcgetattr(terminal) == before
-        assert read(terminal) == b""  # what nobody has read is not left to the shell
+        assert read_keys(terminal) == b""  # what nobody has read is not left to the shell
     finally:
         os.close(master)
-    assert read(terminal) is None  # hung up
+    assert read_keys(terminal) is None  # hung up
     os.close(terminal)
 
 
 def test_without_a_terminal_there_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["jog", "left", "bench"]) == 2
-    assert "this needs a terminal" in capsys.readouterr().err
+    assert "standard input must be a terminal" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -18,16 +18,16 @@ from pathlib import Path
 
 import pytest
 
-from gateway.__main__ import main
 from gateway.buses.adapters.pty import SerialPty
 from gateway.buses.can import open_can
+from gateway.cli.main import main
 from gateway.cli.terminal.screen import ENTER, LEAVE, Line, Screen, cut
 from gateway.cli.terminal.screen import page as drawn
-from gateway.cli.watch import STEP, lines, moments, page, pages
+from gateway.cli.watch import READ_PERIOD, lines, page, received, refresh
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError, UserError
-from gateway.monitor.sources import Source, Watching, open_all, open_source
+from gateway.monitor.sources import Source, WatchSession, open_all, open_source
 from gateway.recording import read
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Imu, Velocity
@@ -37,19 +37,19 @@ from tests.gateway.rig import BENCH, Rig
 ROOT = Path(__file__).resolve().parents[3]
 LISTENERS = (
     "cli/watch",
-    *(f"monitor/{name}" for name in ("sources", "decoder", "candidates", "state", "rate", "render")),
+    *(f"monitor/{name}" for name in ("sources", "decoder", "candidates", "state", "render")),
 )
 """The modules that watching is made of, beside the buses and the screen."""
 
 
-def asked(what: str | None, *bus: tuple[str, str], baudrate: int = 1_000_000) -> Namespace:
+def options(what: str | None, *bus: tuple[str, str], baudrate: int = 1_000_000) -> Namespace:
     return Namespace(what=what, bus=list(bus), bitrate=0, data_bitrate=0, baudrate=baudrate)
 
 
 @contextmanager
-def watching(options: Namespace) -> Iterator[Watching]:
+def watching(arguments: Namespace) -> Iterator[WatchSession]:
     with ExitStack() as stack:
-        yield open_all(options, SimulatedClock(), stack)
+        yield open_all(arguments, SimulatedClock(), stack)
 
 
 @pytest.fixture(scope="module")
@@ -86,13 +86,13 @@ def test_on_a_can_bus_not_a_single_frame_goes_out(drive: list[Packet]) -> None:
     settings = BusSettings("other", "can", "virtual:watched", bitrate=1_000_000)
     other = open_can(settings, SimulatedClock())
     try:
-        with watching(asked("virtual:watched")) as made:
+        with watching(options("virtual:watched")) as made:
             for packet in drive:
                 other.write(packet.t, [packet.frame])
                 list(lines(made, made.clock.now()))
-            pages(made, made.clock.now() + SECOND, lambda _: None)
-            assert made.listener.buses["watched"].packets.total == len(drive)
-            assert len(made.listener.found) == 2
+            refresh(made, made.clock.now() + SECOND, lambda _: None)
+            assert made.monitor.buses["watched"].packets.total == len(drive)
+            assert len(made.monitor.found) == 2
         assert other.read(2 * SECOND) == ([], [])
     finally:
         other.close()
@@ -125,12 +125,12 @@ def _raw(terminal: int) -> list[int | list[bytes | int]]:
 def test_on_a_serial_line_not_a_single_byte_goes_out() -> None:
     line = SerialPty(BusSettings("tty", "serial", "twin", baudrate=1_000_000), WallClock())
     try:
-        with watching(asked(f"serial:{line.pty.path}")) as made:
+        with watching(options(f"serial:{line.pty.path}")) as made:
             line.read(0)
             for t in range(5):
                 line.write(t, [plain.encode(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))])
                 list(lines(made, made.clock.now()))
-            assert [seen.party.address for seen in made.listener.found.values()] == [2]
+            assert [record.candidate.address for record in made.monitor.found.values()] == [2]
             states, packets = line.read(1)
             assert packets == []
             assert states == []
@@ -144,7 +144,7 @@ def test_what_is_listened_to_can_only_be_read_and_closed() -> None:
         BusSettings("can0", "can", "virtual:silent", bitrate=1_000_000), SimulatedClock(), listen_only=True
     )
     try:
-        with pytest.raises(AssertionError, match="listened to"):
+        with pytest.raises(AssertionError, match="listen-only"):
             bus.write(0, [CanFrame(1)])
     finally:
         bus.close()
@@ -165,24 +165,24 @@ def test_no_listening_module_calls_write_or_send(module: str) -> None:
 def test_a_robot_s_bus_that_cannot_be_opened_is_named_and_the_rest_is_watched(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    with watching(asked("diffbot", ("can0", "virtual:diffbot"))) as made:
+    with watching(options("diffbot", ("can0", "virtual:diffbot"))) as made:
         text = "\n".join(page(made))
-    assert "left out: bus 'sensors' is a twin inside the process" in capsys.readouterr().err
-    assert "never heard" in text
+    assert "left out: bus 'sensors' is simulated inside the process" in capsys.readouterr().err
+    assert "no message yet" in text
     assert "left out" in text
     assert "lidar" not in text
 
 
 def test_with_nothing_to_watch_every_reason_is_given() -> None:
-    with pytest.raises(UserError) as error, watching(asked("diffbot")):
+    with pytest.raises(UserError) as error, watching(options("diffbot")):
         pass
-    assert "'can0' is a twin" in str(error.value)
+    assert "'can0' is simulated" in str(error.value)
     assert "--bus sensors=serial:PORT" in str(error.value)
 
 
 def test_a_machine_without_a_can_interface_is_told_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gateway.buses.interfaces.can_interfaces", list)
-    with pytest.raises(UserError, match="no CAN interface"), watching(asked(None)):
+    with pytest.raises(UserError, match="no CAN interface"), watching(options(None)):
         pass
 
 
@@ -192,8 +192,8 @@ def test_every_interface_of_a_machine_is_tried(monkeypatch: pytest.MonkeyPatch) 
         raise BusError(f"{settings.interface} is down")
 
     monkeypatch.setattr("gateway.buses.interfaces.can_interfaces", lambda: ["can0", "can1"])
-    monkeypatch.setattr("gateway.buses.can.open_can", refuse)
-    with pytest.raises(UserError) as error, watching(asked(None)):
+    monkeypatch.setattr("gateway.monitor.sources.open_bus", refuse)
+    with pytest.raises(UserError) as error, watching(options(None)):
         pass
     assert str(error.value) == "socketcan:can0 is down\nsocketcan:can1 is down"
 
@@ -202,10 +202,10 @@ def test_every_interface_of_a_machine_is_tried(monkeypatch: pytest.MonkeyPatch) 
     ("arguments", "expected"),
     [
         (["difbot"], "did you mean 'diffbot'?"),
-        (["diffbot"], "where nobody can listen"),
+        (["diffbot"], "where nothing else can listen"),
         (["serial:/dev/nowhere"], "/dev/nowhere"),
         (["socketcan:vcan7"], "sudo ip link"),
-        (["virtual:x", "--bus", "can0=virtual:y"], "--bus is about the buses of a robot file"),
+        (["virtual:x", "--bus", "can0=virtual:y"], "--bus is for the buses of a robot file"),
         (["virtual:x", "--bitrate", "fast"], "'fast' is not a rate in bit/s"),
         (["pyproject.mcap"], "pyproject.mcap"),
         (["README.md"], "not a recording of this gateway"),
@@ -232,11 +232,11 @@ def test_lines_tell_time_bus_frame_and_meaning(drive: list[Packet]) -> None:
     settings = BusSettings("other", "can", "virtual:lines", bitrate=1_000_000)
     other = open_can(settings, SimulatedClock())
     try:
-        with watching(asked("bench", ("can0", "virtual:lines"))) as made:
+        with watching(options("bench", ("can0", "virtual:lines"))) as made:
             for packet in drive:
                 other.write(packet.t, [packet.frame])
             other.write(0, [CanFrame(0x7FF, b"\x01")])
-            made.listener.state(0, "can0", BusState.UP)
+            made.monitor.on_state(0, "can0", BusState.UP)
             reported = [text for some in lines(made, 0) for text in some]
     finally:
         other.close()
@@ -250,19 +250,19 @@ def test_lines_tell_time_bus_frame_and_meaning(drive: list[Packet]) -> None:
 
 def test_the_page_is_drawn_again_and_again_and_ends_with_the_time() -> None:
     drawings: list[list[str]] = []
-    with watching(asked("virtual:pages")) as made:
-        pages(made, 2 * SECOND, drawings.append)
+    with watching(options("virtual:pages")) as made:
+        refresh(made, 2 * SECOND, drawings.append)
     assert 7 <= len(drawings) <= 10
     assert drawings[0][0] == "virtual:pages: 0.0 s, listening only"
     assert "silent" in drawings[-1][3]
 
 
 def test_a_signal_ends_it() -> None:
-    with watching(asked("virtual:signal")) as made:
-        for now, _, _ in moments(made, None):
-            if now == 3 * STEP:
+    with watching(options("virtual:signal")) as made:
+        for now, _, _ in received(made, None):
+            if now == 3 * READ_PERIOD:
                 made.leaving = "SIGINT"
-        assert made.clock.now() == 4 * STEP
+        assert made.clock.now() == 4 * READ_PERIOD
 
 
 def test_a_screen_is_given_back_whatever_happens() -> None:
@@ -286,7 +286,7 @@ def test_a_page_fits_its_terminal_and_does_nothing_else_to_it() -> None:
         "x" * 19 + "…",
         "·[31mred·",
         "3",
-        cut("… 2 lines more: the window is too low", 20),
+        cut("… 2 more lines: the window is too low", 20),
     ]
 
 
@@ -294,7 +294,7 @@ def test_a_line_without_a_terminal_is_a_line() -> None:
     stream = io.StringIO()
     line = Line(stream)
     line.draw("one")
-    line.above("two")
+    line.print_above("two")
     line.end()
     assert stream.getvalue() == "one\ntwo\n"
 
@@ -362,7 +362,7 @@ def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c() -> None:
                     shown += os.read(terminal, 65536)
                 except OSError:  # the process has closed it
                     break
-            if not interrupted and shown.count(b"\x1b[H") >= 3 and b"turning" in shown:
+            if not interrupted and shown.count(b"\x1b[H") >= 3 and b"angular velocity" in shown:
                 process.send_signal(signal.SIGINT)
                 interrupted = True
         assert process.wait(timeout=10) == 0
@@ -375,5 +375,5 @@ def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c() -> None:
     assert ENTER in text
     assert LEAVE in text
     left = text.partition(LEAVE)[2]
-    assert "turning 0.000, 0.000, 0.500 rad/s" in left
+    assert "angular velocity 0.000, 0.000, 0.500 rad/s" in left
     assert "\x1b" not in left

@@ -12,7 +12,7 @@ from mcap.records import Chunk, McapRecord
 from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.highlevel import AnyReader
 
-from gateway.__main__ import main
+from gateway.cli.main import main
 from gateway.errors import RecordingError
 from gateway.recording import read, tick_codec
 from gateway.recording.recover import SALVAGED, is_whole, salvage

@@ -195,14 +195,14 @@ def test_what_a_person_got_wrong_is_a_sentence(
     Recorder(own, ROBOT, {}).close()
     Path(bag).with_name("cut.bag").write_bytes(Path(bag).read_bytes()[:5000])
     for arguments, said in (
-        ((bag,), "is a bag of somebody else's: say of which --robot"),
+        ((bag,), "is another program's bag: name its robot file with --robot"),
         ((bag, "--robot", "diffbot"), "the robot file has no table [bag]"),
         ((bag, "--robot", "bench"), "goes nowhere"),
         ((bag, "--robot", "husky"), "no topic '/husky_velocity_controller/odom'"),
         ((str(Path(bag).with_name("cut.bag")), "--robot", robot), "index looks damaged"),
         ((str(tmp_path), "--robot", robot), "a folder without metadata.yaml"),
         ((str(tmp_path / "none.bag"), "--robot", robot), "No such file"),
-        ((str(own), "--at-most", "1"), "is no foreign bag"),
+        ((str(own), "--at-most", "1"), "--at-most is for bags only"),
     ):
         assert replay(*arguments) == 2, arguments
         reported = capsys.readouterr()

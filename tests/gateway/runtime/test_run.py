@@ -174,7 +174,7 @@ def test_live_and_serve_face_to_face_over_real_buses() -> None:
 
 SCRIPT = """
 import sys
-from gateway.__main__ import main
+from gateway.cli.main import main
 sys.exit(main(["run", sys.argv[1], "-v"]))
 """
 

@@ -20,11 +20,11 @@ import pytest
 from odrive_can.odrive import ODriveCAN
 
 from gateway import config
-from gateway.__main__ import main
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.pty import SerialPty
 from gateway.buses.can import open_can
 from gateway.buses.virtual.bus import open_world
+from gateway.cli.main import main
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings, Robot
 from gateway.errors import BusError, ConfigError

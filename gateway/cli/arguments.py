@@ -1,0 +1,118 @@
+"""Arguments that several commands share, their types, and the robot that they name. Cheap to import."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, ArgumentTypeError
+from collections.abc import Callable, Sequence
+from math import inf, isfinite, radians
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gateway.core.robot import Robot
+
+
+def add_verbosity(parser: ArgumentParser) -> None:
+    """Add -v and -q, whose difference is the log level."""
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="log more; -vv: everything")
+    parser.add_argument("-q", "--quiet", action="count", default=0, help="log less")
+
+
+def add_robot(parser: ArgumentParser) -> None:
+    """Add the robot file."""
+    parser.add_argument(
+        "robot", metavar="ROBOT", help="a robot file, or the name of one that ships with the gateway"
+    )
+
+
+def add_bus(parser: ArgumentParser, text: str) -> None:
+    """Add --bus, which puts a bus of the robot file on another interface."""
+    parser.add_argument(
+        "--bus", type=interface, action="append", default=[], metavar="NAME=INTERFACE:CHANNEL", help=text
+    )
+
+
+def add_seconds(parser: ArgumentParser, default: str = "Ctrl-C") -> None:
+    """Add --seconds."""
+    text = f"stop after this time (default: {default})"
+    parser.add_argument("--seconds", type=number("seconds"), metavar="S", help=text)
+
+
+def add_goal(parser: ArgumentParser, text: str) -> None:
+    """Add --goal, which may be given several times."""
+    parser.add_argument(
+        "--goal", type=goal, action="append", default=[], metavar="X,Y[,YAW]", help=f"{text} (m, m, degrees)"
+    )
+
+
+def add_seed(parser: ArgumentParser) -> None:
+    """Add --seed, of the simulated world."""
+    parser.add_argument(
+        "--seed", type=int, help="seed of the simulated world's noise (default: the robot file's)"
+    )
+
+
+def add_realtime(parser: ArgumentParser) -> None:
+    """Add --realtime."""
+    parser.add_argument(
+        "--realtime", type=int, metavar="PRIORITY", help="request SCHED_FIFO with this priority"
+    )
+
+
+def read_robot(name: str, interfaces: Sequence[tuple[str, str]] = ()) -> Robot:
+    """Return the robot of a file or a shipped name, its buses on these interfaces."""
+    from gateway import config
+    from gateway.config import resources
+
+    return config.with_interfaces(config.load_robot(resources.find("robots", name)), dict(interfaces))
+
+
+# -- types ------------------------------------------------------------------------------------------
+
+
+def goal(text: str) -> tuple[float, float, float | None]:
+    """Return X,Y or X,Y,YAW [m, m, degrees] as m, m, rad."""
+    try:
+        numbers = [float(field) for field in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(isfinite(n) for n in numbers):
+        raise ArgumentTypeError(f"{text!r} is not X,Y or X,Y,YAW in m, m, degrees (as in 2.5,1 or 2.5,1,90)")
+    return numbers[0], numbers[1], radians(numbers[2]) if len(numbers) == 3 else None
+
+
+def interface(text: str) -> tuple[str, str]:
+    """Return the bus and the interface of NAME=INTERFACE:CHANNEL."""
+    name, equals, channel = text.partition("=")
+    if not (name and equals and channel):
+        raise ArgumentTypeError(f"{text!r} is not NAME=INTERFACE:CHANNEL (as in can0=socketcan:vcan0)")
+    return name, channel
+
+
+def number(unit: str, *, or_zero: bool = False) -> Callable[[str], float]:
+    """Return the type of finite positive numbers of a unit, zero among them if asked for."""
+
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = -1.0
+        if not (isfinite(value) and (value > 0.0 or (or_zero and value == 0.0))):
+            raise ArgumentTypeError(f"{text!r} is not a {'' if or_zero else 'positive '}number of {unit}")
+        return value
+
+    return convert
+
+
+def integer(what: str, lowest: int, highest: float = inf) -> Callable[[str], int]:
+    """Return the type of the decimal integers in a range, which `what` names in the message."""
+
+    def convert(text: str) -> int:
+        try:
+            value = int(text) if text.isascii() and text[:1].isdigit() else lowest - 1
+        except ValueError:
+            value = lowest - 1
+        if not lowest <= value <= highest:
+            raise ArgumentTypeError(f"{text!r} is not {what}")
+        return value
+
+    return convert

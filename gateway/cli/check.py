@@ -1,0 +1,19 @@
+"""`gateway check`: what a robot file means, or every mistake in it."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+
+from gateway.cli import arguments
+from gateway.config import describe
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    arguments.add_robot(parser)
+
+
+def run(options: Namespace) -> int:
+    """Print the description of the robot."""
+    print(describe(arguments.read_robot(options.robot)))
+    return 0

@@ -1,0 +1,82 @@
+"""The command line: its parser, its log, its exit status.
+
+Exit status: 0 the command did what was asked; 1 it ran, and the answer is no (a goal missed, a replay that
+differs); 2 it could not begin (a wrong argument, a wrong robot file, a bus that is not there).
+
+Rules. A command is a module of this package and a line in `COMMANDS`. Only the module of the command that is
+given is imported, so that `gateway --help` is quick.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+from importlib import import_module
+
+from gateway.cli.arguments import add_verbosity
+from gateway.errors import GatewayError
+
+DESCRIPTION = "One brain, any body, over real buses."
+COMMANDS = {
+    "demo": "drive a robot through an office; everything is simulated except the bytes on its buses",
+    "run": "run a robot on its buses",
+    "twin": "simulate the devices of a robot, for another program to drive",
+    "replay": "run a recording through the same code and compare every byte; or evaluate a ROS bag",
+    "recover": "repair a recording that was cut off or damaged",
+    "watch": "listen to buses or to a recording, without ever sending",
+    "jog": "turn one motor slowly, as long as a key is held",
+    "check": "read a robot file and print its meaning, or every mistake in it",
+    "protocols": "list the installed protocols, check one, or start a new one",
+    "ask": "send a line to a running robot, as on its terminal",
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the `gateway` command and return its exit status."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # equal bytes ask for one order of sums
+    arguments = sys.argv[1:] if arguments is None else arguments
+    options = parser(*arguments[:1]).parse_args(arguments)
+    _set_log_level(options.verbose - options.quiet)
+    try:
+        status: int = options.run(options)
+    except GatewayError as error:
+        text = str(error)
+        print(f"gateway {options.command}:", f"\n{text}" if "\n" in text else text, file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone, which is not our error
+        return 1
+    else:
+        return status
+    finally:
+        _flush()
+
+
+def parser(command: str = "") -> argparse.ArgumentParser:
+    """Return the parser of all commands, with the arguments of one of them."""
+    result = argparse.ArgumentParser(prog="gateway", description=DESCRIPTION)
+    commands = result.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, text in COMMANDS.items():
+        one = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        if name == command:
+            module = import_module(f"gateway.cli.{name}")
+            add_verbosity(one)
+            module.add_arguments(one)
+            one.set_defaults(run=module.run)
+    return result
+
+
+def _set_log_level(verbosity: int) -> None:
+    levels = {-2: logging.CRITICAL, -1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s", stream=sys.stderr)
+    logging.getLogger("gateway").setLevel(levels.get(max(-2, verbosity), logging.DEBUG))
+
+
+def _flush() -> None:
+    """Write out what is buffered, or drop it where nothing reads it any more (a pipe or terminal closed)."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

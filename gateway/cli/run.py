@@ -1,0 +1,99 @@
+"""`gateway run`: a robot on its buses, until it is told to leave."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+
+from brain.belief import BrainState
+from gateway.cli import arguments
+from gateway.operator import Operator
+from gateway.operator.status import status_text
+from gateway.runtime.process import request_realtime
+from gateway.runtime.session import Session, open_session
+from protocols.messages import MILLISECOND, Goal, Instruction
+
+
+def add_arguments(parser: ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    arguments.add_robot(parser)
+    arguments.add_bus(
+        parser,
+        "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin",
+    )
+    arguments.add_goal(parser, "where to drive")
+    parser.add_argument(
+        "--record", type=Path, metavar="FILE", help="write a recording (MCAP); FILE must not exist yet"
+    )
+    arguments.add_seconds(parser, "Ctrl-C, or quit")
+    parser.add_argument("--dry-run", action="store_true", help="do everything except writing to the buses")
+    parser.add_argument(
+        "--fast", action="store_true", help="run in simulated time; only if every bus is a twin"
+    )
+    arguments.add_seed(parser)
+    arguments.add_realtime(parser)
+
+
+def run(options: Namespace) -> int:
+    """Return 1 if a motor was left in fault or a goal was not reached."""
+    robot = arguments.read_robot(options.robot, options.bus)
+    if options.realtime is not None and (refused := request_realtime(options.realtime)):
+        print(refused, file=sys.stderr)
+    with (
+        open_session(robot, simulated=options.fast, record=options.record, seed=options.seed) as session,
+        Operator(robot) as operator,
+    ):
+        status = _drive(session, operator, options)
+    print_recording(session)
+    return status
+
+
+def _drive(session: Session, operator: Operator, options: Namespace) -> int:
+    """Carry the operator's instructions to the robot, and its notes to the operator."""
+    name = operator.path.stem
+    print(f"{session.robot.name} is running; type help here, or: gateway ask {name} help", flush=True)
+    session.submit(*(Goal(*goal) for goal in options.goal))
+
+    def poll() -> Sequence[Instruction]:
+        instructions = operator.poll(lambda: status_text(session))
+        if operator.leaving and not session.leaving:
+            session.leaving = "an operator sent quit"
+        return instructions
+
+    faults = ""
+    with closing(session.run(options.seconds, poll=poll, dry_run=options.dry_run)) as ticks:
+        for tick in ticks:
+            for note in tick.outputs.notes:
+                operator.report(f"{note.source}: {note.text}")
+            faults = session.gateway.in_fault()
+            if options.fast and options.seconds is None and _all_done(session, len(options.goal)):
+                break
+    stats = session.stats
+    print(
+        f"{stats.ticks} ticks, {stats.received} packets in, {stats.sent} out, {stats.missed} ticks missed, "
+        f"longest step {stats.longest_step / MILLISECOND:.1f} ms"
+    )
+    if faults:
+        print(f"left in fault: {faults}", file=sys.stderr)
+    return 1 if faults or session.belief.reached < len(options.goal) else 0
+
+
+def _all_done(session: Session, goals: int) -> bool:
+    """True if nothing is left to do: in simulated time, a run without a time limit ends then."""
+    belief = session.belief
+    stopped = bool(session.gateway.why_stopped()) or belief.state is BrainState.STOPPED
+    return stopped or belief.reached >= goals
+
+
+def print_recording(session: Session) -> None:
+    """Print where the recording is, if there is one, and what of it was lost."""
+    recorder = session.recorder
+    if recorder is None:
+        return
+    size = recorder.path.stat().st_size / 1e6 if recorder.path.exists() else 0.0
+    print(f"recording: {recorder.path} ({size:.1f} MB)")
+    if recorder.trouble:
+        print(f"recording: {recorder.trouble} ({recorder.lost} ticks lost)", file=sys.stderr)
