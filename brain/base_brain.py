@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import isfinite
 
-from brain.belief import Belief, BrainState, Pose
+from brain.belief import Belief, BrainState, BrainTask, Pose
 from brain.bodies.differential import Differential, arc
 from brain.control.profile import REST, Twist, approach
 from brain.control.pursuit import Bounds, Pursuit
@@ -76,14 +76,10 @@ class BaseBrain:
         self.navigator.settings, self.navigator.radius = settings.planner, self._body.radius
 
     def step(
-        self,
-        now: Nanos,
-        events: Sequence[Event],
-        tasks: Sequence[msg.Goal | msg.Drive | Command],
-        stopped: str,
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
     ) -> Sequence[Command]:
         """Return one command per motor."""
-        base_tasks: list[msg.Goal | msg.Drive | Command] = []
+        base_tasks: list[BrainTask] = []
         self._joints.observe(events)
         for task in tasks:
             if isinstance(task, msg.Goal | msg.Drive) or task.motor not in self._joints.motors:
@@ -96,11 +92,7 @@ class BaseBrain:
         return [joints.get(command.motor, command) for command in wheels]
 
     def _step_base(
-        self,
-        now: Nanos,
-        events: Sequence[Event],
-        tasks: Sequence[msg.Goal | msg.Drive | Command],
-        stopped: str,
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
     ) -> Sequence[Command]:
         """Return the wheels' commands; Idle for the other motors."""
         self.perception.observe(now, events)
@@ -152,9 +144,7 @@ class BaseBrain:
             self._status.add_note("warning", f"still waiting for {missing}")
         return missing and f"waiting for {missing}"
 
-    def _accept(
-        self, now: Nanos, tasks: Sequence[msg.Goal | msg.Drive | Command], lost: str, waiting: str
-    ) -> None:
+    def _accept(self, now: Nanos, tasks: Sequence[BrainTask], lost: str, waiting: str) -> None:
         for task in tasks:
             if not isinstance(task, msg.Goal | msg.Drive):
                 reason = f"{task.motor} is a wheel of a base: use a goal, or drive"
@@ -181,7 +171,7 @@ class BaseBrain:
         if waiting:
             status.reason = waiting if not stopped else f"{waiting}; stopped: {stopped}"
         elif stopped:
-            status.enter_stopped_from_above(stopped)
+            status.enter(BrainState.STOPPED, stopped, "warning")
         elif lost:
             status.enter(BrainState.STOPPED, lost)
         elif navigator.given_up:

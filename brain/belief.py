@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from protocols.messages import Goal, Nanos
+from protocols.messages import Command, Drive, Goal, Nanos
 
 Floats = npt.NDArray[np.float64]
+BrainTask: TypeAlias = Goal | Drive | Command
+"""A task for the brain; a Command is a target for a bare joint."""
 
 
 class BrainState(StrEnum):

@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from brain.base_brain import BaseBrain
-from brain.belief import Belief
+from brain.belief import Belief, BrainTask
 from brain.health import HealthSettings
 from brain.joint_brain import JointBrain
 from brain.perception.mount import Mount
 from brain.settings import BrainSettings, changed
 from brain.status import Note
-from protocols.messages import Command, Drive, Event, Goal, Nanos
+from protocols.messages import Command, Event, Nanos
 
 __all__ = ["Brain", "BrainSettings", "HealthSettings"]
 
@@ -47,7 +47,7 @@ class Brain:
         self._body = _body(settings, motors, sensors, timeouts)
 
     def step(
-        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
     ) -> Sequence[Command]:
         """Perceive, plan, control: return one command per motor, in the order of `motors`.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from brain.belief import Belief, BrainState
+from brain.belief import Belief, BrainState, BrainTask
 from brain.joint_targets import JointTargets
 from brain.settings import BrainSettings
 from brain.status import Note, StatusReporter
@@ -26,7 +26,7 @@ class JointBrain:
         self._joints.health.settings = settings.health
 
     def step(
-        self, now: Nanos, events: Sequence[Event], tasks: Sequence[Goal | Drive | Command], stopped: str
+        self, now: Nanos, events: Sequence[Event], tasks: Sequence[BrainTask], stopped: str
     ) -> Sequence[Command]:
         """Return one command per motor."""
         joints = self._joints
@@ -51,7 +51,7 @@ class JointBrain:
 
     def _update_state(self, stopped: str, missing: str, lost: Sequence[str]) -> None:
         if stopped:
-            self._status.enter_stopped_from_above(stopped)
+            self._status.enter(BrainState.STOPPED, stopped, "warning")
         elif missing and self._status.state is BrainState.INITIALISING:
             self._status.enter(BrainState.INITIALISING, f"waiting for {missing}")
         elif lost:

@@ -38,10 +38,6 @@ class StatusReporter:
             self.add_note(level or _LEVELS[state], f"{state}: {reason}" if reason else f"{state}")
         self.state, self.reason = state, reason
 
-    def enter_stopped_from_above(self, reason: str) -> None:
-        """Enter STOPPED because the gateway stopped the robot."""
-        self.enter(BrainState.STOPPED, reason, "warning")
-
     def add_note(self, level: NoteLevel, text: str) -> None:
         """Add a note for the operator."""
         self._notes.append((level, text))

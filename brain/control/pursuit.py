@@ -123,18 +123,6 @@ class Pursuit:
         self.at_end = distance <= settings.tolerance * (2.0 if self.at_end else 1.0)
         if self.at_end:
             return self._final_turn(pose, previous, bounds, settings)
-        return self._drive(pose, previous, bounds, clearance, distance, settings)
-
-    def _drive(
-        self,
-        pose: Pose,
-        previous: Twist,
-        bounds: Bounds,
-        clearance: float,
-        distance: float,
-        settings: PursuitSettings,
-    ) -> Twist:
-        assert self.path is not None
         remaining = max(self.path.length - self.along, 0.0)
         lookahead = min(
             max(abs(previous.linear) * settings.lookahead_time, settings.lookahead_min),

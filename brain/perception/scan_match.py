@@ -65,19 +65,6 @@ class Match:
     pose: Pose
     noise: Floats
     """3 × 3 covariance of x, y, yaw"""
-    points: int
-    """Number of hits on lines of the map"""
-    spread: float
-    """m: root mean square of their distances from the lines"""
-
-
-@dataclass(frozen=True, slots=True)
-class _Lines:
-    """For each point: a point on its line, the line's normal, and whether there is a line."""
-
-    centers: Floats
-    normals: Floats
-    found: npt.NDArray[np.bool_]
 
 
 def match(
@@ -95,7 +82,8 @@ def match(
         equations = _equations(grid, points, scan.origin, pose, reach, settings)
         if equations is None:
             return None
-        step = -equations.covariance @ equations.gradient
+        gradient, covariance, _ = equations
+        step = -covariance @ gradient
         pose = Pose(pose.x + float(step[0]), pose.y + float(step[1]), wrap(pose.yaw + float(step[2])))
         if reach == settings.reach and np.abs(step).max() < 1e-4:
             break
@@ -103,10 +91,9 @@ def match(
     final = _equations(grid, points, scan.origin, pose, settings.reach, settings)
     if final is None:
         return None
+    _, covariance, unobservable = final
     floor = np.diag([settings.floor**2, settings.floor**2, settings.floor_yaw**2])
-    return Match(
-        pose, final.covariance + final.unobservable * UNOBSERVABLE + floor, final.points, final.spread
-    )
+    return Match(pose, covariance + unobservable * UNOBSERVABLE + floor)
 
 
 def contradicts_map(grid: Grid, scan: BodyScan, pose: Pose, settings: MatchSettings) -> bool:
@@ -127,31 +114,21 @@ CORRELATED = 4.0
 """Neighbouring points use the same cells: this many of them carry the information of one."""
 
 
-@dataclass(frozen=True, slots=True)
-class _NormalEquations:
-    """The least-squares problem linearised about a pose, in x [m], y [m], yaw [rad]."""
-
-    gradient: Floats
-    """3: of half the sum of squared distances, each over its variance"""
-    covariance: Floats
-    """3 × 3: inverse of the information, in the observable directions"""
-    unobservable: Floats
-    """3 × 3: projection on the other directions"""
-    points: int
-    spread: float
-
-
 def _equations(
     grid: Grid, points: Floats, origin: tuple[float, float], pose: Pose, reach: float, settings: MatchSettings
-) -> _NormalEquations | None:
+) -> tuple[Floats, Floats, Floats] | None:
+    """Linearise the least-squares problem about a pose, in x [m], y [m], yaw [rad]; None if too few lines.
+
+    Return the gradient of half the sum of squared distances, each over its variance (3); the inverse of the
+    information in the observable directions (3 × 3); and the projection on the other directions (3 × 3)."""
     world = to_world(points, pose)
     towards = normalised(to_world(np.array([origin]), pose) - world)
-    lines = _lines(grid, world, towards, reach, settings)
-    count = int(np.count_nonzero(lines.found))
+    centers, normals, found = _lines(grid, world, towards, reach, settings)
+    count = int(np.count_nonzero(found))
     if count < max(settings.least, settings.overlap * len(points)):
         return None
-    world, normals = world[lines.found], lines.normals[lines.found]
-    distance = np.sum(normals * (world - lines.centers[lines.found]), axis=1)
+    world, normals = world[found], normals[found]
+    distance = np.sum(normals * (world - centers[found]), axis=1)
     arm = world - (pose.x, pose.y)
     lever = normals[:, 1] * arm[:, 0] - normals[:, 0] * arm[:, 1]
     J = np.column_stack([normals, lever])
@@ -162,7 +139,7 @@ def _equations(
     weighted = J * weight[:, None]
     length = max(float(np.sqrt(np.mean(np.sum(arm * arm, axis=1)))), 0.1)
     covariance, unobservable = _inverted(weighted.T @ J, length, settings.hold * information * count)
-    return _NormalEquations(weighted.T @ distance, covariance, unobservable, count, spread)
+    return weighted.T @ distance, covariance, unobservable
 
 
 def _inverted(information: Floats, length: float, least: float) -> tuple[Floats, Floats]:
@@ -177,8 +154,11 @@ def _inverted(information: Floats, length: float, least: float) -> tuple[Floats,
     return np.asarray(covariance, dtype=np.float64), np.asarray(unobservable, dtype=np.float64)
 
 
-def _lines(grid: Grid, world: Floats, towards: Floats, reach: float, settings: MatchSettings) -> _Lines:
-    """Return for each point the line through the means of the occupied cells around it, where they form one.
+def _lines(
+    grid: Grid, world: Floats, towards: Floats, reach: float, settings: MatchSettings
+) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    """Return the line through the means of the occupied cells around each point, where they form one: a point
+    on it, its normal, and whether there is a line.
 
     Only cells seen from the same side count: a thin wall has two faces, and they are two lines."""
     cells_away = max(1, math.ceil(reach / grid.resolution - 1e-9))
@@ -204,4 +184,5 @@ def _lines(grid: Grid, world: Floats, towards: Floats, reach: float, settings: M
     half = (xx + yy) / 2.0
     straight = (half - root) < settings.straight * (half + root)
     normals = np.column_stack([-np.sin(along), np.cos(along)])
-    return _Lines(world + np.column_stack([mean_x, mean_y]), normals, within & (number >= 3) & straight)
+    centers = world + np.column_stack([mean_x, mean_y])
+    return centers, normals, within & (number >= 3) & straight

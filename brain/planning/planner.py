@@ -39,8 +39,6 @@ class FrontierPath:
     points: tuple[Point, ...]
     beyond: Point
     """m, the first unknown point on the assumed path to the goal"""
-    cost: float
-    """m, of the whole assumed path"""
     escape: float = 0.0
 
 
@@ -136,7 +134,7 @@ class PathQuery:
         if not points:
             return NoPath(f"the robot at {_text(self.start)} stands on unknown ground")
         beyond = self.costmap.centre(assumed.cells[first])
-        return FrontierPath(self._points(points, None), beyond, assumed.cost, self._escape)
+        return FrontierPath(self._points(points, None), beyond, self._escape)
 
     def _points(self, points: list[Point], end: Point | None) -> tuple[Point, ...]:
         """Return the path from the robot's position to the end, shortened by line of sight."""
