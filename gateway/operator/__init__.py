@@ -1,8 +1,10 @@
-"""What a person or a program asks of a running robot: the socket, the terminal, and the commands they take.
+"""The operator of a running robot: a local socket and the terminal, and the commands they take.
 
-Exports Operator, ask, socket_path. Must not import the runtime: what is asked is returned to
-the loop, which makes it part of the tick.
+Exports Operator, ask, socket_path. Must not import the runtime: instructions are returned to the loop,
+which makes them part of the tick.
 """
+
+from __future__ import annotations
 
 from gateway.operator.server import Operator, ask, socket_path
 

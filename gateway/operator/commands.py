@@ -1,15 +1,16 @@
-"""What a person may say to a running robot: a line → what is asked, or what is wrong with it.
+"""The commands of an operator: a line → an instruction for the robot, or why it is rejected.
 
-Rules. Pure: a line and the robot in, a value out. The first word says what is meant, the rest are numbers
-and names of this robot; a number that is not finite is not taken. Lengths are m, speeds m/s and rad/s,
-torques N·m, at the joint's output shaft. `goal`'s yaw is in degrees and `position` in rad; either may be
-written with its unit (`90deg`, `1.57rad`). What is not understood gets a sentence and the nearest word.
+Rules. Pure: a line and the robot in, a value out. The first word is the command, the rest are numbers and
+names of this robot; a number that is not finite is rejected. Lengths are m, speeds m/s and rad/s, torques
+N·m, at the joint's output shaft. `goal`'s yaw is in degrees and `position` in rad; either may be written with
+its unit (`90deg`, `1.57rad`). A rejected line gets a sentence and the nearest valid name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite, radians
 from typing import Literal, TypeAlias
 
@@ -23,253 +24,196 @@ ALL = "all"
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """What is answered at once, and leaves the robot alone."""
+    """A line that is answered at once, and does not reach the robot."""
 
     kind: Literal["status", "help", "quit"]
 
 
 @dataclass(frozen=True, slots=True)
-class Mistake:
-    """The line is not understood, and why."""
+class RejectedLine:
+    """A line that is no valid command, and why."""
 
-    sentence: str
+    reason: str
 
 
-def parse(line: str, robot: Robot) -> msg.Instruction | Query | Mistake | None:
-    """What a line asks of this robot; None for an empty line or a comment (#)."""
+def parse(line: str, robot: Robot) -> msg.Instruction | Query | RejectedLine | None:
+    """Return what a line asks of this robot; None for an empty line or a comment (#)."""
     words = line.partition("#")[0].replace(",", " ").split()
     if not words:
         return None
-    form = FORMS.get(words[0].lower())
-    if form is None:
-        return Mistake(f"{unknown('word', words[0], FORMS)}. Say help for what they mean")
+    name, texts = words[0].lower(), words[1:]
+    command = COMMANDS.get(name)
+    if command is None:
+        return RejectedLine(f"{unknown('command', words[0], COMMANDS)}. Type help for what they do")
     try:
-        return form.make(words[1:], robot)
-    except _Wrong as wrong:
-        return Mistake(f"{wrong}; expected: {_usage(words[0].lower(), form)}")
+        return command.parse(texts, robot)
+    except _InvalidError as error:
+        return RejectedLine(f"{error}; expected: {name} {command.usage}".rstrip())
 
 
 def help_text() -> str:
-    """Every word, what follows it, and what it does."""
-    rows = [(_usage(word, form), form.says) for word, form in FORMS.items()]
+    """Return every command, its arguments, and what it does."""
+    rows = [(f"{name} {command.usage}".strip(), command.summary) for name, command in COMMANDS.items()]
     width = max(len(usage) for usage, _ in rows)
-    return "\n".join(f"{usage:<{width}}  {says}" for usage, says in rows)
+    return "\n".join(f"{usage:<{width}}  {summary}" for usage, summary in rows)
 
 
-class _Wrong(ValueError):
-    """What is wrong with a line."""
+class _InvalidError(ValueError):
+    """An argument is invalid, missing or too many."""
 
 
-Args: TypeAlias = list[str]
-Make: TypeAlias = Callable[[Args, Robot], msg.Instruction | Query]
+Convert: TypeAlias = Callable[[str, Robot], object]
+"""The text of one argument → its value; raises _InvalidError."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Form:
+class _Command:
     usage: str
-    says: str
-    make: Make
+    summary: str
+    make: Callable[..., msg.Instruction | Query]
+    """Makes the instruction from the values of the arguments."""
+    arguments: tuple[Convert, ...] = ()
+    optional: int = 0
+    """How many of the last arguments may be missing."""
+    free_text: bool = False
+    """Whether the rest of the line is its one argument, which may be empty."""
+    of_base: bool = False
+    """Whether it needs a base that drives."""
+
+    def parse(self, texts: list[str], robot: Robot) -> msg.Instruction | Query:
+        """Convert the arguments and make the instruction; raises _InvalidError."""
+        if self.of_base and robot.brain.body != "differential":
+            raise _InvalidError(f"{robot.name!r} is bare joints: use position, velocity or torque")
+        if self.free_text:
+            return self.make(" ".join(texts))
+        if len(texts) < len(self.arguments) - self.optional:
+            raise _InvalidError("an argument is missing")
+        if len(texts) > len(self.arguments):
+            raise _InvalidError(f"{texts[-1]!r} is one argument too many")
+        return self.make(
+            *(convert(text, robot) for convert, text in zip(self.arguments, texts, strict=False))
+        )
 
 
-def _usage(word: str, form: _Form) -> str:
-    return f"{word} {form.usage}".strip()
+# -- arguments ---------------------------------------------------------------------------------
 
 
-# -- parts of a line ---------------------------------------------------------------------------
+def _text(text: str, _: Robot) -> str:
+    return text
 
 
-def _count(args: Args, least: int, most: int | None = None) -> None:
-    if len(args) < least:
-        raise _Wrong("something is missing" if args or least > 1 else "nothing follows it")
-    if len(args) > (least if most is None else most):
-        raise _Wrong(f"{args[-1]!r} is too much")
-
-
-def _number(text: str) -> float:
+def _number(text: str, _: Robot) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise _Wrong(f"{text!r} is not a number") from None
+        raise _InvalidError(f"{text!r} is not a number") from None
     if not isfinite(value):
-        raise _Wrong(f"{text!r} is not a finite number")
+        raise _InvalidError(f"{text!r} is not a finite number")
     return value
 
 
-def _angle(text: str, unit: Literal["deg", "rad"]) -> float:
-    """In rad; `unit` is what a bare number is in."""
-    for suffix in ("deg", "rad"):
-        if text.endswith(suffix):
-            text, unit = text.removesuffix(suffix), suffix
-            break
-    value = _number(text)
-    return radians(value) if unit == "deg" else value
+def _angle(unit: Literal["deg", "rad"]) -> Convert:
+    """Return a conversion to rad; `unit` is the unit of a bare number."""
+
+    def convert(text: str, robot: Robot) -> float:
+        suffix = text[-3:] if text.endswith(("deg", "rad")) else ""
+        value = _number(text.removesuffix(suffix), robot)
+        return radians(value) if (suffix or unit) == "deg" else value
+
+    return convert
 
 
-def _whole(text: str, base: int) -> int:
-    try:
-        value = int(text, base)
-    except ValueError:
-        raise _Wrong(f"{text!r} is not a{' hexadecimal' if base == 16 else 'n'} integer") from None
-    if value < 0:
-        raise _Wrong(f"{text!r} is negative")
-    return value
+def _integer(base: Literal[10, 16]) -> Convert:
+    def convert(text: str, _: Robot) -> int:
+        try:
+            value = int(text, base)
+        except ValueError:
+            raise _InvalidError(f"{text!r} is not a{' hexadecimal' if base == 16 else 'n'} integer") from None
+        if value < 0:
+            raise _InvalidError(f"{text!r} is negative")
+        return value
+
+    return convert
 
 
-def _name(what: str, text: str, known: Sequence[str]) -> str:
+def _name(what: str, text: str, known: Iterable[str]) -> str:
     if text not in known:
-        raise _Wrong(unknown(what, text, known))
+        raise _InvalidError(unknown(what, text, known))
     return text
 
 
 def _motor(text: str, robot: Robot) -> str:
-    return _name("motor", text, list(robot.motors))
+    return _name("motor", text, robot.motors)
 
 
 def _motor_or_all(text: str, robot: Robot) -> str:
-    return text if text == ALL else _name("motor", text, [*robot.motors, ALL])
+    return _name("motor", text, (*robot.motors, ALL))
 
 
-def _bare_joint(text: str, robot: Robot) -> str:
-    """A motor that is no wheel of a base."""
+def _joint(text: str, robot: Robot) -> str:
+    """Take a motor that is no wheel of a base."""
     base = robot.brain.differential if robot.brain.body == "differential" else None
     wheels = () if base is None else (base.left, base.right)
     joints = [name for name in robot.motors if name not in wheels]
     if not joints:
-        raise _Wrong(f"the motors of {robot.name!r} are the wheels of its base: say goal or drive")
+        raise _InvalidError(f"the motors of {robot.name!r} are the wheels of its base: use goal or drive")
     if text in wheels:
-        raise _Wrong(f"{text!r} is a wheel: say goal or drive; bare joints are {', '.join(joints)}")
+        raise _InvalidError(f"{text!r} is a wheel: use goal or drive; bare joints are {', '.join(joints)}")
     return _name("bare joint", text, joints)
 
 
-def _needs_base(robot: Robot) -> None:
-    if robot.brain.body != "differential":
-        raise _Wrong(f"{robot.name!r} is bare joints and goes nowhere: say position, velocity or torque")
-
-
-# -- the words ---------------------------------------------------------------------------------
-
-
-def _goal(args: Args, robot: Robot) -> msg.Goal:
-    _needs_base(robot)
-    _count(args, 2, 3)
-    yaw = _angle(args[2], "deg") if len(args) == 3 else None
-    return msg.Goal(_number(args[0]), _number(args[1]), yaw)
-
-
-def _drive(args: Args, robot: Robot) -> msg.Drive:
-    _needs_base(robot)
-    _count(args, 2)
-    return msg.Drive(_number(args[0]), _number(args[1]))
-
-
-def _stop(args: Args, _: Robot) -> msg.Stop:
-    return msg.Stop(" ".join(args))
-
-
-def _release(args: Args, _: Robot) -> msg.Release:
-    _count(args, 0)
-    return msg.Release()
-
-
-def _position(args: Args, robot: Robot) -> msg.Position:
-    _count(args, 2)
-    return msg.Position(_bare_joint(args[0], robot), _angle(args[1], "rad"))
-
-
-def _value(kind: type[msg.Velocity] | type[msg.Torque]) -> Make:
-    def make(args: Args, robot: Robot) -> msg.Instruction:
-        _count(args, 2)
-        return kind(_bare_joint(args[0], robot), _number(args[1]))
-
-    return make
-
-
-def _at_rest(kind: type[msg.Idle] | type[msg.Hold]) -> Make:
-    def make(args: Args, robot: Robot) -> msg.Instruction:
-        _count(args, 1)
-        return kind(_bare_joint(args[0], robot))
-
-    return make
-
-
-def _of_motor(kind: type[msg.Reboot] | type[msg.Zero] | type[msg.Home]) -> Make:
-    def make(args: Args, robot: Robot) -> msg.Instruction:
-        _count(args, 1)
-        return kind(_motor(args[0], robot))
-
-    return make
-
-
-def _clear(args: Args, robot: Robot) -> msg.ClearFault:
-    _count(args, 0, 1)
-    return msg.ClearFault(_motor_or_all(args[0], robot) if args else ALL)
-
-
-def _estop(args: Args, robot: Robot) -> msg.Estop:
-    _count(args, 1)
-    return msg.Estop(_motor_or_all(args[0], robot))
-
-
-def _set(args: Args, robot: Robot) -> msg.Set:
-    _count(args, 2)
-    room, dot, _ = args[0].partition(".")
-    _name("room", room, ["brain", *robot.motors])
+def _setting(text: str, robot: Robot) -> str:
+    owner, dot, _ = text.partition(".")
+    _name("owner of settings", owner, ("brain", *robot.motors))
     if not dot:
-        raise _Wrong(f"{args[0]!r} names no setting")
-    return msg.Set(args[0], _number(args[1]))
+        raise _InvalidError(f"{text!r} names no setting")
+    return text
 
 
-def _scan(args: Args, robot: Robot) -> msg.Scan:
-    _count(args, 1)
-    return msg.Scan(_name("bus", args[0], list(robot.buses)))
+def _bus(text: str, robot: Robot) -> str:
+    return _name("bus", text, robot.buses)
 
 
-def _setid(args: Args, robot: Robot) -> msg.SetId:
-    _count(args, 3)
-    return msg.SetId(_name("bus", args[0], list(robot.buses)), _whole(args[1], 16), _whole(args[2], 10))
+# -- the commands ------------------------------------------------------------------------------
 
 
-def _read(args: Args, robot: Robot) -> msg.ReadParameter:
-    _count(args, 2)
-    return msg.ReadParameter(_motor(args[0], robot), args[1])
-
-
-def _write(args: Args, robot: Robot) -> msg.WriteParameter:
-    _count(args, 3)
-    return msg.WriteParameter(_motor(args[0], robot), args[1], _number(args[2]))
-
-
-def _query(kind: Literal["status", "help", "quit"]) -> Make:
-    def make(args: Args, _: Robot) -> Query:
-        _count(args, 0)
-        return Query(kind)
-
-    return make
+def _clear(motor: str = ALL) -> msg.ClearFault:
+    return msg.ClearFault(motor)
 
 
 # fmt: off
-FORMS: dict[str, _Form] = {
-    "goal": _Form("X Y [YAW]", "go to a place on the map [m, m, degrees]", _goal),
-    "drive": _Form("LINEAR ANGULAR", "drive by hand [m/s, rad/s]; say it again before it grows old", _drive),
-    "stop": _Form("[REASON]", "stop at once, and stay stopped until release", _stop),
-    "release": _Form("", "take back stop", _release),
-    "clear": _Form("[MOTOR]", "clear the faults of a motor, or of all", _clear),
-    "estop": _Form("MOTOR|all", "the device's own emergency stop; clear takes it back", _estop),
-    "position": _Form("MOTOR VALUE", "bare joints: go to a position [rad]", _position),
-    "velocity": _Form("MOTOR VALUE", "bare joints: turn at a velocity [rad/s]", _value(msg.Velocity)),
-    "torque": _Form("MOTOR VALUE", "bare joints: give a torque [N·m]", _value(msg.Torque)),
-    "idle": _Form("MOTOR", "bare joints: no torque", _at_rest(msg.Idle)),
-    "hold": _Form("MOTOR", "bare joints: stay where it is", _at_rest(msg.Hold)),
-    "set": _Form("KEY VALUE", "a limit or gain, as brain.pursuit.… or MOTOR.limits.velocity", _set),
-    "zero": _Form("MOTOR", "call the present position zero", _of_motor(msg.Zero)),
-    "home": _Form("MOTOR", "run the device's own homing", _of_motor(msg.Home)),
-    "reboot": _Form("MOTOR", "restart the device", _of_motor(msg.Reboot)),
-    "read": _Form("MOTOR PARAMETER", "read a parameter of the device by its own name", _read),
-    "write": _Form("MOTOR PARAMETER VALUE", "write a parameter of the device by its own name", _write),
-    "scan": _Form("BUS", "look for devices; enables and clears nothing", _scan),
-    "setid": _Form("BUS SERIAL ADDRESS", "give the device with this serial number (hex) an address", _setid),
-    "status": _Form("", "what the robot does, and why", _query("status")),
-    "help": _Form("", "this list", _query("help")),
-    "quit": _Form("", "leave: the safe word, and then the end", _query("quit")),
+COMMANDS: dict[str, _Command] = {
+    "goal": _Command("X Y [YAW]", "drive to a place on the map [m, m, degrees]",
+                     msg.Goal, (_number, _number, _angle("deg")), optional=1, of_base=True),
+    "drive": _Command("LINEAR ANGULAR", "drive by hand [m/s, rad/s]; repeat it before it times out",
+                      msg.Drive, (_number, _number), of_base=True),
+    "stop": _Command("[REASON]", "stop at once, and stay stopped until release", msg.Stop, free_text=True),
+    "release": _Command("", "release stop", msg.Release),
+    "clear": _Command("[MOTOR]", "clear the faults of a motor, or of all",
+                      _clear, (_motor_or_all,), optional=1),
+    "estop": _Command("MOTOR|all", "the device's own emergency stop; clear releases it",
+                      msg.Estop, (_motor_or_all,)),
+    "position": _Command("MOTOR VALUE", "bare joints: move to a position [rad]",
+                         msg.Position, (_joint, _angle("rad"))),
+    "velocity": _Command("MOTOR VALUE", "bare joints: turn at a velocity [rad/s]",
+                         msg.Velocity, (_joint, _number)),
+    "torque": _Command("MOTOR VALUE", "bare joints: apply a torque [N·m]", msg.Torque, (_joint, _number)),
+    "idle": _Command("MOTOR", "bare joints: no torque", msg.Idle, (_joint,)),
+    "hold": _Command("MOTOR", "bare joints: hold the present position", msg.Hold, (_joint,)),
+    "set": _Command("KEY VALUE", "a limit or gain, as brain.pursuit.… or MOTOR.limits.velocity",
+                    msg.Set, (_setting, _number)),
+    "zero": _Command("MOTOR", "make the present position zero", msg.Zero, (_motor,)),
+    "home": _Command("MOTOR", "run the device's own homing", msg.Home, (_motor,)),
+    "reboot": _Command("MOTOR", "restart the device", msg.Reboot, (_motor,)),
+    "read": _Command("MOTOR PARAMETER", "read a parameter of the device by its own name",
+                     msg.ReadParameter, (_motor, _text)),
+    "write": _Command("MOTOR PARAMETER VALUE", "write a parameter of the device by its own name",
+                      msg.WriteParameter, (_motor, _text, _number)),
+    "scan": _Command("BUS", "look for devices; enables and clears nothing", msg.Scan, (_bus,)),
+    "setid": _Command("BUS SERIAL ADDRESS", "give the device with this serial number (hex) an address",
+                      msg.SetId, (_bus, _integer(16), _integer(10))),
+    "status": _Command("", "what the robot does, and why", partial(Query, "status")),
+    "help": _Command("", "this list", partial(Query, "help")),
+    "quit": _Command("", "send the stop command and end the run", partial(Query, "quit")),
 }
 # fmt: on

@@ -1,12 +1,12 @@
-"""Where a person speaks to a running robot: a local socket, and lines on the terminal.
+"""The operator's access to a running robot: a local socket, and lines on the terminal.
 
-Rules. Nothing here waits and there is no thread: the loop polls, and whoever is slow, gone or talks nonsense
-hurts nobody. The socket belongs to its owner alone (mode 0600 in a directory of mode 0700). Lines and buffers
-are bounded. The end of the terminal's input is not the end of the run; `quit` is. A terminal is read only
-while the program is in its foreground: reading from the background would stop the process.
+Rules. Nothing here waits and there is no thread: the loop polls, and a client that is slow, gone or sends
+nonsense affects no other. Only its owner may open the socket (mode 0600 in a directory of mode 0700). Lines
+and buffers are bounded. The end of the terminal's input does not end the run; `quit` does. A terminal is read
+only while the program is in its foreground: reading from the background would stop the process.
 
-The dialogue: each line is answered by one or more lines; what the robot then says of it (`tell`) follows.
-A client that has said all it has to say (shut down its writing side) gets that too, and then it is closed.
+The dialogue: each line is answered by one or more lines; what the robot then reports (`report`) follows.
+A client that has shut down its writing side gets that too, and is then closed.
 """
 
 from __future__ import annotations
@@ -25,26 +25,63 @@ from types import TracebackType
 
 from gateway.core.robot import Robot
 from gateway.errors import OperatorError
-from gateway.operator.commands import Mistake, Query, help_text, parse
-from gateway.operator.lines import Lines
+from gateway.operator.commands import Query, RejectedLine, help_text, parse
 from protocols.messages import Instruction
 
-MOST_READ = 4096
+MAX_READ = 4096
 """Bytes taken from one client in one poll."""
-MOST_UNSENT = 65536
+MAX_LINE = 1000
+"""Bytes of a line."""
+MAX_UNSENT = 65536
 """Bytes that a client may leave unread before it is dropped."""
-MOST_CLIENTS = 16
-MOST_PATH = 107
+MAX_CLIENTS = 16
+MAX_PATH = 107
 """Bytes of a socket's path (unix(7): sun_path)."""
+
+_TOO_LONG = RejectedLine(f"the line is longer than {MAX_LINE} bytes; it is left out")
+
+
+@dataclass(slots=True)
+class LineBuffer:
+    """Received bytes, cut into lines; a line that is too long is rejected as a whole."""
+
+    rest: bytearray = field(default_factory=bytearray)
+    skipping: bool = False
+    """Whether `rest` continues a line that has been rejected."""
+
+    def feed(self, data: bytes) -> list[str | RejectedLine]:
+        """Return the lines that these bytes end."""
+        self.rest += data
+        *complete, self.rest = self.rest.split(b"\n")
+        lines: list[str | RejectedLine] = []
+        for line in complete:
+            if not self.skipping:
+                lines.append(_decoded(line))
+            self.skipping = False
+        if len(self.rest) > MAX_LINE:
+            if not self.skipping:
+                lines.append(_TOO_LONG)
+            self.skipping = True
+            self.rest.clear()
+        return lines
+
+    def end(self) -> list[str | RejectedLine]:
+        """Return what follows the last end of line, when nothing more will come."""
+        line, self.rest = self.rest, bytearray()
+        return [_decoded(line)] if line and not self.skipping else []
+
+
+def _decoded(line: bytearray) -> str | RejectedLine:
+    return _TOO_LONG if len(line) > MAX_LINE else line.decode("utf-8", "replace").strip()
 
 
 @dataclass(slots=True)
 class _Client:
-    frame: socket.socket
-    lines: Lines = field(default_factory=Lines)
+    socket: socket.socket
+    buffer: LineBuffer = field(default_factory=LineBuffer)
     unsent: bytearray = field(default_factory=bytearray)
     ended: bool = False
-    """It has said all it has to say."""
+    """Whether it has shut down its writing side."""
 
 
 class Operator:
@@ -53,13 +90,13 @@ class Operator:
     def __init__(self, robot: Robot, folder: Path | None = None, terminal: int | None = -1) -> None:
         """Open the socket. `terminal` is a file descriptor, None for none, -1 for the standard input.
 
-        Raises OperatorError with a sentence if the socket cannot be made."""
+        Raises OperatorError if the socket cannot be made."""
         self._robot = robot
         self._terminal = _standard_input() if terminal == -1 else terminal
-        self._typed = Lines()
+        self._typed = LineBuffer()
         self._clients: list[_Client] = []
         self.leaving = False
-        """Whether somebody has said quit."""
+        """Whether quit has been received."""
         self.path = _free_path(folder or socket_folder(), robot.name)
         self._listener = _listen(self.path)
 
@@ -72,10 +109,10 @@ class Operator:
         self.close()
 
     def poll(self, status: Callable[[], str]) -> list[Instruction]:
-        """What has been asked since the last poll, in the order of arrival by speaker. Never waits.
+        """Return the instructions since the last poll, by client in the order of arrival. Never waits.
 
-        `status` is called when somebody asks for it."""
-        asked: list[Instruction] = []
+        `status` is called for each line that asks for it."""
+        instructions: list[Instruction] = []
         self._accept()
         for client in list(self._clients):
             if client.ended:
@@ -83,20 +120,20 @@ class Operator:
                 self._drop(client)
                 continue
             for line in self._read(client):
-                self._handle(line, partial(_queue, client), status, asked)
+                instructions += self._on_line(line, partial(_queue, client), status)
             self._send(client)
         for line in self._read_terminal():
-            self._handle(line, _print, status, asked)
-        return asked
+            instructions += self._on_line(line, _print, status)
+        return instructions
 
     def report(self, text: str) -> None:
-        """Something that the robot says: to every client that is connected. (The terminal has the log.)"""
+        """Send a text of the robot to every connected client. (The terminal has the log.)"""
         for client in list(self._clients):
             _queue(client, text)
             self._send(client)
 
     def close(self) -> None:
-        """Send what is left, close everything, and take the socket away."""
+        """Send what is left, close everything, and remove the socket."""
         for client in list(self._clients):
             self._send(client)
             self._drop(client)
@@ -104,19 +141,15 @@ class Operator:
             self._listener.close()
             self.path.unlink(missing_ok=True)
 
-    def _handle(
-        self,
-        line: str | Mistake,
-        answer: Callable[[str], None],
-        status: Callable[[], str],
-        asked: list[Instruction],
-    ) -> None:
-        said = parse(line, self._robot) if isinstance(line, str) else line
-        match said:
+    def _on_line(
+        self, line: str | RejectedLine, answer: Callable[[str], None], status: Callable[[], str]
+    ) -> list[Instruction]:
+        """Answer a line, and return its instruction if it is one."""
+        match parse(line, self._robot) if isinstance(line, str) else line:
             case None:
                 pass
-            case Mistake(sentence):
-                answer(sentence)
+            case RejectedLine(reason):
+                answer(reason)
             case Query("status"):
                 answer(status())
             case Query("help"):
@@ -124,59 +157,60 @@ class Operator:
             case Query():  # quit
                 self.leaving = True
                 answer("leaving")
-            case word:
-                asked.append(word)
-                answer(f"asked: {line}")
+            case instruction:
+                answer(f"accepted: {line}")
+                return [instruction]
+        return []
 
     # -- clients ------------------------------------------------------------------------------
 
     def _accept(self) -> None:
-        while len(self._clients) < MOST_CLIENTS:
+        while len(self._clients) < MAX_CLIENTS:
             try:
-                frame, _ = self._listener.accept()
-            except OSError:  # nobody, or somebody who has gone again
+                connection, _ = self._listener.accept()
+            except OSError:  # no client waits, or it has gone again
                 return
-            frame.setblocking(False)
-            self._clients.append(_Client(frame))
+            connection.setblocking(False)
+            self._clients.append(_Client(connection))
 
-    def _read(self, client: _Client) -> list[str | Mistake]:
+    def _read(self, client: _Client) -> list[str | RejectedLine]:
         try:
-            data = client.frame.recv(MOST_READ)
+            data = client.socket.recv(MAX_READ)
         except BlockingIOError:
             return []
         except OSError:
             self._drop(client)
             return []
         if data:
-            return client.lines.feed(data)
+            return client.buffer.feed(data)
         client.ended = True
-        return client.lines.end()
+        return client.buffer.end()
 
     def _send(self, client: _Client) -> None:
         try:
             while client.unsent:
-                del client.unsent[: client.frame.send(client.unsent)]
+                del client.unsent[: client.socket.send(client.unsent)]
         except BlockingIOError:
-            if len(client.unsent) > MOST_UNSENT:
+            if len(client.unsent) > MAX_UNSENT:
                 self._drop(client)
         except OSError:
             self._drop(client)
 
     def _drop(self, client: _Client) -> None:
-        client.frame.close()
+        client.socket.close()
         client.unsent.clear()
         if client in self._clients:
             self._clients.remove(client)
 
     # -- the terminal -------------------------------------------------------------------------
 
-    def _read_terminal(self) -> list[str | Mistake]:
+    def _read_terminal(self) -> list[str | RejectedLine]:
         if self._terminal is None:
             return []
         try:
             if not select.select([self._terminal], [], [], 0)[0] or not _in_foreground(self._terminal):
                 return []
-            data = os.read(self._terminal, MOST_READ)
+            data = os.read(self._terminal, MAX_READ)
         except OSError:
             data = b""
         if data:
@@ -190,7 +224,7 @@ def _queue(client: _Client, text: str) -> None:
 
 
 def _print(text: str) -> None:
-    with suppress(OSError):  # nobody reads the standard output any more
+    with suppress(OSError):  # the standard output has no reader any more
         print(text, flush=True)
 
 
@@ -204,7 +238,7 @@ def _standard_input() -> int | None:
 def _in_foreground(terminal: int) -> bool:
     try:
         return not os.isatty(terminal) or os.tcgetpgrp(terminal) == os.getpgrp()
-    except OSError:  # a terminal, but not the one that controls this process: reading it stops nobody
+    except OSError:  # not the terminal that controls this process: reading it does not stop the process
         return True
 
 
@@ -212,7 +246,7 @@ def _in_foreground(terminal: int) -> bool:
 
 
 def socket_folder() -> Path:
-    """Where sockets stand: in $XDG_RUNTIME_DIR, or in a directory of ours below the temporary one."""
+    """Return the directory of the sockets: in $XDG_RUNTIME_DIR, or our own below the temporary one."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and Path(runtime).is_dir():
         return Path(runtime) / "motor-gateway"
@@ -220,23 +254,23 @@ def socket_folder() -> Path:
 
 
 def socket_path(name: str, folder: Path | None = None) -> Path:
-    """The socket of the robot of this name."""
+    """Return the socket of the robot of this name."""
     return (folder or socket_folder()) / f"{name}.sock"
 
 
 def _free_path(folder: Path, name: str) -> Path:
-    """The robot's own path; if another gateway runs a robot of this name, one with our process's number."""
+    """Return the robot's own path; with our process id if another gateway runs a robot of this name."""
     _make_private(folder)
     path = socket_path(name, folder)
     if path.exists() and _answers(path):
         path = socket_path(f"{name}.{os.getpid()}", folder)
-    if len(os.fsencode(path)) > MOST_PATH:
+    if len(os.fsencode(path)) > MAX_PATH:
         raise OperatorError(f"{path} is too long for a socket: set XDG_RUNTIME_DIR to a shorter directory")
     return path
 
 
 def _make_private(folder: Path) -> None:
-    """A directory that is ours alone; raises OperatorError if somebody else has a hand in it."""
+    """Make a directory that only we can enter; raise OperatorError if others can, too."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.lstat()
@@ -247,7 +281,7 @@ def _make_private(folder: Path) -> None:
 
 
 def _answers(path: Path) -> bool:
-    """Whether somebody listens there. A socket that a dead process has left does not answer."""
+    """True if a process listens there. A socket left over by a dead process does not answer."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:
@@ -265,7 +299,7 @@ def _listen(path: Path) -> socket.socket:
     try:
         listener.bind(os.fspath(path))
         path.chmod(0o600)  # until here its directory keeps others out
-        listener.listen(MOST_CLIENTS)
+        listener.listen(MAX_CLIENTS)
         listener.setblocking(False)
     except OSError as error:
         listener.close()
@@ -273,18 +307,18 @@ def _listen(path: Path) -> socket.socket:
     return listener
 
 
-def ask(path: Path, line: str, patience: float = 2.0) -> str:
-    """Say a line to a running robot and return its answer. Raises OperatorError with a sentence.
+def ask(path: Path, line: str, timeout: float = 2.0) -> str:
+    """Send a line to a running robot and return its answer.
 
-    `patience` is how many seconds the robot may take."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as frame:
-        frame.settimeout(patience)
+    `timeout` is in s. Raises OperatorError if no robot runs there or it does not answer in time."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
+        connection.settimeout(timeout)
         answer = bytearray()
         try:
-            frame.connect(os.fspath(path))
-            frame.sendall(line.encode() + b"\n")
-            frame.shutdown(socket.SHUT_WR)
-            while data := frame.recv(MOST_READ):
+            connection.connect(os.fspath(path))
+            connection.sendall(line.encode() + b"\n")
+            connection.shutdown(socket.SHUT_WR)
+            while data := connection.recv(MAX_READ):
                 answer += data
         except TimeoutError as error:
             raise OperatorError(f"{path}: the robot does not answer") from error

@@ -1,4 +1,4 @@
-"""What the robot does, and why: for a person who asks while it runs."""
+"""The status of a running robot as text, for an operator."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING
 from protocols.messages import MILLISECOND
 
 if TYPE_CHECKING:
+    from gateway.core.joint import Joint
     from gateway.core.step import Gateway
     from gateway.runtime.session import Session
+    from protocols.messages import Nanos
 
 
-def status_text(made: Session) -> str:
-    """Pose, goal, joints with their faults, counts of each bus, the recording: a line each."""
-    gateway, now = made.gateway, made.clock.now()
+def status_text(session: Session) -> str:
+    """Return state, pose, goal, joints and their faults, counters, ticks and recording: a line each."""
+    gateway, now = session.gateway, session.clock.now()
     belief = gateway.belief()
-    lines = [f"{made.robot.name}: {belief.state}{f' ({belief.reason})' if belief.reason else ''}"]
+    lines = [f"{session.robot.name}: {belief.state}{f' ({belief.reason})' if belief.reason else ''}"]
     if gateway.why_stopped():
         lines.append(f"stopped: {gateway.why_stopped()}")
     if belief.estimate is not None:
@@ -24,36 +26,37 @@ def status_text(made: Session) -> str:
         lines.append(f"pose: {pose.x:.3f} m, {pose.y:.3f} m, {degrees(pose.yaw):.1f} degrees")
     if belief.goal is not None:
         lines.append(f"goal: {belief.goal.x:g}, {belief.goal.y:g} m ({belief.reached} reached so far)")
-    for name, joint in gateway.joints.items():
-        reported, age = joint.feedback, joint.feedback_age(now)
-        received = "never heard" if age is None else f"heard {age / MILLISECOND:.0f} ms ago"
-        parts = [
-            f"{label} {value:.3f} {unit}"
-            for label, value, unit in (
-                ("at", reported.position, "rad"),
-                ("turns", reported.velocity, "rad/s"),
-                ("gives", reported.torque, "N·m"),
-                ("supply", reported.voltage, "V"),
-                ("temperature", reported.temperature, "degrees C"),
-            )
-            if value is not None
-        ]
-        lines.append(f"{name}: {joint.mode}, {received}{''.join(', ' + part for part in parts)}")
-        lines += [f"  fault: {fault.name}; {fault.remedy}" for fault in joint.faults.values()]
-    lines += _counted(gateway)
-    lines.append(f"ticks: {made.stats.ticks}, {made.stats.missed} missed")
-    if (recorder := made.recorder) is not None:
+    for joint in gateway.joints.values():
+        lines += _joint(joint, now)
+    lines += _counters(gateway)
+    lines.append(f"ticks: {session.stats.ticks}, {session.stats.missed} missed")
+    if (recorder := session.recorder) is not None:
         lost = f", {recorder.lost} ticks lost: {recorder.trouble}" if recorder.trouble else ""
         lines.append(f"recording: {recorder.path}{lost}")
     return "\n".join(lines)
 
 
-def _counted(gateway: Gateway) -> list[str]:
-    """What each driver has counted, by bus; with its language where a bus has several."""
-    rx_counters = gateway.rx_counters()
-    buses = [bus for bus, _, _ in rx_counters]
+def _joint(joint: Joint, now: Nanos) -> list[str]:
+    feedback, age = joint.feedback, joint.feedback_age(now)
+    values = (
+        ("position", feedback.position, "rad"),
+        ("velocity", feedback.velocity, "rad/s"),
+        ("torque", feedback.torque, "N·m"),
+        ("supply", feedback.voltage, "V"),
+        ("temperature", feedback.temperature, "degrees C"),
+    )
+    cells = ["no feedback yet" if age is None else f"feedback {age / MILLISECOND:.0f} ms old"]
+    cells += [f"{label} {value:.3f} {unit}" for label, value, unit in values if value is not None]
+    faults = [f"  fault: {fault.name}; {fault.remedy}" for fault in joint.faults.values()]
+    return [f"{joint.name}: {joint.mode}, {', '.join(cells)}", *faults]
+
+
+def _counters(gateway: Gateway) -> list[str]:
+    """Return what each driver has counted, by bus; with its protocol where a bus has several."""
+    counted = gateway.rx_counters()
+    buses = [bus for bus, _, _ in counted]
     return [
-        f"{f'{bus}, {language}' if buses.count(bus) > 1 else bus}: {counters.accepted} messages heard, "
-        f"{counters.malformed} bad, {counters.ignored} foreign"
-        for bus, language, counters in rx_counters
+        f"{f'{bus}, {protocol}' if buses.count(bus) > 1 else bus}: {counters.accepted} messages accepted, "
+        f"{counters.malformed} malformed, {counters.ignored} ignored"
+        for bus, protocol, counters in counted
     ]

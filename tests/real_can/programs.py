@@ -75,7 +75,7 @@ class Program:
         """What it answers to a line, as `gateway ask` would say it."""
         path = self._folder / "motor-gateway" / f"{robot}.sock"
         try:
-            return ask(path, line, patience=PATIENCE)
+            return ask(path, line, timeout=PATIENCE)
         except OperatorError as error:
             raise AssertionError(f"{error}; said:\n{self.text}") from error
 

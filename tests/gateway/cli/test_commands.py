@@ -169,7 +169,7 @@ def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> Non
                     env=os.environ,
                     check=True,
                 )
-                assert "asked: velocity right 3" in answer.stdout
+                assert "accepted: velocity right 3" in answer.stdout
             if "right: armed" in line:
                 process.stdin.write("quit\n")
                 process.stdin.flush()

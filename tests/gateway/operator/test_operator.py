@@ -21,9 +21,8 @@ from gateway.config import load_robot, resources
 from gateway.core.robot import Robot
 from gateway.errors import OperatorError
 from gateway.operator import Operator, ask, socket_path
-from gateway.operator.commands import FORMS, Mistake, Query, help_text, parse
-from gateway.operator.lines import MOST_LINE
-from gateway.operator.server import MOST_CLIENTS, socket_folder
+from gateway.operator.commands import COMMANDS, Query, RejectedLine, help_text, parse
+from gateway.operator.server import MAX_CLIENTS, MAX_LINE, socket_folder
 from protocols import messages as msg
 
 DIFFBOT = load_robot(resources.find("robots", "diffbot"))
@@ -81,16 +80,16 @@ def test_a_line_means(robot: Robot, line: str, meant: msg.Instruction | Query | 
 
 def test_every_word_of_the_language_is_in_the_table_and_in_the_help() -> None:
     used = {line.split()[0].lower() for _, line, meant in LINES if meant is not None}
-    assert used == set(FORMS)
-    assert [row.split()[0] for row in help_text().splitlines()] == list(FORMS)
+    assert used == set(COMMANDS)
+    assert [row.split()[0] for row in help_text().splitlines()] == list(COMMANDS)
 
 
 WRONG: list[tuple[Robot, str, str]] = [
     (DIFFBOT, "gaol 1 2", "did you mean 'goal'?"),
-    (DIFFBOT, "jump", "no word 'jump': there is goal, drive, stop"),
-    (DIFFBOT, "goal", "something is missing; expected: goal X Y [YAW]"),
-    (DIFFBOT, "goal 1", "something is missing; expected: goal X Y [YAW]"),
-    (DIFFBOT, "goal 1 2 3 4", "'4' is too much; expected: goal X Y [YAW]"),
+    (DIFFBOT, "jump", "no command 'jump': there is goal, drive, stop"),
+    (DIFFBOT, "goal", "an argument is missing; expected: goal X Y [YAW]"),
+    (DIFFBOT, "goal 1", "an argument is missing; expected: goal X Y [YAW]"),
+    (DIFFBOT, "goal 1 2 3 4", "'4' is one argument too many; expected: goal X Y [YAW]"),
     (DIFFBOT, "goal 1 x", "'x' is not a number"),
     (DIFFBOT, "goal nan 1", "'nan' is not a finite number"),
     (DIFFBOT, "goal 1 inf", "'inf' is not a finite number"),
@@ -98,22 +97,26 @@ WRONG: list[tuple[Robot, str, str]] = [
     (DIFFBOT, "goal 1 2 nandeg", "'nan' is not a finite number"),
     (DIFFBOT, "drive -inf 0", "'-inf' is not a finite number"),
     (DIFFBOT, "set brain.x nan", "'nan' is not a finite number"),
-    (DIFFBOT, "set brian.x 1", "no room 'brian': there is brain, left, right; did you mean 'brain'?"),
+    (
+        DIFFBOT,
+        "set brian.x 1",
+        "no owner of settings 'brian': there is brain, left, right; did you mean 'brain'?",
+    ),
     (DIFFBOT, "set brain 1", "'brain' names no setting"),
     (DIFFBOT, "write left x nan", "'nan' is not a finite number"),
     (DIFFBOT, "clear lift", "no motor 'lift': there is left, right, all; did you mean 'left'?"),
-    (DIFFBOT, "estop", "nothing follows it; expected: estop MOTOR|all"),
+    (DIFFBOT, "estop", "an argument is missing; expected: estop MOTOR|all"),
     (DIFFBOT, "reboot all", "no motor 'all': there is left, right"),
-    (DIFFBOT, "release now", "'now' is too much; expected: release"),
+    (DIFFBOT, "release now", "'now' is one argument too many; expected: release"),
     (DIFFBOT, "scan can1", "no bus 'can1': there is can0, sensors; did you mean 'can0'?"),
     (DIFFBOT, "setid can0 xyz 1", "'xyz' is not a hexadecimal integer"),
     (DIFFBOT, "setid can0 12 1.5", "'1.5' is not an integer"),
     (DIFFBOT, "setid can0 12 -1", "'-1' is negative"),
-    (DIFFBOT, "velocity left 1", "the motors of 'diffbot' are the wheels of its base: say goal or drive"),
+    (DIFFBOT, "velocity left 1", "the motors of 'diffbot' are the wheels of its base: use goal or drive"),
     (DIFFBOT, "idle left", "are the wheels of its base"),
-    (MIXED, "position left 1", "'left' is a wheel: say goal or drive; bare joints are mast"),
+    (MIXED, "position left 1", "'left' is a wheel: use goal or drive; bare joints are mast"),
     (MIXED, "torque mats 1", "no bare joint 'mats': there is mast; did you mean 'mast'?"),
-    (BENCH, "goal 1 2", "'bench' is bare joints and goes nowhere: say position, velocity or torque"),
+    (BENCH, "goal 1 2", "'bench' is bare joints: use position, velocity or torque"),
     (BENCH, "drive 1 2", "'bench' is bare joints"),
     (BENCH, "torque left nan", "'nan' is not a finite number"),
     (BENCH, "position left 1deg2", "'1deg2' is not a number"),
@@ -123,13 +126,13 @@ WRONG: list[tuple[Robot, str, str]] = [
 @pytest.mark.parametrize(("robot", "line", "said"), WRONG, ids=[row[1] for row in WRONG])
 def test_a_wrong_line_gets_a_sentence(robot: Robot, line: str, said: str) -> None:
     mistake = parse(line, robot)
-    assert isinstance(mistake, Mistake)
-    assert said in mistake.sentence
+    assert isinstance(mistake, RejectedLine)
+    assert said in mistake.reason
 
 
 @given(
     st.sampled_from([DIFFBOT, BENCH, MIXED]),
-    st.text(max_size=60) | st.lists(st.sampled_from(list(FORMS))).map(" ".join),
+    st.text(max_size=60) | st.lists(st.sampled_from(list(COMMANDS))).map(" ".join),
 )
 def test_no_line_raises_and_no_number_is_not_finite(robot: Robot, line: str) -> None:
     said = parse(line, robot)
@@ -201,9 +204,9 @@ def test_lines_are_asked_in_order_and_answered(operator: Operator, client: Clien
     client.say(b"goal 1 2\nnonsense\nstatus\n\nstop now\n")
     assert operator.poll(status) == [msg.Goal(1.0, 2.0), msg.Stop("now")]
     answer = client.received().splitlines()
-    assert answer[0] == "asked: goal 1 2"
-    assert "no word 'nonsense'" in answer[1]
-    assert answer[2:] == ["all is well", "really", "asked: stop now"]
+    assert answer[0] == "accepted: goal 1 2"
+    assert "no command 'nonsense'" in answer[1]
+    assert answer[2:] == ["all is well", "really", "accepted: stop now"]
     assert operator.poll(status) == []
     assert client.received() == ""
 
@@ -234,7 +237,9 @@ def test_what_the_robot_says_in_the_step_after_is_heard_too(operator: Operator, 
     for _ in range(3):
         operator.poll(status)
     received = client.received()
-    assert received == "asked: set brain.x 5\noperator: set brain.x: refused: there is no such setting\n<end>"
+    assert (
+        received == "accepted: set brain.x 5\noperator: set brain.x: refused: there is no such setting\n<end>"
+    )
 
 
 def test_quit_is_told_and_leaves(operator: Operator, client: Client) -> None:
@@ -245,14 +250,14 @@ def test_quit_is_told_and_leaves(operator: Operator, client: Client) -> None:
 
 
 def test_a_line_that_is_too_long_is_left_out_whole(operator: Operator, client: Client) -> None:
-    client.say(b"stop " + b"x" * (MOST_LINE * 12) + b"\nrelease\n")
+    client.say(b"stop " + b"x" * (MAX_LINE * 12) + b"\nrelease\n")
     asked: list[msg.Instruction] = []
     for _ in range(10):
         asked += operator.poll(status)
     assert asked == [msg.Release()]
     assert client.received().count("longer than") == 1
-    client.say(b"stop " + b"y" * (MOST_LINE - 10) + b"\n")
-    assert operator.poll(status) == [msg.Stop("y" * (MOST_LINE - 10))]
+    client.say(b"stop " + b"y" * (MAX_LINE - 10) + b"\n")
+    assert operator.poll(status) == [msg.Stop("y" * (MAX_LINE - 10))]
 
 
 def test_bytes_that_are_no_text_are_answered(operator: Operator, client: Client) -> None:
@@ -273,14 +278,14 @@ def test_clients_who_vanish_or_never_read_hurt_nobody(operator: Operator, client
     try:
         other.say(b"release\n")
         assert operator.poll(status) == [msg.Release()]
-        assert other.received() == "asked: release\n"
+        assert other.received() == "accepted: release\n"
     finally:
         other.frame.close()
     assert client.received().endswith("<end>")
 
 
 def test_there_are_only_so_many_clients(operator: Operator) -> None:
-    crowd = [Client(operator.path) for _ in range(MOST_CLIENTS)]
+    crowd = [Client(operator.path) for _ in range(MAX_CLIENTS)]
     late = Client(operator.path)
     try:
         late.say(b"release\n")
@@ -355,7 +360,7 @@ def test_the_command_lines_own_end(operator: Operator) -> None:
     robot.start()
     try:
         assert ask(operator.path, "status") == "all is well\nreally"
-        assert ask(operator.path, "goal 1 2") == "asked: goal 1 2\noperator: so be it"
+        assert ask(operator.path, "goal 1 2") == "accepted: goal 1 2\noperator: so be it"
         assert "did you mean 'goal'" in ask(operator.path, "gaol 1 2")
     finally:
         enough.set()
@@ -367,7 +372,7 @@ def test_asking_a_robot_that_does_not_run_or_answer(operator: Operator, folder: 
     with pytest.raises(OperatorError, match=r"no robot runs at .*other\.sock .*running: diffbot"):
         ask(folder / "other.sock", "status")
     with pytest.raises(OperatorError, match="does not answer"):
-        ask(operator.path, "status", patience=0.01)
+        ask(operator.path, "status", timeout=0.01)
 
 
 # -- the terminal --------------------------------------------------------------------------------
@@ -381,7 +386,7 @@ def test_lines_on_a_pipe_are_asked_and_its_end_is_not_the_end(
         assert operator.poll(status) == []
         os.write(writer, b"goal 1 2\nstatus\ngo")
         assert operator.poll(status) == [msg.Goal(1.0, 2.0)]
-        assert capsys.readouterr().out == "asked: goal 1 2\nall is well\nreally\n"
+        assert capsys.readouterr().out == "accepted: goal 1 2\nall is well\nreally\n"
         os.write(writer, b"al 3 4")
         os.close(writer)
         asked = [word for _ in range(4) for word in operator.poll(status)]
