@@ -1,4 +1,4 @@
-"""What the host does differently by firmware line: one value per line, and no other code asks which it is.
+"""What the host does differently by firmware line: one value per line, and no other code tests for the line.
 
 Rules. A `Dialect` is a constant; a `HostAxis` keeps its line's name and looks it up in `DIALECTS`. "" is the
 line of a device that is not identified yet: it is sent only requests that both lines answer alike.
@@ -10,22 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from protocols.odrive_can import faults05
 from protocols.odrive_can import messages as m
 from protocols.odrive_can.codec import cmd_of
 from protocols.odrive_can.faults import ERRORS, Error, Result
-from protocols.odrive_can.faults05 import (
-    AXIS_BASE,
-    AXIS_FAULTS,
-    CONTROLLER_BASE,
-    CONTROLLER_FAULTS,
-    ENCODER_BASE,
-    ENCODER_FAULTS,
-    MOTOR_BASE,
-    MOTOR_FAULTS,
-    SENSORLESS_BASE,
-    SENSORLESS_FAULTS,
-    AxisError,
-)
 from protocols.plugin import FaultInfo
 
 Readable = Mapping[str, tuple[type[Any], str]]
@@ -93,7 +81,7 @@ def status_of(message: m.Message) -> Status | None:
                 (controller, m.GetControllerError),
             )
             components = [cmd_of(kind) for flag, kind in flags if flag]
-            if error & AxisError.SENSORLESS_ESTIMATOR_FAILED:
+            if error & faults05.AxisError.SENSORLESS_ESTIMATOR_FAILED:
                 components.append(cmd_of(m.GetSensorlessError))
             return Status(error, state, components=tuple(components))
         case m.UnidentifiedHeartbeat(error, state, _, _, _):
@@ -172,15 +160,15 @@ LINE05 = Dialect(
     line="0.5",
     polled=_cmds(m.GetIq, m.GetBusVoltageCurrent),
     heartbeat_on_request=False,
-    axis_faults=AXIS_FAULTS,
-    axis_base=AXIS_BASE,
+    axis_faults=faults05.AXIS_FAULTS,
+    axis_base=faults05.AXIS_BASE,
     component_faults={
-        cmd_of(m.GetMotorError): (MOTOR_BASE, MOTOR_FAULTS),
-        cmd_of(m.GetEncoderError): (ENCODER_BASE, ENCODER_FAULTS),
-        cmd_of(m.GetControllerError): (CONTROLLER_BASE, CONTROLLER_FAULTS),
-        cmd_of(m.GetSensorlessError): (SENSORLESS_BASE, SENSORLESS_FAULTS),
+        cmd_of(m.GetMotorError): (faults05.MOTOR_BASE, faults05.MOTOR_FAULTS),
+        cmd_of(m.GetEncoderError): (faults05.ENCODER_BASE, faults05.ENCODER_FAULTS),
+        cmd_of(m.GetControllerError): (faults05.CONTROLLER_BASE, faults05.CONTROLLER_FAULTS),
+        cmd_of(m.GetSensorlessError): (faults05.SENSORLESS_BASE, faults05.SENSORLESS_FAULTS),
     },
-    estop=AxisError.ESTOP_REQUESTED,
+    estop=faults05.AxisError.ESTOP_REQUESTED,
     clear=m.ClearErrors05(),
     reboot=m.Reboot05(),
     zero=m.SetLinearCount(0),

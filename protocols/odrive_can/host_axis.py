@@ -41,7 +41,7 @@ CONFIRMATIONS = 2
 ARM_ATTEMPTS = 5
 """This number of attempts without closed loop is a fault."""
 INCONCLUSIVE = (Result.SUCCESS, Result.BUSY, Result.CANCELLED, Result.DISARMED)
-"""Results that may be left from before the state request: they do not tell how it ended."""
+"""Results that may be left from before the state request: they do not show how it ended."""
 
 Setpoint: TypeAlias = m.SetInputPos | m.SetInputVel | m.SetInputTorque
 

@@ -114,7 +114,7 @@ class Identity:
                 "look for a second device, then clear",
             )
         if self.expected == "0.5":
-            cause = "it reports that by Get_Version, and the robot file says 0.5"
+            cause = "it reports that by Get_Version, and the robot file states 0.5"
             return self._fault(name, cause, 'set firmware = "0.6" in the robot file')
         return None
 

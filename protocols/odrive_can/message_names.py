@@ -1,4 +1,4 @@
-"""The vendor's names of a host's messages: `messages_in`, which tells the reference vector of a frame.
+"""The vendor's names of a host's messages: `messages_in`, which identifies the reference vector of a frame.
 
 Rules. A name stands for one payload: where the firmware lines have different messages of one name, that of
 0.5.x is marked. Bytes that the two lines decode differently have both names. A remote frame is named after

@@ -2,7 +2,7 @@
 
 Rules. Every request ends in Done or Refused within its deadline, whatever the device does. A request that is
 impossible is refused at once with the reason. What CANSimple does not confirm counts as sent once a heartbeat
-shows that the device is alive, and its Done says so.
+shows that the device is alive, and its Done states that.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def begin(
         case msg.Estop():
             return _begin(now, request, axis, m.Estop())
         case _ if axis.identity.wrong or not axis.identity.line:
-            return refusal(now, request, "its firmware is not known, or not what the robot file says")
+            return refusal(now, request, "its firmware is not known, or not the one in the robot file")
         case msg.ReadParameter(_, parameter):
             return _begin_reading(now, request, axis, parameter)
         case msg.Zero() if running:

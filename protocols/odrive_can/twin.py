@@ -42,6 +42,8 @@ class OdriveTwin:
 
     watchdog_needs_arming: bool
     """Whether the watchdog runs in closed loop only."""
+    cyclic: ClassVar[Mapping[type[m.Message], str]]
+    """The cyclic messages, and the settings that hold their periods [ms], in the order of sending."""
     reports: ClassVar[Reports]
 
     def __init__(self, device: Device, seed: int) -> None:
@@ -61,13 +63,10 @@ class OdriveTwin:
         self._phase = (seed * 7919 + self.axis.serial * 31) % 1000
         self._next: dict[int, Nanos] = {}
         """When each cyclic message is due."""
-        self._periods = {cmd: rate * MILLISECOND for cmd, rate in self.rates() if rate}
+        periods = {cmd_of(kind): getattr(settings, name) for kind, name in self.cyclic.items()}
+        self._periods: dict[int, Nanos] = {cmd: ms * MILLISECOND for cmd, ms in periods.items() if ms}
 
     # -- the firmware's own ---------------------------------------------------------------------
-
-    def rates(self) -> Sequence[tuple[int, int]]:
-        """Return the commands of cyclic messages and their periods, ms."""
-        raise NotImplementedError
 
     def on_message(self, t: Nanos, node: int, message: m.Message) -> None:
         """Handle a message to any node."""

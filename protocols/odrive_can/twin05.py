@@ -7,21 +7,16 @@ two, each is a node of its own, and also obeys those messages to the other that 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 from protocols.messages import Nanos
+from protocols.odrive_can import faults05
 from protocols.odrive_can import messages as m
 from protocols.odrive_can.codec import cmd_of
 from protocols.odrive_can.decoder import addressed, obey, receive
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import (
-    AXIS_BASE,
-    BASE_SHIFT,
-    CONTROLLER_BASE,
-    ENCODER_BASE,
-    FAULT_TABLE05,
-    MOTOR_BASE,
     AxisError,
     ControllerError,
     EncoderError,
@@ -59,6 +54,18 @@ AXIS_ERRORS: dict[Error, AxisError] = {
 class Twin05(OdriveTwin):
     """One axis of firmware 0.5.x."""
 
+    cyclic: ClassVar[Mapping[type[m.Message], str]] = {
+        m.Heartbeat05: "heartbeat_msg_rate_ms",
+        m.GetEncoderEstimates: "encoder_msg_rate_ms",
+        m.GetMotorError: "motor_error_rate_ms",
+        m.GetEncoderError: "encoder_error_rate_ms",
+        m.GetControllerError: "controller_error_rate_ms",
+        m.GetSensorlessError: "sensorless_error_rate_ms",
+        m.GetEncoderCount: "encoder_count_rate_ms",
+        m.GetIq: "iq_msg_rate_ms",
+        m.GetSensorlessEstimates: "sensorless_rate_ms",
+        m.GetBusVoltageCurrent: "bus_voltage_msg_rate_ms",
+    }
     watchdog_needs_arming = False
 
     def __init__(self, device: Device, seed: int) -> None:
@@ -68,22 +75,6 @@ class Twin05(OdriveTwin):
     def _clear(self) -> None:
         self.errors, self.motor_errors, self.encoder_errors = AxisError(0), MotorError(0), EncoderError(0)
         self.controller_errors, self.sensorless_errors = ControllerError(0), SensorlessError(0)
-
-    def rates(self) -> Sequence[tuple[int, int]]:
-        """See the base."""
-        s = self.settings
-        return (
-            (cmd_of(m.Heartbeat05), s.heartbeat_msg_rate_ms),
-            (cmd_of(m.GetEncoderEstimates), s.encoder_msg_rate_ms),
-            (cmd_of(m.GetMotorError), s.motor_error_rate_ms),
-            (cmd_of(m.GetEncoderError), s.encoder_error_rate_ms),
-            (cmd_of(m.GetControllerError), s.controller_error_rate_ms),
-            (cmd_of(m.GetSensorlessError), s.sensorless_error_rate_ms),
-            (cmd_of(m.GetEncoderCount), s.encoder_count_rate_ms),
-            (cmd_of(m.GetIq), s.iq_msg_rate_ms),
-            (cmd_of(m.GetSensorlessEstimates), s.sensorless_rate_ms),
-            (cmd_of(m.GetBusVoltageCurrent), s.bus_voltage_msg_rate_ms),
-        )
 
     def feed(self, t: Nanos, node: int) -> None:
         """Feed the watchdog by any frame to the axis, also one that is ignored otherwise."""
@@ -147,16 +138,16 @@ class Twin05(OdriveTwin):
 
     def provoke(self, code: int) -> None:
         """See the base."""
-        if code not in FAULT_TABLE05:
+        if code not in faults05.FAULT_TABLE05:
             raise ValueError(f"firmware 0.5.x has no fault {code:#x}")
-        base, bit = code >> BASE_SHIFT << BASE_SHIFT, code % (1 << BASE_SHIFT)
-        if base == AXIS_BASE:
+        base, bit = code >> faults05.BASE_SHIFT << faults05.BASE_SHIFT, code % (1 << faults05.BASE_SHIFT)
+        if base == faults05.AXIS_BASE:
             self.errors |= AxisError(bit)
-        elif base == MOTOR_BASE:
+        elif base == faults05.MOTOR_BASE:
             self.motor_errors |= MotorError(bit)
-        elif base == ENCODER_BASE:
+        elif base == faults05.ENCODER_BASE:
             self.encoder_errors |= EncoderError(bit)
-        elif base == CONTROLLER_BASE:
+        elif base == faults05.CONTROLLER_BASE:
             self.controller_errors |= ControllerError(bit)
         else:
             self.sensorless_errors |= SensorlessError(bit)

@@ -5,7 +5,7 @@ Rules as in `twin`; the sources of each behaviour are in the README.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 from protocols.messages import MILLISECOND, Nanos
@@ -27,6 +27,16 @@ FEEDS = (m.SetInputPos, m.SetInputVel, m.SetInputTorque, m.SetAxisState)
 class Twin06(OdriveTwin):
     """One device of firmware 0.6.x."""
 
+    cyclic: ClassVar[Mapping[type[m.Message], str]] = {
+        m.GetVersion: "version_msg_rate_ms",
+        m.Heartbeat: "heartbeat_msg_rate_ms",
+        m.GetEncoderEstimates: "encoder_msg_rate_ms",
+        m.GetIq: "iq_msg_rate_ms",
+        m.GetError: "error_msg_rate_ms",
+        m.GetTemperature: "temperature_msg_rate_ms",
+        m.GetBusVoltageCurrent: "bus_voltage_msg_rate_ms",
+        m.GetTorques: "torques_msg_rate_ms",
+    }
     watchdog_needs_arming = True
 
     def __init__(self, device: Device, seed: int) -> None:
@@ -38,20 +48,6 @@ class Twin06(OdriveTwin):
         self.initializing_until: Nanos = 0
         self._flash: tuple[int, Gains] = (self.axis.node, gains_of(self.settings))
         """Node id and gains as saved."""
-
-    def rates(self) -> Sequence[tuple[int, int]]:
-        """See the base."""
-        s = self.settings
-        return (
-            (cmd_of(m.GetVersion), s.version_msg_rate_ms),
-            (cmd_of(m.Heartbeat), s.heartbeat_msg_rate_ms),
-            (cmd_of(m.GetEncoderEstimates), s.encoder_msg_rate_ms),
-            (cmd_of(m.GetIq), s.iq_msg_rate_ms),
-            (cmd_of(m.GetError), s.error_msg_rate_ms),
-            (cmd_of(m.GetTemperature), s.temperature_msg_rate_ms),
-            (cmd_of(m.GetBusVoltageCurrent), s.bus_voltage_msg_rate_ms),
-            (cmd_of(m.GetTorques), s.torques_msg_rate_ms),
-        )
 
     def on_request(self, node: int, cmd: int) -> None:
         """Reply; discovery is on the broadcast node, and all that a device without an address answers."""

@@ -25,7 +25,7 @@ def test_vectors_of_firmware_0_6(expected: str) -> None:
     talk.up()
     talk.run(100, Velocity("left", 0.0))
     wrong = """
-        1 < Fault left 0x300000000 firmware 0.6.10: *the robot file says 0.5
+        1 < Fault left 0x300000000 firmware 0.6.10: *the robot file states 0.5
         1 < State left fault: IDLE
     """
     talk.reports(f"""

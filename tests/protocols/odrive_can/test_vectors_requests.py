@@ -195,8 +195,8 @@ def test_vectors_of_requests_that_nobody_answers() -> None:
     talk.run(700)
     # An emergency stop does not wait for the firmware to be known; all lines have the same.
     talk.reports("""
-        0 < Refused ReadParameter left: its firmware is not known, or not what the robot file says
-        0 < Refused Reboot left: its firmware is not known, or not what the robot file says
+        0 < Refused ReadParameter left: its firmware is not known, or not the one in the robot file
+        0 < Refused Reboot left: its firmware is not known, or not the one in the robot file
         0…120/100-150 > 3:Estop
         240 < State left offline: no frames received
         240…480-599/100-150 > 3:Estop
