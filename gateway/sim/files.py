@@ -1,9 +1,9 @@
-"""World files: what stands behind the twins, as committed TOML; `gateway.sim.load` reads them.
+"""World files: the simulated world behind the twins, as TOML; `gateway.sim.load` reads them.
 
-Rules. A world file knows motors and sensors by their names in the robot file and nothing of how they
-are driven. It is the truth: the brain has its own figures and never reads these. All is SI, in the
-world's frame (z up, the floor at z = 0) or the body's (x forward, y left, z up, origin on the floor
-below the middle of the axle). What a part cannot be its `__post_init__` says, naming the field.
+Rules. A world file names motors and sensors as the robot file does and knows nothing of how they are driven.
+It is the ground truth: the brain has its own parameters and never reads these. All is SI, in the world's
+frame (z up, the floor at z = 0) or the body's (x forward, y left, z up, origin on the floor below the middle
+of the axle). Invalid combinations raise ValueError in `__post_init__`, naming the field.
 """
 
 from __future__ import annotations
@@ -16,37 +16,37 @@ from gateway.core.bounds import Bounds, NotNegative, Positive, PositiveInt
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 STEP: Nanos = MILLISECOND
-"""One step of every world: what the wheels' contacts were tried with, and short for a motor's loops."""
+"""Time step of every world: the wheels' contacts were tested with it, and it is short for a motor's loops."""
 
-Part: TypeAlias = Annotated[float, Bounds(least=0.0, below=1.0)]
+Fraction: TypeAlias = Annotated[float, Bounds(least=0.0, below=1.0)]
 Point: TypeAlias = tuple[float, float]
 Vector: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """The disc on the device's own shaft, before the gear."""
+    """The encoder on the device's own shaft, before the gear."""
 
     counts_per_turn: PositiveInt = 16384
 
 
-# -- the bench: bare shafts ----------------------------------------------------------------------------
+# -- bench: bare shafts --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class ShaftFile:
-    """What one joint's output shaft carries on a bench."""
+    """One joint's output shaft and its load."""
 
     inertia: Positive = 0.006
     """kg·m², with the rotor's times gear²"""
     damping: NotNegative = 0.002
     """N·m·s/rad"""
     friction: NotNegative = 0.02
-    """N·m, dry; holds the shaft at rest against any smaller torque"""
+    """N·m, dry; holds a shaft at rest against any smaller torque"""
     load: float = 0.0
     """N·m, constant, as of a hanging weight; positive drives the shaft forward"""
     stops: tuple[float, float] | None = None
-    """rad, where the shaft runs against a hard stop below and above; it starts at 0"""
+    """rad, hard stops below and above; the shaft starts at 0"""
 
     def __post_init__(self) -> None:
         if self.stops and not self.stops[0] < 0.0 < self.stops[1]:
@@ -61,11 +61,11 @@ class BenchFile:
     name: str = "bench"
     encoder: Encoder = field(default_factory=Encoder)
     shaft: ShaftFile = field(default_factory=ShaftFile)
-    """For every motor that `shafts` does not name."""
+    """For every motor not in `shafts`."""
     shafts: dict[str, ShaftFile] = field(default_factory=dict)
 
 
-# -- the scene: a base with two wheels among walls -----------------------------------------------------
+# -- scene: a base with two wheels among walls ---------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A straight wall between two points of its middle line."""
+    """A straight wall between two points of its centre line."""
 
     start: Point
     end: Point
@@ -106,33 +106,33 @@ class Wheel:
     """One driven wheel."""
 
     motor: str
-    """Name of the motor in the robot file; its joint turns this wheel, forward is positive."""
+    """Name of the motor in the robot file whose joint turns this wheel; forward is positive."""
     radius_error: Annotated[float, Bounds(above=-0.1, below=0.1)] = 0.0
     """The wheel's true radius is wheel_radius × (1 + this): wear, pressure, load."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """Creep between tyre and floor: a Gauss-Markov process along the rolled way, one for each wheel.
+    """Creep between tyre and floor: a Gauss-Markov process over the rolled distance, one for each wheel.
 
-    That part of the rolled way is lost (or won) on the floor. Apart from it, a wheel spins when its
-    torque exceeds its grip."""
+    That fraction of the rolled distance is lost (or gained). Besides, a wheel spins when its torque exceeds
+    its grip."""
 
-    sigma: Part = 0.0
-    """Standard deviation, as a part of the rolled way."""
+    sigma: Fraction = 0.0
+    """Standard deviation, as a fraction of the rolled distance."""
     length: Positive = 0.3
-    """m of rolled way over which it is correlated (to 1/e)"""
+    """m, correlation length (to 1/e) in rolled distance"""
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A differential base: chassis, two wheels on one axle, low-friction casters before and behind."""
+    """A differential base: chassis, two wheels on one axle, low-friction casters at front and rear."""
 
     left: Wheel
     right: Wheel
     size: tuple[Positive, Positive, Positive] = (0.4, 0.2, 0.1)
     mass: Positive = 5.0
-    """kg, all of it"""
+    """kg, in total"""
     height: Positive = 0.07
     """m, of the chassis' centre above the floor"""
     wheel_radius: Positive = 0.05
@@ -142,9 +142,9 @@ class Body:
     damping: NotNegative = 0.002
     """N·m·s/rad, at the output shaft"""
     armature: Positive = 0.002
-    """kg·m², rotor and gear as felt at the output shaft"""
+    """kg·m², rotor and gear, reflected to the output shaft"""
     caster_offset: Positive = 0.16
-    """m, before and behind the axle"""
+    """m, in front of and behind the axle"""
     caster_radius: Positive = 0.02
     slip: Slip = field(default_factory=Slip)
 
@@ -152,7 +152,7 @@ class Body:
         if self.mass <= 2.0 * self.wheel_mass:
             raise ValueError("mass must be more than that of the two wheels, which it includes")
         if self.left.motor == self.right.motor:
-            raise ValueError("right must be another motor than the one on the other side")
+            raise ValueError("right must be another motor than left")
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +167,8 @@ class Lidar:
     """m, standard deviation of one range"""
     resolution: NotNegative = 0.0
     """m; 0 is exact"""
-    dropout: Part = 0.0
-    """The part of the beams that give no reading."""
+    dropout: Fraction = 0.0
+    """Fraction of the beams without a reading."""
 
     def __post_init__(self) -> None:
         if self.range_min >= self.range_max:
@@ -178,7 +178,7 @@ class Lidar:
 
 @dataclass(frozen=True, slots=True)
 class InertialUnit:
-    """An IMU: noise per sample, constant bias, wandering gyro bias."""
+    """An IMU: noise per sample, constant bias, random walk of the gyro bias."""
 
     rate_hz: Positive = 200.0
     gyro_noise: NotNegative = 0.0
@@ -186,7 +186,7 @@ class InertialUnit:
     gyro_bias: Vector = (0.0, 0.0, 0.0)
     """rad/s"""
     gyro_walk: NotNegative = 0.0
-    """rad/s per √s: how the bias wanders"""
+    """rad/s per √s, random walk of the bias"""
     accel_noise: NotNegative = 0.0
     """m/s², standard deviation of one sample"""
     accel_bias: Vector = (0.0, 0.0, 0.0)
@@ -210,14 +210,14 @@ class SceneFile:
     body: Body
     start: Start = field(default_factory=Start)
     friction: Positive = 1.0
-    """Of the wheels on the floor, and of walls, boxes and chassis."""
+    """Coefficient, of the wheels on the floor, and of walls, boxes and chassis."""
     encoder: Encoder = field(default_factory=Encoder)
     lidars: dict[str, Lidar] = field(default_factory=dict)
-    """By the sensor's name in the robot file, which says where it is mounted; so are `imus`."""
+    """By the sensor's name in the robot file, which has its mount; so are `imus`."""
     imus: dict[str, InertialUnit] = field(default_factory=dict)
     shaft: ShaftFile = field(default_factory=ShaftFile)
-    """For every motor of the robot that turns no wheel and that `shafts` does not name: a joint that the
-    base carries. It turns by itself and does not push the base."""
+    """For every motor that turns no wheel and is not in `shafts`: a joint carried by the base, on which it
+    has no effect."""
     shafts: dict[str, ShaftFile] = field(default_factory=dict)
     walls: dict[str, Wall] = field(default_factory=dict)
     boxes: dict[str, Box] = field(default_factory=dict)

@@ -1,10 +1,10 @@
-"""A scene as MuJoCo's own modelling language (MJCF). Text in, text out; imports no MuJoCo.
+"""A scene in MuJoCo's modelling language (MJCF). Text in, text out; imports no MuJoCo.
 
-Rules. Wheels touch the floor as ellipsoids, since a cylinder makes two contacts and scrubs when it
-turns on the spot; casters have priority, little friction and no tangential contact dimension, or they
-drag. Each wheel has two joints on one axle: the shaft, which the motor turns and the encoder sees, and
-the creep of the tyre against it, which an equality constraint holds at the angle that the slip says.
-Solid things of the scene stand in geom group 0, the robot in group 1, so that beams see only the former.
+Rules. Wheels touch the floor as ellipsoids, since a cylinder makes two contacts and scrubs when it turns on
+the spot; casters have priority, little friction and no tangential contact dimension, or they drag. Each wheel
+has two joints on one axle: the shaft, which the motor turns and the encoder measures, and the creep of the
+tyre against it, which an equality constraint holds at the angle given by the slip. Walls and boxes are in
+geom group 0, the robot in group 1, so that beams hit only the former.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ CREEP_SOLREF = "0.004 1"
 
 
 def scene_xml(file: SceneFile, imus: dict[str, Mount]) -> str:
-    """The model: floor, walls and boxes, the body with its joints `left` and `right`, a site for each IMU."""
+    """Return the model: floor, walls and boxes, the body with joints `left` and `right`, a site for each
+    IMU."""
     body = file.body
     sites = "".join(f'<site name="{name}" {_pose(mount)}/>' for name, mount in imus.items())
     sensors = "".join(f'<gyro site="{name}"/><accelerometer site="{name}"/>' for name in imus)
@@ -59,7 +60,7 @@ def scene_xml(file: SceneFile, imus: dict[str, Mount]) -> str:
 
 
 def _solids(file: SceneFile) -> list[str]:
-    """Walls and boxes, in the order of `outlines`."""
+    """Return walls and boxes, in the order of `outlines`."""
     walls = [_solid(*_middle(wall), wall.thickness, wall.height) for wall in file.walls.values()]
     boxes = [_solid(box.x, box.y, box.yaw, *box.size) for box in file.boxes.values()]
     return walls + boxes
@@ -90,21 +91,21 @@ def _wheel(body: Body, name: str, wheel: Wheel, y: float) -> str:
 
 
 def _pose(mount: Mount) -> str:
-    """Position and rotation of a mount, as MJCF has them: the x and the y axis of its frame."""
+    """Return position and rotation of a mount in MJCF: the x and the y axis of its frame."""
     rows = mount.rotation()
     axes = " ".join(str(rows[row][column]) for column in (0, 1) for row in range(3))
     return f'pos="{mount.x} {mount.y} {mount.z}" xyaxes="{axes}"'
 
 
 def outlines(file: SceneFile) -> list[Polygon]:
-    """Walls and boxes seen from above, as polygons of four corners [m] in the world's frame."""
+    """Return walls and boxes seen from above, as polygons of four corners [m] in the world's frame."""
     walls = [_rectangle(*_middle(wall), wall.thickness) for wall in file.walls.values()]
     boxes = [_rectangle(box.x, box.y, box.yaw, box.size[0], box.size[1]) for box in file.boxes.values()]
     return walls + boxes
 
 
 def _middle(wall: Wall) -> tuple[float, float, float, float]:
-    """x, y, yaw and length of a wall."""
+    """Return x, y, yaw and length of a wall."""
     (x0, y0), (x1, y1) = wall.start, wall.end
     return (x0 + x1) / 2.0, (y0 + y1) / 2.0, math.atan2(y1 - y0, x1 - x0), math.dist(wall.start, wall.end)
 

@@ -1,7 +1,7 @@
-"""What a lidar and an IMU make of the truth: noise, bias, resolution, drop-outs. Seeded, in SI.
+"""Lidar and IMU: noise, bias, resolution and drop-outs added to the truth. Seeded, in SI.
 
-Rules. A sensor measures at fixed times (its period, from the world's time 0) and draws from a stream
-of random numbers of its own, so that one sensor's noise does not depend on another's presence.
+Rules. A sensor measures periodically, from the world's time 0, and draws from a random stream of its own, so
+that one sensor's noise does not depend on another's presence.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from protocols.messages import SECOND, Imu, LaserScan, Nanos
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """Random numbers for one named thing of one run."""
+    """Return the random stream of one sensor in one run."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *name.encode()])))
 
 
@@ -32,10 +32,10 @@ class LidarSensor:
         angles = -math.pi + self._increment * np.arange(file.beams)
         self._directions: Floats = np.stack([np.cos(angles), np.sin(angles), np.zeros(file.beams)], axis=1)
 
-    def measure(self, t: Nanos, plant: Rover) -> LaserScan:
-        """A scan at time t. No reading is 0.0; what is nearer than range_min gives no reading."""
+    def measure(self, t: Nanos, rover: Rover) -> LaserScan:
+        """Return a scan at time t. A range of 0.0 is no reading, as for what is nearer than range_min."""
         file = self.file
-        true = plant.rays(self.mount, self._directions, file.range_max)
+        true = rover.rays(self.mount, self._directions, file.range_max)
         ranges = true + file.noise * self._rng.standard_normal(file.beams)
         if file.resolution:
             ranges = np.round(ranges / file.resolution) * file.resolution
@@ -58,9 +58,9 @@ class ImuSensor:
         self._accel_bias: Floats = np.array(file.accel_bias)
         self._walk = file.gyro_walk / math.sqrt(file.rate_hz)
 
-    def measure(self, t: Nanos, plant: Rover) -> Imu:
-        """Rates and accelerations at time t. It does not tell an orientation."""
-        gyro, accel = plant.inertial(self.name)
+    def measure(self, t: Nanos, rover: Rover) -> Imu:
+        """Return angular rates and accelerations at time t; it has no orientation."""
+        gyro, accel = rover.inertial(self.name)
         noise = self._rng.standard_normal((3, 3))
         self._gyro_bias += self._walk * noise[0]
         gyro += self._gyro_bias + self.file.gyro_noise * noise[1]

@@ -1,14 +1,13 @@
-"""Bare shafts on a bench: inertia, damping, dry friction, a constant load, hard stops. Scalars only.
+"""Bare motor shafts: inertia, damping, dry friction, a constant load, hard stops. Scalars only.
 
-Rules. Every shaft starts at rest at 0 and knows no other. Motion is integrated with the semi-implicit
-Euler method; damping is implicit, and dry friction may stop a shaft but never turn it round.
+Rules. Every shaft starts at rest at 0 and is independent of the others. Motion is integrated with the
+semi-implicit Euler method; damping is implicit, and dry friction may stop a shaft but never reverse it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from brain.belief import Pose
 from gateway.sim.files import STEP, BenchFile, SceneFile, ShaftFile
 from protocols.messages import seconds
 
@@ -25,11 +24,11 @@ class Shaft:
         self.velocity = 0.0
         """rad/s"""
         self.touches = 0
-        """How often it ran against a hard stop."""
+        """How often it reached a hard stop."""
         self._at_stop = False
 
     def step(self, torque: float) -> None:
-        """One step of the world under a torque [N·m]."""
+        """Advance by one time step under a torque [N·m]."""
         file = self.file
         velocity = self.velocity + (torque + file.load) * DT / file.inertia
         velocity /= 1.0 + file.damping * DT / file.inertia
@@ -41,7 +40,7 @@ class Shaft:
             self._hold_within(*file.stops)
 
     def _hold_within(self, low: float, high: float) -> None:
-        """The stops are rigid and take all of the shaft's motion."""
+        """Apply the stops: they are rigid and take all of the shaft's motion."""
         touching = not low < self.position < high
         if touching:
             self.position = min(high, max(low, self.position))
@@ -50,8 +49,8 @@ class Shaft:
         self._at_stop = touching
 
 
-class Bench:
-    """A plant of independent shafts, one for each motor."""
+class Shafts:
+    """Independent shafts, one for each of these motors."""
 
     def __init__(self, file: BenchFile | SceneFile, motors: Iterable[str]) -> None:
         self._shafts = {name: Shaft(file.shafts.get(name, file.shaft)) for name in motors}
@@ -60,20 +59,16 @@ class Bench:
         return motor in self._shafts
 
     def step(self, torques: Mapping[str, float]) -> None:
-        """One step of the world; a motor that is not named gives no torque."""
+        """Advance by one time step; a motor that is not named gives no torque."""
         for name, shaft in self._shafts.items():
             shaft.step(torques.get(name, 0.0))
 
     def shaft(self, motor: str) -> tuple[float, float]:
-        """rad, rad/s"""
+        """Return position [rad] and velocity [rad/s]."""
         shaft = self._shafts[motor]
         return shaft.position, shaft.velocity
 
-    def pose(self) -> Pose:
-        """A bench does not move."""
-        return Pose(0.0, 0.0, 0.0)
-
     @property
     def touches(self) -> int:
-        """How often shafts ran against their hard stops."""
+        """How often shafts reached their hard stops."""
         return sum(shaft.touches for shaft in self._shafts.values())

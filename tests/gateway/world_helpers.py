@@ -9,7 +9,7 @@ from functools import cache
 
 from gateway.config import parse_robot
 from gateway.core.robot import Robot
-from gateway.sim.world import SceneFile, World, WorldFile, loads_world
+from gateway.sim import SceneFile, World, WorldFile, parse_world
 from protocols.messages import Imu, LaserScan
 
 RADIUS, SEPARATION = 0.05, 0.22
@@ -110,7 +110,7 @@ def robot(world: str = "", lidar: str = "x = 0.0", imu: str = "x = 0.0", sensors
 
 def scene(text: str = ROOM) -> SceneFile:
     """A scene from its text."""
-    file = loads_world(text)
+    file = parse_world(text)
     assert isinstance(file, SceneFile)
     return file
 

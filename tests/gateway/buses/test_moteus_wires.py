@@ -92,7 +92,7 @@ def test_the_vendors_controller_turns_the_twin(
 
         reported = asyncio.run(talk())
         assert reported[-1] == pytest.approx(0.5, abs=0.01)
-        twin.until("can0: somebody is there", "left: armed", "left: ready", "can0: nobody is there any more")
+        twin.until("can0: client connected", "left: armed", "left: ready", "can0: client disconnected")
         status, text = twin.end(signal.SIGTERM)
         assert status == 0, text
         assert "Traceback" not in text

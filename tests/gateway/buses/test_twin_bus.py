@@ -12,7 +12,7 @@ import pytest
 
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.robot import Motor, Robot, Sensor
-from gateway.sim.world import World, WorldError, WorldFile, load_world, loads_world
+from gateway.sim import World, WorldError, WorldFile, load_world, parse_world
 from protocols import messages as msg
 from protocols.frames import BusState, Frame, Packet
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
@@ -73,7 +73,7 @@ def rig(file: WorldFile | None = None, made: Robot | None = None, seed: int = 1,
 
 
 def bench(text: str = "") -> WorldFile:
-    return loads_world(BENCH + text)
+    return parse_world(BENCH + text)
 
 
 def drive(left: float, right: float) -> Callable[[Nanos], Messages]:
@@ -381,7 +381,7 @@ def test_open_world_by_the_robots_own_word() -> None:
 def test_sensors_without_a_world_are_a_mistake_of_the_file() -> None:
     with pytest.raises(WorldError, match="no sensor 'lidar'"):
         open_world(robot(), 1)
-    with pytest.raises(WorldError, match="no world 'ofice'"):
+    with pytest.raises(WorldError, match="'ofice' is neither"):
         open_world(replace(robot(), world="ofice"), 1)
 
 

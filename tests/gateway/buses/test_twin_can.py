@@ -12,7 +12,7 @@ from gateway.buses.frame_time import frame_time
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.config import load_robot
 from gateway.core.robot import Robot
-from gateway.sim.world import World, WorldFile, loads_world
+from gateway.sim import World, WorldFile, parse_world
 from protocols.frames import CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND, Event, Fault, Feedback, Mode, Nanos, State, Velocity
 
@@ -73,7 +73,7 @@ def test_the_committed_robot_drives_through_its_office() -> None:
 
 def test_overload_stalls_at_the_current_limit() -> None:
     # A load of 10 N·m: more than 30 A × 0.0306 N·m/A × gear 8 = 7.35 N·m.
-    bench = loads_world('kind = "bench"\n[shafts.left]\nload = -10.0\nstops = [-0.5, 50.0]\n')
+    bench = parse_world('kind = "bench"\n[shafts.left]\nload = -10.0\nstops = [-0.5, 50.0]\n')
     robot = committed("bench")
     settings = robot.motors["left"].device.settings
     host = Host(robot, bench).run(80).run(500, drive(5.0, 5.0))

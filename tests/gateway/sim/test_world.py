@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gateway.config import parse_robot
-from gateway.sim.world import SceneFile, World, WorldError, load_world
+from gateway.sim import SceneFile, World, WorldError, load_world
 from protocols.messages import MILLISECOND, LaserScan
 from tests.gateway.world_helpers import BASE, ROOM, WALLS, Driver, robot, scene, turned, world
 
@@ -113,7 +113,7 @@ def test_office_wheels_spoil_raw_odometry_and_a_gyro_mends_the_heading_but_not_t
     raw, by_gyro = driver.off(driver.odometry()), driver.off(_by_gyro(driver, 1.0))
     assert raw > 1.3 * by_gyro > 0.01 * path
     rolled = 0.05 * sum(driver.encoders[-1]) / 2.0
-    assert path / rolled == pytest.approx(1.025, abs=0.01)  # the tyres are larger than the robot file says
+    assert path / rolled == pytest.approx(1.025, abs=0.01)  # the tyres are larger than the robot file has
 
 
 def test_slip_differs_by_seed_and_is_absent_at_rest() -> None:
@@ -301,7 +301,7 @@ def test_without_mujoco_a_sentence_names_the_extra(monkeypatch: pytest.MonkeyPat
 def test_mujoco_comes_late_and_no_graphics_at_all() -> None:
     code = (
         "import sys, gateway.buses.virtual.bus\n"
-        "from gateway.sim.world import load_world, World\n"
+        "from gateway.sim import load_world, World\n"
         "from tests.gateway.world_helpers import robot\n"
         "assert 'mujoco' not in sys.modules\n"
         "world = World(load_world('office'), robot(), 1)\n"

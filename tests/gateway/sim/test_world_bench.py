@@ -8,9 +8,9 @@ import sys
 import pytest
 
 from brain.belief import Pose
+from gateway.sim import World, WorldError, parse_world
 from gateway.sim.files import ShaftFile
 from gateway.sim.shafts import Shaft
-from gateway.sim.world import World, WorldError, loads_world
 from tests.gateway.world_helpers import robot
 
 
@@ -58,7 +58,7 @@ def test_hard_stops_take_the_motion_and_are_counted_once() -> None:
 
 def test_the_bench_is_a_world_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    file = loads_world('kind = "bench"\nname = "b"\n[shafts.right]\nstops = [-0.1, 0.1]\n')
+    file = parse_world('kind = "bench"\nname = "b"\n[shafts.right]\nstops = [-0.1, 0.1]\n')
     bench = World(file, robot(sensors=False), 1)
     for _ in range(500):
         bench.step({"left": 0.3, "right": -0.3})
@@ -74,7 +74,7 @@ def test_the_bench_is_a_world_without_mujoco(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_bench_tells_what_it_has_not() -> None:
-    file = loads_world('kind = "bench"\nname = "b"\n[shafts.middle]\n')
+    file = parse_world('kind = "bench"\nname = "b"\n[shafts.middle]\n')
     with pytest.raises(WorldError) as caught:
         World(file, robot(), 1)
     assert len(caught.value.mistakes) == 3
