@@ -23,7 +23,6 @@ from protocols.moteus.codec import (
     INT32,
     LENGTHS,
     POLL,
-    READ,
     READ_ERROR,
     REPLY,
     TO_DEVICE,
@@ -46,21 +45,18 @@ from protocols.moteus.codec import (
     write,
 )
 from protocols.moteus.messages import (
-    DISCOVER,
     IDENTIFY,
     STOP,
     Limits,
-    console,
-    masked,
     names,
     position_command,
     torque_command,
     written,
 )
 from protocols.moteus.registers import NAMES, SCALES, Mode, Register, mode_name, scale_of
-from protocols.moteus.reply import FAST, FULL, decode
+from protocols.moteus.reply import decode
 from protocols.reference_vectors import Vector, vectors_of
-from tests.protocols.moteus.from_package import UUID, entries
+from tests.protocols.moteus.from_package import entries
 
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 PLAIN = Limits(0.1)
@@ -70,36 +66,6 @@ MOVE = (0.25, -1.5, 0.125)
 
 def made(data: bytes, address: int = 5, host: int = 0, prefix: int = 0) -> CanFrame:
     return make_frame(command_id(address, host, prefix), data)
-
-
-# What our end says, beside the frame that moteus 1.1.1 makes of the same values.
-SAID: dict[str, CanFrame] = {
-    "position_watchdog_0.1s": made(position_command(*MOVE, PLAIN) + FAST),
-    "velocity_watchdog_0.1s": made(position_command(None, -1.5, 0.125, PLAIN) + FAST),
-    "torque_watchdog_0.1s": made(torque_command(0.25, 0.125, PLAIN) + FAST),
-    "position_limited": made(position_command(*MOVE, LIMITED) + FAST),
-    "position_limited_no_accel": made(position_command(*MOVE, Limits(0.1, 1.5, 4.0)) + FAST),
-    "velocity_limited": made(position_command(None, -1.5, 0.125, LIMITED) + FAST),
-    "torque_limited": made(torque_command(0.25, 0.125, LIMITED) + FULL),
-    "position_full_query": made(position_command(*MOVE, PLAIN) + FULL),
-    "query_fast": made(FAST),
-    "query_full": made(FULL),
-    "stop_with_query": made(STOP + FAST),
-    "stop_id_100": made(STOP + FAST, 100),
-    "stop_host_3": made(STOP + FAST, host=3),
-    "stop_prefix": made(STOP + FAST, prefix=0x1ABC),
-    "stop_no_reply": make_frame(5, STOP),
-    "set_output_exact_0": made(write(Register.SET_OUTPUT_EXACT, 0.0) + FAST),
-    "console_conf_write": make_frame(5, console("conf write")),
-    "set_id_by_uuid": make_frame(0x7F, masked(UUID[:8], console("conf set id.id 9"))),
-    "discover_by_uuid": made(masked(UUID[:8], DISCOVER), 0x7F),
-    "discover_broadcast_0x7f": made(DISCOVER, 0x7F),
-}
-
-
-@pytest.mark.parametrize("name", SAID)
-def test_what_we_say_is_the_package_s_vector(name: str) -> None:
-    assert SAID[name] == VECTORS[name].frame
 
 
 def test_the_vectors_of_the_package_are_made_again() -> None:
@@ -247,7 +213,10 @@ def test_vectors_of_numbers_in_binary32() -> None:
     assert to_raw(1, F32, -0.0) == 0.0
     assert math.copysign(1.0, to_raw(1, F32, -0.0)) == 1.0
     assert to_raw(1, F32, 1e-40) == 0.0
-    assert to_raw(1, F32, 1e300) == pytest.approx(3.4028234663852886e38)
+    assert to_raw(1, F32, 1e300) == 3.4028234663852886e38
+    assert to_raw(1, F32, -1e39) == -3.4028234663852886e38
+    assert [to_raw(1, F32, x) for x in (2.0**-126, -(2.0**-126))] == [2.0**-126, -(2.0**-126)]
+    assert [to_raw(1, F32, x) for x in (2.0**-127, -(2.0**-127))] == [0.0, 0.0]
     assert math.isnan(to_raw(1, F32, None))
     assert from_raw(1, F32, math.nan) is None
     assert from_raw(1, F32, math.inf) is None
@@ -258,14 +227,6 @@ def test_vectors_of_numbers_in_binary32() -> None:
             position_command(bad, 0.0, 0.0, PLAIN)
         with pytest.raises(ValueError, match="not finite"):
             torque_command(0.0, bad, PLAIN)
-
-
-def test_vectors_of_a_wrong_length_or_of_a_host_tell_nothing() -> None:
-    assert decode(bytes.fromhex("21000a2f01000000be0000c03f000040bf210f005050")) is None  # 22 bytes
-    assert decode(FAST) is None
-    assert decode(bytes.fromhex("01000a")) is None
-    assert decode(bytes.fromhex("21000a21")) is None
-    assert decode(bytes.fromhex("21000a2f010000807f0000c03f000040bf210f00")) is None  # an infinity
 
 
 @pytest.mark.parametrize("size", [20, 48])
@@ -340,33 +301,9 @@ def test_what_vectors_write_is_what_the_package_reads() -> None:
                 assert mine == pytest.approx(yours, nan_ok=True)
 
 
-NAMED = {
-    "position_watchdog_0.1s": ("position 020 021 022 027", "read"),
-    "velocity_watchdog_0.1s": ("velocity 020 021 022 027", "read"),
-    "torque_watchdog_0.1s": ("torque 020 021 022 023 024 027 02B", "read"),
-    "stop_no_reply": ("stop",),
-    "brake": ("brake", "read"),
-    "current_q2A": ("current 01C 01D", "read"),
-    "query_default": ("read",),
-    "rezero_nearest_0": ("write 130", "read"),
-    "set_id_by_uuid": ("write 154 155", "console: conf set id.id"),
-    "console_conf_write": ("console: conf write",),
-    "console_read": ("console: read",),
-    "reply_fast": (),
-}
-
-
-@pytest.mark.parametrize("name", NAMED)
-def test_vectors_have_names(name: str) -> None:
-    assert names(VECTORS[name].frame) == NAMED[name]
-
-
 def test_what_is_no_vector_to_a_device_has_no_name() -> None:
     assert names(b"\x01\x00\x00") == ()
+    assert names(VECTORS["reply_fast"].frame) == ()
     assert names(CanFrame(0x8005, b"\x01\x00", extended=True, fd=True)) == ()
     assert names(CanFrame(0x8085, STOP, extended=True, fd=True)) == ()
     assert names(made(IDENTIFY)) == ("read",)
-
-
-def test_vectors_of_questions_begin_at_0x10() -> None:
-    assert header(READ, Register.MODE, INT8, 1) == b"\x11\x00"

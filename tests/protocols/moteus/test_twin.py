@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from math import isnan, nan, tau
 
 import pytest
@@ -460,11 +459,6 @@ def test_unknown_registers_are_errors_and_their_neighbours_are_told() -> None:
     rig = Rig()
     (answer,) = rig.say(encode(Query(0x07, INT8, 4)))
     assert subframes(answer) == [
-        Error(0x31, 0x08, 1),
-        Error(0x31, 0x09, 1),
-        Values(REPLY, 0x07, INT8, (0,)),
-        Values(REPLY, 0x0A, INT8, (0,)),
-    ] or subframes(answer) == [
         Values(REPLY, 0x07, INT8, (0,)),
         Error(0x31, 0x08, 1),
         Error(0x31, 0x09, 1),
@@ -623,22 +617,3 @@ def test_the_console_gives_the_device_another_id() -> None:
     reported = decode(answer.data)
     assert reported is not None
     assert reported.console == b"9\r\nOK\r\nERR unknown command\r\n"
-
-
-@pytest.mark.parametrize(
-    "line", ["conf set id.id 0", "conf set id.id 127", "conf set id.id x", "conf set a b"]
-)
-def test_ids_that_cannot_be_are_errors(line: str) -> None:
-    rig = Rig()
-    rig.say(console(line))
-    assert rig.twin.state.address == 1
-
-
-def test_a_copy_goes_on_as_the_original() -> None:
-    rig = Rig()
-    rig.say(position_command(None, 2.0, 0.0, Limits(10.0, 0.5, 4.0, 20.0)), milliseconds=50)
-    other = copy.deepcopy(rig)
-    assert [f.data for f in rig.say(FAST, milliseconds=20)] == [
-        f.data for f in other.say(FAST, milliseconds=20)
-    ]
-    assert rig.shaft == other.shaft

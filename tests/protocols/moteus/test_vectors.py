@@ -148,23 +148,3 @@ def test_vectors_that_are_not_given_tell_no_number() -> None:
     assert not [f for f in talk.say(POSITION) if f.data[:1] == b"\x01"]  # where it is, is not known
     assert talk.handle(VECTORS["reply_int8_nan"]) == []
     assert talk.driver.counters.accepted == 2
-
-
-def test_the_vector_of_a_fault_is_told_with_its_words() -> None:
-    talk = Talk()
-    _, fault, state = talk.handle(VECTORS["reply_fast_fault"])
-    assert isinstance(fault, msg.Fault)
-    assert (fault.code, fault.name) == (38, "over temperature")
-    assert state == msg.State("left", talk.now, Mode.FAULT, "fault")
-    assert [f for _ in range(20) for f in talk.say(POSITION) if f.data[:1] == b"\x01"] == []
-
-
-def test_the_vector_of_a_uuid_is_found_by_a_scan() -> None:
-    talk = Talk().running()
-    talk.say(msg.Scan("can0"))
-    (found,) = of(msg.Found, talk.handle(VECTORS["reply_uuid"]))
-    assert (found.address, found.serial, found.duplicate_address) == (5, 0x0123456789ABCDEF, False)
-    assert "01234567-89ab-cdef-fedc-ba9876543210" in found.detail
-    assert of(msg.Found, talk.handle(VECTORS["reply_uuid"])) == []
-    (other,) = of(msg.Found, talk.handle(VECTORS["reply_errors"]))
-    assert (other.serial, other.detail.split("; ")[1]) == (None, "it has no UUID: older firmware")

@@ -7,7 +7,7 @@ from math import tau
 import pytest
 
 from protocols import messages as msg
-from protocols.frames import BusState, CanFrame, Frame
+from protocols.frames import CanFrame
 from protocols.messages import Command, Event, Mode, Nanos, Request
 from protocols.moteus import plugin
 from protocols.moteus.decoder import MoteusDecoder
@@ -201,14 +201,6 @@ def _at(t: Nanos, event: Event) -> Event:
     return type(event)(**{**values, "t": t})
 
 
-@pytest.mark.parametrize("request_", [READ, WRITE, SAVE])
-def test_a_request_that_no_vector_answers_is_said_ten_times_and_given_up(request_: Request) -> None:
-    it = talk()
-    it.say(request_)
-    kind = type(request_).__name__
-    assert waits(it, 600) == [msg.Refused(it.now, kind, "left", "no reply to this request")]
-
-
 def test_zero_as_vectors() -> None:
     it = talk()
     frame = VECTORS["write_output_exact_0_read_back"]
@@ -312,57 +304,6 @@ def test_two_uuids_at_one_id_as_vectors() -> None:
     assert reported(it, "reply_uuid", "reply_uuid_other") == []
 
 
-def test_a_motor_that_nobody_has_is_refused_beside_vectors() -> None:
-    it = talk()
-    assert it.driver.send(it.now, [msg.Idle("nobody")])[0] == [
-        msg.Refused(it.now, "Idle", "nobody", "no such motor on this bus")
-    ]
-    assert reported(it, "reply_stopped") == []
-
-
-def test_a_velocity_begins_where_the_vector_says_that_the_shaft_is() -> None:
-    it = Talk().running()
-    first = it.say(msg.Velocity("left", -1.5 * tau, 0.125))[0]
-    assert first == VECTORS["position_watchdog_0.1s"]
-    for _ in range(2):
-        it.handle(AT)
-        assert it.say(msg.Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["position_watchdog_0.1s"]
-    it.handle(AT)
-    assert it.say(msg.Velocity("left", -1.5 * tau, 0.125))[0] == VECTORS["velocity_watchdog_0.1s"]
-
-
-def test_vectors_of_other_shapes_are_foreign_or_bad() -> None:
-    it = talk()
-    frame = VECTORS["reply_fast"]
-    assert isinstance(frame, CanFrame)
-    received = it.driver.counters.accepted
-    others: list[Frame] = [frame.data, VECTORS["reply_id_100"], VECTORS["stop_with_query"]]
-    assert [event for raw in others for event in it.handle(raw)] == []
-    assert it.driver.counters.ignored == len(others)
-    assert it.driver.counters.accepted == received
-
-
-def test_a_bus_that_goes_ends_what_was_asked_for_beside_vectors() -> None:
-    it = talk()
-    it.say(READ, msg.Scan("can0"))
-    it.driver.bus(it.now, BusState.GONE)
-    it.now += 5_000_000
-    assert it.driver.send(it.now, ())[0] == [
-        msg.Refused(it.now - 5_000_000, "ReadParameter", "left", "the bus is gone"),
-        msg.Refused(it.now - 5_000_000, "Scan", "can0", "the bus is gone"),
-    ]
-    assert reported(it, "reply_power") == []
-
-
-def test_what_runs_as_the_vector_says_is_given_no_id_and_no_zero() -> None:
-    it = Talk().running()
-    for request, name in ((msg.SetId("can0", 7, 5), "can0"), (msg.Zero("left"), "left"), (SAVE, "left")):
-        (refused,) = it.driver.send(it.now, [request])[0]
-        assert isinstance(refused, msg.Refused)
-        assert (refused.t, refused.request, refused.name) == (it.now, type(request).__name__, name)
-        assert "armed" in refused.reason
-
-
 def test_a_device_is_asked_who_it_is_every_five_seconds_once_the_vector_has_told() -> None:
     it = Talk()
     before = 0
@@ -385,29 +326,6 @@ def test_two_uuids_are_told_again_after_clear_as_vectors() -> None:
     assert [type(e) for e in reported(it, "reply_stopped")] == [msg.Done]
     assert reported(it, "reply_uuid") == []
     assert len(reported(it, "reply_uuid_other")) == 3
-
-
-def test_numbers_next_to_nothing_in_a_vector_are_nothing() -> None:
-    frame = VECTORS["reply_fast"]
-    assert isinstance(frame, CanFrame)
-    tiny = bytes.fromhex("01000080")
-    data = frame.data[:5] + 3 * tiny + frame.data[17:]
-    (feedback, _) = talk().handle(CanFrame(frame.id, data, False, False, True, True))
-    assert isinstance(feedback, msg.Feedback)
-    assert str((feedback.position, feedback.velocity, feedback.torque)) == "(0.0, 0.0, 0.0)"
-
-
-def test_a_request_to_a_device_that_says_no_vector_is_not_answered() -> None:
-    it = Talk()
-    it.say(READ)
-    events: list[Event] = []
-    for _ in range(125):
-        it.now += 5_000_000
-        events += it.driver.send(it.now, ())[0]
-    refused = [event for event in events if isinstance(event, msg.Refused)]
-    assert [(r.name, r.reason) for r in refused] == [("left", "no reply of the device")]
-    (offline,) = (event for event in events if isinstance(event, msg.State))
-    assert (offline.motor, offline.mode, offline.detail) == ("left", Mode.OFFLINE, "no reply")
 
 
 def test_a_stop_ends_with_its_second_answer_as_vectors() -> None:

@@ -184,6 +184,7 @@ def test_a_command_that_is_no_vector_is_refused_once(word: Command, reason: str)
     refused = [msg.Refused(it.now + 5_000_000, type(word).__name__, word.motor, reason)]
     assert asked(it, word) == refused
     assert asked(it, word) == []
+    assert not any(frame.data[:1] == b"\x01" for frame in it.say(word))
     other = msg.Velocity(word.motor, nan)
     if word.motor == "left":
         assert asked(it, other) == [msg.Refused(it.now, "Velocity", "left", "velocity is nan")]

@@ -8,7 +8,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.frames import BusState
-from protocols.messages import MILLISECOND, Command, Request
+from protocols.messages import Command, Request
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import reported, talk
 
@@ -121,13 +121,3 @@ def test_idle_lets_go_of_a_device_in_timeout_as_the_vector_says() -> None:
     assert len(reported(it, "reply_stopped")) >= 2
     assert stops(it, 9, msg.Idle("left"), hears="reply_stopped") == []
     assert it.say(msg.Zero("left"))[0].data[:3] == b"\x0d\xb1\x02"  # it is not ours any more
-
-
-def test_an_operator_s_stop_reaches_what_we_did_not_arm_beside_vectors() -> None:
-    it = Talk().running()
-    it.now += 5 * MILLISECOND
-    events, frames = it.driver.send(it.now, [msg.Stop("now"), msg.Idle("left")])
-    assert events == []
-    assert VECTORS["stop_with_query"] in frames
-    it = Talk().running()
-    assert stops(it, 3, msg.Idle("left")) == []

@@ -8,11 +8,8 @@ from math import tau
 import pytest
 
 from protocols import messages as msg
-from protocols.frames import CanFrame, Frame
+from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Event, Mode
-from protocols.moteus.codec import to_single
-from protocols.moteus.faults import FAULTS
-from protocols.moteus.options import Options
 from protocols.moteus.reply import decode
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 from tests.protocols.moteus.test_vectors_heard import reported, talk
@@ -177,17 +174,6 @@ def test_what_an_answer_of_another_shape_tells_beside_vectors() -> None:
     assert [(e.code, e.register, e.number) for e in complaint.errors] == [(0x30, 15, 2), (0x31, 0x150, 1)]
 
 
-def test_numbers_at_the_end_of_binary32_beside_vectors() -> None:
-    most = 3.4028234663852886e38
-    assert [to_single(x) for x in (most, -most, 1e39, -1e39)] == [most, -most, most, -most]
-    assert [to_single(x) for x in (2.0**-126, -(2.0**-126), 2.0**-127, -(2.0**-127))] == [
-        2.0**-126,
-        -(2.0**-126),
-        0.0,
-        0.0,
-    ]
-
-
 def later(it: Talk) -> list[Event]:
     """Five milliseconds on."""
     it.now += 5 * MILLISECOND
@@ -229,16 +215,6 @@ def test_the_mode_that_a_vector_tells(number: int) -> None:
     if number in (1, 11):
         stopped = f"{NAMES[0]}, not cleared yet"
         assert reported(it, "reply_stopped") == [msg.State("left", it.now, Mode.FAULT, stopped)]
-
-
-@pytest.mark.parametrize("code", [code for code in FAULTS if code < 0x100 and code != 11])
-def test_a_fault_of_a_vector_is_told_with_its_code(code: int) -> None:
-    it = talk()
-    text = FAULTS[code]
-    data = "210001" + "2f01" + "00000000" * 3 + f"210f{code:02x}"
-    fault = msg.Fault("left", it.now, code, text.name, text.cause, text.remedy)
-    events = [event for event in it.handle(data) if not isinstance(event, msg.Feedback)]
-    assert events == [fault, msg.State("left", it.now, Mode.FAULT, "fault")]
 
 
 def test_a_fault_that_no_vector_names_is_told_by_its_number() -> None:
@@ -319,27 +295,6 @@ def test_a_zero_is_near_enough_beside_vectors(place: str, near: bool) -> None:
 
 
 # -- the wire ----------------------------------------------------------------------------------------
-
-
-def test_what_is_foreign_beside_vectors() -> None:
-    it = talk()
-    good = VECTORS["reply_fast"]
-    assert isinstance(good, CanFrame)
-    others: list[Frame] = [
-        good.data,
-        CanFrame(0x500, good.data[:8], False, False, False),
-        CanFrame(0x500, b"", False, True, False),
-        CanFrame(0x500, good.data, True, False, True, True),
-        CanFrame(0x600, good.data, False, False, True, True),
-        CanFrame(0x8500, good.data, True, False, True, True),
-    ]
-    for at, frame in enumerate(others, 1):
-        assert it.handle(frame) == []
-        assert it.driver.counters.ignored == at
-    far = Talk(Options(can_prefix=1))
-    wide = CanFrame(0x1_0500, good.data, True, False, True, True)
-    assert len(far.handle(wide)) == 2
-    assert (far.driver.counters.accepted, far.driver.counters.ignored) == (1, 0)
 
 
 def test_a_release_asks_nothing_beside_vectors() -> None:

@@ -1,14 +1,16 @@
-"""Bytes to a device, and what it does and answers: beside the vectors, register by register."""
+"""What a device obeys and replies, register by register; decoder and twin hold the same registers."""
 
 from __future__ import annotations
 
 from math import tau
 
+import numpy as np
 import pytest
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Request
+from protocols.moteus.codec import write
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.messages import names
 from protocols.moteus.options import Options, Settings, serial_of
@@ -65,6 +67,11 @@ OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
     ("01000a0e43" + "00000000" * 2 + "0d4700000000", [msg.Torque("m", 0.0)], ("position 043 044 047",)),
     ("01000a" + "0d20" + "0000003f" + "01000a", [msg.Position("m", 0.0)], ("position 020",)),
     ("0d20" + "0000003f" + "01000a", [msg.Position("m", 0.0)], ("position 020",)),
+    ("01000a0d200000003f" + "010000", [msg.Idle("m")], ("stop 020",)),
+    # a stop position and a limit together: fault 45, no torque; a negative limit is none
+    ("01000a0d200000003f0d260000803e0d280000803f", [msg.Idle("m")], ("position 020 026 028",)),
+    ("01000a0d200000003f0d260000803e0d2900000000", [msg.Idle("m")], ("position 020 026 029",)),
+    ("01000a0d200000003f0d260000803e0d28000080bf", [msg.Position("m", 0.5 * tau)], ("position 020 026 028",)),
     ("010009" + "0d1c" + "00000040", [msg.Torque("m", 2.0 * KT)], ("current 01C",)),
     ("010009", [msg.Torque("m", 0.0)], ("current",)),
     ("010009" + "0d1c" + "0000c07f", [msg.Torque("m", 0.0)], ("current 01C",)),
@@ -304,3 +311,28 @@ def test_what_a_device_answers_beside_vectors(data: str, answer: str) -> None:
     assert isinstance(said, CanFrame)
     assert said.data.rstrip(b"\x50") == bytes.fromhex(answer)
     assert said.id == 0x500
+
+
+def test_decoder_and_twin_hold_the_same_registers() -> None:
+    """Random frames of random registers: the decoder has the command that the firmware runs."""
+    generator = np.random.Generator(np.random.PCG64(3))
+    for _ in range(200):
+        decoder, twin = MoteusDecoder([device()]), MoteusTwin(device(), 0)
+        twin.step(0, [msg.Feedback("left", 0, 0.0, 0.0)])
+        sent = frame(_random_data(generator).hex(), 0x8001)
+        words = decoder.decode(MILLISECOND, sent)
+        twin.receive(MILLISECOND, sent)
+        assert repr(decoder.states[0].command) == repr(twin.state.command)
+        assert decoder.states[0].mode == twin.state.mode
+        if any(isinstance(word, Command) for word in words):
+            assert repr(twin.servo.command) == repr(decoder.states[0].command)
+            assert twin.servo.commanded_mode == decoder.states[0].mode
+
+
+def _random_data(generator: np.random.Generator) -> bytes:
+    data = b""
+    for _ in range(int(generator.integers(1, 4))):
+        start = int(generator.choice([0, 0, 0x1C, 0x20, 0x23, 0x27, 0x40, 0x42, 0x130, 0x3F0]))
+        values = [float(np.float32(v)) for v in generator.uniform(-9, 16, int(generator.integers(1, 4)))]
+        data += write(start, *values, resolution=int(generator.integers(4)))
+    return data[: int(generator.integers(len(data) // 2, min(len(data), 64) + 1))]
