@@ -1,4 +1,4 @@
-"""A robot in words, for `gateway check`: what was understood of its file, and what to be careful about."""
+"""A robot as text, for `gateway check`: what its file says, and its cautions."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import fields
 from math import inf
 
 from gateway.config.validate import cautions
-from gateway.core.robot import BusSettings, Motor, Robot, Sensor
+from gateway.core.robot import BusDevice, BusSettings, Motor, Robot, Sensor
 from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import FeedbackKind
 
 FRAME_BITS = 125
-"""Of a classic CAN frame with 8 data bytes and an 11-bit id: 111 with its gap, and some stuffing."""
+"""Bits of a classic CAN frame with 8 data bytes and an 11-bit id: 111 with its gap, and some stuffing."""
 FD_BITS = 32, 100
-"""Of such a frame of CAN FD, with its bit rate switched: at the bus's bit rate, and at that of its data."""
+"""Bits of such a frame of CAN FD with bit rate switching: at the bus's bit rate, and at that of its data."""
 
 
 def describe(robot: Robot) -> str:
-    """Buses, motors, sensors and brain as tables, and every caution."""
+    """Return buses, motors, sensors and brain as tables, and every caution."""
     world = f"world {robot.world}, seed {robot.seed}" if robot.world else "no world"
     blocks = [
         f"{robot.name}: {SECOND / robot.period:g} steps per second, {world}",
@@ -32,11 +32,9 @@ def describe(robot: Robot) -> str:
         blocks.append(_table("sensor", *_SENSOR_HEADS, rows=[_sensor(s) for s in robot.sensors.values()]))
     blocks.append(_brain(robot))
     if robot.bag is not None:
-        blocks.append(_table("bag", "topic", rows=[[part, topic] for topic, part in robot.bag.parts()]))
-    reported = cautions(robot)
-    blocks.append(
-        "\n".join(["be careful:", *(f"  {text}" for text in reported)]) if reported else "no cautions"
-    )
+        blocks.append(_table("bag", "topic", rows=[[name, topic] for topic, name in robot.bag.parts()]))
+    notes = cautions(robot)
+    blocks.append("\n  ".join(["cautions:", *notes]) if notes else "no cautions")
     return "\n\n".join(blocks)
 
 
@@ -52,7 +50,7 @@ _LIMIT_HEADS = (
     "stop action",
     "on fault",
 )
-_SENSOR_HEADS = ("protocol", "bus", "address", "mounted at", "yaw", "too old after")
+_SENSOR_HEADS = ("protocol", "bus", "address", "mounted at", "yaw", "timeout")
 
 
 def _bus(robot: Robot, bus: BusSettings) -> list[str]:
@@ -63,35 +61,31 @@ def _bus(robot: Robot, bus: BusSettings) -> list[str]:
 
 
 def _load(robot: Robot, bus: BusSettings) -> str:
-    """The least that a CAN bus carries: a command per step and a report per period, per motor."""
+    """Return the least load of a CAN bus: a command per step and a report per period, per motor."""
     if bus.kind == "serial":
         return "-"
-    busy = 0.0
-    for motor in robot.motors.values():
-        if motor.bus == bus.name:
-            reported = motor.spec.feedback is not FeedbackKind.NONE and motor.spec.feedback_period > 0
-            frames = SECOND / robot.period + (SECOND / motor.spec.feedback_period if reported else 0)
-            busy += frames * _least_time(bus, fd=motor.spec.bus == "canfd")
-    return f"at least {100 * busy:.0f} %"
-
-
-def _least_time(bus: BusSettings, *, fd: bool) -> float:
-    """Seconds of a frame of 8 bytes."""
-    if not fd:
-        return FRAME_BITS / bus.bitrate
     slow, fast = FD_BITS
-    return slow / bus.bitrate + fast / (bus.data_bitrate or bus.bitrate)
+    seconds = {
+        "can": FRAME_BITS / bus.bitrate,
+        "canfd": slow / bus.bitrate + fast / (bus.data_bitrate or bus.bitrate),
+    }
+    busy = 0.0
+    for spec in (motor.spec for motor in robot.motors.values() if motor.bus == bus.name):
+        reports = spec.feedback is not FeedbackKind.NONE and spec.feedback_period > 0
+        frames = SECOND / robot.period + (SECOND / spec.feedback_period if reports else 0)
+        busy += frames * seconds[spec.bus]
+    return f"at least {100 * busy:.0f} %"
 
 
 def _motor(motor: Motor) -> list[str]:
     spec, watchdog = motor.spec, motor.spec.watchdog
-    if watchdog.timeout is None:
-        guard = "none"
-    else:
-        guard = f"{watchdog.timeout / MILLISECOND:g} ms" if watchdog.enabled else "off"
-    reported = spec.feedback is not FeedbackKind.NONE
-    reports = f"{spec.feedback}, {spec.feedback_period / MILLISECOND:g} ms" if reported else "nothing"
-    return [*_wiring(motor), _ids(spec.sends), _ids(spec.expects), reports, guard]
+    timeout = "none"
+    if watchdog.timeout is not None:
+        timeout = f"{watchdog.timeout / MILLISECOND:g} ms" if watchdog.enabled else "off"
+    reports = f"{spec.feedback}, {spec.feedback_period / MILLISECOND:g} ms"
+    if spec.feedback is FeedbackKind.NONE:
+        reports = "nothing"
+    return [*_connection(motor), _ids(spec.sends), _ids(spec.expects), reports, timeout]
 
 
 def _limits(motor: Motor) -> list[str]:
@@ -117,11 +111,11 @@ def _sensor(sensor: Sensor) -> list[str]:
     turned = f"{mount.yaw:g} rad"
     if mount.pitch or mount.roll:
         turned += f", pitch {mount.pitch:g}, roll {mount.roll:g}"
-    return [*_wiring(sensor), place, turned, f"{sensor.timeout / MILLISECOND:g} ms"]
+    return [*_connection(sensor), place, turned, f"{sensor.timeout / MILLISECOND:g} ms"]
 
 
-def _wiring(part: Motor | Sensor) -> list[str]:
-    return [part.name, part.plugin.name, part.bus, str(part.device.address)]
+def _connection(device: BusDevice) -> list[str]:
+    return [device.name, device.plugin.name, device.bus, str(device.device.address)]
 
 
 def _ids(ids: frozenset[int]) -> str:
@@ -133,13 +127,13 @@ def _ids(ids: frozenset[int]) -> str:
 
 def _brain(robot: Robot) -> str:
     body = robot.brain.differential if robot.brain.body == "differential" else robot.brain.joints
-    named = [(field.name, getattr(body, field.name)) for field in fields(body)] if body else []
-    rows = [f"  {name} = {_value(value)}" for name, value in named if value is not None]
-    return "\n".join([f"body: {robot.brain.body}", *rows])
-
-
-def _value(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    lines = [f"body: {robot.brain.body}"]
+    for field in fields(body) if body else ():
+        value = getattr(body, field.name)
+        if value is not None:
+            text = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+            lines.append(f"  {field.name} = {text}")
+    return "\n".join(lines)
 
 
 def _table(*heads: str, rows: Sequence[Sequence[str]]) -> str:

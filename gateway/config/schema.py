@@ -240,7 +240,7 @@ def wanted(hint: object) -> str:
     if origin in (Union, UnionType):
         return " or ".join(wanted(one) for one in args if one is not NoneType)
     if origin is tuple:
-        each = wanted(args[0]).partition(" ")[2]
+        each = re.sub("^an? ", "", wanted(args[0]))
         items = re.sub(r"\b(number|integer|string|array|table)\b", r"\1s", each, count=1)
         return f"an array of {items}" if Ellipsis in args else f"an array of {len(args)} {items}"
     if origin is dict or is_dataclass(hint):

@@ -772,7 +772,7 @@ def test_a_robot_in_words_names_everything(path: Path) -> None:
 
 def test_a_robot_in_words_carries_its_cautions_and_bus_load() -> None:
     said = describe(parse_robot(changed('watchdog = "acknowledged"', "")))
-    assert "be careful:\n  left: the device's watchdog is off" in said
+    assert "cautions:\n  left: the device's watchdog is off" in said
     # two motors, a command every 5 ms and a report every 10 ms each: 600 frames of 125 bits in 1 Mbit
     assert "at least 8 %" in said
 
