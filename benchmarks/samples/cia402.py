@@ -151,7 +151,7 @@ def _our_upload() -> tuple[CanFrame, int | None]:
 
 
 def _handle(transfer: Transfer, frame: CanFrame) -> None:
-    answer = sdo.decode_answer(frame.data)
+    answer = sdo.decode_response(frame.data)
     if answer is None or transfer.handle(answer) is not None or not transfer.done:
         raise ValueError(f"{frame} does not end the transfer")
 

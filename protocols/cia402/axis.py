@@ -1,11 +1,12 @@
-"""What a drive obeys: its dictionary, NMT and power state as its host drives them, and what that is in words.
+"""What a drive obeys: its dictionary, NMT and power state as its host drives them, and the resulting
+commands.
 
-Rules. `Axis` is what one drive remembers of what it was told. The ear has one per device, and the twin's
-firmware runs on the very same class, so ear and twin cannot disagree on what is obeyed. What only the
-firmware can know (a fault, standstill after a quick stop) the twin puts into it; an axis of an ear does not
-wait for standstill (`instant`). A frame that changes nothing gives no word: set-points to a drive that is
-not in OPERATION ENABLED are remembered, and become a word when it is enabled. PDOs are heard in NMT
-operational only, SDO not in NMT stopped.
+Rules. `Axis` is the part of one drive's state that frames from the host determine. The command decoder has
+one per device, and the twin's firmware runs on the very same class, so the two cannot disagree on what is
+obeyed. What only the firmware can know (a fault, standstill after a quick stop) the twin sets from outside;
+the axis of a decoder does not wait for standstill (`instant`). A frame that changes nothing yields no
+command: set-points to a drive that is not in OPERATION ENABLED are stored, and yield a command when it is
+enabled. PDOs are received in NMT operational only, SDO not in NMT stopped.
 
 Source: CiA 301 (NMT, PDO, SYNC); CiA 402-2 (modes, set-point handshake of profile position).
 """
@@ -16,39 +17,27 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from protocols import messages as msg
+from protocols.cia402 import codec, sdo
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.codec import (
-    HEARTBEAT_BASE,
-    NODE_MASK,
-    SYNC_ID,
-    Heartbeat,
-    Nmt,
-    NmtCommand,
-    NmtState,
-    Sync,
-    decode,
-    is_classic,
-    sdo_rx_id,
-)
+from protocols.cia402.codec import NmtCommand, NmtState
 from protocols.cia402.dictionary import Dictionary
 from protocols.cia402.objects import TARGETS, Key, title
 from protocols.cia402.options import Settings
 from protocols.cia402.pdo import DISABLED, is_synchronous
 from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_of
-from protocols.cia402.server import Server
-from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, obey
+from protocols.cia402.server import SdoServer
+from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, next_state
 from protocols.cia402.units import READ, Units, units_of
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Nanos, Request
 from protocols.plugin import Device
 
-Messages = Sequence[Command | Request]
+Obeyed = Sequence[Command | Request]
 MODES = {int(mode): mode for mode in Mode}
 NMT_STATE = "NMT state"
 """The parameter that an NMT command changes."""
 COMMUNICATION_END = 0x2000
-"""Below it lie the objects of communication."""
+"""The objects below it are communication parameters."""
 NEXT_STATE = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
@@ -57,17 +46,17 @@ NEXT_STATE = {
 
 
 class Signal(Enum):
-    """What the firmware behind an axis has to do."""
+    """Events that the firmware behind an axis handles."""
 
     SYNC = auto()
     RESET_NODE = auto()
     RESET_COMMUNICATION = auto()
     CONNECTION_LOST = auto()
-    """NMT stopped or reset: what object 6007 says."""
+    """NMT stopped or reset: the reaction is in object 6007."""
 
 
 class Axis:
-    """One drive, as far as its host drives it. Plain data."""
+    """The state of one drive, as far as its host determines it. Plain data."""
 
     def __init__(self, device: Device, instant: bool) -> None:
         self.settings: Settings = device.settings
@@ -75,18 +64,18 @@ class Axis:
         self.instant = instant
         self.signals: list[Signal] = []
         """For the firmware, in order."""
-        self.answers: list[sdo.Answer] = []
+        self.responses: list[sdo.Response] = []
         """To SDO requests, in order."""
         self.position = 0
-        """What a relative set-point is relative to while none is gone to; an ear does not know it."""
-        self.fault_stands = False
-        """The cause of a fault is not gone: it cannot be reset."""
+        """The base of a relative set-point while none is active; a decoder does not know it."""
+        self.fault_persists = False
+        """The cause of a fault is present: it cannot be reset."""
         self.start()
 
     def start(self) -> None:
-        """As after power-on."""
+        """Set the state after power-on."""
         self.dictionary = Dictionary(self.settings, self.node)
-        self.server = Server()
+        self.server = SdoServer()
         self.nmt = NmtState.PRE_OPERATIONAL
         self.state = PowerState.SWITCH_ON_DISABLED
         self.control = 0
@@ -99,11 +88,11 @@ class Axis:
         self.host_beat: Nanos | None = None
         """When the heartbeat that object 1016 names came last."""
         self.goal: int | None = None
-        """The set-point of profile position that is gone to."""
+        """The active set-point of profile position."""
         self.next_goal: int | None = None
         """The one after it."""
-        self.homing_asked = False
-        """The firmware is to begin with homing."""
+        self.homing_requested = False
+        """The firmware is to begin homing."""
         self.units = self._units()
         self._ids = self._rpdo_ids()
 
@@ -114,7 +103,7 @@ class Axis:
         return units
 
     def _rpdo_ids(self) -> dict[int, list[int]]:
-        """The PDOs that listen to an identifier, by their index."""
+        """Return the RPDOs of each identifier, by their index."""
         ids: dict[int, list[int]] = {}
         for number in o.PDO_NUMBERS:
             index = o.RPDO_COMMUNICATION + number - 1
@@ -123,57 +112,59 @@ class Axis:
                 ids.setdefault(cob & 0x7FF, []).append(index)
         return ids
 
-    # -- hearing ------------------------------------------------------------------------------
+    # -- receiving ----------------------------------------------------------------------------
 
-    def handle(self, t: Nanos, frame: Frame) -> Messages:
-        """What the drive obeys on hearing a wire, in words."""
-        if not isinstance(frame, CanFrame) or not is_classic(frame):
+    def receive(self, t: Nanos, frame: Frame) -> Obeyed:
+        """Handle a frame; return what the drive obeys."""
+        if not isinstance(frame, CanFrame) or not codec.is_classic(frame):
             return ()
-        if frame.id == sdo_rx_id(self.node):
+        if frame.id == codec.sdo_rx_id(self.node):
             return self._on_sdo(frame.data)
         if frame.id in self._ids:
-            return [word for index in self._ids[frame.id] for word in self._on_rpdo(t, index, frame.data)]
-        if frame.id > SYNC_ID and frame.id & ~NODE_MASK != HEARTBEAT_BASE:
+            return [each for index in self._ids[frame.id] for each in self._on_rpdo(t, index, frame.data)]
+        if frame.id > codec.SYNC_ID and frame.id & ~codec.NODE_MASK != codec.HEARTBEAT_BASE:
             return ()
-        match decode(frame):
-            case Nmt(command, node) if node in (0, self.node):
+        match codec.decode(frame):
+            case codec.Nmt(command, node) if node in (0, self.node):
                 return self._on_nmt(command)
-            case Sync():
+            case codec.Sync():
                 return self._on_sync()
-            case Heartbeat(node, _) if node == self.dictionary.values[o.CONSUMER_HEARTBEAT] >> 16 & 0x7F:
+            case codec.Heartbeat(node, _) if (
+                node == self.dictionary.values[o.CONSUMER_HEARTBEAT] >> 16 & 0x7F
+            ):
                 self.host_beat = t
         return ()
 
-    def _on_nmt(self, command: NmtCommand) -> Messages:
+    def _on_nmt(self, command: NmtCommand) -> Obeyed:
         if command is NmtCommand.RESET_NODE:
             self.signals.append(Signal.RESET_NODE)
             self.start()
             return (msg.Reboot(self.motor),)
-        words: list[Command | Request] = []
+        obeyed: list[Command | Request] = []
         if command in (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION):
-            words += self.lose_connection()
+            obeyed += self.lose_connection()
         if command is NmtCommand.RESET_COMMUNICATION:
             self.signals.append(Signal.RESET_COMMUNICATION)
             self._forget_communication()
         before, self.nmt = self.nmt, NEXT_STATE.get(command, NmtState.PRE_OPERATIONAL)
         if self.nmt is not before or command is NmtCommand.RESET_COMMUNICATION:
-            words.append(msg.WriteParameter(self.motor, NMT_STATE, float(self.nmt)))
+            obeyed.append(msg.WriteParameter(self.motor, NMT_STATE, float(self.nmt)))
         if self.nmt is not NmtState.OPERATIONAL:
             self.latched.clear()
             self.received.clear()
-        return words
+        return obeyed
 
     def _forget_communication(self) -> None:
         fresh = Dictionary(self.settings, self.node)
         kept = {key: value for key, value in self.dictionary.values.items() if key[0] >= COMMUNICATION_END}
         fresh.values |= kept
-        self.dictionary, self.server, self.host_beat = fresh, Server(), None
+        self.dictionary, self.server, self.host_beat = fresh, SdoServer(), None
         self._ids = self._rpdo_ids()
 
-    def lose_connection(self) -> Messages:
-        """The host is gone: what object 6007 says."""
+    def lose_connection(self) -> Obeyed:
+        """React to a lost host as object 6007 demands."""
         option = self.dictionary.values[o.ABORT_CONNECTION]
-        if self.state not in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP) or not option:
+        if self.state not in _TORQUE or not option:
             return ()
         self.signals.append(Signal.CONNECTION_LOST)
         if option == 3:
@@ -184,16 +175,16 @@ class Axis:
             self.state = PowerState.FAULT
         return (msg.Idle(self.motor),)
 
-    def _on_sdo(self, data: bytes) -> Messages:
+    def _on_sdo(self, data: bytes) -> Obeyed:
         request = sdo.decode_request(data)
         if request is None or self.nmt is NmtState.STOPPED:
             return ()
-        answer = self.server.handle(self.dictionary, request)
-        if answer is not None:
-            self.answers.append(answer)
-        return self._obey(self.server.written)
+        response = self.server.handle(self.dictionary, request)
+        if response is not None:
+            self.responses.append(response)
+        return self._on_written(self.server.written)
 
-    def _on_rpdo(self, t: Nanos, index: int, data: bytes) -> Messages:
+    def _on_rpdo(self, t: Nanos, index: int, data: bytes) -> Obeyed:
         packing = self.dictionary.active(index)
         if packing is None or self.nmt is not NmtState.OPERATIONAL:
             return ()
@@ -204,18 +195,20 @@ class Axis:
         if is_synchronous(self.dictionary.values[index, o.TRANSMISSION]):
             self.latched[index] = values
             return ()
-        return self._obey(self._take(index, values))
+        return self._on_written(self._take(index, values))
 
-    def _on_sync(self) -> Messages:
+    def _on_sync(self) -> Obeyed:
         if self.nmt is not NmtState.OPERATIONAL:
             return ()
         self.signals.append(Signal.SYNC)
         latched, self.latched = self.latched, {}
         # Synchronous RPDOs act together, at the SYNC (CiA 301 "transmission type").
-        return self._obey([key for index in sorted(latched) for key in self._take(index, latched[index])])
+        return self._on_written(
+            [key for index in sorted(latched) for key in self._take(index, latched[index])]
+        )
 
     def _take(self, index: int, values: tuple[int, ...]) -> list[Key]:
-        """The values of an RPDO into the dictionary; the objects that took them."""
+        """Write the values of an RPDO to the dictionary; return the objects that accepted them."""
         packing = self.dictionary.active(index)
         if packing is None:
             return []
@@ -231,65 +224,65 @@ class Axis:
 
     @property
     def enabled(self) -> bool:
-        """Whether it is in OPERATION ENABLED."""
+        """True in OPERATION ENABLED."""
         return self.state is PowerState.OPERATION_ENABLED
 
-    def _obey(self, keys: Sequence[Key]) -> Messages:
-        """These objects were written, all at once: what the drive does for it."""
+    def _on_written(self, keys: Sequence[Key]) -> Obeyed:
+        """React to objects that were written at the same time."""
         if self.mode is not self.mode_before:
             self.mode_before = self.mode
-            self._leave_setpoints()
+            self._drop_setpoints()
         values = self.dictionary.values
-        reported = [key for key in keys if key not in TARGETS and key not in (o.CONTROLWORD, o.MODE)]
-        words: list[Command | Request] = [
-            msg.WriteParameter(self.motor, title(key), float(values[key])) for key in reported
+        parameters = [key for key in keys if key not in TARGETS and key not in (o.CONTROLWORD, o.MODE)]
+        obeyed: list[Command | Request] = [
+            msg.WriteParameter(self.motor, title(key), float(values[key])) for key in parameters
         ]
         if any(key[0] < COMMUNICATION_END for key in keys):
             self._ids = self._rpdo_ids()
         if o.CONSUMER_HEARTBEAT in keys:
-            self.host_beat = None  # it is watched from its next one on (CiA 301 "heartbeat consumer")
+            self.host_beat = None  # monitored from the next heartbeat on (CiA 301 "heartbeat consumer")
         if any(key in READ for key in keys):
             self.units = self._units()
         if o.CONTROLWORD in keys:
-            words += self._control()
+            obeyed += self._on_controlword()
         if self.enabled and any(key in TARGETS or key in (o.CONTROLWORD, o.MODE) for key in keys):
-            words += self.word()
-        return words
+            obeyed += self.command()
+        return obeyed
 
-    def _control(self) -> Messages:
+    def _on_controlword(self) -> Obeyed:
         control = self.dictionary.values[o.CONTROLWORD]
         before, self.control = self.control, control
-        words = list(self._demand(demand_of(control, before)))
+        obeyed = list(self._demand(demand_of(control, before)))
         rising = control & ~before
         if self.enabled and rising & Control.NEW_SETPOINT:
             if self.mode is Mode.PP:
-                self._accept(control)
+                self._accept_setpoint(control)
             elif self.mode is Mode.HM:
-                self.homing_asked = True
-                words.append(msg.Home(self.motor))
-        return words
+                self.homing_requested = True
+                obeyed.append(msg.Home(self.motor))
+        return obeyed
 
-    def _demand(self, demand: Demand | None) -> Messages:
-        if demand is Demand.FAULT_RESET and self.fault_stands:
+    def _demand(self, demand: Demand | None) -> Obeyed:
+        if demand is Demand.FAULT_RESET and self.fault_persists:
             return ()
         option = self.dictionary.values[o.QUICK_STOP_OPTION]
-        before, self.state = self.state, obey(self.state, demand, option)
+        before, self.state = self.state, next_state(self.state, demand, option)
         if demand is Demand.FAULT_RESET:
             return (msg.ClearFault(self.motor),)
         if self.state is before:
             return ()
-        self._leave_setpoints()
+        self._drop_setpoints()
         if self.state is PowerState.QUICK_STOP:
             if self.instant and option not in HOLDING_QUICK_STOPS:
                 self.state = PowerState.SWITCH_ON_DISABLED
             return (msg.Estop(self.motor),)
         return (msg.Idle(self.motor),) if before in _TORQUE and self.state not in _TORQUE else ()
 
-    def _leave_setpoints(self) -> None:
+    def _drop_setpoints(self) -> None:
         self.goal = self.next_goal = None
 
-    def _accept(self, control: int) -> None:
-        """A new set-point of profile position: at once, or after the one that is under way."""
+    def _accept_setpoint(self, control: int) -> None:
+        """Take a new set-point of profile position: at once, or after the active one."""
         target = self.dictionary.values[o.TARGET_POSITION]
         if control & Control.RELATIVE:
             base = self.position if self.goal is None else self.goal
@@ -304,8 +297,8 @@ class Axis:
         """Bit 12 of the statusword in profile position."""
         return bool(self.control & Control.NEW_SETPOINT) or self.next_goal is not None
 
-    def word(self) -> Messages:
-        """The command that the set-points amount to now."""
+    def command(self) -> Sequence[Command]:
+        """Return the command that the present set-points amount to; () if there is none."""
         value, units = self.dictionary.values, self.units
         if self.control & Control.HALT:
             return (msg.Velocity(self.motor, 0.0),)

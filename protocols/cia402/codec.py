@@ -1,9 +1,10 @@
-"""CANopen's short messages ↔ CAN frames, and which identifier carries what: NMT, SYNC, heartbeat, EMCY.
+"""CANopen's short messages ↔ CAN frames: NMT, SYNC, heartbeat, EMCY; and the identifiers of all services.
 
-Rules. A message is a frozen value; `encode` makes a frame of it, `decode` takes any wire and gives None for
-what is not one of these, or is ill-formed. All numbers are little-endian. SDO is `sdo`'s, PDO `pdo`'s; what
-the numbers in them mean is `objects`', the words of CiA 402 `profile`'s. Only 11-bit identifiers of the
-predefined connection set are known here; a PDO may be given any other by its own configuration.
+Rules. A message is a frozen value; `encode` makes a frame of it, `decode` takes any frame and returns None
+for one that is none of these messages, or malformed. All numbers are little-endian. SDO is in `sdo`, PDO in
+`pdo`, the object dictionary in `objects`, statusword and controlword in `profile`. Only the 11-bit
+identifiers of the predefined connection set are known here; a PDO may be given any other by its own
+configuration.
 
 Source: package canopen 2.4.1 (`nmt.py`, `emcy.py`, `sync.py`, `pdo/__init__.py`); CiA 301 "predefined
 connection set".
@@ -19,12 +20,10 @@ from typing import TypeAlias
 from protocols.frames import CanFrame, Frame
 
 PROTOCOL = "cia402"
-"""The language's name."""
+"""The protocol's name."""
 MAX_NODE = 127
 """Node ids are 1 to 127; 0 is every node in an NMT command."""
 NODE_MASK = 0x7F
-PDOS = 4
-"""PDOs with an identifier in the predefined connection set, each way."""
 
 NMT_ID = 0x000
 SYNC_ID = 0x080
@@ -37,37 +36,37 @@ HEARTBEAT_BASE = 0x700
 
 
 def emcy_id(node: int) -> int:
-    """Identifier of a node's emergency messages."""
+    """Return the identifier of a node's emergency messages."""
     return EMCY_BASE + node
 
 
 def tpdo_id(number: int, node: int) -> int:
-    """Identifier of TPDO 1 to 4, from the device."""
+    """Return the identifier of TPDO 1 to 4, from the device."""
     return 0x80 + 0x100 * number + node
 
 
 def rpdo_id(number: int, node: int) -> int:
-    """Identifier of RPDO 1 to 4, to the device."""
+    """Return the identifier of RPDO 1 to 4, to the device."""
     return 0x100 + 0x100 * number + node
 
 
 def sdo_tx_id(node: int) -> int:
-    """Identifier of a device's SDO answers."""
+    """Return the identifier of a device's SDO responses."""
     return SDO_TX_BASE + node
 
 
 def sdo_rx_id(node: int) -> int:
-    """Identifier of SDO requests to a device."""
+    """Return the identifier of SDO requests to a device."""
     return SDO_RX_BASE + node
 
 
 def heartbeat_id(node: int) -> int:
-    """Identifier of a node's heartbeat and boot-up message."""
+    """Return the identifier of a node's heartbeat and boot-up message."""
     return HEARTBEAT_BASE + node
 
 
 class NmtCommand(IntEnum):
-    """What an NMT master may command."""
+    """Commands of an NMT master."""
 
     START = 0x01
     STOP = 0x02
@@ -77,7 +76,7 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
-    """What a heartbeat tells. INITIALISING is the boot-up message."""
+    """NMT states in a heartbeat. INITIALISING is the boot-up message."""
 
     INITIALISING = 0x00
     STOPPED = 0x04
@@ -95,14 +94,14 @@ class Nmt:
 
 @dataclass(frozen=True, slots=True)
 class Sync:
-    """Sample and act now. The counter is optional (object 1019)."""
+    """SYNC: sample and act now. The counter is optional (object 1019)."""
 
     counter: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """A node's NMT state; INITIALISING: it has just booted."""
+    """A node's NMT state; INITIALISING: its boot-up message."""
 
     node: int
     state: NmtState
@@ -110,7 +109,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Emcy:
-    """An emergency: error code as in object 603F, error register 1001, five bytes of the vendor's own."""
+    """An emergency: error code as in object 603F, error register 1001, five vendor-specific bytes."""
 
     node: int
     code: int
@@ -125,7 +124,7 @@ _COMMANDS = {int(command): command for command in NmtCommand}
 
 
 def encode(message: Message) -> CanFrame:
-    """The frame of a message."""
+    """Encode a message."""
     match message:
         case Nmt(command, node):
             return CanFrame(NMT_ID, bytes((command, node)))
@@ -138,12 +137,12 @@ def encode(message: Message) -> CanFrame:
 
 
 def is_classic(frame: Frame) -> bool:
-    """Whether a wire is a CAN frame of the kind that CANopen uses: 11-bit, not FD, with data of its own."""
+    """True for the kind of CAN frame that CANopen uses: 11-bit identifier, not FD, no remote frame."""
     return isinstance(frame, CanFrame) and not (frame.extended or frame.fd or frame.remote)
 
 
 def decode(frame: Frame) -> Message | None:
-    """The message in a wire; None if there is none, or it is ill-formed."""
+    """Decode a frame; None if it is none of these messages, or malformed."""
     if not isinstance(frame, CanFrame) or not is_classic(frame):
         return None
     data, function, node = frame.data, frame.id & ~NODE_MASK, frame.id & NODE_MASK

@@ -1,8 +1,8 @@
-"""What the CiA 402 drives of one bus would obey: a frame becomes the words that it means.
+"""The command decoder: which commands the CiA 402 drives of one bus would obey on receiving a frame.
 
-Rules. Each device has an `Axis`, which remembers what it was told (modes, mappings, set-points that wait for
-a SYNC); here frames are dealt out. The ear knows nothing of faults and standstill: what a drive in fault
-would not obey, it tells all the same.
+Rules. Each device has an `Axis`, which keeps its state (modes, mappings, set-points that wait for a SYNC);
+this file passes it the frames. The decoder does not know of faults and standstill: it reports also what a
+drive in fault would not obey.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from protocols.plugin import Device
 
 
 class Cia402Decoder:
-    """The drives of one bus, as listeners."""
+    """The drives of one bus, as receivers of commands."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         self.axes = [Axis(device, instant=True) for device in devices]
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
-        """The words that the devices would obey; [] if none would do anything."""
-        words = [word for axis in self.axes for word in axis.handle(t, frame)]
+        """Return the commands and requests that the devices would obey; [] if none would do anything."""
+        obeyed = [each for axis in self.axes for each in axis.receive(t, frame)]
         for axis in self.axes:
             axis.signals.clear()
-            axis.answers.clear()
-        return words
+            axis.responses.clear()
+        return obeyed

@@ -1,9 +1,9 @@
-"""A drive's object dictionary: what stands in it, what may be read and written, and what is refused.
+"""A drive's object dictionary: its values, what may be read and written, and what is refused.
 
-Rules. Plain data: the values by (index, subindex). Reading and writing answer as an SDO server does, with
-an abort code or 0; a refused write changes nothing. A write is refused in this order: no object, no
-subindex, read only, wrong length, a value that the drive does not know, the state it is in. PDOs are
-reconfigured as CiA 301 demands: while they are disabled, and with no object mapped.
+Rules. Plain data: the values by (index, subindex). Reading and writing return an SDO abort code, or 0; a
+refused write changes nothing. The reasons to refuse a write are checked in this order: no object, no
+subindex, read only, wrong length, unsupported value, present state. PDOs are reconfigured as CiA 301 demands:
+while they are disabled, and with no object mapped.
 
 Source: package canopen 2.4.1 `node/local.py` (`get_data`, `set_data`) for the abort codes and their order;
 `pdo/base.py` `PdoMap.save` for the sequence of a reconfiguration; CiA 301 "PDO mapping parameter".
@@ -15,7 +15,7 @@ from protocols.cia402 import objects as o
 from protocols.cia402 import sdo
 from protocols.cia402.codec import EMCY_BASE, SYNC_ID, rpdo_id, tpdo_id
 from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes, to_bytes
-from protocols.cia402.options import OPTION_CODES, SETTING_OBJECTS, Settings, serial_of
+from protocols.cia402.options import SETTING_OBJECTS, SUPPORTED_VALUES, Settings
 from protocols.cia402.pdo import (
     DISABLED,
     EVENT_VENDOR,
@@ -23,17 +23,16 @@ from protocols.cia402.pdo import (
     NO_RTR,
     SYNCHRONOUS_MOST,
     Packing,
-    entry_of,
+    decode_entry,
+    encode_entry,
     mapping,
     packing,
-    word_of,
 )
 from protocols.cia402.profile import Mode, supports
 
 DEVICE_TYPE = 0x0002_0192
 """1000: profile 402, servo drive."""
 INDICES = frozenset(index for index, _ in OBJECTS)
-PDO_OBJECTS = range(o.RPDO_COMMUNICATION, o.TPDO_MAPPING + 0x200)
 USUAL_RPDOS = (
     mapping(o.CONTROLWORD, o.MODE, o.TARGET_POSITION),
     mapping(o.TARGET_VELOCITY, o.TARGET_TORQUE),
@@ -42,7 +41,7 @@ USUAL_TPDOS = (
     mapping(o.STATUSWORD, o.MODE_DISPLAY, o.POSITION),
     mapping(o.VELOCITY, o.TORQUE, o.ERROR_CODE),
 )
-"""Of a drive that comes with its PDOs configured."""
+"""PDOs of a drive that is delivered with a mapping (`Settings.pdos`)."""
 _CONSTANTS: dict[Key, int] = {
     o.DEVICE_TYPE: DEVICE_TYPE,
     o.SYNC_COB_ID: SYNC_ID,
@@ -67,13 +66,13 @@ class Dictionary:
         self.values |= {key: getattr(settings, name) for name, key in SETTING_OBJECTS.items()}
         self.values[o.EMCY_COB_ID] = EMCY_BASE + address
         self.values[o.HOMING_SPEED_SWITCH] = settings.homing_speed
-        self.values[o.SERIAL_NUMBER] = serial_of(settings, address)
+        self.values[o.SERIAL_NUMBER] = settings.serial_number or 0x0402_0000 + address
         for index, sub in OBJECTS:
-            if sub and not o.RPDO_COMMUNICATION <= index < o.TPDO_MAPPING + 0x200:
+            if sub and index not in o.PDO_PARAMETERS:
                 self.values[index, 0] = max(self.values[index, 0], sub)
         self._configure_pdos(address, usual=settings.pdos == "usual")
         self.packings: dict[int, Packing] = {}
-        """Of every mapping with something in it, by the index of the mapping."""
+        """Every mapping that is not empty, by its index."""
         for first in (o.RPDO_MAPPING, o.TPDO_MAPPING):
             for index in range(first, first + len(o.PDO_NUMBERS)):
                 self._repack(index)
@@ -96,20 +95,20 @@ class Dictionary:
                 self.values[first + at, o.COB_ID] &= ~DISABLED
                 self.values[map_first + at, 0] = len(entries)
                 for sub, entry in enumerate(entries, 1):
-                    self.values[map_first + at, sub] = word_of(entry)
+                    self.values[map_first + at, sub] = encode_entry(entry)
 
     def __deepcopy__(self, _: dict[int, object]) -> Dictionary:
-        """As deep as it goes: keys and values are numbers, packings never change. (Copied often.)"""
+        """Copy what can change: keys and values are numbers, packings are frozen. (Copied often.)"""
         other = object.__new__(Dictionary)
         other.supported = self.supported
         other.texts, other.values = dict(self.texts), dict(self.values)
         other.packings = dict(self.packings)
         return other
 
-    # -- as an SDO server sees it ---------------------------------------------------------------
+    # -- access by SDO and PDO ------------------------------------------------------------------
 
     def read(self, key: Key) -> tuple[int, bytes]:
-        """(0, the value's bytes), or (abort code, nothing)."""
+        """Read an object by SDO: (0, its bytes), or (abort code, b"")."""
         missing = self._missing(key)
         if missing:
             return missing, b""
@@ -118,7 +117,7 @@ class Dictionary:
         return 0, to_bytes(OBJECTS[key].type, self.values[key])
 
     def write(self, key: Key, data: bytes) -> int:
-        """0 if the value was taken over, or an abort code."""
+        """Write an object by SDO; return 0, or the abort code."""
         missing = self._missing(key)
         if missing:
             return missing
@@ -131,12 +130,12 @@ class Dictionary:
         refused = self._refuse(key, value)
         if not refused:
             self.values[key] = value
-            if o.RPDO_COMMUNICATION <= key[0] < o.TPDO_MAPPING + 0x200:
+            if key[0] in o.PDO_PARAMETERS:
                 self._repack(key[0])
         return refused
 
     def take(self, key: Key, value: int) -> bool:
-        """A value from a PDO: taken over, or ignored where SDO would refuse it."""
+        """Write a value of a PDO; return False if it is ignored, as SDO would refuse it."""
         if key not in OBJECTS or OBJECTS[key].access != "rw" or self._refuse(key, value):
             return False
         self.values[key] = value
@@ -152,15 +151,13 @@ class Dictionary:
         if key == o.MODE:
             known = value in Mode.__members__.values() and supports(self.supported, Mode(value))
             return 0 if known else sdo.BAD_VALUE
-        if key in OPTION_CODES:
-            return 0 if value in OPTION_CODES[key] else sdo.BAD_VALUE
+        if key in SUPPORTED_VALUES:
+            return 0 if value in SUPPORTED_VALUES[key] else sdo.BAD_VALUE
         if key in _NOT_ZERO:
             return 0 if value else sdo.BAD_VALUE
-        if key == o.SYNC_COB_ID:  # another identifier, or the drive as the producer, is not in the twin
+        if key == o.SYNC_COB_ID:  # another identifier, or the drive as producer, is not supported
             return 0 if value == SYNC_ID else sdo.BAD_VALUE
-        if key[0] in PDO_OBJECTS:
-            return self._refuse_pdo(key, value)
-        return 0
+        return self._refuse_pdo(key, value) if key[0] in o.PDO_PARAMETERS else 0
 
     # -- PDOs -----------------------------------------------------------------------------------
 
@@ -168,7 +165,7 @@ class Dictionary:
         index, sub = key
         if index < o.RPDO_MAPPING or o.TPDO_COMMUNICATION <= index < o.TPDO_MAPPING:
             return self._refuse_communication(index, sub, value)
-        if not self.values[index - 0x200, o.COB_ID] & DISABLED:
+        if not self.values[index - o.MAPPING_OFFSET, o.COB_ID] & DISABLED:
             return sdo.DEVICE_STATE
         if not sub:
             return self._refuse_count(index, value)
@@ -177,7 +174,7 @@ class Dictionary:
     def _refuse_communication(self, index: int, sub: int, value: int) -> int:
         disabled = bool(self.values[index, o.COB_ID] & DISABLED)
         if sub == o.COB_ID:
-            # An identifier is changed while the PDO is disabled (CiA 301 "COB-ID used by PDO").
+            # An identifier is changed only while the PDO is disabled (CiA 301 "COB-ID used by PDO").
             same = (value ^ self.values[index, sub]) & LARGEST_ID == 0
             if value & ~(DISABLED | NO_RTR | LARGEST_ID) or not value & LARGEST_ID:
                 return sdo.BAD_VALUE
@@ -189,26 +186,24 @@ class Dictionary:
     def _refuse_count(self, index: int, count: int) -> int:
         if count > o.MAPPED_MOST:
             return sdo.BAD_VALUE
-        entries = [entry_of(self.values[index, sub]) for sub in range(1, count + 1)]
-        if any(_unmappable(index, word_of(entry)) for entry in entries):
+        values = [self.values[index, sub] for sub in range(1, count + 1)]
+        if any(_unmappable(index, value) for value in values):
             return sdo.NOT_MAPPABLE
+        entries = [decode_entry(value) for value in values]
         return sdo.PDO_TOO_LONG if sum(entry.bits for entry in entries) > MOST_BITS else 0
 
     def _repack(self, index: int) -> None:
-        if (index, 0) in self.values and index & 0x200:
-            count = self.values[index, 0]
-            if count:
-                self.packings[index] = packing(
-                    [entry_of(self.values[index, sub]) for sub in range(1, count + 1)]
-                )
-            else:
-                self.packings.pop(index, None)
+        if (index, 0) in self.values and index & o.MAPPING_OFFSET:
+            entries = [decode_entry(self.values[index, sub]) for sub in range(1, self.values[index, 0] + 1)]
+            self.packings.pop(index, None)
+            if entries:
+                self.packings[index] = packing(entries)
 
     def active(self, communication: int) -> Packing | None:
-        """The mapping of a PDO that is enabled and holds something, by the index of its communication."""
+        """Return the mapping of an enabled, non-empty PDO, by the index of its communication parameter."""
         if self.values[communication, o.COB_ID] & DISABLED:
             return None
-        return self.packings.get(communication + 0x200)
+        return self.packings.get(communication + o.MAPPING_OFFSET)
 
 
 _NOT_ZERO = frozenset(
@@ -232,9 +227,9 @@ _NOT_ZERO = frozenset(
 )
 
 
-def _unmappable(index: int, word: int) -> int:
-    """Why an object cannot be mapped: it is not known, not mappable, not writable, or of another length."""
-    entry = entry_of(word)
+def _unmappable(index: int, value: int) -> int:
+    """Return an abort code if an object is unknown, not mappable, not writable, or of another length."""
+    entry = decode_entry(value)
     known = OBJECTS.get(entry.key)
     if known is None or not known.mappable or known.bits != entry.bits:
         return sdo.NOT_MAPPABLE

@@ -1,8 +1,8 @@
-"""The twin's dictionary as an electronic data sheet (CiA 306), for tools that want one.
+"""The twin's dictionary as an electronic data sheet (CiA 306), for commissioning tools.
 
 Rules. The text follows from `objects` and a dictionary with default settings, and nothing else: `twin.eds`
-beside this is `eds()` written down, and a test holds the two together. Values that depend on the node id
-are told as $NODEID and what is added to it.
+beside this is the output of `eds()`, which a test checks. Values that depend on the node id are written as
+$NODEID plus an offset.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from protocols.cia402.options import Settings
 VARIABLE, ARRAY, RECORD = 0x7, 0x8, 0x9
 MANDATORY = (0x1000, 0x1001, 0x1018)
 ARRAYS = frozenset({0x1016, 0x1029, 0x607D, 0x608F, 0x6091, 0x6092, 0x6099})
-"""Objects whose subindices are all alike; the others with subindices are records."""
+"""Objects whose subindices have one type; the others with subindices are records."""
 RATES = (10, 20, 50, 125, 250, 500, 800, 1000)
 NAMES = {
     0x1016: "Consumer heartbeat time",
@@ -28,11 +28,11 @@ NAMES = {
     0x6099: "Homing speeds",
     0x60C2: "Interpolation time period",
 }
-"""Of objects with subindices."""
+"""Names of objects with subindices."""
 
 
 def eds(settings: Settings | None = None) -> str:
-    """The data sheet of a twin with these settings."""
+    """Return the data sheet of a twin with these settings."""
     settings = settings or Settings()
     one, two = Dictionary(settings, 1), Dictionary(settings, 2)
     indices = sorted({index for index, _ in OBJECTS})

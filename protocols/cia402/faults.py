@@ -1,12 +1,14 @@
-"""What a CiA 402 drive complains of: its error codes (603F, and the same in EMCY), causes, what to do.
+"""Error codes of a CiA 402 drive (603F, and the same in EMCY) and faults that the driver detects: cause,
+remedy.
 
-Rules. `FAULTS` has the codes with a meaning of their own; any other code is told by its class, then by its
-family, so that `complaint` always has a text. Names follow CiA 402's wording of the codes; drives add their
-own below the same families, which the maker's manual lists. Codes above 16 bits are not a drive's: the
-driver's own findings.
+Rules. `FAULTS` has the codes with a meaning of their own; any other code is described by its class, then by
+its family, so that `fault_info` always has a text. Names follow CiA 402's wording of the codes; drives add
+their own below the same families, which the maker's manual lists. Codes above 16 bits are not a drive's: the
+driver has detected the fault.
 
 Source: codes of CiA 402-1 "error codes" and CiA 301 "emergency error codes"; families as in package canopen
-2.4.1 `emcy.py`. The causes and cures are ours. CiA 402's list was not at hand as a document: drives vary.
+2.4.1 `emcy.py`. Causes and remedies are this project's. CiA 402's list was not at hand as a document: drives
+vary.
 """
 
 from __future__ import annotations
@@ -27,12 +29,12 @@ RPDO_TIMEOUT = 0x8250
 FOLLOWING_ERROR = 0x8611
 
 _MOTOR_LOAD = "reduce the load or the acceleration, check that the shaft turns freely"
-_SUPPLY = "check the supply's voltage at the drive's terminals, and its wires"
+_SUPPLY = "check the supply's voltage at the drive's terminals, and its wiring"
 _WIRING = "power off, check motor and cable for shorts and for a fault to earth"
 _CAN = "check cable, termination (120 Ω at both ends), bitrate, and that the host runs"
 
 FAULTS: Mapping[int, FaultInfo] = {
-    0x1000: FaultInfo("generic error", "the drive tells nothing closer", "look it up with the maker's tool"),
+    0x1000: FaultInfo("generic error", "the drive gives no details", "look it up with the maker's tool"),
     0x2220: FaultInfo("continuous over current inside the device", "the load asks too much", _MOTOR_LOAD),
     0x2250: FaultInfo("short circuit inside the device", "the power stage is damaged", "replace the drive"),
     OVERCURRENT: FaultInfo(
@@ -41,7 +43,7 @@ FAULTS: Mapping[int, FaultInfo] = {
     SHORT_CIRCUIT: FaultInfo("short circuit or earth leakage on the output", "motor or its cable", _WIRING),
     0x2330: FaultInfo("earth leakage on the output", "insulation of motor or cable", _WIRING),
     0x3110: FaultInfo("mains over voltage", "the supply is too high", _SUPPLY),
-    0x3120: FaultInfo("mains under voltage", "the supply is too weak, or its wires too thin", _SUPPLY),
+    0x3120: FaultInfo("mains under voltage", "the supply is too weak, or its wiring too thin", _SUPPLY),
     DC_OVERVOLTAGE: FaultInfo(
         "DC link over voltage",
         "braking feeds back more than the supply can take",
@@ -77,7 +79,7 @@ FAULTS: Mapping[int, FaultInfo] = {
     0x8110: FaultInfo("CAN overrun", "more frames than the drive takes", "lower the bus load or SYNC rate"),
     0x8120: FaultInfo("CAN in error passive mode", "many frames are damaged", _CAN),
     HEARTBEAT_LOST: FaultInfo(
-        "life guard or heartbeat error", "the host fell silent, or its cable is off", _CAN
+        "life guard or heartbeat error", "the host stopped sending, or its cable is off", _CAN
     ),
     0x8140: FaultInfo("recovered from bus off", "the bus was disturbed", _CAN),
     0x8210: FaultInfo(
@@ -95,19 +97,21 @@ FAULTS: Mapping[int, FaultInfo] = {
     0x8612: FaultInfo("reference limit", "a set-point lies beyond 607D", "stay inside the position limits"),
     0x8613: FaultInfo("homing error", "no home was found", "check 6098 and the switches, home again"),
     0x9000: FaultInfo(
-        "external error", "an input of the drive reports an error", "look at what is wired to it"
+        "external error", "an input of the drive reports an error", "check the device connected to it"
     ),
 }
-"""By error code: what a drive may complain of. `Spec.faults`."""
+"""By error code: the faults that a drive may report. `Spec.faults`."""
 
 CLASSES: Mapping[int, FaultInfo] = {
-    0x21: FaultInfo("current, device input side", "the supply's side draws too much", _SUPPLY),
+    0x21: FaultInfo("current, device input side", "the supply side draws too much", _SUPPLY),
     0x22: FaultInfo("current inside the device", "load too high, or the drive is damaged", _MOTOR_LOAD),
     0x23: FaultInfo("current, device output side", "motor, cable or load", _MOTOR_LOAD),
     0x31: FaultInfo("mains voltage", "the supply is outside its range", _SUPPLY),
     0x32: FaultInfo("DC link voltage", "the supply or braking", _SUPPLY),
     0x33: FaultInfo("output voltage", "motor or cable", _WIRING),
-    0x41: FaultInfo("ambient temperature", "too hot, or too cold, around the drive", "mend the climate"),
+    0x41: FaultInfo(
+        "ambient temperature", "too hot, or too cold, around the drive", "heat or cool the cabinet"
+    ),
     0x42: FaultInfo("device temperature", "load or cooling", "let it cool; reduce load"),
     0x43: FaultInfo("drive temperature", "load or cooling", "let it cool; reduce load"),
     0x44: FaultInfo("supply temperature", "the supply is overloaded", "reduce load"),
@@ -127,19 +131,59 @@ CLASSES: Mapping[int, FaultInfo] = {
 _LOOK_UP = "look the code up in the maker's manual"
 FAMILIES: Mapping[int, FaultInfo] = {
     0x0: FaultInfo("no error", "", ""),
-    0x1: FaultInfo("generic error", "the drive tells nothing closer", _LOOK_UP),
+    0x1: FaultInfo("generic error", "the drive gives no details", _LOOK_UP),
     0x2: FaultInfo("current", "motor, cable or load", _LOOK_UP),
     0x3: FaultInfo("voltage", "the supply or braking", _LOOK_UP),
     0x4: FaultInfo("temperature", "load or cooling", _LOOK_UP),
     0x5: FaultInfo("device hardware", "the drive itself", _LOOK_UP),
     0x6: FaultInfo("device software", "firmware or parameters", _LOOK_UP),
     0x7: FaultInfo("additional modules", "motor, encoder or brake", _LOOK_UP),
-    0x8: FaultInfo("monitoring", "communication, or what the drive watches over", _LOOK_UP),
-    0x9: FaultInfo("external error", "what is wired to the drive's inputs", _LOOK_UP),
-    0xF: FaultInfo("additional functions", "the maker's own", _LOOK_UP),
+    0x8: FaultInfo("monitoring", "communication, or a value that the drive monitors", _LOOK_UP),
+    0x9: FaultInfo("external error", "a signal at the drive's inputs", _LOOK_UP),
+    0xF: FaultInfo("additional functions", "manufacturer-specific", _LOOK_UP),
 }
 """By the highest four bits of an error code."""
 UNKNOWN = FaultInfo("unknown error", "the code is none of CiA 301 or CiA 402", _LOOK_UP)
+
+# -- detected by the driver -------------------------------------------------------------------------------
+
+NOT_ARMED = 0x1_0001
+DUPLICATE_NODE = 0x1_0002
+WRONG_DEVICE = 0x1_0003
+QUICK_STOPPED = 0x1_0004
+NOT_CONFIGURED = 0x1_0005
+HOMING_FAILED = 0x1_0006
+
+DRIVER_FAULTS: Mapping[int, FaultInfo] = {
+    NOT_ARMED: FaultInfo(
+        "operation not enabled",
+        "the drive did not follow the controlword in time: no supply, safe torque off, or another host",
+        "check its statusword with the maker's tool, then clear",
+    ),
+    DUPLICATE_NODE: FaultInfo(
+        "duplicate node id",
+        "two devices respond to it",
+        "take one off the bus, or give it another node id",
+    ),
+    WRONG_DEVICE: FaultInfo(
+        "no CiA 402 drive that can be commanded",
+        "its objects do not suffice",
+        "check the node id and the options in the robot file",
+    ),
+    QUICK_STOPPED: FaultInfo(
+        "quick stop", "an operator asked for the emergency stop", "clear it when it is safe"
+    ),
+    NOT_CONFIGURED: FaultInfo(
+        "not configured",
+        "the drive refused an object that must be written before it is armed",
+        'set it with the maker\'s tool, or set mapping = "keep" under options; then clear',
+    ),
+    HOMING_FAILED: FaultInfo(
+        "homing did not end",
+        "no switch, no index, or a speed of zero",
+        "check 6098, 6099 and the switches; then clear",
+    ),
+}
 
 _REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0xF: 0x80}
 """Bits of the error register 1001 beside bit 0, by family; 0x81 and 0x82 are communication (bit 4)."""
@@ -147,9 +191,9 @@ GENERIC = 0x01
 COMMUNICATION = 0x10
 
 
-def complaint(code: int) -> FaultInfo:
-    """What an error code means. The code's number stands in its name unless it has one of its own."""
-    known = FAULTS.get(code)
+def fault_info(code: int) -> FaultInfo:
+    """Describe an error code. A code without a name of its own has its number in the name."""
+    known = FAULTS.get(code) or DRIVER_FAULTS.get(code)
     if known is not None:
         return known
     near = CLASSES.get(code >> 8) or FAMILIES.get(code >> 12, UNKNOWN)
@@ -157,7 +201,7 @@ def complaint(code: int) -> FaultInfo:
 
 
 def register_of(code: int) -> int:
-    """The error register 1001 while an error code stands."""
+    """Return the error register (1001) for an error code."""
     if not code:
         return 0
     if code >> 8 in (0x81, 0x82):

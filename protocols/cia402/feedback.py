@@ -1,9 +1,9 @@
-"""Feedback of one device: what is asked for by SDO and when, and what its objects amount to in SI.
+"""Feedback of one device: which objects are polled by SDO and when, and their values in SI.
 
-Rules. What a TPDO tells is not asked for as long as it keeps coming. Every question has a period, whether it
-is answered or not; of those that are due the one goes that is latest in its own periods, so that on a slow
-line the motion comes first. What is heard meanwhile only puts a question off, so the plan is made anew
-shortly before one is due, or when another reason to ask comes up.
+Rules. What a TPDO reports is not polled as long as it keeps coming. Every object has a polling period,
+whether it is answered or not; of those that are due the one is polled that is latest in its own periods, so
+that on a slow bus the motion comes first. What is received meanwhile only postpones a poll, so the plan is
+made anew shortly before one is due, or when another reason to poll arises.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from protocols.cia402.units import Units
 from protocols.messages import MILLISECOND, Feedback, Nanos
 
 NEVER: Nanos = 1 << 62
-ASKED: tuple[tuple[Key, int], ...] = (
+POLLED: tuple[tuple[Key, int], ...] = (
     (o.POSITION, 1),
     (o.VELOCITY, 1),
     (o.STATUSWORD, 2),
@@ -28,124 +28,123 @@ ASKED: tuple[tuple[Key, int], ...] = (
     (o.CURRENT, 20),
     (o.DC_VOLTAGE, 20),
 )
-"""What is asked for, and how many feedback periods lie between."""
-CHANGING = (o.STATUSWORD, o.MODE_DISPLAY)
-"""What is asked for more often while it is to change."""
+"""The polled objects, and their polling periods in feedback periods."""
+TRANSIENT = (o.STATUSWORD, o.MODE_DISPLAY)
+"""Objects polled every feedback period while a change of state is expected."""
 AHEAD = 5 * MILLISECOND
-"""So long before a question is due its plan is made anew."""
+"""Lead time before a poll is due at which its plan is made anew."""
 UNTIMED = 100 * MILLISECOND
-"""What an object is worth that came by a TPDO whose period is not known."""
+"""Validity of an object from a TPDO whose period is not known."""
 MISSED = 3
-"""A TPDO that did not come for so many of its periods is no longer waited for."""
-SPARE = 10 * MILLISECOND
+"""Periods after which a TPDO that did not come is no longer waited for."""
+MARGIN = 10 * MILLISECOND
 
 
-class Reasons(NamedTuple):
+class Conditions(NamedTuple):
     """What changes a plan besides time."""
 
-    changing: bool = False
-    """Its state is to change."""
+    transient: bool = False
+    """A change of state is expected."""
     failed: bool = False
-    """It is in fault, and has not told why."""
-    counted: bool = False
-    """Its units are known: before that nothing is asked."""
+    """It is in fault, and the error code is not known."""
+    units_known: bool = False
+    """Nothing is polled before."""
 
 
 @dataclass(slots=True)
-class Polls:
-    """What of a device's feedback is asked for. Plain data."""
+class PollSchedule:
+    """Which objects of a device are polled when. Plain data."""
 
     period: Nanos
     at: Nanos = 0
-    """When the next question is due, or later."""
-    reasons: Reasons = field(default_factory=Reasons)
-    """What that was planned with."""
-    fresh: dict[Key, Nanos] = field(default_factory=dict)
-    """When each object came by itself last."""
-    worth: dict[Key, Nanos] = field(default_factory=dict)
-    """For how long what a TPDO told of an object is good, where its period is known."""
-    asked: dict[Key, Nanos] = field(default_factory=dict)
-    """When each object was last asked for."""
+    """When the next poll is due, or later."""
+    conditions: Conditions = field(default_factory=Conditions)
+    """Those of the present plan."""
+    reported_at: dict[Key, Nanos] = field(default_factory=dict)
+    """When each object came last by TPDO."""
+    validity: dict[Key, Nanos] = field(default_factory=dict)
+    """How long the value of a TPDO is valid, if its period is known."""
+    polled_at: dict[Key, Nanos] = field(default_factory=dict)
+    """When each object was last polled."""
 
     def forget(self) -> None:
-        """It may have restarted."""
-        self.fresh.clear()
-        self.worth.clear()
-        self.asked.clear()
+        """Begin anew: the device may have restarted."""
+        self.reported_at.clear()
+        self.validity.clear()
+        self.polled_at.clear()
         self.at = 0
 
-    def expect(self, coming: Iterable[tuple[Collection[Key], Nanos | None]]) -> None:
-        """These objects come by themselves from now on, and how often; None: nobody knows."""
-        self.worth, self.at = {}, 0
-        for keys, period in coming:
+    def expect(self, tpdos: Iterable[tuple[Collection[Key], Nanos | None]]) -> None:
+        """Expect these objects by TPDO from now on, with their period; None: unknown."""
+        self.validity, self.at = {}, 0
+        for keys, period in tpdos:
             if period is not None:
-                good = MISSED * period + SPARE
-                self.worth |= {key: min(good, self.worth.get(key, good)) for key in keys}
+                valid = MISSED * period + MARGIN
+                self.validity |= {key: min(valid, self.validity.get(key, valid)) for key in keys}
 
-    def came(self, t: Nanos, keys: Collection[Key]) -> None:
-        """These came by themselves."""
+    def on_tpdo(self, t: Nanos, keys: Collection[Key]) -> None:
+        """Note that these objects came by TPDO."""
         for key in keys:
-            self.fresh[key] = t
+            self.reported_at[key] = t
 
-    def again(self, key: Key) -> None:
-        """What was told of an object is not true any more."""
-        self.asked.pop(key, None)
+    def invalidate(self, key: Key) -> None:
+        """Poll an object at once: its last value is not valid any more."""
+        self.polled_at.pop(key, None)
         self.at = 0
 
-    def next(self, now: Nanos, reasons: Reasons, absent: Collection[Key]) -> Key | None:
-        """What is most overdue; None if nothing is due."""
-        if now + AHEAD < self.at and reasons == self.reasons:
+    def next(self, now: Nanos, conditions: Conditions, absent: Collection[Key]) -> Key | None:
+        """Return the object that is most overdue; None if none is due."""
+        if now + AHEAD < self.at and conditions == self.conditions:
             return None
-        self.reasons = reasons
-        if not reasons.counted:
+        self.conditions = conditions
+        if not conditions.units_known:
             self.at = NEVER
             return None
         times = self._plan(absent)
         if now < self.at:
             return None
-        late = [(now - at) / periods for at, (_, periods) in zip(times, ASKED, strict=True)]
-        return ASKED[late.index(max(late))][0]
+        late = [(now - at) / periods for at, (_, periods) in zip(times, POLLED, strict=True)]
+        return POLLED[late.index(max(late))][0]
 
     def begin(self, now: Nanos, key: Key, absent: Collection[Key]) -> None:
-        """It is asked for now."""
-        self.asked[key] = now
+        """Note that an object is polled now."""
+        self.polled_at[key] = now
         self._plan(absent)
 
-    def due(self, reasons: Reasons) -> Nanos:
-        """When `next` next has something, or another plan to make."""
-        return self.at if reasons == self.reasons else 0
+    def due(self, conditions: Conditions) -> Nanos:
+        """Return when `next` has something to poll, or to plan."""
+        return self.at if conditions == self.conditions else 0
 
     def _plan(self, absent: Collection[Key]) -> list[Nanos]:
-        """When each question is due; the earliest is kept."""
-        times = [NEVER if key in absent else self._at(key, periods) for key, periods in ASKED]
+        """Return when each object is due; keep the earliest time."""
+        times = [NEVER if key in absent else self._due_at(key, periods) for key, periods in POLLED]
         self.at = min(times)
         return times
 
-    def _at(self, key: Key, periods: int) -> Nanos:
-        """When an object is next to be asked for."""
-        if key == o.ERROR_CODE and not self.reasons.failed:
+    def _due_at(self, key: Key, periods: int) -> Nanos:
+        if key == o.ERROR_CODE and not self.conditions.failed:
             return NEVER
-        if key in CHANGING and self.reasons.changing:
+        if key in TRANSIENT and self.conditions.transient:
             periods = 1
-        asked = self.asked.get(key)
-        again = 0 if asked is None else asked + periods * self.period
-        fresh = self.fresh.get(key)
-        return again if fresh is None else max(again, fresh + self.worth.get(key, UNTIMED))
+        polled = self.polled_at.get(key)
+        again = 0 if polled is None else polled + periods * self.period
+        reported = self.reported_at.get(key)
+        return again if reported is None else max(again, reported + self.validity.get(key, UNTIMED))
 
 
 def feedback(motor: str, t: Nanos, values: Mapping[Key, int], units: Units) -> Feedback | None:
-    """What these objects say of the motion, in SI; None if nothing."""
+    """Convert these objects to Feedback in SI; None if none of them is a measurement."""
     get = values.get
     position, velocity, torque = get(o.POSITION), get(o.VELOCITY), get(o.TORQUE)
     current, voltage = get(o.CURRENT), get(o.DC_VOLTAGE)
-    rated, amperes = units.rated_torque > 0.0, units.rated_current > 0.0
+    torque_rated, current_rated = units.rated_torque > 0.0, units.rated_current > 0.0
     made = Feedback(
         motor,
         t,
         None if position is None else units.position(position),
         None if velocity is None else units.velocity(velocity),
-        None if torque is None or not rated else units.torque(torque),
-        None if current is None or not amperes else units.current(current),
+        None if torque is None or not torque_rated else units.torque(torque),
+        None if current is None or not current_rated else units.current(current),
         None if voltage is None else voltage / 1000.0,
     )
     measured = (made.position, made.velocity, made.torque, made.current, made.voltage)

@@ -1,80 +1,78 @@
 """Which object of a device is next to be read or written by SDO, and when.
 
-Rules. One transfer at a time per device; what presses most goes first. Set-points take turns with feedback
-(`feedback` knows what is due), and so does what is read of a device at first, or written before it is armed.
-Nothing is written to a device that was not commanded, but for what an operator asks.
+Rules. One transfer at a time per device, in order of urgency. Set-points take turns with feedback (`feedback`
+schedules it), and so does what is read at startup, or written before arming. Nothing is written to a device
+that was not commanded, except on request.
 """
 
 from __future__ import annotations
 
 from protocols.cia402 import objects as o
 from protocols.cia402.client import Job, Purpose
-from protocols.cia402.feedback import NEVER, Reasons
-from protocols.cia402.node import Node
-from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
+from protocols.cia402.drive_state import DriveState
+from protocols.cia402.feedback import NEVER, Conditions
+from protocols.cia402.objects import OBJECTS, to_bytes
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
-ROLL_CALL = SECOND
-"""A device's serial number is read again so often: to notice another one in its place, or two."""
-ROLL_CALL_AGAIN = 100 * MILLISECOND
-"""... and so often when an answer came twice."""
+IDENTITY_CHECK = SECOND
+"""Period at which a device's serial number is read, to notice another device, or two."""
+IDENTITY_RECHECK = 100 * MILLISECOND
+"""The same after a response that came twice."""
 
 
-def next_job(node: Node, now: Nanos) -> Job | None:
-    """What is to be begun now; None if nothing is due, or the client is at work."""
-    client = node.client
-    if node.urgent and client.free(Purpose.RELEASE):
-        return node.urgent.pop(0)
+def next_job(drive: DriveState, now: Nanos) -> Job | None:
+    """Return the job to begin now; None if nothing is due, or the client is busy."""
+    client = drive.client
+    if drive.urgent_jobs and client.free(Purpose.URGENT):
+        return drive.urgent_jobs.pop(0)
     if not client.free(Purpose.POLL):
         return None
-    poll = node.polls.next(now, _reasons(node), node.absent)
-    if node.setup and (node.owned or node.commanded_at == now) and (poll is None or not node.took_turn):
-        node.took_turn = True
-        return node.setup.pop(0)
-    setpoint = _setpoint(node, now)
-    if setpoint is not None and (poll is None or not node.took_turn):
-        node.took_turn = True
-        return setpoint
-    turn_taken, node.took_turn = node.took_turn, False
-    if node.questions:
-        return node.questions.pop(0)
-    key = node.next_key()
-    if key is not None and (poll is None or not turn_taken):
-        node.took_turn = True
-        return Job(Purpose.READING, key)
+    poll = drive.polls.next(now, _conditions(drive), drive.absent)
+    has_turn, drive.poll_has_turn = drive.poll_has_turn and poll is not None, True
+    if not has_turn:
+        if drive.setup and (drive.owned or drive.commanded_at == now):
+            return drive.setup.pop(0)
+        setpoint = _setpoint(drive, now)
+        if setpoint is not None:
+            return setpoint
+    if drive.request_jobs:
+        drive.poll_has_turn = False
+        return drive.request_jobs.pop(0)
+    key = drive.next_key()
+    if key is not None and not has_turn:
+        return Job(Purpose.STARTUP, key)
+    drive.poll_has_turn = False
     if poll is not None:
-        node.polls.begin(now, poll, node.absent)
+        drive.polls.begin(now, poll, drive.absent)
         return Job(Purpose.POLL, poll)
-    if now >= node.roll_call and node.received_at is not None:
-        node.roll_call = now + (ROLL_CALL_AGAIN if client.doubled or client.repeated else ROLL_CALL)
-        return Job(Purpose.ROLL_CALL, o.DEVICE_TYPE if o.SERIAL_NUMBER in node.absent else o.SERIAL_NUMBER)
+    if now >= drive.identity_check_at and drive.received_at is not None:
+        suspect = client.duplicates or client.repeated
+        drive.identity_check_at = now + (IDENTITY_RECHECK if suspect else IDENTITY_CHECK)
+        serial = o.SERIAL_NUMBER not in drive.absent
+        return Job(Purpose.IDENTITY_CHECK, o.SERIAL_NUMBER if serial else o.DEVICE_TYPE)
     return None
 
 
-def _setpoint(node: Node, now: Nanos) -> Job | None:
-    """A set-point that stands in no PDO, while the device is commanded."""
-    if not node.values or node.insist is not None or not (node.commanded_at == now or node.homing):
+def _setpoint(drive: DriveState, now: Nanos) -> Job | None:
+    """Return the download of a set-point that is in no PDO, while the device is commanded."""
+    commanded = drive.commanded_at == now or drive.homing
+    if not drive.setpoints or drive.stop_demand is not None or not commanded:
         return None
-    wanted = node.outlet.by_sdo(now, node.values, node.target)
-    if wanted is None:
+    download = drive.writer.next_download(now, drive.setpoints, drive.target)
+    if download is None:
         return None
-    key, value = wanted
+    key, value = download
     return Job(Purpose.SETPOINT, key, to_bytes(OBJECTS[key].type, value))
 
 
-def _reasons(node: Node) -> Reasons:
-    """What presses to ask for feedback."""
-    changing = node.trying_since is not None or node.insist is not None or node.clearing
-    return Reasons(changing, node.wants_error, node.units is not None)
+def _conditions(drive: DriveState) -> Conditions:
+    transient = drive.arming_since is not None or drive.stop_demand is not None or drive.clearing
+    return Conditions(transient, drive.error_code_wanted, drive.units is not None)
 
 
-def due(node: Node) -> Nanos:
-    """When `next_job` next has something for a free client."""
-    if node.urgent or node.setup or node.questions or node.next_key() is not None:
+def due(drive: DriveState) -> Nanos:
+    """Return when `next_job` next has something for a free client."""
+    if drive.urgent_jobs or drive.setup or drive.request_jobs or drive.next_key() is not None:
         return 0
-    return min(node.polls.due(_reasons(node)), node.roll_call if node.received_at is not None else NEVER)
-
-
-def polled(key: Key, data: bytes) -> int | None:
-    """What an upload of the feedback tells; None if it is not as long as its type."""
-    return from_bytes(OBJECTS[key].type, data)
+    check = drive.identity_check_at if drive.received_at is not None else NEVER
+    return min(drive.polls.due(_conditions(drive)), check)

@@ -1,8 +1,8 @@
-"""PDOs: how objects lie in the up to 8 bytes of a process data frame.
+"""PDOs: how objects are packed into the up to 8 bytes of a process data frame.
 
 Rules. A *mapping* is a tuple of entries (index, subindex, bits), packed from the lowest bit on; as object
-160x and 1Axx hold it, an entry is index << 16 | subindex << 8 | bits. `Packing` is a mapping made ready:
-plain data, worked out once. Values are integers in the order of the mapping; an object that is known as
+160x and 1Axx hold it, an entry is index << 16 | subindex << 8 | bits. `Packing` is a mapping compiled for
+use: plain data, computed once. Values are integers in the order of the mapping; an object that is known as
 signed is read as signed. Indices 2 to 7 are dummies: they take room and mean nothing.
 
 Source: CiA 301 "PDO mapping parameter"; package canopen 2.4.1 `pdo/base.py`.
@@ -15,19 +15,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from protocols.cia402.codec import NODE_MASK
 from protocols.cia402.objects import OBJECTS, Key
 
 MOST_BITS = 64
 DISABLED = 1 << 31
 """In a PDO's COB-ID: the PDO does not exist."""
 NO_RTR = 1 << 30
-"""In a PDO's COB-ID: not to be asked for by a remote frame."""
+"""In a PDO's COB-ID: no remote frames."""
 SYNCHRONOUS_MOST = 240
-"""Transmission types 1 to 240 go with every n-th SYNC; 0 with a SYNC, when something has changed."""
+"""Transmission types 1 to 240: every n-th SYNC; 0: with a SYNC if a value has changed."""
 EVENT_VENDOR = 254
 EVENT = 255
-"""Transmission types that go by themselves: on events and by an event timer."""
+"""Event-driven transmission types: sent on events and by an event timer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,84 +39,79 @@ class Entry:
 
     @property
     def key(self) -> Key:
-        """Where it is in the dictionary."""
+        """Its (index, subindex)."""
         return self.index, self.sub
 
 
 Mapping: TypeAlias = tuple[Entry, ...]
 
 
-def entry_of(word: int) -> Entry:
-    """An entry as it stands in object 160x or 1Axx."""
-    return Entry(word >> 16, word >> 8 & 0xFF, word & 0xFF)
+def decode_entry(value: int) -> Entry:
+    """Decode an entry of object 160x or 1Axx."""
+    return Entry(value >> 16, value >> 8 & 0xFF, value & 0xFF)
 
 
-def word_of(entry: Entry) -> int:
-    """An entry as it is written to object 160x or 1Axx."""
+def encode_entry(entry: Entry) -> int:
+    """Return the UNSIGNED32 value of an entry in object 160x or 1Axx."""
     return entry.index << 16 | entry.sub << 8 | entry.bits
 
 
 def entry(key: Key) -> Entry:
-    """The entry of a known object, in its whole length. KeyError if it is not known."""
+    """Return the entry of a known object, in its whole length. KeyError if it is not known."""
     return Entry(*key, OBJECTS[key].bits)
 
 
 def mapping(*keys: Key) -> Mapping:
-    """A mapping of known objects, each in its whole length."""
+    """Return a mapping of known objects, each in its whole length."""
     return tuple(entry(key) for key in keys)
 
 
-def node_of_cob(cob_id: int) -> int:
-    """The node id in an identifier of the predefined connection set."""
-    return cob_id & NODE_MASK
-
-
 def is_synchronous(transmission: int) -> bool:
-    """Whether a PDO of this transmission type goes, or takes effect, with a SYNC."""
+    """True if a PDO of this transmission type is sent, or takes effect, with a SYNC."""
     return transmission <= SYNCHRONOUS_MOST
 
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """A mapping made ready."""
+    """A mapping compiled for packing and unpacking."""
 
     entries: Mapping
     size: int
     """Bytes of the frame."""
     form: str
-    """For `struct`; "" if an entry does not lie on whole bytes of a usual length."""
+    """Format for `struct`; "" if an entry has not 8, 16, 32 or 64 bits."""
     signed: tuple[bool, ...]
 
     def __deepcopy__(self, _: dict[int, object]) -> Packing:
         return self
 
     def pack(self, values: Sequence[int]) -> bytes:
-        """The bytes of the frame. ValueError if a value does not fit its entry."""
+        """Pack the values into a frame's data. ValueError if a value does not fit its entry."""
         if self.form:
             try:
                 return struct.pack(self.form, *values)
             except struct.error as error:
                 raise ValueError(f"{tuple(values)} does not fit {self.entries}") from error
-        word = at = 0
+        packed = at = 0
         for value, one, signed in zip(values, self.entries, self.signed, strict=True):
             half = 1 << one.bits - 1 if signed else 0
             if not -half <= value < (half or 1 << one.bits):
                 raise ValueError(f"{value} does not fit {one}")
-            word |= (value & (1 << one.bits) - 1) << at
+            packed |= (value & (1 << one.bits) - 1) << at
             at += one.bits
-        return word.to_bytes(self.size, "little")
+        return packed.to_bytes(self.size, "little")
 
     def unpack(self, data: bytes) -> tuple[int, ...] | None:
-        """The values; None if the frame is too short. What is beyond the mapping is not looked at."""
+        """Unpack a frame's data; None if it is too short. Bytes beyond the mapping are ignored."""
         if len(data) < self.size:
             return None
         if self.form:
             return struct.unpack_from(self.form, data)
-        word, values = int.from_bytes(data, "little"), []
+        packed, values = int.from_bytes(data, "little"), []
         for one, signed in zip(self.entries, self.signed, strict=True):
-            value = word & (1 << one.bits) - 1
+            value = packed & (1 << one.bits) - 1
             values.append(value - (1 << one.bits) if signed and value >> one.bits - 1 else value)
-            word >>= one.bits
+            packed >>= one.bits
         return tuple(values)
 
 
@@ -125,7 +119,7 @@ _LETTERS = {8: "b", 16: "h", 32: "i", 64: "q"}
 
 
 def packing(entries: Sequence[Entry]) -> Packing:
-    """Make a mapping ready. ValueError if it is longer than a frame, or an entry has no bits."""
+    """Compile a mapping. ValueError if it is longer than a frame, or an entry has no bits."""
     bits = sum(one.bits for one in entries)
     if bits > MOST_BITS:
         raise ValueError(f"{bits} bits are mapped: a PDO has room for {MOST_BITS}")

@@ -1,7 +1,7 @@
-"""The words of CiA 402: power states, statusword, controlword, modes of operation.
+"""CiA 402: power states, statusword, controlword, modes of operation.
 
-Rules. Numbers and the pure functions that read them; no state. A statusword that is none of the eight
-states gives None. What a controlword demands is a `Demand`; whether a state obeys it is `machine`'s.
+Rules. Numbers and the pure functions that decode them; no state. A statusword that matches none of the eight
+states decodes to None. A controlword decodes to a `Demand`; `state_machine` has which state obeys it.
 
 Source: package canopen 2.4.1 `profiles/p402.py` (`State402`, `OperationMode`, `Homing`); CiA 402-2
 "finite state automaton".
@@ -13,7 +13,7 @@ from enum import Enum, IntEnum, IntFlag
 
 
 class PowerState(Enum):
-    """The states of the power drive system, in CiA 402's own words."""
+    """The states of the power drive system, named as in CiA 402."""
 
     NOT_READY = "NOT READY TO SWITCH ON"
     SWITCH_ON_DISABLED = "SWITCH ON DISABLED"
@@ -38,13 +38,13 @@ STATE_BITS: dict[PowerState, tuple[int, int]] = {
 """(mask, value) of the statusword in each state."""
 
 _BY_STATUS = tuple(
-    next((state for state, (mask, value) in STATE_BITS.items() if word & mask == value), None)
-    for word in range(0x80)
+    next((state for state, (mask, value) in STATE_BITS.items() if status & mask == value), None)
+    for status in range(0x80)
 )
 
 
 def state_of(statusword: int) -> PowerState | None:
-    """The state that a statusword tells; None if it is none of them."""
+    """Decode the power state of a statusword; None if it matches none."""
     return _BY_STATUS[statusword & 0x7F]
 
 
@@ -71,7 +71,7 @@ class Status(IntFlag):
 
 
 class Control(IntFlag):
-    """Bits of the controlword beyond its demands."""
+    """Bits of the controlword beside those of a demand."""
 
     NEW_SETPOINT = 1 << 4
     """PP."""
@@ -87,7 +87,7 @@ class Control(IntFlag):
 
 
 class Demand(IntEnum):
-    """What a controlword demands, and the word that demands it (and nothing else)."""
+    """State commands of the controlword; the value is the plain controlword that gives the command."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -98,7 +98,7 @@ class Demand(IntEnum):
 
 
 def demand_of(controlword: int, before: int) -> Demand | None:
-    """What a controlword demands after the word before; None while bit 7 stays set."""
+    """Decode a controlword, given the one before; None while bit 7 stays set."""
     if controlword & Control.FAULT_RESET:
         return None if before & Control.FAULT_RESET else Demand.FAULT_RESET
     if not controlword & 0x02:
@@ -150,18 +150,18 @@ CYCLIC = (Mode.CSP, Mode.CSV, Mode.CST)
 
 
 def mode_bit(mode: Mode) -> int:
-    """The bit of object 6502 that says that a mode is supported; 0 for no mode."""
+    """Return the bit of a mode in object 6502 (supported drive modes); 0 for no mode."""
     return 0 if mode is Mode.NONE else 1 << (mode - 1)
 
 
 def supports(supported: int, mode: Mode) -> bool:
-    """Whether the value of object 6502 names a mode."""
+    """True if a value of object 6502 (supported drive modes) includes a mode."""
     bit = mode_bit(mode)
     return supported & bit == bit
 
 
-class Homing(Enum):
-    """How a homing procedure stands, by bits 13, 12 and 10 of the statusword in mode HM."""
+class HomingStatus(Enum):
+    """State of a homing procedure: bits 13, 12 and 10 of the statusword in mode HM."""
 
     IN_PROGRESS = 0x0000
     INTERRUPTED = 0x0400
@@ -176,7 +176,7 @@ class Homing(Enum):
 HOMING_MASK = 0x3400
 
 
-def homing_of(statusword: int) -> Homing | None:
-    """How homing stands; None for a contradiction."""
+def homing_of(statusword: int) -> HomingStatus | None:
+    """Decode the state of homing; None for a combination without meaning."""
     value = statusword & HOMING_MASK
-    return Homing(value) if value in {h.value for h in Homing} else None
+    return HomingStatus(value) if value in {status.value for status in HomingStatus} else None

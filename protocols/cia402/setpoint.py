@@ -1,7 +1,7 @@
 """Commands → mode of operation and set-points in the drive's own units. Pure functions.
 
-Rules. A set-point is a whole set of values: what a mode does not use is zero, but for the target position,
-which stays where it is. What does not fit the drive's integers is a ValueError, and reaches no wire.
+Rules. A set-point is a whole set of values: what a mode does not use is zero, except the target position,
+which stays where it is. What does not fit the drive's integers is a ValueError, and is never sent.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import Key
 from protocols.cia402.profile import CYCLIC, Mode
-from protocols.cia402.startup import Known
+from protocols.cia402.startup import DeviceProfile
 from protocols.cia402.units import Units
 from protocols.messages import Command, Hold, Position, Torque, Velocity
 
@@ -26,35 +26,30 @@ TARGET_OF: dict[Mode, Key] = {
     **dict.fromkeys(TORQUE_MODES, o.TARGET_TORQUE),
 }
 """The set-point of each mode."""
+_FAMILIES: dict[type[Command], tuple[tuple[Mode, Mode], ...]] = {
+    Position: (POSITION_MODES,),
+    Velocity: (VELOCITY_MODES,),
+    Torque: (TORQUE_MODES,),
+    Hold: (POSITION_MODES, VELOCITY_MODES),
+}
+"""The (cyclic, profile) modes that can do a command. Hold is a position, or without a position mode
+standstill."""
 
 
-def mode_for(command: Command, known: Known, prefer: Literal["cyclic", "profile"]) -> Mode | None:
-    """The mode in which the device can do this; None if it has none.
-
-    Hold is a position, and where the device has no position mode standing still."""
-    match command:
-        case Position():
-            families = [POSITION_MODES]
-        case Velocity():
-            families = [VELOCITY_MODES]
-        case Torque():
-            families = [TORQUE_MODES]
-        case Hold():
-            families = [POSITION_MODES, VELOCITY_MODES]
-        case _:
-            return None
-    for cyclic, profile in families:
-        found = known.mode(*((cyclic, profile) if prefer == "cyclic" else (profile, cyclic)))
+def mode_for(command: Command, profile: DeviceProfile, prefer: Literal["cyclic", "profile"]) -> Mode | None:
+    """Return the mode in which the device can do a command; None if it has none."""
+    for pair in _FAMILIES.get(type(command), ()):
+        found = profile.mode(*(pair if prefer == "cyclic" else pair[::-1]))
         if found is not None:
             return found
     return None
 
 
-def values_of(command: Command, operation: Mode, units: Units, hold: int) -> Values:
-    """The set-points of a command in a mode. `hold`: the target position where the command has none.
+def values_of(command: Command, mode: Mode, units: Units, hold: int) -> Values:
+    """Return the set-points of a command in a mode. `hold`: the target position if the command has none.
 
-    Feed-forwards are objects of the cyclic modes: a profile mode makes its own."""
-    if operation not in CYCLIC and isinstance(command, Position | Velocity):
+    Feed-forwards are objects of the cyclic modes: a profile mode generates its own."""
+    if mode not in CYCLIC and isinstance(command, Position | Velocity):
         command = replace(command, torque=0.0)
         command = replace(command, velocity=0.0) if isinstance(command, Position) else command
     match command:
@@ -66,11 +61,11 @@ def values_of(command: Command, operation: Mode, units: Units, hold: int) -> Val
             return _values(hold, velocity=target, torque_offset=_torque(units, torque))
         case Torque(_, torque):
             return _values(hold, torque=units.to_torque(torque))
-    return _values(hold)
+    return standstill(hold)
 
 
 def standstill(position: int) -> Values:
-    """Set-points that do not move a shaft at this position, in any mode."""
+    """Return set-points that do not move a shaft at this position, in any mode."""
     return _values(position)
 
 

@@ -1,9 +1,9 @@
-"""What the twin tells by itself and when: TPDOs, heartbeat, and SDO answers after a while.
+"""When the twin sends its TPDOs.
 
-Rules. Plain data; what is due is returned, the frames are made from the dictionary at that moment. A TPDO of
-type 0 goes with a SYNC if something in it has changed, 1 to 240 with every n-th SYNC; 254 and 255 go by the
-event timer and on events: a change of a word of state (statusword, mode, error) in it, or of anything where
-there is no event timer; never before the inhibit time is over.
+Rules. Plain data; the frames that are due are returned, made from the dictionary at that moment. A TPDO of
+transmission type 0 is sent with a SYNC if a value in it has changed, 1 to 240 with every n-th SYNC; 254 and
+255 by the event timer and on events: a change of a state object (statusword, mode, error) in it, or of any
+object if there is no event timer; never within the inhibit time.
 
 Source: CiA 301 "PDO communication parameter"; what counts as an event for 254 and 255 is the maker's choice.
 """
@@ -20,32 +20,32 @@ from protocols.cia402.pdo import DISABLED, Packing, is_synchronous
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos
 
-STATE_WORDS: frozenset[Key] = frozenset({o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE, o.ERROR_REGISTER})
+STATE_OBJECTS: frozenset[Key] = frozenset({o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE, o.ERROR_REGISTER})
 """A change of these is an event."""
 INHIBIT_UNIT: Nanos = MILLISECOND // 10
 
 
 @dataclass(slots=True)
 class Tpdo:
-    """One TPDO as it goes out."""
+    """One TPDO."""
 
     index: int
-    """Of its communication parameters."""
+    """Of its communication parameter."""
     syncs: int = 0
-    """SYNCs since it went out."""
+    """SYNCs since it was sent."""
     sent: Nanos | None = None
-    """None: not since it was configured, or since the drive became operational."""
+    """None: not since the drive became operational."""
     values: tuple[int, ...] = ()
-    """As they were sent last."""
+    """As sent last."""
 
     def frame(self, now: Nanos, dictionary: Dictionary, packing: Packing) -> CanFrame:
-        """Send it."""
+        """Return the frame, and note that it is sent now."""
         self.values = _values(dictionary, packing)
         self.sent, self.syncs = now, 0
         return CanFrame(dictionary.values[self.index, o.COB_ID] & 0x7FF, packing.pack(self.values))
 
     def on_sync(self, now: Nanos, dictionary: Dictionary) -> Sequence[CanFrame]:
-        """A SYNC came."""
+        """Handle a SYNC; return the frame if one is due."""
         packing = dictionary.active(self.index)
         transmission = dictionary.values[self.index, o.TRANSMISSION]
         if packing is None or not is_synchronous(transmission):
@@ -58,13 +58,13 @@ class Tpdo:
         return (self.frame(now, dictionary, packing),) if due else ()
 
     def is_timed(self, dictionary: Dictionary) -> bool:
-        """Whether it goes by itself."""
+        """True if it is sent without SYNC."""
         if dictionary.values[self.index, o.COB_ID] & DISABLED:
             return False
         return not is_synchronous(dictionary.values[self.index, o.TRANSMISSION])
 
     def on_time(self, now: Nanos, dictionary: Dictionary) -> Sequence[CanFrame]:
-        """Time went on."""
+        """Return the frame if the event timer or an event makes one due."""
         packing = dictionary.active(self.index)
         if packing is None or is_synchronous(dictionary.values[self.index, o.TRANSMISSION]):
             return ()
@@ -86,10 +86,10 @@ class Tpdo:
             )
             if value != was
         ]
-        return any(key in STATE_WORDS for key in changed) if timer else bool(changed)
+        return any(key in STATE_OBJECTS for key in changed) if timer else bool(changed)
 
     def due(self, dictionary: Dictionary) -> Nanos | None:
-        """When its event timer runs out."""
+        """Return when its event timer expires."""
         timer = dictionary.values[self.index, o.EVENT_TIMER] * MILLISECOND
         if not timer or self.sent is None or dictionary.active(self.index) is None:
             return None
@@ -101,5 +101,5 @@ def _values(dictionary: Dictionary, packing: Packing) -> tuple[int, ...]:
 
 
 def tpdos() -> list[Tpdo]:
-    """The TPDOs of a drive that became operational."""
+    """Return the TPDOs of a drive that became operational."""
     return [Tpdo(o.TPDO_COMMUNICATION + number - 1) for number in o.PDO_NUMBERS]

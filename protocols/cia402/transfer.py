@@ -1,7 +1,7 @@
-"""The client's side of one SDO transfer: it says what to send, and takes what comes.
+"""The client's side of one SDO transfer: it returns the requests to send, and handles the responses.
 
-Rules. Plain data, one at a time per device. What is not the answer that is waited for changes nothing: of
-another object, of another kind, a segment that came twice. A value of another length than was told counts as
+Rules. Plain data, one at a time per device. A response that is not the expected one (of another object, of
+another kind, a repeated segment) changes nothing. A value whose length is not the announced one counts as
 aborted.
 
 Source: package canopen 2.4.1 (`sdo/client.py`); CiA 301 "SDO protocols".
@@ -10,119 +10,92 @@ Source: package canopen 2.4.1 (`sdo/client.py`); CiA 301 "SDO protocols".
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-from protocols.cia402.sdo import (
-    EXPEDITED,
-    LENGTH_MISMATCH,
-    SEGMENT,
-    Abort,
-    Answer,
-    Download,
-    Downloaded,
-    DownloadSegment,
-    DownloadStart,
-    Request,
-    SegmentDownloaded,
-    Upload,
-    Uploaded,
-    UploadedSegment,
-    UploadSegment,
-    UploadStart,
-)
+from protocols.cia402 import sdo
 
 
 @dataclass(slots=True)
 class Transfer:
-    """Reading one object (`data` None), or writing it. Plain data; one at a time per device."""
+    """An upload of one object (`data` None), or a download."""
 
     index: int
     sub: int
     data: bytes | None = None
     done: bool = False
-    """It has ended, one way or the other."""
+    """It has ended, successfully or not."""
     value: bytes = b""
-    """What was read so far; whole when `done` and no `abort`."""
+    """What has been read; complete when `done` and no `abort`."""
     abort: int | None = None
     """The abort code with which it ended, if it did."""
     toggle: bool = False
     sent: int = 0
     """Bytes written so far."""
-    expecting: type[Answer] | None = None
-    """The kind of answer that comes next in the middle of a segmented transfer."""
+    expecting: type[sdo.Response] | None = None
+    """The kind of response expected in the middle of a segmented transfer."""
     size: int | None = None
-    """Bytes to be read, as the device told."""
+    """Bytes to be read, as the device announced."""
 
-    def first(self) -> Request:
-        """The message that begins it, also when it is begun anew."""
+    def first(self) -> sdo.Request:
+        """Begin the transfer, or begin it anew; return its first request."""
         self.done, self.value, self.abort = False, b"", None
         self.toggle, self.sent, self.expecting, self.size = False, 0, None, None
         if self.data is None:
-            return Upload(self.index, self.sub)
-        if 1 <= len(self.data) <= EXPEDITED:
-            return Download(self.index, self.sub, self.data)
-        return DownloadStart(self.index, self.sub, len(self.data))
+            return sdo.Upload(self.index, self.sub)
+        if 1 <= len(self.data) <= sdo.EXPEDITED:
+            return sdo.Download(self.index, self.sub, self.data)
+        return sdo.DownloadStart(self.index, self.sub, len(self.data))
 
-    def handle(self, answer: Answer) -> Request | None:
-        """Take an answer; the next request, or None if it ended, or if the answer was not for it."""
-        kind = type(answer)
-        if kind is Uploaded or kind is Downloaded:
-            return self._on_expedited(answer)
-        return self._on_other(answer)
-
-    def _on_expedited(self, answer: Any) -> Request | None:  # noqa: ANN401 -- Uploaded or Downloaded
-        """One of the two answers that are the bulk of all traffic."""
-        reading = type(answer) is Uploaded
-        if not self._begins(answer.index, answer.sub, reading):
-            return None
-        if reading:
-            self.done, self.value = True, answer.data
-            return None
-        return self._written()
-
-    def _on_other(self, answer: Answer) -> Request | None:
-        match answer:
-            case Abort(index, sub, code):
+    def handle(self, response: sdo.Response) -> sdo.Request | None:
+        """Handle a response; return the next request, or None if the transfer ended or ignores the
+        response."""
+        match response:
+            case sdo.Uploaded(index, sub, data):
+                if self._begins(index, sub, reading=True):
+                    self.done, self.value = True, data
+            case sdo.Downloaded(index, sub):
+                return self._on_downloaded() if self._begins(index, sub, reading=False) else None
+            case sdo.Abort(index, sub, code):
                 if (index, sub) == (self.index, self.sub):
                     self.done, self.abort = True, code
-            case UploadStart(index, sub, size) if self._begins(index, sub, reading=True):
-                self.expecting, self.size = UploadedSegment, size
-                return UploadSegment(self.toggle)
-            case UploadedSegment(toggle, data, last) if self.expecting is UploadedSegment:
-                return self._take(toggle, data, last)
-            case SegmentDownloaded(toggle) if self.expecting is SegmentDownloaded and toggle == self.toggle:
-                self.toggle = not self.toggle
-                return self._next()
+            case sdo.UploadStart(index, sub, size) if self._begins(index, sub, reading=True):
+                self.expecting, self.size = sdo.UploadedSegment, size
+                return sdo.UploadSegment(self.toggle)
+            case sdo.UploadedSegment(toggle, data, last) if self.expecting is sdo.UploadedSegment:
+                return self._on_segment(toggle, data, last)
+            case sdo.SegmentDownloaded(toggle):
+                if self.expecting is sdo.SegmentDownloaded and toggle == self.toggle:
+                    self.toggle = not self.toggle
+                    return self._next_segment()
         return None
 
     def _begins(self, index: int, sub: int, reading: bool) -> bool:
         right = index == self.index and sub == self.sub and reading == (self.data is None)
         return right and self.expecting is None and not self.done
 
-    def _take(self, toggle: bool, data: bytes, last: bool) -> Request | None:
-        if toggle != self.toggle:  # a piece that came twice
+    def _on_segment(self, toggle: bool, data: bytes, last: bool) -> sdo.Request | None:
+        if toggle != self.toggle:  # a repeated segment
             return None
         self.value += data
         self.toggle = not self.toggle
         if not last:
-            return UploadSegment(self.toggle)
+            return sdo.UploadSegment(self.toggle)
         self.done, self.expecting = True, None
         if self.size is not None and self.size != len(self.value):
-            self.abort = LENGTH_MISMATCH
+            self.abort = sdo.LENGTH_MISMATCH
         return None
 
-    def _written(self) -> Request | None:
-        if self.data is not None and 1 <= len(self.data) <= EXPEDITED:
+    def _on_downloaded(self) -> sdo.Request | None:
+        if self.data is not None and 1 <= len(self.data) <= sdo.EXPEDITED:
             self.done = True
             return None
-        self.expecting = SegmentDownloaded
-        return self._next()
+        self.expecting = sdo.SegmentDownloaded
+        return self._next_segment()
 
-    def _next(self) -> Request | None:
+    def _next_segment(self) -> sdo.Request | None:
         data = self.data or b""
         if self.sent and self.sent >= len(data):
             self.done, self.expecting = True, None
             return None
-        piece = data[self.sent : self.sent + SEGMENT]
-        self.sent += max(len(piece), 1)
-        return DownloadSegment(self.toggle, piece, self.sent >= len(data))
+        segment = data[self.sent : self.sent + sdo.SEGMENT]
+        self.sent += max(len(segment), 1)
+        return sdo.DownloadSegment(self.toggle, segment, self.sent >= len(data))

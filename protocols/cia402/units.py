@@ -1,8 +1,8 @@
-"""A drive's own units ↔ SI at the device's shaft, from what the drive says of its encoder, gear and feed.
+"""A drive's own units ↔ SI at the device's shaft, from its encoder, gear and feed objects.
 
 Rules. The *device's shaft* is the drive's "driving shaft": behind the gear of object 6091. Positions are
-whole user units: 6092 of them per turn of that shaft, or encoder increments through the gear where a drive
-has no feed constant. Velocities are user units per second, accelerations per second squared. Torques are
+whole user units: 6092 of them per turn of that shaft, or encoder increments through the gear if a drive has
+no feed constant. Velocities are user units per second, accelerations per second squared. Torques are
 per mille of the motor's rated torque (6076, mN·m), which the gear multiplies; currents per mille of its
 rated current (6075, mA). A value that does not fit its object is a ValueError: nothing is clamped, nothing
 wraps.
@@ -17,12 +17,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from protocols.cia402 import objects as o
-from protocols.cia402.objects import Key, Type, fits
+from protocols.cia402.objects import Key, Type
 
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """How one drive counts."""
+    """The units of one drive."""
 
     per_turn: float
     """User units of position per turn of the device's shaft."""
@@ -36,40 +36,33 @@ class Units:
     def __deepcopy__(self, _: dict[int, object]) -> Units:
         return self
 
-    # -- the drive's → SI -----------------------------------------------------------------------
-
     def position(self, value: int) -> float:
-        """rad of 6064 and its like."""
+        """Convert a position (6064 and the like) to rad."""
         return value * math.tau / self.per_turn
 
     def velocity(self, value: int) -> float:
-        """rad/s of 606C and its like; also rad/s² of 6083 and its like."""
+        """Convert a velocity (606C …) to rad/s; also an acceleration (6083 …) to rad/s²."""
         return value * math.tau / self.per_turn
 
     def torque(self, value: int) -> float:
-        """N·m at the device's shaft of 6077 and its like."""
+        """Convert a torque (6077 …) to N·m at the device's shaft."""
         return value * self.rated_torque * self.gear / 1000.0
 
     def current(self, value: int) -> float:
-        """A of 6078."""
+        """Convert a current (6078) to A."""
         return value * self.rated_current / 1000.0
 
-    # -- SI → the drive's -----------------------------------------------------------------------
-
     def to_position(self, radians: float) -> int:
-        """6064 and its like of rad. ValueError if it does not fit."""
+        """Convert rad to a position (607A …). ValueError if it does not fit."""
         return _whole(radians * self.per_turn / math.tau, Type.I32)
 
     def to_velocity(self, radians: float) -> int:
-        """606C and its like of rad/s. ValueError if it does not fit."""
+        """Convert rad/s to a velocity (60FF …). ValueError if it does not fit."""
         return _whole(radians * self.per_turn / math.tau, Type.I32)
 
-    def to_unsigned(self, radians: float) -> int:
-        """6081, 6083 and their like of rad/s or rad/s², at least 1. ValueError if it does not fit."""
-        return max(1, _whole(abs(radians) * self.per_turn / math.tau, Type.U32))
-
     def to_torque(self, torque: float) -> int:
-        """6071 and its like of N·m at the device's shaft. ValueError if it does not fit or none is rated."""
+        """Convert N·m at the device's shaft to a torque (6071 …). ValueError if it does not fit, or 6076 is
+        unknown."""
         if self.rated_torque <= 0.0:
             raise ValueError("the drive's rated torque is not known")
         return _whole(torque * 1000.0 / (self.rated_torque * self.gear), Type.I16)
@@ -77,9 +70,9 @@ class Units:
 
 def _whole(value: float, type_: Type) -> int:
     if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite: it never reaches the wire")
+        raise ValueError(f"{value} is not finite: it is never sent")
     whole = round(value)
-    if not fits(type_, whole):
+    if not type_.low <= whole <= type_.high:
         raise ValueError(f"{whole} does not fit into {type_.name}")
     return whole
 
@@ -94,11 +87,11 @@ READ: tuple[Key, ...] = (
     o.RATED_TORQUE,
     o.RATED_CURRENT,
 )
-"""What must be read of a drive before its units are known; each may be missing."""
+"""The objects that units are computed from; each may be missing."""
 
 
 def units_of(read: Mapping[Key, int]) -> Units | None:
-    """The units, from the objects of READ that the drive has; None if they do not say how it counts.
+    """Compute the units from the objects of READ that the drive has; None if they do not suffice.
 
     A missing 6091 is 1:1. A missing or zero 6092 means encoder increments; then 608F must be there."""
     encoder = _ratio(read, o.ENCODER_INCREMENTS, o.ENCODER_REVOLUTIONS)
@@ -112,6 +105,6 @@ def units_of(read: Mapping[Key, int]) -> Units | None:
 
 
 def _ratio(read: Mapping[Key, int], above: Key, below: Key) -> float | None:
-    """A ratio of two objects; None if one is missing or zero. A missing divisor counts as 1."""
+    """Return the ratio of two objects; None if one is missing or zero. A missing divisor counts as 1."""
     numerator, divisor = read.get(above, 0), read.get(below, 1)
     return numerator / divisor if numerator > 0 and divisor > 0 else None

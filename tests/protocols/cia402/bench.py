@@ -27,7 +27,7 @@ from protocols.cia402.codec import (
 )
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.cia402.options import Options, Settings, units_of_settings
-from protocols.cia402.pdo import Packing, mapping, packing, word_of
+from protocols.cia402.pdo import Packing, encode_entry, mapping, packing
 from protocols.cia402.profile import Mode, PowerState, state_of
 from protocols.cia402.transfer import Transfer
 from protocols.cia402.twin import Cia402Twin
@@ -111,11 +111,11 @@ class Bench:
         """An RPDO of the predefined connection set."""
         return self.run(1, [CanFrame(rpdo_id(number, NODE), pack.pack(values))])
 
-    def ask(self, request: sdo.Request) -> sdo.Answer | None:
+    def ask(self, request: sdo.Request) -> sdo.Response | None:
         """An SDO request, and its answer."""
         for frame in self.run(1, [CanFrame(sdo_rx_id(NODE), sdo.encode(request))]):
             if frame.id == sdo_tx_id(NODE):
-                return sdo.decode_answer(frame.data)
+                return sdo.decode_response(frame.data)
         return None
 
     def transfer(self, transfer: Transfer) -> Transfer:
@@ -151,7 +151,7 @@ class Bench:
         self.put((index, o.EVENT_TIMER), timer)
         self.put((index + 0x200, 0), 0)
         for sub, entry in enumerate(mapping(*keys), 1):
-            self.put((index + 0x200, sub), word_of(entry))
+            self.put((index + 0x200, sub), encode_entry(entry))
         self.put((index + 0x200, 0), len(keys))
         self.put((index, o.COB_ID), cob)
         return packing(mapping(*keys))

@@ -42,16 +42,16 @@ class Stage:
         return self.stage.twins[0]
 
     @property
-    def node(self) -> Any:
+    def drive(self) -> Any:
         """Alpha, as the driver knows it."""
-        return self.driver.nodes[1]
+        return self.driver.drives[1]
 
     @property
     def ms(self) -> int:
         return (self.stage.now - START) // STEP
 
     def step(self, *words: Command | Request, stray: Sequence[Frame] = ()) -> StepResult:
-        said = self.stage.step(words, stray_up=stray)
+        said = self.stage.step(words, extra_up=stray)
         self.events += [e for e in said.events if not isinstance(e, Feedback)]
         self.feedback += [e for e in said.events if isinstance(e, Feedback)]
         self.down += [w for w in said.down if isinstance(w, CanFrame)]
@@ -66,14 +66,14 @@ class Stage:
         """Step until the driver tells this mode; how many steps it took."""
         for count in range(most):
             self.step(*words)
-            if self.stage.armed.get(name) is mode:
+            if self.stage.modes.get(name) is mode:
                 return count
         raise AssertionError(f"not {mode} in {most} ms: {self.events[-3:]}")
 
     def fresh(self) -> None:
         """Another driver, that knows nothing."""
         self.stage.driver = plugin.driver(self.stage.devices)
-        self.stage.armed.clear()
+        self.stage.modes.clear()
         self.forget()
 
     def forget(self) -> None:

@@ -15,7 +15,7 @@ from protocols.cia402 import objects as o
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.objects import OBJECTS, Key
 from protocols.cia402.options import Options
-from protocols.cia402.pdo import EVENT, word_of
+from protocols.cia402.pdo import EVENT, encode_entry
 from protocols.frames import CanFrame
 from tests.protocols.cia402.stack import PACKAGE, Joined, master
 
@@ -102,13 +102,13 @@ def _downloads() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
 def saved(pdo: Pdo) -> list[CanFrame]:
     """What `PdoMap.save()` says to configure a PDO like ours."""
     network, node = master(NODE)
-    known = (node.rpdo if pdo.way == "to" else node.tpdo)[pdo.number]
+    known = (node.rpdo if pdo.kind == "RPDO" else node.tpdo)[pdo.number]
     known.read()
     known.clear()
     for one in pdo.entries:
         known.add_variable(one.index, one.sub, one.bits)
     known.trans_type, known.enabled = pdo.transmission, True
-    timed = pdo.way == "from" and pdo.transmission >= EVENT
+    timed = pdo.kind == "TPDO" and pdo.transmission >= EVENT
     known.inhibit_time = 10 * pdo.event_ms if timed else None
     known.event_timer = pdo.event_ms if timed else None
     _said(network)
@@ -119,8 +119,11 @@ def saved(pdo: Pdo) -> list[CanFrame]:
 def _configurations() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
     return [
         (
-            f"configure_{'R' if pdo.way == 'to' else 'T'}PDO{pdo.number}",
-            {"msg": "PDO configuration by PdoMap.save()", "entries": [word_of(one) for one in pdo.entries]},
+            f"configure_{pdo.kind}{pdo.number}",
+            {
+                "msg": "PDO configuration by PdoMap.save()",
+                "entries": [encode_entry(one) for one in pdo.entries],
+            },
             saved(pdo),
         )
         for pdo in pdos()
@@ -129,7 +132,7 @@ def _configurations() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
 
 def _rpdos() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
     rows = []
-    for pdo in [pdo for pdo in pdos() if pdo.way == "to"]:
+    for pdo in [pdo for pdo in pdos() if pdo.kind == "RPDO"]:
         network, node = master(NODE)
         known = node.rpdo[pdo.number]
         known.clear()

@@ -26,14 +26,14 @@ from protocols.cia402.codec import (
     sdo_tx_id,
     tpdo_id,
 )
-from protocols.cia402.faults import FAULTS, complaint, register_of
+from protocols.cia402.faults import FAULTS, fault_info, register_of
 from protocols.cia402.objects import OBJECTS, Type, find, from_bytes, parse, title, to_bytes
 from protocols.cia402.options import Options, Settings, units_of_settings
-from protocols.cia402.pdo import Entry, entry_of, mapping, packing, word_of
+from protocols.cia402.pdo import Entry, decode_entry, encode_entry, mapping, packing
 from protocols.cia402.profile import (
     STATE_BITS,
     Demand,
-    Homing,
+    HomingStatus,
     Mode,
     PowerState,
     demand_of,
@@ -55,7 +55,7 @@ def is_pdo(vector: Vector) -> bool:
     return isinstance(vector.frame, CanFrame) and 0x180 <= vector.frame.id < 0x580
 
 
-def value_of(vector: Vector) -> Message | sdo.Request | sdo.Answer | None:
+def value_of(vector: Vector) -> Message | sdo.Request | sdo.Response | None:
     """What a vector's frame says, by its identifier; None for a PDO."""
     frame = vector.frame
     assert isinstance(frame, CanFrame)
@@ -63,11 +63,11 @@ def value_of(vector: Vector) -> Message | sdo.Request | sdo.Answer | None:
     if frame.id == sdo_rx_id(node):
         return sdo.decode_request(frame.data)
     if frame.id == sdo_tx_id(node):
-        return sdo.decode_answer(frame.data)
+        return sdo.decode_response(frame.data)
     return decode(frame)
 
 
-def bytes_of(value: Message | sdo.Request | sdo.Answer) -> bytes:
+def bytes_of(value: Message | sdo.Request | sdo.Response) -> bytes:
     if isinstance(value, Nmt | Sync | Heartbeat | Emcy):
         return encode(value).data
     return sdo.encode(value)
@@ -83,7 +83,7 @@ def test_every_vector_is_understood_and_said_alike(vector: Vector) -> None:
 
 
 # fmt: off
-MEANINGS: list[tuple[str, Message | sdo.Request | sdo.Answer]] = [
+MEANINGS: list[tuple[str, Message | sdo.Request | sdo.Response]] = [
     ("nmt_slave_bootup#0",                   Heartbeat(2, NmtState.INITIALISING)),
     ("heartbeat_preop",                      Heartbeat(2, NmtState.PRE_OPERATIONAL)),
     ("nmt_enter_preop#0",                    Nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 2)),
@@ -107,7 +107,7 @@ MEANINGS: list[tuple[str, Message | sdo.Request | sdo.Answer]] = [
 
 
 @pytest.mark.parametrize(("name", "value"), MEANINGS, ids=[name for name, _ in MEANINGS])
-def test_the_vectors_mean_what_they_say(name: str, value: Message | sdo.Request | sdo.Answer) -> None:
+def test_the_vectors_mean_what_they_say(name: str, value: Message | sdo.Request | sdo.Response) -> None:
     vector = next(v for v in VECTORS if v.name == name)
     assert value_of(vector) == value
     assert isinstance(vector.frame, CanFrame)
@@ -127,8 +127,9 @@ def test_pdo_vectors() -> None:
     entries = [v for v in VECTORS if v.name.startswith("pdo_config_write") and v.meaning["sub"]]
     written = {v.meaning["value"] for v in entries if v.meaning["index"] in (0x1600, 0x1A00)}
     assert written == {
-        word_of(entry) for entry in (*mapping(o.CONTROLWORD, o.MODE), *mapping(o.STATUSWORD, o.MODE_DISPLAY))
-    } | {word_of(mapping(o.TORQUE)[0])}
+        encode_entry(entry)
+        for entry in (*mapping(o.CONTROLWORD, o.MODE), *mapping(o.STATUSWORD, o.MODE_DISPLAY))
+    } | {encode_entry(mapping(o.TORQUE)[0])}
 
 
 # -- SDO -----------------------------------------------------------------------------------------------
@@ -139,7 +140,7 @@ def serve(data: bytes, transfer: Transfer, twice: bool = False) -> bytes:
     taken, left = b"", data
     request: sdo.Request | None = transfer.first()
     while not transfer.done:
-        answer: sdo.Answer
+        answer: sdo.Response
         match request:
             case sdo.Upload(index, sub):
                 short = 1 <= len(data) <= 4
@@ -154,7 +155,7 @@ def serve(data: bytes, transfer: Transfer, twice: bool = False) -> bytes:
                 taken, answer = taken + value, sdo.SegmentDownloaded(toggle)
             case _:
                 raise AssertionError(request)
-        received = sdo.decode_answer(sdo.encode(answer))
+        received = sdo.decode_response(sdo.encode(answer))
         assert received == answer
         request = transfer.handle(answer)
         if twice:
@@ -213,7 +214,7 @@ def test_the_numbers_of_the_abort_codes_are_the_packages() -> None:
 @pytest.mark.parametrize("length", [0, 1, 5, 9])
 def test_nothing_that_is_not_8_bytes_is_an_sdo(length: int) -> None:
     assert sdo.decode_request(bytes([0x40] * length)) is None
-    assert sdo.decode_answer(bytes([0x60] * length)) is None
+    assert sdo.decode_response(bytes([0x60] * length)) is None
 
 
 def test_what_does_not_fit_is_an_error() -> None:
@@ -230,12 +231,12 @@ def test_any_eight_bytes_decode_or_are_none() -> None:
     random = np.random.Generator(np.random.PCG64(SEED))
     for _ in range(2000):
         data = random.bytes(8)
-        request, answer = sdo.decode_request(data), sdo.decode_answer(data)
+        request, answer = sdo.decode_request(data), sdo.decode_response(data)
         assert request is not None
         for value in (request, answer):
             if value is not None and not isinstance(value, sdo.Unsupported):
                 again = sdo.encode(value)
-                both = (sdo.decode_request(again), sdo.decode_answer(again))
+                both = (sdo.decode_request(again), sdo.decode_response(again))
                 assert value in both, f"seed {SEED}: {data.hex()}"
 
 
@@ -288,7 +289,7 @@ def test_packing_keeps_values_whole_bytes_or_not() -> None:
         general = type(pack)(pack.entries, pack.size, "", pack.signed)
         assert general.pack(values) == data
         assert general.unpack(data) == tuple(values)
-        assert [entry_of(word_of(entry)) for entry in pack.entries] == list(pack.entries)
+        assert [decode_entry(encode_entry(entry)) for entry in pack.entries] == list(pack.entries)
 
 
 def test_a_value_too_large_for_its_place_is_refused() -> None:
@@ -399,8 +400,8 @@ def test_homing_bits_as_the_package_has_them() -> None:
     from canopen.profiles.p402 import Homing as Theirs
 
     assert {mask for mask, _ in Theirs.STATES.values()} == {0x3400}
-    assert {value for _, value in Theirs.STATES.values()} == {h.value for h in Homing}
-    assert homing_of(0x1637) is Homing.DONE
+    assert {value for _, value in Theirs.STATES.values()} == {h.value for h in HomingStatus}
+    assert homing_of(0x1637) is HomingStatus.DONE
     assert homing_of(0x3000) is None
 
 
@@ -435,7 +436,7 @@ def test_every_state_has_a_word_of_its_own() -> None:
 
 def test_every_code_has_a_text() -> None:
     for code in range(1 << 16):
-        reported = complaint(code)
+        reported = fault_info(code)
         assert reported.name
         if code in FAULTS:
             assert reported is FAULTS[code]
@@ -452,7 +453,7 @@ def test_families_as_the_package_has_them() -> None:
     ours: dict[str, Any] = {"Current": 0x2399, "Voltage": 0x3499, "Temperature": 0x4599, "Monitoring": 0x8899}
     for text, code in ours.items():
         assert EmcyError(code, 0, b"", 0.0).get_desc() == text
-        assert complaint(code).name.startswith(text.lower())
+        assert fault_info(code).name.startswith(text.lower())
 
 
 def test_the_error_register_names_the_family() -> None:

@@ -34,7 +34,7 @@ def test_vectors_of_coming_up_and_falling_silent_when_due() -> None:
     talk.chapter(25, reported="measures position=0")
     talk.chapter(1000, reported="reads 1018:04")
     talk.drive.dead = True
-    talk.chapter(700, reported="480..505 < State offline nothing heard")
+    talk.chapter(700, reported="480..505 < State offline no frames received")
     talk.drive.dead = False
     talk.chapter(
         300, reported="< State initialising *\n< State initialising *\n< State ready SWITCH ON DISABLED"
@@ -138,6 +138,6 @@ def test_vectors_of_a_reboot_that_is_not_seen_when_due() -> None:
         Reboot("m"),
         reported="""
         0 nmt RESET 2 /2000 until 6000..8000
-        8000..8001 < Refused Reboot m it showed no sign of a restart
+        8000..8001 < Refused Reboot m no boot-up message after the reset
         """,
     )

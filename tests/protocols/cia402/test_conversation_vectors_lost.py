@@ -42,7 +42,7 @@ def test_vectors_of_silence_and_of_coming_back() -> None:
         1000,
         Hold("m"),
         reported="""
-        280..310 < State offline nothing heard
+        280..310 < State offline no frames received
         still rpdo1 6040=000F 6060=8 607A=4096 /10 until 280..310
         sync ?
         beat ?
@@ -66,7 +66,7 @@ def test_vectors_of_a_drive_that_never_answers() -> None:
     drive.dead = True
     talk = Talk(drive, sdo_timeout_ms=50)
     talk.chapter(400, Hold("m"), reported="reads 1000")
-    talk.chapter(700, Hold("m"), reported="95..110 < State offline nothing heard\nreads 1000")
+    talk.chapter(700, Hold("m"), reported="95..110 < State offline no frames received\nreads 1000")
     times = [at for at, _ in talk.frames]
     assert {b - a for a, b in pairwise(times)} == {50}
 

@@ -284,16 +284,16 @@ class Host:
 
     def _handle(self, frame: CanFrame) -> None:
         self.now += MILLISECOND
-        words = list(self.axis.handle(self.now, frame))
+        words = list(self.axis.receive(self.now, frame))
         assert words == list(self.decoder.decode(self.now, frame))
         self.words += words
         if len(frame.data) == {0x000: 2, 0x602: 8}.get(frame.id, -1):  # it raises on others
             self.slave.receive(frame)
         reported = [answer for answer in self.slave.said() if answer.id == 0x580 + NODE]
-        own = [sdo.encode(answer).hex() for answer in self.axis.answers]
+        own = [sdo.encode(answer).hex() for answer in self.axis.responses]
         if frame.id == 0x600 + NODE:
             self.compared.append((frame, [answer.data.hex() for answer in reported], own))
-        self.axis.answers.clear()
+        self.axis.responses.clear()
         for answer in reported:
             self.network.handle(answer)
 

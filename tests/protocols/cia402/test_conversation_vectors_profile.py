@@ -405,7 +405,7 @@ def test_vectors_of_a_restart_in_the_middle_of_homing() -> None:
         Idle("m"),
         reported="""
         0 < State initialising restarted
-        < State initialising asking it what it is
+        < State initialising reading its object dictionary
         0 < Refused Home m it was disarmed*
         write 6040 = 0006 …
         < State initialising *

@@ -54,7 +54,7 @@ def test_vectors_of_answers_that_come_late() -> None:
     talk.chapter(
         1200,
         reported="""
-        < State initialising asking it what it is
+        < State initialising reading its object dictionary
         < State initialising SWITCH ON DISABLED*
         < State ready SWITCH ON DISABLED
         asks 6041 6061 6064 606C 6077 6078 6079
@@ -82,8 +82,8 @@ def test_vectors_of_every_question_answered_twice() -> None:
         100,
         msg.Idle("m"),
         reported="""
-        0..50 < Found 2 4711 node id 2 is held twice: * duplicate_address
-        < Fault 10002 node id is held twice
+        0..50 < Found 2 4711 duplicate node id 2: * duplicate_address
+        < Fault 10002 duplicate node id
         """,
     )
     talk.chapter(1200, msg.Idle("m"), reported="reads 1018:04")  # told once
@@ -114,8 +114,8 @@ def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
     talk.chapter(
         1200,
         reported="""
-        0..1060 < State initialising another device answers
-        < State initialising asking it what it is
+        0..1060 < State initialising another device responds
+        < State initialising reading its object dictionary
         < State initialising SWITCH ON DISABLED*
         < State ready SWITCH ON DISABLED
         """,
@@ -264,7 +264,7 @@ def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
         msg.ReadParameter("m", "6502"),
         msg.Hold("m"),
         reported="""
-        100..310 < Refused ReadParameter m no answer of the device
+        100..310 < Refused ReadParameter m no response from the device
         still rpdo1 6040=000F 6060=8 607A=4096 /10
         sync /10
         beat ?
@@ -307,7 +307,7 @@ def test_vectors_of_a_reboot() -> None:
         msg.Idle("m"),
         reported="""
         nmt RESET 2 /2000 until 6000..8000
-        8000..8010 < Refused Reboot m it showed no sign of a restart
+        8000..8010 < Refused Reboot m no boot-up message after the reset
         """,
     )
     drive = Drive()
@@ -321,15 +321,15 @@ def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive.dead = True
-    talk.chapter(600, reported="400..510 < State offline nothing heard")
+    talk.chapter(600, reported="400..510 < State offline no frames received")
     talk.chapter(
         8200,
         msg.Reboot("m"),
         msg.ClearFault("m"),
         reported="""
         0 nmt RESET 2 /2000 until 6000..8000
-        3000..3010 < Refused ClearFault m no answer of the device
-        8000..8010 < Refused Reboot m no answer of the device
+        3000..3010 < Refused ClearFault m no response from the device
+        8000..8010 < Refused Reboot m no response from the device
         """,
     )
 

@@ -184,7 +184,7 @@ def _run(slave: Slave, transfer: Transfer) -> int:
     while request is not None and count < 99:
         slave.receive(CanFrame(0x602, sdo.encode(request)))
         (answer,) = slave.said()
-        received = sdo.decode_answer(answer.data)
+        received = sdo.decode_response(answer.data)
         assert received is not None
         request, count = transfer.handle(received), count + 1
     return count

@@ -9,8 +9,8 @@ import pytest
 from protocols.cia402 import objects as o
 from protocols.cia402.faults import FOLLOWING_ERROR
 from protocols.cia402.options import Settings
-from protocols.cia402.profile import Homing, Mode, PowerState, Status, homing_of
-from protocols.cia402.profiles import Interpolation, Ramp, Timer
+from protocols.cia402.profile import HomingStatus, Mode, PowerState, Status, homing_of
+from protocols.cia402.ramps import Interpolation, Ramp, Timer
 from tests.protocols.cia402.bench import Bench
 
 NEW, IMMEDIATELY, RELATIVE = 0x10, 0x20, 0x40
@@ -211,16 +211,16 @@ def test_homing(method: int, home: int, offset: int) -> None:
     bench.position = 4096 / 16384 * math.tau
     bench.run(2)
     bench.enable(Mode.HM)
-    assert homing_of(bench.status) is Homing.INTERRUPTED
+    assert homing_of(bench.status) is HomingStatus.INTERRUPTED
     bench.control(0x1F)
     if method in (33, 34):
-        assert homing_of(bench.status) is Homing.IN_PROGRESS
+        assert homing_of(bench.status) is HomingStatus.IN_PROGRESS
     bench.run(2500)
-    assert homing_of(bench.status) is Homing.DONE
+    assert homing_of(bench.status) is HomingStatus.DONE
     assert bench.read(o.POSITION) == pytest.approx(bench.increments() - home - offset, abs=2)
     assert abs(bench.velocity) < 0.1
     bench.control(0x0F)
-    assert homing_of(bench.status) is Homing.DONE
+    assert homing_of(bench.status) is HomingStatus.DONE
 
 
 def test_homing_can_be_interrupted() -> None:
@@ -229,9 +229,9 @@ def test_homing_can_be_interrupted() -> None:
     bench.run(2)
     bench.enable(Mode.HM)
     bench.control(0x1F, steps=100)
-    assert homing_of(bench.status) is Homing.IN_PROGRESS
+    assert homing_of(bench.status) is HomingStatus.IN_PROGRESS
     bench.control(0x0F, steps=300)
-    assert homing_of(bench.status) is Homing.INTERRUPTED
+    assert homing_of(bench.status) is HomingStatus.INTERRUPTED
     assert abs(bench.velocity) < 0.05
 
 
@@ -337,7 +337,7 @@ def test_units_may_be_written_while_it_runs() -> None:
 @pytest.mark.parametrize("dt", [0.001, 0.0002])
 def test_a_trapezoidal_move_arrives_without_passing_its_goal(goal: float, dt: float) -> None:
     ramp, steps, highest = Ramp(), 0, 0.0
-    while not ramp.go(dt, goal, 2.0, 5.0, 10.0):
+    while not ramp.move_to(dt, goal, 2.0, 5.0, 10.0):
         steps += 1
         highest = max(highest, abs(ramp.position))
         assert abs(ramp.velocity) <= 2.0 + 1e-9
@@ -361,10 +361,10 @@ def test_interpolation_reaches_its_target_in_time() -> None:
 def test_a_timer_lasts_as_long_as_it_is_so() -> None:
     timer = Timer()
     assert not timer.lasts(0)
-    timer.run(0.01, so=True)
+    timer.run(0.01, holds=True)
     assert timer.lasts(0)
     assert not timer.lasts(10)
-    timer.run(0.01, so=True)
+    timer.run(0.01, holds=True)
     assert timer.lasts(10)
-    timer.run(0.01, so=False)
+    timer.run(0.01, holds=False)
     assert not timer.lasts(0)

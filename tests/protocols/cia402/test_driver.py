@@ -11,7 +11,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.cia402 import objects as o
-from protocols.cia402.fault_reports import NOT_ARMED, NOT_CONFIGURED, WRONG_DEVICE
+from protocols.cia402.faults import NOT_ARMED, NOT_CONFIGURED, WRONG_DEVICE
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.profile import Mode as Operation
 from protocols.cia402.profile import mode_bit
@@ -46,7 +46,7 @@ def test_is_initialising_until_units_and_identity_are_read_then_ready() -> None:
     uploads = [(f.data[1] | f.data[2] << 8, f.data[3]) for f in s.down]
     assert {o.ENCODER_INCREMENTS, o.GEAR_MOTOR, o.FEED, o.RATED_TORQUE, o.SUPPORTED_MODES} <= set(uploads)
     assert {o.SERIAL_NUMBER, o.DEVICE_NAME, (0x1400, 1), (0x1803, 1)} <= set(uploads)
-    assert s.node.title == "twin402"
+    assert s.drive.device_name == "twin402"
 
 
 def test_the_motion_is_told_while_the_drive_is_configured_and_armed() -> None:
@@ -69,7 +69,7 @@ def test_units_are_the_drive_s_own() -> None:
     s.steps(40)
     position = [f.position for f in s.feedback if f.position is not None][-1]
     assert position == pytest.approx(1.0, abs=math.tau / 4096 / 50 + math.tau / 360_000)
-    assert s.node.units.gear == 50
+    assert s.drive.units.gear == 50
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_without_units_it_is_not_commanded_unless_the_robot_file_says_them(
         assert not s.writes()
     else:
         s.until(Mode.READY)
-        assert s.node.units.per_turn == 1000.0
+        assert s.drive.units.per_turn == 1000.0
 
 
 def test_another_profile_is_no_drive() -> None:
@@ -116,7 +116,7 @@ def test_arms_in_every_mode_from_the_measured_position(options: str, kind: str) 
         received += [
             w for w in s.step(KINDS[kind]).received if isinstance(w, msg.Position | msg.Velocity | msg.Torque)
         ]
-        if s.stage.armed[A] is Mode.ARMED:
+        if s.stage.modes[A] is Mode.ARMED:
             break
     enabled = s.twin.axis
     assert enabled.enabled
@@ -166,7 +166,7 @@ def test_pp_hands_over_by_bit_4_and_the_newest_target_wins() -> None:
     assert all(word & 0x20 for word in words), "change immediately"
     s.steps(50, msg.Position(A, 0.123))
     assert s.stage.shafts[A].position == pytest.approx(0.123, abs=0.02)
-    assert s.node.setpoint == s.node.units.to_position(0.123)
+    assert s.drive.pp_target == s.drive.units.to_position(0.123)
 
 
 def test_feed_forwards_stand_in_60b1_and_60b2() -> None:
@@ -175,7 +175,7 @@ def test_feed_forwards_stand_in_60b1_and_60b2() -> None:
     s.until(Mode.ARMED, msg.Hold(A))
     s.steps(30, msg.Position(A, 0.0, 1.0, 0.05))
     values = s.twin.axis.dictionary.values
-    assert values[o.VELOCITY_OFFSET] == s.node.units.to_velocity(1.0)
+    assert values[o.VELOCITY_OFFSET] == s.drive.units.to_velocity(1.0)
     assert values[o.TORQUE_OFFSET] == 50
     s.steps(30, msg.Velocity(A, 1.0))
     assert (values[o.VELOCITY_OFFSET], values[o.TORQUE_OFFSET]) == (0, 0)
@@ -231,8 +231,8 @@ def test_what_cannot_be_mapped_goes_by_sdo() -> None:
     )
     s.until(Mode.ARMED, msg.Velocity(A, 1.0))
     s.steps(100, msg.Velocity(A, 1.0))
-    assert (0x60FF, 0, s.node.units.to_velocity(1.0)) in s.writes()
-    assert s.twin.axis.dictionary.values[o.TARGET_VELOCITY] == s.node.units.to_velocity(1.0)
+    assert (0x60FF, 0, s.drive.units.to_velocity(1.0)) in s.writes()
+    assert s.twin.axis.dictionary.values[o.TARGET_VELOCITY] == s.drive.units.to_velocity(1.0)
 
 
 # -- disarming ------------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ def test_idle_disarms_in_the_middle_of_arming(at: int) -> None:
     s.steps(at, msg.Hold(A))
     s.steps(250, msg.Idle(A))
     assert not s.twin.axis.enabled
-    assert not s.node.owned
+    assert not s.drive.owned
     s.until(Mode.ARMED, msg.Hold(A))
 
 
@@ -303,7 +303,7 @@ def test_a_running_device_is_taken_over_without_remapping_or_a_gap() -> None:
         least = min(least, *(torque.torque for torque in step.torques))
     assert least > 0.1
     assert {index for index, _, _ in s.writes()} == {0x1016}
-    assert s.node.armed
+    assert s.drive.armed
     assert 0x000 not in {f.id for f in s.down}
 
 

@@ -12,12 +12,12 @@ import pytest
 from protocols import messages as msg
 from protocols.cia402 import mapping, sdo
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Client, Job, Outcome, Purpose
+from protocols.cia402.client import Job, Outcome, Purpose, SdoClient
 from protocols.cia402.codec import sdo_rx_id
 from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.options import Options
-from protocols.cia402.pdo import word_of
+from protocols.cia402.pdo import encode_entry
 from protocols.cia402.profile import PowerState
 from protocols.conformance.bench import START, STEP
 from protocols.frames import CanFrame
@@ -81,11 +81,11 @@ def test_reads_units_identity_and_name_of_an_independent_slave() -> None:
     pair = Pair()
     pair.write(o.POSITION, -123_456)
     pair.steps(200)
-    node = pair.driver.nodes[NODE]
-    assert node.known is not None
-    assert node.known.units.per_turn == pair.slave.value(0x608F, 1)
-    assert node.title == "twin402"  # segmented
-    assert node.known.serial == (pair.slave.value(0x1018, 4) or None)
+    drive = pair.driver.drives[NODE]
+    assert drive.profile is not None
+    assert drive.profile.units.per_turn == pair.slave.value(0x608F, 1)
+    assert drive.device_name == "twin402"  # segmented
+    assert drive.profile.serial == (pair.slave.value(0x1018, 4) or None)
     state = pair.last(msg.State)
     assert isinstance(state, msg.State)
     assert (state.mode, state.detail) == (Mode.READY, "SWITCH ON DISABLED")
@@ -93,7 +93,7 @@ def test_reads_units_identity_and_name_of_an_independent_slave() -> None:
     assert isinstance(feedback, msg.Feedback)
     assert all(frame.id == sdo_rx_id(NODE) and frame.data[0] in (0x40, 0x60, 0x70) for frame in pair.down)
     positions = [e.position for e in pair.events if isinstance(e, msg.Feedback) and e.position is not None]
-    assert positions[-1] == pytest.approx(node.known.units.position(-123_456))
+    assert positions[-1] == pytest.approx(drive.profile.units.position(-123_456))
 
 
 def test_configures_and_starts_an_independent_slave() -> None:
@@ -101,7 +101,7 @@ def test_configures_and_starts_an_independent_slave() -> None:
     pair.steps(200)
     pair.steps(100, msg.Hold("m"))
     for pdo in mapping.wanted(NODE, Options(), synced=True, absent=()):
-        known = (pair.slave.node.rpdo if pdo.way == "to" else pair.slave.node.tpdo)[pdo.number]
+        known = (pair.slave.node.rpdo if pdo.kind == "RPDO" else pair.slave.node.tpdo)[pdo.number]
         known.read()
         assert known.enabled
         assert (known.cob_id, known.trans_type) == (pdo.id, pdo.transmission)
@@ -121,7 +121,7 @@ def test_what_it_sends_as_rpdo_is_read_by_an_independent_map_and_its_tpdos_by_us
     pair.write(o.STATUSWORD, 0x0231)
     pair.write(o.POSITION, 8192)
     pair.steps(30, msg.Hold("m"))
-    assert pair.driver.nodes[NODE].power is PowerState.READY
+    assert pair.driver.drives[NODE].power is PowerState.READY
     assert pair.driver.counters.accepted > received
     assert pair.driver.counters.malformed == 0
     rpdo = pair.slave.node.rpdo[1]
@@ -236,15 +236,15 @@ def test_velocity_and_torque_of_the_profile_modes_stand_in_an_independent_dictio
 
 
 def _transfer(slave: Slave, key: o.Key, data: bytes | None) -> Outcome:
-    client = Client(100)
-    client.begin(Job(Purpose.ASKED, key, data))
+    client = SdoClient(100)
+    client.begin(Job(Purpose.REQUEST, key, data))
     for now in range(50):
-        request, given_up = client.say(now)
+        request, given_up = client.poll(now)
         assert given_up is None
         if request is not None:
             slave.receive(CanFrame(sdo_rx_id(NODE), sdo.encode(request)))
         for frame in slave.said():
-            answer = sdo.decode_answer(frame.data)
+            answer = sdo.decode_response(frame.data)
             assert answer is not None
             outcome = client.handle(answer)
             if outcome is not None:
@@ -285,19 +285,19 @@ def test_the_vectors_are_those_that_the_package_makes() -> None:
 
 
 def _timed(pdo: Pdo) -> Pdo:
-    return Pdo(pdo.way, pdo.number, pdo.cob, 255, 10, pdo.entries)
+    return Pdo(pdo.kind, pdo.number, pdo.cob, 255, 10, pdo.entries)
 
 
 @pytest.mark.parametrize("pdo", [*driver_vectors.pdos(), *map(_timed, driver_vectors.pdos()[3:])])
 def test_pdos_are_configured_as_by_pdo_map_save(pdo: Pdo) -> None:
     theirs = [frame.data for frame in driver_vectors.saved(pdo)]
-    flag = 1 << 30 if pdo.way == "from" else 0
+    flag = 1 << 30 if pdo.kind == "TPDO" else 0
     ours = [sdo.encode(sdo.Download(*key, data)) for key, data in mapping.writes(pdo, flag)]
     assert ours == theirs
 
 
 def test_a_mapping_word_is_index_subindex_and_bits() -> None:
-    assert [hex(word_of(one)) for one in driver_vectors.pdos()[0].entries] == [
+    assert [hex(encode_entry(one)) for one in driver_vectors.pdos()[0].entries] == [
         "0x60400010",
         "0x60600008",
         "0x607a0020",

@@ -6,12 +6,12 @@ import math
 
 import pytest
 
-from protocols.cia402 import arming, configuring, mapping
+from protocols.cia402 import configuring, mapping, state_machine
 from protocols.cia402 import objects as o
-from protocols.cia402.client import DOUBLED, TRIES, Client, Job, Purpose
+from protocols.cia402.client import DUPLICATES, TRIES, Job, Purpose, SdoClient
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.options import Options
-from protocols.cia402.pdo import DISABLED, entry_of
+from protocols.cia402.pdo import DISABLED, decode_entry
 from protocols.cia402.pdo import mapping as entries
 from protocols.cia402.profile import Demand, Mode, PowerState, mode_bit
 from protocols.cia402.scanning import BURST, Scanner
@@ -28,7 +28,7 @@ from protocols.cia402.sdo import (
 )
 from protocols.cia402.setpoint import Values, mode_for, standstill, values_of
 from protocols.cia402.setpoint_writer import REFRESH, SetpointWriter
-from protocols.cia402.startup import Known, units_from, value_of
+from protocols.cia402.startup import DeviceProfile, units_from, value_of
 from protocols.cia402.units import Units
 from protocols.messages import MILLISECOND, Command, Hold, Idle, Position, Torque, Velocity
 from tests.protocols.cia402.driver_vectors import pdos
@@ -38,8 +38,8 @@ UNITS = Units(per_turn=16_384.0, gear=1.0, rated_torque=1.0, rated_current=5.0)
 ALL = sum(mode_bit(m) for m in (Mode.PP, Mode.PV, Mode.PT, Mode.CSP, Mode.CSV, Mode.CST))
 
 
-def known(modes: int = ALL) -> Known:
-    return Known(UNITS, modes, 1, ())
+def known(modes: int = ALL) -> DeviceProfile:
+    return DeviceProfile(UNITS, modes, 1, ())
 
 
 def counts(value: int) -> float:
@@ -58,7 +58,7 @@ WORDS: tuple[tuple[Command, Mode, str, str], ...] = (
 def test_a_command_becomes_the_bytes_of_a_vector(command: Command, mode: Mode, name: str, data: str) -> None:
     (vector,) = [v for v in VECTORS if v.name == name]
     outlet = SetpointWriter()
-    outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
+    outlet.configure([pdo for pdo in pdos() if pdo.kind == "RPDO"])
     values = values_of(command, mode, UNITS, 0)
     values |= {o.CONTROLWORD: int(Demand.ENABLE_OPERATION), o.MODE: int(mode)}
     frames = outlet.frames(0, values, o.TARGET_POSITION)
@@ -69,7 +69,7 @@ def test_a_command_becomes_the_bytes_of_a_vector(command: Command, mode: Mode, n
 def test_velocity_and_torques_share_the_second_rpdo() -> None:
     (vector,) = [v for v in VECTORS if v.name == "rpdo2_as_mapped"]
     outlet = SetpointWriter()
-    outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
+    outlet.configure([pdo for pdo in pdos() if pdo.kind == "RPDO"])
     values: Values = standstill(0) | values_of(Velocity("m", counts(654_321), 0.125), Mode.CSV, UNITS, 0)
     values |= values_of(Torque("m", -0.25), Mode.CST, UNITS, 0) | {
         o.TARGET_VELOCITY: values[o.TARGET_VELOCITY],
@@ -110,7 +110,7 @@ def test_feed_forward_is_left_out_of_profile_modes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("power", "option", "placed", "demand"),
+    ("power", "option", "prepared", "demand"),
     [
         (PowerState.SWITCH_ON_DISABLED, 2, True, 0x06),
         (PowerState.READY, 2, True, 0x07),
@@ -125,12 +125,8 @@ def test_feed_forward_is_left_out_of_profile_modes() -> None:
         (PowerState.FAULT_REACTION, 2, True, None),
     ],
 )
-def test_the_way_up(power: PowerState, option: int, placed: bool, demand: int | None) -> None:
-    assert arming.upward(power, option, placed=placed) == demand
-
-
-def test_the_way_down() -> None:
-    assert (arming.downward(late=False), arming.downward(late=True)) == (0x06, 0x00)
+def test_the_way_up(power: PowerState, option: int, prepared: bool, demand: int | None) -> None:
+    assert state_machine.arming_demand(power, option, prepared=prepared) == demand
 
 
 @pytest.mark.parametrize(
@@ -147,7 +143,7 @@ def test_the_way_down() -> None:
 def test_the_handshake_of_pp(
     acknowledged: bool, handing: bool, target: int, given: int | None, after: tuple[int, int, bool]
 ) -> None:
-    assert arming.handshake(acknowledged, handing, target, given) == after
+    assert state_machine.pp_handshake(acknowledged, handing, target, given) == after
 
 
 # -- PDOs -----------------------------------------------------------------------------------------------
@@ -155,7 +151,7 @@ def test_the_handshake_of_pp(
 
 def _rpdo(**changed: object) -> Pdo:
     plain: dict[str, object] = {
-        "way": "to",
+        "kind": "RPDO",
         "number": 1,
         "cob": 0x205,
         "transmission": 1,
@@ -175,9 +171,9 @@ def _rpdo(**changed: object) -> Pdo:
         (_rpdo(cob=0x205 | 1 << 29), True, False),
         (_rpdo(entries=()), True, False),
         (_rpdo(entries=entries(o.CONTROLWORD, o.MAX_TORQUE)), True, False),
-        (_rpdo(entries=(entry_of(0x00050008), *entries(o.CONTROLWORD))), True, True),
-        (_rpdo(entries=(entry_of(0x60400008),)), True, False),
-        (_rpdo(way="from", cob=0x185 | 1 << 30, entries=entries(o.MAX_TORQUE)), True, True),
+        (_rpdo(entries=(decode_entry(0x00050008), *entries(o.CONTROLWORD))), True, True),
+        (_rpdo(entries=(decode_entry(0x60400008),)), True, False),
+        (_rpdo(kind="TPDO", cob=0x185 | 1 << 30, entries=entries(o.MAX_TORQUE)), True, True),
     ],
 )
 def test_which_pdos_are_usable(pdo: Pdo, synced: bool, usable: bool) -> None:
@@ -191,21 +187,21 @@ def test_what_fits() -> None:
     assert not mapping.commands_fit([_rpdo(entries=entries(o.TARGET_POSITION))], both)
     reported = entries(o.STATUSWORD, o.POSITION)
     for transmission, event_ms, fits in ((1, 0, True), (240, 0, False), (0, 0, False), (255, 0, False)):
-        tpdo = Pdo("from", 1, 0x185, transmission, event_ms, reported)
+        tpdo = Pdo("TPDO", 1, 0x185, transmission, event_ms, reported)
         assert mapping.feedback_fits([tpdo], 10 * MILLISECOND, 100 * MILLISECOND) is fits
-    assert mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 20, reported)], 0, 100 * MILLISECOND)
-    assert not mapping.feedback_fits([Pdo("from", 1, 0x185, 255, 200, reported)], 0, 100 * MILLISECOND)
+    assert mapping.feedback_fits([Pdo("TPDO", 1, 0x185, 255, 20, reported)], 0, 100 * MILLISECOND)
+    assert not mapping.feedback_fits([Pdo("TPDO", 1, 0x185, 255, 200, reported)], 0, 100 * MILLISECOND)
 
 
 def test_an_object_that_is_absent_is_not_mapped() -> None:
     wanted = mapping.wanted(5, Options(), synced=True, absent={o.VELOCITY_OFFSET, o.TORQUE_OFFSET})
-    assert [pdo.number for pdo in wanted if pdo.way == "to"] == [1, 2]
+    assert [pdo.number for pdo in wanted if pdo.kind == "RPDO"] == [1, 2]
     assert wanted[1].keys == (o.TARGET_VELOCITY, o.TARGET_TORQUE)
 
 
 def test_set_points_go_when_they_move_or_change_and_again_after_a_while() -> None:
     outlet = SetpointWriter()
-    outlet.configure([pdo for pdo in pdos() if pdo.way == "to"])
+    outlet.configure([pdo for pdo in pdos() if pdo.kind == "RPDO"])
     values = standstill(0) | {o.CONTROLWORD: 6, o.MODE: 9}
     first = outlet.frames(0, values, o.TARGET_VELOCITY)
     assert [frame.id & 0x700 for frame in first] == [0x300, 0x400, 0x200]
@@ -219,20 +215,20 @@ def test_set_points_go_when_they_move_or_change_and_again_after_a_while() -> Non
 
 
 def test_a_transfer_is_repeated_and_given_up() -> None:
-    client = Client(100)
+    client = SdoClient(100)
     client.begin(Job(Purpose.POLL, o.STATUSWORD))
-    sent = [now for now in range(1000) if client.say(now)[0] is not None]
+    sent = [now for now in range(1000) if client.poll(now)[0] is not None]
     assert sent == [0, 100, 200][:TRIES]
     assert client.job is None
     client.begin(Job(Purpose.POLL, o.STATUSWORD))
-    outcomes = [outcome for now in range(2000, 3000) if (outcome := client.say(now)[1])]
-    assert [(x.abort, x.silent) for x in outcomes] == [(TIMEOUT, True)]
+    outcomes = [outcome for now in range(2000, 3000) if (outcome := client.poll(now)[1])]
+    assert [(x.abort, x.timed_out) for x in outcomes] == [(TIMEOUT, True)]
 
 
 def test_an_answer_to_something_else_is_nothing() -> None:
-    client = Client(100)
+    client = SdoClient(100)
     client.begin(Job(Purpose.POLL, o.STATUSWORD))
-    client.say(0)
+    client.poll(0)
     for answer in (Uploaded(0x6064, 0, b"\0"), Downloaded(0x6041, 0), Abort(0x6041, 1, 1)):
         assert client.handle(answer) is None
     outcome = client.handle(Uploaded(0x6041, 0, b"\x37\x06"))
@@ -242,59 +238,59 @@ def test_an_answer_to_something_else_is_nothing() -> None:
 
 
 def test_segments_that_another_host_broke_off_are_asked_for_anew_at_once() -> None:
-    client = Client(100)
-    client.begin(Job(Purpose.READING, o.DEVICE_NAME))
+    client = SdoClient(100)
+    client.begin(Job(Purpose.STARTUP, o.DEVICE_NAME))
     assert client.handle(Abort(*o.POSITION, GENERAL)) is None
-    assert client.say(0)[0] == Upload(*o.DEVICE_NAME)
-    assert client.say(1)[0] is None, "before it began, a refusal of something else is nobody's"
+    assert client.poll(0)[0] == Upload(*o.DEVICE_NAME)
+    assert client.poll(1)[0] is None, "before it began, a refusal of something else is nobody's"
     client.handle(UploadStart(*o.DEVICE_NAME, 7))
     for _ in range(TRIES - 1):
-        assert client.say(2)[0] == UploadSegment(False)
+        assert client.poll(2)[0] == UploadSegment(False)
         assert client.handle(Abort(*o.POSITION, GENERAL)) is None
-        assert client.say(3)[0] == Upload(*o.DEVICE_NAME)
+        assert client.poll(3)[0] == Upload(*o.DEVICE_NAME)
         client.handle(UploadStart(*o.DEVICE_NAME, 7))
-    client.say(4)
+    client.poll(4)
     client.handle(Abort(*o.POSITION, GENERAL))
-    assert client.say(5) == (None, None), "not for ever"
+    assert client.poll(5) == (None, None), "not for ever"
     outcome = client.handle(UploadedSegment(False, b"twin402", True))
     assert outcome is not None
     assert outcome.value == b"twin402"
 
 
 def test_only_a_release_takes_the_place_of_another() -> None:
-    client = Client(100)
-    client.begin(Job(Purpose.READING, o.DEVICE_TYPE))
+    client = SdoClient(100)
+    client.begin(Job(Purpose.STARTUP, o.DEVICE_TYPE))
     assert not client.free(Purpose.SETUP)
-    assert client.free(Purpose.RELEASE)
-    client.begin(Job(Purpose.RELEASE, o.CONTROLWORD, b"\6\0"))
-    assert not client.free(Purpose.RELEASE)
+    assert client.free(Purpose.URGENT)
+    client.begin(Job(Purpose.URGENT, o.CONTROLWORD, b"\6\0"))
+    assert not client.free(Purpose.URGENT)
     assert client.handle(Uploaded(*o.DEVICE_TYPE, b"\0")) is None
     outcome = client.handle(Downloaded(*o.CONTROLWORD))
     assert outcome is not None
-    assert outcome.job.purpose is Purpose.RELEASE
+    assert outcome.job.purpose is Purpose.URGENT
 
 
 def test_answers_that_come_twice_are_counted_in_a_row() -> None:
-    client = Client(100)
-    for count in range(1, DOUBLED + 2):
+    client = SdoClient(100)
+    for count in range(1, DUPLICATES + 2):
         client.begin(Job(Purpose.POLL, o.POSITION))
-        client.say(0)
+        client.poll(0)
         client.handle(Uploaded(*o.POSITION, bytes(4)))
-        assert client.doubled == count - 1
+        assert client.duplicates == count - 1
         client.handle(Uploaded(*o.POSITION, bytes(4)))
     client.begin(Job(Purpose.POLL, o.POSITION))
     client.handle(Uploaded(*o.POSITION, bytes(4)))
     client.begin(Job(Purpose.POLL, o.POSITION))
     client.handle(Uploaded(*o.POSITION, bytes(4)))
-    assert client.doubled == 0
+    assert client.duplicates == 0
 
 
 def test_two_serial_numbers_are_two_devices_at_once() -> None:
-    client = Client(100)
-    client.begin(Job(Purpose.ROLL_CALL, o.SERIAL_NUMBER))
+    client = SdoClient(100)
+    client.begin(Job(Purpose.IDENTITY_CHECK, o.SERIAL_NUMBER))
     client.handle(Uploaded(*o.SERIAL_NUMBER, b"\1\0\0\0"))
     client.handle(Uploaded(*o.SERIAL_NUMBER, b"\2\0\0\0"))
-    assert client.doubled == DOUBLED
+    assert client.duplicates == DUPLICATES
 
 
 # -- reading, scanning ----------------------------------------------------------------------------------
@@ -329,22 +325,22 @@ def test_units_of_the_robot_file_stand_in_for_what_a_drive_lacks() -> None:
 def test_a_scan_asks_in_bursts_and_believes_only_what_it_asked_for() -> None:
     scan, asked, now = Scanner("can0", (3,), 0), [], 0
     while not scan.over(now):
-        asked += [frame.id - 0x600 for frame in scan.say(now)]
+        asked += [frame.id - 0x600 for frame in scan.send(now)]
         assert len(asked) <= BURST * (now // (10 * MILLISECOND) + 1)
         now += MILLISECOND
     assert asked == [n for n in range(1, 128) if n != 3]
-    assert not scan.handle(now, 5, Uploaded(*o.DEVICE_TYPE, bytes(4))), "too late"
+    assert not scan.receive(now, 5, Uploaded(*o.DEVICE_TYPE, bytes(4))), "too late"
     fresh = Scanner("can0", (), 0)
-    fresh.say(0)
-    assert not fresh.handle(1, 100, Uploaded(*o.DEVICE_TYPE, bytes(4))), "not asked yet"
-    assert not fresh.handle(1, 2, Uploaded(*o.VENDOR_ID, bytes(4))), "not asked for"
-    assert fresh.handle(1, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
-    assert fresh.say(MILLISECOND)[0].data[:4] == bytes((0x40, 0x18, 0x10, 1))
-    assert fresh.handle(2, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
-    assert fresh.duplicate_address == {2}
+    fresh.send(0)
+    assert not fresh.receive(1, 100, Uploaded(*o.DEVICE_TYPE, bytes(4))), "not asked yet"
+    assert not fresh.receive(1, 2, Uploaded(*o.VENDOR_ID, bytes(4))), "not asked for"
+    assert fresh.receive(1, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
+    assert fresh.send(MILLISECOND)[0].data[:4] == bytes((0x40, 0x18, 0x10, 1))
+    assert fresh.receive(2, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
+    assert fresh.duplicates == {2}
 
 
 def test_an_upload_is_the_message_of_the_vectors() -> None:
-    client = Client(100)
-    client.begin(Job(Purpose.READING, o.DEVICE_TYPE))
-    assert client.say(0)[0] == Upload(*o.DEVICE_TYPE)
+    client = SdoClient(100)
+    client.begin(Job(Purpose.STARTUP, o.DEVICE_TYPE))
+    assert client.poll(0)[0] == Upload(*o.DEVICE_TYPE)

@@ -8,7 +8,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.cia402 import objects as o
-from protocols.cia402.fault_reports import QUICK_STOPPED
+from protocols.cia402.faults import QUICK_STOPPED
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.profile import Mode as Operation
 from protocols.messages import Mode, Request
@@ -28,7 +28,7 @@ def test_estop_stops_latches_and_is_cleared() -> None:
     s.steps(300, msg.Velocity(A, 3.0))
     assert not s.twin.axis.enabled
     assert [fault.code for fault in s.of(msg.Fault)] == [QUICK_STOPPED]
-    assert s.stage.armed[A] is Mode.FAULT
+    assert s.stage.modes[A] is Mode.FAULT
     assert s.of(msg.Done)[-1].request == "Estop"
     s.step(msg.ClearFault(A), msg.Idle(A))
     s.steps(20, msg.Idle(A))
@@ -87,7 +87,7 @@ def test_reboot_is_refused_while_armed_and_done_at_boot_up() -> None:
     s.step(msg.Reboot(A), msg.Idle(A))
     s.steps(600, msg.Idle(A))
     assert s.of(msg.Done)[-1].request == "Reboot"
-    assert s.stage.armed[A] is Mode.READY
+    assert s.stage.modes[A] is Mode.READY
 
 
 @pytest.mark.parametrize(

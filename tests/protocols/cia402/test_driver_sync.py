@@ -145,7 +145,7 @@ def test_it_stops_nobody() -> None:
         s.step(Velocity(A, 2.0), stray=[SYNC] if at % 7 == 0 else [])
     assert [type(event) for event in s.events] == [Found]
     assert not s.of(Fault)
-    assert s.stage.armed[A] is Mode.ARMED
+    assert s.stage.modes[A] is Mode.ARMED
     assert s.stage.shafts[A].velocity == pytest.approx(2.0, abs=0.05)
     assert len(syncs(s)) == 30
 
@@ -157,7 +157,7 @@ def test_a_bus_that_hears_only_what_concerns_it_lets_sync_in(options: Options, *
 
 
 def test_the_contract_wants_it_declared() -> None:
-    clauses = [clause for clause in CLAUSES if clause.name == "strangers"]
+    clauses = [clause for clause in CLAUSES if clause.name == "foreign"]
     silent = replace(plugin, spec=lambda device: replace(plugin.spec(device), receives_also=()))
     (result,) = check(silent, clauses=clauses)
     assert result.outcome == "failed"

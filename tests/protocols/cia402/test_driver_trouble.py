@@ -9,8 +9,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.cia402.codec import Emcy, encode
-from protocols.cia402.fault_reports import DUPLICATE_NODE
-from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST
+from protocols.cia402.faults import DUPLICATE_NODE, FAULTS, HEARTBEAT_LOST
 from protocols.cia402.options import Options
 from protocols.cia402.profile import PowerState
 from protocols.frames import BusState
@@ -46,7 +45,7 @@ def test_a_fault_is_told_with_its_words_and_cleared_only_when_asked(code: int) -
     s.steps(50, msg.Idle(A))
     assert [value for index, _, value in s.writes() if index == 0x6040][:2] == [0x00, 0x80]
     assert isinstance(s.of(msg.Done)[-1], msg.Done)
-    assert s.stage.armed[A] is Mode.READY
+    assert s.stage.modes[A] is Mode.READY
     s.until(Mode.ARMED, msg.Hold(A))
 
 
@@ -68,10 +67,10 @@ def test_a_fault_told_by_emcy_is_cleared_only_by_what_a_newer_statusword_says(
     s = stage(ALL[name])
     s.until(Mode.ARMED, msg.Hold(A))
     s.twin.provoke(0x2310)
-    s.twin.axis.fault_stands = stands
+    s.twin.axis.fault_persists = stands
     while not s.of(msg.Fault):
         s.step(msg.Hold(A))
-    assert s.node.power is PowerState.OPERATION_ENABLED  # as far as it has said
+    assert s.drive.power is PowerState.OPERATION_ENABLED  # as far as it has said
     s.forget()
     s.step(msg.ClearFault(A), msg.Idle(A))
     assert not s.of(msg.Done)
@@ -79,11 +78,11 @@ def test_a_fault_told_by_emcy_is_cleared_only_by_what_a_newer_statusword_says(
     if stands:
         assert not s.of(msg.Done)
         assert "still in fault" in s.of(msg.Refused)[0].reason
-        assert s.stage.armed[A] is Mode.FAULT
+        assert s.stage.modes[A] is Mode.FAULT
     else:
         assert [done.request for done in s.of(msg.Done)] == ["ClearFault"]
         assert s.twin.axis.state is not PowerState.FAULT
-        assert s.stage.armed[A] is Mode.READY
+        assert s.stage.modes[A] is Mode.READY
 
 
 def test_an_emergency_that_no_statusword_confirms_is_cleared_without_a_word_to_the_drive() -> None:
@@ -102,7 +101,7 @@ def test_a_fault_that_stands_is_refused_to_be_cleared_and_told_again() -> None:
     s = stage()
     s.until(Mode.READY)
     s.twin.provoke(0x4310)
-    s.twin.axis.fault_stands = True
+    s.twin.axis.fault_persists = True
     s.until(Mode.FAULT)
     s.forget()
     s.step(msg.ClearFault(A))
@@ -165,7 +164,7 @@ def test_a_silent_device_is_offline_in_time_and_the_other_goes_on() -> None:
     assert sum(f.motor == "beta" for f in s.feedback) > 80
     s.twin.step = plug
     s.steps(100, *both)
-    assert s.stage.armed[A] is not Mode.OFFLINE
+    assert s.stage.modes[A] is not Mode.OFFLINE
 
 
 @pytest.mark.parametrize("lost", [2, 3, 5])
@@ -221,4 +220,4 @@ def test_a_bus_that_vanished_ends_requests_and_forgets(state: BusState) -> None:
     s.driver.bus(s.stage.now, state)
     s.step()
     assert {refused.request for refused in s.of(msg.Refused)} == {"ReadParameter", "Scan"}
-    assert s.node.known is None
+    assert s.drive.profile is None

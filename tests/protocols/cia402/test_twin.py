@@ -13,7 +13,7 @@ from protocols.cia402.codec import NmtCommand, NmtState, heartbeat_id, rpdo_id, 
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, OVERCURRENT, RPDO_TIMEOUT, register_of
 from protocols.cia402.objects import Key
 from protocols.cia402.options import Settings
-from protocols.cia402.pdo import Entry, word_of
+from protocols.cia402.pdo import Entry, encode_entry
 from protocols.cia402.profile import Demand, Mode, PowerState
 from protocols.cia402.state_machine import TRANSITIONS
 from protocols.frames import CanFrame
@@ -405,12 +405,12 @@ def test_without_a_timer_every_change_is_an_event_but_not_within_the_inhibit_tim
 @pytest.mark.parametrize(
     ("key", "value", "code"),
     [
-        ((0x1600, 1), word_of(Entry(0x6040, 0, 16)), sdo.DEVICE_STATE),
+        ((0x1600, 1), encode_entry(Entry(0x6040, 0, 16)), sdo.DEVICE_STATE),
         ((0x1600, 0), 0, sdo.DEVICE_STATE),
-        ((0x1601, 1), word_of(Entry(0x6041, 0, 16)), sdo.NOT_MAPPABLE),
-        ((0x1601, 1), word_of(Entry(0x6040, 0, 8)), sdo.NOT_MAPPABLE),
-        ((0x1601, 1), word_of(Entry(0x5FFF, 0, 8)), sdo.NOT_MAPPABLE),
-        ((0x1601, 1), word_of(Entry(0x1017, 0, 16)), sdo.NOT_MAPPABLE),
+        ((0x1601, 1), encode_entry(Entry(0x6041, 0, 16)), sdo.NOT_MAPPABLE),
+        ((0x1601, 1), encode_entry(Entry(0x6040, 0, 8)), sdo.NOT_MAPPABLE),
+        ((0x1601, 1), encode_entry(Entry(0x5FFF, 0, 8)), sdo.NOT_MAPPABLE),
+        ((0x1601, 1), encode_entry(Entry(0x1017, 0, 16)), sdo.NOT_MAPPABLE),
         ((0x1601, 0), 9, sdo.BAD_VALUE),
         ((0x1601, 0), 1, sdo.NOT_MAPPABLE),
         ((0x1400, 2), 250, sdo.BAD_VALUE),
@@ -425,7 +425,7 @@ def test_a_pdo_is_configured_as_cia_301_demands(key: Key, value: int, code: int)
     bench = Bench(Settings(pdos="usual"))
     bench.put((0x1401, 1), 1 << 31 | 0x300 + NODE)
     bench.put((0x1601, 0), 0)
-    bench.put((0x1601, 1), word_of(Entry(0x6040, 0, 16)))
+    bench.put((0x1601, 1), encode_entry(Entry(0x6040, 0, 16)))
     bench.twin.axis.dictionary.values[0x1601, 1] = 0
     assert bench.write(key, value) == code
 
@@ -434,16 +434,16 @@ def test_more_than_a_frame_holds_cannot_be_mapped() -> None:
     bench = Bench()
     for sub, index in enumerate((0x607A, 0x60FF, 0x6071), 1):
         bits = o.OBJECTS[index, 0].bits
-        bench.put((0x1600, sub), word_of(Entry(index, 0, bits)))
+        bench.put((0x1600, sub), encode_entry(Entry(index, 0, bits)))
     assert bench.write((0x1600, 0), 3) == sdo.PDO_TOO_LONG
     bench.put((0x1600, 0), 2)
-    assert bench.write((0x1600, 1), word_of(Entry(0x6040, 0, 16))) == sdo.INCOMPATIBLE
+    assert bench.write((0x1600, 1), encode_entry(Entry(0x6040, 0, 16))) == sdo.INCOMPATIBLE
 
 
 def test_the_usual_mapping_stands_when_it_starts() -> None:
     bench = Bench(Settings(pdos="usual"))
     assert bench.read((0x1A00, 0)) == 3
-    assert bench.read((0x1A00, 1)) == word_of(Entry(0x6041, 0, 16))
+    assert bench.read((0x1A00, 1)) == encode_entry(Entry(0x6041, 0, 16))
     assert not bench.read((0x1400, 1)) & 1 << 31
     bench.nmt(NmtCommand.START)
     assert len(bench.tpdo(1, bench.sync(2))) == 1

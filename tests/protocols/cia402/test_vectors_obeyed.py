@@ -13,7 +13,7 @@ from protocols.cia402.codec import NmtState, decode
 from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Options, Settings
-from protocols.cia402.pdo import entry_of
+from protocols.cia402.pdo import decode_entry
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Request
@@ -125,7 +125,7 @@ def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
             first = o.RPDO_COMMUNICATION if what[0] == "R" else o.TPDO_COMMUNICATION
             packing = dictionary.active(first + int(what[-1]) - 1)
             assert packing is not None, what
-            assert [*packing.entries] == [entry_of(word) for word in vector.meaning["entries"]], what
+            assert [*packing.entries] == [decode_entry(word) for word in vector.meaning["entries"]], what
 
 
 def test_vectors_are_heard_as_the_words_that_they_mean() -> None:

@@ -1,12 +1,12 @@
-"""The twin's motor: encoder, control loops, what the shaft is to do in each mode, and how it is stopped.
+"""The twin's motor control: encoder, control loops, set-point generation in each mode, and stopping.
 
 Rules. One call of `step` is one cycle of the firmware, whatever its `dt`. Everything the loops know of the
 shaft comes through `measure`, in whole increments of the encoder. Quantities are SI at the device's shaft;
 limits, ramps and windows are read from the dictionary in the drive's units at every cycle, so that they may
-be written while it runs. No wire and no word in here; `profiles` has the ramps.
+be written while it runs. No frames and no commands here; `ramps` has the ramps.
 
 Source: CiA 402-2 (modes, option codes 605A to 605E, 6065, 6067, 606D, 606F, 607D, 607F, 6080, 6072). The
-loops are ours: P for position, PI for velocity, a lag for the current.
+loops are this project's choice: P for position, PI for velocity, a lag for the current.
 """
 
 from __future__ import annotations
@@ -18,40 +18,44 @@ from protocols.cia402.axis import Axis
 from protocols.cia402.faults import FOLLOWING_ERROR
 from protocols.cia402.options import NEVER_FOLLOWING, Settings
 from protocols.cia402.profile import Control, Mode, PowerState
-from protocols.cia402.profiles import Interpolation, Ramp, Timer, lag, limited
+from protocols.cia402.ramps import Interpolation, Ramp, Timer, clamp, lag
 
-STANDING = 0.02
-"""rad/s below which a shaft that is slowed down counts as standing."""
+STANDSTILL = 0.02
+"""rad/s below which a shaft that is slowed down counts as at standstill."""
 SLOW_DOWN = 1
 QUICK_RAMP = 2
-"""Of the option codes that slow down, and the same plus 4 of quick stop: 1 by 6084, 2 by 6085, 3 at the
-current limit."""
+"""Option codes that slow down, the same plus 4 for quick stop: 1 by 6084, 2 by 6085, 3 at the current
+limit."""
 
 
-class Drive:
+class MotorControl:
     """One motor and its controllers. Plain data."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.counted = 0.0
+        self.encoder = 0.0
         """rad, in whole increments of the encoder."""
         self.zero = 0.0
-        """rad of `counted` at position zero."""
+        """rad of `encoder` at position zero."""
         self.velocity = 0.0
         self.torque = 0.0
-        """N·m that the motor gives, at the device's shaft."""
-        self.wanted = 0.0
-        """N·m that the controllers ask for."""
+        """N·m of the motor, at the device's shaft."""
+        self.demanded_torque = 0.0
+        """N·m demanded by the controllers."""
         self.integral = 0.0
         self.ramp = Ramp()
-        """Position and velocity demanded."""
+        """Demanded position and velocity."""
         self.ramped_torque = 0.0
         self.interpolation = Interpolation()
+        self.turn: int | None = None
+        """Turn of the motor at the last cycle, while homing searches for the index."""
         self.slowing = False
-        """It was told to leave OPERATION ENABLED, and slows down first (605B, 605C)."""
+        """It has left OPERATION ENABLED, and slows down first (605B, 605C)."""
         self.homed = self.homing = self.homing_failed = False
         self.following = Timer()
+        """Since when the following error is too large."""
         self.arrived = Timer()
+        """Since when the target is reached."""
         self.limited = False
         self.following_error = False
         self._before = PowerState.SWITCH_ON_DISABLED
@@ -61,36 +65,36 @@ class Drive:
     # -- the encoder --------------------------------------------------------------------------------
 
     def measure(self, dt: float, shaft: float, velocity: float, gear: float) -> None:
-        """Position in whole increments, velocity behind its filter."""
+        """Measure the shaft: position in whole increments, velocity filtered."""
         per_radian = self.settings.encoder_increments * gear / math.tau
-        self.counted = math.floor(shaft * per_radian + 0.5) / per_radian
+        self.encoder = math.floor(shaft * per_radian + 0.5) / per_radian
         self.velocity += lag(dt, self.settings.velocity_bandwidth) * (velocity - self.velocity)
 
     @property
     def position(self) -> float:
-        """rad, counted from zero."""
-        return self.counted - self.zero
+        """rad from position zero."""
+        return self.encoder - self.zero
 
-    def call_position(self, position: float) -> None:
-        """The present position is called so from now on; what is demanded moves along."""
+    def redefine_position(self, position: float) -> None:
+        """Let the present position have this value; the demanded one moves along."""
         shift = position - self.position
         self.zero -= shift
         self.ramp.position += shift
 
-    def standing(self) -> bool:
-        """Whether a shaft that was slowed down has come to rest."""
-        return abs(self.velocity) < STANDING
+    def at_standstill(self) -> bool:
+        """True if a shaft that was slowed down has stopped."""
+        return abs(self.velocity) < STANDSTILL
 
     # -- one cycle --------------------------------------------------------------------------------------
 
     def step(self, dt: float, axis: Axis) -> int:
-        """One cycle; the code of the error that it found, or 0."""
+        """Run one cycle; return the code of the error that it detected, or 0."""
         code = 0
         self.limited = self.following_error = False
-        self._notice(axis)
+        self._on_changes(axis)
         match axis.state:
             case PowerState.OPERATION_ENABLED:
-                code = self._follow(dt, axis)
+                code = self._operate(dt, axis)
             case PowerState.QUICK_STOP:
                 self._quick_stop(dt, axis)
             case PowerState.FAULT_REACTION:
@@ -98,13 +102,13 @@ class Drive:
                     axis.state = PowerState.FAULT
                     self._off()
             case _:
-                self._rest(dt, axis)
-        self.torque += lag(dt, self.settings.torque_bandwidth) * (self.wanted - self.torque)
+                self._disabled(dt, axis)
+        self.torque += lag(dt, self.settings.torque_bandwidth) * (self.demanded_torque - self.torque)
         self._before = axis.state
         return code
 
-    def _notice(self, axis: Axis) -> None:
-        """What begins anew when state or mode change."""
+    def _on_changes(self, axis: Axis) -> None:
+        """Reset what begins anew when state or mode change."""
         state, before = axis.state, self._before
         if state is PowerState.OPERATION_ENABLED and before is not state:
             self.slowing, self.integral, self.ramped_torque = False, 0.0, 0.0
@@ -119,22 +123,23 @@ class Drive:
             self._begin()
         if axis.mode is not self._mode:
             self._mode = axis.mode
-            self.homing = axis.homing_asked = False
+            self.homing = axis.homing_requested = False
             self._begin()
 
     def _begin(self) -> None:
-        """Demands start where the shaft is, at its velocity."""
+        """Start the demands where the shaft is, at its velocity."""
         self.ramp.start(self.position, self.velocity)
         self.interpolation.clear()
+        self.turn = None
         self.following.clear()
         self.arrived.clear()
 
     def _off(self) -> None:
-        self.wanted = self.torque = self.integral = self.ramped_torque = 0.0
+        self.demanded_torque = self.torque = self.integral = self.ramped_torque = 0.0
         self.ramp.start(self.position, 0.0)
 
-    def _rest(self, dt: float, axis: Axis) -> None:
-        """Not enabled: no torque, once it has slowed down where it is told to."""
+    def _disabled(self, dt: float, axis: Axis) -> None:
+        """Not enabled: no torque, once it has slowed down if it has to."""
         if axis.state not in (PowerState.READY, PowerState.SWITCHED_ON):
             self.slowing = False
         if self.slowing and not self._stop(dt, axis, SLOW_DOWN):
@@ -149,44 +154,46 @@ class Drive:
             self._off()
 
     def _stop(self, dt: float, axis: Axis, option: int) -> bool:
-        """Slow down by an option code, and stay; whether it stands (or has no torque to slow down with)."""
+        """Slow down by an option code, and hold; True at standstill, or if the option is no torque."""
         if not option:
             return True
         values, units = axis.dictionary.values, axis.units
         if option == SLOW_DOWN:
-            self.ramp.slow(dt, 0.0, units.velocity(values[o.PROFILE_DECELERATION]))
+            self._slow_down(dt, units.velocity(values[o.PROFILE_DECELERATION]))
         elif option == QUICK_RAMP:
-            self.ramp.slow(dt, 0.0, units.velocity(values[o.QUICK_STOP_DECELERATION]))
+            self._slow_down(dt, units.velocity(values[o.QUICK_STOP_DECELERATION]))
         else:
             self.ramp.velocity = 0.0
         if self.ramp.velocity:
             self.ramp.position = self.position
-            self._turn(dt, axis, self.ramp.velocity, 0.0)
+            self._control_velocity(dt, axis, self.ramp.velocity, 0.0)
             return False
-        if not self.standing():
+        if not self.at_standstill():
             self.ramp.position = self.position
-        self._go(dt, axis, self.ramp.position, 0.0, 0.0)
-        return self.standing()
+        self._control_position(dt, axis, self.ramp.position, 0.0, 0.0)
+        return self.at_standstill()
+
+    def _slow_down(self, dt: float, deceleration: float) -> None:
+        self.ramp.change_velocity(dt, 0.0, deceleration, deceleration)
 
     # -- modes --------------------------------------------------------------------------------------------
 
-    def _follow(self, dt: float, axis: Axis) -> int:
+    def _operate(self, dt: float, axis: Axis) -> int:
         """OPERATION ENABLED."""
         halted = bool(axis.control & Control.HALT)
         if halted != self._halted:
             self._halted = halted
             self._begin()
         if halted:
-            standing = self._stop(dt, axis, axis.dictionary.values[o.HALT_OPTION])
-            self.arrived.run(dt, standing)
+            self.arrived.run(dt, self._stop(dt, axis, axis.dictionary.values[o.HALT_OPTION]))
             return 0
         match axis.mode:
             case Mode.PP:
                 self._profile_position(dt, axis)
-                return self._watch(dt, axis)
+                return self._monitor_following(dt, axis)
             case Mode.CSP:
                 self._cyclic_position(dt, axis)
-                return self._watch(dt, axis)
+                return self._monitor_following(dt, axis)
             case Mode.PV | Mode.CSV:
                 self._velocity(dt, axis)
             case Mode.PT | Mode.CST:
@@ -194,30 +201,30 @@ class Drive:
             case Mode.HM:
                 self._home(dt, axis)
             case _:
-                self._go(dt, axis, self.ramp.position, 0.0, 0.0)
+                self._control_position(dt, axis, self.ramp.position, 0.0, 0.0)
         return 0
 
     def _profile_position(self, dt: float, axis: Axis) -> None:
         values, units = axis.dictionary.values, axis.units
         if axis.goal is not None:
-            speed = min(units.velocity(values[o.PROFILE_VELOCITY]), self._fastest(axis))
+            speed = min(units.velocity(values[o.PROFILE_VELOCITY]), self._speed_limit(axis))
             up, down = values[o.PROFILE_ACCELERATION], values[o.PROFILE_DECELERATION]
-            goal = self._within(axis, units.position(axis.goal))
-            if self.ramp.go(dt, goal, speed, units.velocity(up), units.velocity(down)):
+            goal = self._limit_position(axis, units.position(axis.goal))
+            if self.ramp.move_to(dt, goal, speed, units.velocity(up), units.velocity(down)):
                 axis.goal, axis.next_goal = axis.next_goal, None
         axis.position = round(self.ramp.position * units.per_turn / math.tau)
-        self._go(dt, axis, self.ramp.position, self.ramp.velocity, 0.0)
+        self._control_position(dt, axis, self.ramp.position, self.ramp.velocity, 0.0)
         near = abs(self.ramp.position - self.position) <= units.position(values[o.POSITION_WINDOW])
         self.arrived.run(dt, near and axis.goal is None)
 
     def _cyclic_position(self, dt: float, axis: Axis) -> None:
         values, units = axis.dictionary.values, axis.units
         period = values[o.INTERPOLATION_VALUE] * 10.0 ** values[o.INTERPOLATION_INDEX]
-        target = self._within(axis, units.position(values[o.TARGET_POSITION]))
+        target = self._limit_position(axis, units.position(values[o.TARGET_POSITION]))
         self.ramp.position = self.interpolation.follow(dt, self.ramp.position, target, period)
         self.ramp.velocity = units.velocity(values[o.VELOCITY_OFFSET])
         offset = units.torque(values[o.TORQUE_OFFSET])
-        self._go(dt, axis, self.ramp.position, self.ramp.velocity, offset)
+        self._control_position(dt, axis, self.ramp.position, self.ramp.velocity, offset)
 
     def _velocity(self, dt: float, axis: Axis) -> None:
         values, units = axis.dictionary.values, axis.units
@@ -227,9 +234,9 @@ class Drive:
             offset = units.torque(values[o.TORQUE_OFFSET])
         else:
             up = units.velocity(values[o.PROFILE_ACCELERATION])
-            self.ramp.change(dt, target, up, units.velocity(values[o.PROFILE_DECELERATION]))
+            self.ramp.change_velocity(dt, target, up, units.velocity(values[o.PROFILE_DECELERATION]))
         self.ramp.position = self.position
-        self._turn(dt, axis, self.ramp.velocity, offset)
+        self._control_velocity(dt, axis, self.ramp.velocity, offset)
         near = abs(target - self.velocity) <= units.velocity(values[o.VELOCITY_WINDOW])
         self.arrived.run(dt, near)
 
@@ -240,77 +247,79 @@ class Drive:
             self.ramped_torque = target + units.torque(values[o.TORQUE_OFFSET])
         else:
             slope = units.torque(values[o.TORQUE_SLOPE])
-            self.ramped_torque += limited(target - self.ramped_torque, slope * dt)
+            self.ramped_torque += clamp(target - self.ramped_torque, slope * dt)
         self.ramp.start(self.position, self.velocity)
         self.integral = 0.0
-        self._push(axis, self.ramped_torque)
+        self._demand_torque(axis, self.ramped_torque)
         self.arrived.run(dt, self.ramped_torque == target)
 
     def _home(self, dt: float, axis: Axis) -> None:
-        """33 and 34: turn to the next index; 35 and 37: home is here."""
+        """Methods 33 and 34: turn to the next index; 35 and 37: home is the present position."""
         values, units = axis.dictionary.values, axis.units
-        if axis.homing_asked:
-            axis.homing_asked, self.homing, self.homed = False, True, False
+        if axis.homing_requested:
+            axis.homing_requested, self.homing, self.homed = False, True, False
             self.interpolation.clear()
+            self.turn = None
         started = bool(axis.control & Control.START_HOMING)
         method = values[o.HOMING_METHOD]
         if self.homing and not started:
             self.homing = False  # interrupted
         if self.homing and method not in (33, 34):
-            self._found(axis, self.counted)
+            self._home_found(axis, self.encoder)
         elif self.homing:
             speed = math.copysign(units.velocity(values[o.HOMING_SPEED_ZERO]), 1 if method == 34 else -1)
-            turn = math.tau / units.gear
-            before = math.floor(self.counted / turn)
-            crossed = self.interpolation.crossed(before)
-            if crossed is not None:
-                self._found(axis, max(crossed, before) * turn)
+            angle = math.tau / units.gear  # of the shaft, per turn of the motor
+            before, self.turn = self.turn, math.floor(self.encoder / angle)
+            if before is not None and before != self.turn:
+                self._home_found(axis, max(before, self.turn) * angle)
             acceleration = units.velocity(values[o.HOMING_ACCELERATION])
-            self.ramp.change(dt, speed if self.homing else 0.0, acceleration, acceleration)
+            self.ramp.change_velocity(dt, speed if self.homing else 0.0, acceleration, acceleration)
             self.ramp.position = self.position
-            self._turn(dt, axis, self.ramp.velocity, 0.0)
+            self._control_velocity(dt, axis, self.ramp.velocity, 0.0)
             return
         self._stop(dt, axis, SLOW_DOWN)
 
-    def _found(self, axis: Axis, home: float) -> None:
-        """This is home: zero lies the home offset (607C) away from it."""
+    def _home_found(self, axis: Axis, home: float) -> None:
+        """End homing: position zero is the home offset (607C) away from home."""
         shift = axis.units.position(axis.dictionary.values[o.HOME_OFFSET])
-        self.call_position(self.counted - home - shift)
+        self.redefine_position(self.encoder - home - shift)
         self.homing, self.homed = False, True
 
     # -- the cascade --------------------------------------------------------------------------------------
 
-    def _go(self, dt: float, axis: Axis, position: float, velocity: float, torque: float) -> None:
+    def _control_position(
+        self, dt: float, axis: Axis, position: float, velocity: float, torque: float
+    ) -> None:
         gain = self.settings.position_gain
-        self._turn(dt, axis, velocity + gain * (position - self.position), torque)
+        self._control_velocity(dt, axis, velocity + gain * (position - self.position), torque)
 
-    def _turn(self, dt: float, axis: Axis, velocity: float, torque: float) -> None:
-        fastest = self._fastest(axis)
+    def _control_velocity(self, dt: float, axis: Axis, velocity: float, torque: float) -> None:
+        fastest = self._speed_limit(axis)
         if abs(velocity) > fastest:
             self.limited = True
-        error = limited(velocity, fastest) - self.velocity
-        asked = torque + self.settings.velocity_gain * error + self.integral
-        if self._push(axis, asked):
-            self.integral *= math.exp(-dt / 0.01)  # wound up against the limit: let go
+        error = clamp(velocity, fastest) - self.velocity
+        demanded = torque + self.settings.velocity_gain * error + self.integral
+        if self._demand_torque(axis, demanded):
+            self.integral *= math.exp(-dt / 0.01)  # anti-windup
         else:
             self.integral += self.settings.velocity_integral * error * dt
 
-    def _push(self, axis: Axis, torque: float) -> bool:
-        """Ask for a torque; whether it was limited (6072)."""
+    def _demand_torque(self, axis: Axis, torque: float) -> bool:
+        """Demand a torque; True if it was limited (6072)."""
         most = axis.units.torque(axis.dictionary.values[o.MAX_TORQUE])
-        self.wanted = limited(torque, most)
-        cut = self.wanted != torque
+        self.demanded_torque = clamp(torque, most)
+        cut = self.demanded_torque != torque
         self.limited = self.limited or cut
         return cut
 
-    def _fastest(self, axis: Axis) -> float:
-        """rad/s: the lower of 607F and 6080."""
+    def _speed_limit(self, axis: Axis) -> float:
+        """Return the lower of 607F and 6080 in rad/s."""
         values = axis.dictionary.values
         motor = values[o.MAX_MOTOR_SPEED] / 60.0 * math.tau / axis.units.gear
         return min(axis.units.velocity(values[o.MAX_PROFILE_VELOCITY]), motor)
 
-    def _within(self, axis: Axis, position: float) -> float:
-        """A target inside the position limits (607D), if there are any."""
+    def _limit_position(self, axis: Axis, position: float) -> float:
+        """Limit a target to the position limits (607D), if there are any."""
         values, units = axis.dictionary.values, axis.units
         low, high = values[o.SOFT_LIMIT_LOW], values[o.SOFT_LIMIT_HIGH]
         if low == high == 0:
@@ -319,8 +328,8 @@ class Drive:
         self.limited = self.limited or inside != position
         return inside
 
-    def _watch(self, dt: float, axis: Axis) -> int:
-        """The following error, 6065 and 6066."""
+    def _monitor_following(self, dt: float, axis: Axis) -> int:
+        """Monitor the following error (6065, 6066); return its error code, or 0."""
         values = axis.dictionary.values
         window = values[o.FOLLOWING_WINDOW]
         if window == NEVER_FOLLOWING:
