@@ -33,7 +33,6 @@ _OPENING_ERRORS = (can.CanError, OSError, ValueError, TypeError, RuntimeError, I
 INTERFACES = can.VALID_INTERFACES | {"fdcanusb"}
 """The kinds of CAN interface: python-can's, and ours."""
 LISTEN_ONLY: dict[str, dict[str, Any]] = {
-    "slcan": {"listen_only": True},
     "vector": {"listen_only": True},
     "nixnet": {"listen_only": True},
     "kvaser": {"driver_mode": False},
@@ -57,10 +56,9 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
     if listen_only:
         options |= LISTEN_ONLY.get(kind, {})
     try:
+        bus: can.BusABC
         if kind == "slcan":
-            bus: can.BusABC = SlcanInterface(
-                channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only
-            )
+            bus = SlcanInterface(channel, settings.bitrate, settings.data_bitrate, listen_only=listen_only)
         elif kind == "fdcanusb":
             bus = FdcanusbInterface(channel, settings.bitrate, settings.data_bitrate)
         else:

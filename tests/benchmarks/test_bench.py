@@ -432,10 +432,10 @@ def test_figures_by_step_are_over_each_step_s_own_median() -> None:
 
 
 def test_without_a_world_its_rows_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from gateway.sim.load import complaint
+    from gateway.sim import WorldError
 
     def no_world(_folder: Path, _seconds: int) -> drive.Drive:
-        raise complaint("office", ["MuJoCo is not installed"])
+        raise WorldError.about("office", ["MuJoCo is not installed"])
 
     monkeypatch.setattr(drive, "drive", no_world)
     made = drive.driving(Effort(quick=True))

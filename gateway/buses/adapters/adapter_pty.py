@@ -9,41 +9,18 @@ elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Sequence
+from typing import TypeAlias
 
 from gateway.buses.adapters import fdcanusb, slcan
 from gateway.buses.adapters.pty import open_pty
-from gateway.core.clock import Clock
 from gateway.core.robot import BusSettings
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import Nanos
 
-
-class Adapter(Protocol):
-    """An emulated adapter: a serial line on one side, a CAN bus on the other."""
-
-    open: bool
-    """Whether it is on the bus."""
-    overrun: bool
-    """Frames were lost because the other end did not read."""
-
-    @property
-    def wrong_rate(self) -> bool:
-        """True if it was set to another bit rate than the bus has."""
-        ...
-
-    def feed(self, data: bytes) -> tuple[list[CanFrame], bytes]:
-        """Take bytes from the serial line; return the frames that go onto the bus, and the replies."""
-        ...
-
-    def report(self, t: Nanos, frame: CanFrame) -> bytes:
-        """Return the line for a frame on the bus."""
-        ...
-
-
-KINDS: dict[str, Callable[[int, int], Adapter]] = {"slcan": slcan.Adapter, "fdcanusb": fdcanusb.Adapter}
-"""By the interface that a program opens; made of the bus's bit rate and data bit rate."""
+Adapter: TypeAlias = slcan.Adapter | fdcanusb.Adapter
+KINDS: dict[str, type[Adapter]] = {"slcan": slcan.Adapter, "fdcanusb": fdcanusb.Adapter}
+"""By the interface that a program opens."""
 
 
 class _Port:
@@ -78,12 +55,7 @@ class _Port:
 class AdapterPty:
     """The devices' end of a CAN bus, offered to other programs."""
 
-    def __init__(
-        self,
-        settings: BusSettings,
-        clock: Clock,  # noqa: ARG002 -- as the other buses
-        kinds: Sequence[str] = ("slcan",),
-    ) -> None:
+    def __init__(self, settings: BusSettings, kinds: Sequence[str] = ("slcan",)) -> None:
         """`kinds`: of each port, one of KINDS. Raises BusError if no pty can be made."""
         self.name = settings.name
         self._ports = [_Port(settings, kind) for kind in kinds]

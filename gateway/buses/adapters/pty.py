@@ -15,7 +15,6 @@ import tty
 from collections.abc import Sequence
 
 from gateway.buses.queues import ByteQueue
-from gateway.core.clock import Clock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, Frame, Packet
@@ -114,7 +113,7 @@ def open_pty(settings: BusSettings) -> Pty:
 class SerialPty:
     """The devices' end of a serial bus, offered to another program."""
 
-    def __init__(self, settings: BusSettings, clock: Clock) -> None:  # noqa: ARG002 -- as the other buses
+    def __init__(self, settings: BusSettings) -> None:
         """Raises BusError if no pty can be made."""
         self.name = settings.name
         self.pty = open_pty(settings)

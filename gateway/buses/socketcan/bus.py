@@ -19,7 +19,6 @@ import errno
 import logging
 from collections import Counter
 from collections.abc import Sequence
-from typing import Protocol
 
 from can.interfaces.socketcan import SocketcanBus as PythonCan
 
@@ -49,22 +48,6 @@ SHORT_QUEUE = 100
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
 _DOWN = (errno.ENETDOWN,)
 _REMOVED = (errno.ENODEV, errno.ENXIO, errno.EBADF)
-
-
-class Interface(Protocol):
-    """What is asked of the kernel (link.Device)."""
-
-    def status(self) -> Status | None:
-        """Return its ifindex and whether it is up; None if it is not there."""
-        ...
-
-    def link(self) -> Link | None:
-        """Return its full state."""
-        ...
-
-    def close(self) -> None:
-        """Release it."""
-        ...
 
 
 def open_socketcan(settings: BusSettings, clock: Clock, *, listen_only: bool = False) -> SocketcanBus:
@@ -102,7 +85,7 @@ class SocketcanBus:
         settings: BusSettings,
         clock: Clock,
         opened: OpenSocket,
-        device: Interface,
+        device: Device,
         *,
         listen_only: bool = False,
     ) -> None:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gateway.buses import Bus
 from gateway.buses.virtual.medium import Medium, Transmission
 from gateway.core.robot import TWIN, BusSettings, Motor, Robot, Sensor
 from gateway.sim.files import STEP, BenchFile, ShaftFile
@@ -144,12 +143,11 @@ class TwinWorld:
 
     def __init__(self, robot: Robot, world: World, seed: int) -> None:
         self.world = world
-        self._buses = {
+        self.buses = {
             name: TwinBus(settings, self)
             for name, settings in robot.buses.items()
             if settings.interface == TWIN
         }
-        self.buses: dict[str, Bus] = dict(self._buses.items())
         self._seed = seed
         self._began = False
         self._count = 2.0 * math.pi / self.world.counts_per_turn
@@ -158,7 +156,7 @@ class TwinWorld:
         """With the gear ratio, negative where the motor is mounted the other way round."""
         self._sensors: list[SimulatedDevice] = []
         for settings in robot.devices():
-            if bus := self._buses.get(settings.bus):
+            if bus := self.buses.get(settings.bus):
                 self._add(settings.name, settings, bus)
 
     def _add(self, name: str, settings: Motor | Sensor, bus: TwinBus) -> SimulatedDevice:
@@ -180,12 +178,12 @@ class TwinWorld:
             self._began, self.world.now = True, now
         while self.world.now + STEP <= now:
             self._step(self.world.now)
-        for bus in self._buses.values():
+        for bus in self.buses.values():
             bus.deliver(now)
 
     def _step(self, t: Nanos) -> None:
         """Run one step of the world, which is at time t."""
-        for bus in self._buses.values():
+        for bus in self.buses.values():
             bus.deliver(t)
         torques: dict[str, float] = {}
         for device, ratio in self._motors:
@@ -219,7 +217,7 @@ class TwinWorld:
     def _devices(self, name: str) -> list[SimulatedDevice]:
         """Return a device and its duplicates. Raises KeyError if no simulated bus has it."""
         found = [
-            device for bus in self._buses.values() for device in bus.devices if device.settings.name == name
+            device for bus in self.buses.values() for device in bus.devices if device.settings.name == name
         ]
         if not found:
             raise KeyError(f"no twin {name!r}")
@@ -245,14 +243,6 @@ class TwinWorld:
         devices = self._devices(name)
         copy = self._add(f"{name}#{len(devices) + 1}", devices[0].settings, devices[0].bus)
         copy.own_shaft = Shaft(ShaftFile())
-
-    def lose(self, bus: str) -> None:
-        """The host's interface to a bus vanishes: the bus reports GONE, the devices are on their own."""
-        self._buses[bus].lose()
-
-    def restore(self, bus: str) -> None:
-        """The host's interface to a bus comes back: the bus reports BACK."""
-        self._buses[bus].restore()
 
 
 def _run_sensor(t: Nanos, device: SimulatedDevice) -> None:

@@ -348,7 +348,7 @@ def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[byte
 
 @pytest.fixture
 def bus() -> Iterator[AdapterPty]:
-    with closing(AdapterPty(FD, SimulatedClock(), ("fdcanusb", "slcan"))) as made:
+    with closing(AdapterPty(FD, ("fdcanusb", "slcan"))) as made:
         yield made
 
 
@@ -424,7 +424,7 @@ class Port:
     """A pty whose far end the test itself plays."""
 
     def __init__(self) -> None:
-        self.adapter = AdapterPty(FD, SimulatedClock(), ("fdcanusb",))
+        self.adapter = AdapterPty(FD, ("fdcanusb",))
         self.pty = self.adapter._ports[0].pty
         self.path = self.pty.path
 
@@ -554,7 +554,7 @@ def test_what_cannot_be_opened_is_a_sentence_and_what_vanishes_is_told_and_looke
     with pytest.raises(BusError, match="did you mean 'fdcanusb'"):
         open_can(BusSettings("can0", "can", "fdcanusbb:/dev/x", RATE), SimulatedClock())
     link = tmp_path / "adapter"
-    first = AdapterPty(FD, SimulatedClock(), ("fdcanusb",))
+    first = AdapterPty(FD, ("fdcanusb",))
     link.symlink_to(first.paths[0])
     ours = opened(str(link))
     assert first.read(0)[0] == [BusState.BACK]
@@ -565,7 +565,7 @@ def test_what_cannot_be_opened_is_a_sentence_and_what_vanishes_is_told_and_looke
     assert ours.read(1) == ([BusState.GONE], [])
     ours.write(2, [CanFrame(1, b"\x01")])
     assert ours.dropped == 1
-    with closing(AdapterPty(FD, SimulatedClock(), ("fdcanusb",))) as second:
+    with closing(AdapterPty(FD, ("fdcanusb",))) as second:
         link.unlink()
         link.symlink_to(second.paths[0])
         assert ours.read(SECOND // 2) == ([], [])

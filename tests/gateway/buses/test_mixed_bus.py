@@ -101,11 +101,11 @@ def test_every_frame_is_counted_once_by_every_language_and_is_understood_by_one(
 
 def test_a_bus_that_vanishes_and_comes_back_is_told_to_all_of_them(rig: Rig) -> None:
     rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
-    rig.world.lose("can0")
+    rig.world.buses["can0"].lose()
     ticks = rig.run(1.0)
     assert [state for tick in ticks for _, state in tick.inputs.states] == [BusState.GONE]
     assert all(rig.gateway.joints[name].mode in (Mode.OFFLINE, Mode.FAULT) for name in MOTORS)
-    rig.world.restore("can0")
+    rig.world.buses["can0"].restore()
     ticks = rig.run(1.5)
     assert [state for tick in ticks for _, state in tick.inputs.states] == [BusState.BACK]
     received = {e.motor for tick in ticks[-100:] for e in tick.outputs.events if isinstance(e, Feedback)}

@@ -310,7 +310,7 @@ def test_a_reader_that_does_not_read_loses_whole_old_wires_and_nothing_stands_st
 
 
 def test_a_serial_bus_on_a_pty_tells_who_comes_and_goes() -> None:
-    bus = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000), SimulatedClock())
+    bus = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000))
     assert bus.read(0) == ([], [])
     other = open_path(bus.pty.path)
     assert bus.read(1) == ([BusState.BACK], [])
@@ -326,7 +326,7 @@ def test_a_serial_bus_on_a_pty_tells_who_comes_and_goes() -> None:
 
 @pytest.fixture
 def bus() -> Iterator[AdapterPty]:
-    with closing(AdapterPty(FD, SimulatedClock(), ("slcan", "slcan"))) as made:
+    with closing(AdapterPty(FD, ("slcan", "slcan"))) as made:
         yield made
 
 
@@ -466,7 +466,7 @@ def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterP
 
 def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
 
-    with closing(AdapterPty(FD, SimulatedClock())) as adapters:
+    with closing(AdapterPty(FD)) as adapters:
         path = adapters.paths[0]
         for settings, said in (
             (BusSettings("can0", "can", "slcan:/dev/there-is-none", RATE), "No such file"),
@@ -481,7 +481,7 @@ def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
 
 def test_our_own_end_tells_a_vanished_adapter_and_one_that_is_taken() -> None:
 
-    adapters = AdapterPty(CLASSIC, SimulatedClock())
+    adapters = AdapterPty(CLASSIC)
     settings = BusSettings("can0", "can", f"slcan:{adapters.paths[0]}", RATE)
     ours = open_can(settings, SimulatedClock())
     assert adapters.read(0)[0] == [BusState.BACK]

@@ -16,7 +16,7 @@ import pytest
 from gateway.buses.interfaces import check_fit, filters
 from gateway.buses.socketcan import bus as socketcan
 from gateway.buses.socketcan.bus import FAST_POLL, MOST_READ, PATIENCE, SLOW_POLL, SocketcanBus
-from gateway.buses.socketcan.link import Link, Status
+from gateway.buses.socketcan.link import Device, Link, Status
 from gateway.buses.socketcan.raw_socket import pack
 from gateway.buses.states import CALM
 from gateway.core.clock import SimulatedClock, WallClock
@@ -44,7 +44,7 @@ class End:
 
 
 @dataclass
-class Kernel:
+class Kernel(Device):
     """What the kernel says of can0."""
 
     status_: Status | None = field(default_factory=lambda: Status(7, up=True, running=True))

@@ -325,13 +325,13 @@ def test_a_second_device_with_the_same_address_answers_too() -> None:
 
 def test_a_lost_interface_tells_gone_and_back() -> None:
     driven = rig(bench()).run(200, drive(4.0, 4.0))
-    driven.twins.lose("motors")
+    driven.twins.buses["motors"].lose()
     start = driven.now
     driven.run(100, drive(4.0, 4.0))
     assert driven.states == [("motors", BusState.GONE)]
     assert not [packet for packet in driven.packets if packet.t >= start]
     assert abs(driven.twins.world.shaft("right")[1]) < 3.0, "nobody fed the watchdogs"
-    driven.twins.restore("motors")
+    driven.twins.buses["motors"].restore()
     driven.run(100)
     assert driven.states == [("motors", BusState.GONE), ("motors", BusState.BACK)]
     assert driven.last("right").t > start + 100 * PERIOD
