@@ -11,7 +11,7 @@ from protocols import messages
 from protocols.message_codec import CODES, pack, unpack
 from protocols.messages import Feedback, LaserScan, Message, Mode, SetId, State, Torque, Velocity
 from tests.protocols.plain.published import packed, ranges
-from tests.protocols.plain.samples import ANY_WORD, VECTORS, word_of
+from tests.protocols.plain.samples import ANY_MESSAGE, VECTORS, message_of
 
 PACKED = VECTORS["packed"]
 
@@ -20,18 +20,18 @@ def ids(row: dict[str, Any]) -> str:
     return str(row.get("why") or row["word"])
 
 
-def bits(word: Message) -> str:
-    """A word as text that tells 0.0 from -0.0."""
-    return repr(word)
+def bits(message: Message) -> str:
+    """A message as text that tells 0.0 from -0.0."""
+    return repr(message)
 
 
 @pytest.mark.parametrize("row", PACKED, ids=ids)
 def test_vector_both_ways(row: dict[str, Any]) -> None:
     data = bytes.fromhex(row["bytes"])
-    assert pack(word_of(row)) == data
+    assert pack(message_of(row)) == data
     read = unpack(data)
     assert read is not None
-    assert bits(read) == bits(word_of(row))
+    assert bits(read) == bits(message_of(row))
 
 
 def test_every_word_has_a_code_and_a_vector() -> None:
@@ -43,7 +43,7 @@ def test_every_word_has_a_code_and_a_vector() -> None:
 @pytest.mark.parametrize("row", VECTORS["also_read"], ids=ids)
 def test_a_vector_of_other_writers_is_read(row: dict[str, Any]) -> None:
     read = unpack(bytes.fromhex(row["bytes"]))
-    assert read == word_of(row)
+    assert read == message_of(row)
     assert not isinstance(read, Torque) or type(read.torque) is float
 
 
@@ -53,13 +53,13 @@ def test_a_vector_that_is_no_word_is_none(row: dict[str, Any]) -> None:
 
 
 @settings(max_examples=600)
-@given(ANY_WORD)
-def test_any_word_survives_bit_for_bit_and_has_one_encoding(word: Message) -> None:
-    data = pack(word)
+@given(ANY_MESSAGE)
+def test_any_word_survives_bit_for_bit_and_has_one_encoding(message: Message) -> None:
+    data = pack(message)
     read = unpack(data)
     assert read is not None
-    assert type(read) is type(word)
-    assert bits(read) == bits(word)
+    assert type(read) is type(message)
+    assert bits(read) == bits(message)
     assert pack(read) == data
 
 
@@ -70,9 +70,9 @@ def test_no_bytes_raise(data: bytes) -> None:
 
 
 @settings(max_examples=600)
-@given(ANY_WORD, st.data())
-def test_no_damage_raises_or_lets_a_wrong_value_through(word: Message, data: st.DataObject) -> None:
-    packed = bytearray(pack(word))
+@given(ANY_MESSAGE, st.data())
+def test_no_damage_raises_or_lets_a_wrong_value_through(message: Message, data: st.DataObject) -> None:
+    packed = bytearray(pack(message))
     for _ in range(data.draw(st.integers(1, 4))):
         packed[data.draw(st.integers(0, len(packed) - 1))] = data.draw(st.integers(0, 255))
     read = unpack(bytes(packed))
@@ -108,10 +108,10 @@ BAD: list[Any] = [
 ]
 
 
-@pytest.mark.parametrize("word", BAD, ids=repr)
-def test_there_is_no_vector_of_what_is_no_word(word: Any) -> None:
+@pytest.mark.parametrize("message", BAD, ids=repr)
+def test_there_is_no_vector_of_what_is_no_word(message: Any) -> None:
     with pytest.raises(ValueError, match=r"."):
-        pack(word)
+        pack(message)
 
 
 EDGES: list[tuple[Message, bytes]] = [
@@ -125,10 +125,10 @@ EDGES: list[tuple[Message, bytes]] = [
 ]
 
 
-@pytest.mark.parametrize(("word", "data"), EDGES)
-def test_a_vector_at_the_edges_both_ways(word: Message, data: bytes) -> None:
-    assert pack(word) == data
-    assert unpack(data) == word
+@pytest.mark.parametrize(("message", "data"), EDGES)
+def test_a_vector_at_the_edges_both_ways(message: Message, data: bytes) -> None:
+    assert pack(message) == data
+    assert unpack(data) == message
 
 
 UNREADABLE: list[bytes] = [

@@ -23,14 +23,14 @@ UUID = bytes.fromhex("0123456789abcdeffedcba9876543210")
 
 
 def fast() -> Any:
-    """What our driver asks for all the time."""
+    """The query that our driver sends all the time."""
     query = moteus.QueryResolution()
     query.voltage = query.temperature = mp.IGNORE
     return query
 
 
 def full() -> Any:
-    """What it asks for now and then."""
+    """The query that it sends now and then."""
     query = moteus.QueryResolution()
     query.q_current = mp.F32
     query.motor_temperature = query.trajectory_complete = query.home_state = mp.INT16
@@ -152,7 +152,7 @@ def _exact(controller: Any, position: float) -> tuple[bytes, bytes]:
 
 
 def _joined(controller: Any, *data: bytes) -> Any:
-    """One frame with what the package says in several."""
+    """One frame with what the package sends in several."""
     command, _ = controller._make_command(query=True)
     command.data = b"".join(data)
     return command
@@ -196,7 +196,7 @@ def answer(name: str) -> dict[str, Any]:
 
 
 def _parsed(data: bytes) -> dict[str, Any]:
-    """What the package reads in a frame; None where it says NaN."""
+    """What the package reads in a frame; None for NaN."""
     if data[:1] in (b"\x40", b"\x42") or b"conf " in bytes(data):
         return {}
     found = parse_registers(data)

@@ -48,8 +48,8 @@ class Bench(CanBench[MoteusDriver, MoteusTwin]):
         """What the driver knows of the first one."""
         return next(iter(self.driver.controllers.values()))
 
-    def said(self, since: Nanos = 0, address: int = 1) -> list[str]:
-        """The names of the messages to a device, without questions."""
+    def sent_messages(self, since: Nanos = 0, address: int = 1) -> list[str]:
+        """The names of the messages to a device, without queries."""
         frames = [f for t, f in self.sent if t >= since and f.id & 0x7F == address]
         return [name for f in frames for name in names(f) if name != "read"]
 
@@ -67,7 +67,7 @@ def subframes(frame: CanFrame) -> list[Subframe]:
 
 
 def ready(*devices: Device) -> Bench:
-    """A bench whose driver has heard its devices."""
+    """A bench whose driver has received replies of its devices."""
     bench = Bench(devices or [device()])
     bench.run(60)
     return bench

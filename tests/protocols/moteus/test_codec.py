@@ -76,8 +76,8 @@ def test_the_vectors_of_the_package_are_made_again() -> None:
 
 def _told_by(vector: Vector) -> dict[int, float | None]:
     """What the package reads in an answer, by register number."""
-    said = vector.meaning["parsed_by_moteus"]
-    ours = {k: v for k, v in said.items() if k not in ("errors", "read")}
+    parsed = vector.meaning["parsed_by_moteus"]
+    ours = {k: v for k, v in parsed.items() if k not in ("errors", "read")}
     return {NAMES[k.lower()] if k.lower() in NAMES else int(k, 16): v for k, v in ours.items()}
 
 
@@ -86,7 +86,7 @@ def _told_by(vector: Vector) -> dict[int, float | None]:
     [v for v in VECTORS.values() if v.direction == "from_device" and "parsed_by_moteus" in v.meaning],
     ids=lambda v: v.name,
 )
-def test_vectors_of_answers_tell_what_the_package_reads(vector: Vector) -> None:
+def test_vectors_of_replies_are_decoded_as_by_the_package(vector: Vector) -> None:
     assert isinstance(vector.frame, CanFrame)
     data = vector.frame.data
     reported = decode(data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\x50"))
@@ -276,7 +276,7 @@ def test_random_vectors_of_writes_are_the_package_s_within_a_count() -> None:
         assert abs(mine - yours) <= (0 if resolution == F32 else 1)
 
 
-def test_random_vectors_of_questions_are_the_package_s() -> None:
+def test_random_vectors_of_queries_are_the_package_s() -> None:
     generator = np.random.Generator(np.random.PCG64(13))
     controller: Any = moteus.Controller(id=5, transport=object())
     for _ in range(100):

@@ -155,30 +155,28 @@ OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("data", "words", "said"), OBEYED, ids=[row[0] for row in OBEYED])
-def test_a_device_obeys_bytes_as_in_vectors(
-    data: str, words: list[Command | Request], said: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize(("data", "messages", "named"), OBEYED, ids=[row[0] for row in OBEYED])
+def test_what_a_device_obeys(data: str, messages: list[Command | Request], named: tuple[str, ...]) -> None:
     for identifier in (5, 0x8005, 0x8305, 0x7F):
         decoder = MoteusDecoder([device("m", 5, Settings(uuid=UUID.hex()))])
         received = decoder.decode(0, frame(data, identifier))
-        assert [_texts(word) for word in received] == [_texts(word) for word in words]
-        expected = [number for word in words for number in _numbers(word)]
-        reported = [number for word in received for number in _numbers(word)]
+        assert [_texts(message) for message in received] == [_texts(message) for message in messages]
+        expected = [number for message in messages for number in _numbers(message)]
+        reported = [number for message in received for number in _numbers(message)]
         assert reported == pytest.approx(expected, rel=1e-6, abs=1e-12)
-        assert names(frame(data, identifier)) == said
+        assert names(frame(data, identifier)) == named
 
 
-def _values(word: Command | Request) -> list[str | float]:
-    return [getattr(word, name) for name in word.__slots__]
+def _values(message: Command | Request) -> list[str | float]:
+    return [getattr(message, name) for name in message.__slots__]
 
 
-def _texts(word: Command | Request) -> list[str]:
-    return [type(word).__name__, *(value for value in _values(word) if isinstance(value, str))]
+def _texts(message: Command | Request) -> list[str]:
+    return [type(message).__name__, *(value for value in _values(message) if isinstance(value, str))]
 
 
-def _numbers(word: Command | Request) -> list[float]:
-    return [value for value in _values(word) if not isinstance(value, str)]
+def _numbers(message: Command | Request) -> list[float]:
+    return [value for value in _values(message) if not isinstance(value, str)]
 
 
 OTHERS: list[Frame] = [
@@ -193,12 +191,12 @@ OTHERS: list[Frame] = [
 
 
 @pytest.mark.parametrize("frame", OTHERS, ids=str)
-def test_what_is_for_others_beside_vectors(frame: Frame) -> None:
+def test_frames_to_others(frame: Frame) -> None:
     decoder = MoteusDecoder([device("m", 5)])
     assert decoder.decode(0, frame) == []
 
 
-def test_who_obeys_beside_vectors() -> None:
+def test_who_obeys() -> None:
     far = device("far", 5, options=Options(can_prefix=0x1ABC))
     decoder = MoteusDecoder([device("m", 5), device("n", 6), far])
     assert decoder.decode(0, frame("010000", 0x7F)) == [msg.Idle("m"), msg.Idle("n")]
@@ -206,7 +204,7 @@ def test_who_obeys_beside_vectors() -> None:
     assert decoder.decode(0, CanFrame(6, bytes.fromhex("010000"), True, False, False)) == [msg.Idle("n")]
 
 
-def test_pieces_of_a_console_line_beside_vectors() -> None:
+def test_pieces_of_a_console_line() -> None:
     whole = b"x" * 300 + b"\nconf write\r\nconf set id.id 7\n"
     decoder = MoteusDecoder([device("m", 5, Settings(uuid=UUID.hex()))])
     received = [w for byte in whole for w in decoder.decode(0, frame(f"400101{byte:02x}"))]
@@ -224,7 +222,7 @@ MASK = "0ad402" + UUID[:8].hex()
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "messages"),
     [
         (MASK + "010000", [msg.Idle("m")]),
         ("09d402" + UUID[:4].hex() + "010000", [msg.Idle("m")]),
@@ -241,15 +239,17 @@ MASK = "0ad402" + UUID[:8].hex()
         (MASK + line("conf set id.id 9"), [msg.SetId("", SERIAL, 9)]),
     ],
 )
-def test_masks_of_uuids_beside_vectors(data: str, words: list[Command | Request]) -> None:
+def test_masks_of_uuids(data: str, messages: list[Command | Request]) -> None:
     decoder = MoteusDecoder(
         [device("m", 5, Settings(uuid=UUID.hex())), device("n", 6, Settings(uuid="f" * 32))]
     )
-    assert [word for word in decoder.decode(0, frame(data, 0x7F)) if "n" not in _texts(word)] == words
+    assert [
+        message for message in decoder.decode(0, frame(data, 0x7F)) if "n" not in _texts(message)
+    ] == messages
 
 
 @pytest.mark.parametrize(
-    ("data", "words"),
+    ("data", "messages"),
     [
         (MASK + line("conf set id.id 9"), [msg.SetId("", SERIAL, 9)]),
         ("09d402" + UUID[:4].hex() + line("conf set id.id 9"), [msg.SetId("", SERIAL >> 32 << 32, 9)]),
@@ -259,9 +259,9 @@ def test_masks_of_uuids_beside_vectors(data: str, words: list[Command | Request]
         (line("conf set id.id 9"), [msg.SetId("", 0, 9)]),
     ],
 )
-def test_an_id_given_to_whom_it_concerns_beside_vectors(data: str, words: list[Command | Request]) -> None:
+def test_an_id_set_by_uuid_where_no_uuid_is_known(data: str, messages: list[Command | Request]) -> None:
     decoder = MoteusDecoder([device("m", 5)])
-    assert decoder.decode(0, frame(data, 0x7F)) == words
+    assert decoder.decode(0, frame(data, 0x7F)) == messages
     renamed = 9 if not data.startswith(("0ad4", "09d4", "0804")) else 5
     assert decoder.decode(0, frame("010000", renamed)) == [msg.Idle("m")]
 
@@ -269,7 +269,7 @@ def test_an_id_given_to_whom_it_concerns_beside_vectors(data: str, words: list[C
 @pytest.mark.parametrize(
     ("data", "answer"),
     [
-        # what is written to a device, and its complaint: register, and 1 unknown, 2 read only, 3 a bad value
+        # what is written to a device, and its write error: register, and 1 unknown, 2 read only, 3 bad value
         ("010001", "300003"),
         ("01000b", "300003"),
         ("010010", "300003"),
@@ -303,14 +303,14 @@ def test_an_id_given_to_whom_it_concerns_beside_vectors(data: str, words: list[C
         ("010000" + "1c0718", "2c0718" + "00000000" * 7),
     ],
 )  # fmt: skip
-def test_what_a_device_answers_beside_vectors(data: str, answer: str) -> None:
+def test_what_a_device_replies(data: str, answer: str) -> None:
     twin = MoteusTwin(device("m", 5, Settings(uuid="0" * 32)), 0)
     twin.step(0, [msg.Feedback("m", 0, 0.0, 0.0)])
     twin.receive(MILLISECOND, frame(data, 0x8005))
-    _, (said,) = twin.step(2 * MILLISECOND, [msg.Feedback("m", 0, 0.0, 0.0)])
-    assert isinstance(said, CanFrame)
-    assert said.data.rstrip(b"\x50") == bytes.fromhex(answer)
-    assert said.id == 0x500
+    _, (reply,) = twin.step(2 * MILLISECOND, [msg.Feedback("m", 0, 0.0, 0.0)])
+    assert isinstance(reply, CanFrame)
+    assert reply.data.rstrip(b"\x50") == bytes.fromhex(answer)
+    assert reply.id == 0x500
 
 
 def test_decoder_and_twin_hold_the_same_registers() -> None:
@@ -320,11 +320,11 @@ def test_decoder_and_twin_hold_the_same_registers() -> None:
         decoder, twin = MoteusDecoder([device()]), MoteusTwin(device(), 0)
         twin.step(0, [msg.Feedback("left", 0, 0.0, 0.0)])
         sent = frame(_random_data(generator).hex(), 0x8001)
-        words = decoder.decode(MILLISECOND, sent)
+        messages = decoder.decode(MILLISECOND, sent)
         twin.receive(MILLISECOND, sent)
         assert repr(decoder.states[0].command) == repr(twin.state.command)
         assert decoder.states[0].mode == twin.state.mode
-        if any(isinstance(word, Command) for word in words):
+        if any(isinstance(message, Command) for message in messages):
             assert repr(twin.servo.command) == repr(decoder.states[0].command)
             assert twin.servo.commanded_mode == decoder.states[0].mode
 

@@ -23,20 +23,20 @@ from tests.protocols.moteus.helpers import Bench, device, ready, rev, subframes
 P, V, T = Register.COMMAND_POSITION, Register.COMMAND_VELOCITY, Register.COMMAND_FEEDFORWARD_TORQUE
 
 
-# -- asking --------------------------------------------------------------------------------------
+# -- queries ------------------------------------------------------------------------------------
 
 
-def test_an_unclaimed_device_is_only_asked() -> None:
+def test_a_device_that_was_not_commanded_is_only_queried() -> None:
     bench = ready()
     bench.run(500, msg.Idle("left"))
-    assert bench.said() == []
-    asked = {f.data.rstrip(b"\x50") for _, f in bench.sent}
-    assert asked == {FAST, FULL, IDENTIFY}
+    assert bench.sent_messages() == []
+    queries = {f.data.rstrip(b"\x50") for _, f in bench.sent}
+    assert queries == {FAST, FULL, IDENTIFY}
     assert {f.id for _, f in bench.sent} == {0x8001}
     assert all(f.extended and f.fd and f.brs for _, f in bench.sent)
 
 
-def test_a_device_without_a_uuid_is_not_asked_for_it_all_the_time() -> None:
+def test_a_device_without_a_uuid_is_not_queried_for_it_all_the_time() -> None:
     bench = Bench([device()])
     bench.arrives = lambda frame: (_without_uuid(frame),)
     bench.run(2000)
@@ -76,9 +76,9 @@ def test_positions_are_reached_and_feed_forwards_arrive() -> None:
     bench.run(3000, msg.Position("left", rev(0.5)))
     assert bench.shaft.position == pytest.approx(rev(0.5), abs=0.02)
     bench.run(20, msg.Position("left", rev(0.5), 0.25, 0.125))
-    said = bench.commanded()[-1]
-    assert said[V] == pytest.approx(0.25 / tau)
-    assert said[T] == 0.125
+    sent = bench.commanded()[-1]
+    assert sent[V] == pytest.approx(0.25 / tau)
+    assert sent[T] == 0.125
 
 
 def test_a_velocity_is_reached_and_names_no_position() -> None:
@@ -96,7 +96,7 @@ def test_a_torque_is_given_with_all_gains_at_zero() -> None:
     assert bench.twin.servo.torque() == pytest.approx(0.2, rel=1e-3)
     scales = [Register.COMMAND_KP_SCALE, Register.COMMAND_KD_SCALE, Register.COMMAND_ILIMIT_SCALE]
     assert [bench.commanded()[-1][scale] for scale in scales] == [0.0, 0.0, 0.0]
-    assert all(set(scales) <= set(said) for said in bench.commanded())  # arming, too, has no gains
+    assert all(set(scales) <= set(sent) for sent in bench.commanded())  # arming, too, has no gains
 
 
 @pytest.mark.parametrize(
@@ -117,13 +117,13 @@ def test_a_velocity_goes_on_from_where_the_shaft_is(before: Command) -> None:
     assert abs(bench.shaft.position - place) < rev(0.5)
 
 
-def test_a_place_that_did_not_arrive_is_said_until_it_is_answered() -> None:
+def test_the_start_of_a_velocity_is_sent_until_a_reply_comes() -> None:
     bench = ready()
     bench.run(60, msg.Position("left", rev(20.0)))
     bench.to_device = lambda _: False
     since = bench.now
     bench.run(50, msg.Velocity("left", 0.0))
-    assert all(said[P] is not None for said in bench.commanded(since))
+    assert all(sent[P] is not None for sent in bench.commanded(since))
     bench.to_device = lambda _: True
     bench.run(100, msg.Velocity("left", 0.0))
     assert bench.commanded()[-1][P] is None
@@ -174,7 +174,7 @@ def test_a_running_device_is_taken_over_without_a_gap() -> None:
     fresh.twins, fresh.shafts, fresh.now = bench.twins, bench.shafts, bench.now
     fresh.run(30)
     fresh.run(300, msg.Hold("left"))
-    assert fresh.said() == ["position 020 021 022 027"] * len(fresh.said())
+    assert fresh.sent_messages() == ["position 020 021 022 027"] * len(fresh.sent_messages())
     assert modes(fresh.events) == ["armed"]
     assert fresh.shaft.position == pytest.approx(place, abs=0.1)
 
@@ -187,9 +187,9 @@ def test_idle_stops_what_we_armed_until_that_is_confirmed() -> None:
     bench.run(200, msg.Velocity("left", 5.0))
     since = bench.now
     bench.run(300, msg.Idle("left"))
-    said = bench.said(since)
-    assert set(said) == {"stop"}
-    assert len(said) <= 3
+    sent = bench.sent_messages(since)
+    assert set(sent) == {"stop"}
+    assert len(sent) <= 3
     assert bench.twin.servo.mode == Mode.STOPPED
     assert not bench.node.owned
 
@@ -200,10 +200,10 @@ def test_an_operator_s_stop_reaches_what_another_host_armed() -> None:
     fresh = Bench(bench.devices)
     fresh.twins, fresh.shafts, fresh.now = bench.twins, bench.shafts, bench.now
     fresh.run(30, msg.Idle("left"))
-    assert fresh.said() == []
+    assert fresh.sent_messages() == []
     fresh.ask(msg.Stop("test"))
     fresh.run(60, msg.Idle("left"))
-    assert set(fresh.said()) == {"stop"}
+    assert set(fresh.sent_messages()) == {"stop"}
     assert fresh.twin.servo.mode == Mode.STOPPED
 
 
@@ -211,7 +211,7 @@ def test_an_operator_s_stop_reaches_what_another_host_armed() -> None:
 
 
 @pytest.mark.parametrize("code", FAULTS)
-def test_every_fault_is_told_with_its_words_and_left_alone(code: int) -> None:
+def test_every_fault_is_reported_with_cause_and_remedy_and_left_alone(code: int) -> None:
     bench = ready()
     bench.run(50, msg.Velocity("left", 2.0))
     bench.twin.provoke(code)
@@ -223,7 +223,7 @@ def test_every_fault_is_told_with_its_words_and_left_alone(code: int) -> None:
     ]
     bench.run(300, msg.Position("left", 0.0))
     bench.run(300, msg.Idle("left"))
-    assert bench.said(since) == []
+    assert bench.sent_messages(since) == []
     assert bench.twin.servo.mode == (Mode.TIMEOUT if code == TIMEOUT else Mode.FAULT)
     assert modes(bench.events)[-1] == "fault"
 
@@ -235,22 +235,22 @@ def test_clear_stops_and_then_it_arms_again() -> None:
     bench.run(50)
     reported = bench.ask(msg.ClearFault("left"), 60)
     assert of(msg.Done, reported)[0].request == "ClearFault"
-    assert "stop" in bench.said(bench.now - 80 * MILLISECOND)
+    assert "stop" in bench.sent_messages(bench.now - 80 * MILLISECOND)
     bench.run(100)
     assert modes(bench.events)[-1] == "armed"
 
 
-def test_clear_says_no_stop_to_what_is_not_latched() -> None:
+def test_clear_sends_no_stop_where_nothing_is_latched() -> None:
     bench = ready()
     bench.run(100, msg.Hold("left"))
     since = bench.now
     reported = bench.ask(msg.ClearFault("left"), 100)
     assert len(of(msg.Done, reported)) == 1
-    assert "stop" not in bench.said(since)
+    assert "stop" not in bench.sent_messages(since)
     assert bench.twin.servo.mode == Mode.POSITION
 
 
-def test_a_fault_that_comes_back_is_told_again() -> None:
+def test_a_fault_that_comes_back_is_reported_again() -> None:
     bench = ready()
     bench.run(50, msg.Hold("left"))
     for _ in range(2):
@@ -274,7 +274,7 @@ def test_what_another_host_stopped_is_still_not_commanded_before_clear() -> None
 def test_silence_of_the_host_trips_the_watchdog_which_latches() -> None:
     bench = ready()
     bench.run(200, msg.Velocity("left", 5.0))
-    events = bench.quiet(150)  # the driver lives and asks, but nobody commands
+    events = bench.quiet(150)  # the driver queries, but nothing is commanded
     assert bench.twin.servo.mode == Mode.TIMEOUT
     assert [f.code for f in of(msg.Fault, events)] == [TIMEOUT]
     assert bench.twin.servo.torque() < 0.0  # it damps
@@ -294,7 +294,7 @@ def test_limits_that_are_active_are_no_faults() -> None:
     assert modes(events)[-1] == "armed"
 
 
-def test_what_limits_the_output_is_told_once_with_the_state_and_taken_back() -> None:
+def test_what_limits_the_output_is_reported_once_with_the_state_and_taken_back() -> None:
     bench = ready(device(options=Options(max_torque=0.1)))
     bench.shaft.held = True
     details = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 1.0)))]
@@ -305,7 +305,7 @@ def test_what_limits_the_output_is_told_once_with_the_state_and_taken_back() -> 
     assert of(msg.State, bench.run(100, msg.Idle("left")))[-1].detail == "stopped"
 
 
-def test_limits_that_come_and_go_with_every_answer_are_told_once() -> None:
+def test_limits_that_come_and_go_with_every_reply_are_reported_once() -> None:
     bench = ready()
     bench.run(100, msg.Hold("left"))
     reported = list[msg.State]()
@@ -322,17 +322,17 @@ def test_limits_that_come_and_go_with_every_answer_are_told_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mode", "said"), [(1, "fault"), (11, "timeout"), (0, "stopped"), (3, "calibrating")]
+    ("mode", "detail"), [(1, "fault"), (11, "timeout"), (0, "stopped"), (3, "calibrating")]
 )
-def test_a_limit_is_told_of_an_armed_device_only(mode: int, said: str) -> None:
+def test_a_limit_is_reported_of_an_armed_device_only(mode: int, detail: str) -> None:
     bench = ready()
     limited = "21000a2f01000000000000000000000000210f63"
     bench.driver.receive(bench.now, make_frame(reply_id(1), bytes.fromhex(limited)))
     frame = make_frame(reply_id(1), bytes.fromhex(limited.replace("0a", f"{mode:02x}", 1)))
-    assert of(msg.State, bench.driver.receive(bench.now + 1, frame))[-1].detail == said
+    assert of(msg.State, bench.driver.receive(bench.now + 1, frame))[-1].detail == detail
 
 
-def test_a_limit_from_before_the_bus_was_lost_is_not_told() -> None:
+def test_a_limit_from_before_the_bus_was_lost_is_not_reported() -> None:
     bench = ready()
     armed = f"21000a2f01{'00000000' * 3}210f"
     limited, free = (make_frame(reply_id(1), bytes.fromhex(armed + code)) for code in ("63", "00"))
@@ -367,7 +367,7 @@ def test_a_bus_that_was_gone_is_begun_anew(state: BusState) -> None:
 
 
 @pytest.mark.parametrize("trouble", ["lost", "late", "doubled", "reordered"])
-def test_one_device_s_answers_hold_up_nobody(trouble: str) -> None:
+def test_the_replies_of_one_device_delay_no_other(trouble: str) -> None:
     bench = ready(device("left", 1), device("right", 2))
     held: list[CanFrame] = []
 
@@ -421,7 +421,7 @@ def test_other_frames_are_counted_and_change_nothing() -> None:
     bench = ready()
     before = copy.deepcopy(bench.driver)
     good = bench.received[-1][1]
-    foreign: list[Frame] = [
+    ignored: list[Frame] = [
         b"\x01\x02",
         CanFrame(good.id, good.data[:8]),
         CanFrame(good.id, good.data, extended=True, fd=True),
@@ -430,8 +430,8 @@ def test_other_frames_are_counted_and_change_nothing() -> None:
         bench.sent[-1][1],
     ]
     bad = [CanFrame(good.id, data, fd=True) for data in (b"\x21", b"\x60", good.data[:17], FAST, bytes(20))]
-    for frame in (*foreign, *bad):
+    for frame in (*ignored, *bad):
         assert bench.driver.receive(bench.now, frame) == []
-    assert bench.driver.counters.ignored == before.counters.ignored + len(foreign)
+    assert bench.driver.counters.ignored == before.counters.ignored + len(ignored)
     assert bench.driver.counters.malformed == before.counters.malformed + len(bad)
     assert bench.driver.send(bench.now, [msg.Hold("left")]) == before.send(bench.now, [msg.Hold("left")])

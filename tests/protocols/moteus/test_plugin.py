@@ -35,14 +35,14 @@ def test_the_entry_point_loads_it() -> None:
 
 def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected() -> None:
     bench_ = ready(device("left", 1), device("right", 2))
-    for word in (
+    for message in (
         Velocity("left", 5.0),
         Position("left", 0.0),
         Torque("left", 0.0),
         Hold("left"),
         Idle("left"),
     ):
-        bench_.run(100, word)
+        bench_.run(100, message)
     specs = [spec(item) for item in bench_.devices]
     assert {f.id for _, f in bench_.sent} <= specs[0].sends | specs[1].sends
     assert {f.id for _, f in bench_.received} <= specs[0].expects | specs[1].expects
@@ -59,7 +59,7 @@ def test_specs_of_equal_devices_are_equal() -> None:
 @pytest.mark.parametrize(
     "data", [FAST, FULL, DISCOVER, IDENTIFY, encode(Query(Register.VOLTAGE, 3, 1)), b"", b"\x50"]
 )
-def test_questions_are_read_only(data: bytes) -> None:
+def test_queries_are_read_only(data: bytes) -> None:
     read_only = spec(device()).read_only
     assert read_only(make_frame(command_id(1), data))
     assert read_only(make_frame(command_id(0x7F), data))
@@ -89,13 +89,13 @@ def test_an_address_that_is_no_id(address: int) -> None:
         spec(device(address=address))
 
 
-def test_an_address_that_is_given_twice() -> None:
+def test_a_duplicate_address_is_an_error() -> None:
     with pytest.raises(ValueError, match="duplicate address"):
         driver([device("left", 1), device("right", 1)])
     driver([device("left", 1), device("right", 1, options=Options(can_prefix=1))])
 
 
-def test_somebody_else_s_options_are_an_error() -> None:
+def test_options_of_another_protocol_are_an_error() -> None:
     with pytest.raises(TypeError, match="Options and Settings"):
         spec(Device("left", 1, object(), Settings()))
 
@@ -129,7 +129,7 @@ def test_options_that_cannot_be(name: str, value: Any) -> None:
         changed(Options(), name, value)
 
 
-def test_all_mistakes_in_options_are_told_at_once() -> None:
+def test_all_errors_in_options_are_reported_at_once() -> None:
     with pytest.raises(ValueError, match=r"host_id.*max_torque.*offline_ms"):
         Options(host_id=127, max_torque=-1.0, feedback_ms=1000, offline_ms=100)
 
@@ -167,7 +167,7 @@ def test_settings_may_be_nan_where_the_device_s_may() -> None:
             changed(Settings(), field.name, math.nan)
 
 
-def test_every_fault_has_all_its_words() -> None:
+def test_every_fault_has_name_cause_and_remedy() -> None:
     for code in (*FAULTS, 77):
         text = fault_info_of(code)
         assert text.name
@@ -182,7 +182,7 @@ def test_both_sides_of_a_sample_come_to_the_same(sample: samples.Sample) -> None
     theirs(sample, samples.prepared(package))
 
 
-def test_the_ear_and_the_twin_are_the_plugin_s() -> None:
+def test_decoder_and_twin_are_the_plugin_s() -> None:
     twin = plugin.twin(device(), 0)
     assert twin.step(0, [])[1] == []
     assert plugin.decoder([device()]).decode(0, CanFrame(1, STOP, fd=True)) == [Idle("left")]

@@ -1,4 +1,4 @@
-"""Requests: each ends in Done or Refused, and nothing is said to a running device that drops or moves it."""
+"""Requests: each ends in Done or Refused, and nothing is sent to a running device that drops or moves it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def with_stranger(address: int = 9, settings: Settings | None = None) -> Bench:
 # -- scan ------------------------------------------------------------------------------------------
 
 
-def test_a_scan_finds_known_and_unknown_devices_by_one_question() -> None:
+def test_a_scan_finds_known_and_unknown_devices_by_one_query() -> None:
     bench = with_stranger()
     since = bench.now
     reported = bench.ask(msg.Scan("can0"), 1000)
@@ -51,9 +51,9 @@ def test_a_scan_finds_known_and_unknown_devices_by_one_question() -> None:
     assert [found[a].serial for a in (1, 9)] == [serial_of(twin.uuid) for twin in bench.twins]
     assert not any(f.duplicate_address for f in found.values())
     assert of(msg.Done, reported)[0].detail == "2 devices"
-    asked = [f for t, f in bench.sent if t >= since and f.id == 0x807F]
-    assert {f.data.rstrip(b"\x50") for f in asked} == {DISCOVER}
-    assert all(f.data.startswith(DISCOVER) for f in asked)
+    queries = [f for t, f in bench.sent if t >= since and f.id == 0x807F]
+    assert {f.data.rstrip(b"\x50") for f in queries} == {DISCOVER}
+    assert all(f.data.startswith(DISCOVER) for f in queries)
 
 
 # -- ids -------------------------------------------------------------------------------------------
@@ -73,7 +73,7 @@ def test_an_id_is_given_by_serial_number_and_confirmed_by_the_device() -> None:
 
 def test_zero_is_confirmed_by_the_position() -> None:
     bench = ready()
-    bench.shaft.position = rev(2.3)  # answers on their way still say 0
+    bench.shaft.position = rev(2.3)  # replies on their way still hold 0
     reported = bench.ask(msg.Zero("left"), 100)
     assert [d.request for d in of(msg.Done, reported)] == ["Zero"]
     assert bench.twin.servo.position == pytest.approx(0.0, abs=1e-3)
@@ -124,39 +124,39 @@ def test_an_output_is_set_and_the_configuration_saved() -> None:
     assert len(of(msg.Done, bench.ask(msg.WriteParameter("left", "set_output_exact", 1.5), 50))) == 1
     assert bench.twin.servo.position == pytest.approx(1.5, abs=1e-3)
     assert len(of(msg.Done, bench.ask(msg.WriteParameter("left", "conf_write", 1.0), 50))) == 1
-    assert "console: conf write" in bench.said()
+    assert "console: conf write" in bench.sent_messages()
 
 
-# Which answer is the one to a write: a frame of its register alone. The others may have been under way.
+# Which reply is the one to a write: a frame of its register alone. The others may have been on their way.
 
 ORDINARY = encode(Values(REPLY, Register.MODE, INT16, (0, 0, 0, 0))) + encode(
     Values(REPLY, Register.MOTOR_TEMPERATURE, INT16, (250, 1, 0, 240, 250, 0))
 )
-"""An answer as the ordinary cycle has them: home state 0, fault 0."""
+"""A reply of the ordinary cycle: home state 0, fault 0."""
 GPIO = 0x05C
 """A register that can be written and read (AUX1 GPIO command)."""
 
 
 def reads(register: int, value: float) -> bytes:
-    """What a device answers that was asked for one register."""
+    """The reply of a device to a query for one register."""
     return encode(Values(REPLY, register, F32, (value,)))
 
 
 def answered(bench: Bench, *data: bytes) -> list[list[Event]]:
-    """What is told of each of the device's frames; the device itself is not asked."""
+    """The events of each frame of the device; the device itself is not queried."""
     node = bench.node
     return [list(bench.driver.receive(bench.now, make_frame(node.reply_id, each))) for each in data]
 
 
 def writing(name: str, value: float) -> Bench:
-    """A write that was sent to a device which does not answer by itself."""
+    """A write that was sent to a device which does not reply by itself."""
     bench = ready()
     bench.to_device = lambda _: False
     assert of(msg.Refused, bench.ask(msg.WriteParameter("left", name, value))) == []
     return bench
 
 
-def test_an_answer_that_was_under_way_does_not_end_a_write() -> None:
+def test_a_reply_that_was_on_its_way_does_not_end_a_write() -> None:
     """It holds the register, and its value is from before; the device then refuses the write."""
     bench = writing("home_state", 2.0)
     reported = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, 2)))
@@ -164,7 +164,7 @@ def test_an_answer_that_was_under_way_does_not_end_a_write() -> None:
     assert of(msg.Refused, reported[2])[0].reason == "the device does not accept it (read only)"
 
 
-def test_an_answer_that_was_under_way_does_not_end_a_write_to_the_twin() -> None:
+def test_a_reply_that_was_on_its_way_does_not_end_a_write_to_the_twin() -> None:
     bench = ready(device(settings=Settings(reply_delay_us=15_000)))
     reported = bench.ask(msg.WriteParameter("left", "position", 0.0), 60)
     assert of(msg.Done, reported) == []
@@ -197,7 +197,7 @@ def test_what_a_binary32_makes_of_a_number_is_what_was_written(value: float) -> 
     assert len(of(msg.Done, answered(bench, reads(GPIO, value))[0])) == 1
 
 
-def test_the_configuration_is_saved_whatever_id_the_device_tells() -> None:
+def test_the_configuration_is_saved_whatever_id_the_device_reports() -> None:
     bench = writing("conf_write", 1.0)
     reported = answered(bench, ORDINARY, reads(Register.MULTIPLEX_ID, 5.0))
     assert [len(of(msg.Done, each)) for each in reported] == [0, 1]

@@ -1,4 +1,4 @@
-"""The independent vectors at the driver: words become the package's bytes, and its bytes become words."""
+"""The independent vectors at the driver: messages become the package's bytes, and its bytes become events."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ AT = "21000a" + "2f010000803e0000000000000000" + "210f00"
 
 
 class Talk:
-    """A driver of device 5, told what the device says, byte by byte."""
+    """A driver of device 5, which receives the replies of the device as bytes."""
 
     def __init__(self, options: Options | None = None, address: int = 5) -> None:
         self.options = options or Options()
         self.driver = MoteusDriver([device(address=address, options=self.options)], RANGES)
         self.now = 1_000_000 * MILLISECOND
         self.reply = reply_id(address, self.options.host_id, self.options.can_prefix)
-        self.say()
+        self.send()
 
     def handle(self, data: str | Frame) -> list[Event]:
         frame = make_frame(self.reply, bytes.fromhex(data)) if isinstance(data, str) else data
         return list(self.driver.receive(self.now, frame))
 
-    def say(self, *words: Command | Request) -> list[CanFrame]:
+    def send(self, *messages: Command | Request) -> list[CanFrame]:
         self.now += 5 * MILLISECOND
-        sent = self.driver.send(self.now, words)[1]
+        sent = self.driver.send(self.now, messages)[1]
         return [frame for frame in sent if isinstance(frame, CanFrame)]
 
     def running(self) -> Talk:
         """In position control, and its details known for now."""
         self.handle(AT)
-        self.say()
+        self.send()
         self.handle(AT)
         return self
 
@@ -59,7 +59,7 @@ TORQUE = msg.Torque("left", 0.125)
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "word"),
+    ("name", "options", "message"),
     [
         ("position_watchdog_0.1s", Options(), POSITION),
         ("velocity_watchdog_0.1s", Options(), VELOCITY),
@@ -69,27 +69,25 @@ TORQUE = msg.Torque("left", 0.125)
         ("velocity_limited", LIMITED, VELOCITY),
     ],
 )
-def test_a_command_is_the_vector_of_its_values(name: str, options: Options, word: Command) -> None:
+def test_a_command_is_the_vector_of_its_values(name: str, options: Options, message: Command) -> None:
     talk = Talk(options).running()
     for _ in range(5):
-        talk.say(word)
+        talk.send(message)
         talk.handle(AT)
-    assert talk.say(word) == [VECTORS[name]]
+    assert talk.send(message) == [VECTORS[name]]
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "word"),
+    ("name", "options", "message"),
     [("position_full_query", Options(), POSITION), ("torque_limited", LIMITED, TORQUE)],
 )
-def test_now_and_then_the_details_are_asked_for_as_in_the_vector(
-    name: str, options: Options, word: Command
-) -> None:
+def test_now_and_then_the_details_are_queried_for(name: str, options: Options, message: Command) -> None:
     talk = Talk(options).running()
-    said: list[Frame] = []
+    sent: list[Frame] = []
     for _ in range(41):  # 205 ms
-        said += talk.say(word)
+        sent += talk.send(message)
         talk.handle(AT)
-    assert said.count(VECTORS[name]) == 1
+    assert sent.count(VECTORS[name]) == 1
 
 
 @pytest.mark.parametrize(
@@ -103,31 +101,31 @@ def test_now_and_then_the_details_are_asked_for_as_in_the_vector(
 )
 def test_a_stop_is_the_vector(name: str, options: Options, address: int) -> None:
     talk = Talk(options, address).running()
-    talk.say(POSITION)
+    talk.send(POSITION)
     talk.handle(AT)
-    assert talk.say(msg.Idle("left"))[0] == VECTORS[name]
+    assert talk.send(msg.Idle("left"))[0] == VECTORS[name]
     talk.handle(AT.replace("21000a", "210001", 1))  # in fault meanwhile: no other stop goes out ...
-    assert VECTORS[name] not in [f for _ in range(20) for f in talk.say(msg.Idle("left"))]
-    assert VECTORS[name] in talk.say(msg.ClearFault("left"))  # ... but the operator's
+    assert VECTORS[name] not in [f for _ in range(20) for f in talk.send(msg.Idle("left"))]
+    assert VECTORS[name] in talk.send(msg.ClearFault("left"))  # ... but the operator's
 
 
-def test_questions_are_the_vectors() -> None:
+def test_queries_are_the_vectors() -> None:
     talk = Talk()
-    said = [frame for _ in range(60) for frame in talk.say()]
-    assert set(said) == {VECTORS["query_fast"], VECTORS["query_full"]}
+    sent = [frame for _ in range(60) for frame in talk.send()]
+    assert set(sent) == {VECTORS["query_fast"], VECTORS["query_full"]}
 
 
 def test_a_scan_and_an_id_are_the_vectors() -> None:
     talk = Talk().running()
-    assert VECTORS["discover_broadcast_0x7f"] in talk.say(msg.Scan("can0"))
-    said = talk.say(msg.SetId("can0", serial_of(UUID), 9))
+    assert VECTORS["discover_broadcast_0x7f"] in talk.send(msg.Scan("can0"))
+    sent = talk.send(msg.SetId("can0", serial_of(UUID), 9))
     given = VECTORS["set_id_by_uuid"]
     assert isinstance(given, CanFrame)
-    assert given.data in [frame.data for frame in said]
-    assert VECTORS["discover_by_uuid"] in said
+    assert given.data in [frame.data for frame in sent]
+    assert VECTORS["discover_by_uuid"] in sent
 
 
-def test_answers_of_vectors_are_told_in_si() -> None:
+def test_vectors_of_replies_are_reported_in_si() -> None:
     talk = Talk()
     motion = msg.Feedback("left", talk.now, -0.125 * tau, 1.5 * tau, -0.75)
     assert talk.handle(VECTORS["reply_fast"]) == [
@@ -142,9 +140,9 @@ def test_answers_of_vectors_are_told_in_si() -> None:
     assert plain == replace(motion, voltage=24.5, temperature=41.0)
 
 
-def test_vectors_that_are_not_given_tell_no_number() -> None:
+def test_values_that_are_not_given_report_nothing() -> None:
     talk = Talk()
     assert of(msg.Feedback, talk.handle(VECTORS["reply_nan"])) == []
-    assert not [f for f in talk.say(POSITION) if f.data[:1] == b"\x01"]  # where it is, is not known
+    assert not [f for f in talk.send(POSITION) if f.data[:1] == b"\x01"]  # where it is, is not known
     assert talk.handle(VECTORS["reply_int8_nan"]) == []
     assert talk.driver.counters.accepted == 2

@@ -1,4 +1,4 @@
-"""What is asked of the driver beside conversations of vectors: refused, begun, or given up, at every edge."""
+"""Requests and commands to the driver: refused, begun, or timed out, at every edge."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from protocols.messages import SECOND, Command, Event, Request
 from protocols.moteus.codec import FLOAT_MAX
 from protocols.moteus.registers import NAMES
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_heard import reported, talk
+from tests.protocols.moteus.test_vectors_requests import reported, talk
 
 STILL = "it is armed, and would jump: send Idle first"
 COMMANDS_OWN = "that register is what commands are for"
 UNKNOWN = f"give its number (0x058), or one of {', '.join(NAMES)}"
 
 
-def asked(it: Talk, word: Command | Request) -> list[Event]:
-    """What the driver tells at once of a word."""
+def events_of(it: Talk, message: Command | Request) -> list[Event]:
+    """The events of a message, at once."""
     it.now += 5_000_000
-    return list(it.driver.send(it.now, [word])[0])
+    return list(it.driver.send(it.now, [message])[0])
 
 
 def write(parameter: str, value: float = 1.0) -> msg.WriteParameter:
@@ -56,11 +56,11 @@ def write(parameter: str, value: float = 1.0) -> msg.WriteParameter:
         (msg.SetId("can0", 7, 5), "id 5 is held by serial number 0123456789ABCDEF"),
     ],
 )
-def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
+def test_what_is_refused(request_: Request, reason: str) -> None:
     it = talk()
     kind = type(request_).__name__
     of_whom = getattr(request_, "motor", "") or getattr(request_, "bus", "")
-    assert asked(it, request_) == [msg.Refused(it.now, kind, of_whom, reason)]
+    assert events_of(it, request_) == [msg.Refused(it.now, kind, of_whom, reason)]
     assert reported(it, "reply_stopped", "reply_uuid", "reply_power") == []
 
 
@@ -88,15 +88,15 @@ def test_what_is_refused_beside_vectors(request_: Request, reason: str) -> None:
         (msg.Zero("left"), "0db10200000000" + "1db102"),
     ],
 )
-def test_a_request_is_the_bytes_of_its_vector_until_it_is_given_up(request_: Request, data: str) -> None:
+def test_a_request_is_sent_ten_times_and_refused_after_600_ms(request_: Request, data: str) -> None:
     it = talk()
     start = it.now + 5_000_000
     plain, times, events = bytes.fromhex(data), list[int](), list[Event]()
     another = VECTORS["reply_uuid" if data == "1d07" else "reply_power"]
     for at in range(130):
         it.now += 5_000_000
-        said, frames = it.driver.send(it.now, [request_] if not at else [])
-        events += said
+        own, frames = it.driver.send(it.now, [request_] if not at else [])
+        events += own
         here = [frame for frame in frames if getattr(frame, "data", b"").startswith(plain)]
         times += [it.now - start for _ in here]
         events += it.handle(another)
@@ -106,19 +106,19 @@ def test_a_request_is_the_bytes_of_its_vector_until_it_is_given_up(request_: Req
     assert (refused.t - start, refused.name) == (600_000_000, "left")
 
 
-def test_edges_of_ids_and_serial_numbers_beside_vectors() -> None:
+def test_edges_of_ids_and_serial_numbers() -> None:
     it = talk()
     for serial in (1, (1 << 64) - 1):
         for address in (1, 126):
-            assert asked(it, msg.SetId("can0", serial, address)) == []
+            assert events_of(it, msg.SetId("can0", serial, address)) == []
 
 
 @pytest.mark.parametrize("mode", range(16))
-def test_what_may_be_asked_in_the_mode_that_a_vector_tells(mode: int) -> None:
+def test_requests_in_each_mode(mode: int) -> None:
     it = Talk()
     it.handle(AT.replace("21000a", f"2100{mode:02x}", 1))
     running = mode not in (0, 1, 11)
-    asks: tuple[tuple[Request, str, str], ...] = (
+    cases: tuple[tuple[Request, str, str], ...] = (
         (msg.Zero("left"), "left", STILL),
         (write("conf_write"), "left", "it is armed: send Idle first"),
         (write("set_output_nearest"), "left", STILL),
@@ -127,42 +127,42 @@ def test_what_may_be_asked_in_the_mode_that_a_vector_tells(mode: int) -> None:
         (write("recapture_position_velocity"), "left", STILL),
         (msg.SetId("can0", 7, 5), "can0", "left is armed: send Idle first"),
     )
-    for request, name, reason in asks:
+    for request, name, reason in cases:
         refused = [msg.Refused(it.now + 5_000_000, type(request).__name__, name, reason)]
-        assert asked(it, request) == (refused if running else [])
+        assert events_of(it, request) == (refused if running else [])
     for allowed in (
         write("0x030"),
         msg.ReadParameter("left", "mode"),
         msg.ClearFault("left"),
         msg.SetId("can0", 7, 9),
     ):
-        assert asked(it, allowed) == []
+        assert events_of(it, allowed) == []
 
 
-def test_what_may_be_asked_before_the_first_vector() -> None:
+def test_requests_before_the_first_reply() -> None:
     it = Talk()
     for allowed in (msg.Zero("left"), write("conf_write"), msg.SetId("can0", 7, 5), write("0x030")):
-        assert asked(it, allowed) == []
+        assert events_of(it, allowed) == []
     for moving in ("set_output_nearest", "set_output_exact"):
-        assert asked(it, write(moving)) == [msg.Refused(it.now, "WriteParameter", "left", STILL)]
+        assert events_of(it, write(moving)) == [msg.Refused(it.now, "WriteParameter", "left", STILL)]
 
 
-def test_what_we_have_commanded_is_as_good_as_armed_whatever_the_vector_tells() -> None:
+def test_what_we_have_commanded_counts_as_armed_whatever_its_mode() -> None:
     it = talk()
-    asked(it, msg.Hold("left"))
+    events_of(it, msg.Hold("left"))
     it.handle(VECTORS["reply_stopped"])
-    assert asked(it, msg.Zero("left")) == [msg.Refused(it.now, "Zero", "left", STILL)]
-    assert asked(it, write("set_output_exact")) == [msg.Refused(it.now, "WriteParameter", "left", STILL)]
-    assert asked(it, write("conf_write")) == [
+    assert events_of(it, msg.Zero("left")) == [msg.Refused(it.now, "Zero", "left", STILL)]
+    assert events_of(it, write("set_output_exact")) == [msg.Refused(it.now, "WriteParameter", "left", STILL)]
+    assert events_of(it, write("conf_write")) == [
         msg.Refused(it.now, "WriteParameter", "left", "it is armed: send Idle first")
     ]
     mine = msg.SetId("can0", 0x0123456789ABCDEF, 9)
-    assert asked(it, mine) == [msg.Refused(it.now, "SetId", "can0", "left is armed: send Idle first")]
-    assert asked(it, msg.SetId("can0", 7, 9)) == []
+    assert events_of(it, mine) == [msg.Refused(it.now, "SetId", "can0", "left is armed: send Idle first")]
+    assert events_of(it, msg.SetId("can0", 7, 9)) == []
 
 
 @pytest.mark.parametrize(
-    ("word", "reason"),
+    ("message", "reason"),
     [
         (msg.Position("left", nan), "position is nan"),
         (msg.Position("left", 0.0, inf), "velocity is inf"),
@@ -179,54 +179,54 @@ def test_what_we_have_commanded_is_as_good_as_armed_whatever_the_vector_tells() 
         ),
     ],
 )
-def test_a_command_that_is_no_vector_is_refused_once(word: Command, reason: str) -> None:
+def test_a_command_out_of_range_is_refused_once(message: Command, reason: str) -> None:
     it = Talk().running()
-    refused = [msg.Refused(it.now + 5_000_000, type(word).__name__, word.motor, reason)]
-    assert asked(it, word) == refused
-    assert asked(it, word) == []
-    assert not any(frame.data[:1] == b"\x01" for frame in it.say(word))
-    other = msg.Velocity(word.motor, nan)
-    if word.motor == "left":
-        assert asked(it, other) == [msg.Refused(it.now, "Velocity", "left", "velocity is nan")]
-        assert asked(it, msg.Hold("left")) == []
-    again = [msg.Refused(it.now + 5_000_000, type(word).__name__, word.motor, reason)]
-    assert asked(it, word) == (again if word.motor == "left" else [])
-    assert asked(it, msg.Idle("left")) == []
+    refused = [msg.Refused(it.now + 5_000_000, type(message).__name__, message.motor, reason)]
+    assert events_of(it, message) == refused
+    assert events_of(it, message) == []
+    assert not any(frame.data[:1] == b"\x01" for frame in it.send(message))
+    other = msg.Velocity(message.motor, nan)
+    if message.motor == "left":
+        assert events_of(it, other) == [msg.Refused(it.now, "Velocity", "left", "velocity is nan")]
+        assert events_of(it, msg.Hold("left")) == []
+    again = [msg.Refused(it.now + 5_000_000, type(message).__name__, message.motor, reason)]
+    assert events_of(it, message) == (again if message.motor == "left" else [])
+    assert events_of(it, msg.Idle("left")) == []
 
 
 @pytest.mark.parametrize(
-    "word",
+    "message",
     [
         *(msg.Position("left", sign * 32768 * tau, sign * 1e3 * tau, sign * 1e3) for sign in (1, -1)),
         *(msg.Velocity("left", sign * 1e3 * tau, sign * 1e3) for sign in (1, -1)),
         *(msg.Torque("left", sign * 1e3) for sign in (1, -1)),
     ],
 )
-def test_a_command_at_the_edge_is_still_a_vector(word: Command) -> None:
+def test_a_command_at_the_edge_of_its_range_is_sent(message: Command) -> None:
     it = Talk().running()
     it.now += 5_000_000
-    events, frames = it.driver.send(it.now, [word])
+    events, frames = it.driver.send(it.now, [message])
     assert events == []
     assert [frame for frame in frames if getattr(frame, "data", b"").startswith(b"\x01\x00\x0a")] != []
 
 
-def test_thirty_two_requests_wait_for_a_vector_and_no_more() -> None:
+def test_thirty_two_requests_are_pending_and_no_more() -> None:
     it = talk()
     reads: list[Request] = [msg.ReadParameter("left", "power")] * 33
     it.now += 5_000_000
     events = it.driver.send(it.now, reads)[0]
     reason = "too many requests are under way"
     assert events == [msg.Refused(it.now, "ReadParameter", "left", reason)]
-    assert asked(it, msg.Scan("can0")) == [msg.Refused(it.now, "Scan", "can0", reason)]
+    assert events_of(it, msg.Scan("can0")) == [msg.Refused(it.now, "Scan", "can0", reason)]
     assert len(reported(it, "reply_power")) == 32
-    assert asked(it, msg.Scan("can0")) == []
+    assert events_of(it, msg.Scan("can0")) == []
 
 
-def test_an_answer_ends_only_what_it_answers_beside_vectors() -> None:
+def test_a_reply_ends_only_its_own_request() -> None:
     it = talk()
-    it.say(msg.ReadParameter("left", "power"), msg.ReadParameter("left", "voltage"), msg.ClearFault("left"))
+    it.send(msg.ReadParameter("left", "power"), msg.ReadParameter("left", "voltage"), msg.ClearFault("left"))
     assert [type(event) for event in reported(it, "reply_stopped")] == [msg.Done]
     assert [getattr(event, "parameter", "") for event in reported(it, "reply_power")] == ["power"]
     it.now += SECOND
-    said = "no reply to this request"
-    assert it.driver.send(it.now, ())[0][:1] == [msg.Refused(it.now, "ReadParameter", "left", said)]
+    reason = "no reply to this request"
+    assert it.driver.send(it.now, ())[0][:1] == [msg.Refused(it.now, "ReadParameter", "left", reason)]

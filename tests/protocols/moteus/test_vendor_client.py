@@ -246,16 +246,16 @@ def test_discovery_and_uuids(bus: Bus) -> None:
         found = await transport.discover()
         assert [(info.can_id, info.uuid.hex()) for info in found] == list(zip((5, 6), UUIDS, strict=True))
         assert [info.address.can_id for info in found] == [5, 6]
-        # Eight bytes are the same here: the package needs the third word to tell them apart.
+        # Eight bytes are the same here: the package needs the third number to tell them apart.
         one = moteus.Controller(id=DeviceAddress(uuid=bytes.fromhex(UUIDS[1])), transport=transport)
         await one.send_diagnostic_write(data=b"conf set id.id 5\n")
-        twice: list[Any] = []
+        duplicates: list[Any] = []
         for _ in range(50):  # until it has taken the id
-            twice = await transport.discover(timeout=0.05)
-            if [info.can_id for info in twice] == [5, 5]:
+            duplicates = await transport.discover(timeout=0.05)
+            if [info.can_id for info in duplicates] == [5, 5]:
                 break
-        assert sorted(info.uuid.hex() for info in twice) == sorted(UUIDS)
-        assert all(info.address.can_id is None for info in twice)
+        assert sorted(info.uuid.hex() for info in duplicates) == sorted(UUIDS)
+        assert all(info.address.can_id is None for info in duplicates)
         assert bus.twins[1].state.address == 5
 
     session(bus, dialogue)

@@ -34,11 +34,11 @@ def bench(*, sensors: Sequence[str] = (), motors: Sequence[str] = ("m",), **sett
     )
 
 
-def reported(said: Sequence[StepResult], kind: type[Event] | tuple[type[Event], ...]) -> list[Any]:
+def reported(steps: Sequence[StepResult], kind: type[Event] | tuple[type[Event], ...]) -> list[Any]:
     """All events of a kind, in order."""
-    return [event for step in said for event in step.events if isinstance(event, kind)]
+    return [event for step in steps for event in step.events if isinstance(event, kind)]
 
 
-def ask(stage: Bench, *words: Command | Request, steps: int = 10) -> list[StepResult]:
-    """Say words once, then listen."""
-    return [stage.step(words), *stage.steps(steps)]
+def ask(stage: Bench, *messages: Command | Request, steps: int = 10) -> list[StepResult]:
+    """Say messages once, then listen."""
+    return [stage.step(messages), *stage.steps(steps)]

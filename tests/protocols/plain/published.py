@@ -1,6 +1,6 @@
 """Messages of a plain line made from the README's tables alone: msgpack in Python, struct, a bitwise CRC-32.
 
-Nothing of `protocols.plain` is in it, so that what it says is not what the code under test says.
+Nothing of `protocols.plain` is used, so that these bytes do not come from the code under test.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ CODES: dict[str, int] = {
 # fmt: on
 
 
-def packed(word: str, *values: object) -> bytes:
-    """A word with these fields."""
-    data: bytes = Packer().pack([CODES[word], *values])
+def packed(message: str, *values: object) -> bytes:
+    """A message with these fields."""
+    data: bytes = Packer().pack([CODES[message], *values])
     return data
 
 
-def said(address: int, word: str, *values: object) -> bytes:
+def encoded(address: int, message: str, *values: object) -> bytes:
     """A message to or from an address: names stand empty, times are ages, ranges are binary strings."""
-    return framed(bytes((address,)) + packed(word, *values))
+    return framed(bytes((address,)) + packed(message, *values))
 
 
 def framed(body: bytes) -> bytes:

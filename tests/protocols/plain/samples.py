@@ -1,4 +1,4 @@
-"""Any word there is, and the vectors from outside, for the tests of this folder."""
+"""Any message there is, and the vectors from outside, for the tests of this folder."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ INTS = st.integers(-(2**63), 2**64 - 1)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
-def word_of(row: dict[str, Any]) -> Message:
-    """The word that a row of the vectors names."""
+def message_of(row: dict[str, Any]) -> Message:
+    """The message that a row of the vectors names."""
     kind = getattr(messages, row["word"])
     values: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in row["fields"].items()
     }
     if "mode" in values:
         values["mode"] = Mode(values["mode"])
-    word: Message = kind(**values)
-    return word
+    message: Message = kind(**values)
+    return message
 
 
 def _strategy(hint: object) -> st.SearchStrategy[Any]:
@@ -52,10 +52,10 @@ def _strategy(hint: object) -> st.SearchStrategy[Any]:
     return st.tuples(*(_strategy(item) for item in items))
 
 
-def words_of(kind: type[Message]) -> st.SearchStrategy[Message]:
+def messages_of(kind: type[Message]) -> st.SearchStrategy[Message]:
     """Words of a kind, with any values that they may hold."""
     hints = get_type_hints(kind)
     return st.builds(kind, *(_strategy(hints[f.name]) for f in fields(kind)))
 
 
-ANY_WORD = st.one_of(*(words_of(kind) for kind in CODES.values()))
+ANY_MESSAGE = st.one_of(*(messages_of(kind) for kind in CODES.values()))

@@ -24,15 +24,15 @@ def received(stage: Bench, *messages: bytes, t: int = T) -> list[Any]:
 
 def test_each_address_has_its_own_name() -> None:
     stage = bench(motors=["left", "right"])
-    words = [codec.encode(address, msg.Feedback("", 0, float(address))) for address in (2, 1)]
-    assert received(stage, *words) == [msg.Feedback("right", T, 2.0), msg.Feedback("left", T, 1.0)]
+    messages = [codec.encode(address, msg.Feedback("", 0, float(address))) for address in (2, 1)]
+    assert received(stage, *messages) == [msg.Feedback("right", T, 2.0), msg.Feedback("left", T, 1.0)]
 
 
 # -- down ----------------------------------------------------------------------------------------------
 
 
-def sent(stage: Bench, *words: Command | Request) -> list[Any]:
-    return list(stage.driver.send(T, words)[1])
+def sent(stage: Bench, *messages: Command | Request) -> list[Any]:
+    return list(stage.driver.send(T, messages)[1])
 
 
 REFUSED: list[tuple[Command | Request, str]] = [
@@ -43,22 +43,24 @@ REFUSED: list[tuple[Command | Request, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("word", "reason"), REFUSED, ids=[type(word).__name__ for word, _ in REFUSED])
-def test_refused_at_once_and_nothing_goes_out(word: Command | Request, reason: str) -> None:
+@pytest.mark.parametrize(
+    ("message", "reason"), REFUSED, ids=[type(message).__name__ for message, _ in REFUSED]
+)
+def test_refused_at_once_and_nothing_goes_out(message: Command | Request, reason: str) -> None:
     stage = bench(sensors=["lidar"])
-    events, frames = stage.driver.send(T, [word])
+    events, frames = stage.driver.send(T, [message])
     (refused,) = events
     assert isinstance(refused, msg.Refused)
-    assert refused.request == type(word).__name__
+    assert refused.request == type(message).__name__
     assert reason in refused.reason
     assert frames == []
-    assert sent(stage, msg.Idle("m")) == []  # it has not been claimed either
+    assert sent(stage, msg.Idle("m")) == []  # it is not owned either
 
 
-def test_a_command_that_is_refused_anew_is_told_once_until_one_was_not() -> None:
+def test_a_repeated_refusal_is_reported_once_until_a_command_was_accepted() -> None:
     stage = bench()
-    said = [msg.Velocity("m", 1e9), msg.Velocity("m", 1e9), msg.Velocity("m", 1.0), msg.Velocity("m", 1e9)]
-    assert [len(stage.driver.send(T, [word])[0]) for word in said] == [1, 0, 0, 1]
+    commands = [msg.Velocity("m", velocity) for velocity in (1e9, 1e9, 1.0, 1e9)]
+    assert [len(stage.driver.send(T, [command])[0]) for command in commands] == [1, 0, 0, 1]
     assert [len(stage.driver.send(T, [msg.Home("m")])[0]) for _ in range(2)] == [1, 1]
 
 
@@ -72,12 +74,12 @@ REQUESTS: list[Request] = [
 ]
 
 
-@pytest.mark.parametrize("request_", REQUESTS, ids=lambda word: type(word).__name__)
+@pytest.mark.parametrize("request_", REQUESTS, ids=lambda message: type(message).__name__)
 def test_a_request_is_answered_by_the_device_and_then_no_more(request_: Request) -> None:
     stage = bench()
     stage.steps(5)
-    said = ask(stage, request_, steps=400)
-    (answer,) = reported(said, (msg.Done, msg.Refused, msg.Parameter))
+    steps = ask(stage, request_, steps=400)
+    (answer,) = reported(steps, (msg.Done, msg.Refused, msg.Parameter))
     assert isinstance(answer, msg.Parameter if isinstance(request_, msg.ReadParameter) else msg.Done)
 
 
@@ -86,47 +88,47 @@ def test_a_request_is_answered_by_the_device_and_then_no_more(request_: Request)
 
 def test_scan_finds_motors_and_sensors_and_ends() -> None:
     stage = bench(sensors=["lidar"], motors=["left", "right"])
-    said = ask(stage, msg.Scan("line"), steps=250)
-    assert [(f.address, f.serial, f.detail) for f in reported(said, msg.Found)] == [
+    steps = ask(stage, msg.Scan("line"), steps=250)
+    assert [(f.address, f.serial, f.detail) for f in reported(steps, msg.Found)] == [
         (1, 10, "motor"),
         (2, 20, "motor"),
         (101, 1010, "sensor"),
     ]
-    assert [(d.request, d.name, d.detail) for d in reported(said, msg.Done)] == [("Scan", "line", "3 found")]
-    assert {state.mode for state in reported(said, msg.State)} == {Mode.READY}
+    assert [(d.request, d.name, d.detail) for d in reported(steps, msg.Done)] == [("Scan", "line", "3 found")]
+    assert {state.mode for state in reported(steps, msg.State)} == {Mode.READY}
 
 
 def test_set_id_moves_the_one_device_with_this_serial_number() -> None:
     stage = bench(motors=["left", "right"])
     stage.steps(5)
-    said = ask(stage, msg.SetId("line", 20, 9), steps=300)
-    assert [(f.address, f.serial) for f in reported(said, msg.Found)] == [(9, 20)]
-    assert [(d.request, d.detail) for d in reported(said, msg.Done)] == [("SetId", "20 is now at 9")]
-    assert {f.motor for f in reported(said[20:], msg.Feedback)} == {"left"}
-    assert [(s.motor, s.mode) for s in reported(said, msg.State) if s.mode == Mode.OFFLINE] == [
+    steps = ask(stage, msg.SetId("line", 20, 9), steps=300)
+    assert [(f.address, f.serial) for f in reported(steps, msg.Found)] == [(9, 20)]
+    assert [(d.request, d.detail) for d in reported(steps, msg.Done)] == [("SetId", "20 is now at 9")]
+    assert {f.motor for f in reported(steps[20:], msg.Feedback)} == {"left"}
+    assert [(s.motor, s.mode) for s in reported(steps, msg.State) if s.mode == Mode.OFFLINE] == [
         ("right", Mode.OFFLINE)
     ]
 
 
 @pytest.mark.parametrize(("serial", "address"), [(99, 9), (10, 0), (10, 256)])
-def test_set_id_that_nobody_follows_is_refused_in_time(serial: int, address: int) -> None:
+def test_set_id_that_no_device_takes_is_refused_in_time(serial: int, address: int) -> None:
     stage = bench()
-    said = ask(stage, msg.SetId("line", serial, address), steps=300)
-    (refused,) = reported(said, msg.Refused)
+    steps = ask(stage, msg.SetId("line", serial, address), steps=300)
+    (refused,) = reported(steps, msg.Refused)
     assert refused.request == "SetId"
-    assert reported(said, msg.Done) == []
+    assert reported(steps, msg.Done) == []
 
 
 def test_set_id_reaches_a_sensor_too() -> None:
     stage = bench(sensors=["gps"], motors=[])
-    said = ask(stage, msg.SetId("line", 1010, 7))
-    assert [f.address for f in reported(said, msg.Found)] == [7]
+    steps = ask(stage, msg.SetId("line", 1010, 7))
+    assert [f.address for f in reported(steps, msg.Found)] == [7]
 
 
 # -- the contract --------------------------------------------------------------------------------------
 
 
-def test_a_sensor_is_what_a_plain_device_is_unless_told() -> None:
+def test_a_plain_device_is_a_sensor_by_default() -> None:
     spec = bench(sensors=["lidar"], motors=[]).specs[0]
     assert spec.kind == "sensor"
     assert not spec.commands

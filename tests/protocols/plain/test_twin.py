@@ -22,14 +22,14 @@ def mode(stage: Bench) -> Mode:
     return state
 
 
-def torque(stage: Bench, *words: Command) -> float:
-    return stage.step(words).torques[0].torque
+def torque(stage: Bench, *messages: Command) -> float:
+    return stage.step(messages).torques[0].torque
 
 
 # -- sensors -------------------------------------------------------------------------------------------
 
 
-def test_a_sensor_tells_what_it_is_shown_exactly_and_at_once() -> None:
+def test_a_sensor_sends_what_it_is_shown_exactly_and_at_once() -> None:
     stage = bench(sensors=["s", "other"], motors=[])
     shown = sensor_events("s", stage.now + 1 * MILLISECOND - 250_000, 3)
     for twin, spec in zip(stage.twins, stage.specs, strict=True):
@@ -40,7 +40,7 @@ def test_a_sensor_tells_what_it_is_shown_exactly_and_at_once() -> None:
         assert twin.due() is None
 
 
-def test_a_sensor_does_not_tell_what_is_not_finite() -> None:
+def test_a_sensor_does_not_send_what_is_not_finite() -> None:
     stage = bench(sensors=["s"], motors=[])
     imu, scan, fix = sensor_events("s", stage.now, 1)
     shown: list[Event] = [
@@ -62,33 +62,33 @@ ARMING: list[Command] = [
 ]
 
 
-@pytest.mark.parametrize("command", ARMING, ids=lambda word: type(word).__name__)
+@pytest.mark.parametrize("command", ARMING, ids=lambda message: type(message).__name__)
 def test_any_command_but_idle_arms_and_idle_disarms(command: Command) -> None:
     stage = bench()
     stage.steps(5)
     assert mode(stage) == Mode.READY
-    said = ask(stage, command, steps=3)
+    steps = ask(stage, command, steps=3)
     assert mode(stage) == Mode.ARMED
-    assert [s.mode for s in reported(said, msg.State)] == [Mode.ARMED]
-    said = ask(stage, msg.Idle("m"), steps=3)
+    assert [s.mode for s in reported(steps, msg.State)] == [Mode.ARMED]
+    steps = ask(stage, msg.Idle("m"), steps=3)
     assert mode(stage) == Mode.READY
-    assert [s.mode for s in reported(said, msg.State)] == [Mode.READY]
+    assert [s.mode for s in reported(steps, msg.State)] == [Mode.READY]
 
 
 def test_silence_of_the_host_trips_the_watchdog_which_only_clear_fault_undoes() -> None:
     stage = bench()
     stage.step([msg.Torque("m", 0.5)])
     assert {torque(stage) for _ in range(99)} == {0.5}
-    said = stage.steps(5)
-    assert [s.torques[0].torque for s in said][1:] == [0.0] * 4
-    assert [(f.code, f.name) for f in reported(said, msg.Fault)] == [(1, "watchdog expired")]
+    steps = stage.steps(5)
+    assert [s.torques[0].torque for s in steps][1:] == [0.0] * 4
+    assert [(f.code, f.name) for f in reported(steps, msg.Fault)] == [(1, "watchdog expired")]
     assert mode(stage) == Mode.FAULT
-    for word in (msg.Torque("m", 0.5), msg.Idle("m"), msg.Hold("m")):
-        assert torque(stage, word) == 0.0
+    for message in (msg.Torque("m", 0.5), msg.Idle("m"), msg.Hold("m")):
+        assert torque(stage, message) == 0.0
         assert mode(stage) == Mode.FAULT
-    said = ask(stage, msg.ClearFault("m"), steps=3)
+    steps = ask(stage, msg.ClearFault("m"), steps=3)
     assert mode(stage) == Mode.READY
-    assert [d.request for d in reported(said, msg.Done)] == ["ClearFault"]
+    assert [d.request for d in reported(steps, msg.Done)] == ["ClearFault"]
     assert torque(stage, msg.Torque("m", 0.5)) == 0.5
 
 
@@ -121,20 +121,20 @@ def test_no_watchdog_while_disarmed() -> None:
 
 
 def test_estop_faults_from_any_mode() -> None:
-    for word in (msg.Torque("m", 0.5), None):
+    for message in (msg.Torque("m", 0.5), None):
         stage = bench()
-        stage.step([word] if word else [])
-        said = ask(stage, msg.Estop("m"))
-        assert [(f.code, f.name) for f in reported(said, msg.Fault)] == [(2, "emergency stop")]
-        assert said[-1].torques[0].torque == 0.0
+        stage.step([message] if message else [])
+        steps = ask(stage, msg.Estop("m"))
+        assert [(f.code, f.name) for f in reported(steps, msg.Fault)] == [(2, "emergency stop")]
+        assert steps[-1].torques[0].torque == 0.0
 
 
-def test_a_fault_that_stands_is_told_to_a_host_who_comes_later() -> None:
+def test_an_active_fault_is_reported_to_a_host_that_connects_later() -> None:
     stage = bench()
     ask(stage, msg.Estop("m"))
     stage.driver = bench().driver
-    said = stage.steps(200)
-    assert [f.code for f in reported(said, msg.Fault)] == [2]
+    steps = stage.steps(200)
+    assert [f.code for f in reported(steps, msg.Fault)] == [2]
 
 
 def test_reboot_takes_its_time_disarms_and_forgets_zero_and_faults() -> None:
@@ -143,10 +143,10 @@ def test_reboot_takes_its_time_disarms_and_forgets_zero_and_faults() -> None:
     stage.steps(2)
     ask(stage, msg.Zero("m"))
     ask(stage, msg.Estop("m"))
-    said = ask(stage, msg.Reboot("m"), msg.Torque("m", 0.5), steps=BOOT // MILLISECOND + 10)
-    assert [s.mode for s in reported(said, msg.State)] == [Mode.INITIALISING, Mode.READY]
-    assert {s.torques[0].torque for s in said} == {0.0}
-    assert reported(said, msg.Feedback)[-1].position == pytest.approx(1.0)
+    steps = ask(stage, msg.Reboot("m"), msg.Torque("m", 0.5), steps=BOOT // MILLISECOND + 10)
+    assert [s.mode for s in reported(steps, msg.State)] == [Mode.INITIALISING, Mode.READY]
+    assert {s.torques[0].torque for s in steps} == {0.0}
+    assert reported(steps, msg.Feedback)[-1].position == pytest.approx(1.0)
 
 
 # -- loops ---------------------------------------------------------------------------------------------
@@ -171,14 +171,14 @@ def test_velocity_is_reached_without_an_error_that_stays() -> None:
     assert stage.shafts["m"].velocity == pytest.approx(-8.0, abs=1e-3)
 
 
-def test_hold_holds_where_it_was_first_said() -> None:
+def test_hold_holds_the_position_at_the_first_hold() -> None:
     stage = bench()
     run(stage, msg.Velocity("m", 5.0), 300)
     at = stage.shafts["m"].position
     run(stage, msg.Hold("m"))
     assert stage.shafts["m"].position == pytest.approx(at, abs=0.02)
     held = stage.shafts["m"].position
-    stage.shafts["m"].position += 0.3  # somebody turns it by hand
+    stage.shafts["m"].position += 0.3  # turned by hand
     run(stage, msg.Hold("m"))
     assert stage.shafts["m"].position == pytest.approx(held, abs=1e-3)
 
@@ -208,7 +208,7 @@ def test_feed_forward_is_added() -> None:
 
 
 @pytest.mark.parametrize("command", [msg.Torque("m", 9.0), msg.Position("m", 99.0), msg.Velocity("m", 999.0)])
-def test_torque_is_cut_and_the_integral_does_not_wind_up(command: Command) -> None:
+def test_torque_is_limited_and_the_integral_does_not_wind_up(command: Command) -> None:
     stage = bench()
     stage.shafts["m"].locked = True
     for _ in range(3000):
@@ -231,19 +231,19 @@ def test_a_shaft_that_was_never_measured_gets_no_torque() -> None:
         assert twin.step(stage.now, [wrong])[0] == [msg.Torque("m", 0.0)]
 
 
-# -- what it tells -------------------------------------------------------------------------------------
+# -- what it sends -------------------------------------------------------------------------------------
 
 
 def test_feedback_and_state_come_at_their_periods() -> None:
     stage = bench(feedback_ms=7.0, state_ms=30.0)
-    said = stage.steps(700)
-    times = [said.index(s) for s in said if reported([s], msg.Feedback)]
+    steps = stage.steps(700)
+    times = [steps.index(s) for s in steps if reported([s], msg.Feedback)]
     assert {b - a for a, b in pairwise(times)} == {7}
-    times = [said.index(s) for s in said if reported([s], msg.State)]
+    times = [steps.index(s) for s in steps if reported([s], msg.State)]
     assert {b - a for a, b in pairwise(times)} == {30}
 
 
-def test_feedback_tells_shaft_torque_current_and_supply() -> None:
+def test_feedback_reports_shaft_torque_current_and_supply() -> None:
     stage = bench(torque_constant=0.25)
     shaft = stage.shafts["m"]
     shaft.position, shaft.velocity, shaft.locked = 1.5, 0.5, True
@@ -262,9 +262,9 @@ def test_due_is_when_it_next_does_something() -> None:
             before = copy.deepcopy(stage.twins[0])
             due = before.due()
             assert due is not None
-            said = stage.step()
-            told_something = bool(said.up) or mode(stage) != before._mode  # type: ignore[attr-defined]  # as above
-            assert told_something == (due <= said.now)
+            steps = stage.step()
+            told_something = bool(steps.up) or mode(stage) != before._mode  # type: ignore[attr-defined]  # as above
+            assert told_something == (due <= steps.now)
 
 
 def test_a_clock_that_jumps_does_not_bring_a_burst() -> None:
@@ -278,8 +278,8 @@ def test_a_clock_that_jumps_does_not_bring_a_burst() -> None:
 # -- requests ------------------------------------------------------------------------------------------
 
 
-def answers(stage: Bench, *words: Any) -> list[Any]:
-    return reported(ask(stage, *words), (msg.Done, msg.Refused, msg.Parameter))
+def answers(stage: Bench, *messages: Any) -> list[Any]:
+    return reported(ask(stage, *messages), (msg.Done, msg.Refused, msg.Parameter))
 
 
 def test_zero_makes_the_present_position_zero() -> None:
@@ -309,7 +309,7 @@ def test_parameters_are_read_and_written() -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "reason"),
+    ("message", "reason"),
     [
         (msg.ReadParameter("m", "nonsense"), "no parameter 'nonsense'"),
         (msg.ReadParameter("m", "__doc__"), "no parameter '__doc__'"),
@@ -320,9 +320,9 @@ def test_parameters_are_read_and_written() -> None:
     ],
 )
 def test_a_parameter_that_cannot_be_is_refused(
-    word: msg.ReadParameter | msg.WriteParameter, reason: str
+    message: msg.ReadParameter | msg.WriteParameter, reason: str
 ) -> None:
-    (refused,) = answers(bench(), word)
+    (refused,) = answers(bench(), message)
     assert isinstance(refused, msg.Refused)
     assert reason in refused.reason
 
@@ -344,16 +344,16 @@ def test_settings_that_cannot_be_are_an_error_of_configuration(wrong: dict[str, 
 
 
 @pytest.mark.parametrize("code", sorted(FAULTS))
-def test_a_provoked_fault_disarms_and_is_told_as_the_contract_has_it(code: int) -> None:
+def test_a_provoked_fault_disarms_and_is_reported_as_the_contract_has_it(code: int) -> None:
     stage = bench()
     stage.steps(20, [msg.Velocity("m", 1.0)])
-    said = FAULTS[code]
+    info = FAULTS[code]
     stage.twins[0].provoke(code)
     due = stage.twins[0].due()
     assert due is not None
     assert due <= stage.now
     (fault,) = reported(stage.steps(5, [msg.Velocity("m", 1.0)]), msg.Fault)
-    assert (fault.code, fault.name, fault.cause, fault.remedy) == (code, said.name, said.cause, said.remedy)
+    assert (fault.code, fault.name, fault.cause, fault.remedy) == (code, info.name, info.cause, info.remedy)
     assert torque(stage) == 0.0
     assert stage.specs[0].faults == FAULTS
     ask(stage, msg.ClearFault("m"))
@@ -367,7 +367,7 @@ def test_what_is_no_fault_is_not_provoked() -> None:
             twin.provoke(code)
 
 
-def test_messages_are_named_after_their_words() -> None:
+def test_messages_are_named_after_their_classes() -> None:
     two = codec.encode(1, msg.Velocity("m", 1.0)) + codec.encode(2, msg.Hold("m"))
     assert plugin.messages(two) == ("Velocity", "Hold")
     assert plugin.messages(two[:-1]) == ("Velocity",)

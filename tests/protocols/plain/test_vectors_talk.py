@@ -1,4 +1,4 @@
-"""Conversations of vectors: what the driver says and tells, moment by moment, and what an ear makes of bytes.
+"""Conversations: what the driver sends and reports, moment by moment, and what devices obey.
 
 On the line are the motors left (1) and right (2) and the sensor lidar (101). The bytes are those of
 `published`, which knows nothing of the code under test.
@@ -18,7 +18,7 @@ from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import Options, PlainDriver
 from protocols.plain.twin import Settings
 from protocols.plugin import Device, RxCounters
-from tests.protocols.plain.published import framed, ranges, said
+from tests.protocols.plain.published import encoded, framed, ranges
 
 T = 1_000_000_000
 MS = 1_000_000
@@ -39,11 +39,11 @@ def devices() -> list[Device]:
 
 @dataclass(frozen=True)
 class Turn:
-    """One moment: what comes up, what is asked for, and what must go out and be told."""
+    """One moment: the frames received, the messages to send, and the frames and events expected."""
 
     ms: float
     up: Sequence[Frame] = ()
-    words: Sequence[Command | Request] = ()
+    messages: Sequence[Command | Request] = ()
     down: Sequence[bytes] = ()
     reported: Sequence[Event] = ()
     due: float | None = None
@@ -51,11 +51,11 @@ class Turn:
     bus: BusState | None = None
 
 
-READY = said(LEFT, "State", "", 0, "ready", "")
-IN_FAULT = said(LEFT, "State", "", 0, "fault", "")
-HOT = said(LEFT, "Fault", "", 0, 4, "too hot", "", "")
-COLD = said(LEFT, "Fault", "", 0, 5, "too cold", "", "")
-PLACE = said(LEFT, "Feedback", "", 600, 1.5, None, None, None, None, None)
+READY = encoded(LEFT, "State", "", 0, "ready", "")
+IN_FAULT = encoded(LEFT, "State", "", 0, "fault", "")
+HOT = encoded(LEFT, "Fault", "", 0, 4, "too hot", "", "")
+COLD = encoded(LEFT, "Fault", "", 0, 5, "too cold", "", "")
+PLACE = encoded(LEFT, "Feedback", "", 600, 1.5, None, None, None, None, None)
 READS, WRITES = msg.ReadParameter("left", "supply"), msg.WriteParameter("left", "supply", 12.0)
 
 
@@ -63,19 +63,19 @@ def offline(name: str, ms: float) -> msg.State:
     return msg.State(name, at(ms), Mode.OFFLINE, "no message for 250 ms")
 
 
-def late(word: str, name: str, ms: float) -> msg.Refused:
-    return msg.Refused(at(ms), word, name, "no answer in 200 ms")
+def late(message: str, name: str, ms: float) -> msg.Refused:
+    return msg.Refused(at(ms), message, name, "no answer in 200 ms")
 
 
 TALKS: dict[str, list[Turn]] = {
-    "silence from the beginning is told once": [
+    "no message from the beginning is offline once": [
         Turn(0, due=250),
         Turn(249.999999, due=250),
         Turn(250, reported=[offline("left", 250), offline("right", 250)]),
         Turn(251),
         Turn(900),
     ],
-    "who speaks is not offline, and may fall silent again": [
+    "a device that sends is not offline, and may be offline again": [
         Turn(0),
         Turn(100, up=[PLACE], reported=[msg.Feedback("left", at(100) - 600, 1.5)], due=250),
         Turn(250, reported=[offline("right", 250)], due=350),
@@ -85,15 +85,15 @@ TALKS: dict[str, list[Turn]] = {
         Turn(850, reported=[offline("left", 850)]),
     ],
     "each request is given up, at its own time": [
-        Turn(0, words=[msg.ClearFault("left")], down=[said(LEFT, "ClearFault", "")], due=200),
-        Turn(1, words=[msg.Estop("right")], down=[said(RIGHT, "Estop", "")], due=200),
+        Turn(0, messages=[msg.ClearFault("left")], down=[encoded(LEFT, "ClearFault", "")], due=200),
+        Turn(1, messages=[msg.Estop("right")], down=[encoded(RIGHT, "Estop", "")], due=200),
         Turn(
             2,
-            words=[msg.Zero("left"), READS],
-            down=[said(LEFT, "Zero", ""), said(LEFT, "ReadParameter", "", "supply")],
+            messages=[msg.Zero("left"), READS],
+            down=[encoded(LEFT, "Zero", ""), encoded(LEFT, "ReadParameter", "", "supply")],
         ),
-        Turn(3, words=[WRITES], down=[said(LEFT, "WriteParameter", "", "supply", 12.0)]),
-        Turn(4, words=[msg.Reboot("left")], down=[said(LEFT, "Reboot", "")]),
+        Turn(3, messages=[WRITES], down=[encoded(LEFT, "WriteParameter", "", "supply", 12.0)]),
+        Turn(4, messages=[msg.Reboot("left")], down=[encoded(LEFT, "Reboot", "")]),
         Turn(199.999999),
         Turn(200, reported=[late("ClearFault", "left", 200)], due=201),
         Turn(201, reported=[late("Estop", "right", 201)], due=202),
@@ -104,34 +104,34 @@ TALKS: dict[str, list[Turn]] = {
     "what is answered is not given up": [
         Turn(
             0,
-            words=[msg.Zero("left"), READS],
-            down=[said(LEFT, "Zero", ""), said(LEFT, "ReadParameter", "", "supply")],
+            messages=[msg.Zero("left"), READS],
+            down=[encoded(LEFT, "Zero", ""), encoded(LEFT, "ReadParameter", "", "supply")],
         ),
         Turn(
             5,
             up=[
-                said(LEFT, "Done", 0, "Zero", "", ""),
-                said(LEFT, "Parameter", "", 0, "supply", 24.0),
+                encoded(LEFT, "Done", 0, "Zero", "", ""),
+                encoded(LEFT, "Parameter", "", 0, "supply", 24.0),
             ],
             reported=[msg.Done(at(5), "Zero", "left"), msg.Parameter("left", at(5), "supply", 24.0)],
         ),
-        Turn(6, words=[WRITES], down=[said(LEFT, "WriteParameter", "", "supply", 12.0)]),
+        Turn(6, messages=[WRITES], down=[encoded(LEFT, "WriteParameter", "", "supply", 12.0)]),
         Turn(
             7,
-            up=[said(LEFT, "Refused", 0, "WriteParameter", "", "no such parameter")],
+            up=[encoded(LEFT, "Refused", 0, "WriteParameter", "", "no such parameter")],
             reported=[msg.Refused(at(7), "WriteParameter", "left", "no such parameter")],
         ),
         Turn(210, up=[READY], reported=[msg.State("left", at(210), Mode.READY)]),
     ],
-    "an answer to nothing is told": [
-        Turn(0, up=[said(LEFT, "Done", 0, "Zero", "", "")], reported=[msg.Done(at(0), "Zero", "left")]),
+    "an answer without a request is reported": [
+        Turn(0, up=[encoded(LEFT, "Done", 0, "Zero", "", "")], reported=[msg.Done(at(0), "Zero", "left")]),
         Turn(
             1,
-            up=[said(LEFT, "Parameter", "", 0, "supply", 24.0)],
+            up=[encoded(LEFT, "Parameter", "", 0, "supply", 24.0)],
             reported=[msg.Parameter("left", at(1), "supply", 24.0)],
         ),
     ],
-    "a fault is told once, until it is gone or the line was away": [
+    "a fault is reported once, until it is gone or the line was away": [
         Turn(0, up=[HOT, HOT], reported=[msg.Fault("left", at(0), 4, "too hot", "", "")]),
         Turn(1, up=[COLD, HOT], reported=[msg.Fault("left", at(1), 5, "too cold", "", "")]),
         Turn(2, up=[IN_FAULT, HOT], reported=[msg.State("left", at(2), Mode.FAULT)]),
@@ -153,53 +153,53 @@ TALKS: dict[str, list[Turn]] = {
         Turn(4, bus=BusState.BACK),
         Turn(5, up=[PLACE], reported=[msg.Feedback("left", at(5) - 600, 1.5)]),
     ],
-    "Idle is for the claimed": [
-        Turn(0, words=[msg.Idle("left"), msg.Idle("right")]),
-        Turn(1, words=[msg.Hold("left"), msg.Idle("right")], down=[said(LEFT, "Hold", "")]),
-        Turn(2, words=[msg.Idle("right"), msg.Idle("left")], down=[said(LEFT, "Idle", "")]),
-        Turn(3, words=[msg.Idle("left")], down=[said(LEFT, "Idle", "")]),
-        Turn(4, words=[msg.Zero("right"), msg.Idle("right")], down=[said(RIGHT, "Zero", "")]),
+    "Idle is for owned motors": [
+        Turn(0, messages=[msg.Idle("left"), msg.Idle("right")]),
+        Turn(1, messages=[msg.Hold("left"), msg.Idle("right")], down=[encoded(LEFT, "Hold", "")]),
+        Turn(2, messages=[msg.Idle("right"), msg.Idle("left")], down=[encoded(LEFT, "Idle", "")]),
+        Turn(3, messages=[msg.Idle("left")], down=[encoded(LEFT, "Idle", "")]),
+        Turn(4, messages=[msg.Zero("right"), msg.Idle("right")], down=[encoded(RIGHT, "Zero", "")]),
     ],
-    "a stop claims all motors, and what is said with it goes out": [
+    "a stop makes all motors owned, and what comes with it goes out": [
         Turn(
             0,
-            words=[msg.Stop(), msg.Idle("left"), msg.Idle("right")],
-            down=[said(LEFT, "Idle", ""), said(RIGHT, "Idle", "")],
+            messages=[msg.Stop(), msg.Idle("left"), msg.Idle("right")],
+            down=[encoded(LEFT, "Idle", ""), encoded(RIGHT, "Idle", "")],
         ),
     ],
     "commands, each to its own": [
         Turn(
             0,
-            words=[
+            messages=[
                 msg.Position("left", 1.0, 2.0, 3.0),
                 msg.Velocity("right", -1.0, 0.5),
                 msg.Torque("left", 0.25),
             ],
             down=[
-                said(LEFT, "Position", "", 1.0, 2.0, 3.0),
-                said(RIGHT, "Velocity", "", -1.0, 0.5),
-                said(LEFT, "Torque", "", 0.25),
+                encoded(LEFT, "Position", "", 1.0, 2.0, 3.0),
+                encoded(RIGHT, "Velocity", "", -1.0, 0.5),
+                encoded(LEFT, "Torque", "", 0.25),
             ],
         ),
         Turn(
             1,
-            words=[msg.Impedance("right", 1.0, 2.0, 3.0, 4.0, 5.0)],
-            down=[said(RIGHT, "Impedance", "", 1.0, 2.0, 3.0, 4.0, 5.0)],
+            messages=[msg.Impedance("right", 1.0, 2.0, 3.0, 4.0, 5.0)],
+            down=[encoded(RIGHT, "Impedance", "", 1.0, 2.0, 3.0, 4.0, 5.0)],
         ),
     ],
     "what is refused leaves no trace, and what follows goes out": [
         Turn(
             0,
-            words=[
-                msg.Velocity("nobody", 1.0),
+            messages=[
+                msg.Velocity("missing", 1.0),
                 msg.Velocity("lidar", 1.0),
                 msg.Home("left"),
                 msg.Release(),
                 msg.Hold("right"),
             ],
-            down=[said(RIGHT, "Hold", "")],
+            down=[encoded(RIGHT, "Hold", "")],
             reported=[
-                msg.Refused(at(0), "Velocity", "nobody", "no motor 'nobody' on this line"),
+                msg.Refused(at(0), "Velocity", "missing", "no motor 'missing' on this line"),
                 msg.Refused(at(0), "Velocity", "lidar", "no motor 'lidar' on this line"),
                 msg.Refused(at(0), "Home", "left", "a plain device cannot do that"),
                 msg.Refused(at(0), "Release", "", "a plain device cannot do that"),
@@ -207,7 +207,7 @@ TALKS: dict[str, list[Turn]] = {
         ),
         Turn(
             1,
-            words=[msg.Velocity("left", 1e9), msg.SetId("line", 2**70, 1), msg.Idle("left")],
+            messages=[msg.Velocity("left", 1e9), msg.SetId("line", 2**70, 1), msg.Idle("left")],
             reported=[
                 msg.Refused(
                     at(1), "Velocity", "left", "Velocity: velocity 1000000000.0 is not in -100000 … 100000"
@@ -216,14 +216,14 @@ TALKS: dict[str, list[Turn]] = {
             ],
         ),
     ],
-    "a scan tells who is there, and how many": [
-        Turn(0, words=[msg.Scan("line")], down=[said(0, "Scan", "")], due=200),
+    "a scan reports each device, and how many": [
+        Turn(0, messages=[msg.Scan("line")], down=[encoded(0, "Scan", "")], due=200),
         Turn(
             1,
             up=[
-                said(LEFT, "Found", 0, "plain", LEFT, 10, "motor", False),
-                said(77, "Found", 0, "plain", 77, None, "motor", False),
-                said(LIDAR, "Found", 0, "plain", LIDAR, 30, "sensor"),
+                encoded(LEFT, "Found", 0, "plain", LEFT, 10, "motor", False),
+                encoded(77, "Found", 0, "plain", 77, None, "motor", False),
+                encoded(LIDAR, "Found", 0, "plain", LIDAR, 30, "sensor"),
             ],
             reported=[
                 msg.Found(at(1), "plain", LEFT, 10, "motor"),
@@ -234,10 +234,10 @@ TALKS: dict[str, list[Turn]] = {
         Turn(199.999999, due=200),
         Turn(200, reported=[msg.Done(at(200), "Scan", "line", "2 found")]),
         Turn(201),
-        Turn(202, words=[msg.Scan("line")], down=[said(0, "Scan", "")]),
+        Turn(202, messages=[msg.Scan("line")], down=[encoded(0, "Scan", "")]),
         Turn(
             210,
-            up=[said(LEFT, "Found", 0, "plain", LEFT, 11, "motor", False)],
+            up=[encoded(LEFT, "Found", 0, "plain", LEFT, 11, "motor", False)],
             reported=[msg.Found(at(210), "plain", LEFT, 11, "motor")],
         ),
         Turn(
@@ -249,11 +249,11 @@ TALKS: dict[str, list[Turn]] = {
             ],
         ),
     ],
-    "an address held twice is told": [
-        Turn(0, words=[msg.Scan("line")], down=[said(0, "Scan", "")]),
+    "a duplicate address is reported": [
+        Turn(0, messages=[msg.Scan("line")], down=[encoded(0, "Scan", "")]),
         Turn(
             1,
-            up=[said(9, "Found", 0, "plain", 9, serial, "motor", False) for serial in (5, 6, 6)],
+            up=[encoded(9, "Found", 0, "plain", 9, serial, "motor", False) for serial in (5, 6, 6)],
             reported=[
                 msg.Found(at(1), "plain", 9, 5, "motor"),
                 msg.Found(at(1), "plain", 9, 6, "motor; address 9 is also held by 5", duplicate_address=True),
@@ -262,35 +262,35 @@ TALKS: dict[str, list[Turn]] = {
         ),
         Turn(
             2,
-            words=[msg.SetId("line", 5, 9)],
-            up=[said(9, "Found", 0, "plain", 9, 5, "motor", False)],
-            down=[said(0, "SetId", "", 5, 9)],
+            messages=[msg.SetId("line", 5, 9)],
+            up=[encoded(9, "Found", 0, "plain", 9, 5, "motor", False)],
+            down=[encoded(0, "SetId", "", 5, 9)],
             reported=[
                 msg.Found(at(2), "plain", 9, 5, "motor; address 9 is also held by 6", duplicate_address=True)
             ],
         ),
         Turn(
             3,
-            up=[said(9, "Found", 0, "plain", 9, 7, "motor", False)],
+            up=[encoded(9, "Found", 0, "plain", 9, 7, "motor", False)],
             reported=[
                 msg.Found(at(3), "plain", 9, 7, "motor; address 9 is also held by 5", duplicate_address=True)
             ],
         ),
     ],
     "an address is set, by serial number, once": [
-        Turn(0, words=[msg.SetId("line", 20, 9)], down=[said(0, "SetId", "", 20, 9)], due=200),
+        Turn(0, messages=[msg.SetId("line", 20, 9)], down=[encoded(0, "SetId", "", 20, 9)], due=200),
         Turn(
             1,
             up=[
-                said(9, "Found", 0, "plain", 9, 21, "motor", False),
-                said(8, "Found", 0, "plain", 8, 20, "motor", False),
+                encoded(9, "Found", 0, "plain", 9, 21, "motor", False),
+                encoded(8, "Found", 0, "plain", 8, 20, "motor", False),
             ],
             reported=[msg.Found(at(1), "plain", 9, 21, "motor"), msg.Found(at(1), "plain", 8, 20, "motor")],
         ),
-        Turn(2, words=[msg.SetId("other", 21, 10)], down=[said(0, "SetId", "", 21, 10)]),
+        Turn(2, messages=[msg.SetId("other", 21, 10)], down=[encoded(0, "SetId", "", 21, 10)]),
         Turn(
             3,
-            up=[said(10, "Found", 400, "plain", 10, 21, "sensor", False)],
+            up=[encoded(10, "Found", 400, "plain", 10, 21, "sensor", False)],
             reported=[
                 msg.Found(at(3) - 400, "plain", 10, 21, "sensor"),
                 msg.Done(at(3) - 400, "SetId", "other", "21 is now at 10"),
@@ -301,11 +301,13 @@ TALKS: dict[str, list[Turn]] = {
     ],
     "of two alike one is answered by one": [
         Turn(
-            0, words=[msg.SetId("one", 5, 9), msg.SetId("two", 5, 9)], down=[said(0, "SetId", "", 5, 9)] * 2
+            0,
+            messages=[msg.SetId("one", 5, 9), msg.SetId("two", 5, 9)],
+            down=[encoded(0, "SetId", "", 5, 9)] * 2,
         ),
         Turn(
             1,
-            up=[said(9, "Found", 0, "plain", 9, 5, "", False)],
+            up=[encoded(9, "Found", 0, "plain", 9, 5, "", False)],
             reported=[msg.Found(at(1), "plain", 9, 5), msg.Done(at(1), "SetId", "one", "5 is now at 9")],
         ),
         Turn(
@@ -316,17 +318,17 @@ TALKS: dict[str, list[Turn]] = {
     "measurements of a sensor": [
         Turn(
             0,
-            up=[said(LIDAR, "Imu", "", 1000, [1.0, 2.0, 3.0], [0.0, 0.0, 9.81], None)],
+            up=[encoded(LIDAR, "Imu", "", 1000, [1.0, 2.0, 3.0], [0.0, 0.0, 9.81], None)],
             reported=[msg.Imu("lidar", at(0) - 1000, (1.0, 2.0, 3.0), (0.0, 0.0, 9.81))],
         ),
         Turn(
             1,
-            up=[said(LIDAR, "LaserScan", "", 0, 0.0, 0.5, 0.1, 10.0, ranges(1.0, 0.0, 2.0))],
+            up=[encoded(LIDAR, "LaserScan", "", 0, 0.0, 0.5, 0.1, 10.0, ranges(1.0, 0.0, 2.0))],
             reported=[msg.LaserScan("lidar", at(1), 0.0, 0.5, 0.1, 10.0, (1.0, 0.0, 2.0))],
         ),
         Turn(
             2,
-            up=[said(LIDAR, "Fix", "", 0, 48.0, 11.0, None, 4.0)],
+            up=[encoded(LIDAR, "Fix", "", 0, 48.0, 11.0, None, 4.0)],
             reported=[msg.Fix("lidar", at(2), 48.0, 11.0, None, 4.0)],
         ),
     ],
@@ -334,43 +336,46 @@ TALKS: dict[str, list[Turn]] = {
 
 
 @pytest.mark.parametrize("talk", TALKS.values(), ids=TALKS)
-def test_a_talk_of_vectors(talk: list[Turn]) -> None:
+def test_conversation(talk: list[Turn]) -> None:
     driver = PlainDriver(devices())
     for turn in talk:
         now = at(turn.ms)
         if turn.bus is not None:
             driver.bus(now, turn.bus)
         reported = [event for frame in turn.up for event in driver.receive(now, frame)]
-        own, down = driver.send(now, turn.words)
+        own, down = driver.send(now, turn.messages)
         assert list(down) == list(turn.down), turn.ms
         assert [*reported, *own] == list(turn.reported), turn.ms
         if turn.due is not None:
             assert driver.due() == at(turn.due), turn.ms
 
 
-def test_sensors_alone_are_due_for_nothing_as_vectors_show() -> None:
+def test_sensors_alone_are_never_due() -> None:
     driver = PlainDriver(devices()[2:])
     assert driver.send(T, ()) == ([], [])
     assert driver.due() is None
     assert driver.send(at(900), ()) == ([], [])
 
 
-# Who says what, and how it is counted: heard, bad, foreign.
+# A message, and how it is counted: accepted, malformed, ignored.
 COUNTED: dict[str, tuple[Frame, tuple[int, int, int]]] = {
     "a motor's feedback": (PLACE, (1, 0, 0)),
-    "a sensor's fix": (said(LIDAR, "Fix", "", 0, 48.0, 11.0, None, None), (1, 0, 0)),
-    "a motor's fix": (said(LEFT, "Fix", "", 0, 48.0, 11.0, None, None), (0, 1, 0)),
-    "a sensor's state": (said(LIDAR, "State", "", 0, "ready", ""), (0, 1, 0)),
-    "a stranger's state": (said(77, "State", "", 0, "ready", ""), (0, 0, 1)),
+    "a sensor's fix": (encoded(LIDAR, "Fix", "", 0, 48.0, 11.0, None, None), (1, 0, 0)),
+    "a motor's fix": (encoded(LEFT, "Fix", "", 0, 48.0, 11.0, None, None), (0, 1, 0)),
+    "a sensor's state": (encoded(LIDAR, "State", "", 0, "ready", ""), (0, 1, 0)),
+    "a stranger's state": (encoded(77, "State", "", 0, "ready", ""), (0, 0, 1)),
     "rubbish of a motor": (framed(b"\1rubbish"), (0, 1, 0)),
     "rubbish of a stranger": (framed(b"\7rubbish"), (0, 0, 1)),
     "an address alone": (framed(b"\1"), (0, 1, 0)),
-    "an echo of a command": (said(LEFT, "Velocity", "", 1.0, 0.0), (0, 0, 1)),
-    "an echo of a scan": (said(0, "Scan", ""), (0, 0, 1)),
-    "a stranger found": (said(77, "Found", 0, "plain", 77, 5, "", False), (1, 0, 0)),
-    "one who says he is another": (said(77, "Found", 0, "plain", 78, 5, "", False), (0, 0, 1)),
-    "our motor says it is another": (said(LEFT, "Found", 0, "plain", 78, 5, "", False), (0, 1, 0)),
-    "another language found": (said(LEFT, "Found", 0, "odrive_can", 1, 5, "", False), (0, 1, 0)),
+    "an echo of a command": (encoded(LEFT, "Velocity", "", 1.0, 0.0), (0, 0, 1)),
+    "an echo of a scan": (encoded(0, "Scan", ""), (0, 0, 1)),
+    "a stranger found": (encoded(77, "Found", 0, "plain", 77, 5, "", False), (1, 0, 0)),
+    "a stranger with the address of another": (encoded(77, "Found", 0, "plain", 78, 5, "", False), (0, 0, 1)),
+    "our motor with another address": (
+        encoded(LEFT, "Found", 0, "plain", 78, 5, "", False),
+        (0, 1, 0),
+    ),
+    "another language found": (encoded(LEFT, "Found", 0, "odrive_can", 1, 5, "", False), (0, 1, 0)),
     "a wrong CRC": (PLACE[:-1] + bytes((PLACE[-1] ^ 1,)), (0, 1, 0)),
     "noise": (b"noise", (0, 0, 1)),
     "nothing": (b"", (0, 0, 0)),
@@ -379,7 +384,7 @@ COUNTED: dict[str, tuple[Frame, tuple[int, int, int]]] = {
 
 
 @pytest.mark.parametrize(("frame", "counters"), COUNTED.values(), ids=COUNTED)
-def test_how_a_vector_is_counted(frame: Frame, counters: tuple[int, int, int]) -> None:
+def test_how_a_message_is_counted(frame: Frame, counters: tuple[int, int, int]) -> None:
     driver = PlainDriver(devices())
     driver.counters = RxCounters(2, 3, 4)
     assert len(driver.receive(T, frame)) == counters[0]
@@ -387,34 +392,34 @@ def test_how_a_vector_is_counted(frame: Frame, counters: tuple[int, int, int]) -
 
 
 # What stands on the line, and what the devices would obey of it.
-HEARD: dict[str, tuple[Frame, list[Command | Request]]] = {
-    "a command": (said(LEFT, "Velocity", "", 1.0, 0.5), [msg.Velocity("left", 1.0, 0.5)]),
-    "a request": (said(RIGHT, "Zero", ""), [msg.Zero("right")]),
+OBEYED: dict[str, tuple[Frame, list[Command | Request]]] = {
+    "a command": (encoded(LEFT, "Velocity", "", 1.0, 0.5), [msg.Velocity("left", 1.0, 0.5)]),
+    "a request": (encoded(RIGHT, "Zero", ""), [msg.Zero("right")]),
     "two at once": (
-        said(RIGHT, "Idle", "") + said(LEFT, "Estop", ""),
+        encoded(RIGHT, "Idle", "") + encoded(LEFT, "Estop", ""),
         [msg.Idle("right"), msg.Estop("left")],
     ),
-    "to a sensor": (said(LIDAR, "Idle", ""), []),
-    "to a stranger": (said(77, "Idle", ""), []),
-    "a command to everyone": (said(0, "Idle", ""), []),
-    "a scan": (said(0, "Scan", ""), [msg.Scan("")]),
-    "an address to be set": (said(0, "SetId", "", 20, 9), [msg.SetId("", 20, 9)]),
-    "a scan of one": (said(LEFT, "Scan", ""), []),
-    "an address set by one": (said(LEFT, "SetId", "", 20, 9), []),
-    "what a motor says": (PLACE, []),
+    "to a sensor": (encoded(LIDAR, "Idle", ""), []),
+    "to a stranger": (encoded(77, "Idle", ""), []),
+    "a command to all": (encoded(0, "Idle", ""), []),
+    "a scan": (encoded(0, "Scan", ""), [msg.Scan("")]),
+    "an address to be set": (encoded(0, "SetId", "", 20, 9), [msg.SetId("", 20, 9)]),
+    "a scan of one": (encoded(LEFT, "Scan", ""), []),
+    "an address set by one": (encoded(LEFT, "SetId", "", 20, 9), []),
+    "what a motor sends": (PLACE, []),
     "what no motor does": (framed(b"\1" + bytes.fromhex("921ba0")), []),
     "rubbish": (framed(b"\1rubbish"), []),
     "a CAN frame": (CanFrame(1, b"\1"), []),
 }
 
 
-@pytest.mark.parametrize(("frame", "words"), HEARD.values(), ids=HEARD)
-def test_what_the_ear_makes_of_a_vector(frame: Frame, words: list[Command | Request]) -> None:
-    assert list(PlainDecoder(devices()).decode(T, frame)) == words
+@pytest.mark.parametrize(("frame", "messages"), OBEYED.values(), ids=OBEYED)
+def test_what_devices_obey(frame: Frame, messages: list[Command | Request]) -> None:
+    assert list(PlainDecoder(devices()).decode(T, frame)) == messages
 
 
-def test_the_ear_follows_a_device_to_its_new_address_as_vectors_show() -> None:
+def test_the_decoder_follows_a_device_to_its_new_address() -> None:
     decoder = PlainDecoder(devices())
     decoder.follow(Device("left", 9, Options("motor"), Settings(serial=1)))
-    assert decoder.decode(T, said(LEFT, "Idle", "") + said(RIGHT, "Idle", "")) == [msg.Idle("right")]
-    assert decoder.decode(T, said(9, "Idle", "")) == [msg.Idle("left")]
+    assert decoder.decode(T, encoded(LEFT, "Idle", "") + encoded(RIGHT, "Idle", "")) == [msg.Idle("right")]
+    assert decoder.decode(T, encoded(9, "Idle", "")) == [msg.Idle("left")]

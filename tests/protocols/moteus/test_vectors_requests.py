@@ -1,4 +1,4 @@
-"""Every independent vector to a device at the ear, and its name; conversations of vectors with the driver."""
+"""Every independent vector to a device at the decoder, and its name; requests and their replies."""
 
 from __future__ import annotations
 
@@ -78,13 +78,13 @@ WORDS: dict[str, tuple[str, list[Command | Request]]] = {
 
 
 @pytest.mark.parametrize("name", WORDS)
-def test_what_a_device_makes_of_a_vector(name: str) -> None:
-    said, words = WORDS[name]
-    assert ", ".join(names(VECTORS[name])) == said
+def test_what_a_device_obeys_of_a_vector(name: str) -> None:
+    named, messages = WORDS[name]
+    assert ", ".join(names(VECTORS[name])) == named
     for uuid in ("", UUID.hex()):
         received = MoteusDecoder([device("m", 5, Settings(uuid=uuid))]).decode(0, VECTORS[name])
-        assert [type(word) for word in received] == [type(word) for word in words]
-        for one, other in zip(received, words, strict=True):
+        assert [type(message) for message in received] == [type(message) for message in messages]
+        for one, other in zip(received, messages, strict=True):
             assert _plain(one) == pytest.approx(_plain(other))
     if name not in ("set_id_by_uuid", "stop_by_whole_uuid"):
         return
@@ -92,8 +92,8 @@ def test_what_a_device_makes_of_a_vector(name: str) -> None:
         assert MoteusDecoder([device("m", 5, Settings(uuid=uuid))]).decode(0, VECTORS[name]) == []
 
 
-def _plain(word: Command | Request) -> dict[str, str | float]:
-    return {name: getattr(word, name) for name in word.__slots__}
+def _plain(message: Command | Request) -> dict[str, str | float]:
+    return {name: getattr(message, name) for name in message.__slots__}
 
 
 def test_every_vector_that_a_device_obeys_is_in_the_table() -> None:
@@ -105,7 +105,7 @@ def test_every_vector_that_a_device_obeys_is_in_the_table() -> None:
     assert to_device == set(WORDS) | others | same
 
 
-def test_vectors_to_others_are_not_heard() -> None:
+def test_vectors_to_other_devices_are_ignored() -> None:
     decoder = MoteusDecoder([device("m", 5), device("n", 6)])
     for name in ("stop_id_100", "stop_prefix", "doc_example_request_id1", "reply_fast"):
         assert decoder.decode(0, VECTORS[name]) == []
@@ -116,28 +116,28 @@ def test_vectors_to_others_are_not_heard() -> None:
 
 
 def talk() -> Talk:
-    """At rest, its identity told."""
+    """At rest, its identity known."""
     it = Talk()
     it.handle(VECTORS["reply_stopped"])
-    assert VECTORS["identify"] in it.say()
+    assert VECTORS["identify"] in it.send()
     assert it.handle(VECTORS["reply_identity"]) == []
     return it
 
 
 def reported(it: Talk, *frames: str) -> list[Event]:
-    """What the vectors tell, without measurements."""
+    """The events of the vectors, without measurements."""
     events = [event for frame in frames for event in it.handle(VECTORS[frame])]
     return [event for event in events if not isinstance(event, msg.Feedback)]
 
 
 def waits(it: Talk, milliseconds: int) -> list[Event]:
-    """The device speaks, but not of this; what the driver tells."""
+    """The device sends other replies; the events of the driver."""
     events: list[Event] = []
     for _ in range(milliseconds // 5):
         it.now += 5_000_000
-        said, _sent = it.driver.send(it.now, ())
+        own, _frames = it.driver.send(it.now, ())
         events += [
-            *said,
+            *own,
             *(e for e in it.handle(VECTORS["reply_stopped"]) if not isinstance(e, msg.Feedback)),
         ]
     return events
@@ -185,15 +185,13 @@ NO_REGISTER = "the device has no such register, or cannot read it so"
         ),
     ],
 )
-def test_a_request_and_its_answer_as_vectors(
-    request_: Request, vector: str, answer: str, expected: list[Event]
-) -> None:
+def test_a_request_and_its_reply(request_: Request, vector: str, answer: str, expected: list[Event]) -> None:
     it = talk()
-    assert VECTORS[vector] in it.say(request_)
+    assert VECTORS[vector] in it.send(request_)
     assert reported(it, "reply_stopped", "reply_uuid") == []
     assert reported(it, answer) == [_at(it.now, event) for event in expected]
     assert reported(it, answer) == []
-    assert VECTORS[vector] not in it.say()
+    assert VECTORS[vector] not in it.send()
 
 
 def _at(t: Nanos, event: Event) -> Event:
@@ -201,32 +199,32 @@ def _at(t: Nanos, event: Event) -> Event:
     return type(event)(**{**values, "t": t})
 
 
-def test_zero_as_vectors() -> None:
+def test_zero() -> None:
     it = talk()
     frame = VECTORS["write_output_exact_0_read_back"]
     assert isinstance(frame, CanFrame)
-    said = it.say(msg.Zero("left"))
-    assert any(f.data.startswith(frame.data.rstrip(b"\x50")) for f in said)
+    sent = it.send(msg.Zero("left"))
+    assert any(f.data.startswith(frame.data.rstrip(b"\x50")) for f in sent)
     assert reported(it, "reply_zeroed") == []  # from before
     assert reported(it, "reply_output_taken", "reply_stopped") == []
     assert reported(it, "reply_zeroed") == [msg.Done(it.now, "Zero", "left")]
-    it.say(msg.Zero("left"))
+    it.send(msg.Zero("left"))
     refused = msg.Refused(it.now, "Zero", "left", "the device does not accept it (read only)")
     assert reported(it, "reply_output_refused") == [refused]
-    it.say(msg.Zero("left"))
-    said_ = "its position did not become zero: is it turning?"
-    assert waits(it, 600) == [msg.Refused(it.now, "Zero", "left", said_)]
+    it.send(msg.Zero("left"))
+    reason = "its position did not become zero: is it turning?"
+    assert waits(it, 600) == [msg.Refused(it.now, "Zero", "left", reason)]
 
 
-def test_clearing_a_fault_as_vectors() -> None:
+def test_clearing_a_fault() -> None:
     it = talk()
     text = FAULTS[38]
     fault = msg.Fault("left", it.now, 38, text.name, text.cause, text.remedy)
     assert reported(it, "reply_fast_fault") == [fault, msg.State("left", it.now, Mode.FAULT, "fault")]
     assert reported(it, "reply_fast_fault") == []
     stopped = VECTORS["stop_with_query"]
-    assert stopped not in [*it.say(msg.Idle("left")), *it.say(msg.Hold("left"))]
-    assert stopped in it.say(msg.ClearFault("left"))
+    assert stopped not in [*it.send(msg.Idle("left")), *it.send(msg.Hold("left"))]
+    assert stopped in it.send(msg.ClearFault("left"))
     assert reported(it, "reply_fast_fault") == []
     ready = msg.State("left", it.now, Mode.READY, "stopped")
     fault_no_more = msg.State("left", it.now, Mode.FAULT, "stopped, not cleared yet")
@@ -237,7 +235,7 @@ def test_clearing_a_fault_as_vectors() -> None:
     text = FAULTS[11]
     timeout = msg.Fault("left", it.now, 11, text.name, text.cause, text.remedy)
     assert reported(it, "reply_timeout") == [timeout, msg.State("left", it.now, Mode.FAULT, "timeout")]
-    it.say(msg.ClearFault("left"))
+    it.send(msg.ClearFault("left"))
     events: list[Event] = []
     for _ in range(120):
         it.now += 5_000_000
@@ -247,7 +245,7 @@ def test_clearing_a_fault_as_vectors() -> None:
     assert len([e for e in events if isinstance(e, msg.Fault)]) <= 1
 
 
-def test_a_device_that_does_not_arm_as_vectors() -> None:
+def test_a_device_that_does_not_arm() -> None:
     it = talk()
     events: list[Event] = []
     for _ in range(220):
@@ -263,9 +261,9 @@ def test_a_device_that_does_not_arm_as_vectors() -> None:
     assert 1_000_000_000 < fault.t - it.now + 220 * 5_000_000 <= 1_020_000_000
 
 
-def test_a_scan_as_vectors() -> None:
+def test_a_scan() -> None:
     it = talk()
-    it.say(msg.Scan("can0"))
+    it.send(msg.Scan("can0"))
     printed = "01234567-89ab-cdef-fedc-ba9876543210"
     ours = f"left, model 030404, firmware 1.3.4; UUID {printed}"
     assert reported(it, "reply_uuid") == [msg.Found(it.now, "moteus", 5, serial_of(UUID), ours)]
@@ -278,73 +276,73 @@ def test_a_scan_as_vectors() -> None:
     assert reported(it, "reply_uuid_id_9") == []
 
 
-def test_an_id_is_given_as_vectors() -> None:
+def test_an_id_is_set() -> None:
     it = talk()
-    said = it.say(msg.SetId("can0", serial_of(UUID), 9))
-    assert VECTORS["discover_by_uuid"] in said
+    sent = it.send(msg.SetId("can0", serial_of(UUID), 9))
+    assert VECTORS["discover_by_uuid"] in sent
     assert reported(it, "reply_uuid") == []
     detail = "not saved yet: write conf_write 1 to keep it after power-off"
     assert reported(it, "reply_uuid_id_9") == [msg.Done(it.now, "SetId", "can0", detail)]
-    it.say(msg.SetId("can0", serial_of(UUID), 9))
+    it.send(msg.SetId("can0", serial_of(UUID), 9))
     reason = "no device with serial number 0123456789ABCDEF took the id"
     assert waits(it, 1500) == [msg.Refused(it.now, "SetId", "can0", reason)]
 
 
-def test_two_uuids_at_one_id_as_vectors() -> None:
+def test_a_duplicate_id_is_reported_once() -> None:
     it = talk()
     one, other = "01234567-89ab-cdef-fedc-ba9876543210", "10325476-98ba-dcfe-efcd-ab8967452301"
-    said = f"duplicate id 5: UUIDs {one} and {other}"
+    detail = f"duplicate id 5: UUIDs {one} and {other}"
     cause = f"two devices reply to it: UUIDs {one} and {other}"
     remedy = "take one off the bus, or give it another id (SetId with its serial number)"
     assert reported(it, "reply_uuid_other") == [
-        msg.Found(it.now, "moteus", 5, serial_of(UUID), said, True),
-        msg.Found(it.now, "moteus", 5, serial_of(UUID[::-1]), said, True),
+        msg.Found(it.now, "moteus", 5, serial_of(UUID), detail, True),
+        msg.Found(it.now, "moteus", 5, serial_of(UUID[::-1]), detail, True),
         msg.Fault("left", it.now, 0x100, "duplicate id 5", cause, remedy),
     ]
     assert reported(it, "reply_uuid", "reply_uuid_other") == []
 
 
-def test_a_device_is_asked_who_it_is_every_five_seconds_once_the_vector_has_told() -> None:
+def test_a_device_is_identified_again_every_five_seconds() -> None:
     it = Talk()
     before = 0
     for _ in range(60):  # 300 ms, and no answer to this
         it.handle(VECTORS["reply_stopped"])
-        before += VECTORS["identify"] in it.say()
+        before += VECTORS["identify"] in it.send()
     assert before == 3
     it.handle(VECTORS["reply_identity"])
     after = 0
     for _ in range(2200):  # 11 s
-        after += VECTORS["identify"] in it.say()
+        after += VECTORS["identify"] in it.send()
         it.handle(VECTORS["reply_stopped"])
     assert after == 3
 
 
-def test_two_uuids_are_told_again_after_clear_as_vectors() -> None:
+def test_a_duplicate_id_is_reported_again_after_clear() -> None:
     it = talk()
     assert len(reported(it, "reply_uuid_other")) == 3
-    it.say(msg.ClearFault("left"))
+    it.send(msg.ClearFault("left"))
     assert [type(e) for e in reported(it, "reply_stopped")] == [msg.Done]
     assert reported(it, "reply_uuid") == []
     assert len(reported(it, "reply_uuid_other")) == 3
 
 
-def test_a_stop_ends_with_its_second_answer_as_vectors() -> None:
+def test_a_stop_ends_with_its_second_reply() -> None:
     it = Talk().running()
-    it.say(msg.Hold("left"))
+    it.send(msg.Hold("left"))
     stop = VECTORS["stop_with_query"]
-    assert it.say(msg.Idle("left"))[0] == stop
+    assert it.send(msg.Idle("left"))[0] == stop
     it.handle(AT)  # how things stood before it
-    said = [frame for _ in range(4) for frame in it.say(msg.Idle("left"))]
-    assert said.count(stop) == 1  # every 20 ms
+    sent = [frame for _ in range(4) for frame in it.send(msg.Idle("left"))]
+    assert sent.count(stop) == 1  # every 20 ms
     it.handle(VECTORS["reply_stopped"])
     assert stop in [
-        frame for _ in range(4) for frame in it.say(msg.Idle("left"))
+        frame for _ in range(4) for frame in it.send(msg.Idle("left"))
     ]  # one answer may be an old one
     it.handle(VECTORS["reply_stopped"])
-    assert stop not in [frame for _ in range(40) for frame in it.say(msg.Idle("left"))]
+    assert stop not in [frame for _ in range(40) for frame in it.send(msg.Idle("left"))]
 
 
-def test_a_mode_that_a_vector_does_not_give_tells_no_state() -> None:
+def test_a_mode_that_is_not_given_reports_no_state() -> None:
     for name, mode in (("reply_fast", 2), ("reply_full", 2)):
         frame = VECTORS[name]
         assert isinstance(frame, CanFrame)

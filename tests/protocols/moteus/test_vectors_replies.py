@@ -1,4 +1,4 @@
-"""Bytes of a device, and what the driver tells: measurements, modes, faults, by length and register."""
+"""Bytes of a device, and the events of the driver: measurements, modes, faults, by length and register."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Event, Mode
 from protocols.moteus.reply import decode
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_heard import reported, talk
+from tests.protocols.moteus.test_vectors_requests import reported, talk
 
 
 def frame(data: str, identifier: int = 0x500) -> CanFrame:
@@ -53,7 +53,7 @@ def plain(it: Talk, data: str) -> msg.Feedback:
         ("2d01" + "ffff7f80", {"position": 0.0}),
     ],
 )  # fmt: skip
-def test_measurements_beside_vectors(data: str, fields: dict[str, float]) -> None:
+def test_measurements_in_replies(data: str, fields: dict[str, float]) -> None:
     it = talk()
     event = plain(it, data)
     names = ("position", "velocity", "torque", "current", "voltage", "temperature")
@@ -64,7 +64,7 @@ def test_measurements_beside_vectors(data: str, fields: dict[str, float]) -> Non
 
 
 @pytest.mark.parametrize("data", ["2d04" + "00002041", "2d01" + "0000c07f", "210c01", "", "50", "41010161"])
-def test_answers_without_a_measurement_beside_vectors(data: str) -> None:
+def test_replies_without_a_measurement(data: str) -> None:
     it = talk()
     before = it.driver.counters.accepted
     assert it.handle(frame(data)) == []
@@ -90,7 +90,7 @@ def test_answers_without_a_measurement_beside_vectors(data: str) -> None:
         "21000a" + "2f01" + "00000000" * 2 + "000080ff" + "210f00",
     ],
 )
-def test_answers_that_are_none_beside_vectors(data: str) -> None:
+def test_malformed_replies(data: str) -> None:
     it = talk()
     before = (it.driver.counters.malformed, it.driver.counters.accepted)
     assert it.handle(frame(data)) == []
@@ -98,7 +98,7 @@ def test_answers_that_are_none_beside_vectors(data: str) -> None:
 
 
 @pytest.mark.parametrize("size", range(65))
-def test_lengths_of_answers_beside_vectors(size: int) -> None:
+def test_lengths_of_replies(size: int) -> None:
     sizes = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
     assert (decode(b"\x50" * size) is not None) == (size in sizes)
 
@@ -109,7 +109,7 @@ FULL = (
     "24060a" + "2701" + "0100" + "0200" + "f500" + "9d01" + "0300" + "50" * 11
 )
 SHAPES: list[tuple[str, int, str, dict[int, float | None] | None]] = [
-    # an answer, from which byte on, what stands there instead, which registers are told then; None: none
+    # a reply, an offset, the bytes that replace those at it, the registers that change; None: malformed
     (FAST, 2, "80", {0: None}),
     (FAST, 2, "ff", {0: -1}),
     (FAST, 2, "7f", {0: 127}),
@@ -135,7 +135,7 @@ SHAPES: list[tuple[str, int, str, dict[int, float | None] | None]] = [
 
 
 @pytest.mark.parametrize(("data", "at", "instead", "differ"), SHAPES)
-def test_answers_that_come_all_the_time_beside_vectors(
+def test_replies_of_the_usual_layouts(
     data: str, at: int, instead: str, differ: dict[int, float | None] | None
 ) -> None:
     whole = bytes.fromhex(data)
@@ -155,7 +155,7 @@ def test_answers_that_come_all_the_time_beside_vectors(
         assert value is None or math.copysign(1.0, value) == 1.0 or value != 0.0
 
 
-def test_what_an_answer_of_another_shape_tells_beside_vectors() -> None:
+def test_replies_of_another_layout() -> None:
     for shape, at in ((FAST, 0), (FAST, 3), (FAST, 17), (FULL, 0), (FULL, 3), (FULL, 22)):
         other = bytearray(bytes.fromhex(shape))
         other[at] = 0x60
@@ -166,12 +166,12 @@ def test_what_an_answer_of_another_shape_tells_beside_vectors() -> None:
     more = decode(bytes.fromhex(FULL[: -2 * 11] + "31d00201" + "50" * 7))
     assert more is not None
     assert (len(more.values), len(more.errors)) == (11, 1)
-    told_ = decode(bytes.fromhex("41010568656c6c6f" + "41010121" + "50505050"))
-    assert told_ is not None
-    assert (told_.console, dict(told_.values), told_.errors) == (b"hello!", {}, ())
-    complaint = decode(bytes.fromhex("300f02" + "31d00201" + "50"))
-    assert complaint is not None
-    assert [(e.code, e.register, e.number) for e in complaint.errors] == [(0x30, 15, 2), (0x31, 0x150, 1)]
+    own = decode(bytes.fromhex("41010568656c6c6f" + "41010121" + "50505050"))
+    assert own is not None
+    assert (own.console, dict(own.values), own.errors) == (b"hello!", {}, ())
+    errors = decode(bytes.fromhex("300f02" + "31d00201" + "50"))
+    assert errors is not None
+    assert [(e.code, e.register, e.number) for e in errors.errors] == [(0x30, 15, 2), (0x31, 0x150, 1)]
 
 
 def later(it: Talk) -> list[Event]:
@@ -204,7 +204,7 @@ NAMES = (
 
 
 @pytest.mark.parametrize("number", range(17))
-def test_the_mode_that_a_vector_tells(number: int) -> None:
+def test_the_state_of_each_mode(number: int) -> None:
     it = Talk()
     data = AT.replace("21000a", f"2100{number:02x}", 1)
     events = [event for event in it.handle(data) if isinstance(event, msg.State)]
@@ -217,7 +217,7 @@ def test_the_mode_that_a_vector_tells(number: int) -> None:
         assert reported(it, "reply_stopped") == [msg.State("left", it.now, Mode.FAULT, stopped)]
 
 
-def test_a_fault_that_no_vector_names_is_told_by_its_number() -> None:
+def test_an_unknown_fault_is_reported_by_its_number() -> None:
     fault = talk().handle(frame("210001210f7e"))[0]
     assert isinstance(fault, msg.Fault)
     assert (fault.code, fault.name) == (126, "fault 126")
@@ -225,10 +225,10 @@ def test_a_fault_that_no_vector_names_is_told_by_its_number() -> None:
     assert fault.remedy == "look it up in the vendor's register reference, then clear"
 
 
-def test_a_fault_whose_code_no_vector_has_told_waits_for_it() -> None:
+def test_a_fault_without_its_code_is_reported_when_the_code_comes() -> None:
     it = talk()
     assert it.handle(frame("210001")) == [msg.State("left", it.now, Mode.FAULT, "fault")]
-    assert [f for _ in range(9) for f in it.say(msg.Hold("left")) if f.data[:1] == b"\x01"] == []
+    assert [f for _ in range(9) for f in it.send(msg.Hold("left")) if f.data[:1] == b"\x01"] == []
     (fault,) = it.handle(frame("210001210f26"))
     assert isinstance(fault, msg.Fault)
     assert fault.code == 38
@@ -242,24 +242,24 @@ def test_a_fault_whose_code_no_vector_has_told_waits_for_it() -> None:
     assert (timeout.code, state.mode, state.detail) == (11, Mode.FAULT, "timeout")
 
 
-def test_a_fault_ends_what_was_going_on_beside_vectors() -> None:
+def test_a_fault_ends_what_was_going_on() -> None:
     it = Talk().running()
-    it.say(msg.Velocity("left", 1.0))
+    it.send(msg.Velocity("left", 1.0))
     it.handle(VECTORS["reply_fast_fault"])
     for _ in range(9):
-        assert [f for f in it.say(msg.Velocity("left", 1.0)) if f.data[:1] == b"\x01"] == []
+        assert [f for f in it.send(msg.Velocity("left", 1.0)) if f.data[:1] == b"\x01"] == []
         it.handle(VECTORS["reply_fast_fault"])
-    it.say(msg.ClearFault("left"))
+    it.send(msg.ClearFault("left"))
     ended = reported(it, "reply_stopped")
     assert ended[-1] == msg.Done(it.now, "ClearFault", "left")
-    first = it.say(msg.Velocity("left", 1.0))[0]
+    first = it.send(msg.Velocity("left", 1.0))[0]
     assert first.data.hex().startswith("01000a0f200000803e0000000000000000")  # where the shaft is, at rest
 
 
-def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
+def test_clear_is_refused_with_the_fault_that_stays() -> None:
     it = talk()
     reported(it, "reply_fast_fault")
-    it.say(msg.ClearFault("left"))
+    it.send(msg.ClearFault("left"))
     events: list[Event] = []
     for _ in range(119):
         it.now += 5 * MILLISECOND
@@ -271,7 +271,7 @@ def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
     assert refused == msg.Refused(it.now, "ClearFault", "left", "still in fault: over temperature")
     again = reported(it, "reply_fast_fault")
     assert [type(event) for event in again] == [msg.Fault, msg.State]
-    it.say(msg.ClearFault("left"))
+    it.send(msg.ClearFault("left"))
     start = it.now
     mute = [e for _ in range(125) for e in later(it) if isinstance(e, msg.Refused)]
     assert mute == [msg.Refused(start + 600 * MILLISECOND, "ClearFault", "left", "no reply of the device")]
@@ -285,19 +285,19 @@ def test_clear_is_refused_with_the_fault_that_stays_as_in_the_vector() -> None:
     [("0ad7233b", True), ("0ad723bb", True), ("0ad7233c", True), ("cdcccc3d", False), ("cdccccbd", False),
      ("0000c07f", False)],
 )  # fmt: skip
-def test_a_zero_is_near_enough_beside_vectors(place: str, near: bool) -> None:
+def test_a_zero_is_near_enough(place: str, near: bool) -> None:
     it = talk()
-    it.say(msg.Zero("left"))
+    it.send(msg.Zero("left"))
     assert it.handle(frame("2d01" + "00000000")) != []  # from before: a measurement, and no more
     it.handle(frame("31b10201"))
     events = it.handle(frame("2d01" + place))
     assert [type(e) for e in events if not isinstance(e, msg.Feedback)] == ([msg.Done] if near else [])
 
 
-# -- the wire ----------------------------------------------------------------------------------------
+# -- the bus -----------------------------------------------------------------------------------------
 
 
-def test_a_release_asks_nothing_beside_vectors() -> None:
+def test_release_is_refused() -> None:
     it = Talk().running()
     it.now += 5 * MILLISECOND
     events, _ = it.driver.send(it.now, [msg.Release()])
