@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+from dataclasses import MISSING, FrozenInstanceError, fields, is_dataclass
+from typing import Any, get_args
+
+import pytest
+
+from protocols import messages
+from protocols.messages import COMMANDS, SECOND, Command, Feedback, Message, Mode, Velocity, seconds
+from tests.protocols.plain.samples import VECTORS, message_of
+
+KINDS: tuple[Any, ...] = get_args(Message)
+SAMPLES: list[Message] = [message_of(row) for row in VECTORS["packed"]]
+
+
+def test_there_is_a_sample_of_every_word() -> None:
+    assert {type(word) for word in SAMPLES} == set(KINDS)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
+def test_a_word_is_a_frozen_slotted_value_without_methods(kind: type[Any]) -> None:
+    assert is_dataclass(kind)
+    assert vars(kind)["__slots__"] == tuple(f.name for f in fields(kind))
+    own = {name for name in vars(kind) if not name.startswith("_")}
+    assert own == {f.name for f in fields(kind)}
+    assert kind.__doc__
+    assert not kind.__doc__.startswith(f"{kind.__name__}(")  # what a dataclass writes if nobody did
+
+
+@pytest.mark.parametrize("word", SAMPLES, ids=lambda word: type(word).__name__)
+def test_a_word_cannot_be_changed_and_is_equal_to_its_copy(word: Any) -> None:
+    for f in fields(word):
+        with pytest.raises(FrozenInstanceError):
+            setattr(word, f.name, getattr(word, f.name))
+    with pytest.raises((AttributeError, TypeError)):
+        word.another = 1
+    for twin in (copy.copy(word), copy.deepcopy(word), pickle.loads(pickle.dumps(word))):
+        assert twin == word
+        assert hash(twin) == hash(word)
+
+
+def test_words_of_different_kinds_are_never_equal() -> None:
+    values: list[Any] = ["m", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    made = [(len(fields(kind)), kind(*values[: len(fields(kind))])) for kind in KINDS]
+    for size, one in made:
+        assert one != tuple(values[:size])
+        assert [other for _, other in made if other == one] == [one]
+    assert len({one for _, one in made}) == len(KINDS)
+
+
+def test_what_was_not_measured_is_none() -> None:
+    silent = Feedback("m", 5)
+    assert [getattr(silent, f.name) for f in fields(silent)][2:] == [None] * 6
+
+
+def test_feed_forward_is_zero_unless_given() -> None:
+    assert Velocity("m", 1.0) == Velocity("m", 1.0, 0.0)
+    assert set(COMMANDS) == set(get_args(Command))
+
+
+def test_no_default_hides_a_measurement() -> None:
+    for kind in (messages.Imu, messages.LaserScan, messages.Fix, messages.Feedback, messages.Parameter):
+        for f in fields(kind):
+            assert f.default is None or f.default is MISSING, (kind, f.name)
+
+
+@pytest.mark.parametrize(
+    ("span", "expected"),
+    [(0, 0.0), (SECOND, 1.0), (-SECOND // 2, -0.5), (1, 1e-9), (86_400 * SECOND, 86_400.0)],
+)
+def test_seconds(span: int, expected: float) -> None:
+    assert math.isclose(seconds(span), expected)
+
+
+def test_modes_are_their_own_text() -> None:
+    assert [f"{mode}" for mode in Mode] == ["initialising", "ready", "armed", "fault", "offline"]
+    assert Mode("armed") is Mode.ARMED
