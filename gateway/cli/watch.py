@@ -16,7 +16,7 @@ from pathlib import Path
 
 from gateway import config
 from gateway.cli import arguments
-from gateway.cli.terminal.screen import Screen
+from gateway.cli.terminal.screen import screen
 from gateway.core.clock import WallClock
 from gateway.core.tick import Tick
 from gateway.errors import UserError
@@ -71,8 +71,8 @@ def run(options: Namespace) -> int:
                 print("\n".join(batch), flush=True)
             print(end="" if options.lines else "\n")
         else:
-            with Screen(sys.stdout) as screen:
-                refresh(session, until, screen.draw)
+            with screen(sys.stdout) as draw:
+                refresh(session, until, draw)
         if not options.lines:
             print("\n".join(page(session)))
     return 0

@@ -7,15 +7,17 @@ device. No protocol is known here by name.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from gateway.core.joint import JointSettings
+from gateway.core.joint import Joint, JointSettings
 from gateway.core.limits import Limits
-from gateway.core.robot import BusDevice, BusSettings, Motor, Robot, by_protocol
-from gateway.monitor.state import Candidate, ProtocolVariant
-from protocols.plugin import Device, Plugin
+from gateway.core.robot import BusSettings, Motor, Robot, by_protocol
+from gateway.monitor.state import DeviceRecord, ProtocolVariant
+from protocols.messages import Nanos
+from protocols.plugin import Device, Plugin, Spec
 
 MAX_ADDRESSES = 256
 """Addresses of one protocol that are tried on one bus without a robot file."""
@@ -30,50 +32,47 @@ NO_GEAR = JointSettings(Limits(velocity=1.0, acceleration=1.0, torque=1.0))
 """Of a motor that no robot file describes; nothing is commanded, so its limits are never used."""
 
 
-def of_robot(robot: Robot, buses: Sequence[str]) -> list[ProtocolVariant]:
+def of_robot(robot: Robot, buses: Iterable[str]) -> list[ProtocolVariant]:
     """Return the protocols of the devices that the robot file has on these buses."""
-    return [
-        _variant(bus, plugin, [_candidate(one) for one in group], [one.device for one in group])
-        for bus in buses
-        for plugin, group in by_protocol(robot.devices_on(bus))
-    ]
+    variants = []
+    for bus in buses:
+        for plugin, group in by_protocol(robot.devices_on(bus)):
+            variant = _variant(bus, plugin, [one.device for one in group])
+            for one in group:
+                joint = one.joint if isinstance(one, Motor) else None
+                timeout = one.joint.feedback_timeout if isinstance(one, Motor) else one.timeout
+                _add(variant, one.device, one.spec, joint, timeout)
+            variants.append(variant)
+    return variants
 
 
-def _candidate(device: BusDevice) -> Candidate:
-    joint = device.joint if isinstance(device, Motor) else None
-    timeout = device.joint.feedback_timeout if isinstance(device, Motor) else device.timeout
-    protocol, address = device.plugin.name, device.device.address
-    return Candidate(device.name, device.bus, protocol, address, device.spec, joint, timeout)
-
-
-def _variant(
-    bus: str, plugin: Plugin, candidates: Sequence[Candidate], devices: Sequence[Device]
-) -> ProtocolVariant:
-    by_name = {candidate.name: candidate for candidate in candidates}
-    return ProtocolVariant(bus, plugin.name, by_name, plugin.driver(devices), plugin.decoder(devices))
-
-
-def of_plugins(bus: BusSettings, plugins: Sequence[Plugin]) -> Iterator[ProtocolVariant]:
-    """Yield every protocol that can run on this bus, with every choice of options and every address."""
+def of_plugins(bus: BusSettings, plugins: Sequence[Plugin]) -> list[ProtocolVariant]:
+    """Return every protocol that can run on this bus, with every choice of options and every address."""
+    variants = []
     for plugin in plugins:
         for options in choices(plugin.options):
-            candidates: list[Candidate] = []
-            devices: list[Device] = []
+            specs: list[tuple[Device, Spec]] = []
             for address in range(MAX_ADDRESSES):
                 device = Device(f"{plugin.name}:{address}", address, options, plugin.settings())
-                try:
-                    spec = plugin.spec(device)
-                except ValueError:  # the protocol does not allow this address
-                    continue
-                if spec.bus not in COMPATIBLE[bus.kind]:
-                    break
-                joint = NO_GEAR if spec.kind == "motor" else None
-                candidates.append(
-                    Candidate(device.name, bus.name, plugin.name, address, spec, joint, spec.offline_after)
-                )
-                devices.append(device)
-            if devices:
-                yield _variant(bus.name, plugin, candidates, devices)
+                with suppress(ValueError):  # the protocol does not allow this address
+                    specs.append((device, plugin.spec(device)))
+            if specs and all(spec.bus in COMPATIBLE[bus.kind] for _, spec in specs):
+                variant = _variant(bus.name, plugin, [device for device, _ in specs])
+                for device, spec in specs:
+                    _add(variant, device, spec, NO_GEAR if spec.kind == "motor" else None, spec.offline_after)
+                variants.append(variant)
+    return variants
+
+
+def _variant(bus: str, plugin: Plugin, devices: Sequence[Device]) -> ProtocolVariant:
+    return ProtocolVariant(bus, plugin.name, plugin.driver(devices), plugin.decoder(devices))
+
+
+def _add(
+    variant: ProtocolVariant, device: Device, spec: Spec, settings: JointSettings | None, timeout: Nanos
+) -> None:
+    joint = Joint(device.name, settings, spec) if settings else None
+    variant.devices[device.name] = DeviceRecord(device.name, variant, device.address, spec, joint, timeout)
 
 
 def choices(options: type) -> list[object]:

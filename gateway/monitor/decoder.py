@@ -15,11 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from gateway.buses.frame_time import frame_time
-from gateway.core.joint import Joint
 from gateway.core.robot import BusSettings
 from gateway.monitor.state import (
     BusRecord,
-    Candidate,
     CanId,
     DecodedPacket,
     DeviceRecord,
@@ -54,14 +52,14 @@ class BusMonitor:
         known: bool,
         window: Nanos | None = WINDOW,
     ) -> None:
-        """`known`: all candidates are there, since a robot file lists them. `window`: of the rates; None: all
+        """`known`: all devices are there, since a robot file lists them. `window`: of the rates; None: all
         the time since `began`."""
         self._began, self._window = began, window
         self.known = known
         self.buses = {name: BusRecord(bus, self._rate(), self._rate()) for name, bus in buses.items()}
         self.ids: dict[CanId, IdRecord] = {}
         self.notes: deque[Event] = deque(maxlen=MAX_NOTES)
-        """Events of no candidate: Found, Done, Refused."""
+        """Events of no device in particular: Found, Done, Refused."""
         self.found: dict[Place, DeviceRecord] = {}
         self._variants = {bus: [variant for variant in variants if variant.bus == bus] for bus in buses}
         self._best: dict[Place, DeviceRecord] = {}
@@ -69,8 +67,9 @@ class BusMonitor:
         self._owners: dict[tuple[str, int], list[DeviceRecord]] = {}
         if known:
             for variant in variants:
-                for candidate in variant.candidates.values():
-                    self._own(self._record(variant, candidate))
+                for device in variant.devices.values():
+                    self._best[device.place] = device
+                    self._own(device)
 
     def on_state(self, t: Nanos, bus: str, state: BusState) -> None:
         """Take in a change of a bus."""
@@ -94,13 +93,13 @@ class BusMonitor:
         owners = self._owners_of(packet)  # one may have been found just now
         if accepted and len(owners) == 1:
             owners[0].received_at = packet.t
-        decoded.names = tuple(owner.candidate.name for owner in owners)
+        decoded.names = tuple(owner.name for owner in owners)
         if sent or (decoded.commands and not decoded.events):
             decoded.direction = "to"
         elif decoded.events or (accepted and (owners or self.known)):
             decoded.direction = "from"
         elif owners and isinstance(packet.frame, CanFrame):
-            decoded.direction = "to" if packet.frame.id in owners[0].candidate.spec.sends else "from"
+            decoded.direction = "to" if packet.frame.id in owners[0].spec.sends else "from"
         return decoded
 
     def unknown(self, now: Nanos) -> list[tuple[CanId, IdRecord]]:
@@ -121,8 +120,8 @@ class BusMonitor:
 
     def message_rates(self, record: DeviceRecord, now: Nanos) -> list[tuple[str, float]]:
         """Return what a device sends per second: on CAN by id, with the kinds of events decoded from it."""
-        bus, rates = record.candidate.bus, []
-        for number in sorted(record.candidate.spec.expects):
+        bus, rates = record.variant.bus, []
+        for number in sorted(record.spec.expects):
             for extended in (False, True):
                 one = self.ids.get((bus, extended, False, number))
                 if one is not None and len(self._owners.get((bus, number), ())) == 1:
@@ -157,12 +156,11 @@ class BusMonitor:
     def _on_events(self, variant: ProtocolVariant, events: Sequence[Event], decoded: DecodedPacket) -> None:
         packet = decoded.packet
         for event in events:
-            candidate = variant.candidates.get(_device_of(event))
-            if candidate is None:
+            record = variant.devices.get(_name_in(event))
+            if record is None:
                 decoded.events.append(event)
                 self.notes.append(event)
                 continue
-            record = self._record(variant, candidate)
             one = None
             if isinstance(packet.frame, CanFrame):
                 record.extended = packet.frame.extended
@@ -170,12 +168,12 @@ class BusMonitor:
             believed = self._learn(record, packet.t, event)
             if believed is None or not self._is_best(record):
                 continue
-            found = self.found.get(candidate.place) is record
+            found = self.found.get(record.place) is record
             (decoded.events if found else decoded.guesses).append(believed)
             if one is not None and found:
                 one.kinds[type(event).__name__] = None
             elif one is not None:
-                one.could_be[candidate.name] = None
+                one.could_be[record.name] = None
 
     def _learn(self, record: DeviceRecord, t: Nanos, event: Event) -> Event | None:
         """Keep an event of a device; return it at the output shaft, None if it is not plausible."""
@@ -198,22 +196,19 @@ class BusMonitor:
         self, variant: ProtocolVariant, commands: Sequence[ToDevice], decoded: DecodedPacket
     ) -> None:
         for command in commands:
-            candidate = variant.candidates.get(_device_of(command))
-            if candidate is None:
+            device = variant.devices.get(_name_in(command))
+            if device is None:
                 if command not in decoded.commands:
                     decoded.commands.append(command)
                 continue
-            best = self._best.get(candidate.place)
-            at_output = at_joint(command, candidate.ratio)
-            if best is None and not self.known and self._is_first(variant):
+            best = self._best.get(device.place)
+            at_output = at_joint(command, device.ratio)
+            if best is device or (best is None and self._is_first(variant)):
                 decoded.commands.append(at_output)
-            if best is None or best.variant is not variant:
-                continue
-            decoded.commands.append(at_output)
-            if isinstance(at_output, Command):
-                best.command, best.commanded_at = at_output, decoded.packet.t
-                best.commands = best.commands or self._rate()
-                best.commands.add(decoded.packet.t)
+            if best is device and isinstance(at_output, Command):
+                device.command, device.commanded_at = at_output, decoded.packet.t
+                device.commands = device.commands or self._rate()
+                device.commands.add(decoded.packet.t)
 
     # -- which devices are there --------------------------------------------------------------
 
@@ -221,20 +216,11 @@ class BusMonitor:
         """Return the variants that decode a packet: all, or the one that has settled for the id's owner."""
         if self.known or len(owners) != 1 or owners[0].weight < SETTLED_EVENTS:
             return self._variants[bus]
-        return [self._best[owners[0].candidate.place].variant]
-
-    def _record(self, variant: ProtocolVariant, candidate: Candidate) -> DeviceRecord:
-        record = variant.records.get(candidate.name)
-        if record is None:
-            joint = Joint(candidate.name, candidate.joint, candidate.spec) if candidate.joint else None
-            record = variant.records[candidate.name] = DeviceRecord(candidate, variant, joint)
-            if self.known:
-                self._best[candidate.place] = record
-        return record
+        return [self._best[owners[0].place].variant]
 
     def _is_best(self, record: DeviceRecord) -> bool:
         """True if no other variant decodes more of this device; it may count as found from now on."""
-        place = record.candidate.place
+        place = record.place
         best = self._best.get(place)
         if best is not None and best is not record and best.merit >= record.merit:
             return False
@@ -246,11 +232,10 @@ class BusMonitor:
 
     def _own(self, record: DeviceRecord) -> None:
         """Add a device: its ids are no longer unknown."""
-        candidate = record.candidate
-        former = self.found.get(candidate.place)
-        self.found[candidate.place] = record
-        for number in sorted(candidate.spec.sends | candidate.spec.expects):
-            owners = self._owners.setdefault((candidate.bus, number), [])
+        former = self.found.get(record.place)
+        self.found[record.place] = record
+        for number in sorted(record.spec.sends | record.spec.expects):
+            owners = self._owners.setdefault((record.variant.bus, number), [])
             owners[:] = [owner for owner in owners if owner is not former] + [record]
 
     def _owned(self, key: CanId) -> bool:
@@ -280,7 +265,7 @@ def at_joint(command: ToDevice, ratio: float) -> ToDevice:
     return replace(command, **changes) if changes and isinstance(command, Command) else command
 
 
-def _device_of(message: Event | ToDevice) -> str:
+def _name_in(message: Event | ToDevice) -> str:
     """Return the device that a message names; "" if it names none."""
     name = getattr(message, "motor", "") or getattr(message, "sensor", "") or getattr(message, "name", "")
     return str(name)

@@ -66,13 +66,13 @@ def _devices(monitor: BusMonitor, now: Nanos) -> list[str]:
     if not found:
         return ["no device on these buses" if monitor.known else "no device has been found yet"]
     if not monitor.known:
-        found.sort(key=lambda record: record.candidate.place)
+        found.sort(key=lambda record: record.place)
     texts = [feedback_texts(record.joint.feedback) if record.joint else {} for record in found]
     measured = [name for name, _, _ in QUANTITIES if any(name in text for text in texts)]
     rows = [("device", "protocol", "at", "state", "last message", *measured)]
     for record, text in zip(found, texts, strict=True):
-        device = record.candidate
-        head = (device.name, device.protocol, f"{device.bus} {device.address}", _state(record, now))
+        bus, protocol, address = record.place
+        head = (record.name, protocol, f"{bus} {address}", _state(record, now))
         values = (text.get(name, "-") for name in measured)
         rows.append((*head, age_text(record.received_at, now), *values))
     table = columns(rows)

@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-from gateway.core.joint import Joint, JointSettings
+from gateway.core.joint import Joint
 from gateway.core.robot import BusSettings
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Command, Event, Fault, Fix, Imu, LaserScan, Nanos, Request
@@ -63,54 +63,32 @@ class Rate:
             self._in_window -= self._recent.popleft()[1]
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A device that is on a bus, or may be."""
-
-    name: str
-    bus: str
-    protocol: str
-    address: int
-    spec: Spec
-    joint: JointSettings | None
-    """None: a sensor."""
-    timeout: Nanos
-    """Age of the last message after which the device counts as silent."""
-
-    @property
-    def ratio(self) -> float:
-        """Turns of the device's shaft per turn of the joint, with its sign."""
-        return self.joint.gear * self.joint.sign if self.joint else 1.0
-
-    @property
-    def place(self) -> Place:
-        """Where the device is; the same for all variants of its protocol."""
-        return self.bus, self.protocol, self.address
-
-
 @dataclass(slots=True, eq=False)
 class ProtocolVariant:
-    """One protocol with one set of options on one bus: a driver for what devices send, a decoder for what
-    they are sent. Neither is ever asked to send."""
+    """One protocol with one set of options on one bus, and the devices that it may have.
+
+    The driver decodes what devices send, the decoder what they are sent. Neither is ever asked to send."""
 
     bus: str
     protocol: str
-    candidates: dict[str, Candidate]
-    """By the name in messages."""
     driver: Driver
     decoder: CommandDecoder
-    records: dict[str, DeviceRecord] = field(default_factory=dict)
-    """What these options make of the candidates of which anything was decoded, by name."""
+    devices: dict[str, DeviceRecord] = field(default_factory=dict)
+    """By the name in messages."""
 
 
 @dataclass(slots=True, eq=False)
 class DeviceRecord:
-    """What is known of one device."""
+    """A device that is on a bus, or may be, and what is known of it."""
 
-    candidate: Candidate
+    name: str
     variant: ProtocolVariant = field(repr=False)
+    address: int
+    spec: Spec
     joint: Joint | None
     """Its newest feedback and mode; None: a sensor."""
+    timeout: Nanos
+    """Age of its last message after which it counts as silent."""
     kinds: dict[str, Rate] = field(default_factory=dict)
     """Rates of its events, by kind."""
     received_at: Nanos | None = None
@@ -125,6 +103,16 @@ class DeviceRecord:
     """Whether its ids are extended; None: not known, or not on CAN."""
 
     @property
+    def place(self) -> Place:
+        """Where it is; the same in all variants of its protocol."""
+        return self.variant.bus, self.variant.protocol, self.address
+
+    @property
+    def ratio(self) -> float:
+        """Turns of the device's shaft per turn of the joint, with its sign."""
+        return self.joint.settings.gear * self.joint.settings.sign if self.joint else 1.0
+
+    @property
     def weight(self) -> int:
         """Number of decoded events; faults do not count."""
         return sum(rate.total for kind, rate in self.kinds.items() if kind != Fault.__name__)
@@ -136,7 +124,7 @@ class DeviceRecord:
 
     def silent(self, now: Nanos) -> bool:
         """True if its last message is older than its timeout."""
-        return self.received_at is None or now - self.received_at > self.candidate.timeout
+        return self.received_at is None or now - self.received_at > self.timeout
 
 
 @dataclass(slots=True)

@@ -1,13 +1,19 @@
-"""A command of the gateway as a process of its own, and what it says, for tests on the wall clock."""
+"""A command of the gateway as a process of its own, for tests on the wall clock."""
 
 from __future__ import annotations
 
+import codecs
+import fcntl
 import os
+import pty
 import select
 import signal
 import subprocess
 import sys
+import termios
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -15,19 +21,34 @@ PATIENCE = 60.0
 """s; the machine may have other things to do"""
 
 
-class Process:
-    """`gateway WORDS…`, with what it has said so far in `text`."""
+def eventually(condition: Callable[[], bool], seconds: float = PATIENCE) -> bool:
+    """True as soon as a condition holds, False if it does not within this time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+    return False
 
-    def __init__(self, folder: Path, *words: str) -> None:
-        environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
+
+class Process:
+    """`gateway ARGUMENTS…`, with its output so far in `text`."""
+
+    def __init__(self, folder: Path, *arguments: str, terminal: int | None = None) -> None:
+        """`folder` is for its socket; `terminal` is for its input and output, instead of pipes."""
+        stream = subprocess.PIPE if terminal is None else terminal
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", *words],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
+            [sys.executable, "-m", "gateway", *arguments],
+            stdin=stream,
+            stdout=stream,
             stderr=subprocess.STDOUT,
-            env=environment,
+            env={**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"},
+            start_new_session=terminal is not None,
+            # So that Ctrl-C and hanging up reach it.
+            preexec_fn=None if terminal is None else lambda: fcntl.ioctl(terminal, termios.TIOCSCTTY, 0),
         )
         self.text = ""
+        self._decode = codecs.getincrementaldecoder("utf-8")("replace").decode
+        self._ended = False
 
     def __enter__(self) -> Process:
         return self
@@ -39,45 +60,90 @@ class Process:
             self._process.kill()
         self._process.communicate()
 
-    def until(self, *texts: str, seconds: float = PATIENCE) -> str:
-        """Wait until it has said all of these, in any order; what it has said."""
+    def _output(self) -> int:
+        assert self._process.stdout is not None
+        return self._process.stdout.fileno()
+
+    def until(self, *texts: str, keys: bytes = b"", seconds: float = PATIENCE) -> str:
+        """Wait until it has printed all of these, in any order, sending keys meanwhile; return its output."""
         end = time.monotonic() + seconds
-        while not all(text in self.text for text in texts):
-            left = end - time.monotonic()
-            if left <= 0.0 or not self._more(left):
-                missing = [text for text in texts if text not in self.text]
-                raise AssertionError(f"not said: {missing}; said:\n{self.text}")
+        while missing := [text for text in texts if text not in self.text]:
+            if self._ended or time.monotonic() > end:
+                raise AssertionError(f"not printed: {missing}; printed:\n{self.text}")
+            if keys:
+                self.send_keys(keys)
+            self.look()
         return self.text
 
+    def look(self) -> None:
+        """Read what it prints within a moment."""
+        self._read(0.04)
+
     def processor_time(self) -> float:
-        """s that it has used of the processor so far."""
+        """Return the seconds of processor time that it has used."""
         fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")  # utime, stime: proc(5)
 
-    def say(self, line: str) -> None:
-        """Type a line on its terminal."""
+    def send_line(self, line: str) -> None:
+        """Type a line on its standard input."""
+        self.send_keys(f"{line}\n".encode())
+
+    def send_keys(self, keys: bytes) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(f"{line}\n".encode())
+        self._process.stdin.write(keys)
         self._process.stdin.flush()
 
     def send(self, number: signal.Signals) -> None:
         self._process.send_signal(number)
 
     def end(self, number: signal.Signals | None = None) -> tuple[int, str]:
-        """Its exit status once it has ended (after a signal, if one is given), and all that it has said."""
+        """Return its exit status once it has ended (after a signal, if one is given), and all its output."""
         if number is not None:
             self.send(number)
         end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and self._more(0.5):
+        while not self._ended and self._process.poll() is None and time.monotonic() < end:
+            self._read(0.1)
+        status = self._process.wait(PATIENCE)
+        while self._read(0.0):
             pass
-        return self._process.wait(PATIENCE), self.text
+        return status, self.text
 
-    def _more(self, seconds: float) -> bool:
-        """Read what there is, waiting at most so long; False at the end of its output."""
-        assert self._process.stdout is not None
-        output = self._process.stdout.fileno()
-        if not select.select([output], [], [], seconds)[0]:
-            return True
-        data = os.read(output, 65536)
-        self.text += data.decode()
-        return bool(data)
+    def _read(self, seconds: float) -> bool:
+        """Read what there is, waiting at most this time; False if there is nothing."""
+        if self._ended or not select.select([self._output()], [], [], seconds)[0]:
+            return False
+        try:
+            data = os.read(self._output(), 65536)
+        except OSError:  # the terminal is closed
+            data = b""
+        self.text += self._decode(data)
+        self._ended = not data
+        return not self._ended
+
+
+class TerminalProcess(Process):
+    """The same on a terminal of its own."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self._master, self.terminal = pty.openpty()
+        self.before = termios.tcgetattr(self.terminal)
+        super().__init__(folder, *arguments, terminal=self.terminal)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        super().__exit__(kind, error, trace)
+        self.hang_up()
+
+    def _output(self) -> int:
+        return self._master
+
+    def send_keys(self, keys: bytes) -> None:
+        os.write(self._master, keys)
+
+    def hang_up(self) -> None:
+        """Close the terminal."""
+        self._ended = True
+        for end in (self.terminal, self._master):
+            with suppress(OSError):
+                os.close(end)

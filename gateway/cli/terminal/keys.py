@@ -40,22 +40,11 @@ class Key(Enum):
 
 
 KEYS: dict[bytes, Key] = {
-    b"\x1b[C": Key.FORWARD,
-    b"\x1b[A": Key.FORWARD,
-    b"\x1bOC": Key.FORWARD,
-    b"\x1bOA": Key.FORWARD,
-    b"+": Key.FORWARD,
-    b"=": Key.FORWARD,
-    b"\x1b[D": Key.BACKWARD,
-    b"\x1b[B": Key.BACKWARD,
-    b"\x1bOD": Key.BACKWARD,
-    b"\x1bOB": Key.BACKWARD,
-    b"-": Key.BACKWARD,
-    b"_": Key.BACKWARD,
+    **dict.fromkeys((b"\x1b[C", b"\x1b[A", b"\x1bOC", b"\x1bOA", b"+", b"="), Key.FORWARD),
+    **dict.fromkeys((b"\x1b[D", b"\x1b[B", b"\x1bOD", b"\x1bOB", b"-", b"_"), Key.BACKWARD),
     b" ": Key.DISARM,
     b"c": Key.CLEAR,
-    b"q": Key.LEAVE,
-    b"Q": Key.LEAVE,
+    **dict.fromkeys((b"q", b"Q"), Key.LEAVE),
 }
 """Arrows in both modes of a terminal (ECMA-48 CUU CUD CUF CUB; DEC application mode), and characters."""
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import os
 import select
-from collections.abc import Sequence
-from contextlib import suppress
-from types import TracebackType
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import TextIO
 
 ENTER, LEAVE = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
@@ -36,36 +35,27 @@ def page(lines: Sequence[str], size: os.terminal_size) -> str:
     fitting = [cut(line, size.columns) for line in lines]
     if len(fitting) > size.lines:
         hidden = len(fitting) - size.lines + 1
-        fitting = [
-            *fitting[: size.lines - 1],
-            cut(f"… {hidden} more lines: the window is too low", size.columns),
-        ]
+        fitting[size.lines - 1 :] = [cut(f"… {hidden} more lines: the window is too low", size.columns)]
     return HOME + "\r\n".join(line + CLEAR_LINE for line in fitting) + CLEAR_BELOW
 
 
-class Screen:
-    """The alternate screen of a terminal, as a context manager."""
+@contextmanager
+def screen(stream: TextIO) -> Iterator[Callable[[Sequence[str]], None]]:
+    """Switch a terminal to its alternate screen; yield the function that draws a page over the one before."""
 
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
+    def draw(lines: Sequence[str]) -> None:
+        if is_writable(stream):
+            stream.write(page(lines, size_of(stream)))
+            stream.flush()
 
-    def __enter__(self) -> Screen:
-        self._stream.write(ENTER)
-        self._stream.flush()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    stream.write(ENTER)
+    stream.flush()
+    try:
+        yield draw
+    finally:
         with suppress(OSError):  # the terminal itself may be gone
-            self._stream.write(LEAVE)
-            self._stream.flush()
-
-    def draw(self, lines: Sequence[str]) -> None:
-        """Draw a page over the one before."""
-        if is_writable(self._stream):
-            self._stream.write(page(lines, size_of(self._stream)))
-            self._stream.flush()
+            stream.write(LEAVE)
+            stream.flush()
 
 
 class Line:

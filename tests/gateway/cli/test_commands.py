@@ -1,8 +1,7 @@
-"""The command line as a person meets it: what it says, what it exits with, and never a traceback."""
+"""The command line: what it prints, its exit status, and never a traceback."""
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from gateway.cli.main import main
 from gateway.recording import read
 from protocols.messages import Velocity
+from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, Rig, said
 
 HEAVY = {"numpy", "can", "serial", "mcap", "rosbags", "filterpy", "mujoco", "matplotlib"}
@@ -24,93 +24,109 @@ def own_sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
 
 
-def wrong(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """What is said to a command that cannot begin."""
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return what a command that cannot begin prints on standard error; its exit status is 2."""
     status: object
     try:
         status = main(list(arguments))
-    except SystemExit as stopped:  # argparse's own way
-        status = stopped.code
-    said = capsys.readouterr()
-    assert status == 2, said
-    assert "Traceback" not in said.err
-    return said.err
+    except SystemExit as exit_:  # by argparse
+        status = exit_.code
+    printed = capsys.readouterr()
+    assert status == 2, printed
+    assert "Traceback" not in printed.err
+    return printed.err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "expected"),
+    ("command", "expected"),
     [
-        ([], "COMMAND"),
-        (["fly"], "invalid choice"),
-        (["run"], "ROBOT"),
-        (["run", "difbot"], "did you mean 'diffbot'?"),
-        (["run", "no/such.toml"], "there is no file no/such.toml"),
-        (["check", "README"], "neither a .toml file nor one of the shipped robots"),
-        (["run", "bench", "--goal", "1"], "'1' is not X,Y or X,Y,YAW"),
-        (["run", "bench", "--goal", "1,nan"], "is not X,Y or X,Y,YAW"),
-        (["run", "bench", "--goal", "a,b"], "is not X,Y or X,Y,YAW"),
-        (["run", "bench", "--seconds", "0"], "is not a positive number of seconds"),
-        (["run", "bench", "--seconds", "inf"], "is not a positive number of seconds"),
-        (["run", "bench", "--bus", "can0"], "is not NAME=INTERFACE:CHANNEL"),
-        (["run", "bench", "--bus", "can7=twin"], "no bus 'can7'"),
-        (["run", "bench", "--bus", "can0=socketcan"], "INTERFACE:CHANNEL"),
-        (["run", "bench", "--bus", "can0=sockettcan:can0"], "sockettcan"),
-        (
-            ["run", "bench", "--bus", "can0=virtual:x", "--fast"],
-            "simulated time needs a simulated world: can0 is on a real interface",
-        ),
-        (["replay", "no.mcap"], "no.mcap"),
-        (["replay", "pyproject.toml"], "not a recording of this gateway"),
-        (["demo", "--robot", "bench", "--out", "{tmp}"], "has no tour"),
-        (["demo", "--out", "/proc/no"], "--out /proc/no"),
-        (["protocols", "chek", "plain"], "invalid choice: 'chek'"),
-        (["protocols", "check", "plane"], "did you mean 'plain'?"),
-        (["ask", "nobody", "status"], "no robot runs"),
+        ("", "COMMAND"),
+        ("fly", "invalid choice"),
+        ("run", "ROBOT"),
+        ("run difbot", "did you mean 'diffbot'?"),
+        ("run no/such.toml", "there is no file no/such.toml"),
+        ("check README", "neither a .toml file nor one of the shipped robots"),
+        ("run bench --goal 1", "'1' is not X,Y or X,Y,YAW"),
+        ("run bench --goal 1,nan", "is not X,Y or X,Y,YAW"),
+        ("run bench --goal a,b", "is not X,Y or X,Y,YAW"),
+        ("run bench --seconds 0", "is not a positive number of seconds"),
+        ("run bench --seconds inf", "is not a positive number of seconds"),
+        ("run bench --bus can0", "is not NAME=INTERFACE:CHANNEL"),
+        ("run bench --bus can7=twin", "no bus 'can7'"),
+        ("run bench --bus can0=socketcan", "INTERFACE:CHANNEL"),
+        ("run bench --bus can0=sockettcan:can0", "sockettcan"),
+        ("run bench --bus can0=virtual:x --fast", "needs a simulated world: can0 is on a real interface"),
+        ("twin bench --ports 17", "'17' is not a number from 1 to 16"),
+        ("twin bench --ports 1.5", "'1.5' is not a number from 1 to 16"),
+        ("replay no.mcap", "no.mcap"),
+        ("replay no.mcap --at-most -1", "'-1' is not a number of metres"),
+        ("replay pyproject.toml", "not a recording of this gateway"),
+        ("demo --robot bench --out {tmp}", "has no tour"),
+        ("demo --out /proc/no", "--out /proc/no"),
+        ("protocols chek plain", "invalid choice: 'chek'"),
+        ("protocols check plane", "did you mean 'plain'?"),
+        ("protocols check --seed -1", "'-1' is not a number from 0 to 2**63 - 1"),
+        ("ask absent status", "no robot runs"),
+        ("watch difbot", "did you mean 'diffbot'?"),
+        ("watch diffbot", "bus 'can0' is simulated inside the process"),
+        ("watch diffbot", "where nothing else can listen"),
+        ("watch diffbot", "--bus sensors=serial:PORT"),
+        ("watch serial:/dev/nowhere", "/dev/nowhere"),
+        ("watch socketcan:vcan7", "sudo ip link"),
+        ("watch virtual:x --bus can0=virtual:y", "--bus is for the buses of a robot file"),
+        ("watch virtual:x --bitrate fast", "'fast' is not a rate in bit/s"),
+        ("watch pyproject.mcap", "pyproject.mcap"),
+        ("watch README.md", "not a recording of this gateway"),
+        ("jog left bench", "standard input must be a terminal"),
+        ("jog leftt", "did you mean 'left'"),
+        ("jog left bench --speed 30", "the limit of left is 20 rad/s"),
+        ("jog left bench --speed -1", "is not a positive number of rad/s"),
+        ("jog left bnch", "did you mean 'bench'"),
+        ("jog left bench --bus can7=twin", "no bus 'can7'"),
     ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
-def test_what_cannot_begin_gets_a_sentence_and_exit_status_2(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], expected: str
+def test_a_command_that_cannot_begin_prints_why_and_exits_with_2(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, expected: str
 ) -> None:
-    assert expected in wrong(capsys, *(a.replace("{tmp}", str(tmp_path)) for a in arguments))
+    assert expected in refused(capsys, *command.format(tmp=tmp_path).split())
 
 
-def test_a_can_bus_that_is_not_there_is_named_with_what_there_is_and_how_to_get_it(
+def test_a_missing_can_interface_is_named_with_the_commands_that_make_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    said = wrong(capsys, "run", "bench", "--bus", "can0=socketcan:vcan7", "--seconds", "1")
-    assert "bus 'can0' cannot be opened as 'socketcan:vcan7'" in said
-    assert "sudo ip link add dev vcan7 type vcan" in said
-    assert "sudo ip link set vcan7 " in said
+    printed = refused(capsys, "run", "bench", "--bus", "can0=socketcan:vcan7", "--seconds", "1")
+    assert "bus 'can0' cannot be opened as 'socketcan:vcan7'" in printed
+    assert "sudo ip link add dev vcan7 type vcan" in printed
+    assert "sudo ip link set vcan7 " in printed
 
 
-def test_every_mistake_of_a_robot_file_is_told_at_once(
+def test_every_mistake_of_a_robot_file_is_printed_at_once(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     file = tmp_path / "wrong.toml"
     text = BENCH.replace("gear = 8.0", "geer = 8.0").replace("address = 2", 'address = "2"')
     file.write_text(text.replace('bus = "can0"', 'bus = "can1"'))
-    said = wrong(capsys, "run", str(file))
+    printed = refused(capsys, "run", str(file))
     for part in ("geer", "gear", "motors.right.address", "can1"):
-        assert part in said, said
-    assert said.count(str(file)) >= 3
+        assert part in printed, printed
+    assert printed.count(str(file)) >= 3
 
 
 def test_a_recording_is_not_overwritten(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "old.mcap"
     file.write_bytes(b"precious")
-    assert "never overwritten" in wrong(capsys, "run", "bench", "--record", str(file))
+    assert "never overwritten" in refused(capsys, "run", "bench", "--record", str(file))
     assert file.read_bytes() == b"precious"
 
 
-def test_check_says_what_was_understood(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_describes_the_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "diffbot"]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for part in ("odrive_can", "wheel_separation", "3000000 bit/s", "20 rad/s"):
-        assert part in said
+        assert part in printed
 
 
-def test_what_the_watchdog_does_not_cover_is_told_at_every_start_until_it_is_acknowledged(
+def test_a_missing_watchdog_is_a_warning_at_every_start_until_it_is_acknowledged(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = tmp_path / "rig.toml"
@@ -145,43 +161,22 @@ def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
 def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> None:
     """On the wall clock, in processes of their own: a terminal and a socket are theirs."""
     recording = tmp_path / "run.mcap"
-    command = [sys.executable, "-m", "gateway"]
-    with subprocess.Popen(
-        [*command, "run", "bench", "--record", str(recording), "-v"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        output = []
-        for line in process.stdout:
-            output.append(line)
-            if "brain: ready" in line:
-                process.stdin.write("velocity left 4\nvelosity right 4\n")
-                process.stdin.flush()
-            if "left: armed" in line:
-                answer = subprocess.run(
-                    [*command, "ask", "bench", "velocity", "right", "3"],
-                    capture_output=True,
-                    text=True,
-                    env=os.environ,
-                    check=True,
-                )
-                assert "accepted: velocity right 3" in answer.stdout
-            if "right: armed" in line:
-                process.stdin.write("quit\n")
-                process.stdin.flush()
-        status = process.wait()
-    text = "".join(output)
+    with Process(tmp_path / "run", "run", "bench", "--record", str(recording), "-v") as robot:
+        robot.until("brain: ready")
+        robot.send_line("velocity left 4\nvelosity right 4")
+        robot.until("left: armed", "did you mean 'velocity'?")
+        with Process(tmp_path / "run", "ask", "bench", "velocity", "right", "3") as asking:
+            asking.until("accepted: velocity right 3")
+            assert asking.end()[0] == 0
+        robot.until("right: armed")
+        robot.send_line("quit")
+        status, text = robot.end()
     assert status == 0, text
-    assert "did you mean 'velocity'?" in text
-    words = [word for _, word in said(Rig(), list(read(recording).ticks))]
-    assert {word.motor for word in words if isinstance(word, Velocity)} == {"left", "right"}
+    commands = [command for _, command in said(Rig(), list(read(recording).ticks))]
+    assert {command.motor for command in commands if isinstance(command, Velocity)} == {"left", "right"}
 
 
-def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
+def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys\nfrom gateway.cli.main import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"

@@ -5,15 +5,15 @@ from __future__ import annotations
 import io
 import os
 import pty
+import re
 import select
 import signal
-import subprocess
-import sys
 import termios
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +21,6 @@ import pytest
 from gateway import config
 from gateway.buses.virtual.bus import open_world
 from gateway.cli.jog import DEFAULT_SHARE, JogControl, drive, log, log_above, single_motor, status_line
-from gateway.cli.main import main
 from gateway.cli.terminal.keys import (
     CREEP_SHARE,
     FIRST_HOLD,
@@ -36,7 +35,7 @@ from gateway.cli.terminal.keys import (
     speed_share,
 )
 from gateway.cli.terminal.screen import Line
-from gateway.core.clock import SimulatedClock, WallClock
+from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
@@ -45,6 +44,7 @@ from gateway.runtime.loop import LoopStats
 from gateway.runtime.process import signals
 from gateway.runtime.session import Session
 from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Nanos, Velocity
+from tests.gateway.processes import Process, TerminalProcess
 from tests.gateway.rig import BENCH
 
 MS = MILLISECOND
@@ -405,131 +405,35 @@ def test_a_terminal_is_as_it_was_whatever_happens() -> None:
     os.close(terminal)
 
 
-def test_without_a_terminal_there_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["jog", "left", "bench"]) == 2
-    assert "standard input must be a terminal" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["leftt"], "did you mean 'left'"),
-        (["left", "bench", "--speed", "30"], "the limit of left is 20 rad/s"),
-        (["left", "bench", "--speed", "-1"], "is not a positive number of rad/s"),
-        (["left", "bnch"], "did you mean 'bench'"),
-        (["left", "bench", "--bus", "can7=twin"], "no bus 'can7'"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
-)
-def test_what_cannot_begin_gets_a_sentence(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
-) -> None:
-    status: object
-    try:
-        status = main(["jog", *arguments])
-    except SystemExit as stopped:
-        status = stopped.code
-    assert status == 2
-    assert expected in capsys.readouterr().err
-
-
-class Terminal:
-    """The command on a terminal of its own. On the wall clock: terminal and signals are the machine's."""
-
-    def __init__(self, *arguments: str) -> None:
-        self.clock = WallClock()
-        self.master, self.other = pty.openpty()
-        self.before = termios.tcgetattr(self.other)
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "gateway", "jog", *arguments],
-            stdin=self.other,
-            stdout=self.other,
-            stderr=self.other,
-            start_new_session=True,
-            preexec_fn=lambda: own_terminal(self.other),
-        )
-        self.shown = ""
-
-    def until(self, text: str, keys: bytes = b"") -> None:
-        """Look until a text has come, typing all the while."""
-        end = self.clock.now() + 20 * SECOND
-        seen = len(self.shown)
-        while text not in self.shown[seen:]:
-            assert self.clock.now() < end, self.shown
-            if keys:
-                os.write(self.master, keys)
-            self.look()
-
-    def look(self) -> None:
-        if select.select([self.master], [], [], 0.04)[0]:
-            with suppress(OSError):
-                self.shown += os.read(self.master, 65536).decode(errors="replace")
-
-    def end(self) -> int:
-        try:
-            while self.process.poll() is None and self.clock.now() < 60 * SECOND:
-                self.look()
-            return self.process.wait(timeout=10)
-        finally:
-            self.process.kill()
-            self.process.wait()
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        for end in (self.master, self.other):
-            with suppress(OSError):
-                os.close(end)
-
-
-def own_terminal(terminal: int) -> None:
-    """In the child: this terminal is the one that controls it, so that Ctrl-C and hanging up reach it."""
-    import fcntl
-
-    fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
-
-
 @pytest.mark.parametrize("end", ["ctrl-c", "sigterm"])
-def test_the_command_on_a_terminal(end: str) -> None:
-    terminal = Terminal("left", "bench")
-    try:
-        terminal.until("ready")
-        assert not termios.tcgetattr(terminal.other)[3] & termios.ECHO
-        terminal.until("→ 1.00 rad/s | armed", keys=b"\x1b[C")
-        terminal.until("· 0.00 rad/s | armed")
+def test_the_command_on_a_terminal(tmp_path: Path, end: str) -> None:
+    with TerminalProcess(tmp_path, "jog", "left", "bench") as jog:
+        jog.until("ready")
+        assert not termios.tcgetattr(jog.terminal)[3] & termios.ECHO
+        jog.until("→ 1.00 rad/s | armed", keys=b"\x1b[C")
+        jog.until("· 0.00 rad/s | armed")
         if end == "sigterm":
-            terminal.process.send_signal(signal.SIGTERM)
+            jog.send(signal.SIGTERM)
         else:
-            os.write(terminal.master, b"\x03")
-        assert terminal.end() == 0, terminal.shown
-        assert termios.tcgetattr(terminal.other) == terminal.before
-        assert "· 0.00 rad/s | ready" in terminal.shown[-400:]
-        assert "cut its supply" not in terminal.shown
-    finally:
-        terminal.close()
+            jog.send_keys(b"\x03")
+        status, text = jog.end()
+        assert status == 0, text
+        assert termios.tcgetattr(jog.terminal) == jog.before
+    assert "· 0.00 rad/s | ready" in text[-400:]
+    assert "cut its supply" not in text
 
 
-def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it() -> None:
-    """The devices are another process here, which lives on and says what became of them."""
-    command = [sys.executable, "-m", "gateway", "twin", "bench", "-v"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as twin:
-        assert twin.stdout is not None
-        try:
-            port = next(text for line in twin.stdout if (text := line.partition("--bus ")[2].strip()))
-            terminal = Terminal("left", "bench", "--bus", port)
-            try:
-                terminal.until("→ 1.00 rad/s | armed", keys=b"+")
-                os.close(terminal.other)
-                os.close(terminal.master)
-                assert terminal.process.wait(timeout=20) == 0
-            finally:
-                terminal.close()
-            twin.send_signal(signal.SIGTERM)
-            reported, _ = twin.communicate(timeout=20)
-        finally:
-            twin.kill()
-    assert "left: armed" in reported, reported
-    assert "left: ready" in reported.partition("left: armed")[2], reported
+def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it(tmp_path: Path) -> None:
+    """The devices are another process here, which goes on and reports their states."""
+    with Process(tmp_path, "twin", "bench", "-v") as twin:
+        (bus,) = re.findall(r"--bus (\S+)", twin.until("--bus "))
+        with TerminalProcess(tmp_path, "jog", "left", "bench", "--bus", bus) as jog:
+            jog.until("→ 1.00 rad/s | armed", keys=b"+")
+            jog.hang_up()
+            assert jog.end()[0] == 0
+        _, text = twin.end(signal.SIGTERM)
+    assert "left: armed" in text, text
+    assert "left: ready" in text.partition("left: armed")[2], text
 
 
 def test_under_nohup_the_end_of_the_terminal_is_no_reason_to_leave() -> None:

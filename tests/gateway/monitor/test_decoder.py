@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -22,7 +22,7 @@ from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos,
 from protocols.odrive_can.codec import encode
 from protocols.odrive_can.messages import GetEncoderEstimates, GetVersion, Heartbeat
 from protocols.plain import codec
-from protocols.plugin import load_all
+from protocols.plugin import Driver, load_all
 from tests.gateway.rig import BENCH, Rig, said
 
 CAN = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
@@ -36,9 +36,9 @@ Drive: TypeAlias = tuple[Rig, list[Packet]]
 class ReceiveOnly:
     """A driver that must not be asked to send."""
 
-    def __init__(self, variant: ProtocolVariant) -> None:
-        self._driver = variant.driver
-        self.counters = variant.driver.counters
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self.counters = driver.counters
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         return self._driver.receive(t, frame)
@@ -62,8 +62,10 @@ def monitor_of(
     known: bool,
     window: Nanos | None = WINDOW,
 ) -> BusMonitor:
-    receive_only = [replace(variant, driver=ReceiveOnly(variant)) for variant in variants]
-    return BusMonitor({bus.name: bus for bus in buses}, receive_only, 0, known=known, window=window)
+    variants = list(variants)
+    for variant in variants:
+        variant.driver = ReceiveOnly(variant.driver)
+    return BusMonitor({bus.name: bus for bus in buses}, variants, 0, known=known, window=window)
 
 
 def bare(*buses: BusSettings) -> BusMonitor:
@@ -88,7 +90,7 @@ def fed(monitor: BusMonitor, packets: Sequence[Packet]) -> BusMonitor:
 
 
 def device(monitor: BusMonitor, name: str) -> DeviceRecord:
-    return next(record for record in monitor.found.values() if record.candidate.name == name)
+    return next(record for record in monitor.found.values() if record.name == name)
 
 
 def page(monitor: BusMonitor, now: Nanos) -> str:
@@ -274,7 +276,7 @@ def test_commands_of_the_host_on_a_serial_bus_are_decoded() -> None:
         decode(monitor, (i * MILLISECOND, MOTOR), bus="tty")
     (packet,) = decode(monitor, (SECOND, codec.encode(3, msg.Velocity("", 2.0))), bus="tty")
     (record,) = monitor.found.values()
-    assert record.command == msg.Velocity(record.candidate.name, 2.0)
+    assert record.command == msg.Velocity(record.name, 2.0)
     assert packet.direction == "to"
 
 

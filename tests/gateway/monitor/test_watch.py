@@ -1,4 +1,4 @@
-"""`gateway watch`: on buses and recordings, as page and as lines; and not a single frame goes out."""
+"""`gateway watch`: on buses and recordings, as page and as lines; not a single frame is sent."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ import ast
 import io
 import os
 import pty
-import select
 import signal
-import subprocess
-import sys
 import termios
 from argparse import Namespace
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import pytest
 
+from gateway.buses import Bus
 from gateway.buses.adapters.pty import SerialPty
 from gateway.buses.can import open_can
 from gateway.cli.main import main
-from gateway.cli.terminal.screen import ENTER, LEAVE, Line, Screen, cut
+from gateway.cli.terminal.screen import ENTER, LEAVE, Line, cut, screen
 from gateway.cli.terminal.screen import page as drawn
 from gateway.cli.watch import READ_PERIOD, lines, page, received, refresh
-from gateway.core.clock import SimulatedClock, WallClock
+from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError, UserError
 from gateway.monitor.sources import Source, WatchSession, open_all, open_source
@@ -32,6 +30,7 @@ from gateway.recording import read
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Imu, Velocity
 from protocols.plain import codec as plain
+from tests.gateway.processes import TerminalProcess, eventually
 from tests.gateway.rig import BENCH, Rig
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -39,7 +38,7 @@ LISTENERS = (
     "cli/watch",
     *(f"monitor/{name}" for name in ("sources", "decoder", "candidates", "state", "render")),
 )
-"""The modules that watching is made of, beside the buses and the screen."""
+"""The modules of `gateway watch`, beside the buses and the screen."""
 
 
 def options(what: str | None, *bus: tuple[str, str], baudrate: int = 1_000_000) -> Namespace:
@@ -67,25 +66,28 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("watch")
     robot, file = folder / "rig.toml", folder / "run.mcap"
     robot.write_text(BENCH)
-    folder.joinpath("run").mkdir(mode=0o700)
-    before = os.environ.get("XDG_RUNTIME_DIR")
-    os.environ["XDG_RUNTIME_DIR"] = str(folder / "run")
-    try:
+    folder.chmod(0o700)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(folder))
         assert main(["run", str(robot), "--fast", "--seconds", "1", "--record", str(file)]) == 0
-    finally:
-        os.environ.pop("XDG_RUNTIME_DIR")
-        if before is not None:
-            os.environ["XDG_RUNTIME_DIR"] = before
     return file
 
 
-# -- nothing is ever said ---------------------------------------------------------------------------
-
-
-def test_on_a_can_bus_not_a_single_frame_goes_out(drive: list[Packet]) -> None:
-    settings = BusSettings("other", "can", "virtual:watched", bitrate=1_000_000)
-    other = open_can(settings, SimulatedClock())
+@contextmanager
+def virtual(channel: str) -> Iterator[Bus]:
+    """Another participant on a virtual CAN bus."""
+    bus = open_can(BusSettings("other", "can", f"virtual:{channel}", bitrate=1_000_000), SimulatedClock())
     try:
+        yield bus
+    finally:
+        bus.close()
+
+
+# -- nothing is ever sent ---------------------------------------------------------------------------
+
+
+def test_on_a_can_bus_not_a_single_frame_is_sent(drive: list[Packet]) -> None:
+    with virtual("watched") as other:
         with watching(options("virtual:watched")) as made:
             for packet in drive:
                 other.write(packet.t, [packet.frame])
@@ -94,26 +96,24 @@ def test_on_a_can_bus_not_a_single_frame_goes_out(drive: list[Packet]) -> None:
             assert made.monitor.buses["watched"].packets.total == len(drive)
             assert len(made.monitor.found) == 2
         assert other.read(2 * SECOND) == ([], [])
-    finally:
-        other.close()
 
 
-def test_an_adapter_on_a_serial_line_is_opened_for_listening_and_is_told_no_frame() -> None:
-    """Everything that the adapter gets is looked at: closing, the bit rate, listening, closing."""
+def test_an_adapter_on_a_serial_port_is_opened_listen_only_and_sent_no_frame() -> None:
+    """The adapter receives these commands only: close, bit rate, listen, close."""
     adapter, port = pty.openpty()
     settings = BusSettings("can0", "can", f"slcan:{os.ttyname(port)}", bitrate=500_000)
     try:
         termios.tcsetattr(adapter, termios.TCSANOW, _raw(adapter))
         source = open_source(settings, SimulatedClock())
         os.write(adapter, b"t0213010203\r\r\a")
-        reported = source.read(SECOND)
+        result = source.read(SECOND)
         source.close()
-        said = os.read(adapter, 4096).split(b"\r")
+        commands = os.read(adapter, 4096).split(b"\r")
     finally:
         os.close(adapter)
         os.close(port)
-    assert reported == ([], [Packet(SECOND, "can0", CanFrame(0x021, b"\x01\x02\x03"))])
-    assert set(said) == {b"C", b"S6", b"L", b""}
+    assert result == ([], [Packet(SECOND, "can0", CanFrame(0x021, b"\x01\x02\x03"))])
+    assert set(commands) == {b"C", b"S6", b"L", b""}
 
 
 def _raw(terminal: int) -> list[int | list[bytes | int]]:
@@ -122,15 +122,15 @@ def _raw(terminal: int) -> list[int | list[bytes | int]]:
     return mode
 
 
-def test_on_a_serial_line_not_a_single_byte_goes_out() -> None:
-    line = SerialPty(BusSettings("tty", "serial", "twin", baudrate=1_000_000), WallClock())
+def test_on_a_serial_bus_not_a_single_byte_is_sent() -> None:
+    line = SerialPty(BusSettings("tty", "serial", "twin", baudrate=1_000_000))
     try:
         with watching(options(f"serial:{line.pty.path}")) as made:
             line.read(0)
             for t in range(5):
                 line.write(t, [plain.encode(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))])
                 list(lines(made, made.clock.now()))
-            assert [record.candidate.address for record in made.monitor.found.values()] == [2]
+            assert [record.address for record in made.monitor.found.values()] == [2]
             states, packets = line.read(1)
             assert packets == []
             assert states == []
@@ -138,7 +138,7 @@ def test_on_a_serial_line_not_a_single_byte_goes_out() -> None:
         line.close()
 
 
-def test_what_is_listened_to_can_only_be_read_and_closed() -> None:
+def test_a_source_can_only_be_read_and_closed() -> None:
     assert sorted(name for name in dir(Source) if not name.startswith("_")) == ["close", "read"]
     bus = open_can(
         BusSettings("can0", "can", "virtual:silent", bitrate=1_000_000), SimulatedClock(), listen_only=True
@@ -173,14 +173,7 @@ def test_a_robot_s_bus_that_cannot_be_opened_is_named_and_the_rest_is_watched(
     assert "lidar" not in text
 
 
-def test_with_nothing_to_watch_every_reason_is_given() -> None:
-    with pytest.raises(UserError) as error, watching(options("diffbot")):
-        pass
-    assert "'can0' is simulated" in str(error.value)
-    assert "--bus sensors=serial:PORT" in str(error.value)
-
-
-def test_a_machine_without_a_can_interface_is_told_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_can_interface_the_error_names_what_to_type(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gateway.buses.interfaces.can_interfaces", list)
     with pytest.raises(UserError, match="no CAN interface"), watching(options(None)):
         pass
@@ -198,57 +191,25 @@ def test_every_interface_of_a_machine_is_tried(monkeypatch: pytest.MonkeyPatch) 
     assert str(error.value) == "socketcan:can0 is down\nsocketcan:can1 is down"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["difbot"], "did you mean 'diffbot'?"),
-        (["diffbot"], "where nothing else can listen"),
-        (["serial:/dev/nowhere"], "/dev/nowhere"),
-        (["socketcan:vcan7"], "sudo ip link"),
-        (["virtual:x", "--bus", "can0=virtual:y"], "--bus is for the buses of a robot file"),
-        (["virtual:x", "--bitrate", "fast"], "'fast' is not a rate in bit/s"),
-        (["pyproject.mcap"], "pyproject.mcap"),
-        (["README.md"], "not a recording of this gateway"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
-)
-def test_what_cannot_be_watched_gets_a_sentence(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
-) -> None:
-    status: object
-    try:
-        status = main(["watch", *arguments])
-    except SystemExit as stopped:
-        status = stopped.code
-    said = capsys.readouterr().err
-    assert status == 2, said
-    assert expected in said
-
-
 # -- lines and pages --------------------------------------------------------------------------------
 
 
-def test_lines_tell_time_bus_frame_and_meaning(drive: list[Packet]) -> None:
-    settings = BusSettings("other", "can", "virtual:lines", bitrate=1_000_000)
-    other = open_can(settings, SimulatedClock())
-    try:
-        with watching(options("bench", ("can0", "virtual:lines"))) as made:
-            for packet in drive:
-                other.write(packet.t, [packet.frame])
-            other.write(0, [CanFrame(0x7FF, b"\x01")])
-            made.monitor.on_state(0, "can0", BusState.UP)
-            reported = [text for some in lines(made, 0) for text in some]
-    finally:
-        other.close()
-    assert len(reported) == len(drive) + 1
-    assert reported[0].startswith("(0.000000) can0 ")
-    assert any("029#0000000000000000  <- left: Feedback position 0 rad" in text for text in reported)
-    assert any("-> left: Velocity" in text for text in reported)
-    assert any(text.endswith("049#R  -> right") for text in reported)
-    assert reported[-1].endswith("7FF#01   ?")
+def test_a_line_has_time_bus_frame_and_meaning(drive: list[Packet]) -> None:
+    with virtual("lines") as other, watching(options("bench", ("can0", "virtual:lines"))) as made:
+        for packet in drive:
+            other.write(packet.t, [packet.frame])
+        other.write(0, [CanFrame(0x7FF, b"\x01")])
+        made.monitor.on_state(0, "can0", BusState.UP)
+        printed = [text for batch in lines(made, 0) for text in batch]
+    assert len(printed) == len(drive) + 1
+    assert printed[0].startswith("(0.000000) can0 ")
+    assert any("029#0000000000000000  <- left: Feedback position 0 rad" in text for text in printed)
+    assert any("-> left: Velocity" in text for text in printed)
+    assert any(text.endswith("049#R  -> right") for text in printed)
+    assert printed[-1].endswith("7FF#01   ?")
 
 
-def test_the_page_is_drawn_again_and_again_and_ends_with_the_time() -> None:
+def test_the_page_is_refreshed_until_the_time_is_over() -> None:
     drawings: list[list[str]] = []
     with watching(options("virtual:pages")) as made:
         refresh(made, 2 * SECOND, drawings.append)
@@ -265,21 +226,21 @@ def test_a_signal_ends_it() -> None:
         assert made.clock.now() == 4 * READ_PERIOD
 
 
-def test_a_screen_is_given_back_whatever_happens() -> None:
+def test_the_screen_is_restored_after_an_exception() -> None:
     stream = io.StringIO()
 
-    def draw() -> None:
-        with Screen(stream) as screen:
-            screen.draw(["a"])
+    def interrupted() -> None:
+        with screen(stream) as draw:
+            draw(["a"])
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        draw()
+        interrupted()
     assert stream.getvalue().startswith(ENTER)
     assert stream.getvalue().endswith(LEAVE)
 
 
-def test_a_page_fits_its_terminal_and_does_nothing_else_to_it() -> None:
+def test_a_page_fits_its_terminal_and_contains_no_control_characters() -> None:
     text = drawn(["x" * 50, "\x1b[31mred\x07", "3", "4", "5"], os.terminal_size((20, 4)))
     rows = text.removeprefix("\x1b[H").removesuffix("\x1b[J").split("\r\n")
     assert [row.removesuffix("\x1b[K") for row in rows] == [
@@ -313,16 +274,16 @@ def test_a_recording_gets_its_last_page(capsys: pytest.CaptureFixture[str], reco
 
 def test_a_recording_s_lines_are_all_its_frames(capsys: pytest.CaptureFixture[str], recording: Path) -> None:
     assert main(["watch", str(recording), "--lines"]) == 0
-    reported = capsys.readouterr().out.splitlines()
+    printed = capsys.readouterr().out.splitlines()
     ticks = list(read(recording).ticks)
     frames = sum(len(tick.inputs.packets) + len(tick.outputs.packets) for tick in ticks)
     others = sum(len(tick.outputs.notes) + len(tick.inputs.instructions) for tick in ticks)
-    assert len(reported) == frames + others
-    assert sum(" can0 " in text for text in reported) == frames
-    assert any("info: brain: ready" in text for text in reported)
+    assert len(printed) == frames + others
+    assert sum(" can0 " in text for text in printed) == frames
+    assert any("info: brain: ready" in text for text in printed)
 
 
-def test_of_a_recording_the_first_seconds_can_be_had(
+def test_the_first_seconds_of_a_recording_can_be_watched(
     capsys: pytest.CaptureFixture[str], recording: Path
 ) -> None:
     assert main(["watch", str(recording), "--seconds", "0.5"]) == 0
@@ -342,38 +303,23 @@ def test_a_recording_that_was_cut_short_is_read_as_far_as_it_goes(
 # -- the command, on a terminal ---------------------------------------------------------------------
 
 
-def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c() -> None:
+def test_on_a_terminal_the_page_is_refreshed_until_ctrl_c(tmp_path: Path) -> None:
     """On the wall clock, in a process of its own: terminal and signal are its own."""
-    terminal, other = pty.openpty()
-    line = SerialPty(BusSettings("tty", "serial", "twin", baudrate=1_000_000), WallClock())
-    command = [sys.executable, "-m", "gateway", "watch", f"serial:{line.pty.path}"]
-    shown = b""
-    process = subprocess.Popen(command, stdout=other, stderr=other, stdin=other)
-    os.close(other)
-    try:
-        frame = plain.encode(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
-        clock = WallClock()
-        interrupted = False
-        while clock.now() < 30 * SECOND:
+    line = SerialPty(BusSettings("tty", "serial", "twin", baudrate=1_000_000))
+    frame = plain.encode(2, Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
+    with closing(line), TerminalProcess(tmp_path, "watch", f"serial:{line.pty.path}") as watch:
+
+        def page_with_imu() -> bool:
             line.read(0)
             line.write(0, [frame])
-            if select.select([terminal], [], [], 0.02)[0]:
-                try:
-                    shown += os.read(terminal, 65536)
-                except OSError:  # the process has closed it
-                    break
-            if not interrupted and shown.count(b"\x1b[H") >= 3 and b"angular velocity" in shown:
-                process.send_signal(signal.SIGINT)
-                interrupted = True
-        assert process.wait(timeout=10) == 0
-    finally:
-        process.kill()
-        process.wait()
-        os.close(terminal)
-        line.close()
-    text = shown.decode()
+            watch.look()
+            return watch.text.count("\x1b[H") >= 3 and "angular velocity" in watch.text
+
+        assert eventually(page_with_imu), watch.text
+        status, text = watch.end(signal.SIGINT)
+        assert status == 0, text
     assert ENTER in text
     assert LEAVE in text
-    left = text.partition(LEAVE)[2]
-    assert "angular velocity 0.000, 0.000, 0.500 rad/s" in left
-    assert "\x1b" not in left
+    last = text.partition(LEAVE)[2]
+    assert "angular velocity 0.000, 0.000, 0.500 rad/s" in last
+    assert "\x1b" not in last
