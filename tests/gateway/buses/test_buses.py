@@ -323,10 +323,12 @@ def test_a_socketcan_that_is_not_there_is_a_bus_error() -> None:
     assert "ip link add dev vcan97" in str(caught.value)
 
 
-def test_an_unknown_interface_gets_the_nearest() -> None:
-    settings = BusSettings("can0", "can", "socketcam:can0", bitrate=500_000)
-    with pytest.raises(BusError, match="did you mean 'socketcan'"):
-        open_can(settings, SimulatedClock())
+@pytest.mark.parametrize(
+    ("interface", "nearest"), [("socketcam:can0", "socketcan"), ("fdcanusbb:/dev/x", "fdcanusb")]
+)
+def test_an_unknown_interface_is_reported_with_the_nearest(interface: str, nearest: str) -> None:
+    with pytest.raises(BusError, match=f"did you mean '{nearest}'"):
+        open_bus(BusSettings("can0", "can", interface, bitrate=500_000), SimulatedClock())
 
 
 # -- serial ------------------------------------------------------------------------------------

@@ -6,9 +6,8 @@ import asyncio
 import logging
 import os
 import select
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, closing
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -29,16 +28,19 @@ from gateway.buses.adapters.fdcanusb import (
     with_checksum,
 )
 from gateway.buses.can import CanBus, open_can
-from gateway.buses.frame_time import LENGTHS
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
-from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import SECOND
-
-RATE, DATA_RATE = 1_000_000, 5_000_000
-FD = BusSettings("can0", "canfd", "twin", RATE, DATA_RATE)
-CLASSIC = BusSettings("can0", "can", "twin", RATE)
+from tests.gateway.buses.adapter_helpers import (
+    DATA_RATE,
+    FD,
+    RATE,
+    can_frames,
+    cut,
+    cuts,
+    cuttings,
+    feed,
+)
 
 # fmt: off
 LINES = [
@@ -59,21 +61,7 @@ LINES = [
         "can send 07e6 00 bfR",                 "rcv 07E6  e b f R f-1"),
 ]
 # fmt: on
-frames = st.builds(
-    lambda number, data, extended, fd, brs: CanFrame(
-        number if extended else number & 0x7FF,
-        data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\0") if fd else data[:8],
-        extended,
-        False,
-        fd,
-        fd and brs,
-    ),
-    st.integers(0, 0x1FFFFFFF),
-    st.binary(min_size=1, max_size=64),
-    st.booleans(),
-    st.booleans(),
-    st.booleans(),
-)
+frames = can_frames(min_size=1)
 
 
 # -- lines, against the vendor's own code -------------------------------------------------------------
@@ -219,11 +207,9 @@ def test_what_is_not_told_of_a_frame_is_taken_as_the_vendor_takes_it() -> None:
     ],
 )
 def test_what_is_asked_is_answered_and_what_cannot_be_is_refused(sent: bytes, answers: bytes) -> None:
-    for pieces in ([sent], [bytes([byte]) for byte in sent], [sent[:7], sent[7:]]):
+    for pieces in cuttings(sent):
         adapter = Adapter(RATE, DATA_RATE)
-        reported = [adapter.feed(piece) for piece in pieces]
-        assert b"".join(answer for _, answer in reported) == answers
-        assert [frame for received, _ in reported for frame in received] == []
+        assert feed(adapter, pieces) == ([], answers)
         assert adapter.refused == answers.count(b"ERR")
 
 
@@ -313,34 +299,22 @@ noise = st.lists(
     ),
     max_size=30,
 )
-cuts_of = st.lists(st.integers(1, 40), min_size=1, max_size=10)
-
-
-def cut(data: bytes, cuts: Sequence[int]) -> Iterator[bytes]:
-    at = turn = 0
-    while at < len(data):
-        yield data[at : at + cuts[turn % len(cuts)]]
-        at, turn = at + cuts[turn % len(cuts)], turn + 1
 
 
 @settings(deadline=None, derandomize=True)
-@given(noise, cuts_of)
-def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[bytes], cuts: list[int]) -> None:
+@given(noise, cuts)
+def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(pieces)
     whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
-    said = whole.feed(data)
-    reported = [parted.feed(piece) for piece in cut(data, cuts)]
-    assert (
-        [f for received, _ in reported for f in received],
-        b"".join(answer for _, answer in reported),
-    ) == said
+    replies = whole.feed(data)
+    assert feed(parted, cut(data, sizes)) == replies
     assert (parted.open, parted.protected, parted.refused) == (
         whole.open,
         whole.protected,
         whole.refused,
     )
     lines = [line for line in data.replace(b"\r", b"\n").split(b"\n")[:-1] if line]
-    assert said[1].count(b"\r\n") == len(lines)
+    assert replies[1].count(b"\r\n") == len(lines)
 
 
 # -- our own end ---------------------------------------------------------------------------------------
@@ -380,32 +354,12 @@ def meet(ours: Bus, bus: AdapterPty) -> None:
     ours.write(3, EVERY[:1])
 
 
-def test_our_own_end_meets_the_adapter_in_both_directions(bus: AdapterPty) -> None:
-    with closing(opened(bus.paths[0])) as ours:
-        meet(ours, bus)
-        assert ours.bad == 0
-    states, packets = bus.read(4)
-    assert states == [BusState.GONE]
-    assert [packet.frame for packet in packets] == EVERY[:1]  # the last word arrives
-
-
 @pytest.mark.usefixtures("known")
 def test_and_without_checksums(bus: AdapterPty, caplog: pytest.LogCaptureFixture) -> None:
     with closing(opened(bus.paths[0])) as ours:
         meet(ours, bus)
         assert ours.bad == 0
     assert caplog.text == ""
-
-
-def test_what_one_program_says_another_on_slcan_hears(bus: AdapterPty) -> None:
-    slcan = BusSettings("can0", "canfd", f"slcan:{bus.paths[1]}", RATE, DATA_RATE)
-    with closing(opened(bus.paths[0])) as ours, closing(open_can(slcan, SimulatedClock())) as other:
-        bus.read(0)
-        ours.write(0, EVERY)
-        other.write(0, EVERY[::-1])
-        bus.read(0)
-        assert [packet.frame for packet in other.read(1)[1]] == EVERY
-        assert [packet.frame for packet in ours.read(1)[1]] == EVERY[::-1]
 
 
 def test_a_frame_without_data_is_refused_and_said_once(
@@ -465,11 +419,11 @@ def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_re
 
 
 @settings(deadline=None, derandomize=True, max_examples=30)
-@given(noise, cuts_of)
-def test_our_end_raises_nothing_on_any_bytes_cut_anywhere(pieces: list[bytes], cuts: list[int]) -> None:
+@given(noise, cuts)
+def test_our_end_raises_nothing_on_any_bytes_cut_anywhere(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(piece.replace(b"can send", b"rcv") for piece in pieces)
     counts = []
-    for parts in ([data], list(cut(data, cuts))):
+    for parts in ([data], list(cut(data, sizes))):
         port = Port()
         with closing(port.adapter), closing(opened(port.path)) as ours:
             port.received()
@@ -527,53 +481,6 @@ def test_an_adapter_of_another_bit_rate_is_told_with_what_to_do(
         f"fdcanusb {port.path} has a can.fd_bitrate of 2000000 bit/s, the robot file has 50"
     )
     assert said.endswith("send it: conf set can.fd_bitrate 5000000, conf write, can off, can on")
-
-
-def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
-    received: list[CanFrame] = []
-    reported: list[BusState] = []
-    with closing(opened(bus.paths[0])) as ours:
-        bus.read(0)
-        for number in range(5000):
-            ours.write(number, [CanFrame(0x100 + number % 3, number.to_bytes(8, "big"))])
-        assert ours.read(5000)[0] == [BusState.FULL]
-        for turn in range(1000):
-            now = turn * SECOND // 200
-            received += [p.frame for p in bus.read(now)[1] if isinstance(p.frame, CanFrame)]
-            reported += ours.read(now)[0]
-    assert reported == [BusState.UP]
-    assert 50 < len(received) < 5000
-    assert [int.from_bytes(frame.data, "big") for frame in received[-3:]] == [4997, 4998, 4999]
-
-
-def test_what_cannot_be_opened_is_a_sentence_and_what_vanishes_is_told_and_looked_for(
-    tmp_path: Any,
-) -> None:
-    with pytest.raises(BusError, match="No such file"):
-        open_can(at("/dev/there-is-none"), SimulatedClock())
-    with pytest.raises(BusError, match="did you mean 'fdcanusb'"):
-        open_can(BusSettings("can0", "can", "fdcanusbb:/dev/x", RATE), SimulatedClock())
-    link = tmp_path / "adapter"
-    first = AdapterPty(FD, ("fdcanusb",))
-    link.symlink_to(first.paths[0])
-    ours = opened(str(link))
-    assert first.read(0)[0] == [BusState.BACK]
-    with pytest.raises(BusError, match="can0"):
-        opened(first.paths[0])
-    assert first.read(0) == ([], [])  # it was not disturbed
-    first.close()
-    assert ours.read(1) == ([BusState.GONE], [])
-    ours.write(2, [CanFrame(1, b"\x01")])
-    assert ours.dropped == 1
-    with closing(AdapterPty(FD, ("fdcanusb",))) as second:
-        link.unlink()
-        link.symlink_to(second.paths[0])
-        assert ours.read(SECOND // 2) == ([], [])
-        assert ours.read(2 * SECOND)[0] == [BusState.BACK]
-        assert second.read(0)[0] == [BusState.BACK]
-        ours.write(2 * SECOND, EVERY)
-        assert [packet.frame for packet in second.read(1)[1]] == EVERY
-        ours.close()
 
 
 # -- the vendor's own client -----------------------------------------------------------------------------

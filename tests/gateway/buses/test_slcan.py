@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import select
 from collections.abc import Iterator
 from contextlib import closing
 from importlib.resources import files
@@ -17,19 +16,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.buses.adapters.adapter_pty import AdapterPty
-from gateway.buses.adapters.pty import Pty, SerialPty
 from gateway.buses.adapters.slcan import Adapter, frame_of, line_of, rate_of
 from gateway.buses.can import open_can
-from gateway.buses.frame_time import LENGTHS
+from gateway.buses.python_can import message_of
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND
+from tests.gateway.buses.adapter_helpers import (
+    DATA_RATE,
+    FD,
+    RATE,
+    can_frames,
+    cut,
+    cuts,
+    cuttings,
+    feed,
+    is_connected,
+    open_path,
+    wait_for_input,
+)
 
-RATE, DATA_RATE = 1_000_000, 5_000_000
-CLASSIC = BusSettings("can0", "can", "twin", RATE)
-FD = BusSettings("can0", "canfd", "twin", RATE, DATA_RATE)
 VECTORS: list[dict[str, Any]] = json.loads((files("gateway.fixtures") / "vectors" / "slcan.json").read_text())
 
 # fmt: off
@@ -46,21 +54,6 @@ FRAMES = [
     (CanFrame(0x8001, bytes(range(12)), True, False, True, True), "B000080019000102030405060708090A0B"),
 ]
 # fmt: on
-frames = st.builds(
-    lambda number, data, extended, fd, brs: CanFrame(
-        number if extended else number & 0x7FF,
-        data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\0") if fd else data[:8],
-        extended,
-        False,
-        fd,
-        fd and brs,
-    ),
-    st.integers(0, 0x1FFFFFFF),
-    st.binary(max_size=64),
-    st.booleans(),
-    st.booleans(),
-    st.booleans(),
-)
 
 
 def opened(data_bitrate: int = DATA_RATE) -> Adapter:
@@ -83,7 +76,7 @@ def test_a_frame_is_its_line_in_both_directions(frame: CanFrame, line: str) -> N
 
 
 @settings(deadline=None, derandomize=True)
-@given(frames)
+@given(can_frames())
 def test_any_frame_survives(frame: CanFrame) -> None:
     assert frame_of(line_of(frame)) == frame
 
@@ -159,11 +152,8 @@ def test_the_vectors_are_what_we_hear_and_say() -> None:
     ],
 )
 def test_what_is_asked_is_answered_and_what_cannot_be_rings(sent: bytes, answers: bytes) -> None:
-    for pieces in ([sent], [bytes([byte]) for byte in sent], [sent[:7], sent[7:]]):
-        adapter = Adapter(RATE, DATA_RATE)
-        reported = [adapter.feed(piece) for piece in pieces]
-        assert b"".join(answer for _, answer in reported) == answers
-        assert [frame for received, _ in reported for frame in received] == []
+    for pieces in cuttings(sent):
+        assert feed(Adapter(RATE, DATA_RATE), pieces) == ([], answers)
 
 
 def test_bus_timing_registers_of_the_manual() -> None:
@@ -211,114 +201,24 @@ noise = st.lists(
     st.one_of(
         st.binary(max_size=30),
         st.sampled_from([b"\r", b"O\r", b"C\r", b"S8\r", b"t1231", b"11\r", b"B", b"F\r", b"0" * 200]),
-        frames.map(lambda frame: line_of(frame).encode() + b"\r"),
+        can_frames().map(lambda frame: line_of(frame).encode() + b"\r"),
     ),
     max_size=30,
 )
 
 
 @settings(deadline=None, derandomize=True)  # the machine may be busy; the same cases every time
-@given(noise, st.lists(st.integers(1, 40), min_size=1, max_size=10))
-def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[bytes], cuts: list[int]) -> None:
+@given(noise, cuts)
+def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(pieces)
-    whole, cut = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
-    frames_whole, answers_whole = whole.feed(data)
-    frames_cut: list[CanFrame] = []
-    answers_cut = b""
-    at = turn = 0
-    while at < len(data):
-        size = cuts[turn % len(cuts)]
-        received, answers = cut.feed(data[at : at + size])
-        frames_cut += received
-        answers_cut += answers
-        at, turn = at + size, turn + 1
-    assert (frames_cut, answers_cut) == (frames_whole, answers_whole)
-    assert len(answers_whole.replace(b"\a", b"\r").split(b"\r")) - 1 == data.count(b"\r")
-    assert cut.open == whole.open
+    whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
+    frames, replies = whole.feed(data)
+    assert feed(parted, cut(data, sizes)) == (frames, replies)
+    assert len(replies.replace(b"\a", b"\r").split(b"\r")) - 1 == data.count(b"\r")
+    assert parted.open == whole.open
 
 
 # -- a pty -----------------------------------------------------------------------------------------
-
-
-def wait_for(readable: int) -> None:
-    """A pty hands bytes over in the kernel's own time: at most a second of it."""
-    assert select.select([readable], [], [], 1.0)[0]
-
-
-def open_path(path: str) -> int:
-    return os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-
-
-@pytest.fixture
-def pty() -> Iterator[Pty]:
-    with closing(Pty()) as made:
-        yield made
-
-
-def test_bytes_pass_a_pty_unchanged_in_both_directions(pty: Pty) -> None:
-    every = bytes(range(256))
-    other = open_path(pty.path)
-    assert pty.read() == b""
-    assert pty.connected
-    os.write(other, every)
-    pty.write(every)
-    wait_for(other)
-    assert os.read(other, 1000) == every
-    assert pty.read() == every
-    os.close(other)
-
-
-def connected(pty: Pty) -> bool:
-    return pty.connected
-
-
-def test_who_opens_a_pty_finds_nothing_that_was_said_before(pty: Pty) -> None:
-    assert not connected(pty)
-    pty.write(b"to nobody")
-    for words in (b"first", b"second", b"third"):
-        other = open_path(pty.path)
-        pty.read()
-        assert connected(pty)
-        with pytest.raises(BlockingIOError):
-            os.read(other, 100)
-        pty.write(b"not read by " + words)
-        os.write(other, b"last words of " + words)
-        os.close(other)
-        assert pty.read() == b"last words of " + words
-        assert not connected(pty)
-        pty.write(b"too late")
-
-
-def test_a_reader_that_does_not_read_loses_whole_old_wires_and_nothing_stands_still(pty: Pty) -> None:
-    other = open_path(pty.path)
-    pty.read()
-    frames = [b"%06d:" % number + b"x" * 93 for number in range(1000)]
-    for frame in frames:
-        pty.write(frame)
-    assert pty.dropped > 500
-    got = b""
-    for _ in range(1000):
-        pty.read()
-        if not select.select([other], [], [], 0.05)[0]:
-            break
-        got += os.read(other, 65536)
-    os.close(other)
-    whole = [got[at : at + 100] for at in range(0, len(got), 100)]
-    assert len(whole) == 1000 - pty.dropped
-    assert [frame for frame in frames if frame in whole] == whole
-    assert whole[-1] == frames[-1]
-
-
-def test_a_serial_bus_on_a_pty_tells_who_comes_and_goes() -> None:
-    bus = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000))
-    assert bus.read(0) == ([], [])
-    other = open_path(bus.pty.path)
-    assert bus.read(1) == ([BusState.BACK], [])
-    os.write(other, b"hello")
-    os.close(other)
-    assert bus.read(2) == ([BusState.GONE], [Packet(2, "sensors", b"hello")])
-    bus.close()
-    assert not os.path.exists(bus.pty.path)  # noqa: PTH110 -- a device, not a file
 
 
 # -- python-can's own client -----------------------------------------------------------------------
@@ -341,17 +241,6 @@ def heard_by(frame: can.BusABC, seconds: float = 1.0) -> can.Message | None:
         if message is not None:
             return message
     return None
-
-
-def message_of(frame: CanFrame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.id,
-        data=frame.data,
-        is_extended_id=frame.extended,
-        is_remote_frame=frame.remote,
-        is_fd=frame.fd,
-        bitrate_switch=frame.brs,
-    )
 
 
 def test_python_can_speaks_with_the_adapter_in_both_directions(bus: AdapterPty) -> None:
@@ -420,7 +309,7 @@ def test_a_slow_program_loses_the_oldest_frames_and_the_flags_say_so(bus: Adapte
         bus.read(turn)
         if b"F08\r" in lines:
             break
-        wait_for(other)
+        wait_for_input(other)
         lines += os.read(other, 65536)
     frames_heard = [frame for line in lines.decode().split("\r") if (frame := frame_of(line))]
     assert frames_heard[-1].data == (1999).to_bytes(8, "big")
@@ -429,39 +318,6 @@ def test_a_slow_program_loses_the_oldest_frames_and_the_flags_say_so(bus: Adapte
 
 
 # -- our own end -----------------------------------------------------------------------------------
-
-
-def test_our_own_end_meets_the_adapter_in_both_directions(bus: AdapterPty) -> None:
-    settings = BusSettings("can0", "canfd", f"slcan:{bus.paths[0]}", RATE, DATA_RATE)
-    every = [frame for frame, _ in FRAMES]
-    with closing(open_can(settings, SimulatedClock())) as ours:
-        bus.read(0)
-        ours.write(1, every)
-        assert [packet.frame for packet in bus.read(1)[1]] == every
-        bus.write(2, every)
-        assert [packet.frame for packet in ours.read(2)[1]] == every
-        ours.write(3, every[:1])
-    states, packets = bus.read(4)
-    assert states == [BusState.GONE]
-    assert [packet.frame for packet in packets] == every[:1]  # the last word arrives
-
-
-def test_our_own_end_never_waits_for_an_adapter_that_does_not_read(bus: AdapterPty) -> None:
-    settings = BusSettings("can0", "can", f"slcan:{bus.paths[0]}", RATE)
-    received: list[CanFrame] = []
-    reported: list[BusState] = []
-    with closing(open_can(settings, SimulatedClock())) as ours:
-        bus.read(0)
-        for number in range(5000):
-            ours.write(number, [CanFrame(0x100 + number % 3, number.to_bytes(8, "big"))])
-        assert ours.read(5000)[0] == [BusState.FULL]
-        for turn in range(1000):
-            now = turn * 5 * MILLISECOND
-            received += [p.frame for p in bus.read(now)[1] if isinstance(p.frame, CanFrame)]
-            reported += ours.read(now)[0]
-    assert reported == [BusState.UP]
-    assert 100 < len(received) < 5000
-    assert [int.from_bytes(frame.data, "big") for frame in received[-3:]] == [4997, 4998, 4999]
 
 
 def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
@@ -476,20 +332,4 @@ def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:
         ):
             with pytest.raises(BusError, match=said):
                 open_can(settings, SimulatedClock())
-        assert not connected(adapters._ports[0].pty)
-
-
-def test_our_own_end_tells_a_vanished_adapter_and_one_that_is_taken() -> None:
-
-    adapters = AdapterPty(CLASSIC)
-    settings = BusSettings("can0", "can", f"slcan:{adapters.paths[0]}", RATE)
-    ours = open_can(settings, SimulatedClock())
-    assert adapters.read(0)[0] == [BusState.BACK]
-    with pytest.raises(BusError, match="can0"):
-        open_can(settings, SimulatedClock())
-    ours.write(0, [CanFrame(0x123)])
-    assert adapters.read(0) == ([], [Packet(0, "can0", CanFrame(0x123))])  # it was not disturbed
-    adapters.close()
-    assert ours.read(1) == ([BusState.GONE], [])
-    ours.write(2, [CanFrame(1)])  # says nothing, raises nothing
-    ours.close()
+        assert not is_connected(adapters._ports[0].pty)

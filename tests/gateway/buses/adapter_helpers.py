@@ -1,0 +1,72 @@
+"""Frames, settings and streams for the tests of slcan and fdcanusb."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Iterable, Iterator, Sequence
+
+from hypothesis import strategies as st
+
+from gateway.buses.adapters.adapter_pty import Adapter
+from gateway.buses.adapters.pty import Pty
+from gateway.buses.frame_time import LENGTHS
+from gateway.core.robot import BusSettings
+from protocols.frames import CanFrame
+
+RATE, DATA_RATE = 1_000_000, 5_000_000
+CLASSIC = BusSettings("can0", "can", "twin", RATE)
+FD = BusSettings("can0", "canfd", "twin", RATE, DATA_RATE)
+
+cuts = st.lists(st.integers(1, 40), min_size=1, max_size=10)
+"""Sizes of the pieces into which a stream is cut, over and over."""
+
+
+def can_frames(min_size: int = 0) -> st.SearchStrategy[CanFrame]:
+    """Frames of any kind but remote ones, with data of a length that exists."""
+    return st.builds(
+        lambda number, data, extended, fd, brs: CanFrame(
+            number if extended else number & 0x7FF,
+            data.ljust(min(n for n in LENGTHS if n >= len(data)), b"\0") if fd else data[:8],
+            extended,
+            False,
+            fd,
+            fd and brs,
+        ),
+        st.integers(0, 0x1FFFFFFF),
+        st.binary(min_size=min_size, max_size=64),
+        st.booleans(),
+        st.booleans(),
+        st.booleans(),
+    )
+
+
+def cut(data: bytes, sizes: Sequence[int]) -> Iterator[bytes]:
+    at = turn = 0
+    while at < len(data):
+        yield data[at : at + sizes[turn % len(sizes)]]
+        at, turn = at + sizes[turn % len(sizes)], turn + 1
+
+
+def feed(adapter: Adapter, pieces: Iterable[bytes]) -> tuple[list[CanFrame], bytes]:
+    """The frames and the replies to a stream in pieces."""
+    fed = [adapter.feed(piece) for piece in pieces]
+    return [frame for frames, _ in fed for frame in frames], b"".join(replies for _, replies in fed)
+
+
+def cuttings(data: bytes) -> tuple[list[bytes], ...]:
+    """A stream whole, byte by byte, and in two."""
+    return [data], [bytes([byte]) for byte in data], [data[:7], data[7:]]
+
+
+def open_path(path: str) -> int:
+    return os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+
+
+def wait_for_input(fd: int) -> None:
+    """A pty hands bytes over in the kernel's own time."""
+    assert select.select([fd], [], [], 60.0)[0]
+
+
+def is_connected(pty: Pty) -> bool:
+    return pty.connected  # a function, since mypy takes an attribute for constant

@@ -1,0 +1,113 @@
+"""The host's end of slcan and fdcanusb against the emulated adapter on a pty: one behaviour for both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from gateway.buses.adapters.adapter_pty import AdapterPty
+from gateway.buses.can import CanBus, open_can
+from gateway.core.clock import SimulatedClock
+from gateway.core.robot import BusSettings
+from gateway.errors import BusError
+from protocols.frames import BusState, CanFrame
+from protocols.messages import MILLISECOND, SECOND
+from tests.gateway.buses.adapter_helpers import DATA_RATE, FD, RATE
+
+FRAMES = [
+    CanFrame(0x123, b"\x11\x22\x33"),
+    CanFrame(0x1ABCDEF0, b"\xde\xad", extended=True),
+    CanFrame(0x7E6, remote=True),
+    CanFrame(0x12345, remote=True, extended=True),
+    CanFrame(0x001, bytes(12), fd=True),
+    CanFrame(0x1FFFFFFF, bytes(64), True, False, True),
+    CanFrame(0x8001, bytes(range(12)), True, False, True, True),
+]
+EMPTY = CanFrame(0x7FF)
+"""Only slcan can send it."""
+
+pytestmark = pytest.mark.parametrize("kind", ["slcan", "fdcanusb"])
+
+
+@pytest.fixture
+def adapters(kind: str) -> Iterator[AdapterPty]:
+    with closing(AdapterPty(FD, (kind, "slcan"))) as made:
+        yield made
+
+
+def opened(kind: str, path: str) -> CanBus:
+    return open_can(BusSettings("can0", "canfd", f"{kind}:{path}", RATE, DATA_RATE), SimulatedClock())
+
+
+def test_frames_of_every_kind_pass_in_both_directions(kind: str, adapters: AdapterPty) -> None:
+    frames = [*FRAMES, EMPTY] if kind == "slcan" else FRAMES
+    with closing(opened(kind, adapters.paths[0])) as host:
+        adapters.read(0)
+        host.write(1, frames)
+        assert [packet.frame for packet in adapters.read(1)[1]] == frames
+        adapters.write(2, frames)
+        assert [packet.frame for packet in host.read(2)[1]] == frames
+        host.write(3, frames[:1])
+        assert host.bad == 0
+    states, packets = adapters.read(4)
+    assert states == [BusState.GONE]
+    assert [packet.frame for packet in packets] == frames[:1]  # sent just before closing: it arrives
+
+
+def test_programs_on_different_ports_receive_each_other_and_not_themselves(
+    kind: str, adapters: AdapterPty
+) -> None:
+    first, second = adapters.paths
+    with closing(opened(kind, first)) as host, closing(opened("slcan", second)) as other:
+        adapters.read(0)
+        host.write(0, FRAMES)
+        other.write(0, FRAMES[::-1])
+        adapters.read(0)
+        assert [packet.frame for packet in other.read(1)[1]] == FRAMES
+        assert [packet.frame for packet in host.read(1)[1]] == FRAMES[::-1]
+
+
+def test_the_host_never_waits_for_an_adapter_that_does_not_read(kind: str, adapters: AdapterPty) -> None:
+    received: list[CanFrame] = []
+    states: list[BusState] = []
+    with closing(opened(kind, adapters.paths[0])) as host:
+        adapters.read(0)
+        for number in range(5000):
+            host.write(number, [CanFrame(0x100 + number % 3, number.to_bytes(8, "big"))])
+        assert host.read(5000)[0] == [BusState.FULL]
+        for turn in range(1000):
+            now = turn * 5 * MILLISECOND
+            received += [p.frame for p in adapters.read(now)[1] if isinstance(p.frame, CanFrame)]
+            states += host.read(now)[0]
+    assert states == [BusState.UP]
+    assert 50 < len(received) < 5000
+    assert [int.from_bytes(frame.data, "big") for frame in received[-3:]] == [4997, 4998, 4999]
+
+
+def test_an_adapter_that_vanishes_is_reported_and_reopened(kind: str, tmp_path: Path) -> None:
+    with pytest.raises(BusError, match="No such file"):
+        opened(kind, "/dev/there-is-none")
+    link = tmp_path / "adapter"
+    first = AdapterPty(FD, (kind,))
+    link.symlink_to(first.paths[0])
+    host = opened(kind, str(link))
+    assert first.read(0)[0] == [BusState.BACK]
+    with pytest.raises(BusError, match="can0"):
+        opened(kind, first.paths[0])
+    assert first.read(0) == ([], [])  # it was not disturbed
+    first.close()
+    assert host.read(1) == ([BusState.GONE], [])
+    host.write(2, [CanFrame(1, b"\x01")])
+    assert host.dropped == 1
+    with closing(AdapterPty(FD, (kind,))) as second:
+        link.unlink()
+        link.symlink_to(second.paths[0])
+        assert host.read(SECOND // 2) == ([], [])
+        assert host.read(2 * SECOND)[0] == [BusState.BACK]
+        assert second.read(0)[0] == [BusState.BACK]
+        host.write(2 * SECOND, FRAMES)
+        assert [packet.frame for packet in second.read(1)[1]] == FRAMES
+        host.close()
