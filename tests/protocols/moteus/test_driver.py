@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 from math import tau
+from typing import Any
 
 import pytest
 
@@ -138,7 +139,8 @@ LIMITS = {
 
 @pytest.mark.parametrize("given", LIMITS)
 def test_one_limit_alone_leaves_the_others_to_the_device(given: str) -> None:
-    bench = ready(device(options=replace(Options(), **{given: LIMITS[given][0]})))
+    limit: dict[str, Any] = {given: LIMITS[given][0]}
+    bench = ready(device(options=replace(Options(), **limit)))
     bench.run(50, msg.Hold("left"))
     bench.run(50, msg.Torque("left", 0.5))
     for sent in bench.commanded():
