@@ -43,9 +43,9 @@ from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, 
 __all__ = ["Options", "Settings", "plugin"]
 
 WATCHDOG_NOTE = (
-    "the drive does not monitor this host's heartbeat: neither options nor settings enable that. If this host or"
-    " its cable fails, the motor keeps its last set-point. Leave watchdog_ms above 0 under options, or set object"
-    " 1016 with the maker's tool and heartbeat_consumer under settings"
+    "the drive does not monitor this host's heartbeat: neither options nor settings enable that. If this host"
+    " or its cable fails, the motor keeps its last set-point. Leave watchdog_ms above 0 under options, or set"
+    " object 1016 with the maker's tool and heartbeat_consumer under settings"
 )
 MARGIN = 1.001
 """For rounding in binary64: a resolution is half a step, and this margin."""

@@ -110,7 +110,7 @@ def why_unusable(read: Mapping[Key, int], absent: Collection[Key], options: Opti
     if o.STATUSWORD in absent or o.POSITION in absent:
         return "it has no statusword (6041) or no position (6064)"
     if units_from(read, options) is None:
-        return "its units are not known: 608F, 6091 and 6092 do not define them; set counts_per_turn under options"
+        return "its units are unknown: 608F, 6091, 6092 do not define them; set counts_per_turn under options"
     return ""
 
 

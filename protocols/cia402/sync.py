@@ -21,8 +21,8 @@ from protocols.plugin import Device
 
 SECOND_PRODUCER = (
     "there is a second producer of SYNC (0x080): synchronous set-points take effect at two rates, and drives"
-    " send twice as often. Stop it there (a drive produces SYNC with bit 30 of its object 1005), or leave SYNC"
-    " to it and set sync_ms = 0 here"
+    " send twice as often. Stop it there (a drive produces SYNC with bit 30 of its object 1005), or leave"
+    " SYNC to it and set sync_ms = 0 here"
 )
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from protocols.cia402 import plugin, sdo
-from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.options import Options, Settings
 from protocols.conformance.bench import NAMES, START, STEP, Bench, StepResult, make_bench
 from protocols.frames import CanFrame, Frame
@@ -109,12 +108,6 @@ def stage(
     for shaft in made.shafts.values():
         shaft.position = position
     return Stage(made)
-
-
-def driver_of(*devices: Device) -> Cia402Driver:
-    made = plugin.driver(devices)
-    assert isinstance(made, Cia402Driver)
-    return made
 
 
 def device(

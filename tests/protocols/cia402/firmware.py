@@ -54,8 +54,6 @@ class Drive:
         """It does not change its mode yet."""
         self.copies = 1
         """So often each SDO answer stands on the bus."""
-        self.doubles = 0
-        """So many answers more stand there twice."""
         self.unsized = False
         """Its expedited answers of four bytes do not tell their size (CiA 301: s = 0; n means nothing)."""
         self.late = 0
@@ -215,8 +213,7 @@ class Drive:
             elif self.late:
                 self.delayed.append((ms + self.late, frame))
             else:
-                said += [frame] * (0 if self.mute else 2 if self.doubles else self.copies)
-                self.doubles = max(self.doubles - 1, 0)
+                said += [frame] * (0 if self.mute else self.copies)
         more, self.extra = self.extra, []
         return said + more
 

@@ -24,7 +24,7 @@ from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode
 from protocols.frames import CanFrame
-from tests.protocols.cia402.bench import NODE, Bench
+from tests.protocols.cia402.twin_bench import NODE, TwinBench
 
 EDS = str(Path(protocols.cia402.__file__).parent / "twin.eds")
 MODES = {
@@ -42,7 +42,7 @@ class Rig:
     """A twin that runs in a thread behind a virtual bus, and a canopen network on the same bus."""
 
     def __init__(self, channel: str, settings: Settings) -> None:
-        self.bench = Bench(settings)
+        self.bench = TwinBench(settings)
         self.lock = threading.Lock()
         self.turns = 0
         self.turned = threading.Condition()

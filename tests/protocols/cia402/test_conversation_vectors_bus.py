@@ -156,18 +156,6 @@ def test_vectors_of_a_scan_that_finds_strangers() -> None:
     assert talk.driver.counters.ignored == foreign + 1
 
 
-def test_vectors_of_an_answer_that_no_scan_asked_for() -> None:
-    talk = Talk()
-    talk.chapter(100)
-    talk.chapter(200, Scan("can0"))
-    counts = []
-    for answer in ("4318100405000000", "4300100092010200", "4318100405000000", "4318100192010000"):
-        before = talk.driver.counters.ignored
-        talk.handle(CanFrame(0x585, bytes.fromhex(answer)))
-        counts.append(talk.driver.counters.ignored - before)
-    assert counts == [1, 0, 1, 0], "a serial number; the device type, asked for; and the vendor, asked next"
-
-
 def test_vectors_of_two_scans_at_once() -> None:
     talk = Talk()
     talk.chapter(100)
@@ -280,41 +268,3 @@ def test_vectors_of_a_bus_whose_sync_is_somebody_else_s() -> None:
         talk.chapter(10, Hold("m"))
     assert talk.drive.state == "OPERATION ENABLED"
     assert not [event for event in talk.events if isinstance(event, Found)]
-
-
-def test_vectors_of_a_second_producer_of_sync_told_once() -> None:
-    talk = armed(Talk())
-    for _ in range(3):
-        talk.handle(CanFrame(0x80))
-        talk.chapter(10, Hold("m"))
-    assert [(each.address, each.duplicate_address) for each in talk.events if isinstance(each, Found)] == [
-        (0, True)
-    ]
-
-
-DIFFERENT = [
-    ({"sync_ms": 5}, "sync_ms"),
-    ({"host_id": 99}, "host"),
-    ({"feedback": "event", "sync_ms": 5}, ""),
-    ({"watchdog_ms": 100}, ""),
-    ({"host_id": 3, "watchdog_ms": 0}, "host"),
-]
-
-
-@pytest.mark.parametrize(("options", "wrong"), DIFFERENT)
-def test_vectors_of_drives_that_do_not_agree_on_their_bus(options: dict[str, object], wrong: str) -> None:
-    devices = [
-        Device("m", 2, Options(), Settings()),
-        Device("n", 3, Options(**options), Settings()),  # type: ignore[arg-type]  # by name
-    ]
-    if wrong:
-        with pytest.raises(ValueError, match=wrong):
-            plugin.driver(devices)
-    else:
-        plugin.driver(devices)
-
-
-@pytest.mark.parametrize("watchdog", [0, 500])
-def test_vectors_of_a_host_id_that_a_drive_has(watchdog: int) -> None:
-    with pytest.raises(ValueError, match="host"):
-        Talk(Drive(127), watchdog_ms=watchdog)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from canopen.emcy import EmcyError
 
-from protocols.messages import ClearFault, Fault, Hold, Idle, Velocity
+from protocols.messages import ClearFault, Hold, Idle, Velocity
 from tests.protocols.cia402.conversation import Talk
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import AGAIN, RPDO1, armed
@@ -188,44 +187,6 @@ def test_vectors_of_a_warning_that_comes_goes_and_comes_again() -> None:
         talk.chapter(50, Hold("m"), reported="sync /10\nbeat ?")
         talk.drive.say_emcy(0)
         talk.chapter(50, Hold("m"), reported="sync /10\nbeat ?")
-
-
-@pytest.mark.parametrize("family", range(16))
-def test_vectors_of_codes_told_by_their_family_as_the_package_calls_it(family: int) -> None:
-    code = family << 12 | 0x00A7
-    wanted = EmcyError(code, 0, b"", 0.0).get_desc().lower()
-    talk = Talk()
-    talk.chapter(100)
-    talk.drive.say_emcy(code)
-    talk.chapter(20)
-    (fault,) = [event for event in talk.events if isinstance(event, Fault)]
-    assert fault.code == code
-    assert fault.name.endswith(f"({code:#06x})")
-    assert "manual" in fault.remedy
-    if wanted and family:  # 0x00A7 is "error reset or no error" there
-        assert fault.name.startswith(wanted), (fault.name, wanted)
-    elif family:
-        assert fault.name.startswith("unknown")
-
-
-# fmt: off
-CLASSES = [  # the classes of CiA 301 and CiA 402 that are finer than families
-    (0x2111, "current, device input side"), (0x2211, "current inside the device"),
-    (0x23A7, "current, device output side"), (0x31A7, "mains voltage"), (0x32A7, "DC link voltage"),
-    (0x33A7, "output voltage"), (0x41A7, "ambient temperature"), (0x42A7, "device temperature"),
-    (0x43A7, "drive temperature"), (0x61A7, "internal software"), (0x63A7, "data record"),
-    (0x73A7, "additional modules: sensor"), (0x81A7, "monitoring: communication"),
-    (0x86A7, "monitoring: positioning"),
-]
-# fmt: on
-
-
-@pytest.mark.parametrize(("code", "name"), CLASSES)
-def test_vectors_of_codes_told_by_their_class(code: int, name: str) -> None:
-    talk = Talk()
-    talk.chapter(60)
-    talk.drive.say_emcy(code)
-    talk.chapter(10, reported=f"< Fault {code:04X} {name} ({code:#06x})")
 
 
 def test_vectors_of_a_fault_while_it_is_disarmed() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.messages import ClearFault, Hold, Idle, Position, Velocity
+from protocols.messages import ClearFault, Fault, Hold, Idle, Position, Velocity
 from tests.protocols.cia402.conversation import Talk, configured
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import RPDO1, RPDO2, RPDO3, TPDO1, TPDO2, TPDO3, armed
@@ -250,36 +250,6 @@ def test_vectors_of_pdos_that_lack_a_set_point_of_the_other_family() -> None:
 
 
 @pytest.mark.parametrize(
-    ("index", "cob", "kind", "entries"),
-    [
-        (0x1400, 0x80000202, 1, RPDO1),  # does not exist
-        (0x1400, 0x203, 1, RPDO1),  # another drive's identifier
-        (0x1400, 0x202, 1, (*RPDO1, 0x20000108)),  # who knows what this is to be filled with
-        (0x1400, 0x202, 1, (0x60400010, 0x60600008)),  # no target position
-        (0x1800, 0x80000182, 1, TPDO1),
-        (0x1800, 0x40000182, 1, (0x60410010, 0x60610008)),  # no position
-        (0x1800, 0x40000182, 1, (0x60640020,)),  # no statusword
-        (0x1800, 0x40000182, 0, TPDO1),  # on a change only
-        (0x1800, 0x40000182, 20, TPDO1),  # with every 20th SYNC: 200 ms
-    ],
-)
-def test_vectors_of_pdos_that_are_written_anew(
-    index: int, cob: int, kind: int, entries: tuple[int, ...]
-) -> None:
-    drive = with_pdos(1)
-    drive.map(index, cob, kind, *entries)
-    talk = Talk(drive)
-    talk.chapter(150)
-    talk.chapter(300, Hold("m"))
-    wanted = RPDO1 if index == 0x1400 else TPDO1
-    assert [drive.get(index + 0x200, sub) for sub in range(1, 4)] == list(wanted)
-    assert drive.get(index + 0x200) == 3
-    assert drive.get(index, 1) & 0x8000_07FF == (0x202 if index == 0x1400 else 0x182)
-    assert drive.get(index, 2) == 1
-    assert drive.state == "OPERATION ENABLED"
-
-
-@pytest.mark.parametrize(
     ("index", "kind", "entries"),
     [
         (0x1400, 1, (*RPDO1, 0x00050008)),  # 5 is a dummy: it takes room
@@ -409,6 +379,8 @@ def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
         < Fault 10005 not configured
         """,
     )
+    (fault,) = [event for event in talk.events if isinstance(event, Fault)]
+    assert fault.cause.startswith("1016:01: the object can only be read")
     drive.refused.clear()
     talk.chapter(
         200,

@@ -1,19 +1,17 @@
-"""Parts of the driver by themselves: words and vectors, the way through the state machine, PDOs that fit."""
+"""Parts of the driver by themselves: state machine, PDOs that fit, set-points, SDO client, startup, scan."""
 
 from __future__ import annotations
 
-import math
-
 import pytest
 
-from protocols.cia402 import configuring, mapping, state_machine
+from protocols.cia402 import mapping, state_machine
 from protocols.cia402 import objects as o
 from protocols.cia402.client import DUPLICATES, TRIES, Job, Purpose, SdoClient
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.options import Options
 from protocols.cia402.pdo import DISABLED, decode_entry
 from protocols.cia402.pdo import mapping as entries
-from protocols.cia402.profile import Demand, Mode, PowerState, mode_bit
+from protocols.cia402.profile import Mode, PowerState
 from protocols.cia402.scanning import BURST, Scanner
 from protocols.cia402.sdo import (
     GENERAL,
@@ -26,87 +24,19 @@ from protocols.cia402.sdo import (
     UploadSegment,
     UploadStart,
 )
-from protocols.cia402.setpoint import Values, mode_for, standstill, values_of
+from protocols.cia402.setpoint import standstill, values_of
 from protocols.cia402.setpoint_writer import REFRESH, SetpointWriter
-from protocols.cia402.startup import DeviceProfile, units_from, value_of
+from protocols.cia402.startup import units_from, value_of
 from protocols.cia402.units import Units
-from protocols.messages import MILLISECOND, Command, Hold, Idle, Position, Torque, Velocity
+from protocols.messages import MILLISECOND, Position
 from tests.protocols.cia402.driver_vectors import pdos
-from tests.protocols.cia402.vectors import VECTORS
 
 UNITS = Units(per_turn=16_384.0, gear=1.0, rated_torque=1.0, rated_current=5.0)
-ALL = sum(mode_bit(m) for m in (Mode.PP, Mode.PV, Mode.PT, Mode.CSP, Mode.CSV, Mode.CST))
-
-
-def known(modes: int = ALL) -> DeviceProfile:
-    return DeviceProfile(UNITS, modes, 1, ())
-
-
-def counts(value: int) -> float:
-    return value * math.tau / 16_384.0
-
-
-# -- words and bytes ------------------------------------------------------------------------------------
-
-WORDS: tuple[tuple[Command, Mode, str, str], ...] = (
-    (Position("m", counts(-123_456)), Mode.CSP, "rpdo1_as_mapped", "0f0008c01dfeff"),
-    (Position("m", 0.0, counts(-1000)), Mode.CSP, "rpdo3_as_mapped", "18fcffff"),
-)
-
-
-@pytest.mark.parametrize(("command", "mode", "name", "data"), WORDS)
-def test_a_command_becomes_the_bytes_of_a_vector(command: Command, mode: Mode, name: str, data: str) -> None:
-    (vector,) = [v for v in VECTORS if v.name == name]
-    outlet = SetpointWriter()
-    outlet.configure([pdo for pdo in pdos() if pdo.kind == "RPDO"])
-    values = values_of(command, mode, UNITS, 0)
-    values |= {o.CONTROLWORD: int(Demand.ENABLE_OPERATION), o.MODE: int(mode)}
-    frames = outlet.frames(0, values, o.TARGET_POSITION)
-    assert vector.frame in frames
-    assert bytes.fromhex(data) in [frame.data for frame in frames]
-
-
-def test_velocity_and_torques_share_the_second_rpdo() -> None:
-    (vector,) = [v for v in VECTORS if v.name == "rpdo2_as_mapped"]
-    outlet = SetpointWriter()
-    outlet.configure([pdo for pdo in pdos() if pdo.kind == "RPDO"])
-    values: Values = standstill(0) | values_of(Velocity("m", counts(654_321), 0.125), Mode.CSV, UNITS, 0)
-    values |= values_of(Torque("m", -0.25), Mode.CST, UNITS, 0) | {
-        o.TARGET_VELOCITY: values[o.TARGET_VELOCITY],
-        o.TORQUE_OFFSET: values[o.TORQUE_OFFSET],
-    }
-    assert vector.frame in outlet.frames(0, values, o.TARGET_VELOCITY)
-
-
-@pytest.mark.parametrize(
-    ("command", "cyclic", "profile"),
-    [
-        (Position("m", 1.0), Mode.CSP, Mode.PP),
-        (Hold("m"), Mode.CSP, Mode.PP),
-        (Velocity("m", 1.0), Mode.CSV, Mode.PV),
-        (Torque("m", 1.0), Mode.CST, Mode.PT),
-    ],
-)
-def test_modes_are_those_preferred_or_the_other_ones(command: Command, cyclic: Mode, profile: Mode) -> None:
-    assert mode_for(command, known(), "cyclic") is cyclic
-    assert mode_for(command, known(), "profile") is profile
-    assert mode_for(command, known(mode_bit(profile)), "cyclic") is profile
-    assert mode_for(command, known(mode_bit(cyclic)), "profile") is cyclic
-    assert mode_for(command, known(0), "cyclic") is None
-    assert mode_for(Idle("m"), known(), "cyclic") is None
-
-
-def test_hold_without_a_position_mode_is_standing_still() -> None:
-    assert mode_for(Hold("m"), known(mode_bit(Mode.CSV)), "cyclic") is Mode.CSV
-    assert configuring.targets_of(known(mode_bit(Mode.CSV)), "cyclic") == {o.TARGET_VELOCITY}
 
 
 def test_feed_forward_is_left_out_of_profile_modes() -> None:
     values = values_of(Position("m", 1.0, 2.0, 0.5), Mode.PP, UNITS, 0)
     assert (values[o.VELOCITY_OFFSET], values[o.TORQUE_OFFSET]) == (0, 0)
-
-
-# -- the state machine from our side --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -125,12 +55,12 @@ def test_feed_forward_is_left_out_of_profile_modes() -> None:
         (PowerState.FAULT_REACTION, 2, True, None),
     ],
 )
-def test_the_way_up(power: PowerState, option: int, prepared: bool, demand: int | None) -> None:
+def test_arming_demands(power: PowerState, option: int, prepared: bool, demand: int | None) -> None:
     assert state_machine.arming_demand(power, option, prepared=prepared) == demand
 
 
 @pytest.mark.parametrize(
-    ("acknowledged", "handing", "target", "given", "after"),
+    ("acknowledged", "new_setpoint", "target", "given", "after"),
     [
         (False, False, 5, None, (0x3F, 5, True)),
         (False, True, 7, 5, (0x3F, 5, True)),
@@ -141,9 +71,9 @@ def test_the_way_up(power: PowerState, option: int, prepared: bool, demand: int 
     ],
 )
 def test_the_handshake_of_pp(
-    acknowledged: bool, handing: bool, target: int, given: int | None, after: tuple[int, int, bool]
+    acknowledged: bool, new_setpoint: bool, target: int, given: int | None, after: tuple[int, int, bool]
 ) -> None:
-    assert state_machine.pp_handshake(acknowledged, handing, target, given) == after
+    assert state_machine.pp_handshake(acknowledged, new_setpoint, target, given) == after
 
 
 # -- PDOs -----------------------------------------------------------------------------------------------
@@ -193,22 +123,16 @@ def test_what_fits() -> None:
     assert not mapping.feedback_fits([Pdo("TPDO", 1, 0x185, 255, 200, reported)], 0, 100 * MILLISECOND)
 
 
-def test_an_object_that_is_absent_is_not_mapped() -> None:
-    wanted = mapping.wanted(5, Options(), synced=True, absent={o.VELOCITY_OFFSET, o.TORQUE_OFFSET})
-    assert [pdo.number for pdo in wanted if pdo.kind == "RPDO"] == [1, 2]
-    assert wanted[1].keys == (o.TARGET_VELOCITY, o.TARGET_TORQUE)
-
-
 def test_set_points_go_when_they_move_or_change_and_again_after_a_while() -> None:
-    outlet = SetpointWriter()
-    outlet.configure([pdo for pdo in pdos() if pdo.kind == "RPDO"])
+    writer = SetpointWriter()
+    writer.configure([pdo for pdo in pdos() if pdo.kind == "RPDO"])
     values = standstill(0) | {o.CONTROLWORD: 6, o.MODE: 9}
-    first = outlet.frames(0, values, o.TARGET_VELOCITY)
+    first = writer.frames(0, values, o.TARGET_VELOCITY)
     assert [frame.id & 0x700 for frame in first] == [0x300, 0x400, 0x200]
-    assert [frame.id & 0x700 for frame in outlet.frames(1, values, o.TARGET_VELOCITY)] == [0x300]
-    changed = outlet.frames(2, values | {o.CONTROLWORD: 7}, o.TARGET_VELOCITY)
+    assert [frame.id & 0x700 for frame in writer.frames(1, values, o.TARGET_VELOCITY)] == [0x300]
+    changed = writer.frames(2, values | {o.CONTROLWORD: 7}, o.TARGET_VELOCITY)
     assert [frame.id & 0x700 for frame in changed] == [0x300, 0x200]
-    assert len(outlet.frames(REFRESH + 2, values | {o.CONTROLWORD: 7}, o.TARGET_VELOCITY)) == 3
+    assert len(writer.frames(REFRESH + 2, values | {o.CONTROLWORD: 7}, o.TARGET_VELOCITY)) == 3
 
 
 # -- SDO ------------------------------------------------------------------------------------------------
@@ -225,7 +149,7 @@ def test_a_transfer_is_repeated_and_given_up() -> None:
     assert [(x.abort, x.timed_out) for x in outcomes] == [(TIMEOUT, True)]
 
 
-def test_an_answer_to_something_else_is_nothing() -> None:
+def test_a_response_to_something_else_is_ignored() -> None:
     client = SdoClient(100)
     client.begin(Job(Purpose.POLL, o.STATUSWORD))
     client.poll(0)
@@ -237,12 +161,12 @@ def test_an_answer_to_something_else_is_nothing() -> None:
     assert client.handle(Uploaded(0x6041, 0, b"\x37\x06")) is None
 
 
-def test_segments_that_another_host_broke_off_are_asked_for_anew_at_once() -> None:
+def test_segments_that_another_host_interrupted_are_requested_anew_at_once() -> None:
     client = SdoClient(100)
     client.begin(Job(Purpose.STARTUP, o.DEVICE_NAME))
     assert client.handle(Abort(*o.POSITION, GENERAL)) is None
     assert client.poll(0)[0] == Upload(*o.DEVICE_NAME)
-    assert client.poll(1)[0] is None, "before it began, a refusal of something else is nobody's"
+    assert client.poll(1)[0] is None, "before it began, an abort of something else is ignored"
     client.handle(UploadStart(*o.DEVICE_NAME, 7))
     for _ in range(TRIES - 1):
         assert client.poll(2)[0] == UploadSegment(False)
@@ -257,7 +181,7 @@ def test_segments_that_another_host_broke_off_are_asked_for_anew_at_once() -> No
     assert outcome.value == b"twin402"
 
 
-def test_only_a_release_takes_the_place_of_another() -> None:
+def test_only_an_urgent_job_replaces_another() -> None:
     client = SdoClient(100)
     client.begin(Job(Purpose.STARTUP, o.DEVICE_TYPE))
     assert not client.free(Purpose.SETUP)
@@ -270,7 +194,7 @@ def test_only_a_release_takes_the_place_of_another() -> None:
     assert outcome.job.purpose is Purpose.URGENT
 
 
-def test_answers_that_come_twice_are_counted_in_a_row() -> None:
+def test_responses_that_come_twice_are_counted_in_a_row() -> None:
     client = SdoClient(100)
     for count in range(1, DUPLICATES + 2):
         client.begin(Job(Purpose.POLL, o.POSITION))
@@ -310,7 +234,7 @@ def test_two_serial_numbers_are_two_devices_at_once() -> None:
         (o.DEVICE_NAME, b"a longer text", None),
     ],
 )
-def test_what_an_upload_tells(key: o.Key, data: bytes, value: int | None) -> None:
+def test_the_number_of_an_upload(key: o.Key, data: bytes, value: int | None) -> None:
     assert value_of(key, data) == value
 
 
@@ -322,7 +246,7 @@ def test_units_of_the_robot_file_stand_in_for_what_a_drive_lacks() -> None:
     assert units_from(drive, Options(rated_torque=9.0)) == Units(5000.0, 5.0, 0.3, 0.0)
 
 
-def test_a_scan_asks_in_bursts_and_believes_only_what_it_asked_for() -> None:
+def test_a_scan_requests_in_bursts_and_accepts_only_what_it_requested() -> None:
     scan, asked, now = Scanner("can0", (3,), 0), [], 0
     while not scan.over(now):
         asked += [frame.id - 0x600 for frame in scan.send(now)]
@@ -332,15 +256,9 @@ def test_a_scan_asks_in_bursts_and_believes_only_what_it_asked_for() -> None:
     assert not scan.receive(now, 5, Uploaded(*o.DEVICE_TYPE, bytes(4))), "too late"
     fresh = Scanner("can0", (), 0)
     fresh.send(0)
-    assert not fresh.receive(1, 100, Uploaded(*o.DEVICE_TYPE, bytes(4))), "not asked yet"
-    assert not fresh.receive(1, 2, Uploaded(*o.VENDOR_ID, bytes(4))), "not asked for"
+    assert not fresh.receive(1, 100, Uploaded(*o.DEVICE_TYPE, bytes(4))), "not requested yet"
+    assert not fresh.receive(1, 2, Uploaded(*o.VENDOR_ID, bytes(4))), "not requested"
     assert fresh.receive(1, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
     assert fresh.send(MILLISECOND)[0].data[:4] == bytes((0x40, 0x18, 0x10, 1))
     assert fresh.receive(2, 2, Uploaded(*o.DEVICE_TYPE, b"\x92\1\2\0"))
     assert fresh.duplicates == {2}
-
-
-def test_an_upload_is_the_message_of_the_vectors() -> None:
-    client = SdoClient(100)
-    client.begin(Job(Purpose.STARTUP, o.DEVICE_TYPE))
-    assert client.poll(0)[0] == Upload(*o.DEVICE_TYPE)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 
@@ -11,9 +10,9 @@ from protocols.cia402 import plugin
 from protocols.cia402.options import Options
 from protocols.conformance import CLAUSES, check
 from protocols.frames import BusState, CanFrame
-from protocols.messages import MILLISECOND, Event, Fault, Found, Hold, Idle, Mode, Velocity
+from protocols.messages import Event, Fault, Found, Hold, Idle, Mode, Velocity
 from protocols.plugin import RxCounters
-from tests.protocols.cia402.driver_stage import Stage, device, driver_of, stage
+from tests.protocols.cia402.driver_stage import Stage, device, stage
 
 A = "alpha"
 SYNC = CanFrame(0x080)
@@ -39,31 +38,6 @@ def received(s: Stage, *frames: CanFrame) -> tuple[list[Event], tuple[int, int, 
 
 def syncs(s: Stage) -> list[CanFrame]:
     return [frame for frame in s.down if frame.id == SYNC.id]
-
-
-def test_devices_of_a_bus_must_agree_on_sync_and_host() -> None:
-    one, two = device("left", 1), device("right", 2, Options(sync_ms=20))
-    with pytest.raises(ValueError, match=r"sync_ms .* 10 for left and 20 for right"):
-        driver_of(one, two)
-    with pytest.raises(ValueError, match=r"host_id .* 127 for left and 100 for right"):
-        driver_of(one, device("right", 2, Options(host_id=100)))
-    with pytest.raises(ValueError, match="node id"):
-        driver_of(one, device("right", 127))
-    driver_of(one, device("right", 2, Options(feedback="event", sync_ms=20)))
-
-
-def test_ours_goes_every_period_and_drives_say_none() -> None:
-    s = stage(Options(sync_ms=5))
-    s.until(Mode.READY)
-    assert not syncs(s)
-    s.until(Mode.ARMED, Hold(A))
-    times = []
-    for _ in range(100):
-        said = s.step(Hold(A))
-        times += [said.now for raw in said.down if raw == SYNC]
-    assert {b - a for a, b in pairwise(times)} == {5 * MILLISECOND}
-    assert not [frame for frame in s.up if frame.id == SYNC.id]
-    assert not s.of(Found)
 
 
 # -- another producer -----------------------------------------------------------------------------------

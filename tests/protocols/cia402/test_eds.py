@@ -14,7 +14,7 @@ from protocols.cia402 import sdo
 from protocols.cia402.eds import eds
 from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
 from protocols.cia402.transfer import Transfer
-from tests.protocols.cia402.bench import NODE, Bench
+from tests.protocols.cia402.twin_bench import NODE, TwinBench
 
 FILE = Path(protocols.cia402.__file__).parent / "twin.eds"
 LIVE = {(0x6041, 0), (0x6079, 0)}
@@ -41,12 +41,12 @@ def test_canopen_reads_every_object_of_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def bench() -> Bench:
-    return Bench()
+def bench() -> TwinBench:
+    return TwinBench()
 
 
 @pytest.mark.parametrize("key", sorted(OBJECTS), ids=lambda k: f"{k[0]:04X}:{k[1]:02X}")
-def test_the_twin_answers_as_its_data_sheet_says(bench: Bench, key: Key) -> None:
+def test_the_twin_answers_as_its_data_sheet_says(bench: TwinBench, key: Key) -> None:
     reported, row = variables()[key], OBJECTS[key]
     assert (reported.data_type, reported.access_type, reported.pdo_mappable) == (
         row.type.code,

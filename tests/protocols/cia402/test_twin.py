@@ -18,7 +18,7 @@ from protocols.cia402.profile import Demand, Mode, PowerState
 from protocols.cia402.state_machine import TRANSITIONS
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback
-from tests.protocols.cia402.bench import HOST, NODE, Bench
+from tests.protocols.cia402.twin_bench import HOST, NODE, TwinBench
 
 SEED = 20261121
 ON = PowerState.OPERATION_ENABLED
@@ -27,9 +27,9 @@ HELD = HOST << 16 | 100
 """1016: the host's heartbeat within 100 ms."""
 
 
-def spinning(settings: Settings | None = None, target: int = 20_000) -> Bench:
+def spinning(settings: Settings | None = None, target: int = 20_000) -> TwinBench:
     """A drive that turns in CSV."""
-    bench = Bench(settings)
+    bench = TwinBench(settings)
     bench.enable(Mode.CSV)
     bench.put(o.TARGET_VELOCITY, target)
     bench.run(300)
@@ -37,7 +37,7 @@ def spinning(settings: Settings | None = None, target: int = 20_000) -> Bench:
     return bench
 
 
-def beat(bench: Bench) -> list[CanFrame]:
+def beat(bench: TwinBench) -> list[CanFrame]:
     return bench.run(1, [CanFrame(heartbeat_id(HOST), b"\x05")])
 
 
@@ -45,7 +45,7 @@ def beat(bench: Bench) -> list[CanFrame]:
 
 
 def test_it_boots_and_follows_nmt() -> None:
-    bench = Bench()
+    bench = TwinBench()
     assert bench.said[0] == CanFrame(heartbeat_id(NODE), b"\x00")
     for command, node, state in (
         (NmtCommand.START, NODE, NmtState.OPERATIONAL),
@@ -62,7 +62,7 @@ def test_it_boots_and_follows_nmt() -> None:
 
 
 def test_the_heartbeats_period_is_what_1017_says() -> None:
-    bench = Bench(seed=3)
+    bench = TwinBench(seed=3)
     for period in (100, 20, 0, 50):
         bench.put(o.PRODUCER_HEARTBEAT, period)
         bench.run(120)
@@ -123,7 +123,7 @@ def test_what_the_drive_does_when_the_host_falls_silent(option: int, state: Powe
     ("behaviour", "state"), [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)]
 )
 def test_the_nmt_state_after_the_host_fell_silent(behaviour: int, state: NmtState) -> None:
-    bench = Bench(Settings(error_behaviour=behaviour, heartbeat_consumer=HELD))
+    bench = TwinBench(Settings(error_behaviour=behaviour, heartbeat_consumer=HELD))
     bench.nmt(NmtCommand.START)
     beat(bench)
     bench.run(300)
@@ -141,7 +141,7 @@ def test_nmt_stop_is_a_lost_connection_for_what_turns() -> None:
 
 
 def test_an_rpdo_that_stays_away_is_noticed() -> None:
-    bench = Bench()
+    bench = TwinBench()
     pack = bench.map_pdo(0x1400, rpdo_id(1, NODE), 255, o.CONTROLWORD, o.TARGET_VELOCITY, timer=50)
     bench.put(o.MODE, Mode.CSV)
     bench.nmt(NmtCommand.START)
@@ -171,7 +171,7 @@ WAY: dict[PowerState, tuple[int, ...]] = {
 @pytest.mark.parametrize("state", WAY, ids=lambda s: s.name)
 @pytest.mark.parametrize("demand", Demand, ids=lambda d: d.name)
 def test_every_demand_in_every_state(state: PowerState, demand: Demand) -> None:
-    bench = Bench(Settings(quick_stop_option=6))
+    bench = TwinBench(Settings(quick_stop_option=6))
     bench.put(o.MODE, Mode.CSV)
     for word in WAY[state]:
         bench.control(word)
@@ -198,7 +198,7 @@ def test_every_transition_of_the_package_is_ours() -> None:
 
 
 def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.put(o.CONTROLWORD, 0x80)
     bench.twin.provoke(OVERCURRENT)
     bench.run(1)
@@ -210,7 +210,7 @@ def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
 
 
 def test_an_unsupported_mode_is_refused() -> None:
-    bench = Bench(Settings(supported_modes=0x180))
+    bench = TwinBench(Settings(supported_modes=0x180))
     assert bench.write(o.MODE, Mode.PP) == sdo.BAD_VALUE
     assert bench.write(o.MODE, 99) == sdo.BAD_VALUE
     bench.put(o.MODE, Mode.CSP)
@@ -294,7 +294,7 @@ def test_the_fault_reaction(option: int) -> None:
 
 @pytest.mark.parametrize("code", sorted(FAULTS))
 def test_every_fault_can_be_provoked(code: int) -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.twin.provoke(code)
     bench.run(2)
     assert bench.emergencies() == [code]
@@ -305,15 +305,16 @@ def test_every_fault_can_be_provoked(code: int) -> None:
 
 def test_an_unknown_fault_cannot_be_provoked() -> None:
     with pytest.raises(ValueError, match="0x1234"):
-        Bench().twin.provoke(0x1234)
+        TwinBench().twin.provoke(0x1234)
 
 
 # -- PDOs ------------------------------------------------------------------------------------------------
 
 
-def test_a_synchronous_rpdo_waits_for_sync_and_the_last_one_counts() -> None:
-    bench = Bench()
-    pack = bench.map_pdo(0x1400, rpdo_id(1, NODE), 1, o.TARGET_VELOCITY)
+@pytest.mark.parametrize("transmission", [0, 1, 240])
+def test_a_synchronous_rpdo_waits_for_sync_and_the_last_one_counts(transmission: int) -> None:
+    bench = TwinBench()
+    pack = bench.map_pdo(0x1400, rpdo_id(1, NODE), transmission, o.TARGET_VELOCITY)
     bench.nmt(NmtCommand.START)
     for value in (1, 2, 3):
         bench.rpdo(1, pack, value)
@@ -329,7 +330,7 @@ def test_a_synchronous_rpdo_waits_for_sync_and_the_last_one_counts() -> None:
 
 @pytest.mark.parametrize("transmission", [254, 255])
 def test_another_rpdo_takes_effect_at_once_and_only_in_operational(transmission: int) -> None:
-    bench = Bench()
+    bench = TwinBench()
     pack = bench.map_pdo(0x1401, rpdo_id(2, NODE), transmission, o.TARGET_TORQUE, o.PROFILE_VELOCITY)
     bench.rpdo(2, pack, -5, 99)
     assert bench.read(o.TARGET_TORQUE) == 0
@@ -345,7 +346,7 @@ def test_another_rpdo_takes_effect_at_once_and_only_in_operational(transmission:
 
 @pytest.mark.parametrize("transmission", [1, 2, 7])
 def test_a_tpdo_goes_with_every_nth_sync(transmission: int) -> None:
-    bench = Bench()
+    bench = TwinBench()
     pack = bench.map_pdo(0x1A00 - 0x200, 0x180 + NODE, transmission, o.POSITION, o.STATUSWORD)
     bench.sync(20)
     assert not bench.tpdo(1, bench.said), "not in pre-operational"
@@ -358,7 +359,7 @@ def test_a_tpdo_goes_with_every_nth_sync(transmission: int) -> None:
 
 
 def test_type_0_goes_with_a_sync_when_something_has_changed() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.map_pdo(0x1800, 0x180 + NODE, 0, o.POSITION)
     bench.nmt(NmtCommand.START)
     counts = []
@@ -372,7 +373,7 @@ def test_type_0_goes_with_a_sync_when_something_has_changed() -> None:
 
 
 def test_an_event_timer_and_a_change_of_state_send_a_tpdo() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.map_pdo(0x1800, 0x180 + NODE, 255, o.STATUSWORD, o.POSITION, timer=50)
     bench.nmt(NmtCommand.START)
     bench.run(50)
@@ -386,7 +387,7 @@ def test_an_event_timer_and_a_change_of_state_send_a_tpdo() -> None:
 
 
 def test_without_a_timer_every_change_is_an_event_but_not_within_the_inhibit_time() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.map_pdo(0x1800, 0x180 + NODE, 254, o.POSITION)
     bench.put((0x1800, o.COB_ID), 1 << 31 | 0x180 + NODE)
     bench.put((0x1800, o.INHIBIT), 100)  # 10 ms
@@ -422,7 +423,7 @@ def test_without_a_timer_every_change_is_an_event_but_not_within_the_inhibit_tim
     ids=lambda v: str(v),
 )
 def test_a_pdo_is_configured_as_cia_301_demands(key: Key, value: int, code: int) -> None:
-    bench = Bench(Settings(pdos="usual"))
+    bench = TwinBench(Settings(pdos="usual"))
     bench.put((0x1401, 1), 1 << 31 | 0x300 + NODE)
     bench.put((0x1601, 0), 0)
     bench.put((0x1601, 1), encode_entry(Entry(0x6040, 0, 16)))
@@ -431,7 +432,7 @@ def test_a_pdo_is_configured_as_cia_301_demands(key: Key, value: int, code: int)
 
 
 def test_more_than_a_frame_holds_cannot_be_mapped() -> None:
-    bench = Bench()
+    bench = TwinBench()
     for sub, index in enumerate((0x607A, 0x60FF, 0x6071), 1):
         bits = o.OBJECTS[index, 0].bits
         bench.put((0x1600, sub), encode_entry(Entry(index, 0, bits)))
@@ -441,7 +442,7 @@ def test_more_than_a_frame_holds_cannot_be_mapped() -> None:
 
 
 def test_the_usual_mapping_stands_when_it_starts() -> None:
-    bench = Bench(Settings(pdos="usual"))
+    bench = TwinBench(Settings(pdos="usual"))
     assert bench.read((0x1A00, 0)) == 3
     assert bench.read((0x1A00, 1)) == encode_entry(Entry(0x6041, 0, 16))
     assert not bench.read((0x1400, 1)) & 1 << 31
@@ -453,7 +454,7 @@ def test_the_usual_mapping_stands_when_it_starts() -> None:
 
 
 def test_aborts() -> None:
-    bench = Bench()
+    bench = TwinBench()
     for request, code in (
         (sdo.Upload(0x5FFF, 0), sdo.NO_OBJECT),
         (sdo.Upload(0x1018, 9), sdo.NO_SUBINDEX),
@@ -471,7 +472,7 @@ def test_aborts() -> None:
 
 
 def test_segments_alternate_and_a_new_request_takes_over() -> None:
-    bench = Bench(Settings(device_name="a rather long name"))
+    bench = TwinBench(Settings(device_name="a rather long name"))
     assert bench.ask(sdo.Upload(0x1008, 0)) == sdo.UploadStart(0x1008, 0, 18)
     assert bench.ask(sdo.UploadSegment(True)) == sdo.Abort(0x1008, 0, sdo.TOGGLE)
     bench.ask(sdo.Upload(0x1008, 0))
@@ -493,14 +494,14 @@ def test_segments_alternate_and_a_new_request_takes_over() -> None:
 
 
 def test_an_abort_ends_a_transfer_without_an_answer() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.ask(sdo.Upload(0x1008, 0))
     assert bench.ask(sdo.Abort(0x1008, 0, sdo.GENERAL)) is None
     assert isinstance(bench.ask(sdo.UploadSegment(False)), sdo.Abort)
 
 
 def test_an_answer_takes_its_time() -> None:
-    bench = Bench(Settings(sdo_delay_ms=5))
+    bench = TwinBench(Settings(sdo_delay_ms=5))
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(sdo.Upload(0x1000, 0)))
     assert [f for f in bench.run(5, [frame]) if f.id == sdo_tx_id(NODE)] == []
     assert [f for f in bench.run(1) if f.id == sdo_tx_id(NODE)]
@@ -523,7 +524,7 @@ def test_two_twins_of_one_seed_are_alike_and_a_copy_goes_on_the_same() -> None:
 
 def test_nothing_it_hears_makes_it_raise_or_give_a_torque_that_is_not_finite() -> None:
     random = np.random.Generator(np.random.PCG64(SEED))
-    bench = Bench(Settings(pdos="usual"))
+    bench = TwinBench(Settings(pdos="usual"))
     bench.nmt(NmtCommand.START)
     ids = [0, 0x80, sdo_rx_id(NODE), *(rpdo_id(n, NODE) for n in (1, 2)), heartbeat_id(HOST)]
     for _ in range(4000):
@@ -544,7 +545,7 @@ def test_nothing_it_hears_makes_it_raise_or_give_a_torque_that_is_not_finite() -
 
 
 def test_what_is_not_finite_does_not_come_in_with_the_truth() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.position = 1.0
     bench.run(2)
     for position, velocity in ((float("nan"), 0.0), (0.0, float("inf"))):

@@ -1,20 +1,25 @@
-"""The independent vectors that show both ends of package canopen 2.4.1: the package still makes them.
+"""The independent vectors, made by package canopen 2.4.1: the package still makes them.
 
 Its BaseNode402 is the master, its LocalNode the slave, joined by function calls (`stack`). LocalNode has no
 state machine of CiA 402, so a callback stands in for it: what the statuswords of these vectors prove is how
-they lie in a frame, not when a drive says them. (`test_canopen` proves the twin's own state machine.)
+they are encoded, not when a drive sends them. (`test_canopen` proves the twin's own state machine.)
 """
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from typing import Any
 
 import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
+from protocols.cia402 import mapping, sdo
+from protocols.cia402.mapping import Pdo
 from protocols.frames import CanFrame
 from protocols.reference_vectors import Vector
+from tests.protocols.cia402 import driver_vectors
 from tests.protocols.cia402.stack import Joined, Slave, dictionary
 from tests.protocols.cia402.vectors import VECTORS
 
@@ -26,7 +31,7 @@ FAULT = 0x218
 
 
 class Ends:
-    """A master and a slave, and everything that they have said: as canopen's own networks saw it."""
+    """A master and a slave, and all frames that canopen's own networks have sent."""
 
     def __init__(self) -> None:
         self.slave = Slave(NODE)
@@ -47,8 +52,8 @@ class Ends:
         """Put a value into the slave."""
         self.slave.node.set_data(index, 0, value.to_bytes(size, "little", signed=value < 0))
 
-    def said(self) -> set[tuple[str, CanFrame]]:
-        """Everything."""
+    def sent(self) -> set[tuple[str, CanFrame]]:
+        """Return all frames."""
         down = {("to_device", frame) for frame in self.network.sent}
         return down | {("from_device", frame) for frame in self.slave.network.sent}
 
@@ -113,18 +118,38 @@ def _rest(ends: Ends) -> None:
 
 
 @pytest.fixture(scope="module")
-def said() -> set[tuple[str, CanFrame]]:
+def sent() -> set[tuple[str, CanFrame]]:
     ends = Ends()
     for scene in (_objects, _power, _pdos, _rest):
         scene(ends)
-    return ends.said()
+    return ends.sent()
 
 
 @pytest.mark.parametrize("vector", BOTH_ENDS, ids=lambda v: v.name)
-def test_the_package_says_it_still(vector: Vector, said: set[tuple[str, CanFrame]]) -> None:
+def test_the_package_still_sends_it(vector: Vector, sent: set[tuple[str, CanFrame]]) -> None:
     assert isinstance(vector.frame, CanFrame)
-    assert (vector.direction, vector.frame) in said
+    assert (vector.direction, vector.frame) in sent
 
 
 def test_they_are_many() -> None:
     assert len(BOTH_ENDS) == 60
+
+
+# -- what the driver sends ------------------------------------------------------------------------------
+
+
+def test_the_vectors_of_the_driver_are_those_that_the_package_makes() -> None:
+    kept = json.loads(driver_vectors.FILE.read_text("utf-8"))
+    assert [e for e in kept if e["source"] == driver_vectors.SOURCE] == driver_vectors.made()
+
+
+def _timed(pdo: Pdo) -> Pdo:
+    return replace(pdo, transmission=255, event_ms=10)
+
+
+@pytest.mark.parametrize("pdo", [*driver_vectors.pdos(), *map(_timed, driver_vectors.pdos()[3:])])
+def test_pdos_are_configured_as_by_pdo_map_save(pdo: Pdo) -> None:
+    theirs = [frame.data for frame in driver_vectors.saved(pdo)]
+    flag = 1 << 30 if pdo.kind == "TPDO" else 0
+    ours = [sdo.encode(sdo.Download(*key, data)) for key, data in mapping.writes(pdo, flag)]
+    assert ours == theirs

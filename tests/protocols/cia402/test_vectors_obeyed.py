@@ -10,13 +10,12 @@ import math
 from protocols import messages as msg
 from protocols.cia402 import objects as o
 from protocols.cia402.codec import NmtState, decode
-from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Options, Settings
 from protocols.cia402.pdo import decode_entry
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Request
+from protocols.messages import MILLISECOND
 from protocols.plugin import Device
 from tests.protocols.cia402.vectors import VECTORS
 
@@ -126,36 +125,3 @@ def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
             packing = dictionary.active(first + int(what[-1]) - 1)
             assert packing is not None, what
             assert [*packing.entries] == [decode_entry(word) for word in vector.meaning["entries"]], what
-
-
-def test_vectors_are_heard_as_the_words_that_they_mean() -> None:
-    decoder = Cia402Decoder([DEVICE])
-
-    def received(name: str) -> list[Command | Request]:
-        return list(decoder.decode(0, frame_of(name)))
-
-    configured = [
-        word for v in VECTORS if v.name.startswith("configure_") for word in decoder.decode(0, v.frame)
-    ]
-    assert all(isinstance(word, msg.WriteParameter) for word in configured)
-    assert received("nmt_start#0") == [msg.WriteParameter("m", "NMT state", 5.0)]
-    assert received("nmt_start#0") == []
-    assert received("sdo_write_target_velocity_-1000#0") == []
-    for name in ("enable_over_sdo#2", "enable_over_sdo#5", "enable_over_sdo#7"):
-        assert received(name) == []
-    assert received("rpdo1_as_mapped") == [], "it waits for the SYNC"
-    assert received("rpdo2_as_mapped") == []
-    assert received("rpdo3_as_mapped") == []
-    words = received("sync#0")
-    assert words[-1] == msg.Position("m", -123_456 / TURN * math.tau, -1000 / TURN * math.tau, 0.125)
-    assert {type(word) for word in words} == {msg.Position}
-    assert received("sync#0") == []
-    decoder.axes[0].dictionary.values |= {o.MODE: 9, o.VELOCITY_OFFSET: 0, o.TORQUE_OFFSET: 0}
-    assert received("sdo_write_target_velocity_-1000#0") == [msg.Velocity("m", -1000 / TURN * math.tau)]
-    assert received("quick_stop_over_sdo#2") == [msg.Estop("m")]
-    for name in ("enable_over_sdo#2", "enable_over_sdo#5"):
-        assert received(name) == []
-    assert received("enable_over_sdo#7") == [msg.Velocity("m", -1000 / TURN * math.tau)]
-    assert received("disable_over_sdo#2") == [msg.Idle("m")]
-    assert received("sdo_probe_scan#1") == received("sdo_read_statusword#0") == []
-    assert received("nmt_reset_node") == [msg.Reboot("m")]

@@ -45,7 +45,7 @@ def device(settings: Settings | None = None, address: int = NODE, name: str = "m
     return Device(name, address, Options(), settings or Settings())
 
 
-class Bench:
+class TwinBench:
     """One twin, its shaft and its host."""
 
     def __init__(self, settings: Settings | None = None, seed: int = 0) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import canopen
 import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 from canopen.profiles.p402 import State402
 
-from protocols.cia402 import faults, sdo
+from protocols.cia402 import sdo
 from protocols.cia402.transfer import Transfer
 from protocols.frames import CanFrame
 from protocols.messages import Found, Hold, Position, Scan, State, Torque, Velocity
@@ -187,6 +186,7 @@ def _run(slave: Slave, transfer: Transfer) -> int:
         received = sdo.decode_response(answer.data)
         assert received is not None
         request, count = transfer.handle(received), count + 1
+        assert transfer.handle(received) is None, "a response that comes twice"
     return count
 
 
@@ -221,22 +221,3 @@ def test_vectors_of_a_transfer_of_nothing_and_of_one_that_is_refused() -> None:
         _run(slave, transfer)
         assert (transfer.done, transfer.abort) == (True, code)
         assert f"{code:#010x}" in sdo.abort_text(code)
-
-
-def test_vectors_of_abort_codes_as_the_package_knows_them() -> None:
-    for code in canopen.SdoAbortedError.CODES:
-        assert "unknown" not in sdo.abort_text(code), hex(code)
-    assert "unknown" in sdo.abort_text(1)
-
-
-# fmt: off
-REGISTERS = [  # 1001 by CiA 301: bit 0 any, 1 current, 2 voltage, 3 temperature, 4 communication, 7 maker's
-    (0x0000, 0x00), (0x1000, 0x01), (0x2310, 0x03), (0x3210, 0x05), (0x4310, 0x09), (0x7305, 0x01),
-    (0x8130, 0x11), (0x8250, 0x11), (0x8611, 0x01), (0xFF01, 0x81),
-]
-# fmt: on
-
-
-@pytest.mark.parametrize(("code", "register"), REGISTERS)
-def test_vectors_of_the_error_register(code: int, register: int) -> None:
-    assert faults.register_of(code) == register

@@ -11,7 +11,7 @@ from protocols.cia402.faults import FOLLOWING_ERROR
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import HomingStatus, Mode, PowerState, Status, homing_of
 from protocols.cia402.ramps import Interpolation, Ramp, Timer
-from tests.protocols.cia402.bench import Bench
+from tests.protocols.cia402.twin_bench import TwinBench
 
 NEW, IMMEDIATELY, RELATIVE = 0x10, 0x20, 0x40
 ACKNOWLEDGED = Status.SETPOINT_ACKNOWLEDGED
@@ -24,7 +24,7 @@ REACHED = Status.TARGET_REACHED
 @pytest.mark.parametrize("target", [1, 137, -4096, 40_001])
 def test_csp_goes_to_any_increment(target: int) -> None:
     """A whole-unit cast anywhere would show: 137 increments are 0.0084 turns."""
-    bench = Bench()
+    bench = TwinBench()
     bench.enable(Mode.CSP)
     bench.put(o.TARGET_POSITION, target)
     bench.run(3000)
@@ -35,7 +35,7 @@ def test_csp_goes_to_any_increment(target: int) -> None:
 
 
 def test_enabling_where_the_set_point_is_the_position_does_not_move() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.position = 0.3217
     bench.run(2)
     bench.enable(Mode.CSP)
@@ -44,7 +44,7 @@ def test_enabling_where_the_set_point_is_the_position_does_not_move() -> None:
 
 
 def test_csp_obeys_its_offsets() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.locked = True
     bench.enable(Mode.CSP)
     bench.put(o.TORQUE_OFFSET, 250)
@@ -57,7 +57,7 @@ def test_csp_obeys_its_offsets() -> None:
 
 
 def test_csp_interpolates_over_the_period_of_60c2() -> None:
-    bench = Bench(Settings(interpolation_ms=100))
+    bench = TwinBench(Settings(interpolation_ms=100))
     bench.locked = True
     bench.enable(Mode.CSP)
     bench.put(o.TARGET_POSITION, 1000)
@@ -68,7 +68,7 @@ def test_csp_interpolates_over_the_period_of_60c2() -> None:
 
 
 def test_csv_and_its_offsets() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.enable(Mode.CSV)
     bench.put(o.TARGET_VELOCITY, 16_384)
     bench.put(o.VELOCITY_OFFSET, -32_768)
@@ -77,7 +77,7 @@ def test_csv_and_its_offsets() -> None:
 
 
 def test_cst_gives_torque_of_the_shaft_through_the_gear() -> None:
-    bench = Bench(Settings(gear_motor=10, rated_torque=200))
+    bench = TwinBench(Settings(gear_motor=10, rated_torque=200))
     bench.locked = True
     bench.enable(Mode.CST)
     bench.put(o.TARGET_TORQUE, 500)
@@ -92,8 +92,8 @@ def test_cst_gives_torque_of_the_shaft_through_the_gear() -> None:
 # -- profile modes ---------------------------------------------------------------------------------------
 
 
-def pp(settings: Settings | None = None) -> Bench:
-    bench = Bench(
+def pp(settings: Settings | None = None) -> TwinBench:
+    bench = TwinBench(
         settings
         or Settings(profile_velocity=20_000, profile_acceleration=100_000, profile_deceleration=100_000)
     )
@@ -174,7 +174,7 @@ def test_pp_forgets_its_set_point_when_it_is_disabled() -> None:
 
 
 def test_pv_ramps_and_tells_standstill() -> None:
-    bench = Bench(Settings(profile_acceleration=20_000, profile_deceleration=40_000))
+    bench = TwinBench(Settings(profile_acceleration=20_000, profile_deceleration=40_000))
     bench.enable(Mode.PV)
     assert bench.status & Status.ZERO_SPEED
     bench.put(o.TARGET_VELOCITY, 20_000)
@@ -189,7 +189,7 @@ def test_pv_ramps_and_tells_standstill() -> None:
 
 
 def test_pt_ramps() -> None:
-    bench = Bench(Settings(torque_slope=1000))
+    bench = TwinBench(Settings(torque_slope=1000))
     bench.locked = True
     bench.enable(Mode.PT)
     bench.put(o.TARGET_TORQUE, -400)
@@ -207,7 +207,7 @@ def test_pt_ramps() -> None:
 @pytest.mark.parametrize(("method", "home"), [(33, 0), (34, 16_384), (35, 4096), (37, 4096)])
 @pytest.mark.parametrize("offset", [0, 300])
 def test_homing(method: int, home: int, offset: int) -> None:
-    bench = Bench(Settings(homing_method=method, home_offset=offset, homing_speed=20_000))
+    bench = TwinBench(Settings(homing_method=method, home_offset=offset, homing_speed=20_000))
     bench.position = 4096 / 16384 * math.tau
     bench.run(2)
     bench.enable(Mode.HM)
@@ -224,7 +224,7 @@ def test_homing(method: int, home: int, offset: int) -> None:
 
 
 def test_homing_can_be_interrupted() -> None:
-    bench = Bench(Settings(homing_method=34, homing_speed=5000))
+    bench = TwinBench(Settings(homing_method=34, homing_speed=5000))
     bench.position = 0.5
     bench.run(2)
     bench.enable(Mode.HM)
@@ -239,7 +239,7 @@ def test_homing_can_be_interrupted() -> None:
 
 
 def test_a_following_error_trips() -> None:
-    bench = Bench(Settings(following_window=500, following_time=20))
+    bench = TwinBench(Settings(following_window=500, following_time=20))
     bench.locked = True
     bench.enable(Mode.CSP)
     bench.put(o.TARGET_POSITION, 490)
@@ -256,7 +256,7 @@ def test_a_following_error_trips() -> None:
 
 @pytest.mark.parametrize("mode", [Mode.CSP, Mode.PP])
 def test_position_limits_hold_the_target(mode: Mode) -> None:
-    bench = Bench(Settings(soft_limit_low=-1000, soft_limit_high=2000))
+    bench = TwinBench(Settings(soft_limit_low=-1000, soft_limit_high=2000))
     bench.enable(mode)
     bench.put(o.TARGET_POSITION, 9000)
     if mode is Mode.PP:
@@ -268,7 +268,7 @@ def test_position_limits_hold_the_target(mode: Mode) -> None:
 
 
 def test_torque_and_speed_are_limited() -> None:
-    bench = Bench(Settings(max_torque=300, max_profile_velocity=10_000))
+    bench = TwinBench(Settings(max_torque=300, max_profile_velocity=10_000))
     bench.locked = True
     bench.enable(Mode.CST)
     bench.put(o.TARGET_TORQUE, 900)
@@ -284,7 +284,7 @@ def test_torque_and_speed_are_limited() -> None:
 
 
 def test_the_motors_speed_is_limited_behind_its_gear() -> None:
-    bench = Bench(Settings(max_motor_speed=600, gear_motor=10))
+    bench = TwinBench(Settings(max_motor_speed=600, gear_motor=10))
     bench.enable(Mode.CSV)
     bench.put(o.TARGET_VELOCITY, 10**6)
     bench.run(2500)
@@ -305,14 +305,14 @@ def test_the_motors_speed_is_limited_behind_its_gear() -> None:
     ids=("encoder", "gear", "feed", "feed per turns"),
 )
 def test_a_quarter_turn_in_the_drives_units(settings: Settings, reported: int) -> None:
-    bench = Bench(settings)
+    bench = TwinBench(settings)
     bench.position = math.tau / 4
     bench.run(2)
     assert bench.read(o.POSITION) == reported
 
 
 def test_the_encoder_counts_whole_increments() -> None:
-    bench = Bench(Settings(encoder_increments=100, feed=100_000))
+    bench = TwinBench(Settings(encoder_increments=100, feed=100_000))
     seen = set()
     for step in range(40):
         bench.position = step * math.tau / 1000
@@ -322,7 +322,7 @@ def test_the_encoder_counts_whole_increments() -> None:
 
 
 def test_units_may_be_written_while_it_runs() -> None:
-    bench = Bench()
+    bench = TwinBench()
     bench.position = math.tau
     bench.put(o.FEED, 360)
     assert bench.read(o.POSITION) == 360
