@@ -16,6 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 PATIENCE = 60.0
 """s; the machine may have other things to do"""
@@ -50,7 +51,7 @@ class Process:
         self._decode = codecs.getincrementaldecoder("utf-8")("replace").decode
         self._ended = False
 
-    def __enter__(self) -> Process:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

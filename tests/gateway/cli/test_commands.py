@@ -12,7 +12,7 @@ from gateway.cli.main import main
 from gateway.recording import read
 from protocols.messages import Velocity
 from tests.gateway.processes import Process
-from tests.gateway.rig import BENCH, Rig, said
+from tests.gateway.rig import BENCH, Rig, sent_commands
 
 HEAVY = {"numpy", "can", "serial", "mcap", "rosbags", "filterpy", "mujoco", "matplotlib"}
 
@@ -172,7 +172,7 @@ def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> Non
         robot.send_line("quit")
         status, text = robot.end()
     assert status == 0, text
-    commands = [command for _, command in said(Rig(), list(read(recording).ticks))]
+    commands = [command for _, command in sent_commands(Rig(), list(read(recording).ticks))]
     assert {command.motor for command in commands if isinstance(command, Velocity)} == {"left", "right"}
 
 

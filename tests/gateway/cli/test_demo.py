@@ -1,24 +1,23 @@
-"""The demo as a newcomer runs it, its recording, and what a replay of it must find. One drive serves all."""
+"""`gateway demo`: its figures, its recording, and what a replay of that finds. One drive serves all tests."""
 
 from __future__ import annotations
 
-import ast
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from gateway import config
-from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
 from gateway.recording import Recording, Step, read
-from gateway.replay.compare import Verdict, compare
+from gateway.replay import replay
 from protocols.frames import CanFrame, Packet
 from protocols.messages import Feedback, Imu, LaserScan, State
 
@@ -43,9 +42,9 @@ class Drive(NamedTuple):
 
 
 def gateway(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """The command in a process of its own, with an empty home and nothing left over in the environment.
+    """Run the command in a process of its own, with an empty home and a clean environment.
 
-    But for the choice of the processor's arithmetic: a replay in this process must round as that one."""
+    Only the choice of the processor's arithmetic is kept: a replay in this process must round alike."""
     arithmetic = {name: value for name, value in os.environ.items() if name.startswith("OPENBLAS_")}
     clean = {"PATH": os.environ["PATH"], "HOME": environment.pop("home", "/nonexistent"), **environment}
     clean |= arithmetic
@@ -86,17 +85,17 @@ def test_the_believed_path_is_faithful_where_raw_odometry_is_not(drive: Drive) -
     assert abs(drive.figure(r"raw odometry ?: .* m long \(([-+\d.]+) %\)")) > 1.0
 
 
-def test_the_picture_is_a_picture(drive: Drive) -> None:
+def test_the_picture_is_a_png(drive: Drive) -> None:
     png = (drive.out / "demo.png").read_bytes()
     assert png.startswith(b"\x89PNG")
     assert len(png) > 30_000
 
 
-# -- what went in -----------------------------------------------------------------------------------
+# -- the inputs -----------------------------------------------------------------------------------
 
 
-def test_what_went_in_is_frames_and_bytes_that_hold_no_pose(drive: Drive) -> None:
-    """Every input of the run, as the drivers understand it, is a motor's or a sensor's own measurement."""
+def test_the_inputs_are_frames_and_bytes_without_a_pose(drive: Drive) -> None:
+    """Every input of the run, decoded by the drivers, is a motor's or a sensor's own measurement."""
     recording = read(drive.recording)
     robot = config.parse_robot(recording.robot_text)
     ticks = list(recording.ticks)
@@ -106,40 +105,6 @@ def test_what_went_in_is_frames_and_bytes_that_hold_no_pose(drive: Drive) -> Non
     received = [event for tick in ticks for event in tick.outputs.events]
     assert {type(event) for event in received} <= {Feedback, State, Imu, LaserScan}
     assert all(event.orientation is None for event in received if isinstance(event, Imu))
-
-
-def test_nothing_that_steps_can_reach_the_world() -> None:
-    """The true pose lives in gateway.sim. What steps, and all that it imports, never imports it."""
-    seen: set[str] = set()
-    todo = [
-        "gateway.core.step",
-        "gateway.core.joint",
-        "brain.brain",
-        "protocols.odrive_can",
-        "protocols.plain",
-    ]
-    while todo:
-        module = todo.pop()
-        if module in seen:
-            continue
-        seen.add(module)
-        todo += [name for name in _imports(module) if name.split(".")[0] in ("gateway", "brain", "protocols")]
-    assert "brain.perception.ekf" in seen
-    assert not [name for name in seen if name.startswith(("gateway.sim", "gateway.buses"))]
-
-
-def _imports(module: str) -> Iterator[str]:
-    path = ROOT.joinpath(*module.split("."))
-    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-            for alias in node.names:
-                child = ROOT.joinpath(*node.module.split("."), alias.name)
-                if child.is_dir() or child.with_suffix(".py").exists():
-                    yield f"{node.module}.{alias.name}"
 
 
 # -- replay -----------------------------------------------------------------------------------------
@@ -156,53 +121,39 @@ def test_a_replay_gives_the_same_bytes_whatever_the_hash_seed(drive: Drive, seed
     assert "0 left over" in done.stdout
 
 
-def short(drive: Drive, folder: Path, change: object = None, ticks: int = 1200) -> Recording:
-    """The first ticks of the recording, each through `change`, but with the seals of the true ones."""
+@dataclass(frozen=True)
+class Excerpt(Recording):
+    """Some steps of a recording, whole as far as they go."""
+
+    kept: tuple[Step, ...] = ()
+
+    @property
+    def steps(self) -> Iterator[Step]:
+        return iter(self.kept)
+
+
+def excerpt(recording: Recording, steps: Iterable[Step]) -> Excerpt:
+    kept = tuple(steps)
+    values = {field.name: getattr(recording, field.name) for field in fields(Recording)}
+    return Excerpt(**values | {"whole": True, "indexed": len(kept)}, kept=kept)
+
+
+@pytest.fixture(scope="module")
+def beginning(drive: Drive) -> Excerpt:
+    """The first 1200 ticks."""
     recording = read(drive.recording)
-    steps = []
-    for step in recording.steps:
-        steps.append(step)
-        if len(steps) == ticks:
-            break
-    return _Short(recording, steps)  # type: ignore[return-value]  # it has what the judge reads
+    return excerpt(recording, islice(recording.steps, 1200))
 
 
-class _Short:
-    """A recording cut short, whole as far as it goes."""
-
-    def __init__(self, recording: Recording, steps: list[Step]) -> None:
-        self.robot_text = recording.robot_text
-        self.facts = recording.facts
-        self.whole = True
-        self.promised = len(steps)
-        self.steps = steps
-
-
-def judge(recording: Recording, text: str) -> Verdict:
-    robot = config.parse_robot(text)
-    made = Gateway(robot)
-    mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
-    return compare(
-        recording,
-        made.step,
-        made.belief,
-        lambda bus: decoder_of(robot, bus),
-        robot_text=text,
-        mounts=mounts,
-        buses=robot.buses,
-    )
-
-
-def test_one_changed_gain_is_found_and_named(drive: Drive, tmp_path: Path) -> None:
-    recording = short(drive, tmp_path)
-    changed = recording.robot_text.replace("max_linear = 0.6 ", "max_linear = 0.5 ")
-    assert changed != recording.robot_text
-    verdict = judge(recording, changed)
-    assert not verdict.ok
-    text = verdict.text()
+def test_one_changed_gain_is_found_and_named(beginning: Excerpt) -> None:
+    changed = beginning.robot_text.replace("max_linear = 0.6 ", "max_linear = 0.5 ")
+    assert changed != beginning.robot_text
+    comparison = replay(beginning, config.parse_robot(changed))
+    assert not comparison.ok
+    text = comparison.text()
     assert "brain.differential.max_linear: 0.6 recorded, 0.5 now" in text
     assert re.search(r"(left|right): Velocity -?[\d.]+ rad/s", text)
-    assert verdict.packets > 100
+    assert comparison.packets > 100
 
 
 def test_the_same_file_by_command_with_one_gain_changed_exits_with_1(drive: Drive, tmp_path: Path) -> None:
@@ -216,24 +167,22 @@ def test_the_same_file_by_command_with_one_gain_changed_exits_with_1(drive: Driv
 
 
 def flipped(tick: Tick) -> Tick | None:
-    """The tick with one bit of its first encoder frame flipped: the sign of the velocity."""
-    for i, packet in enumerate(tick.inputs.packets):
+    """Return the tick with one bit of its first encoder frame flipped: the sign of the velocity."""
+    packets = list(tick.inputs.packets)
+    for i, packet in enumerate(packets):
         frame = packet.frame
         if isinstance(frame, CanFrame) and frame.id & 0x1F == 0x09 and len(frame.data) == 8:
             data = bytes([*frame.data[:7], frame.data[7] ^ 0x80])
-            packets = list(tick.inputs.packets)
             packets[i] = Packet(packet.t, packet.bus, replace(frame, data=data))
             return replace(tick, inputs=replace(tick.inputs, packets=tuple(packets)))
     return None
 
 
-def test_one_flipped_bit_in_one_recorded_frame_is_found_and_named(drive: Drive, tmp_path: Path) -> None:
-    recording = short(drive, tmp_path)
-    steps = list(recording.steps)
+def test_one_flipped_bit_in_one_recorded_frame_is_found_and_named(beginning: Excerpt) -> None:
+    steps = list(beginning.steps)
     at, changed = next((i, t) for i in range(600, 1200) if (t := flipped(steps[i].tick)) is not None)
     steps[at] = replace(steps[at], tick=changed)
-    verdict = judge(_Short(recording, steps), recording.robot_text)  # type: ignore[arg-type]
-    assert not verdict.ok
-    assert verdict.first is not None
-    assert verdict.first.tick == at
-    assert "velocity" in verdict.text()
+    comparison = replay(excerpt(beginning, steps))
+    assert comparison.first is not None
+    assert comparison.first.tick == at
+    assert "velocity" in comparison.text()

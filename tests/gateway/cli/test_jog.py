@@ -1,4 +1,4 @@
-"""`gateway jog`: what keys mean, what the motor does while one is held, and how it ends."""
+"""`gateway jog`: the meaning of keys, the motion while one is held, and how it ends."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from brain.belief import Belief
 from gateway import config
 from gateway.buses.virtual.bus import open_world
 from gateway.cli.jog import DEFAULT_SHARE, JogControl, drive, log, log_above, single_motor, status_line
@@ -40,10 +41,9 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Tick
 from gateway.errors import UserError
-from gateway.runtime.loop import LoopStats
 from gateway.runtime.process import signals
 from gateway.runtime.session import Session
-from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Nanos, Velocity
+from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Instruction, Nanos, Velocity
 from tests.gateway.processes import Process, TerminalProcess
 from tests.gateway.rig import BENCH
 
@@ -63,13 +63,13 @@ def test_each_key_is_known_whole_in_pieces_and_among_others(sent: bytes, key: Ke
         assert parse(rest + sent[cut:]) == ([key], b"")
 
 
-def test_what_is_no_key_is_nothing() -> None:
+def test_other_bytes_are_no_key() -> None:
     assert parse(b"xyz\x00\x1b[Z\x1b\x1b[5~") == ([], b"")
     assert parse(b"\x1b[") == ([], b"\x1b[")
 
 
 def moves(keys: Sequence[tuple[Nanos, int]], now: Nanos) -> float:
-    """The part of the speed, after those of the keys that have come by now."""
+    """Return the share of the speed after the keys received by now."""
     come = [(t, direction) for t, direction in keys if t <= now]
     return speed_share(reduce(lambda held, key: press(held, *key), come, HeldKey()), now)
 
@@ -87,7 +87,7 @@ def test_a_tap_is_a_short_slow_move() -> None:
     ids=["console", "gnome", "x", "slow"],
 )
 @pytest.mark.parametrize("direction", [1, -1])
-def test_holding_is_one_motion_and_letting_go_stops_it(delay: int, interval: int, direction: int) -> None:
+def test_holding_is_one_motion_and_releasing_stops_it(delay: int, interval: int, direction: int) -> None:
     times = [0, *range(delay, 3000, interval)]
     keys = [(t * MS, direction) for t in times]
     motion = [moves(keys, t * MS) for t in range(4000)]
@@ -122,50 +122,62 @@ def test_whatever_is_typed_motion_ends_soon_after_the_last_key(seed: int) -> Non
                 assert now * MS - last < REPEAT_HOLD
 
 
-def test_keys_that_come_all_at_once_move_no_longer_than_one() -> None:
-    """What has waited while we stood still is old."""
+def test_keys_received_at_once_move_no_longer_than_one() -> None:
+    """Keys that waited while the process stood still are old."""
     assert moves([(0, 1)] * 30, REPEAT_HOLD - 1) == 1.0
     assert moves([(0, 1)] * 30, REPEAT_HOLD) == 0.0
 
 
-# -- what is asked of the motor ---------------------------------------------------------------------
+# -- the motor's instructions -------------------------------------------------------------------------
+
+FREE, BLOCKED = False, True
 
 
-def test_nothing_is_asked_before_the_first_key_and_only_changes_after_it() -> None:
+def velocity(share: float) -> list[Instruction]:
+    return [Velocity("left", 2.0 * share)]
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [
+            (0, b"", FREE, []),
+            (1, b"+", FREE, velocity(CREEP_SHARE)),
+            (2, b"", FREE, []),
+            (3, b"+", FREE, velocity(1.0)),
+            (4, b"\x1b[", FREE, []),
+            (5, b"D", FREE, velocity(-CREEP_SHARE)),
+            (5 + FIRST_HOLD, b"", FREE, velocity(0.0)),
+            (6 + FIRST_HOLD, b"", FREE, []),
+        ],
+        [
+            (0, b"++", FREE, velocity(1.0)),
+            (1, b" ", FREE, [Idle("left")]),
+            (2, b"", FREE, []),
+            (3, b"+", FREE, velocity(CREEP_SHARE)),
+        ],
+        [
+            (0, b"++", FREE, velocity(1.0)),
+            (1, b"+", BLOCKED, []),
+            (2, b"c", BLOCKED, [ClearFault("left")]),
+            (3, b"", FREE, []),
+            (4, b"+", FREE, velocity(CREEP_SHARE)),
+        ],
+    ],
+    ids=["only changes after the first key", "space disarms", "blocked, it needs a new key"],
+)
+def test_instructions(steps: list[tuple[Nanos, bytes, bool, list[Instruction]]]) -> None:
     control = JogControl("left", 2.0)
-    assert control.on_input(0, b"", blocked=False) == []
-    assert control.on_input(1, b"+", blocked=False) == [Velocity("left", 2.0 * CREEP_SHARE)]
-    assert control.on_input(2, b"", blocked=False) == []
-    assert control.on_input(3, b"+", blocked=False) == [Velocity("left", 2.0)]
-    assert control.on_input(4, b"\x1b[", blocked=False) == []
-    assert control.on_input(5, b"D", blocked=False) == [Velocity("left", -2.0 * CREEP_SHARE)]
-    assert control.on_input(5 + FIRST_HOLD, b"", blocked=False) == [Velocity("left", 0.0)]
-    assert control.on_input(6 + FIRST_HOLD, b"", blocked=False) == []
+    for now, data, blocked, expected in steps:
+        assert control.on_input(now, data, blocked) == expected
     assert not control.leaving
 
 
-def test_space_disarms_and_the_next_key_begins_anew() -> None:
-    control = JogControl("left", 1.0)
+@pytest.mark.parametrize("data", [b"q", None])
+def test_q_and_a_closed_terminal_stop_and_leave(data: bytes | None) -> None:
+    control = JogControl("left", 2.0)
     control.on_input(0, b"++", blocked=False)
-    assert control.on_input(1, b" ", blocked=False) == [Idle("left")]
-    assert control.on_input(2, b"", blocked=False) == []
-    assert control.on_input(3, b"+", blocked=False) == [Velocity("left", CREEP_SHARE)]
-
-
-def test_a_blocked_motor_is_asked_nothing_and_needs_a_new_key() -> None:
-    control = JogControl("left", 1.0)
-    control.on_input(0, b"++", blocked=False)
-    assert control.on_input(1, b"+", blocked=True) == []
-    assert control.on_input(2, b"c", blocked=True) == [ClearFault("left")]
-    assert control.on_input(3, b"", blocked=False) == []
-    assert control.on_input(4, b"+", blocked=False) == [Velocity("left", CREEP_SHARE)]
-
-
-@pytest.mark.parametrize("typed", [b"q", None])
-def test_q_and_the_end_of_the_keys_leave_and_stop(typed: bytes | None) -> None:
-    control = JogControl("left", 1.0)
-    control.on_input(0, b"++", blocked=False)
-    assert control.on_input(1, typed, blocked=False) == [Velocity("left", 0.0)]
+    assert control.on_input(1, data, blocked=False) == velocity(0.0)
     assert control.leaving
 
 
@@ -185,34 +197,37 @@ def test_the_robot_is_reduced_to_one_slow_motor() -> None:
     assert single_motor(whole, "left", 20.0).motors["left"].joint == whole.motors["left"].joint
 
 
-def test_what_cannot_be_jogged_is_said() -> None:
+def test_a_motor_that_takes_no_velocity_cannot_be_jogged() -> None:
     robot = config.parse_robot(BENCH)
-    with pytest.raises(UserError, match="did you mean 'left'"):
-        single_motor(robot, "leftt")
-    with pytest.raises(UserError, match="the limit of left is 20 rad/s"):
-        single_motor(robot, "left", 20.1)
     left = robot.motors["left"]
-    deaf = replace(left, spec=replace(left.spec, commands=left.spec.commands - {Velocity}))
+    other = replace(left, spec=replace(left.spec, commands=left.spec.commands - {Velocity}))
     with pytest.raises(UserError, match="takes no velocity"):
-        single_motor(replace(robot, motors={"left": deaf}), "left")
+        single_motor(replace(robot, motors={"left": other}), "left")
 
 
 # -- driven, in simulated time ----------------------------------------------------------------------
 
 
-class Bench:
-    """The whole robot's twins, and a gateway of one of its motors, with somebody at the keys."""
+class RecordedSession(Session):
+    """A session that keeps its ticks, also those after it was left."""
 
-    def __init__(
-        self, keys: Sequence[tuple[float, bytes]], text: str = BENCH, speed: float | None = None
-    ) -> None:
+    kept: list[Tick]
+
+    def _record(self, tick: Tick, belief: Belief) -> None:
+        self.kept.append(tick)
+
+
+class Jogged:
+    """The simulated motors of the whole robot, and a session with one of them, driven by keys."""
+
+    def __init__(self, keys: Sequence[tuple[float, bytes]], speed: float | None = None) -> None:
         """`keys`: what is typed, and when [s]."""
-        self.whole: Robot = config.parse_robot(text)
+        self.whole: Robot = config.parse_robot(BENCH)
         robot = single_motor(self.whole, "left", speed)
         self.clock = SimulatedClock()
         self.twins = open_world(self.whole, 0)
-        self.ticks: list[Tick] = []
-        self.made = Recorded(self.ticks, robot, Gateway(robot), self.clock, self.twins.buses, None, None)
+        self.made = RecordedSession(robot, Gateway(robot), self.clock, {**self.twins.buses}, None, None)
+        self.ticks = self.made.kept = []
         self.keys = [(round(t * SECOND), typed) for t, typed in keys]
         self.shown: list[str] = []
         self.at: dict[Nanos, Callable[[], None]] = {}
@@ -225,7 +240,7 @@ class Bench:
         self.keys = [(t, typed) for t, typed in self.keys if t > now]
         return come if come or self.keys else None
 
-    def drive(self) -> Bench:
+    def drive(self) -> Jogged:
         drive(self.made, "left", self.typed, self.shown.append)
         return self
 
@@ -233,34 +248,16 @@ class Bench:
         """What any device of the whole robot would obey of what was sent."""
         decoder = decoder_of(self.whole, "can0")
         return [
-            (packet.t, word)
+            (packet.t, command)
             for tick in self.ticks
             for packet in tick.outputs.packets
-            for word in decoder.decode(packet.t, packet.frame)
-            if isinstance(word, Command)
+            for command in decoder.decode(packet.t, packet.frame)
+            if isinstance(command, Command)
         ]
 
     def turned(self, motor: str = "left") -> float:
         assert self.twins.world is not None
         return self.twins.world.shaft(motor)[0]
-
-
-class Recorded(Session):
-    """A session that keeps its ticks, also those of the farewell."""
-
-    def __init__(self, ticks: list[Tick], *parts: object) -> None:
-        robot, gateway, clock, buses, twins, recorder = parts
-        assert isinstance(robot, Robot)
-        assert isinstance(gateway, Gateway)
-        assert isinstance(clock, SimulatedClock)
-        assert isinstance(buses, dict)
-        assert twins is None
-        assert recorder is None
-        super().__init__(robot, gateway, clock, buses, None, None, LoopStats())
-        self._kept = ticks
-
-    def _record(self, tick: Tick, belief: object) -> None:
-        self._kept.append(tick)
 
 
 def held(direction: bytes, since: float, until: float) -> list[tuple[float, bytes]]:
@@ -272,38 +269,38 @@ def held(direction: bytes, since: float, until: float) -> list[tuple[float, byte
 
 
 def test_nothing_but_read_only_frames_goes_out_before_the_first_key() -> None:
-    bench = Bench([(0.5, b"x"), (1.0, b"q")]).drive()
-    read_only = bench.whole.motors["left"].spec.read_only
-    sent = [packet.frame for tick in bench.ticks for packet in tick.outputs.packets]
+    jogged = Jogged([(0.5, b"x"), (1.0, b"q")]).drive()
+    read_only = jogged.whole.motors["left"].spec.read_only
+    sent = [packet.frame for tick in jogged.ticks for packet in tick.outputs.packets]
     assert sent
     assert all(read_only(frame) for frame in sent)
-    assert bench.turned() == 0.0
+    assert jogged.turned() == 0.0
 
 
 def test_the_motor_turns_while_a_key_is_held_and_at_no_other_time() -> None:
-    bench = Bench([*held(b"\x1b[C", 0.5, 2.0), (3.0, b"q")]).drive()
-    reported = [(t, word.velocity / 8.0) for t, word in bench.obeyed() if isinstance(word, Velocity)]
-    assert max(velocity for _, velocity in reported) == pytest.approx(1.0)  # 5 % of 20 rad/s
-    assert all(velocity == 0.0 for t, velocity in reported if t < 0.5 * SECOND or t > 2.2 * SECOND)
-    assert all(velocity > 0.0 for t, velocity in reported if 0.6 * SECOND < t < 2.0 * SECOND)
-    assert bench.turned() == pytest.approx(0.5 * CREEP_SHARE + 1.0 + REPEAT_HOLD / SECOND, abs=0.1)
-    assert any(" → 1.00 rad/s | armed | " in text for text in bench.shown)
+    jogged = Jogged([*held(b"\x1b[C", 0.5, 2.0), (3.0, b"q")]).drive()
+    sent = [(t, c.velocity / 8.0) for t, c in jogged.obeyed() if isinstance(c, Velocity)]
+    assert max(velocity for _, velocity in sent) == pytest.approx(1.0)  # 5 % of 20 rad/s
+    assert all(velocity == 0.0 for t, velocity in sent if t < 0.5 * SECOND or t > 2.2 * SECOND)
+    assert all(velocity > 0.0 for t, velocity in sent if 0.6 * SECOND < t < 2.0 * SECOND)
+    assert jogged.turned() == pytest.approx(0.5 * CREEP_SHARE + 1.0 + REPEAT_HOLD / SECOND, abs=0.1)
+    assert any(" → 1.00 rad/s | armed | " in text for text in jogged.shown)
 
 
 def test_a_tap_backwards_is_a_small_turn_back() -> None:
-    bench = Bench([(0.5, b"-"), (3.0, b"q")], speed=2.0).drive()
-    assert bench.turned() == pytest.approx(-2.0 * CREEP_SHARE * FIRST_HOLD / SECOND, abs=0.05)
+    jogged = Jogged([(0.5, b"-"), (3.0, b"q")], speed=2.0).drive()
+    assert jogged.turned() == pytest.approx(-2.0 * CREEP_SHARE * FIRST_HOLD / SECOND, abs=0.05)
 
 
-def test_no_other_motor_is_told_anything() -> None:
-    bench = Bench([*held(b"+", 0.2, 1.0), (1.5, b"q")]).drive()
-    assert {word.motor for _, word in bench.obeyed()} == {"left"}
-    assert bench.turned("right") == 0.0
+def test_no_other_motor_is_commanded() -> None:
+    jogged = Jogged([*held(b"+", 0.2, 1.0), (1.5, b"q")]).drive()
+    assert {command.motor for _, command in jogged.obeyed()} == {"left"}
+    assert jogged.turned("right") == 0.0
 
 
 @contextmanager
 def hangup(handler: signal.Handlers) -> Iterator[None]:
-    """A terminal's end is met so while inside, whether the tests run under nohup or not."""
+    """Handle SIGHUP so while inside, whether the tests run under nohup or not."""
     before = signal.signal(signal.SIGHUP, handler)
     try:
         yield
@@ -312,60 +309,60 @@ def hangup(handler: signal.Handlers) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("end", [b"q", None, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_whatever_ends_it_in_the_middle_of_a_motion_the_safe_word_goes_out(
+def test_however_it_ends_in_motion_the_stop_command_is_sent(
     end: bytes | signal.Signals | None,
 ) -> None:
     keys = held(b"+", 0.2, 1.0)
     if end is None or isinstance(end, bytes):
-        bench = Bench([*keys, *([(1.0, end)] if end else [])])
+        jogged = Jogged([*keys, *([(1.0, end)] if end else [])])
     else:
-        bench = Bench([*keys, (9.0, b"q")])
+        jogged = Jogged([*keys, (9.0, b"q")])
         number = end
-        bench.at[SECOND] = lambda: os.kill(os.getpid(), number)
-    with hangup(signal.SIG_DFL), signals(lambda name: setattr(bench.made, "leaving", name)):
-        bench.drive()
-    assert bench.clock.now() < 2 * SECOND
-    assert isinstance(bench.obeyed()[-1][1], Idle)
-    assert bench.made.gateway.still_armed() == []
+        jogged.at[SECOND] = lambda: os.kill(os.getpid(), number)
+    with hangup(signal.SIG_DFL), signals(lambda name: setattr(jogged.made, "leaving", name)):
+        jogged.drive()
+    assert jogged.clock.now() < 2 * SECOND
+    assert isinstance(jogged.obeyed()[-1][1], Idle)
+    assert jogged.made.gateway.still_armed() == []
 
 
-def test_an_error_at_the_keys_says_the_safe_word_first() -> None:
-    bench = Bench([*held(b"+", 0.2, 1.0), (9.0, b"q")])
+def test_an_exception_at_the_keys_sends_the_stop_command_first() -> None:
+    jogged = Jogged([*held(b"+", 0.2, 1.0), (9.0, b"q")])
 
     def fail() -> None:
         raise ZeroDivisionError
 
-    bench.at[SECOND] = fail
+    jogged.at[SECOND] = fail
     with pytest.raises(ZeroDivisionError):
-        bench.drive()
-    turned = bench.turned()
-    bench.twins.buses["can0"].read(bench.clock.now() + 3 * SECOND)
+        jogged.drive()
+    turned = jogged.turned()
+    jogged.twins.buses["can0"].read(jogged.clock.now() + 3 * SECOND)
     assert turned > 0.1
-    assert bench.turned() - turned < 0.5  # it ran out; driven on at 1 rad/s it would have gone 3 rad
+    assert jogged.turned() - turned < 0.5  # it ran out; driven on at 1 rad/s it would have gone 3 rad
 
 
 def test_a_fault_is_shown_and_nothing_moves_again_by_itself() -> None:
     """The plug is out from 1.0 to 1.5 s, with the key held until 3 s; c at 3.5 s; a tap at 4 s."""
-    bench = Bench([*held(b"+", 0.2, 3.0), (3.5, b"c"), (4.0, b"+"), (5.5, b"q")])
-    bench.at[SECOND] = lambda: bench.twins.disconnect("left")
-    bench.at[3 * SECOND // 2] = lambda: bench.twins.reconnect("left")
-    bench.drive()
-    assert any("FAULT silent: no feedback for more than 100 ms" in text for text in bench.shown)
-    moving = [t for t, word in bench.obeyed() if isinstance(word, Velocity) and word.velocity]
+    jogged = Jogged([*held(b"+", 0.2, 3.0), (3.5, b"c"), (4.0, b"+"), (5.5, b"q")])
+    jogged.at[SECOND] = lambda: jogged.twins.disconnect("left")
+    jogged.at[3 * SECOND // 2] = lambda: jogged.twins.reconnect("left")
+    jogged.drive()
+    assert any("FAULT silent: no feedback for more than 100 ms" in text for text in jogged.shown)
+    moving = [t for t, c in jogged.obeyed() if isinstance(c, Velocity) and c.velocity]
     assert [t for t in moving if 1.2 * SECOND < t < 4.0 * SECOND] == []
     assert any(t > 4.0 * SECOND for t in moving)
-    assert not bench.made.gateway.joints["left"].faults
+    assert not jogged.made.gateway.joints["left"].faults
 
 
-def test_the_line_says_what_comes_back() -> None:
-    bench = Bench([(0.5, b"+"), (0.9, b"+"), (1.0, b"q")]).drive()
-    text = status_line(bench.made.gateway.joints["left"], 0.0, bench.clock.now())
+def test_the_line_shows_the_feedback() -> None:
+    jogged = Jogged([(0.5, b"+"), (0.9, b"+"), (1.0, b"q")]).drive()
+    text = status_line(jogged.made.gateway.joints["left"], 0.0, jogged.clock.now())
     for part in ("left · 0.00 rad/s", "ready", " rad | ", " rad/s | ", " N·m", " A", " V", " °C", "ms ago"):
         assert part in text
-    assert "no feedback yet" in bench.shown[0]
+    assert "no feedback yet" in jogged.shown[0]
 
 
-def test_what_is_logged_meanwhile_stands_above_the_line(caplog: pytest.LogCaptureFixture) -> None:
+def test_log_records_are_printed_above_the_line(caplog: pytest.LogCaptureFixture) -> None:
     stream = io.StringIO()
     line = Line(stream)
     with log_above(line):
@@ -378,7 +375,7 @@ def test_what_is_logged_meanwhile_stands_above_the_line(caplog: pytest.LogCaptur
 # -- the terminal -----------------------------------------------------------------------------------
 
 
-def test_a_terminal_is_as_it_was_whatever_happens() -> None:
+def test_the_terminal_is_restored_after_an_exception() -> None:
     master, terminal = pty.openpty()
     try:
         before = termios.tcgetattr(terminal)
@@ -436,6 +433,6 @@ def test_a_terminal_that_is_closed_while_a_key_is_held_ends_it(tmp_path: Path) -
     assert "left: ready" in text.partition("left: armed")[2], text
 
 
-def test_under_nohup_the_end_of_the_terminal_is_no_reason_to_leave() -> None:
+def test_under_nohup_a_closed_terminal_is_ignored() -> None:
     with hangup(signal.SIG_IGN), signals(lambda _: None):
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
