@@ -1,6 +1,6 @@
 """A little robot for tests of recordings: one wheel on one CAN bus, with a belief, all of it deterministic.
 
-Also strategies for ticks of every kind, with every word there is.
+Also strategies for ticks of every kind, with every kind of message.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MOUNTS = {"lidar": Mount(x=0.1, z=0.2, yaw=math.pi / 2)}
 
 @dataclass
 class Little:
-    """Hears positions as float32, says velocities = -gain · position as float32."""
+    """Receives positions as float32, sends velocities = -gain · position as float32."""
 
     gain: float = 2.0
     position: float = 0.0
@@ -50,9 +50,9 @@ class Little:
                 (self.position,) = struct.unpack("<f", packet.frame.data[:4])
                 self.t, self.seen = packet.t, self.seen + 1
                 events.append(msg.Feedback("left", packet.t, self.position))
-        for word in inputs.instructions:
-            if isinstance(word, msg.Goal):
-                self.goal = word
+        for one in inputs.instructions:
+            if isinstance(one, msg.Goal):
+                self.goal = one
         notes = (Note("info", "brain", f"goal {self.goal}"),) if inputs.instructions else ()
         velocity = -self.gain * self.position
         return Outputs((Packet(now, "can0", command(velocity)),), tuple(events), notes)
@@ -67,8 +67,8 @@ class Little:
         )
 
 
-class LittleEar:
-    """What the wheel obeys."""
+class LittleDecoder:
+    """Decodes what the wheel obeys."""
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
         if isinstance(frame, CanFrame) and frame.id == COMMAND_ID:
@@ -85,7 +85,7 @@ def feedback(position: float) -> CanFrame:
 
 
 def inputs(number: int) -> Inputs:
-    """What the wheel says at 200 Hz, a foreign frame, serial bytes, and now and then a goal."""
+    """Return a report of the wheel (200 Hz), a foreign frame, serial bytes, and sometimes a goal."""
     now = number * PERIOD
     packets = (
         Packet(now - 1_000, "can0", feedback(math.sin(0.01 * number))),
@@ -93,14 +93,14 @@ def inputs(number: int) -> Inputs:
         Packet(now - 100, "tty", bytes([0xA5, number & 0xFF])),
     )
     states = (("can0", BusState.UP),) if number == 0 else ()
-    asked: tuple[msg.Instruction, ...] = (
+    instructions: tuple[msg.Instruction, ...] = (
         (msg.Goal(number * 0.1, 1.0), msg.Drive(0.1, 0.2)) if number % 50 == 10 else ()
     )
-    return Inputs(states, packets, asked)
+    return Inputs(states, packets, instructions)
 
 
 def life(count: int, robot: Little | None = None) -> Iterator[tuple[Tick, Belief]]:
-    """The first ticks of a little robot."""
+    """Yield the first ticks of a little robot."""
     robot = robot or Little()
     for number in range(count):
         now, given = number * PERIOD, inputs(number)
@@ -108,7 +108,7 @@ def life(count: int, robot: Little | None = None) -> Iterator[tuple[Tick, Belief
 
 
 def record(path: Path, count: int, *, facts: dict[str, str] | None = None) -> list[Tick]:
-    """A closed recording of a little robot's first ticks."""
+    """Write a closed recording of a little robot's first ticks."""
     ticks = []
     with Recorder(path, ROBOT, facts or {}, MOUNTS) as recorder:
         for tick, belief in life(count):
@@ -119,19 +119,19 @@ def record(path: Path, count: int, *, facts: dict[str, str] | None = None) -> li
 
 
 def record_in_chunks(path: Path, count: int) -> None:
-    """The same without the recorder's threads, so that its chunks always end at the same ticks."""
-    sheet = TickWriter(path, ROBOT, {}, Views(MOUNTS))
-    reported = [sheet.add(tick, belief) for tick, belief in life(count)]
-    assert not any((*reported, sheet.finish()))
+    """Write the same without the recorder's threads, so that chunks always end at the same ticks."""
+    writer = TickWriter(path, ROBOT, {}, Views(MOUNTS))
+    results = [writer.add(tick, belief) for tick, belief in life(count)]
+    assert not any((*results, writer.finish()))
 
 
 def bare_belief() -> Belief:
-    """Nothing is believed."""
+    """Return a belief without an estimate."""
     return Belief(BrainState.READY, "", None, None, (), 0, None, {}, 0)
 
 
 def scan(t: Nanos = 0, beams: int = 360) -> msg.LaserScan:
-    """Something to see in every beam but the first three: no reading, nothing hit, just out of range."""
+    """Return a scan with a range in every beam but the first three: no reading, nothing hit, out of range."""
     ranges = (0.0, 10.0, 11.0, *(1.0 + 0.01 * i for i in range(beams - 3)))
     return msg.LaserScan("lidar", t, -math.pi, 2 * math.pi / beams, 0.1, 10.0, ranges)
 
@@ -163,13 +163,13 @@ def _of(hint: object) -> st.SearchStrategy[Any]:
     return st.one_of(*(_of(a) for a in arguments))
 
 
-def words(kinds: Sequence[type[Message]]) -> st.SearchStrategy[Any]:
-    """Any word of these kinds."""
+def messages(kinds: Sequence[type[Message]]) -> st.SearchStrategy[Any]:
+    """Return a strategy for messages of these kinds."""
     return st.one_of(*(st.builds(k, **{n: _of(h) for n, h in get_type_hints(k).items()}) for k in kinds))
 
 
 EVENTS = tuple(get_args(Event))
-ASKED = tuple(kind for kind in CODES.values() if kind not in EVENTS)
+INSTRUCTIONS = tuple(kind for kind in CODES.values() if kind not in EVENTS)
 
 frames: st.SearchStrategy[Frame] = st.one_of(
     st.binary(max_size=70),
@@ -193,12 +193,12 @@ ticks: st.SearchStrategy[Tick] = st.builds(
         Inputs,
         states=st.lists(st.tuples(text, st.sampled_from(BusState)), max_size=2).map(tuple),
         packets=packets,
-        instructions=st.lists(words(ASKED), max_size=3).map(tuple),
+        instructions=st.lists(messages(INSTRUCTIONS), max_size=3).map(tuple),
     ),
     outputs=st.builds(
         Outputs,
         packets=packets,
-        events=st.lists(words(EVENTS), max_size=3).map(tuple),
+        events=st.lists(messages(EVENTS), max_size=3).map(tuple),
         notes=notes.map(tuple),
     ),
 )

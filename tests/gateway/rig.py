@@ -9,7 +9,7 @@ from gateway import config
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway
+from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Note, Tick
 from gateway.runtime.loop import LoopStats, live
 from protocols.messages import SECOND, Command, Instruction, Nanos
@@ -50,25 +50,25 @@ class Rig:
         self.gateway = Gateway(self.robot)
         self.stats = LoopStats()
         self.ticks: list[Tick] = []
-        self._waiting: list[Instruction] = []
+        self._queued: list[Instruction] = []
         self._live = live(
             self.gateway,
             self.world.buses,
             self.clock,
-            poll=self._ask,
+            poll=self._poll,
             record=lambda tick, _belief: self.ticks.append(tick),
             stats=self.stats,
         )
 
-    def _ask(self) -> Sequence[Instruction]:
-        asked, self._waiting = self._waiting, []
-        return asked
+    def _poll(self) -> Sequence[Instruction]:
+        instructions, self._queued = self._queued, []
+        return instructions
 
     def run(
-        self, seconds: float, *asked: Instruction, at: Callable[[Tick], None] | None = None
+        self, seconds: float, *instructions: Instruction, at: Callable[[Tick], None] | None = None
     ) -> list[Tick]:
-        """Some seconds of the robot's time, beginning with what is asked; its ticks."""
-        self._waiting += asked
+        """Run for some seconds of the robot's time, beginning with the instructions; return the ticks."""
+        self._queued += instructions
         until: Nanos = self.clock.now() + round(seconds * SECOND)
         begun = len(self.ticks)
         for tick in self._live:
@@ -79,33 +79,31 @@ class Rig:
         return self.ticks[begun:]
 
     def leave(self) -> list[Tick]:
-        """End the loop; the ticks of the farewell."""
+        """End the loop; return its last ticks."""
         begun = len(self.ticks)
         with closing(self._live):
             pass
         return self.ticks[begun:]
 
     def velocity(self, motor: str) -> float:
-        """rad/s, true, at the output shaft."""
+        """Return the true velocity at the output shaft, rad/s."""
         assert self.world.world is not None
         return self.world.world.shaft(motor)[1]
 
 
-def reported(ticks: Sequence[Tick], *about: str) -> list[Note]:
-    """What was said to a person, of everything or of some."""
-    return [note for tick in ticks for note in tick.outputs.notes if not about or note.source in about]
+def notes_in(ticks: Sequence[Tick], *sources: str) -> list[Note]:
+    """Return the notes of some sources, or of all."""
+    return [note for tick in ticks for note in tick.outputs.notes if not sources or note.source in sources]
 
 
-def said(rig: Rig, ticks: Sequence[Tick], bus: str = "can0") -> list[tuple[Nanos, Command]]:
-    """What the devices of a bus would obey of what was sent, by an ear of their own language."""
-    from gateway.core.step import decoder_of
-
+def sent_commands(rig: Rig, ticks: Sequence[Tick], bus: str = "can0") -> list[tuple[Nanos, Command]]:
+    """Return what the devices of a bus would obey of what was sent, with the times."""
     decoder = decoder_of(rig.robot, bus)
     return [
-        (tick.now, word)
+        (tick.now, message)
         for tick in ticks
         for packet in tick.outputs.packets
         if packet.bus == bus
-        for word in decoder.decode(packet.t, packet.frame)
-        if isinstance(word, Command)
+        for message in decoder.decode(packet.t, packet.frame)
+        if isinstance(message, Command)
     ]

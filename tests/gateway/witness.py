@@ -1,11 +1,11 @@
 """A real `gateway run`, many times over, each with a witness of what it handed to its recorder.
 
 Run as a program: it imports everything once, and then, for each line on its input, forks a process that
-becomes `gateway run ROBOT --record FILE` with a line typed on its terminal. The moments of the first and the
-last tick that were handed over stand on a board: a file mapped into memory, written before the hand-over, so
-that nobody can have handed over more than it says. The board is all that differs from the command.
+becomes `gateway run ROBOT --record FILE` with a line typed on its terminal. The times of the first and the
+last tick that were handed over are on a board: a file mapped into memory, written before the hand-over, so
+that no more ticks can have been handed over than it shows. The board is all that differs from the command.
 
-Run from the tests: `Runs` starts that program and talks to it.
+Run from the tests: `Runs` starts that program and controls it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any, Self
 from protocols.messages import Nanos
 
 NOTHING = -1
-"""What the board says before the first tick."""
+"""On the board before the first tick."""
 PATIENCE = 60.0
 """s that a process may take to its first tick, on a machine that has other things to do"""
 
@@ -40,12 +40,12 @@ class Board:
 
     @classmethod
     def new(cls, path: Path) -> Board:
-        """A board with nothing on it."""
+        """Make an empty board."""
         path.write_bytes(2 * NOTHING.to_bytes(8, sys.byteorder, signed=True))
         return cls(path)
 
     def close(self) -> None:
-        """Give the memory back."""
+        """Release the memory."""
         self.cells.release()
         self._map.close()
 
@@ -79,7 +79,7 @@ def _serve() -> None:
 
 
 def _become_run(robot: str, file: str, board: Path, terminal: int, typed: str) -> None:
-    """`gateway run`, never to return; at tick 20 somebody types a line on its terminal."""
+    """Become `gateway run`, never to return; at tick 20 a line is typed on its terminal."""
     from gateway.cli.main import main
     from gateway.recording import Recorder
 
@@ -116,7 +116,7 @@ class Killed:
 
 
 def _watch(pid: int, span: float) -> Nanos:
-    """Let a process run so long; for how much of the last 150 ms its threads but the first had to queue."""
+    """Let a process run for `span` s; return how long its threads but the first queued in the last 150 ms."""
     end = time.monotonic() + span
     samples: list[tuple[float, int]] = []
     while True:
@@ -130,7 +130,7 @@ def _watch(pid: int, span: float) -> Nanos:
 
 
 def _queued(pid: int) -> Nanos:
-    """How long the threads of a process but the first were ready to run and did not (sched-stats.rst)."""
+    """Return how long a process's threads but the first were ready to run and did not (sched-stats.rst)."""
     total = 0
     for task in Path(f"/proc/{pid}/task").iterdir():
         if int(task.name) != pid:
@@ -140,7 +140,7 @@ def _queued(pid: int) -> Nanos:
 
 
 class Runs:
-    """The program, and what is asked of it."""
+    """The program, as the tests control it."""
 
     def __init__(self) -> None:
         self._server = subprocess.Popen(
@@ -162,7 +162,7 @@ class Runs:
         self._server.communicate()
 
     def kill(self, robot: str, file: Path, after: float, typed: str) -> Killed:
-        """Run a robot, and kill it so many seconds after its first tick.
+        """Run a robot, and kill it `after` s after its first tick.
 
         In wall time, because a kill in simulated time proves nothing."""
         path = file.with_suffix(".board")

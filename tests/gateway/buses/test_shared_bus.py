@@ -18,7 +18,7 @@ from gateway.recording import read
 from gateway.replay.compare import compare
 from protocols.frames import BusState, CanFrame
 from protocols.messages import SECOND, Command, Feedback, Idle, Mode, Nanos, Velocity
-from tests.gateway.rig import Rig, reported
+from tests.gateway.rig import Rig, notes_in
 
 MIXED = """
 name = "mixed"
@@ -65,25 +65,25 @@ def rig() -> Rig:
     return made
 
 
-def test_each_motor_turns_and_obeys_nobody_else(rig: Rig) -> None:
+def test_each_motor_obeys_its_own_commands_only(rig: Rig) -> None:
     for turning in MOTORS:
         ticks = rig.run(0.8, Velocity(turning, 2.0))
         assert rig.velocity(turning) == pytest.approx(2.0, abs=0.1)
         assert all(abs(rig.velocity(name)) < 0.02 for name in MOTORS if name != turning)
         decoder = decoder_of(rig.robot, "can0")
         obeyed = {
-            word.motor
+            message.motor
             for tick in ticks
             for packet in tick.outputs.packets
-            for word in decoder.decode(packet.t, packet.frame)
-            if isinstance(word, Command) and not isinstance(word, Idle)
+            for message in decoder.decode(packet.t, packet.frame)
+            if isinstance(message, Command) and not isinstance(message, Idle)
         }
         assert obeyed == {turning}
         rig.run(0.5, Idle(turning))
-    assert [note for note in reported(rig.ticks) if note.level == "error"] == []
+    assert [note for note in notes_in(rig.ticks) if note.level == "error"] == []
 
 
-def test_every_frame_is_counted_once_by_every_language_and_is_understood_by_one(rig: Rig) -> None:
+def test_every_frame_is_counted_once_by_every_protocol_and_accepted_by_one(rig: Rig) -> None:
     rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
     received = sum(len(tick.inputs.packets) for tick in rig.ticks)
     rx_counters = {language: counters for _, language, counters in rig.gateway.rx_counters()}
@@ -99,7 +99,7 @@ def test_every_frame_is_counted_once_by_every_language_and_is_understood_by_one(
         assert kinds == {(False, False, False), (True, True, True)}
 
 
-def test_a_bus_that_vanishes_and_comes_back_is_told_to_all_of_them(rig: Rig) -> None:
+def test_a_bus_that_vanishes_and_comes_back_is_reported_to_all_drivers(rig: Rig) -> None:
     rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
     rig.world.buses["can0"].lose()
     ticks = rig.run(1.0)
@@ -129,8 +129,8 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     assert {f"/can0/{way}" for way in ways} <= topics
 
     reported = read(recording)
-    robot_told = config.parse_robot(reported.robot_text)
-    gateway = Gateway(robot_told)
+    recorded_robot = config.parse_robot(reported.robot_text)
+    gateway = Gateway(recorded_robot)
     spoilt: list[CanFrame] = []
 
     def step(now: Nanos, inputs: Inputs) -> Outputs:
@@ -146,14 +146,14 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
                 return replace(outputs, packets=(*outputs.packets[:at], wrong, *outputs.packets[at + 1 :]))
         return outputs
 
-    verdict = compare(reported, step, gateway.belief, lambda bus: decoder_of(robot_told, bus))
+    verdict = compare(reported, step, gateway.belief, lambda bus: decoder_of(recorded_robot, bus))
     assert (verdict.differing, verdict.ok) == (1, False)
     assert verdict.first is not None
     assert str(spoilt[0]) in verdict.first.text
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "text"),
     [
         # a moteus without a prefix heeds every id whose low byte is its own, whatever kind of frame it is
         (("can_prefix = 1", "can_prefix = 0"), "drive.*0x601.*'servo' would obey what it is sent"),
@@ -165,20 +165,20 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
         (("address = 3", "address = 16"), "arm.*0x202"),
     ],
 )
-def test_ids_that_clash_are_told(change: tuple[str, str], said: str) -> None:
+def test_clashing_ids_are_reported(change: tuple[str, str], text: str) -> None:
     with pytest.raises(ConfigError) as raised:
         config.parse_robot(MIXED.replace(*change))
-    assert any(re.search(said, str(mistake)) for mistake in raised.value.mistakes), str(raised.value)
+    assert any(re.search(text, str(mistake)) for mistake in raised.value.mistakes), str(raised.value)
 
 
-def test_all_clashes_are_told_at_once() -> None:
+def test_all_clashes_are_reported_at_once() -> None:
     text = MIXED.replace("can_prefix = 1", "can_prefix = 0").replace("address = 3", "address = 4")
     with pytest.raises(ConfigError) as raised:
         config.parse_robot(text)
     assert len(raised.value.mistakes) == 2
 
 
-def test_check_tells_the_load_of_frames_of_both_kinds() -> None:
+def test_the_bus_load_includes_frames_of_both_kinds() -> None:
     """Each motor 200 commands and 100 reports a second: 52 µs each of moteus, 125 µs each of the others."""
-    said = config.describe(config.parse_robot(MIXED))
-    assert re.search(r"can0 +canfd +1000000 bit/s, data 5000000 bit/s +twin +at least 9 %", said)
+    text = config.describe(config.parse_robot(MIXED))
+    assert re.search(r"can0 +canfd +1000000 bit/s, data 5000000 bit/s +twin +at least 9 %", text)

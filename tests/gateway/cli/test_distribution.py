@@ -21,7 +21,7 @@ from gateway.errors import ConfigError
 from protocols.messages import Idle, Velocity
 from protocols.plugin import load, load_all
 from tests.distributions import ROOT, Site
-from tests.gateway.rig import BENCH, Rig, said
+from tests.gateway.rig import BENCH, Rig, sent_commands
 
 NAME = "g7_motor"
 MIXED = BENCH.replace("[motors.left]\n", f'[motors.left]\nprotocol = "{NAME}"\noptions = {{}}\n').replace(
@@ -159,8 +159,8 @@ def test_it_is_driven_beside_one_of_ours() -> None:
     ticks = rig.run(2.0, Velocity("left", 3.0), Velocity("right", 2.0))
     assert rig.velocity("left") == pytest.approx(3.0, abs=0.2)
     assert rig.velocity("right") == pytest.approx(2.0, abs=0.2)
-    assert any(word.motor == "left" for _, word in said(rig, ticks) if isinstance(word, Velocity))
-    last = said(rig, rig.leave())
+    assert any(word.motor == "left" for _, word in sent_commands(rig, ticks) if isinstance(word, Velocity))
+    last = sent_commands(rig, rig.leave())
     assert Idle("left") in [word for _, word in last]
 
 

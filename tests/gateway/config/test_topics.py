@@ -1,4 +1,4 @@
-"""The table [bag] of the robot file: what a right one gives, what a wrong one gets."""
+"""The table [bag] of the robot file: what a valid one gives, the mistakes of a wrong one."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ FIRST = ROBOT[: ROBOT.index("[bag]")].count("\n") + 2
 """The line of the table's first key."""
 
 
-def reported(text: str) -> list[str]:
+def mistakes_in(text: str) -> list[str]:
     with pytest.raises(ConfigError) as error:
         parse_robot(text, "r.toml")
     return str(error.value).splitlines()
 
 
-def test_a_right_table() -> None:
+def test_a_complete_table() -> None:
     bag = parse_robot(ROBOT).bag
     assert bag == BagTopics("/odom", {"imu": "/imu/data"}, "/fix")
     assert list(bag.parts()) == [("/odom", "odometry"), ("/imu/data", "sensors.imu"), ("/fix", "truth")]
 
 
-def test_the_least_of_a_table() -> None:
+def test_a_minimal_table() -> None:
     bag = parse_robot(ROBOT.replace(TABLE, '[bag]\nodometry = "/o"\n')).bag
     assert bag == BagTopics("/o")
     assert list(bag.parts()) == [("/o", "odometry")]
@@ -72,27 +72,27 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("table", "mistakes"), MISTAKES)
-def test_every_mistake_is_told_where_it_stands(table: str, mistakes: list[str]) -> None:
+def test_every_mistake_is_reported_at_its_place(table: str, mistakes: list[str]) -> None:
     lines = [FIRST - 1 + number for number in range(5)]
     expected = [text.replace("{}", str(lines[0])).format(*lines) for text in mistakes]
-    assert reported(ROBOT.replace(TABLE, table)) == expected
+    assert mistakes_in(ROBOT.replace(TABLE, table)) == expected
 
 
-def test_a_table_that_is_none() -> None:
-    (said,) = reported("bag = 3\n" + ROBOT.replace(TABLE, ""))
-    assert said == "r.toml:1: bag: found 3, expected a table"
+def test_a_value_instead_of_the_table() -> None:
+    (found,) = mistakes_in("bag = 3\n" + ROBOT.replace(TABLE, ""))
+    assert found == "r.toml:1: bag: found 3, expected a table"
 
 
-def test_a_robot_in_words_tells_its_topics_and_how_its_imu_stands() -> None:
-    said = describe(load_robot(resources.find("robots", "husky")))
-    assert "0, -0.3, 0.52 m  -1.5708 rad, pitch 0, roll 1.5708  500 ms" in said
-    assert "odometry     /husky_velocity_controller/odom\nsensors.imu  /imu/data\ntruth        /fix" in said
+def test_the_description_has_the_topics_and_the_mounting_of_the_imu() -> None:
+    found = describe(load_robot(resources.find("robots", "husky")))
+    assert "0, -0.3, 0.52 m  -1.5708 rad, pitch 0, roll 1.5708  500 ms" in found
+    assert "odometry     /husky_velocity_controller/odom\nsensors.imu  /imu/data\ntruth        /fix" in found
     assert "/odom" not in describe(load_robot(resources.find("robots", "diffbot")))
 
 
-def test_bare_joints_have_no_use_for_a_bag() -> None:
+def test_bare_joints_need_no_bag() -> None:
     text = resources.find("robots", "bench").read_text() + '\n[bag]\nodometry = "/o"\n'
-    (said,) = reported(text)
-    assert said.endswith(
+    (found,) = mistakes_in(text)
+    assert found.endswith(
         "bag: a bag moves a base on wheels, and the body is 'joints'; expected no such table"
     )

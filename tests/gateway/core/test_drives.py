@@ -1,4 +1,4 @@
-"""The same robot over each device language, and over three on one bus: arrives, and replays to the byte."""
+"""The same robot over each protocol, and over three on one bus: arrives, and replays to the byte."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROBOTS = {
     "diffbot_moteus": {"moteus"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
 }
-"""By robot file, the languages on its bus of motors."""
+"""The protocols on the bus of the motors, by robot file."""
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -35,7 +35,7 @@ def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: s
     recording = tmp_path / "demo.mcap"
     frames = [packet.frame for tick in read(recording).ticks for packet in tick.outputs.packets]
     fd = {frame.fd for frame in frames if isinstance(frame, CanFrame)}
-    assert fd == {language == "moteus" for language in ROBOTS[name]}
+    assert fd == {protocol == "moteus" for protocol in ROBOTS[name]}
     judged = gateway("replay", str(recording))
     assert judged.returncode == 0, judged.stdout + judged.stderr
     assert "the same, byte for byte" in judged.stdout
@@ -44,25 +44,25 @@ def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: s
     assert int(compared[1]) > 1000
 
 
-def test_three_languages_move_at_once_on_one_bus() -> None:
-    """Wheels and mast; each driver hears only its own, and what the others say is foreign to it, not bad."""
+def test_three_protocols_move_at_once_on_one_bus() -> None:
+    """Wheels and mast; each driver accepts only its own frames, and ignores those of the others."""
     rig = Rig(resources.find("robots", "diffbot_mixed").read_text("utf-8"))
     rig.run(1.5)
     rig.run(0.01, Position("mast", 0.5))
     rig.run(2.5, Goal(0.4, 0.0))
-    reported = {motor: joint.mode for motor, joint in rig.gateway.joints.items()}
-    assert reported == dict.fromkeys(("left", "right", "mast"), Mode.ARMED)
+    modes = {motor: joint.mode for motor, joint in rig.gateway.joints.items()}
+    assert modes == dict.fromkeys(("left", "right", "mast"), Mode.ARMED)
     assert rig.world.world.shaft("mast")[0] == pytest.approx(0.5, abs=0.01)
     assert rig.world.world.truth().x > 0.2
-    counted = {language: counters for bus, language, counters in rig.gateway.rx_counters() if bus == "can0"}
+    counted = {protocol: counters for bus, protocol, counters in rig.gateway.rx_counters() if bus == "can0"}
     assert set(counted) == {"cia402", "moteus", "odrive_can"}
     for counters in counted.values():
         assert counters.malformed == 0
         assert min(counters.accepted, counters.ignored) > 100
 
 
-def test_a_robot_that_is_not_of_these_is_not_forgotten() -> None:
-    """Every shipped robot that drives the office with another language than the demo's is tried above."""
+def test_every_shipped_variant_of_the_demo_is_driven() -> None:
+    """Every shipped robot that drives the office with another protocol than the demo's is tried above."""
     found = {
         path.stem for path in Path(str(resources.find("robots", "diffbot"))).parent.glob("diffbot_*.toml")
     }

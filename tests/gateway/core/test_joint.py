@@ -1,4 +1,4 @@
-"""The joint: what it lets through, at which shaft, and what it latches."""
+"""The joint: which commands it gives, at which shaft, and which faults it latches."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from typing import Literal, TypeAlias
 
 import pytest
 from hypothesis import given
@@ -17,6 +18,7 @@ from protocols import messages as msg
 from protocols.messages import MILLISECOND, Command, Mode, Nanos
 from protocols.plugin import FeedbackKind, Range, Spec, Watchdog
 
+Action: TypeAlias = Literal["idle", "hold", "brake"]
 MS = MILLISECOND
 STEP = 5 * MS
 
@@ -45,20 +47,17 @@ def spec(*commands: type[Command]) -> Spec:
 def joint(
     *,
     gear: float = 1.0,
-    sign: int = 1,
+    sign: Literal[1, -1] = 1,
     position: tuple[float, float] | None = None,
-    safe: str = "idle",
-    silent: str = "idle",
+    stop_action: Action = "idle",
+    on_command_timeout: Literal["idle", "hold"] = "idle",
 ) -> Joint:
     limits = Limits(velocity=10.0, acceleration=50.0, torque=2.0, position=position)
-    settings = JointSettings(limits, gear, 1 if sign > 0 else -1, "hold" if silent == "hold" else "idle")
-    if safe != "idle":
-        settings = replace(settings, stop_action="hold" if safe == "hold" else "brake")
-    return Joint("m", settings, spec())
+    return Joint("m", JointSettings(limits, gear, sign, on_command_timeout, stop_action), spec())
 
 
 def armed(made: Joint, position: float = 0.0, velocity: float = 0.0) -> Joint:
-    """Heard at t = 0, at rest, armed."""
+    """Give feedback and ARMED at t = 0."""
     ratio = made.settings.gear * made.settings.sign
     made.on_event(msg.Feedback("m", 0, position * ratio, velocity * ratio))
     made.on_event(msg.State("m", 0, Mode.ARMED))
@@ -66,20 +65,20 @@ def armed(made: Joint, position: float = 0.0, velocity: float = 0.0) -> Joint:
 
 
 def drive(
-    made: Joint, said: Command, steps: int, plant: Callable[[Command], msg.Feedback] | None = None
+    made: Joint, command: Command, steps: int, plant: Callable[[Command], msg.Feedback] | None = None
 ) -> list[Command]:
-    """Say the same for some steps, with feedback at each; at the device's shaft."""
+    """Repeat a command for some steps, with feedback at each; return the device's commands."""
     out: list[Command] = []
     for i in range(1, steps + 1):
         now: Nanos = i * STEP
         fed = plant(out[-1]) if plant and out else made.feedback
         ratio = made.settings.gear * made.settings.sign
         made.on_event(msg.Feedback("m", now, (fed.position or 0.0) * ratio, (fed.velocity or 0.0) * ratio))
-        out.append(made.command(now, said, stopped=False))
+        out.append(made.command(now, command, stopped=False))
     return out
 
 
-def test_the_device_turns_gear_times_as_far_the_other_way_round_if_it_is_mounted_so() -> None:
+def test_the_device_turns_gear_times_as_far_and_reversed_by_the_sign() -> None:
     made = armed(joint(gear=8.0, sign=-1), position=1.0)
     received = made.on_event(msg.Feedback("m", 0, position=-16.0, velocity=-8.0, torque=-0.25))
     assert received == msg.Feedback("m", 0, position=2.0, velocity=1.0, torque=2.0)
@@ -89,7 +88,9 @@ def test_the_device_turns_gear_times_as_far_the_other_way_round_if_it_is_mounted
 
 
 @given(gear=st.floats(0.1, 200.0), sign=st.sampled_from([1, -1]), torque=st.floats(-2.0, 2.0))
-def test_power_is_the_same_on_both_sides_of_the_gear(gear: float, sign: int, torque: float) -> None:
+def test_power_is_the_same_on_both_sides_of_the_gear(
+    gear: float, sign: Literal[1, -1], torque: float
+) -> None:
     made = armed(joint(gear=gear, sign=sign))
     out = made.command(STEP, msg.Impedance("m", 0.5, 3.0, torque, 20.0, 2.0), stopped=False)
     assert isinstance(out, msg.Impedance)
@@ -98,7 +99,7 @@ def test_power_is_the_same_on_both_sides_of_the_gear(gear: float, sign: int, tor
     assert out.stiffness * (gear * gear) == pytest.approx(20.0)
 
 
-def test_nothing_but_idle_before_the_device_was_heard() -> None:
+def test_nothing_but_idle_before_the_first_feedback() -> None:
     made = joint()
     assert made.command(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
     assert not made.owned
@@ -128,7 +129,7 @@ def test_an_unarmed_joint_does_not_wind_up_its_profile() -> None:
     assert out[-1] == out[0] == msg.Velocity("m", 50.0 * 0.005)
 
 
-def test_position_starts_where_the_shaft_is_and_arrives_within_the_limits() -> None:
+def test_position_starts_at_the_measured_one_and_arrives_within_the_limits() -> None:
     made = armed(joint(), position=3.0)
     out = [c for c in drive(made, msg.Position("m", -2.0), 400) if isinstance(c, msg.Position)]
     places = [3.0, *(c.position for c in out)]
@@ -141,7 +142,7 @@ def test_position_starts_where_the_shaft_is_and_arrives_within_the_limits() -> N
 
 
 @given(st.floats(-5.0, 5.0), st.floats(-50.0, 50.0))
-def test_a_position_outside_the_range_is_never_said(start: float, wanted: float) -> None:
+def test_a_position_outside_the_range_is_never_commanded(start: float, wanted: float) -> None:
     made = armed(joint(position=(-1.0, 2.0)), position=max(-1.0, min(2.0, start)))
     for out in drive(made, msg.Position("m", wanted), 300):
         assert isinstance(out, msg.Position)
@@ -213,7 +214,7 @@ def test_a_value_that_is_not_finite_is_refused_and_counted(
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_feedback_that_is_not_finite_goes_nowhere(bad: float) -> None:
+def test_feedback_that_is_not_finite_is_dropped(bad: float) -> None:
     made = armed(joint(), position=1.0)
     assert made.on_event(msg.Feedback("m", 7, position=bad)) is None
     assert made.on_event(msg.Feedback("m", 7, velocity=0.0, torque=bad)) is None
@@ -228,27 +229,27 @@ def test_a_command_that_the_device_cannot_do_is_refused_by_name() -> None:
     assert made.refused == "Torque is not among what m can do: Idle, Velocity"
 
 
-@pytest.mark.parametrize("silent", ["idle", "hold"])
-def test_a_silent_brain_means_what_the_file_says(silent: str) -> None:
-    made = armed(joint(silent=silent))
+@pytest.mark.parametrize("on_command_timeout", ["idle", "hold"])
+def test_the_command_timeout_has_the_action_of_the_file(on_command_timeout: Literal["idle", "hold"]) -> None:
+    made = armed(joint(on_command_timeout=on_command_timeout))
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.Feedback("m", 100 * MS, 0.0, 0.0))
     assert isinstance(made.command(100 * MS, None, stopped=False), msg.Velocity)
     made.on_event(msg.Feedback("m", 110 * MS, 0.0, 0.0))
     out = made.command(110 * MS, None, stopped=False)
-    assert out == (msg.Hold("m") if silent == "hold" else msg.Idle("m"))
+    assert out == (msg.Hold("m") if on_command_timeout == "hold" else msg.Idle("m"))
 
 
-@pytest.mark.parametrize("safe", ["idle", "hold"])
-def test_stop_is_the_safe_word_at_once(safe: str) -> None:
-    made = armed(joint(safe=safe))
+@pytest.mark.parametrize("stop_action", ["idle", "hold"])
+def test_stop_sends_the_stop_command_at_once(stop_action: Action) -> None:
+    made = armed(joint(stop_action=stop_action))
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     out = made.command(2 * STEP, msg.Velocity("m", 1.0), stopped=True)
-    assert out == (msg.Hold("m") if safe == "hold" else msg.Idle("m"))
+    assert out == (msg.Hold("m") if stop_action == "hold" else msg.Idle("m"))
 
 
 def test_braking_slows_down_within_the_limit_and_then_disarms() -> None:
-    made = armed(joint(safe="brake"), velocity=5.0)
+    made = armed(joint(stop_action="brake"), velocity=5.0)
     drive(made, msg.Velocity("m", 5.0), 1)
     speeds, now = [5.0], STEP
     while isinstance(out := made.command(now + STEP, None, stopped=True), msg.Velocity):
@@ -262,7 +263,7 @@ def test_braking_slows_down_within_the_limit_and_then_disarms() -> None:
 
 
 def test_braking_ends_in_bounded_time_even_if_the_shaft_does_not_slow_down() -> None:
-    made = armed(joint(safe="brake"), velocity=5.0)
+    made = armed(joint(stop_action="brake"), velocity=5.0)
     drive(made, msg.Velocity("m", 5.0), 1)
     out = []
     for now in range(2 * STEP, 1000 * MS, STEP):
@@ -273,17 +274,17 @@ def test_braking_ends_in_bounded_time_even_if_the_shaft_does_not_slow_down() -> 
     assert out[-1] == msg.Idle("m")
 
 
-@pytest.mark.parametrize("why", ["fault", "blind", "last", "idle before"])
+@pytest.mark.parametrize("why", ["fault", "feedback lost", "last", "idle before"])
 def test_what_cannot_be_trusted_to_brake_is_disarmed_at_once(why: str) -> None:
-    made = armed(joint(safe="brake"), velocity=5.0)
+    made = armed(joint(stop_action="brake"), velocity=5.0)
     drive(made, msg.Idle("m") if why == "idle before" else msg.Velocity("m", 5.0), 1)
     if why == "fault":
         made.on_event(msg.Fault("m", STEP, 1, "X"))
-    later = 500 * MS if why == "blind" else 2 * STEP
+    later = 500 * MS if why == "feedback lost" else 2 * STEP
     assert made.command(later, None, stopped=True, last=why == "last") == msg.Idle("m")
 
 
-def test_a_commanded_joint_that_falls_silent_latches_and_does_not_start_by_itself() -> None:
+def test_lost_feedback_of_a_commanded_joint_latches_and_it_does_not_start_by_itself() -> None:
     made = armed(joint())
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     assert made.command(200 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
@@ -295,18 +296,18 @@ def test_a_commanded_joint_that_falls_silent_latches_and_does_not_start_by_itsel
     assert made.take_unreported() == []
 
 
-def test_how_long_a_joint_may_be_silent_is_the_robot_files_not_the_drivers() -> None:
+def test_the_feedback_timeout_is_the_robot_files_not_the_drivers() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
-    made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))  # the driver's own patience has ended
+    made.on_event(msg.State("m", 250 * MS, Mode.OFFLINE))  # the driver's own timeout
     made.command(400 * MS, msg.Velocity("m", 1.0), stopped=False)
     assert not made.faults
     made.command(510 * MS, msg.Velocity("m", 1.0), stopped=False)
     assert [f.code for f in made.faults.values()] == [FEEDBACK_LOST]
 
 
-def test_a_device_that_comes_back_disarmed_from_a_short_silence_has_left() -> None:
+def test_a_device_that_returns_disarmed_from_a_short_outage_has_disarmed_itself() -> None:
     made = armed(joint())
     made.settings = replace(made.settings, feedback_timeout=500 * MS)
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
@@ -315,7 +316,7 @@ def test_a_device_that_comes_back_disarmed_from_a_short_silence_has_left() -> No
     assert [f.code for f in made.faults.values()] == [DISARMED_ITSELF]
 
 
-def test_an_idle_joint_that_falls_silent_is_blind_but_not_in_fault() -> None:
+def test_lost_feedback_of_an_idle_joint_is_no_fault() -> None:
     made = armed(joint())
     made.command(200 * MS, None, stopped=False)
     assert made.feedback_lost(200 * MS)
@@ -330,7 +331,7 @@ def test_a_device_that_disarms_itself_latches() -> None:
     assert made.command(3 * STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
 
 
-def test_a_device_that_we_disarmed_is_in_no_fault() -> None:
+def test_disarming_by_command_is_no_fault() -> None:
     made = armed(joint())
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.command(2 * STEP, msg.Idle("m"), stopped=False)
@@ -349,7 +350,7 @@ def test_faults_latch_once_each_and_stay_when_the_device_forgets_them() -> None:
     assert made.command(STEP, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
 
 
-def test_after_clearing_the_old_command_is_not_taken_up_again() -> None:
+def test_after_clearing_the_old_command_is_not_resumed() -> None:
     made = armed(joint())
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.on_event(msg.Fault("m", 1, 1, "X"))
@@ -370,8 +371,8 @@ def test_after_clearing_the_old_command_is_not_taken_up_again() -> None:
 )
 def test_a_limit_may_be_changed_but_not_removed(key: str, value: float, objection: str) -> None:
     made = armed(joint())
-    said = made.change(key, value)
-    assert objection in said
-    assert bool(said) == bool(objection)
+    refused = made.change(key, value)
+    assert objection in refused
+    assert bool(refused) == bool(objection)
     if not objection:
         assert made.settings.limits.velocity == 3.0

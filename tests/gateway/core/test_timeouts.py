@@ -1,7 +1,7 @@
-"""The timeouts of the robot file reach the brain: the base goes slow and stands when they say so.
+"""The timeouts of the robot file reach the brain: the base slows down and stands at fractions of them.
 
-The shipped robot drives across its office, in simulated time; a plug is pulled, and what is looked at is
-how old the source's newest measurement was when the brain changed its mind, and what the wheels truly did.
+The shipped robot drives across its office, in simulated time; a device is unplugged. Checked is how old its
+newest measurement was when the brain changed its state, and what the wheels truly did.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from brain.belief import BrainState
 from gateway.config import resources
 from gateway.core.tick import Tick
 from protocols.messages import MILLISECOND, Event, Feedback, Goal, LaserScan, Nanos
-from tests.gateway.rig import Rig, reported
+from tests.gateway.rig import Rig, notes_in
 
 DIFFBOT = resources.find("robots", "diffbot").read_text()
 LATE = 6 * MILLISECOND
-"""By how much a step may come after the moment: the period is 5 ms, and drivers have steps of their own."""
+"""Latest reaction after the timeout: the period is 5 ms, and drivers have steps of their own."""
 
 
 def with_timeout(name: str, ms: int) -> str:
-    """The robot file with another timeout of this motor or sensor."""
+    """Return the robot file with another timeout of this motor or sensor."""
     above, header, below = DIFFBOT.partition(f".{name}]\n")
     assert header
     return above + header + re.sub(r"(?m)^((?:feedback_)?timeout_ms) = \d+", rf"\1 = {ms}", below, count=1)
@@ -31,7 +31,7 @@ def with_timeout(name: str, ms: int) -> str:
 
 @dataclass
 class Seen:
-    """What happened after the plug was pulled; ages are those of the last measurement."""
+    """What happened after a device was unplugged; ages are those of its last measurement."""
 
     slow: Nanos
     standing: Nanos
@@ -43,7 +43,7 @@ class Seen:
 
 
 def pulled(text: str, name: str, seconds: float) -> Seen:
-    """The base on its way, and then the plug of `name` is pulled."""
+    """Drive the base, and then unplug `name`."""
     rig = Rig(text)
     rig.run(0.5)
     rig.run(2.0, Goal(1.5, 0.0))
@@ -72,7 +72,7 @@ def pulled(text: str, name: str, seconds: float) -> Seen:
 
 
 def _is_of(event: Event, name: str) -> bool:
-    """Whether it is a measurement of this motor or sensor."""
+    """True for a measurement of this motor or sensor."""
     match event:
         case Feedback(motor, _, position):
             return motor == name and position is not None
@@ -82,7 +82,7 @@ def _is_of(event: Event, name: str) -> bool:
 
 
 @pytest.mark.parametrize("timeout_ms", [300, 500, 1400])
-def test_the_timeout_of_the_lidar_says_when_the_base_goes_slow_and_when_it_stands(timeout_ms: int) -> None:
+def test_the_lidars_timeout_sets_when_the_base_goes_slow_and_when_it_stands(timeout_ms: int) -> None:
     timeout = timeout_ms * MILLISECOND
     seen = pulled(with_timeout("lidar", timeout_ms), "lidar", 1.5 + timeout_ms / 1000)
     assert 0 < seen.slow - 0.5 * timeout <= LATE
@@ -98,7 +98,7 @@ def test_the_timeout_of_the_lidar_says_when_the_base_goes_slow_and_when_it_stand
 
 
 @pytest.mark.parametrize("timeout_ms", [60, 100, 200])
-def test_the_timeout_of_feedback_says_so_for_a_wheel_before_its_joint_goes_blind(timeout_ms: int) -> None:
+def test_the_feedback_timeout_does_so_for_a_wheel_before_its_joint_is_in_fault(timeout_ms: int) -> None:
     timeout = timeout_ms * MILLISECOND
     seen = pulled(with_timeout("right", timeout_ms), "right", 1.0)
     assert 0 < seen.slow - 0.5 * timeout <= LATE
@@ -108,7 +108,7 @@ def test_the_timeout_of_feedback_says_so_for_a_wheel_before_its_joint_goes_blind
         f"right: no feedback for more than {timeout_ms * 0.9:g} ms: standing",
     ]
     feedback_lost = f"silent: no feedback for more than {timeout_ms} ms"
-    assert any(feedback_lost in note.text and note.level == "error" for note in reported(seen.ticks, "right"))
+    assert any(feedback_lost in note.text and note.level == "error" for note in notes_in(seen.ticks, "right"))
     assert feedback_lost in seen.rig.gateway.why_stopped()
 
 
@@ -116,9 +116,7 @@ def test_the_timeout_of_feedback_says_so_for_a_wheel_before_its_joint_goes_blind
     ("timeout_ms", "states"),
     [(500, {BrainState.RUNNING, BrainState.DEGRADED}), (1400, {BrainState.RUNNING})],
 )
-def test_an_outage_that_a_longer_timeout_bears_slows_nothing(
-    timeout_ms: int, states: set[BrainState]
-) -> None:
+def test_an_outage_within_a_longer_timeout_slows_nothing(timeout_ms: int, states: set[BrainState]) -> None:
     """Half a second without a scan."""
     rig = Rig(with_timeout("lidar", timeout_ms))
     rig.run(0.5)

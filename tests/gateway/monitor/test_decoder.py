@@ -23,7 +23,7 @@ from protocols.odrive_can.codec import encode
 from protocols.odrive_can.messages import GetEncoderEstimates, GetVersion, Heartbeat
 from protocols.plain import codec
 from protocols.plugin import Driver, load_all
-from tests.gateway.rig import BENCH, Rig, said
+from tests.gateway.rig import BENCH, Rig, sent_commands
 
 CAN = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
 TTY = BusSettings("tty", "serial", "serial:tty", baudrate=1_000_000)
@@ -127,7 +127,7 @@ def test_with_a_robot_file_the_monitor_knows_what_the_gateway_knows(drive: Drive
     assert device(monitor, "right").command is None
     assert not monitor.unknown(now)
     assert monitor.not_understood("can0") == 0
-    obeyed = [(t, at_joint(c, 8.0)) for t, c in said(rig, rig.ticks) if c.motor == "left"]
+    obeyed = [(t, at_joint(c, 8.0)) for t, c in sent_commands(rig, rig.ticks) if c.motor == "left"]
     assert [(one.packet.t, command) for one in decoded for command in one.commands] == obeyed
     assert {one.direction for one in decoded} == {"from", "to"}
 

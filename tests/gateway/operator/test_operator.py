@@ -1,4 +1,4 @@
-"""What a person may say, and the socket and terminal over which it is said: real ones, and nobody sleeps."""
+"""The operator's commands, and the socket and terminal that take them: real ones, and without waiting."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BENCH = load_robot(resources.find("robots", "bench"))
 MIXED = load_robot(resources.find("robots", "diffbot_mixed"))
 """A base that carries a mast."""
 
-# -- the language ------------------------------------------------------------------------------
+# -- the commands ------------------------------------------------------------------------------
 
 LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
     (DIFFBOT, "goal 2 1.5", msg.Goal(2.0, 1.5)),
@@ -73,12 +73,12 @@ LINES: list[tuple[Robot, str, msg.Instruction | Query | None]] = [
 
 @pytest.mark.parametrize(("robot", "line", "meant"), LINES, ids=[row[1] for row in LINES])
 def test_a_line_means(robot: Robot, line: str, meant: msg.Instruction | Query | None) -> None:
-    said = parse(line, robot)
-    assert said == meant
-    assert type(said) is type(meant)
+    parsed = parse(line, robot)
+    assert parsed == meant
+    assert type(parsed) is type(meant)
 
 
-def test_every_word_of_the_language_is_in_the_table_and_in_the_help() -> None:
+def test_every_command_is_tested_and_in_the_help() -> None:
     used = {line.split()[0].lower() for _, line, meant in LINES if meant is not None}
     assert used == set(COMMANDS)
     assert [row.split()[0] for row in help_text().splitlines()] == list(COMMANDS)
@@ -123,11 +123,11 @@ WRONG: list[tuple[Robot, str, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("robot", "line", "said"), WRONG, ids=[row[1] for row in WRONG])
-def test_a_wrong_line_gets_a_sentence(robot: Robot, line: str, said: str) -> None:
-    mistake = parse(line, robot)
-    assert isinstance(mistake, RejectedLine)
-    assert said in mistake.reason
+@pytest.mark.parametrize(("robot", "line", "reason"), WRONG, ids=[row[1] for row in WRONG])
+def test_a_wrong_line_is_rejected_with_the_reason(robot: Robot, line: str, reason: str) -> None:
+    rejected = parse(line, robot)
+    assert isinstance(rejected, RejectedLine)
+    assert reason in rejected.reason
 
 
 @given(
@@ -135,9 +135,9 @@ def test_a_wrong_line_gets_a_sentence(robot: Robot, line: str, said: str) -> Non
     st.text(max_size=60) | st.lists(st.sampled_from(list(COMMANDS))).map(" ".join),
 )
 def test_no_line_raises_and_no_number_is_not_finite(robot: Robot, line: str) -> None:
-    said = parse(line, robot)
-    for name in getattr(said, "__dataclass_fields__", ()):
-        value = getattr(said, name)
+    parsed = parse(line, robot)
+    for name in getattr(parsed, "__dataclass_fields__", ()):
+        value = getattr(parsed, name)
         assert not isinstance(value, float) or math.isfinite(value)
 
 
@@ -160,22 +160,22 @@ def status() -> str:
 
 
 class Client:
-    """Somebody at the other end, who never waits."""
+    """A client that never waits."""
 
     def __init__(self, path: Path) -> None:
-        self.frame = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self.frame.connect(str(path))
-        self.frame.setblocking(False)
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.socket.connect(str(path))
+        self.socket.setblocking(False)
 
-    def say(self, data: bytes) -> None:
-        self.frame.sendall(data)
+    def send(self, data: bytes) -> None:
+        self.socket.sendall(data)
 
     def received(self) -> str:
-        """What has come so far."""
+        """Return what has arrived."""
         data = b""
         while True:
             try:
-                piece = self.frame.recv(1 << 16)
+                piece = self.socket.recv(1 << 16)
             except BlockingIOError:
                 return data.decode()
             if not piece:
@@ -187,7 +187,7 @@ class Client:
 def client(operator: Operator) -> Iterator[Client]:
     made = Client(operator.path)
     yield made
-    made.frame.close()
+    made.socket.close()
 
 
 def test_the_socket_belongs_to_its_owner_alone_and_goes_with_the_operator(folder: Path) -> None:
@@ -199,9 +199,9 @@ def test_the_socket_belongs_to_its_owner_alone_and_goes_with_the_operator(folder
     operator.close()
 
 
-def test_lines_are_asked_in_order_and_answered(operator: Operator, client: Client) -> None:
+def test_lines_are_accepted_in_order_and_answered(operator: Operator, client: Client) -> None:
     assert operator.poll(status) == []
-    client.say(b"goal 1 2\nnonsense\nstatus\n\nstop now\n")
+    client.send(b"goal 1 2\nnonsense\nstatus\n\nstop now\n")
     assert operator.poll(status) == [msg.Goal(1.0, 2.0), msg.Stop("now")]
     answer = client.received().splitlines()
     assert answer[0] == "accepted: goal 1 2"
@@ -213,22 +213,22 @@ def test_lines_are_asked_in_order_and_answered(operator: Operator, client: Clien
 
 def test_a_line_may_come_byte_by_byte(operator: Operator, client: Client) -> None:
     for byte in b"drive 0.5 0":
-        client.say(bytes([byte]))
+        client.send(bytes([byte]))
         assert operator.poll(status) == []
-    client.say(b"\r\n")
+    client.send(b"\r\n")
     assert operator.poll(status) == [msg.Drive(0.5, 0.0)]
 
 
 def test_the_last_line_needs_no_end(operator: Operator, client: Client) -> None:
-    client.say(b"release")
-    client.frame.shutdown(socket.SHUT_WR)
-    asked = [word for _ in range(3) for word in operator.poll(status)]
+    client.send(b"release")
+    client.socket.shutdown(socket.SHUT_WR)
+    asked = [one for _ in range(3) for one in operator.poll(status)]
     assert asked == [msg.Release()]
 
 
-def test_what_the_robot_says_in_the_step_after_is_heard_too(operator: Operator, client: Client) -> None:
-    client.say(b"set brain.x 5\n")
-    client.frame.shutdown(socket.SHUT_WR)
+def test_the_report_of_the_next_step_is_received_too(operator: Operator, client: Client) -> None:
+    client.send(b"set brain.x 5\n")
+    client.socket.shutdown(socket.SHUT_WR)
     asked = operator.poll(status)
     if not asked:
         asked = operator.poll(status)
@@ -242,63 +242,63 @@ def test_what_the_robot_says_in_the_step_after_is_heard_too(operator: Operator, 
     )
 
 
-def test_quit_is_told_and_leaves(operator: Operator, client: Client) -> None:
-    client.say(b"quit\n")
+def test_quit_is_answered_and_leaves(operator: Operator, client: Client) -> None:
+    client.send(b"quit\n")
     assert operator.poll(status) == []
     assert operator.leaving
     assert client.received() == "leaving\n"
 
 
 def test_a_line_that_is_too_long_is_left_out_whole(operator: Operator, client: Client) -> None:
-    client.say(b"stop " + b"x" * (MAX_LINE * 12) + b"\nrelease\n")
+    client.send(b"stop " + b"x" * (MAX_LINE * 12) + b"\nrelease\n")
     asked: list[msg.Instruction] = []
     for _ in range(10):
         asked += operator.poll(status)
     assert asked == [msg.Release()]
     assert client.received().count("longer than") == 1
-    client.say(b"stop " + b"y" * (MAX_LINE - 10) + b"\n")
+    client.send(b"stop " + b"y" * (MAX_LINE - 10) + b"\n")
     assert operator.poll(status) == [msg.Stop("y" * (MAX_LINE - 10))]
 
 
 def test_bytes_that_are_no_text_are_answered(operator: Operator, client: Client) -> None:
-    client.say(b"\xff\xfe\x00\nrelease\n")
+    client.send(b"\xff\xfe\x00\nrelease\n")
     assert operator.poll(status) == [msg.Release()]
 
 
-def test_clients_who_vanish_or_never_read_hurt_nobody(operator: Operator, client: Client) -> None:
+def test_clients_that_vanish_or_never_read_affect_no_other(operator: Operator, client: Client) -> None:
     gone = [Client(operator.path) for _ in range(3)]
     for one in gone:
-        one.say(b"status\ngoal 1 1\nhalf a li")
-        one.frame.close()
+        one.send(b"status\ngoal 1 1\nhalf a li")
+        one.socket.close()
     assert operator.poll(status) == [msg.Goal(1.0, 1.0)] * 3
     for _ in range(2000):
         operator.report("x" * 1000)
     assert operator.poll(status) == []
     other = Client(operator.path)
     try:
-        other.say(b"release\n")
+        other.send(b"release\n")
         assert operator.poll(status) == [msg.Release()]
         assert other.received() == "accepted: release\n"
     finally:
-        other.frame.close()
+        other.socket.close()
     assert client.received().endswith("<end>")
 
 
-def test_there_are_only_so_many_clients(operator: Operator) -> None:
+def test_the_number_of_clients_is_bounded(operator: Operator) -> None:
     crowd = [Client(operator.path) for _ in range(MAX_CLIENTS)]
     late = Client(operator.path)
     try:
-        late.say(b"release\n")
+        late.send(b"release\n")
         assert operator.poll(status) == []
-        crowd[0].frame.close()
+        crowd[0].socket.close()
         operator.poll(status)
         assert [w for _ in range(3) for w in operator.poll(status)] == [msg.Release()]
     finally:
         for one in (*crowd, late):
-            one.frame.close()
+            one.socket.close()
 
 
-def test_a_socket_that_the_dead_left_is_taken_over(folder: Path) -> None:
+def test_the_socket_of_a_dead_process_is_taken_over(folder: Path) -> None:
     folder.mkdir(mode=0o700)
     dead = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     dead.bind(str(folder / "diffbot.sock"))
@@ -306,9 +306,9 @@ def test_a_socket_that_the_dead_left_is_taken_over(folder: Path) -> None:
     with Operator(DIFFBOT, folder, terminal=None) as operator:
         assert operator.path == folder / "diffbot.sock"
         client = Client(operator.path)
-        client.say(b"stop\n")
+        client.send(b"stop\n")
         assert operator.poll(status) == [msg.Stop()]
-        client.frame.close()
+        client.socket.close()
 
 
 def test_a_second_gateway_of_the_same_name_gets_a_socket_of_its_own(operator: Operator, folder: Path) -> None:
@@ -318,21 +318,19 @@ def test_a_second_gateway_of_the_same_name_gets_a_socket_of_its_own(operator: Op
     operator.poll(status)
 
 
-def test_a_folder_that_others_may_enter_is_refused(folder: Path) -> None:
-    folder.mkdir()
-    folder.chmod(0o755)
+@pytest.mark.parametrize("what", ["open to others", "a link"])
+def test_a_folder_that_is_not_private_is_refused(tmp_path: Path, folder: Path, what: str) -> None:
+    if what == "a link":
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        folder.symlink_to(tmp_path / "elsewhere")
+    else:
+        folder.mkdir()
+        folder.chmod(0o755)
     with pytest.raises(OperatorError, match="belongs to you alone"):
         Operator(DIFFBOT, folder, terminal=None)
 
 
-def test_a_folder_that_is_somebody_elses_link_is_refused(tmp_path: Path, folder: Path) -> None:
-    (tmp_path / "elsewhere").mkdir(mode=0o700)
-    folder.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(OperatorError, match="belongs to you alone"):
-        Operator(DIFFBOT, folder, terminal=None)
-
-
-def test_a_path_that_no_socket_can_have_is_told(tmp_path: Path) -> None:
+def test_a_path_that_is_too_long_for_a_socket_is_reported(tmp_path: Path) -> None:
     with pytest.raises(OperatorError, match="too long for a socket"):
         Operator(DIFFBOT, tmp_path / ("x" * 120), terminal=None)
 
@@ -345,15 +343,15 @@ def test_where_sockets_stand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     assert socket_folder() == tmp_path / f"motor-gateway-{os.getuid()}"
 
 
-def test_the_command_lines_own_end(operator: Operator) -> None:
-    """`ask` blocks, so the robot's loop turns in a thread of the test."""
+def test_ask_returns_the_answer(operator: Operator) -> None:
+    """`ask` blocks, so the robot's loop runs in a thread of the test."""
     asked: list[msg.Instruction] = []
     enough = threading.Event()
 
     def loop() -> None:
         while not enough.is_set():
-            for word in operator.poll(status):
-                asked.append(word)
+            for one in operator.poll(status):
+                asked.append(one)
                 operator.report("operator: so be it")
 
     robot = threading.Thread(target=loop)
@@ -378,7 +376,7 @@ def test_asking_a_robot_that_does_not_run_or_answer(operator: Operator, folder: 
 # -- the terminal --------------------------------------------------------------------------------
 
 
-def test_lines_on_a_pipe_are_asked_and_its_end_is_not_the_end(
+def test_lines_on_a_pipe_are_accepted_and_its_end_does_not_end_the_run(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     reader, writer = os.pipe()
@@ -389,13 +387,13 @@ def test_lines_on_a_pipe_are_asked_and_its_end_is_not_the_end(
         assert capsys.readouterr().out == "accepted: goal 1 2\nall is well\nreally\n"
         os.write(writer, b"al 3 4")
         os.close(writer)
-        asked = [word for _ in range(4) for word in operator.poll(status)]
+        asked = [one for _ in range(4) for one in operator.poll(status)]
         assert asked == [msg.Goal(3.0, 4.0)]
         assert not operator.leaving
     os.close(reader)
 
 
-def test_lines_on_a_terminal_are_asked(folder: Path) -> None:
+def test_lines_on_a_terminal_are_accepted(folder: Path) -> None:
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     try:
@@ -411,8 +409,7 @@ def test_lines_on_a_terminal_are_asked(folder: Path) -> None:
 BACKGROUND = """
 import os, sys
 from pathlib import Path
-from gateway.config import resources
-from gateway.config import load_robot
+from gateway.config import load_robot, resources
 from gateway.operator import Operator
 
 robot = load_robot(resources.find("robots", "diffbot"))
@@ -442,7 +439,7 @@ def test_in_the_background_the_terminal_is_left_alone(folder: Path, where: str, 
         os.close(theirs)
 
 
-def test_a_terminal_that_vanishes_hurts_nobody(folder: Path) -> None:
+def test_a_terminal_that_vanishes_is_ignored(folder: Path) -> None:
     reader, writer = os.pipe()
     os.close(writer)
     os.close(reader)

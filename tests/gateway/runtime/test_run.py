@@ -20,7 +20,7 @@ from gateway.core.tick import Inputs, Outputs
 from gateway.runtime import loop
 from gateway.runtime.serve import serve
 from protocols.messages import MILLISECOND, SECOND, Idle, Mode, Nanos, Velocity
-from tests.gateway.rig import Rig, said
+from tests.gateway.rig import Rig, sent_commands
 
 MS = MILLISECOND
 
@@ -90,7 +90,7 @@ def driven() -> Rig:
 
 def test_at_the_end_the_safe_word_goes_out_first_and_the_devices_are_heard_to_disarm(driven: Rig) -> None:
     farewell = driven.leave()
-    words = [word for _, word in said(driven, farewell)]
+    words = [word for _, word in sent_commands(driven, farewell)]
     assert words[:2] == [Idle("left"), Idle("right")]
     assert {joint.mode for joint in driven.gateway.joints.values()} == {Mode.READY}
     assert farewell[-1].now - farewell[0].now <= loop.DISARM_TIMEOUT
@@ -220,6 +220,6 @@ def test_a_signal_says_the_safe_word_and_ends_the_run(name: str, tmp_path: objec
     assert "Traceback" not in text
     rig = Rig()
     ticks = list(read(recording).ticks)
-    words = [word for _, word in said(rig, ticks)]
+    words = [word for _, word in sent_commands(rig, ticks)]
     assert any(isinstance(word, Velocity) for word in words)
     assert isinstance(words[-1], Idle)
