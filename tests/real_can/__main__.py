@@ -3,7 +3,7 @@
     python -m tests.real_can [FILE]                the whole tier; into FILE, what could not run and why
     python -m tests.real_can pytest FILE ...       these tests, inside the machine
     python -m tests.real_can run COMMAND ...       any command, inside the machine
-    python -m tests.real_can prepare               fetch and build what the machine needs; say what is missing
+    python -m tests.real_can prepare               fetch and build the machine; print what is missing
 
 Rules. Where the host's kernel has CAN and lets us make interfaces, what needs `vcan` alone runs on the host,
 in a network namespace of its own; the rest, or all of it, runs in the machine, which is booted once.
@@ -26,21 +26,21 @@ TIER = "tests/real_can"
 EVERYTHING, VIRTUAL, CONTROLLERS = "real_can", "real_can and not controllers", "real_can and controllers"
 
 
-def main(words: Sequence[str]) -> int:
-    """Do what the words say; the exit status."""
-    word, rest = (words[0], words[1:]) if words else ("", ())
-    if word in ("pytest", "run", "prepare"):
+def main(arguments: Sequence[str]) -> int:
+    """Run the command; return the exit status."""
+    command, rest = (arguments[0], arguments[1:]) if arguments else ("", ())
+    if command in ("pytest", "run", "prepare"):
         try:
             parts = prepare()
         except Missing as missing:
             print(missing, flush=True)
             return 2
         jobs = {"pytest": [*PYTEST, "-m", EVERYTHING, *rest], "run": list(rest)}
-        return run(parts, jobs[word]) if word in jobs else 0
-    if len(words) > 1 or word.startswith("-"):
+        return run(parts, jobs[command]) if command in jobs else 0
+    if len(arguments) > 1 or command.startswith("-"):
         print(__doc__)
         return 2
-    return tier(Path(word) if word else None)
+    return tier(Path(command) if command else None)
 
 
 def tier(absent: Path | None) -> int:

@@ -25,11 +25,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.real_can)
 
 
-def ip(*words: str) -> str:
-    """Run `ip`, and give what it prints; its complaint is the test's failure."""
-    done = subprocess.run(["ip", *words], capture_output=True, text=True, check=False)
+def ip(*arguments: str) -> str:
+    """Run `ip` and return its output; the test fails if it does."""
+    done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        pytest.fail(f"ip {' '.join(words)}: {done.stderr.strip()}")
+        pytest.fail(f"ip {' '.join(arguments)}: {done.stderr.strip()}")
     return done.stdout
 
 
@@ -60,7 +60,7 @@ def virtual() -> Iterator[Callable[[], str]]:
 
 @contextmanager
 def two_controllers() -> Iterator[Callable[[int], tuple[str, str]]]:
-    """Brings up two controllers on one wire at a bit rate; they are down before and after."""
+    """Brings up two controllers on one bus at a bit rate; they are down before and after."""
     names = ("can0", "can1")
 
     def bring_up(bitrate: int) -> tuple[str, str]:
@@ -76,8 +76,8 @@ def two_controllers() -> Iterator[Callable[[int], tuple[str, str]]]:
 
 
 @contextmanager
-def frame(bitrate: int) -> Iterator[tuple[str, str]]:
-    """Two ends of one wire: of two controllers at that bit rate; with 0, of a virtual interface."""
+def bus_ends(bitrate: int) -> Iterator[tuple[str, str]]:
+    """Two interfaces on one bus: of two controllers at that bit rate; with 0, a virtual interface twice."""
     if bitrate:
         with two_controllers() as bring_up:
             yield bring_up(bitrate)
@@ -102,6 +102,6 @@ def vcan0(vcan: Callable[[], str]) -> str:
 
 @pytest.fixture
 def controllers() -> Iterator[Callable[[int], tuple[str, str]]]:
-    """Two controllers on one wire, `can0` and `can1`, once they are brought up at a bit rate."""
+    """Two controllers on one bus, `can0` and `can1`, once they are brought up at a bit rate."""
     with two_controllers() as bring_up:
         yield bring_up

@@ -3,7 +3,7 @@
 Rules. Nothing is installed and nothing of the host is changed: the kernel is Debian's, unpacked in a cache;
 the guest sees the host's files read-only, with the project and its environment in memory above them. It is
 emulated (no /dev/kvm) with `SPEED` instructions per nanosecond of its own time (`-icount shift=0,sleep=off`,
-and a kernel that is told of a faster processor), so that what happens inside does not depend on how busy the
+and a kernel configured for a faster processor), so that what happens inside does not depend on how busy the
 host is. The job's exit status comes out in a file;
 where there is none, the machine has failed. What is missing is a sentence (`Missing`).
 """
@@ -44,8 +44,8 @@ SPARE = 128
 """MB of the image that are free, beside the space for what it holds."""
 SPEED = 8
 """QEMU executes one instruction in a nanosecond and counts one for the processor's time stamp counter; the
-kernel is told that it counts so many in a nanosecond. So a second inside is longer, and a robot of 200 Hz
-finds a processor about as fast as the host's."""
+kernel is configured so that it counts as many in a nanosecond. So a second inside is longer, and a robot of
+200 Hz finds a processor about as fast as the host's."""
 TIME_LIMIT = 1800.0
 """Seconds of the host from switching on to powering off: five times what it takes on an idle one."""
 
@@ -105,12 +105,12 @@ def _which(program: str) -> str | None:
 
 
 def _do(*command: str | Path, cwd: Path | None = None) -> str:
-    """Run a tool, and give what it prints. Raises Missing with its last words."""
+    """Run a tool and return its output. Raises Missing with its last line."""
     program = _which(str(command[0])) or str(command[0])
     done = subprocess.run([program, *command[1:]], cwd=cwd, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        words = (done.stderr.strip() or done.stdout.strip() or "without a word").splitlines()[-1]
-        raise Missing(f"`{shlex.join(map(str, command))}` failed: {words}")
+        text = (done.stderr.strip() or done.stdout.strip() or "no output").splitlines()[-1]
+        raise Missing(f"`{shlex.join(map(str, command))}` failed: {text}")
     return done.stdout
 
 
@@ -159,7 +159,8 @@ def _image() -> Path:
 
 
 def _contents(venv: Path, stdlib: Path) -> Iterator[str]:
-    """What tells one image from another: Python, the distributions and their plugins, the programs."""
+    """What distinguishes one image from another: Python, the distributions and their plugins, the
+    programs."""
     yield f"{sys.version} {venv} {stdlib}"
     for path in sorted(Path(sysconfig.get_path("purelib")).glob("*.dist-info")):
         plugins = path / "entry_points.txt"
@@ -231,8 +232,8 @@ def _initramfs(folder: Path, parts: Parts) -> Path:
     shutil.copy(_which("busybox") or "", top / "bin/busybox")
     order: list[str] = []
     for module in FIRST_MODULES:
-        said = _do("modprobe", "-d", parts.tree, "-S", parts.version, "--show-depends", module)
-        for path in (Path(line.split()[1]) for line in said.splitlines() if line.startswith("insmod ")):
+        output = _do("modprobe", "-d", parts.tree, "-S", parts.version, "--show-depends", module)
+        for path in (Path(line.split()[1]) for line in output.splitlines() if line.startswith("insmod ")):
             if path.name not in order:
                 order.append(path.name)
                 shutil.copy(path, top / "modules" / path.name)
@@ -266,8 +267,8 @@ def _qemu(parts: Parts, initramfs: Path, share: Path) -> list[str]:
         "-virtfs", f"local,path=/,mount_tag=host,readonly=on,{shared}",
         "-virtfs", f"local,path={share},mount_tag=share,{shared}",
         "-object", memory, "-device", "nvdimm,memdev=image",
-        "-object", "can-bus,id=wire",
-        "-device", "kvaser_pci,canbus=wire", "-device", "kvaser_pci,canbus=wire",
+        "-object", "can-bus,id=bus",
+        "-device", "kvaser_pci,canbus=bus", "-device", "kvaser_pci,canbus=bus",
     ]
     # fmt: on
 

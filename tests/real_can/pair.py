@@ -1,6 +1,6 @@
-"""Robots of these tests on a wire: `gateway run` and `gateway twin`, two processes.
+"""The robots of these tests on a bus: `gateway run` and `gateway twin`, two processes.
 
-The shipped ones as they are; and, where a wire has a bit rate, a rover, which is less work to emulate."""
+The shipped ones as they are; and, where a bus has a bit rate, a rover, which is less work to emulate."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ Pair = tuple[Program, Program]
 
 
 @contextmanager
-def on_the_wire(folder: Path, robot: Path, ends: tuple[str, str], *words: str) -> Iterator[Pair]:
-    """`run` on our end of the wire, `twin` on theirs; the sensors over a pty. `words` go to `gateway run`."""
+def connected(folder: Path, robot: Path, ends: tuple[str, str], *arguments: str) -> Iterator[Pair]:
+    """`run` on our interface, `twin` on theirs; the sensors over a pty. `arguments` go to `gateway run`."""
     ours, theirs = ends
     with Program(folder, "twin", str(robot), "--bus", f"can0=socketcan:{theirs}", "-v") as twin:
         twin.until("to run the robot:\n", "sensors=serial:")
         sensors = re.findall(r"sensors=(serial:\S+)", twin.text)[0]
         buses = ("--bus", f"can0=socketcan:{ours}", "--bus", f"sensors={sensors}")
-        with Program(folder, "run", str(robot), *buses, "-v", *words) as run:
+        with Program(folder, "run", str(robot), *buses, "-v", *arguments) as run:
             yield run, twin
 
 
 @contextmanager
-def rover(folder: Path, bitrate: int, ends: tuple[str, str], *words: str) -> Iterator[Pair]:
-    """The rover on a wire of that bit rate, 0 where it has none."""
+def rover(folder: Path, bitrate: int, ends: tuple[str, str], *arguments: str) -> Iterator[Pair]:
+    """The rover on a bus of that bit rate; 0 is a virtual one."""
     robot = folder / ROVER.name
     robot.write_text(ROVER.read_text().replace(f"bitrate = {BITRATE:_}", f"bitrate = {bitrate or BITRATE}"))
-    with on_the_wire(folder, robot, ends, *words) as pair:
+    with connected(folder, robot, ends, *arguments) as pair:
         yield pair

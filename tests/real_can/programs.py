@@ -17,32 +17,32 @@ from types import TracebackType
 from gateway.errors import OperatorError
 from gateway.operator import ask
 
-PATIENCE = 12.0
-"""s of the clock that the processes live by."""
+PATIENCE = 60.0
+"""s of the clock that the processes run on, against hanging."""
 _CONTEXT = get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["tests.real_can.loaded", "tests.real_can.programs"])
 
 
-def _become(words: tuple[str, ...], folder: Path, output: Path) -> None:
-    """Be the command, saying everything to a file."""
+def _become(arguments: tuple[str, ...], folder: Path, output: Path) -> None:
+    """Run the command in this process, with its output in a file."""
     from gateway.cli.main import main
 
-    said = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    log = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     for stream in (sys.stdout, sys.stderr):
-        os.dup2(said, stream.fileno())
+        os.dup2(log, stream.fileno())
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a TextIOWrapper in a new process
     os.environ["XDG_RUNTIME_DIR"] = str(folder)
-    sys.exit(main(list(words)))
+    sys.exit(main(list(arguments)))
 
 
 class Program:
-    """`gateway WORDS…`, running; ended with the block at the latest."""
+    """`gateway ARGUMENTS…`, running; ended with the block at the latest."""
 
-    def __init__(self, folder: Path, *words: str) -> None:
-        self.words = words
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.arguments = arguments
         self._folder = folder
-        self._output = folder / f"{'-'.join(words[:2]).replace('/', '-')}-{time.monotonic_ns()}.txt"
-        self._process = _CONTEXT.Process(target=_become, args=(words, folder, self._output))
+        self._output = folder / f"{'-'.join(arguments[:2]).replace('/', '-')}-{time.monotonic_ns()}.txt"
+        self._process = _CONTEXT.Process(target=_become, args=(arguments, folder, self._output))
 
     def __enter__(self) -> Program:
         self._process.start()
@@ -56,33 +56,32 @@ class Program:
 
     @property
     def text(self) -> str:
-        """What it has said so far."""
+        """Its output so far."""
         return self._output.read_text() if self._output.exists() else ""
 
-    def until(self, *texts: str, after: int = 0, patience: float = PATIENCE) -> int:
-        """Wait until it has said all of these, beyond so many characters; how many characters it has said."""
-        end = time.monotonic() + patience
+    def until(self, *texts: str, after: int = 0) -> int:
+        """Wait until its output beyond `after` characters has all of these; return its length."""
+        end = time.monotonic() + PATIENCE
         while not all(text in self.text[after:] for text in texts):
             if time.monotonic() > end or not self._process.is_alive():
                 missing = [text for text in texts if text not in self.text[after:]]
-                raise AssertionError(
-                    f"gateway {' '.join(self.words)}: not said: {missing}; said:\n{self.text}"
-                )
+                command = " ".join(self.arguments)
+                raise AssertionError(f"gateway {command}: not in its output: {missing}; output:\n{self.text}")
             time.sleep(0.02)
         return len(self.text)
 
     def ask(self, robot: str, line: str) -> str:
-        """What it answers to a line, as `gateway ask` would say it."""
+        """Return its reply to a line, as `gateway ask` would print it."""
         path = self._folder / "motor-gateway" / f"{robot}.sock"
         try:
             return ask(path, line, timeout=PATIENCE)
         except OperatorError as error:
-            raise AssertionError(f"{error}; said:\n{self.text}") from error
+            raise AssertionError(f"{error}; output:\n{self.text}") from error
 
     def end(self, number: signal.Signals | None = signal.SIGINT) -> int:
-        """Its exit status, after a signal unless it ends by itself."""
+        """Return its exit status, after a signal unless it ends by itself."""
         if number is not None and self._process.pid is not None:
             os.kill(self._process.pid, number)
         self._process.join(PATIENCE)
-        assert self._process.exitcode is not None, f"it does not end; said:\n{self.text}"
+        assert self._process.exitcode is not None, f"it does not end; output:\n{self.text}"
         return self._process.exitcode

@@ -1,7 +1,7 @@
-"""`gateway run` and `gateway twin`, two processes on a real CAN: a goal, the recording, what others see.
+"""`gateway run` and `gateway twin`, two processes on a real CAN: a goal, the recording, what candump sees.
 
-The shipped robots of each language, and of three on one CAN FD bus, on a virtual wire; a rover on a wire
-between two controllers."""
+The shipped robots of each protocol, and of three on one CAN FD bus, on a virtual bus; a rover between two
+controllers."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import pytest
 from gateway.recording import read
 from protocols.frames import CanFrame, Packet
 from tests.real_can.candump import Seen, candump, in_order, parse
-from tests.real_can.conftest import frame
-from tests.real_can.pair import SHIPPED, Pair, on_the_wire, rover
+from tests.real_can.conftest import bus_ends
+from tests.real_can.pair import SHIPPED, Pair, connected, rover
 from tests.real_can.programs import Program
 
 
@@ -26,13 +26,13 @@ class Robot:
 
     name: str
     kinds: frozenset[bool]
-    """Of the frames that go out: True is CAN FD."""
+    """Of the frames sent: True is CAN FD."""
     ids: int
-    """So many ids, at least, are ours alone."""
+    """Number of ids, at least, that only we send."""
     bitrate: int = 0
-    """Of the wire; 0 on a virtual one."""
+    """0 on a virtual bus."""
     then: tuple[tuple[str, str], ...] = ()
-    """What is asked when it has arrived, and what is said to that."""
+    """Requests after it has arrived, and the expected output."""
 
 
 CLASSIC, FD = frozenset({False}), frozenset({True})
@@ -52,23 +52,23 @@ def title(robot: Robot) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What is left of a drive."""
+    """The results of a drive."""
 
     robot: Robot
     status: int
-    said: str
+    text: str
     recording: Path
     seen: list[Seen]
     """By candump, on our end."""
 
 
 @contextmanager
-def driving(folder: Path, robot: Robot, ends: tuple[str, str], *words: str) -> Iterator[Pair]:
+def driving(folder: Path, robot: Robot, ends: tuple[str, str], *arguments: str) -> Iterator[Pair]:
     if robot.bitrate:
-        with rover(folder, robot.bitrate, ends, *words) as pair:
+        with rover(folder, robot.bitrate, ends, *arguments) as pair:
             yield pair
     else:
-        with on_the_wire(folder, SHIPPED / f"{robot.name}.toml", ends, *words) as pair:
+        with connected(folder, SHIPPED / f"{robot.name}.toml", ends, *arguments) as pair:
             yield pair
 
 
@@ -79,11 +79,11 @@ def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     recording, log = folder / "drive.mcap", folder / "candump.log"
     asked = ("--goal", "0.4,0.1", "--record", str(recording))
     with (
-        frame(robot.bitrate) as ends,
+        bus_ends(robot.bitrate) as ends,
         candump(ends[0], log),
         driving(folder, robot, ends, *asked) as (run, twin),
     ):
-        run.until("goal 1 reached", patience=60.0)
+        run.until("goal 1 reached")
         for line, seen in robot.then:
             run.ask(robot.name, line)
             run.until(seen)
@@ -94,8 +94,8 @@ def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def test_goal_is_reached(drive: Drive) -> None:
-    assert drive.status == 0, drive.said
-    assert "fault" not in drive.said
+    assert drive.status == 0, drive.text
+    assert "fault" not in drive.text
 
 
 def test_recording_is_replayed_to_the_same_bytes(drive: Drive, tmp_path: Path) -> None:

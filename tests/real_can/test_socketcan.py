@@ -50,8 +50,8 @@ def frames_of(packets: Sequence[Packet]) -> list[object]:
     return [packet.frame for packet in packets]
 
 
-def handle(bus: Bus, count: int = 1, patience: int = SECOND) -> list[Packet]:
-    """Read until so many frames have come, or for so long."""
+def receive(bus: Bus, count: int = 1, patience: int = SECOND) -> list[Packet]:
+    """Read until `count` frames have come, for `patience` at most."""
     received: list[Packet] = []
     until = CLOCK.now() + patience
     while len(received) < count and CLOCK.now() < until:
@@ -61,7 +61,7 @@ def handle(bus: Bus, count: int = 1, patience: int = SECOND) -> list[Packet]:
 
 
 def reported(bus: Bus, for_: int) -> list[BusState]:
-    """What it tells of itself, read every 5 ms for so long."""
+    """The state changes within `for_`, read every 5 ms."""
     states: list[BusState] = []
     until = CLOCK.now() + for_
     while CLOCK.now() < until:
@@ -83,10 +83,10 @@ def slow(name: str, frames: int) -> Iterator[None]:
     subprocess.run(f"tc qdisc del dev {name} root".split(), check=True)
 
 
-def obey(sentence: str) -> None:
-    """Type what a refusal says is to be typed."""
-    lines = [line.strip() for line in sentence.splitlines() if line.strip().startswith("sudo ")]
-    assert lines, sentence
+def run_commands(text: str) -> None:
+    """Run the commands that an error message proposes."""
+    lines = [line.strip() for line in text.splitlines() if line.strip().startswith("sudo ")]
+    assert lines, text
     for line in lines:
         subprocess.run(line.removeprefix("sudo ").split(), check=True, capture_output=True)
 
@@ -102,24 +102,24 @@ FRAMES = [
 # -- frames and stamps --------------------------------------------------------------------------------
 
 
-def test_frames_cross_in_order_and_own_ones_are_not_heard(vcan0: str, opened: Open) -> None:
+def test_frames_cross_in_order_and_own_ones_are_not_received(vcan0: str, opened: Open) -> None:
     one, other = opened(settings(vcan0)), opened(settings(vcan0))
     one.write(CLOCK.now(), FRAMES)
-    assert frames_of(handle(other, len(FRAMES))) == FRAMES
+    assert frames_of(receive(other, len(FRAMES))) == FRAMES
     assert one.read(CLOCK.now()) == ([], [])
 
 
 @pytest.mark.controllers
-def test_frames_cross_a_wire_between_two_controllers(controllers: Controllers, opened: Open) -> None:
+def test_frames_cross_between_two_controllers(controllers: Controllers, opened: Open) -> None:
     one, other = (opened(settings(name)) for name in controllers(1_000_000))
     one.write(CLOCK.now(), FRAMES)
-    assert frames_of(handle(other, len(FRAMES))) == FRAMES
+    assert frames_of(receive(other, len(FRAMES))) == FRAMES
     other.write(CLOCK.now(), FRAMES[::-1])
-    assert frames_of(handle(one, len(FRAMES))) == FRAMES[::-1]
+    assert frames_of(receive(one, len(FRAMES))) == FRAMES[::-1]
     assert (one.bad, other.bad, one.dropped, other.dropped) == (0, 0, 0, 0)
 
 
-def test_a_stamp_says_when_a_frame_came_and_not_when_it_was_read(vcan0: str, opened: Open) -> None:
+def test_a_timestamp_is_when_a_frame_arrived_and_not_when_it_was_read(vcan0: str, opened: Open) -> None:
     one, other = opened(settings(vcan0)), opened(settings(vcan0))
     time.sleep(0.05)  # the kernel's first to ask for stamps gets them a little later (net_enable_timestamp)
     moments = []
@@ -134,17 +134,17 @@ def test_a_stamp_says_when_a_frame_came_and_not_when_it_was_read(vcan0: str, ope
         assert before - slack <= packet.t <= after + slack
 
 
-def test_another_process_is_heard_and_hears_us(vcan0: str, opened: Open) -> None:
+def test_another_process_sends_to_us_and_receives_from_us(vcan0: str, opened: Open) -> None:
     bus = opened(settings(vcan0))
     with subprocess.Popen(
         ["candump", "-L", "-n", "3", "-T", "5000", vcan0], stdout=subprocess.PIPE, text=True
     ) as dump:
         time.sleep(0.5)
         subprocess.run(["cansend", vcan0, "345#DEADBEEF"], check=True)
-        assert frames_of(handle(bus)) == [CanFrame(0x345, b"\xde\xad\xbe\xef")]
+        assert frames_of(receive(bus)) == [CanFrame(0x345, b"\xde\xad\xbe\xef")]
         bus.write(CLOCK.now(), [CanFrame(0x12, b"\x01"), CanFrame(0x1ABCDEF0, b"\x02", extended=True)])
-        said, _ = dump.communicate()
-    assert [line.split()[-1] for line in said.splitlines()] == ["345#DEADBEEF", "012#01", "1ABCDEF0#02"]
+        output, _ = dump.communicate()
+    assert [line.split()[-1] for line in output.splitlines()] == ["345#DEADBEEF", "012#01", "1ABCDEF0#02"]
 
 
 def test_a_flood_from_another_process_arrives_whole(vcan0: str, opened: Open) -> None:
@@ -152,7 +152,7 @@ def test_a_flood_from_another_process_arrives_whole(vcan0: str, opened: Open) ->
     bus = opened(settings(vcan0))
     count = 3000
     subprocess.run(["cangen", vcan0, "-g", "0", "-n", str(count), "-I", "i", "-L", "8", "-i"], check=True)
-    packets = handle(bus, count)
+    packets = receive(bus, count)
     assert len(packets) == count
     assert [p.t for p in packets] == sorted(p.t for p in packets)
     assert (bus.missed, bus.bad) == (0, 0)
@@ -165,12 +165,12 @@ def test_frames_that_come_faster_than_they_are_read_are_counted_exactly(
     count, frame = 16_000, CanFrame(1, bytes(8))
     for _ in range(count // 1000):
         one.write(CLOCK.now(), [frame] * 1000)
-    received = len(handle(other, count))
+    received = len(receive(other, count))
     assert received < count
-    one.write(CLOCK.now(), [frame])  # the kernel tells with the next frame
-    assert len(handle(other)) == 1
+    one.write(CLOCK.now(), [frame])  # the kernel reports it with the next frame
+    assert len(receive(other)) == 1
     assert other.missed == count - received
-    assert f"{other.missed} frames came faster than they were read, and are lost" in caplog.text
+    assert f"{other.missed} frames were lost: they came faster than they were read" in caplog.text
 
 
 # -- CAN FD ---------------------------------------------------------------------------------------
@@ -186,10 +186,10 @@ def test_can_fd_with_and_without_the_switched_bit_rate_beside_classic_frames(
         CanFrame(2, b"classic"),
     ]
     one.write(CLOCK.now(), frames)
-    assert frames_of(handle(other, 3)) == frames
-    assert frames_of(handle(classic)) == [CanFrame(2, b"classic")]
+    assert frames_of(receive(other, 3)) == frames
+    assert frames_of(receive(classic)) == [CanFrame(2, b"classic")]
     one.write(CLOCK.now(), [CanFrame(3, b"ten bytes!", fd=True, brs=True)])
-    assert frames_of(handle(other)) == [CanFrame(3, b"ten bytes!\0\0", fd=True, brs=True)]
+    assert frames_of(receive(other)) == [CanFrame(3, b"ten bytes!\0\0", fd=True, brs=True)]
 
 
 def test_candump_sees_the_switched_bit_rate(vcan0: str, opened: Open) -> None:
@@ -199,21 +199,21 @@ def test_candump_sees_the_switched_bit_rate(vcan0: str, opened: Open) -> None:
     ) as dump:
         time.sleep(0.5)
         bus.write(CLOCK.now(), [CanFrame(0x123, bytes(12), fd=True, brs=True)])
-        said, _ = dump.communicate()
-    assert said.split()[-1] == f"123##5{'00' * 12}"  # the flags: 1 = switched, 4 = CAN FD
+        output, _ = dump.communicate()
+    assert output.split()[-1] == f"123##5{'00' * 12}"  # the flags: 1 = switched, 4 = CAN FD
 
 
-def test_a_can_fd_frame_on_a_classic_bus_is_refused_and_said_once(
+def test_a_can_fd_frame_on_a_classic_bus_is_refused_and_logged_once(
     vcan0: str, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     one, other = opened(settings(vcan0)), opened(settings(vcan0))
     one.write(CLOCK.now(), [CanFrame(1, b"", fd=True)] * 3 + [CanFrame(2)])
-    assert frames_of(handle(other)) == [CanFrame(2)]
+    assert frames_of(receive(other)) == [CanFrame(2)]
     assert one.dropped == 3
     assert caplog.text.count("a frame was refused: 001##0: Invalid argument") == 1
 
 
-# -- what a refusal says is to be typed, typed ------------------------------------------------------------
+# -- the commands that an error message proposes ---------------------------------------------------------
 
 
 def test_the_lines_for_a_missing_vcan_make_one(opened: Open) -> None:
@@ -221,7 +221,7 @@ def test_the_lines_for_a_missing_vcan_make_one(opened: Open) -> None:
         with pytest.raises(BusError, match="there is no CAN interface 'vcan7'") as caught:
             opened(kind("vcan7"))
         try:
-            obey(str(caught.value))
+            run_commands(str(caught.value))
             opened(kind("vcan7")).write(CLOCK.now(), [CanFrame(1)])
         finally:
             ip("link", "delete", "vcan7")
@@ -232,7 +232,7 @@ def test_the_lines_for_classic_can_where_can_fd_is_wanted_make_it_can_fd(vcan0: 
     ip("link", "set", vcan0, "mtu", "16", "up")
     with pytest.raises(BusError, match="classic CAN only") as caught:
         opened(fast(vcan0))
-    obey(str(caught.value))
+    run_commands(str(caught.value))
     opened(fast(vcan0))
 
 
@@ -241,12 +241,12 @@ def test_the_lines_for_another_bit_rate_set_it(controllers: Controllers, opened:
     one, other = controllers(500_000)
     with pytest.raises(BusError, match="has a bitrate of 500000 bit/s, the robot file has 1000000") as caught:
         opened(settings(one))
-    obey(str(caught.value))
+    run_commands(str(caught.value))
     opened(settings(one))
     ip("link", "set", other, "down")
     with pytest.raises(BusError, match=f"{other} is down") as caught:
         opened(BusSettings(other, "can", f"socketcan:{other}", bitrate=500_000))
-    obey(str(caught.value))
+    run_commands(str(caught.value))
     opened(BusSettings(other, "can", f"socketcan:{other}", bitrate=500_000))
     device = Device(one)
     link = device.link()
@@ -256,7 +256,7 @@ def test_the_lines_for_another_bit_rate_set_it(controllers: Controllers, opened:
 
 
 @pytest.mark.controllers
-def test_a_controller_that_only_listens_is_told(
+def test_a_listen_only_controller_is_logged(
     controllers: Controllers, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     one, _ = controllers(1_000_000)
@@ -268,7 +268,7 @@ def test_a_controller_that_only_listens_is_told(
     finally:
         ip("link", "set", one, "down")
         ip("link", "set", one, "type", "can", "listen-only", "off")
-    assert f"{one} only listens" in caplog.text
+    assert f"{one} is in listen-only mode" in caplog.text
 
 
 # -- filters ----------------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ def test_the_kernel_lets_in_what_is_asked_for_and_error_frames(vcan0: str, opene
     frames = [CanFrame(number, b"x") for number in range(0x800)]
     talker.write(CLOCK.now(), frames)
     expected = [frame for frame in frames if frame.id == 0x021 or frame.id & 0x1F == 6]
-    assert frames_of(handle(some, len(frames), SECOND // 5)) == expected
+    assert frames_of(receive(some, len(frames), SECOND // 5)) == expected
     subprocess.run(["cansend", vcan0, "20000040#0000000000000000"], check=True)
     assert reported(some, SECOND // 5) == [BusState.OFF]
 
@@ -304,7 +304,7 @@ def test_error_frames_become_states(vcan0: str, opened: Open) -> None:
 
 
 def go_down_and_up(name: str, bus: SocketcanBus, talker: Callable[[CanFrame], None]) -> None:
-    """Down is told at once; what comes right after going up is heard, though up is noticed later."""
+    """Down is reported at once; what comes right after going up is received, though up is detected later."""
     bus.write(CLOCK.now(), [CanFrame(1)])
     ip("link", "set", name, "down")
     assert bus.read(CLOCK.now())[0] == [BusState.GONE]
@@ -345,7 +345,7 @@ def test_a_controller_that_goes_down_and_comes_up(controllers: Controllers, open
     bus, far = opened(settings(one)), opened(settings(other))
     go_down_and_up(one, bus, lambda frame: far.write(CLOCK.now(), [frame]))
     bus.write(CLOCK.now(), [CanFrame(5)])
-    assert frames_of(handle(far, 2)) == [CanFrame(1), CanFrame(5)]
+    assert frames_of(receive(far, 2)) == [CanFrame(1), CanFrame(5)]
 
 
 @pytest.mark.controllers
@@ -372,16 +372,16 @@ def test_an_interface_that_is_removed_and_made_again(vcan0: str, opened: Open) -
     assert reported(bus, SECOND // 2) == [BusState.BACK]
     other = opened(settings(vcan0))
     bus.write(CLOCK.now(), [CanFrame(2)])
-    assert frames_of(handle(other)) == [CanFrame(2)]
+    assert frames_of(receive(other)) == [CanFrame(2)]
     other.write(CLOCK.now(), [CanFrame(3)])
-    assert frames_of(handle(bus)) == [CanFrame(3)]
+    assert frames_of(receive(bus)) == [CanFrame(3)]
 
 
 # -- full queues ----------------------------------------------------------------------------------
 
 
 @pytest.mark.controllers
-def test_a_full_queue_of_the_kernel_is_told_once_and_the_newest_goes_out(
+def test_a_full_queue_of_the_kernel_is_reported_once_and_the_newest_goes_out(
     controllers: Controllers, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     """ENOBUFS for real: ten frames fit."""
@@ -392,7 +392,7 @@ def test_a_full_queue_of_the_kernel_is_told_once_and_the_newest_goes_out(
         bus.write(CLOCK.now(), [CanFrame(number, b"new") for number in range(40, 60)])
         assert bus.read(CLOCK.now())[0] == [BusState.FULL]
         assert reported(bus, SECOND + CALM + SECOND // 2) == [BusState.UP]
-    assert frames_of(handle(far, 60)) == [CanFrame(n, b"old" if n < 40 else b"new") for n in range(60)]
+    assert frames_of(receive(far, 60)) == [CanFrame(n, b"old" if n < 40 else b"new") for n in range(60)]
     assert bus.dropped == 20
     assert f"sudo ip link set {one} txqueuelen 100" in caplog.text
 
@@ -414,7 +414,7 @@ def test_a_long_queue_of_the_kernel_does_not_fill_with_old_commands(
             bus.read(CLOCK.now())
             time.sleep(0.005)
         reported(bus, SECOND // 10)  # the last one may wait for room
-        received = handle(far, 400, SECOND // 2)
+        received = receive(far, 400, SECOND // 2)
     assert bus.dropped > 150  # sleeping 5 ms may take 8
     ages = [p.t - sent[p.frame.data] for p in received if isinstance(p.frame, CanFrame)]
     assert len(ages) == 400 - bus.dropped

@@ -68,6 +68,9 @@ def test_programs_on_different_ports_receive_each_other_and_not_themselves(
         adapters.read(0)
         assert [packet.frame for packet in other.read(1)[1]] == FRAMES
         assert [packet.frame for packet in host.read(1)[1]] == FRAMES[::-1]
+        host.close()
+        assert adapters.read(2)[0] == []  # the other program is still on the bus
+    assert adapters.read(3)[0] == [BusState.GONE]
 
 
 def test_the_host_never_waits_for_an_adapter_that_does_not_read(kind: str, adapters: AdapterPty) -> None:

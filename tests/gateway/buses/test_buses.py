@@ -69,7 +69,7 @@ def test_frames_arrive_whole_in_order_and_stamped(pair: tuple[Bus, Bus]) -> None
     assert other.read(8) == ([], [])
 
 
-def test_own_frames_are_not_heard(pair: tuple[Bus, Bus]) -> None:
+def test_own_frames_are_not_received(pair: tuple[Bus, Bus]) -> None:
     one, _ = pair
     one.write(0, FRAMES)
     assert one.read(1) == ([], [])
@@ -141,7 +141,7 @@ def broken() -> Iterator[tuple[CanBus, Frame]]:
     ],
     ids=["ENOBUFS", "select", "timeout"],
 )
-def test_a_full_queue_is_told_once_and_the_newest_command_wins(
+def test_a_full_queue_is_reported_once_and_the_newest_command_wins(
     broken: tuple[CanBus, Frame], full: Exception
 ) -> None:
     bus, frame = broken
@@ -159,7 +159,7 @@ def test_a_full_queue_is_told_once_and_the_newest_command_wins(
     assert bus.read(3 + CALM) == ([BusState.UP], [])
 
 
-def test_without_a_jam_frames_of_one_id_all_go_out(broken: tuple[CanBus, Frame]) -> None:
+def test_without_congestion_all_frames_of_one_id_are_sent(broken: tuple[CanBus, Frame]) -> None:
     bus, frame = broken
     frames = [CanFrame(1, bytes([n])) for n in range(4)]
     bus.write(0, frames)
@@ -177,7 +177,7 @@ def test_the_queue_is_bounded(broken: tuple[CanBus, Frame]) -> None:
     assert bus.dropped == 3
 
 
-def test_an_interface_that_vanishes_is_told_and_what_waited_is_thrown_away(
+def test_an_interface_that_vanishes_is_reported_and_the_queue_is_dropped(
     broken: tuple[CanBus, Frame],
 ) -> None:
     bus, frame = broken
@@ -199,7 +199,7 @@ def test_an_interface_that_vanishes_is_told_and_what_waited_is_thrown_away(
     assert bus.dropped == 2
 
 
-def test_an_interface_that_hears_itself_is_not_believed() -> None:
+def test_own_frames_received_over_loopback_are_dropped() -> None:
     raw = Frame()
     settings = BusSettings("can0", "can", "udp_multicast:239.74.163.2", bitrate=500_000)
     bus = CanBus(settings, SimulatedClock(), raw)
@@ -229,7 +229,7 @@ def test_error_frames_are_states_and_never_data(broken: tuple[CanBus, Frame]) ->
     assert bus.read(2) == ([BusState.OFF, BusState.BACK], [])
 
 
-def test_closing_twice_and_using_it_afterwards_hurts_nobody(pair: tuple[Bus, Bus]) -> None:
+def test_closing_again_and_using_a_closed_bus_is_harmless(pair: tuple[Bus, Bus]) -> None:
     one, other = pair
     one.close()
     one.close()
@@ -238,7 +238,7 @@ def test_closing_twice_and_using_it_afterwards_hurts_nobody(pair: tuple[Bus, Bus
     assert other.read(0) == ([], [])
 
 
-def test_an_adapter_on_a_serial_line_acknowledges_and_stutters() -> None:
+def test_an_adapters_acknowledgements_and_bad_lines_are_skipped() -> None:
     """Lawicel's language: t = 11-bit frame, r = remote frame, z and bare returns are acknowledgements."""
     device, host = os.openpty()
     tty.setraw(device)
@@ -287,34 +287,34 @@ def socketcan(channel: str, kind: Any = "can") -> BusSettings:
     return BusSettings("can0", kind, f"socketcan:{channel}", bitrate=1_000_000, data_bitrate=5_000_000)
 
 
-def test_a_missing_vcan_is_named_with_what_there_is_and_what_to_type(tmp_path: Path) -> None:
+def test_a_missing_vcan_is_named_with_what_there_is_and_the_commands(tmp_path: Path) -> None:
     net = a_net(tmp_path, can1="0x40080", can3="0x40081")
-    said = missing(socketcan("vcan0"), "vcan0", True, net)
-    assert "bus 'can0' cannot be opened as 'socketcan:vcan0'" in said
-    assert "there is no CAN interface 'vcan0'" in said
-    assert "can1, can3." in said
-    assert "sudo ip link add dev vcan0 type vcan\n  sudo ip link set vcan0 up" in said
+    text = missing(socketcan("vcan0"), "vcan0", True, net)
+    assert "bus 'can0' cannot be opened as 'socketcan:vcan0'" in text
+    assert "there is no CAN interface 'vcan0'" in text
+    assert "can1, can3." in text
+    assert "sudo ip link add dev vcan0 type vcan\n  sudo ip link set vcan0 up" in text
 
 
 def test_a_missing_can_gets_its_bit_rate(tmp_path: Path) -> None:
-    said = missing(socketcan("can0"), "can0", True, a_net(tmp_path))
-    assert "interfaces of this machine: none" in said
-    assert "sudo ip link set can0 type can bitrate 1000000 restart-ms 100\n  sudo ip link set can0 up" in said
-    said = missing(socketcan("can0", "canfd"), "can0", True, tmp_path)
-    assert "type can bitrate 1000000 dbitrate 5000000 fd on restart-ms 100" in said
+    text = missing(socketcan("can0"), "can0", True, a_net(tmp_path))
+    assert "interfaces of this machine: none" in text
+    assert "sudo ip link set can0 type can bitrate 1000000 restart-ms 100\n  sudo ip link set can0 up" in text
+    text = missing(socketcan("can0", "canfd"), "can0", True, tmp_path)
+    assert "type can bitrate 1000000 dbitrate 5000000 fd on restart-ms 100" in text
 
 
-def test_an_interface_that_is_down_is_told_apart(tmp_path: Path) -> None:
+def test_an_interface_that_is_down_is_not_called_missing(tmp_path: Path) -> None:
     net = a_net(tmp_path, can0="0x40080", can1="0x400c1")
     assert "can0 is down" in missing(socketcan("can0"), "can0", True, net)
     assert missing(socketcan("can1"), "can1", True, net) == ""
     assert can_interfaces(net) == ["can0", "can1"]
 
 
-def test_a_kernel_without_can_says_so_and_still_gives_the_lines(tmp_path: Path) -> None:
-    said = missing(socketcan("vcan0"), "vcan0", False, a_net(tmp_path))
-    assert "kernel has no CAN (errno 97" in said
-    assert "ip link add dev vcan0 type vcan" in said
+def test_a_kernel_without_can_is_named_with_the_commands(tmp_path: Path) -> None:
+    text = missing(socketcan("vcan0"), "vcan0", False, a_net(tmp_path))
+    assert "kernel has no CAN (errno 97" in text
+    assert "ip link add dev vcan0 type vcan" in text
 
 
 def test_a_socketcan_that_is_not_there_is_a_bus_error() -> None:
@@ -374,7 +374,7 @@ def test_what_is_there_is_one_packet_stamped_now(line: tuple[int, SerialBus, Bus
     assert packets == [Packet(9, "line", b"abc")]
 
 
-def test_a_line_that_nobody_reads_drops_whole_wires_and_stays_in_step(
+def test_a_line_that_is_not_read_drops_whole_messages_and_stays_in_step(
     line: tuple[int, SerialBus, BusSettings],
 ) -> None:
     device, bus, _ = line
@@ -398,7 +398,7 @@ def test_a_line_that_nobody_reads_drops_whole_wires_and_stays_in_step(
     assert 1000 - bus.dropped >= MOST_BYTES // 97
 
 
-def test_a_hang_up_is_told_once_and_raises_nothing(line: tuple[int, SerialBus, BusSettings]) -> None:
+def test_a_hang_up_is_reported_once_and_raises_nothing(line: tuple[int, SerialBus, BusSettings]) -> None:
     device, bus, _ = line
     os.close(device)
     states = poll(lambda: list(bus.read(5)[0]))
@@ -409,7 +409,7 @@ def test_a_hang_up_is_told_once_and_raises_nothing(line: tuple[int, SerialBus, B
     assert bus.dropped == 1
 
 
-def test_a_port_that_comes_back_is_told(tmp_path: Path) -> None:
+def test_a_port_that_comes_back_is_reported(tmp_path: Path) -> None:
     first, second = os.openpty(), os.openpty()
     for end in (*first, *second):
         tty.setraw(end)
@@ -432,12 +432,12 @@ def test_a_port_that_comes_back_is_told(tmp_path: Path) -> None:
         os.close(second[1])
 
 
-def test_a_port_in_use_is_told(line: tuple[int, SerialBus, BusSettings]) -> None:
+def test_a_port_in_use_is_reported(line: tuple[int, SerialBus, BusSettings]) -> None:
     with pytest.raises(BusError, match="another program has"):
         open_serial(line[2])
 
 
-def test_a_missing_port_is_told_with_what_there_is() -> None:
+def test_a_missing_port_is_reported_with_what_there_is() -> None:
     settings = BusSettings("line", "serial", "serial:/dev/ttyNOWHERE", baudrate=9600)
     with pytest.raises(BusError, match=r"bus 'line'.*serial:/dev/ttyNOWHERE.*Serial ports of this machine:"):
         open_serial(settings)

@@ -30,7 +30,7 @@ UP, PASSIVE, OFF, FULL, GONE, BACK = BusState
 
 
 @pytest.mark.parametrize(
-    ("said", "reported"),
+    ("states_set", "reported"),
     [
         ([UP], []),
         ([PASSIVE, PASSIVE, UP], [PASSIVE, UP]),
@@ -47,9 +47,9 @@ UP, PASSIVE, OFF, FULL, GONE, BACK = BusState
     ],
     ids=str,
 )
-def test_each_change_is_told_once(said: list[BusState], reported: list[BusState]) -> None:
+def test_each_change_is_reported_once(states_set: list[BusState], reported: list[BusState]) -> None:
     states = StateTracker()
-    for state in said:
+    for state in states_set:
         if state is FULL:
             states.full(0)
         else:
@@ -58,7 +58,7 @@ def test_each_change_is_told_once(said: list[BusState], reported: list[BusState]
     assert states.take(2) == []
 
 
-def test_a_jam_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_line_is_told() -> None:
+def test_congestion_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_state_is_reported() -> None:
     for line, after in ((UP, UP), (PASSIVE, PASSIVE)):
         states = StateTracker()
         reported = []
@@ -72,7 +72,7 @@ def test_a_jam_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_line_is
         assert states.take(last + CALM) == [after]
 
 
-def test_whatever_happens_what_was_told_last_is_what_is_so() -> None:
+def test_the_last_report_is_always_the_present_state() -> None:
     """Over random histories: no state twice in a row, and BACK exactly where OFF or GONE ends."""
     for seed in range(200):
         random, states, reported = Random(seed), StateTracker(), []
@@ -225,7 +225,7 @@ def test_frames_are_python_cans_own_bytes_and_come_back(frame: CanFrame) -> None
     assert unpack(pack(frame)) == frame
 
 
-def test_can_fd_is_padded_to_a_length_that_the_wire_has() -> None:
+def test_can_fd_is_padded_to_a_valid_length() -> None:
     for length in range(65):
         back = unpack(pack(CanFrame(1, b"\xff" * length, fd=True)))
         assert isinstance(back, CanFrame)
@@ -239,7 +239,7 @@ def test_can_fd_is_padded_to_a_length_that_the_wire_has() -> None:
      CanFrame(1, bytes(65), fd=True)],
     ids=str,
 )  # fmt: skip
-def test_what_is_no_frame_is_not_made_one(frame: CanFrame) -> None:
+def test_an_invalid_frame_is_not_encoded(frame: CanFrame) -> None:
     with pytest.raises(ValueError, match="carr"):
         pack(frame)
 
@@ -294,14 +294,16 @@ ERRORS: list[tuple[CanError, BusState | None, str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("received", "state", "words"), ERRORS, ids=[words for _, _, words in ERRORS])
-def test_error_frames_in_states_and_in_words(received: CanError, state: BusState | None, words: str) -> None:
+@pytest.mark.parametrize(("received", "state", "text"), ERRORS, ids=[text for _, _, text in ERRORS])
+def test_error_frames_have_a_state_and_a_description(
+    received: CanError, state: BusState | None, text: str
+) -> None:
     assert state_of(received) is state
-    assert describe(received) == words
+    assert describe(received) == text
     assert all("counter" not in kind for kind in kinds(received))
 
 
-def test_every_bit_of_an_error_frame_has_words() -> None:
+def test_every_bit_of_an_error_frame_has_a_description() -> None:
     for bit in range(10):
         assert describe(error(1 << bit, *[0xFF] * 8)), bit
     assert describe(error(0x200, 0, 0, 0, 0, 0, 0, 1, 2)).endswith("(error counters: 1 sending, 2 receiving)")

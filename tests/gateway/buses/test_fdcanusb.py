@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-import select
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, closing
 
@@ -40,6 +39,8 @@ from tests.gateway.buses.adapter_helpers import (
     cuts,
     cuttings,
     feed,
+    open_path,
+    wait_for_input,
 )
 
 # fmt: off
@@ -115,30 +116,30 @@ def test_checksums_are_the_vendors() -> None:
 
 @settings(deadline=None, derandomize=True)
 @given(frames, st.booleans())
-def test_what_the_vendors_client_sends_is_what_we_send_and_what_the_adapter_hears(
+def test_the_vendors_client_sends_what_we_send_and_the_adapter_receives_it(
     frame: CanFrame, checksums: bool
 ) -> None:
     """Its classic frames bear no f, and leave the format to the adapter; else the lines are the same."""
     client, written = vendors_client(checksums=checksums)
     asyncio.run(client._write_send_frame(theirs(frame)))
-    frames_heard, answer = Adapter(RATE, DATA_RATE).feed(written.data)
+    frames_received, answer = Adapter(RATE, DATA_RATE).feed(written.data)
     assert answer == (b"OK *BD\r\n" if checksums else b"OK\r\n")
     if frame.extended != (frame.id > 0x7FF):
         return  # the client cannot say that
     line = encode_send(frame).encode()
     if frame.fd:
         assert written.data == (with_checksum(line) if checksums else line) + b"\n"
-        assert frames_heard == [frame]
+        assert frames_received == [frame]
     else:
         assert split_checksum(written.data.strip())[0] == line.removesuffix(b"f")
-        assert [(received.id, received.data, received.fd) for received in frames_heard] == [
+        assert [(received.id, received.data, received.fd) for received in frames_received] == [
             (frame.id, frame.data, True)
         ]
 
 
 @settings(deadline=None, derandomize=True)
 @given(frames, st.booleans())
-def test_what_the_adapter_tells_is_read_by_the_vendors_client_and_by_us(
+def test_what_the_adapter_reports_is_read_by_the_vendors_client_and_by_us(
     frame: CanFrame, checksums: bool
 ) -> None:
     adapter = Adapter(RATE, DATA_RATE)
@@ -173,7 +174,7 @@ def test_what_cannot_be_a_frame_is_none(line: str) -> None:
     assert decode_received(line) is None
 
 
-def test_what_is_not_told_of_a_frame_is_taken_as_the_vendor_takes_it() -> None:
+def test_missing_flags_are_read_as_the_vendor_reads_them() -> None:
     assert decode_received("rcv 500 21") == CanFrame(0x500, b"\x21")
     assert decode_received("rcv 8005 21") == CanFrame(0x8005, b"\x21", True)
     assert decode_received("rcv 500 21 F B t12345 f3") == CanFrame(0x500, b"\x21", fd=True, brs=True)
@@ -206,14 +207,14 @@ def test_what_is_not_told_of_a_frame_is_taken_as_the_vendor_takes_it() -> None:
         (b"can send " + b"0" * 5000 + b"\ncan off\n", b"ERR line too long\r\nOK\r\n"),
     ],
 )
-def test_what_is_asked_is_answered_and_what_cannot_be_is_refused(sent: bytes, answers: bytes) -> None:
+def test_commands_are_answered_and_invalid_ones_refused(sent: bytes, answers: bytes) -> None:
     for pieces in cuttings(sent):
         adapter = Adapter(RATE, DATA_RATE)
         assert feed(adapter, pieces) == ([], answers)
         assert adapter.refused == answers.count(b"ERR")
 
 
-def test_flags_may_be_left_out_parted_or_said_twice() -> None:
+def test_flags_may_be_left_out_separated_or_repeated() -> None:
     adapter = Adapter(RATE, DATA_RATE)
     said = b"".join(b"can send 1 01%s\n" % flags for flags in (b"", b" b", b" f", b" B F", b" FBf", b" R"))
     kinds = [(frame.fd, frame.brs, frame.remote) for frame in adapter.feed(said)[0]]
@@ -231,9 +232,9 @@ def test_flags_may_be_left_out_parted_or_said_twice() -> None:
     ]
 
 
-def test_a_length_that_there_is_not_is_filled_up_with_zeros_on_the_wire() -> None:
-    frames_heard, _ = Adapter(RATE, DATA_RATE).feed(b"can send 1 %s BF\n" % (b"AA" * 33))
-    assert frames_heard == [CanFrame(1, b"\xaa" * 33 + bytes(15), fd=True, brs=True)]
+def test_an_invalid_length_is_zero_padded() -> None:
+    frames_received, _ = Adapter(RATE, DATA_RATE).feed(b"can send 1 %s BF\n" % (b"AA" * 33))
+    assert frames_received == [CanFrame(1, b"\xaa" * 33 + bytes(15), fd=True, brs=True)]
 
 
 def test_a_bus_of_classic_can_takes_no_fd_frames_and_none_are_sent_unasked() -> None:
@@ -242,7 +243,7 @@ def test_a_bus_of_classic_can_takes_no_fd_frames_and_none_are_sent_unasked() -> 
     assert adapter.feed(b"can send 1 01\n") == ([CanFrame(1, b"\x01")], b"OK\r\n")
 
 
-def test_an_adapter_of_another_rate_neither_hears_nor_is_heard() -> None:
+def test_an_adapter_of_another_bit_rate_neither_sends_nor_receives() -> None:
     adapter = Adapter(RATE, DATA_RATE)
     assert adapter.feed(b"can off\nconf set can.fd_bitrate 2000000\ncan on\n") == ([], b"OK\r\n" * 3)
     assert adapter.wrong_rate
@@ -290,7 +291,7 @@ def test_a_bad_checksum_changes_nothing_and_is_counted() -> None:
 
 # -- any bytes -----------------------------------------------------------------------------------------
 
-noise = st.lists(
+streams = st.lists(
     st.one_of(
         st.binary(max_size=30),
         st.sampled_from([b"\r", b"\n", b"can send 1", b"23 00\n", b"can off\n", b"can on\n", b"0" * 300]),
@@ -302,8 +303,8 @@ noise = st.lists(
 
 
 @settings(deadline=None, derandomize=True)
-@given(noise, cuts)
-def test_any_bytes_cut_anywhere_raise_nothing_and_say_the_same(pieces: list[bytes], sizes: list[int]) -> None:
+@given(streams, cuts)
+def test_any_bytes_cut_anywhere_raise_nothing_and_decode_alike(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(pieces)
     whole, parted = Adapter(RATE, DATA_RATE), Adapter(RATE, DATA_RATE)
     replies = whole.feed(data)
@@ -362,7 +363,7 @@ def test_and_without_checksums(bus: AdapterPty, caplog: pytest.LogCaptureFixture
     assert caplog.text == ""
 
 
-def test_a_frame_without_data_is_refused_and_said_once(
+def test_a_frame_without_data_is_refused_and_logged_once(
     bus: AdapterPty, caplog: pytest.LogCaptureFixture
 ) -> None:
     with closing(opened(bus.paths[0])) as ours:
@@ -385,7 +386,7 @@ class Port:
     def received(self) -> bytes:
         return self.pty.read()
 
-    def says(self, ours: CanBus, data: bytes, now: int = 0) -> tuple[list[BusState], list[Packet]]:
+    def send(self, ours: CanBus, data: bytes, now: int = 0) -> tuple[list[BusState], list[Packet]]:
         self.pty.write(data)
         states, packets = ours.read(now)
         return list(states), list(packets)
@@ -410,7 +411,7 @@ def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_re
             b"\xff" * 300 + b"\n",
             with_checksum(b"rcv 1") + b"\n",
         ]
-        states, packets = port.says(
+        states, packets = port.send(
             ours, b"".join([*lines, with_checksum(b"hello") + b"\n", b"\r\n", good]), 7
         )
         assert states == []
@@ -419,34 +420,34 @@ def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_re
 
 
 @settings(deadline=None, derandomize=True, max_examples=30)
-@given(noise, cuts)
-def test_our_end_raises_nothing_on_any_bytes_cut_anywhere(pieces: list[bytes], sizes: list[int]) -> None:
+@given(streams, cuts)
+def test_the_client_raises_nothing_on_any_bytes_cut_anywhere(pieces: list[bytes], sizes: list[int]) -> None:
     data = b"".join(piece.replace(b"can send", b"rcv") for piece in pieces)
     counts = []
     for parts in ([data], list(cut(data, sizes))):
         port = Port()
         with closing(port.adapter), closing(opened(port.path)) as ours:
             port.received()
-            received = [packet.frame for part in parts for packet in port.says(ours, part)[1]]
+            received = [packet.frame for part in parts for packet in port.send(ours, part)[1]]
             counts.append((received, ours.bad))
     assert counts[0] == counts[1]
 
 
-def test_checksums_follow_what_the_adapter_complains_of(port: Port) -> None:
+def test_checksums_follow_the_errors_of_the_adapter(port: Port) -> None:
     with closing(opened(port.path)) as ours:
         port.received()
         ours.write(0, [FRAME])
         assert port.received() == with_checksum(SEND) + b"\n"
-        port.says(ours, b"ERR unknown flag\r\n")  # as one that knows no checksums takes it
+        port.send(ours, b"ERR unknown flag\r\n")  # as one that knows no checksums takes it
         ours.write(0, [FRAME])
         assert port.received() == SEND + b"\n"
-        assert port.says(ours, encode_received(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
-        port.says(ours, b"ERR checksum required\r\n")
+        assert port.send(ours, encode_received(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
+        port.send(ours, b"ERR checksum required\r\n")
         ours.write(0, [FRAME])
         assert port.received() == with_checksum(SEND) + b"\n"
 
 
-def test_who_only_listens_hears_an_adapter_that_nobody_has_asked_for_checksums(bus: AdapterPty) -> None:
+def test_a_listener_receives_from_an_adapter_without_checksums(bus: AdapterPty) -> None:
     from gateway.monitor.sources import open_source
 
     source = open_source(at(bus.paths[0]), SimulatedClock())
@@ -463,18 +464,18 @@ def test_an_adapter_that_is_off_the_bus_is_put_on_it(port: Port) -> None:
         ours.read(0)
         assert port.received() == b"conf get can.bitrate\nconf get can.fd_bitrate\n"
         ours.write(0, [FRAME])
-        port.says(ours, b"ERR not in BusOn state\r\n")
+        port.send(ours, b"ERR not in BusOn state\r\n")
         assert port.received() == SEND + b"\ncan on\n"
 
 
 @pytest.mark.usefixtures("known")
-def test_an_adapter_of_another_bit_rate_is_told_with_what_to_do(
+def test_an_adapter_of_another_bit_rate_is_logged_with_the_commands(
     port: Port, caplog: pytest.LogCaptureFixture
 ) -> None:
     with closing(opened(port.path)) as ours, caplog.at_level(logging.ERROR):
         ours.read(0)
         port.received()
-        port.says(ours, b"1000000\r\n2000000\r\n")
+        port.send(ours, b"1000000\r\n2000000\r\n")
         assert ours.bad == 0
     (said,) = caplog.messages
     assert said.startswith(
@@ -536,16 +537,16 @@ def test_a_program_that_hangs_up_leaves_an_adapter_without_checksums_and_nothing
     bus: AdapterPty,
 ) -> None:
     for turn in range(3):
-        other = os.open(bus.paths[0], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        other = open_path(bus.paths[0])
         os.write(other, with_checksum(SEND) + b"\n" + b"can send 12")  # and is killed in the middle of a line
         assert bus.read(turn) == ([BusState.BACK], [Packet(turn, "can0", FRAME)])
         bus.write(turn, [CanFrame(0x1, b"old news")])
         os.close(other)
         assert bus.read(turn)[0] == [BusState.GONE]
-    other = os.open(bus.paths[0], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    other = open_path(bus.paths[0])
     bus.read(9)
     os.write(other, SEND + b"\n")
     assert bus.read(9)[1] == [Packet(9, "can0", FRAME)]
-    assert select.select([other], [], [], 1.0)[0]
+    wait_for_input(other)
     assert os.read(other, 100) == b"OK\r\n"
     os.close(other)

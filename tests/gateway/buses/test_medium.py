@@ -1,4 +1,4 @@
-"""One wire in virtual time: durations, arbitration, order, limits."""
+"""A shared medium in virtual time: durations, arbitration, order, limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MBIT = 1_000_000
         (b"", 0),
     ],
 )
-def test_how_long_a_wire_takes_at_one_megabit(frame: Frame, nanos: int) -> None:
+def test_duration_at_one_megabit(frame: Frame, nanos: int) -> None:
     assert frame_time(frame, MBIT) == nanos
     assert frame_time(frame, MBIT // 2) == 2 * nanos
 
@@ -90,7 +90,7 @@ def test_a_can_fd_frame_takes_no_less_than_its_bits_and_little_more_than_the_wor
             assert bound - worst[length, extended] <= 10 + 2 * length
 
 
-def test_can_fd_data_fill_a_length_that_there_is() -> None:
+def test_can_fd_data_is_padded_to_a_valid_length() -> None:
     line = Medium(MBIT, 5 * MBIT)
     for length in (8, 9, 13, 33, 49):
         line.send(0, "a", CanFrame(1, b"\x50" * length, fd=True, brs=True))
@@ -111,7 +111,7 @@ def test_frames_of_both_kinds_share_a_bus() -> None:
     assert (second.sender, second.t - first.t) == ("fd", 34_000 + 55_600)
 
 
-def test_who_wins_the_arbitration() -> None:
+def test_arbitration() -> None:
     ranked = [
         CanFrame(0x001, b"\0"),
         CanFrame(0x001, remote=True),
@@ -140,7 +140,7 @@ def test_frames_contend_and_each_sender_keeps_its_order() -> None:
     assert [sent.t for sent in arrived] == [135_000 * (i + 1) for i in range(4)]
 
 
-def test_a_frame_on_the_wire_is_not_interrupted() -> None:
+def test_a_frame_being_sent_is_not_interrupted() -> None:
     line = Medium(MBIT)
     line.send(0, "a", CanFrame(0x700, bytes(8)))
     assert line.run(100_000) == []
@@ -158,7 +158,7 @@ def test_bytes_go_first_come_first_served() -> None:
     ]
 
 
-def test_what_arrives_does_not_hang_on_how_often_one_looks() -> None:
+def test_arrivals_do_not_depend_on_how_often_the_medium_is_run() -> None:
     rng = np.random.Generator(np.random.PCG64(11))
     moments = np.sort(rng.integers(0, 20 * MILLISECOND, 150)).tolist()
     ids = rng.integers(0, 0x7FF, 150).tolist()
@@ -177,7 +177,7 @@ def test_what_arrives_does_not_hang_on_how_often_one_looks() -> None:
     assert arrivals(50_000) == often
 
 
-def test_a_full_queue_drops_the_oldest_and_says_so() -> None:
+def test_a_full_queue_drops_the_oldest_and_reports_it() -> None:
     line = Medium(MBIT, limit=2)
     assert line.send(0, "a", CanFrame(1))
     assert line.send(0, "a", CanFrame(2))

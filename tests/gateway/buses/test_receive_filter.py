@@ -1,4 +1,4 @@
-"""`receive_filter = "own"`: what the kernel then keeps back changes nothing that a driver understands."""
+"""`receive_filter = "own"`: what the kernel then drops changes nothing that a driver decodes."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ def own(text: str = TEXT) -> Robot:
     return config.parse_robot(text.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "own"', 1))
 
 
-def let_in(received: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
-    """As the kernel chooses (linux/can.h): one choice that fits is enough."""
+def accepted_by(received: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
+    """As the kernel filters (linux/can.h): one filter that matches is enough."""
     return not received or any(frame.id & mask == number & mask for number, mask in received)
 
 
-def test_everything_is_heard_unless_the_file_says_otherwise() -> None:
+def test_every_id_is_received_unless_the_file_has_a_filter() -> None:
     assert config.parse_robot(TEXT).buses["can0"].receive_filter == ()
     text = TEXT.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "all"', 1)
     assert config.parse_robot(text).buses["can0"].receive_filter == ()
 
 
-def test_own_is_what_the_specs_expect_and_overhear() -> None:
+def test_own_accepts_what_the_specs_expect() -> None:
     robot = own()
     received = robot.buses["can0"].receive_filter
     assert robot.buses["sensors"].receive_filter == ()
     specs = [motor.spec for motor in robot.motors.values()]
-    assert all(let_in(received, CanFrame(number)) for spec in specs for number in spec.expects)
-    assert not let_in(received, CanFrame(0x7F0))
-    assert 0 < sum(let_in(received, CanFrame(number)) for number in range(0x800)) < 0x800 // 4
+    assert all(accepted_by(received, CanFrame(number)) for spec in specs for number in spec.expects)
+    assert not accepted_by(received, CanFrame(0x7F0))
+    assert 0 < sum(accepted_by(received, CanFrame(number)) for number in range(0x800)) < 0x800 // 4
 
 
-def test_a_serial_line_and_another_word_are_mistakes() -> None:
+def test_a_filter_on_a_serial_line_and_an_unknown_filter_are_mistakes() -> None:
     with pytest.raises(ConfigError, match="a serial bus has no ids"):
         config.parse_robot(TEXT.replace("[buses.sensors]", '[buses.sensors]\nreceive_filter = "own"', 1))
     with pytest.raises(ConfigError, match="receive_filter"):
@@ -50,34 +50,34 @@ def test_a_serial_line_and_another_word_are_mistakes() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_driver_is_told_the_same_by_what_is_let_in(seed: int) -> None:
+def test_a_driver_decodes_the_same_events_behind_the_filter(seed: int) -> None:
     """Random frames of every 11-bit id, of the right length more often than not, before and during a scan."""
     robot = own()
     (plugin, devices), received = _of_can0(robot), robot.buses["can0"].receive_filter
     all_, some = plugin.driver(devices), plugin.driver(devices)
-    random, kept_back = Random(seed), 0
-    said: tuple[list[Event], list[Event]] = ([], [])
+    random, dropped = Random(seed), 0
+    events: tuple[list[Event], list[Event]] = ([], [])
     for n in range(12_000):
         now = n * MILLISECOND
         number = random.randrange(0x800)
         frame = CanFrame(number, _data(random, number), remote=random.random() < 0.02)
-        said[0].extend(all_.receive(now, frame))
-        if let_in(received, frame):
-            said[1].extend(some.receive(now, frame))
+        events[0].extend(all_.receive(now, frame))
+        if accepted_by(received, frame):
+            events[1].extend(some.receive(now, frame))
         else:
-            kept_back += 1
+            dropped += 1
         if n % 5 == 0:
-            words = [Scan("can0")] if n == 5000 else []
-            for driver, events in zip((all_, some), said, strict=True):
-                reported, _ = driver.send(now, words)
-                events.extend(reported)
-    assert said[0] == said[1]
-    assert len(said[0]) > 100
+            requests = [Scan("can0")] if n == 5000 else []
+            for driver, found in zip((all_, some), events, strict=True):
+                reported, _ = driver.send(now, requests)
+                found.extend(reported)
+    assert events[0] == events[1]
+    assert len(events[0]) > 100
     assert (some.counters.accepted, some.counters.malformed) == (
         all_.counters.accepted,
         all_.counters.malformed,
     )
-    assert all_.counters.ignored == some.counters.ignored + kept_back > kept_back > 5_000
+    assert all_.counters.ignored == some.counters.ignored + dropped > dropped > 5_000
 
 
 def _of_can0(robot: Robot) -> tuple[Plugin, list[Device]]:
@@ -86,6 +86,6 @@ def _of_can0(robot: Robot) -> tuple[Plugin, list[Device]]:
 
 
 def _data(random: Random, number: int) -> bytes:
-    """Eight bytes, mostly; where a node answers a roll call, its own number first."""
+    """Eight bytes, mostly; in a reply to address discovery the node's own number first."""
     data = random.randbytes(8 if random.random() < 0.9 else random.randrange(9))
     return bytes([number >> 5]) + data[1:] if number & 0x1F == 6 and data else data

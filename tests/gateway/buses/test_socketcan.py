@@ -131,7 +131,7 @@ def test_one_read_is_bounded(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [len(rig.bus.read(now)[1]) for now in range(3)] == [3, 2, 0]
 
 
-def test_a_queue_that_is_full_keeps_the_newest_of_each_id_and_tells_it_once(
+def test_a_full_queue_keeps_the_newest_of_each_id_and_is_reported_once(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
     """It says EAGAIN, as a raw CAN socket does that has used up its share of the kernel's memory."""
@@ -160,7 +160,7 @@ def test_a_queue_that_is_full_keeps_the_newest_of_each_id_and_tells_it_once(
     assert caplog.text.count("txqueuelen") == 1
 
 
-def test_what_the_kernel_holds_for_too_long_gets_no_company(rig: Rig) -> None:
+def test_nothing_is_added_to_what_the_kernel_holds_for_too_long(rig: Rig) -> None:
     """Nobody takes what was sent: as with a controller that nobody acknowledges, behind a long queue."""
     step = 5 * MILLISECOND
     reported: list[BusState] = []
@@ -182,7 +182,9 @@ def test_what_the_kernel_holds_for_too_long_gets_no_company(rig: Rig) -> None:
     assert rig.frame.recv(100) == pack(CanFrame(1, b"on"))
 
 
-def test_error_frames_are_states_and_words_and_never_data(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+def test_error_frames_are_states_and_log_lines_and_never_data(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
     received = [error_frame(0x004, 0, 0x20), error_frame(0x028), error_frame(0x028), error_frame(0x040)]
     with caplog.at_level(logging.INFO, "gateway"):
         for raw in received:
@@ -200,7 +202,9 @@ def test_error_frames_are_states_and_words_and_never_data(rig: Rig, caplog: pyte
     assert rig.bus.dropped == 1
 
 
-def test_a_controller_that_restarts_by_itself_is_said_to(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_controller_that_restarts_by_itself_is_logged_as_such(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
     rig.bus._link = replace(LINK, restart_ms=100)
     rig.frame.send(error_frame(0x040))
     with caplog.at_level(logging.WARNING, "gateway"):
@@ -208,7 +212,7 @@ def test_a_controller_that_restarts_by_itself_is_said_to(rig: Rig, caplog: pytes
     assert "can0 restarts by itself 100 ms after bus-off" in caplog.text
 
 
-def test_an_error_frame_that_was_lost_is_made_up_for_by_asking_the_kernel(rig: Rig) -> None:
+def test_after_a_lost_error_frame_the_kernel_is_asked(rig: Rig) -> None:
     rig.bus.read(0)
     rig.kernel.status_ = Status(7, up=True, running=False)
     rig.kernel.link_ = replace(LINK, state=BusState.OFF)
@@ -220,7 +224,7 @@ def test_an_error_frame_that_was_lost_is_made_up_for_by_asking_the_kernel(rig: R
     assert rig.bus.read(3 * SLOW_POLL) == ([BusState.UP], [])
 
 
-def test_an_interface_that_goes_down_and_comes_up_keeps_what_it_heard(rig: Rig) -> None:
+def test_an_interface_that_goes_down_and_comes_up_keeps_what_it_received(rig: Rig) -> None:
     rig.bus.read(0)
     rig.kernel.status_ = Status(7, up=False, running=False)
     assert rig.bus.read(SECOND) == ([BusState.GONE], [])
@@ -264,7 +268,9 @@ def test_an_interface_that_comes_back_as_another_one_is_opened_anew(
     theirs.close()
 
 
-def test_one_that_comes_back_set_up_otherwise_stays_gone(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_interface_that_comes_back_configured_otherwise_stays_gone(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
     rig.kernel.status_ = Status(7, up=False, running=False)
     rig.bus.read(0)
     rig.kernel.status_ = Status(7, up=True, running=True)
@@ -276,14 +282,14 @@ def test_one_that_comes_back_set_up_otherwise_stays_gone(rig: Rig, caplog: pytes
     assert rig.bus.read(3 * SECOND)[0] == [BusState.BACK]
 
 
-def test_what_the_other_end_of_a_dead_socket_says_is_told_and_not_raised(rig: Rig) -> None:
+def test_an_error_that_is_not_the_interfaces_is_counted_and_not_raised(rig: Rig) -> None:
     rig.frame.close()
     rig.bus.write(1, [CanFrame(1)])  # ECONNREFUSED: no error of an interface; the frame is refused
     assert rig.bus.read(2)[0] == []
     assert rig.bus.dropped == 1
 
 
-def test_what_is_no_frame_is_refused_and_said_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_invalid_frame_is_refused_and_logged_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, "gateway"):
         rig.bus.write(1, [CanFrame(0x800), CanFrame(0x801), CanFrame(1, b"good")])
     assert caplog.text.count("a frame was refused") == 1
@@ -291,7 +297,7 @@ def test_what_is_no_frame_is_refused_and_said_once(rig: Rig, caplog: pytest.LogC
     assert rig.bus.dropped == 2
 
 
-def test_the_safe_word_that_waits_goes_out_on_closing() -> None:
+def test_the_stop_command_that_waits_is_sent_on_closing() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     theirs.setblocking(False)
     bus = SocketcanBus(SETTINGS, SimulatedClock(), End(ours), Kernel())
@@ -329,7 +335,7 @@ FD = BusSettings("fast", "canfd", "socketcan:can0", bitrate=1_000_000, data_bitr
         (FD, replace(LINK, name="vcan0", kind="vcan", bitrate=0), ["sudo ip link set vcan0 mtu 72 up"]),
     ],
 )  # fmt: skip
-def test_an_interface_that_is_set_up_otherwise_is_told_with_what_to_type(
+def test_an_interface_configured_otherwise_is_reported_with_the_commands(
     settings: BusSettings, link: Link, lines: list[str]
 ) -> None:
     with pytest.raises(BusError) as caught:
@@ -346,7 +352,7 @@ def test_an_interface_that_is_set_up_otherwise_is_told_with_what_to_type(
         (FD, replace(LINK, mtu=72, data_bitrate=5_000_000)),
     ],
 )
-def test_one_that_fits_is_taken(settings: BusSettings, link: Link) -> None:
+def test_an_interface_that_fits_is_accepted(settings: BusSettings, link: Link) -> None:
     check_fit(settings, link)
 
 
@@ -357,5 +363,5 @@ def test_filters_are_python_cans() -> None:
     ]
 
 
-def test_errno_of_an_interface_that_is_down_is_never_taken_for_a_full_queue() -> None:
+def test_the_errno_of_an_interface_that_is_down_is_not_that_of_a_full_queue() -> None:
     assert {errno.ENETDOWN, errno.ENODEV}.isdisjoint(socketcan._FULL)

@@ -35,7 +35,9 @@ class Rig:
     states: list[tuple[str, BusState]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
 
-    def run(self, steps: int, say: Callable[[Nanos], Messages] | None = None, period: Nanos = PERIOD) -> Rig:
+    def run(
+        self, steps: int, command: Callable[[Nanos], Messages] | None = None, period: Nanos = PERIOD
+    ) -> Rig:
         """So many steps; what `say` gives is said to the motors at each."""
         for _ in range(steps):
             for name, bus in self.twins.buses.items():
@@ -44,8 +46,8 @@ class Rig:
                 for packet in packets:
                     self.packets.append(packet)
                     self.events += self.drivers[name].receive(packet.t, packet.frame)
-            if say:
-                _, frames = self.drivers["motors"].send(self.now, say(self.now))
+            if command:
+                _, frames = self.drivers["motors"].send(self.now, command(self.now))
                 self.twins.buses["motors"].write(self.now, frames)
             self.now += period
         return self
@@ -84,7 +86,7 @@ def drive(left: float, right: float) -> Callable[[Nanos], Messages]:
 # -- motion through gear, sign and wire -----------------------------------------------------------------
 
 
-def test_a_velocity_said_to_both_motors_drives_straight() -> None:
+def test_equal_velocities_drive_straight() -> None:
     driven = rig().run(600, drive(6.0, 6.0))
     assert driven.twins.world.truth().x == pytest.approx(0.05 * 6.0 * 3.0, rel=0.05)
     assert abs(driven.twins.world.truth().y) < 0.01
@@ -112,7 +114,7 @@ def test_encoders_count() -> None:
     assert max(abs(value - round(value)) for value in counts) < 1e-6
 
 
-def test_what_stays_behind_the_motors_when_nobody_speaks() -> None:
+def test_motors_without_commands_stay_still() -> None:
     silent = rig().run(200)
     assert silent.truth() < 1e-3
     assert {e.motor for e in silent.events if isinstance(e, msg.Feedback)} == {"left", "right"}
@@ -172,7 +174,7 @@ def test_measurements_bring_the_time_at_which_they_were_taken() -> None:
         assert 0 <= scan.t - index * 100 * MILLISECOND <= late + MILLISECOND
 
 
-def test_what_is_told_does_not_hang_on_how_often_one_reads() -> None:
+def test_packets_do_not_depend_on_how_often_the_bus_is_read() -> None:
     often = rig(scene(ROOM + WALLS)).run(900, period=MILLISECOND).packets
     seldom = rig(scene(ROOM + WALLS)).run(900 // 7 + 1, period=7 * MILLISECOND).packets
     shared = min(len(often), len(seldom))
@@ -217,8 +219,8 @@ def test_a_copy_goes_on_alike() -> None:
 class Spy:
     """A twin that keeps what it was shown and what it said."""
 
-    def __init__(self, name: str, inner: Twin, shown: list[tuple[str, Event]], said: list[Frame]) -> None:
-        self.name, self.inner, self.shown, self.said = name, inner, shown, said
+    def __init__(self, name: str, inner: Twin, shown: list[tuple[str, Event]], sent: list[Frame]) -> None:
+        self.name, self.inner, self.shown, self.sent = name, inner, shown, sent
 
     def receive(self, t: Nanos, frame: Frame) -> None:
         self.inner.receive(t, frame)
@@ -226,7 +228,7 @@ class Spy:
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         self.shown += [(self.name, event) for event in truth]
         torques, frames = self.inner.step(now, truth)
-        self.said += frames
+        self.sent += frames
         return torques, frames
 
     def due(self) -> Nanos | None:
@@ -238,11 +240,11 @@ class Spy:
 
 def test_nothing_but_shafts_and_readings_reaches_a_packet() -> None:
     shown: list[tuple[str, Event]] = []
-    said: list[Frame] = []
+    sent: list[Frame] = []
 
     def spied(plugin: Plugin) -> Plugin:
         def twin(device: Device, seed: int) -> Twin:
-            return Spy(device.name, plugin.twin(device, seed), shown, said)
+            return Spy(device.name, plugin.twin(device, seed), shown, sent)
 
         return replace(plugin, twin=twin)
 
@@ -264,15 +266,17 @@ def test_nothing_but_shafts_and_readings_reaches_a_packet() -> None:
             assert (event.torque, event.current, event.voltage) == (None, None, None)
         if isinstance(event, msg.Imu):
             assert event.orientation is None
-    twice = {id(frame) for frame in said}
+    sent_by_twins = {id(frame) for frame in sent}
     assert len(driven.packets) > 500
-    assert all(id(packet.frame) in twice for packet in driven.packets), "every packet is what a twin said"
+    assert all(id(packet.frame) in sent_by_twins for packet in driven.packets), (
+        "every packet is what a twin sent"
+    )
 
 
 # -- faults ---------------------------------------------------------------------------------------------
 
 
-def heard_since(driven: Rig, start: Nanos, motor: str) -> list[Event]:
+def events_since(driven: Rig, start: Nanos, motor: str) -> list[Event]:
     return [
         e
         for e in driven.events
@@ -280,20 +284,20 @@ def heard_since(driven: Rig, start: Nanos, motor: str) -> list[Event]:
     ]
 
 
-def test_a_silent_motor_is_not_heard_and_does_not_hear() -> None:
+def test_a_disconnected_motor_neither_sends_nor_receives() -> None:
     driven = rig(bench()).run(200, drive(4.0, 4.0))
     driven.twins.disconnect("left")
     start = driven.now
     driven.run(200, drive(8.0, 8.0))
-    assert heard_since(driven, start, "left") == []
-    assert heard_since(driven, start, "right")
+    assert events_since(driven, start, "left") == []
+    assert events_since(driven, start, "right")
     # Its own watchdog (100 ms) has disarmed it, so it runs out; the other one has followed.
     assert abs(driven.twins.world.shaft("left")[1]) < 1.0
     assert driven.twins.world.shaft("right")[1] == pytest.approx(8.0, rel=0.05)
     driven.twins.reconnect("left")
     back = driven.now
     driven.run(50)
-    states = [e.mode for e in heard_since(driven, back, "left") if isinstance(e, msg.State)]
+    states = [e.mode for e in events_since(driven, back, "left") if isinstance(e, msg.State)]
     assert Mode.FAULT in states
 
 
@@ -316,14 +320,14 @@ def test_a_second_device_with_the_same_address_answers_too() -> None:
     driven.twins.duplicate("left")
     start = driven.now
     driven.run(200, drive(4.0, 4.0))
-    both = heard_since(driven, start, "left")
+    both = events_since(driven, start, "left")
     reported = [e for e in both if isinstance(e, msg.Feedback) and e.position is not None]
     assert len(reported) > 1.8 * alone
     jumps = [abs((b.position or 0.0) - (a.position or 0.0)) for a, b in pairwise(reported)]
     assert max(jumps) > 10.0, "the double turns a shaft of its own"
 
 
-def test_a_lost_interface_tells_gone_and_back() -> None:
+def test_a_lost_interface_reports_gone_and_back() -> None:
     driven = rig(bench()).run(200, drive(4.0, 4.0))
     driven.twins.buses["motors"].lose()
     start = driven.now
@@ -337,7 +341,7 @@ def test_a_lost_interface_tells_gone_and_back() -> None:
     assert driven.last("right").t > start + 100 * PERIOD
 
 
-def test_a_full_queue_tells_full_once_and_up_again() -> None:
+def test_a_full_queue_reports_full_once_and_then_up() -> None:
     bus = (driven := rig(bench())).twins.buses["motors"]
     bus.read(0)
     flood = [bytes([index % 256]) * 100 for index in range(300)]
@@ -355,7 +359,7 @@ def test_a_closed_bus_sends_nothing() -> None:
     assert abs(driven.twins.world.shaft("left")[1]) < 3.0
 
 
-def test_the_last_word_is_heard_when_time_goes_on() -> None:
+def test_the_last_command_arrives_when_time_goes_on() -> None:
     driven = rig(bench()).run(200, drive(4.0, 4.0))
     driven.run(1, lambda _: [msg.Idle("left"), msg.Idle("right")])
     driven.run(10)
@@ -370,7 +374,7 @@ def test_no_such_twin() -> None:
 # -- opening --------------------------------------------------------------------------------------------
 
 
-def test_open_world_by_the_robots_own_word() -> None:
+def test_open_world_takes_the_world_of_the_robot_file() -> None:
     office = open_world(robot("office"), 3)
     assert office.world.file == load_world("office")
     shafts = open_world(robot(sensors=False), 3)

@@ -37,13 +37,13 @@ class Host:
         self.events: list[Event] = []
         self.now: Nanos = 0
 
-    def run(self, steps: int, say: Callable[[], Sequence[Velocity]] = tuple) -> Host:
+    def run(self, steps: int, command: Callable[[], Sequence[Velocity]] = tuple) -> Host:
         for _ in range(steps):
             _, packets = self.bus.read(self.now)
             for packet in packets:
                 self.events += self.driver.receive(packet.t, packet.frame)
             self.packets += packets
-            events, frames = self.driver.send(self.now, say())
+            events, frames = self.driver.send(self.now, command())
             self.events += events
             self.bus.write(self.now, frames)
             self.now += PERIOD
@@ -107,7 +107,7 @@ def test_a_reset_motor_is_not_armed_any_more() -> None:
     assert not [e for e in host.events if isinstance(e, Fault) and e.motor == "right"]
 
 
-def test_a_double_is_heard_beside_the_first() -> None:
+def test_a_duplicate_answers_beside_the_first() -> None:
     host = Host(committed("bench")).run(200)
     start = host.now
     alone = [packet for packet in host.packets if packet.t > start - SECOND]

@@ -103,7 +103,7 @@ def _by_gyro(driver: Driver, still: float) -> list[tuple[float, float, float]]:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_office_wheels_spoil_raw_odometry_and_a_gyro_mends_the_heading_but_not_the_scale(seed: int) -> None:
+def test_office_wheels_distort_odometry_and_a_gyro_corrects_the_heading_but_not_the_scale(seed: int) -> None:
     assert isinstance(OFFICE, SceneFile)
     driver = Driver(world(replace(OFFICE, walls={}, boxes={}), seed)).run(1000, 0.0, 0.0)
     for left, right in ((8.0, 8.0), (8.0, 9.0), (9.0, 8.0), (8.0, 8.0)):
@@ -242,7 +242,7 @@ def test_imu_upside_down() -> None:
     assert last.linear_acceleration == pytest.approx((0.0, 0.0, -9.81), abs=0.01)
 
 
-def test_imu_bias_and_noise_stand_in_the_world_file() -> None:
+def test_imu_bias_and_noise_are_those_of_the_world_file() -> None:
     assert isinstance(OFFICE, SceneFile)
     figures = OFFICE.imus["imu"]
     imus = Driver(world(OFFICE)).run(4000, 0.0, 0.0).imus()
@@ -277,7 +277,7 @@ def test_a_copy_goes_on_alike() -> None:
     assert twin.truths == driver.truths
 
 
-def test_one_sensors_noise_does_not_hang_on_another() -> None:
+def test_one_sensors_noise_does_not_depend_on_another() -> None:
     assert isinstance(OFFICE, SceneFile)
     alone = {name: sensor for name, sensor in robot().sensors.items() if name == "lidar"}
     few = World(OFFICE, replace(robot(), sensors=alone), 1)
@@ -328,7 +328,7 @@ def test_a_motor_that_turns_no_wheel_turns_a_shaft_that_the_base_carries() -> No
     assert carrying.truth() == bare.truth()
 
 
-def test_a_robot_that_does_not_fit_is_told_all_at_once() -> None:
+def test_all_reasons_why_a_robot_does_not_fit_are_reported_at_once() -> None:
     text = ROOM.replace('motor = "left"', 'motor = "port"').replace("[imus.imu]", "[imus.imo]")
     with pytest.raises(WorldError) as caught:
         world(scene(text))
@@ -338,7 +338,7 @@ def test_a_robot_that_does_not_fit_is_told_all_at_once() -> None:
         assert part in reported
 
 
-def test_a_scan_is_what_the_words_say() -> None:
+def test_a_scan_has_the_fields_of_the_message() -> None:
     scan = Driver(world(OFFICE)).run(1, 0.0, 0.0).scans()[0]
     assert isinstance(scan, LaserScan)
     assert scan.angle_increment == pytest.approx(2.0 * math.pi / 360)

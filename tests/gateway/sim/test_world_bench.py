@@ -73,7 +73,7 @@ def test_the_bench_is_a_world_without_mujoco(monkeypatch: pytest.MonkeyPatch) ->
         bench.step({"left": math.inf})
 
 
-def test_a_bench_tells_what_it_has_not() -> None:
+def test_a_bench_reports_what_it_lacks() -> None:
     file = parse_world('kind = "bench"\nname = "b"\n[shafts.middle]\n')
     with pytest.raises(WorldError) as caught:
         World(file, robot(), 1)

@@ -20,7 +20,7 @@ def test_the_committed_worlds_are_found_and_right() -> None:
     assert STEP == MILLISECOND
 
 
-def test_the_office_is_what_it_says() -> None:
+def test_the_office() -> None:
     office = load_world("office")
     assert isinstance(office, SceneFile)
     body, lidar = office.body, office.lidars["lidar"]
