@@ -1,7 +1,7 @@
-"""`gateway protocols new`: a small distribution with a plugin in it, whose places to fill in are marked.
+"""`gateway protocols new`: a small distribution with a plugin, in which the places to fill in are marked.
 
-Rules. What is written is `gateway/template`, a plugin that is linted, typed and tested where it stands, under
-another name. Nothing is overwritten: a folder that is there already is refused, like a name that Python, an
+Rules. What is written is `gateway/cli/templates`, a plugin that is linted, typed and tested in its place,
+under another name. Nothing is overwritten: an existing folder is refused, like a name that Python, an
 installed package or another protocol has, before anything is written.
 """
 
@@ -25,22 +25,22 @@ TEMPLATE = "gateway.cli.templates"
 PACKAGE = (
     "__init__.py",
     "codec.py",
+    "decoder.py",
     "driver.py",
-    "ear.py",
     "faults.py",
     "framing.py",
     "twin.py",
     "README.md",
     "vectors.json",
 )
-"""What stands in the plugin's own package; beside it come py.typed, pyproject.toml and the test."""
+"""The files of the plugin's own package; besides there are py.typed, pyproject.toml and the test."""
 OTHERS = ("protocols", "brain", "gateway", "fixtures", "tests", "test", "plugin", "blank")
-"""Names that a package of the gateway's, or of everybody's, has already."""
+"""Names of packages of the gateway, and of common packages."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scaffold:
-    """What was written."""
+    """A distribution that was written."""
 
     name: str
     folder: Path
@@ -52,9 +52,9 @@ def new(name: str, bus: Bus, into: Path) -> Scaffold:
     check_name(name)
     folder = into / name
     if not into.is_dir():
-        raise UserError(f"{into} is not a folder; make it first, or say another one with --into")
+        raise UserError(f"{into} is not a folder; make it first, or choose another one with --into")
     if folder.exists() or folder.is_symlink():
-        raise UserError(f"{folder} is there already: nothing was written; remove it, or take another name")
+        raise UserError(f"{folder} is there already: nothing was written; remove it, or choose another name")
     texts = contents(name, bus)
     try:
         for path, text in texts.items():
@@ -67,7 +67,7 @@ def new(name: str, bus: Bus, into: Path) -> Scaffold:
 
 
 def check_name(name: str) -> None:
-    """A name that can be a package, an entry point and a word in a robot file. Raises UserError."""
+    """Check that a name can be a package, an entry point and a protocol in a robot file. Raises UserError."""
     if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or len(name) > 40:
         hint = (
             re.sub(r"_+", "_", re.sub(r"[^a-z0-9]+", "_", name.lower())).strip("_0123456789")[:40].strip("_")
@@ -78,15 +78,15 @@ def check_name(name: str) -> None:
             f"with a letter, 40 at most{near}"
         )
     if taken := _taken(name):
-        raise UserError(f"{name!r} {taken}; take another name, such as {name + '_motor'!r}")
+        raise UserError(f"{name!r} {taken}; choose another name, such as {name + '_motor'!r}")
 
 
 def _taken(name: str) -> str:
-    """Who has this name already, as the end of a sentence; "" if nobody has."""
+    """Return what has this name already, as the end of a sentence; "" if it is free."""
     if keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        return "is a word of Python's"
+        return "is a keyword of Python"
     if name in sys.stdlib_module_names or name in OTHERS:
-        return "is the name of a module that everybody has"
+        return "is the name of a common module"
     if name in {point.name for point in plugin.installed()}:
         return "is the name of an installed protocol"
     if owners := packages_distributions().get(name):
@@ -95,7 +95,7 @@ def _taken(name: str) -> str:
 
 
 def contents(name: str, bus: Bus) -> dict[str, str]:
-    """What is to be written, by path in the folder."""
+    """Return the texts to write, by path in the folder."""
     texts = {f"{name}/{file}": _read(file) for file in PACKAGE}
     codec, framing = f"{name}/codec.py", f"{name}/framing.py"
     texts[codec] = _put(texts[codec], 'NAME = "blank"', f'NAME = "{name}"')
@@ -117,7 +117,7 @@ def _read(file: str) -> str:
 
 
 def _put(text: str, old: str, new: str) -> str:
-    """The text with its one `old` replaced; AssertionError if the template no longer has exactly one."""
+    """Replace the one `old` in a text. Raises AssertionError if the template has none or several."""
     if text.count(old) != 1:
         raise AssertionError(f"the template has {old!r} {text.count(old)} times")
     return text.replace(old, new)
@@ -128,15 +128,15 @@ def _renamed(text: str, name: str) -> str:
 
 
 def next_steps(made: Scaffold) -> str:
-    """What to do with it now."""
+    """Return what to do with it now, as text."""
     return f"""\
-written: {made.folder}, a distribution of its own with a plugin for a device that is invented
+written: {made.folder}, a distribution of its own with a plugin for an invented device
 
-what to do now:
+next steps:
   cd {made.folder}
   python -m pip install --no-build-isolation --no-deps -e .
-                                  so that its entry point is found, and what you change at once
+                                  installs its entry point; your changes take effect at once
   gateway protocols check {made.name}
-                                  the contract; one clause fails until vectors.json holds real bytes
-  grep -rn "FILL IN" .            the places where the device's own comes in, each with the clause that tells
-docs/adding-a-protocol.md takes a real motor that way, from its manual to a robot that drives"""
+                                  checks the contract; one clause fails until vectors.json holds real bytes
+  grep -rn "FILL IN" .            lists the places to fill in, each with the clause that checks it
+docs/adding-a-protocol.md does this for a real motor, from its manual to a robot that drives"""

@@ -1,9 +1,9 @@
 """FILL IN: which devices, on which firmware.
 
-This plugin is whole and keeps the contract, but for one thing: the device that it speaks to is invented.
-It obeys a velocity and tells its state, velocity and position. Put the real device in its place, file by
-file: `codec` and `framing` first, then `twin`, `ear`, `driver`, and the `spec` below. Each place to fill in
-is marked, with the clause of `gateway protocols check` that tells whether it is right.
+This plugin is complete and keeps the contract, except for one thing: its device is invented. It obeys a
+velocity and sends its state, velocity and position. Replace it by the real device, file by file: `codec` and
+`framing` first, then `twin`, `decoder`, `driver`, and the `spec` below. Each place to fill in is marked, with
+the clause of `gateway protocols check` that checks it.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from protocols.messages import MILLISECOND, ClearFault, Idle, Velocity
 from protocols.plugin import Device, FeedbackKind, Plugin, Spec, Watchdog
 
 from .codec import NAME, STATUS_PERIOD
+from .decoder import MotorDecoder, message_names
 from .driver import OFFLINE, RANGES, MotorDriver, Options
-from .ear import MotorDecoder, messages
 from .faults import FAULTS
 from .framing import BUS, COMMAND, MAX_ADDRESS, STATUS, ids
 from .twin import MotorTwin, Settings
 
 
 def read_only(_frame: Frame) -> bool:
-    """Whether a wire neither moves, arms, clears nor configures anything.
+    """True if a frame neither moves, arms, clears nor configures anything.
 
-    FILL IN (clause "unclaimed"): what the driver may say before the first command, such as polling. This
-    device talks by itself, so there is nothing."""
+    FILL IN (clause "passive"): what the driver may send before the first command, such as queries. This
+    device sends its status unasked, so there is nothing."""
     return False
 
 
 def spec(device: Device) -> Spec:
-    """The contract of one device. Raises ValueError for an address that it cannot have."""
+    """Return the contract of one device. Raises ValueError for an address that it cannot have."""
     if not 1 <= device.address <= MAX_ADDRESS:
         raise ValueError(f"a {NAME} has an address of 1 … {MAX_ADDRESS}, not {device.address}")
     settings: Settings = device.settings
-    patience = round(settings.watchdog_ms * MILLISECOND)
+    timeout = round(settings.watchdog_ms * MILLISECOND)
     return Spec(
         bus=BUS,
         kind="motor",
@@ -41,21 +41,21 @@ def spec(device: Device) -> Spec:
         sends=ids(COMMAND, device.address),
         expects=ids(STATUS, device.address),
         read_only=read_only,
-        # FILL IN (clause "measurements"): polled or cyclic, and how often.
+        # FILL IN (clause "measurements"): polled or cyclic, and the period.
         feedback=FeedbackKind.CYCLIC,
         feedback_period=STATUS_PERIOD,
-        # FILL IN (clause "blind"): well over the period, well under what would be dangerous.
+        # FILL IN (clause "offline"): well over the period, well under what would be dangerous.
         offline_after=OFFLINE,
-        # FILL IN (clause "commands"): what it takes.
+        # FILL IN (clause "commands"): which commands and requests it takes.
         commands=frozenset({Idle, Velocity}),
         requests=frozenset({ClearFault}),
         ranges=RANGES,
-        # FILL IN (clause "watchdog"): what it does when its host falls silent, and after how long.
-        watchdog=Watchdog(patience if patience else None, enabled=patience > 0),
+        # FILL IN (clause "watchdog"): what it does when its host falls silent, and the timeout.
+        watchdog=Watchdog(timeout if timeout else None, enabled=timeout > 0),
         holds_unattended=False,
         stop_clears_faults=False,
         faults=FAULTS,
-        # FILL IN (clauses "checksums", "obeyed"): `unsealed`, if it takes messages without a checksum.
+        # FILL IN (clauses "checksums", "obeyed"): `unprotected`, if it takes messages without a checksum.
     )
 
 
@@ -69,6 +69,6 @@ plugin = Plugin(
     driver=MotorDriver,
     decoder=MotorDecoder,
     twin=MotorTwin,
-    messages=messages,
+    messages=message_names,
     vectors=(__name__, "vectors.json"),
 )

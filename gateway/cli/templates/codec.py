@@ -1,13 +1,14 @@
-"""What the messages hold: payloads of bytes ↔ values. No words, no time, no state.
+"""Payloads ↔ values: what the bytes of a message mean. No messages of the gateway, no time, no state.
 
-Rules. Making a message takes values that the wire can hold; reading one takes any bytes of the right length,
-gives None for what is no message, and never raises. A number that is not finite or out of range is no number.
+Rules. Encoding takes values that a payload can hold; decoding takes any bytes of the right length, returns
+None for what is malformed, and never raises. A number that is not finite or out of range is malformed.
 
-FILL IN, this file first, from the manual. The clauses "bytes", "counts" and "vectors" tell.
-The invented device speaks payloads of 8 bytes, little-endian:
+FILL IN, this file first, from the manual. The clauses "bytes", "counts" and "vectors" check it. The payloads
+of the invented device have 8 bytes, little-endian:
 
-    to it     order u8, 0 0 0, velocity f32 [rad/s]
-    from it   mode u8, fault u8, velocity i16 [0.01 rad/s], position f32 [rad]
+    command   order u8, 0 0 0, velocity f32 [rad/s]
+    status    mode u8, fault u8, velocity i16 [0.01 rad/s], position f32 [rad]
+
 """
 
 from __future__ import annotations
@@ -23,25 +24,25 @@ NAME = "blank"
 SIZE = 8
 """Bytes in a payload, of either kind."""
 MAX_SPEED = 100.0
-"""rad/s, the most that it can be told"""
+"""rad/s, the largest velocity in a command"""
 VELOCITY_UNIT = 0.01
 """rad/s"""
-MAX_TOLD = 327.67
-"""rad/s, the most that it can tell"""
-MAX_TURNED = 1e6
-"""rad"""
+MAX_MEASURED_SPEED = 327.67
+"""rad/s, the largest velocity in a status"""
+MAX_POSITION = 1e6
+"""rad, the largest position in a status"""
 TINY = 2.0**-126
-"""The smallest normal float32: what is smaller is zero on this wire."""
+"""The smallest normal float32: what is smaller is encoded as zero."""
 STATUS_PERIOD: Nanos = 10 * MILLISECOND
 WATCHDOG, TOO_HOT = 1, 2
 """Codes of its faults; 0 is none."""
 
-_DOWN = struct.Struct("<Bxxxf")
-_UP = struct.Struct("<BBhf")
+_COMMAND = struct.Struct("<Bxxxf")
+_STATUS = struct.Struct("<BBhf")
 
 
 class Order(IntEnum):
-    """What the host may say."""
+    """What a command demands."""
 
     STOP = 0
     RUN = 1
@@ -49,7 +50,7 @@ class Order(IntEnum):
 
 
 class DeviceMode(IntEnum):
-    """What the device may be doing."""
+    """The state of the device."""
 
     READY = 0
     RUNNING = 1
@@ -58,7 +59,7 @@ class DeviceMode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the device tells of itself."""
+    """The status that the device sends."""
 
     mode: DeviceMode
     fault: int
@@ -68,40 +69,40 @@ class Status:
     """rad"""
 
 
-def command(order: Order, velocity: float = 0.0) -> bytes:
-    """An order of the host's; a velocity within ±MAX_SPEED [rad/s] goes with RUN."""
-    return _DOWN.pack(order, _normal(velocity))
+def encode_command(order: Order, velocity: float = 0.0) -> bytes:
+    """Encode a command; a velocity within ±MAX_SPEED [rad/s] goes with RUN."""
+    return _COMMAND.pack(order, _normalise(velocity))
 
 
-def status(said: Status) -> bytes:
-    """What the device says; whatever does not fit is told as the nearest that does."""
-    velocity = round(_cut(said.velocity, MAX_TOLD) / VELOCITY_UNIT)
-    position = _normal(_cut(said.position, MAX_TURNED))
-    return _UP.pack(said.mode, said.fault, velocity, position)
+def encode_status(status: Status) -> bytes:
+    """Encode a status, each value limited to what the payload can hold."""
+    velocity = round(_clamp(status.velocity, MAX_MEASURED_SPEED) / VELOCITY_UNIT)
+    position = _normalise(_clamp(status.position, MAX_POSITION))
+    return _STATUS.pack(status.mode, status.fault, velocity, position)
 
 
-def read_command(payload: bytes) -> tuple[Order, float] | None:
-    """An order and its velocity [rad/s]; None if the device would not obey."""
-    order, velocity = _DOWN.unpack(payload)
+def decode_command(payload: bytes) -> tuple[Order, float] | None:
+    """Return the order and its velocity [rad/s]; None if the device would not obey."""
+    order, velocity = _COMMAND.unpack(payload)
     if order not in tuple(Order) or not abs(velocity) <= MAX_SPEED * (1 + 2.0**-24):
         return None
-    return Order(order), _normal(velocity)
+    return Order(order), _normalise(velocity)
 
 
-def read_status(payload: bytes) -> Status | None:
-    """What the device said; None if it cannot have said that."""
-    mode, fault, velocity, position = _UP.unpack(payload)
-    if mode not in tuple(DeviceMode) or not abs(position) <= MAX_TURNED:
+def decode_status(payload: bytes) -> Status | None:
+    """Return the status; None if no device can have sent it."""
+    mode, fault, velocity, position = _STATUS.unpack(payload)
+    if mode not in tuple(DeviceMode) or not abs(position) <= MAX_POSITION:
         return None
     if fault not in ((WATCHDOG, TOO_HOT) if mode == DeviceMode.FAULT else (0,)) or velocity == -0x8000:
         return None
-    return Status(DeviceMode(mode), fault, velocity * VELOCITY_UNIT, _normal(position))
+    return Status(DeviceMode(mode), fault, velocity * VELOCITY_UNIT, _normalise(position))
 
 
-def _normal(value: float) -> float:
-    """Without denormals and without a negative zero."""
+def _normalise(value: float) -> float:
+    """Return 0.0 for denormals and a negative zero."""
     return value if abs(value) >= TINY else 0.0
 
 
-def _cut(value: float, limit: float) -> float:
+def _clamp(value: float, limit: float) -> float:
     return max(-limit, min(limit, value)) if math.isfinite(value) else 0.0

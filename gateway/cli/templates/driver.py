@@ -1,11 +1,11 @@
-"""Our end of the wire: commands down; feedback, states and faults up.
+"""The host's end: commands and requests out; feedback, states and faults in.
 
-Rules. Nothing is said to a device before its first command other than Idle (or an operator's Stop). Nothing
-is said that was not asked for, so that the device's watchdog is fed by commands alone. A fault is told
-once, until the device has left it or the bus has come back. A request ends: done, or refused after `ANSWER`.
+Rules. A device is sent nothing before its first command other than Idle (or an operator's Stop). The driver
+sends nothing by itself, so that the device's watchdog is fed by commands alone. A fault is reported once,
+until the device has left it or the bus has come back. A request ends: done, or refused after `ANSWER`.
 
-FILL IN what the real device needs to be armed, polled and asked. The clauses "unclaimed", "disarm", "faults",
-"blind", "twice" and "replies" tell.
+FILL IN what arms the real device, what is polled, which requests it has. The clauses "passive", "disarm",
+"faults", "offline", "duplicates" and "replies" check it.
 """
 
 from __future__ import annotations
@@ -13,44 +13,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from protocols import messages as msg
 from protocols.frames import BusState, Frame
-from protocols.messages import (
-    MILLISECOND,
-    SECOND,
-    ClearFault,
-    Command,
-    Done,
-    Event,
-    Fault,
-    Feedback,
-    Found,
-    Idle,
-    Mode,
-    Nanos,
-    Refused,
-    Request,
-    State,
-    Stop,
-    Velocity,
-)
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
 from protocols.plugin import Device, Range, RxCounters
 from protocols.request_queue import RejectionFilter, out_of_range, subject
 
 from . import codec
 from .codec import NAME, DeviceMode, Order
 from .faults import FAULTS
-from .framing import COMMAND, STATUS, Reader, message
+from .framing import COMMAND, STATUS, Reader, make_frame
 
 ANSWER: Nanos = 200 * MILLISECOND
-"""How long the device may take to answer a request."""
+"""Timeout of a request."""
 OFFLINE: Nanos = 100 * MILLISECOND
-"""Silence after which a device is called offline."""
+"""Time without a message after which a device is offline."""
 RANGES = {
     "Velocity.velocity": Range(-codec.MAX_SPEED, codec.MAX_SPEED, codec.TINY, 2.0**-24),
-    "Feedback.velocity": Range(-codec.MAX_TOLD, codec.MAX_TOLD, codec.VELOCITY_UNIT / 2),
-    "Feedback.position": Range(-codec.MAX_TURNED, codec.MAX_TURNED, codec.TINY, 2.0**-24),
+    "Feedback.velocity": Range(-codec.MAX_MEASURED_SPEED, codec.MAX_MEASURED_SPEED, codec.VELOCITY_UNIT / 2),
+    "Feedback.position": Range(-codec.MAX_POSITION, codec.MAX_POSITION, codec.TINY, 2.0**-24),
 }
-"""FILL IN what it can be told and tells, and how finely. The clauses "commands" and "measurements" tell."""
+"""FILL IN the ranges and resolutions of commands and feedback. The clauses "commands" and "measurements"
+check them."""
 MODES = {
     DeviceMode.READY: Mode.READY,
     DeviceMode.RUNNING: Mode.ARMED,
@@ -60,144 +44,147 @@ MODES = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What our driver should do. FILL IN: typed fields with defaults, or none."""
+    """Configuration of the driver. FILL IN: typed fields with defaults, or none."""
 
 
 @dataclass(slots=True)
 class _DeviceState:
-    """What the driver knows of one device."""
+    """The host's record of one device."""
 
     name: str
     address: int
     owned: bool = False
-    received: Nanos | None = None
-    """When it last spoke, or when we began to listen."""
+    received_at: Nanos | None = None
+    """Time of its last message, or when we began to listen."""
     mode: Mode | None = None
-    """As it was last told."""
+    """The mode last reported."""
     fault: int = 0
-    """The code that was told and still stands."""
-    since: Nanos | None = None
-    """From when its messages are counted, ..."""
+    """The code that was reported and is still active."""
     count: int = 0
-    """... and how many there were."""
-    clearing: Nanos | None = None
-    """When our patience with ClearFault ends."""
+    """How many messages it sent ..."""
+    counted_from: Nanos | None = None
+    """... since then."""
+    clear_deadline: Nanos | None = None
+    """Deadline of a pending ClearFault."""
 
 
 class MotorDriver:
-    """The driver of all devices of this language on one bus."""
+    """The driver of all devices of this protocol on one bus."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
-        self._seats = {device.address: _DeviceState(device.name, device.address) for device in devices}
-        self._names = {seat.name: seat for seat in self._seats.values()}
+        self._devices = {device.address: _DeviceState(device.name, device.address) for device in devices}
+        self._by_name = {device.name: device for device in self._devices.values()}
         self.counters = RxCounters()
-        self._refusals = RejectionFilter()
-        self._reader = Reader(STATUS, tuple(self._seats), self.counters)
+        self._rejections = RejectionFilter()
+        self._reader = Reader(STATUS, tuple(self._devices), self.counters)
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """What the wire says of our devices."""
+        """Return the events of our devices in this frame."""
         events: list[Event] = []
         for address, payload in self._reader.read(frame):
-            status = codec.read_status(payload)
+            status = codec.decode_status(payload)
             if status is None:
                 self.counters.malformed += 1
                 continue
             self.counters.accepted += 1
-            events += self._handle(t, self._seats[address], status)
+            events += self._on_status(t, self._devices[address], status)
         return events
 
-    def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- silence is counted from what was heard
-        """A bus that was away has lost what stood on it, and its devices may have restarted."""
+    def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- timeouts run from the last message
+        """Discard a partial message and report faults anew: devices may have restarted with the bus."""
         if state in (BusState.GONE, BusState.OFF, BusState.BACK):
             self._reader.drop()
-            for seat in self._seats.values():
-                seat.fault = 0
+            for device in self._devices.values():
+                device.fault = 0
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Each word that a device takes becomes one message; the others are refused."""
+    def send(
+        self, now: Nanos, messages: Sequence[Command | Request]
+    ) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Encode each command or request that a device takes; refuse the others."""
         events: list[Event] = []
         frames: list[Frame] = []
-        for word in words:
-            if isinstance(word, Stop):
-                for seat in self._seats.values():
-                    seat.owned = True
+        for message in messages:
+            if isinstance(message, msg.Stop):
+                for device in self._devices.values():
+                    device.owned = True
                 continue
-            reason = self._wrong(word)
-            events += self._refusals.handle(now, word, reason)
-            frames += [] if reason else self._say(now, word)
-        return events + self._impatient(now), frames
+            reason = self._rejection(message)
+            events += self._rejections.filter(now, message, reason)
+            frames += [] if reason else self._frames(now, message)
+        return events + self._expired(now), frames
 
     def due(self) -> Nanos | None:
-        """When a request has waited, or a device been silent, for too long."""
-        seats = self._seats.values()
-        answers = [seat.clearing for seat in seats if seat.clearing is not None]
-        silences = [s.received + OFFLINE for s in seats if s.received is not None and s.mode != Mode.OFFLINE]
-        return min(answers + silences, default=None)
+        """Return when the next request times out, or the next device is offline."""
+        devices = self._devices.values()
+        deadlines = [d.clear_deadline for d in devices if d.clear_deadline is not None]
+        received = [d.received_at for d in devices if d.received_at is not None and d.mode != Mode.OFFLINE]
+        return min([*deadlines, *(t + OFFLINE for t in received)], default=None)
 
-    # -- down ------------------------------------------------------------------------------------------
+    # -- sending ---------------------------------------------------------------------------------------
 
-    def _wrong(self, word: Command | Request) -> str:
-        """Why a word must not, or cannot, reach the wire; "" if it may."""
-        if subject(word) not in self._names:
+    def _rejection(self, message: Command | Request) -> str:
+        """Return why a message must not, or cannot, be sent; "" if it may."""
+        if subject(message) not in self._by_name:
             return "no such device here"
-        if isinstance(word, Idle | Velocity):
-            return out_of_range(word, RANGES)
-        return "" if isinstance(word, ClearFault) else "the device cannot do that"
+        if isinstance(message, msg.Idle | msg.Velocity):
+            return out_of_range(message, RANGES)
+        return "" if isinstance(message, msg.ClearFault) else "the device cannot do that"
 
-    def _say(self, now: Nanos, word: Command | Request) -> list[Frame]:
-        """What a word that may reach the wire puts there."""
-        seat = self._names[subject(word)]
-        if isinstance(word, Idle) and not seat.owned:
+    def _frames(self, now: Nanos, message: Command | Request) -> list[Frame]:
+        """Return the frames of a message that may be sent."""
+        device = self._by_name[subject(message)]
+        if isinstance(message, msg.Idle) and not device.owned:
             return []
-        order = codec.command(Order.STOP)
-        if isinstance(word, Velocity):
-            seat.owned, order = True, codec.command(Order.RUN, word.velocity)
-        elif isinstance(word, ClearFault):
-            seat.clearing, order = now + ANSWER, codec.command(Order.CLEAR)
-        return [message(COMMAND, seat.address, order)]
+        payload = codec.encode_command(Order.STOP)
+        if isinstance(message, msg.Velocity):
+            device.owned, payload = True, codec.encode_command(Order.RUN, message.velocity)
+        elif isinstance(message, msg.ClearFault):
+            device.clear_deadline, payload = now + ANSWER, codec.encode_command(Order.CLEAR)
+        return [make_frame(COMMAND, device.address, payload)]
 
-    def _impatient(self, now: Nanos) -> list[Event]:
-        """What the time has to say: no answer, or silence."""
+    def _expired(self, now: Nanos) -> list[Event]:
+        """Return the events of timeouts: a request without an answer, a device offline."""
         events: list[Event] = []
-        for seat in self._seats.values():
-            if seat.clearing is not None and now >= seat.clearing:
-                seat.clearing = None
-                events.append(
-                    Refused(now, "ClearFault", seat.name, f"no answer in {ANSWER // MILLISECOND} ms")
-                )
-            seat.received = now if seat.received is None else seat.received
-            if seat.mode != Mode.OFFLINE and now - seat.received >= OFFLINE:
-                seat.mode = Mode.OFFLINE
-                events.append(State(seat.name, now, Mode.OFFLINE, f"silent for {OFFLINE // MILLISECOND} ms"))
+        for device in self._devices.values():
+            if device.clear_deadline is not None and now >= device.clear_deadline:
+                device.clear_deadline = None
+                reason = f"no answer in {ANSWER // MILLISECOND} ms"
+                events.append(msg.Refused(now, "ClearFault", device.name, reason))
+            device.received_at = now if device.received_at is None else device.received_at
+            if device.mode != Mode.OFFLINE and now - device.received_at >= OFFLINE:
+                device.mode = Mode.OFFLINE
+                detail = f"no message for {OFFLINE // MILLISECOND} ms"
+                events.append(msg.State(device.name, now, Mode.OFFLINE, detail))
         return events
 
-    # -- up --------------------------------------------------------------------------------------------
+    # -- receiving -------------------------------------------------------------------------------------
 
-    def _handle(self, t: Nanos, seat: _DeviceState, status: codec.Status) -> list[Event]:
+    def _on_status(self, t: Nanos, device: _DeviceState, status: codec.Status) -> list[Event]:
         events: list[Event] = []
-        mode, seat.received = MODES[status.mode], t
-        if mode != seat.mode:
-            seat.mode = mode
-            events.append(State(seat.name, t, mode, status.mode.name.lower()))
-        if status.fault and status.fault != seat.fault:
-            reported = FAULTS[status.fault]
-            events.append(Fault(seat.name, t, status.fault, reported.name, reported.cause, reported.remedy))
-        seat.fault = status.fault
-        if seat.clearing is not None and not status.fault:
-            seat.clearing = None
-            events.append(Done(t, "ClearFault", seat.name))
-        return [*events, *_twice(t, seat), Feedback(seat.name, t, status.position, status.velocity)]
+        mode, device.received_at = MODES[status.mode], t
+        if mode != device.mode:
+            device.mode = mode
+            events.append(msg.State(device.name, t, mode, status.mode.name.lower()))
+        if status.fault and status.fault != device.fault:
+            info = FAULTS[status.fault]
+            events.append(msg.Fault(device.name, t, status.fault, info.name, info.cause, info.remedy))
+        device.fault = status.fault
+        if device.clear_deadline is not None and not status.fault:
+            device.clear_deadline = None
+            events.append(msg.Done(t, "ClearFault", device.name))
+        events += _duplicate_address(t, device)
+        return [*events, msg.Feedback(device.name, t, status.position, status.velocity)]
 
 
-def _twice(t: Nanos, seat: _DeviceState) -> list[Event]:
-    """Twice as many messages as one device sends are two devices'."""
-    if seat.since is None or t < seat.since:
-        seat.since, seat.count = t, 0
-    seat.count += 1
-    span = t - seat.since
+def _duplicate_address(t: Nanos, device: _DeviceState) -> list[Event]:
+    """Detect two devices at one address, which send twice as many messages as one."""
+    if device.counted_from is None or t < device.counted_from:
+        device.counted_from, device.count = t, 0
+    device.count += 1
+    span = t - device.counted_from
     if span < SECOND:
         return []
-    many = seat.count * codec.STATUS_PERIOD > 1.5 * span
-    seat.since, seat.count = t, 0
-    said = f"address {seat.address} is held by more than one device: they speak too often for one"
-    return [Found(t, NAME, seat.address, None, said, duplicate_address=True)] if many else []
+    too_many = device.count * codec.STATUS_PERIOD > 1.5 * span
+    device.counted_from, device.count = t, 0
+    detail = f"duplicate address {device.address}: more messages than one device sends"
+    return [msg.Found(t, NAME, device.address, None, detail, duplicate_address=True)] if too_many else []

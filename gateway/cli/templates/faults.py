@@ -1,6 +1,6 @@
-"""What the device may complain of, as a person should read it.
+"""The faults of the device, as a person should read them.
 
-FILL IN (clause "faults"): every code in the vendor's words, with the likely cause and what to do.
+FILL IN (clause "faults"): every code with the vendor's name, the likely cause and the remedy.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ FAULTS = {
         "find why it fell silent, then clear the fault",
     ),
     TOO_HOT: FaultInfo(
-        "over temperature", "too much torque for too long", "let it cool, ask for less, then clear the fault"
+        "over temperature",
+        "too much torque for too long",
+        "let it cool down, command less, then clear the fault",
     ),
 }

@@ -1,13 +1,15 @@
-"""How a message stands on the wire: its payload and its address ↔ a run of bytes. No state but the stream's.
+"""Framing: a payload and its address ↔ a run of bytes. No state but the stream's.
 
-Rules. Reading takes any bytes, cut anywhere, and never raises. What is not for us is foreign, what is for us
-and no message is bad; each is counted once.
+Rules. Reading takes any bytes, cut anywhere, and never raises. What is not ours is ignored, a message with a
+wrong checksum is malformed; each is counted once.
 
-FILL IN beginning, length and checksum from the manual. The clauses "streams", "counts" and "checksums" tell.
-The invented device speaks messages of 13 bytes, with a CRC-16 (XMODEM) of the rest at the end, little-endian:
+FILL IN start, length and checksum from the manual. The clauses "streams", "counts" and "checksums" check
+them. The messages of the invented device have 13 bytes, with a CRC-16 (XMODEM) of the rest at the end,
+little-endian:
 
-    A5 01 | address u8 | payload | crc u16     to it
-    A5 02 | address u8 | payload | crc u16     from it
+    A5 01 | address u8 | payload | crc u16     to the device
+    A5 02 | address u8 | payload | crc u16     from the device
+
 """
 
 from __future__ import annotations
@@ -35,21 +37,21 @@ SIZE = _HEAD.size + codec.SIZE + _CRC.size
 
 
 def ids(_kind: int, _address: int) -> frozenset[int]:
-    """A serial line has no CAN ids."""
+    """Return no CAN ids: a serial line has none."""
     return frozenset()
 
 
-def message(kind: int, address: int, payload: bytes) -> Frame:
-    """A payload on its way to or from an address."""
+def make_frame(kind: int, address: int, payload: bytes) -> Frame:
+    """Return the message with a payload to or from an address."""
     body = _HEAD.pack(SYNC, kind, address) + payload
     return body + _CRC.pack(binascii.crc_hqx(body, 0))
 
 
 class Reader:
-    """Takes a stream apart into (address, payload), however it was cut. Holds one message at most.
+    """Extracts (address, payload) from a stream, however it was cut. Holds one message at most.
 
-    Counted is once what is not for us: each message to somebody else, each run of bytes that is no message;
-    and as bad each message whose CRC is wrong. The search goes on right behind a false start."""
+    Counted once as ignored: each message for another address, each run of bytes that is no message; as
+    malformed: each message whose CRC is wrong. The search goes on right behind a false start."""
 
     def __init__(self, kind: int, addresses: Collection[int], counters: RxCounters | None = None) -> None:
         self._start = bytes((SYNC, kind))
@@ -57,10 +59,10 @@ class Reader:
         self.counters = counters or RxCounters()
         self._held = b""
         self._skipping = False
-        """Whether the run of bytes that is being skipped has been counted."""
+        """The run of bytes that is being skipped has been counted."""
 
     def read(self, frame: Frame) -> list[tuple[int, bytes]]:
-        """What is complete with these bytes, for these addresses."""
+        """Return the payloads that these bytes complete, for these addresses."""
         if not isinstance(frame, bytes):
             self.counters.ignored += 1
             return []
@@ -85,11 +87,11 @@ class Reader:
         return found
 
     def drop(self) -> None:
-        """Forget a message begun, since its rest will not come."""
+        """Discard a partial message, since its rest will not come."""
         self._held, self._skipping = b"", False
 
     def _skip(self, held: bytes, at: int) -> int:
-        """Where the next message may begin; what lies before is counted as one."""
+        """Return where the next message may begin; count what lies before, once."""
         start = at
         while start < len(held) and not self._start.startswith(held[start : start + 2]):
             start += 1

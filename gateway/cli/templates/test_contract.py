@@ -1,11 +1,11 @@
-"""The contract over this plugin, found by its entry point as any program finds it."""
+"""The contract of this plugin, found by its entry point."""
 
 from protocols.conformance import check, table
 from protocols.plugin import load
 
 
 def test_the_contract() -> None:
-    """Every clause is kept, or does not apply; what is not is shown with the bytes that show it."""
+    """Every clause is kept or does not apply; a failure is shown with the bytes that cause it."""
     results = check(load("blank"))
     print(table(results))
     assert not [result.clause for result in results if result.outcome == "failed"], table(results)

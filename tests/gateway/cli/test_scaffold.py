@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from gateway.__main__ import main
 from gateway.cli import scaffold, templates
+from gateway.cli.main import main
 from gateway.cli.scaffold import BUSES, Bus
 from gateway.errors import UserError
 from protocols.conformance import CLAUSES, Result, check, table
@@ -97,14 +97,14 @@ def test_it_keeps_every_clause_that_needs_no_knowledge_of_the_device(
 
 
 @pytest.mark.parametrize("bus", BUSES)
-def test_each_place_to_fill_in_names_a_clause_there_is(written: dict[Bus, Path], bus: Bus) -> None:
+def test_each_place_to_fill_in_names_an_existing_clause(written: dict[Bus, Path], bus: Bus) -> None:
     known = {clause.name for clause in CLAUSES}
     for path in written[bus].rglob("*.py"):
         text = path.read_text()
         if path.parent.name == written[bus].name and "test" not in path.name:
             assert "FILL IN" in text, path
-        for said in re.findall(r"clauses? ((?:\"\w+\"(?:,| and)?\s*)+)", text):
-            assert set(re.findall(r"\w+", said)) - {"and"} <= known, (path, said)
+        for clauses in re.findall(r"clauses? ((?:\"\w+\"(?:,| and)?\s*)+)", text):
+            assert set(re.findall(r"\w+", clauses)) - {"and"} <= known, (path, clauses)
 
 
 def test_its_own_test_is_the_contract(written: dict[Bus, Path], site: Site) -> None:
@@ -130,19 +130,19 @@ REFUSED = [
     ("", "lower-case letters"),
     ("a" * 41, "40 at most"),
     ("../x", "lower-case letters"),
-    ("class", "is a word of Python's"),
-    ("match", "is a word of Python's"),
-    ("json", "is the name of a module that everybody has"),
-    ("protocols", "is the name of a module that everybody has"),
-    ("blank", "is the name of a module that everybody has"),
+    ("class", "is a keyword of Python"),
+    ("match", "is a keyword of Python"),
+    ("json", "is the name of a common module"),
+    ("protocols", "is the name of a common module"),
+    ("blank", "is the name of a common module"),
     ("plain", "is the name of an installed protocol"),
     ("numpy", "is the name of an installed package (numpy)"),
 ]
 
 
-@pytest.mark.parametrize(("name", "said"), REFUSED, ids=[name or "empty" for name, _ in REFUSED])
-def test_a_bad_name_is_refused_with_a_sentence(tmp_path: Path, name: str, said: str) -> None:
-    with pytest.raises(UserError, match=re.escape(said)):
+@pytest.mark.parametrize(("name", "reason"), REFUSED, ids=[name or "empty" for name, _ in REFUSED])
+def test_a_bad_name_is_refused_with_the_reason(tmp_path: Path, name: str, reason: str) -> None:
+    with pytest.raises(UserError, match=re.escape(reason)):
         scaffold.new(name, "can", tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -158,7 +158,7 @@ def test_what_is_there_is_not_overwritten(tmp_path: Path) -> None:
         scaffold.new("a1_link", "can", tmp_path)
 
 
-def test_where_it_cannot_be_written_it_says_so(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="is not a folder"):
         scaffold.new("a1_motor", "can", tmp_path / "nowhere")
     with pytest.raises(UserError, match="cannot be written"):
@@ -168,11 +168,11 @@ def test_where_it_cannot_be_written_it_says_so(tmp_path: Path) -> None:
 # -- the command line ----------------------------------------------------------------------------------
 
 
-def test_new_writes_and_says_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_new_writes_and_prints_the_next_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["protocols", "new", "a1_motor", "--bus", "canfd", "--into", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert f"written: {tmp_path / 'a1_motor'}" in said
-    assert "gateway protocols check a1_motor" in said
+    output = capsys.readouterr().out
+    assert f"written: {tmp_path / 'a1_motor'}" in output
+    assert "gateway protocols check a1_motor" in output
     assert main(["protocols", "new", "a1_motor", "--bus", "can", "--into", str(tmp_path)]) == 2
     assert "is there already" in capsys.readouterr().err
 
@@ -180,24 +180,24 @@ def test_new_writes_and_says_what_to_do_next(tmp_path: Path, capsys: pytest.Capt
 def test_check_takes_several_names_and_a_seed(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("protocols.plugin.load", lambda name: replace(templates.plugin, name=name))
+    monkeypatch.setattr("gateway.cli.protocols.load", lambda name: replace(templates.plugin, name=name))
     arguments = ["protocols", "check", "a1_one", "a1_two", "a1_one", "--seed", "5", "-q"]
     status = main(arguments)
-    said = capsys.readouterr().out
-    assert re.findall(r"^(\w+): FILL IN", said, re.MULTILINE) == ["a1_one", "a1_two"]
-    assert said.count("(seed 5)") == 2
-    assert said.endswith(f"\n{2 if status == 0 else 0} of 2 keep the contract\n")
+    output = capsys.readouterr().out
+    assert re.findall(r"^(\w+): FILL IN", output, re.MULTILINE) == ["a1_one", "a1_two"]
+    assert output.count("(seed 5)") == 2
+    assert output.endswith(f"\n{2 if status == 0 else 0} of 2 protocols keep the contract\n")
 
 
-def test_check_says_which_fails_and_ends_with_1(
+def test_check_prints_which_fails_and_ends_with_1(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = replace(templates.plugin, name="a1_bad", spec=_raising)
-    monkeypatch.setattr("protocols.plugin.load", lambda name: bad if name == "a1_bad" else templates.plugin)
+    monkeypatch.setattr("gateway.cli.protocols.load", lambda name: bad if name == "a1_bad" else templates.plugin)
     assert main(["protocols", "check", "a1_bad", "-q"]) == 1
-    said = capsys.readouterr().out
-    assert re.search(r"^commands +failed +the plugin raises RuntimeError: no", said, re.MULTILINE)
-    assert f"a1_bad: 0 passed, {len(CLAUSES)} failed" in said
+    output = capsys.readouterr().out
+    assert re.search(r"^commands +failed +the plugin raises RuntimeError: no", output, re.MULTILINE)
+    assert f"a1_bad: 0 passed, {len(CLAUSES)} failed" in output
 
 
 def _raising(_: object) -> Any:
@@ -208,11 +208,11 @@ def test_check_without_a_name_is_all_of_them_and_names_what_is_broken(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loaded = ((replace(templates.plugin, name="a1_one"),), (Broken("a1_two", "acme", "no"),))
-    monkeypatch.setattr("protocols.plugin.load_all", lambda: loaded)
+    monkeypatch.setattr("gateway.cli.protocols.load_all", lambda: loaded)
     assert main(["protocols", "check", "-q"]) == 1
     captured = capsys.readouterr()
     assert re.search(r"^a1_one: \d\d passed", captured.out, re.MULTILINE)
-    assert re.search(r"^[01] of 2 keep the contract$", captured.out, re.MULTILINE)
+    assert re.search(r"^[01] of 2 protocols keep the contract$", captured.out, re.MULTILINE)
     assert captured.err == "a1_two: left out: acme is broken: no\n"
 
 

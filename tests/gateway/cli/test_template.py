@@ -1,4 +1,4 @@
-"""The template of a plugin, where it stands: it keeps the contract, and its codecs say what they claim."""
+"""The template of a plugin, in its place: it keeps the contract, and its codecs match independent bytes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from protocols import messages as msg
 from protocols.conformance import check, table
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, SECOND, Command, Mode, Request
-from protocols.plugin import Device, RxCounters
+from protocols.plugin import Device, Driver, RxCounters
 
 
 @pytest.mark.parametrize("seed", [3])
@@ -26,7 +26,7 @@ def test_it_keeps_every_clause_that_needs_no_knowledge_of_the_device(seed: int) 
 # -- bytes, made here by struct alone ------------------------------------------------------------------
 
 RUN = struct.pack("<Bxxxf", 1, 2.5)
-REPORTED = struct.pack("<BBhf", 1, 0, -250, 7.5)
+STATUS = struct.pack("<BBhf", 1, 0, -250, 7.5)
 
 
 def sealed(body: bytes) -> bytes:
@@ -34,62 +34,64 @@ def sealed(body: bytes) -> bytes:
 
 
 def test_payloads() -> None:
-    assert codec.command(codec.Order.RUN, 2.5) == RUN
-    assert codec.read_command(RUN) == (codec.Order.RUN, 2.5)
+    assert codec.encode_command(codec.Order.RUN, 2.5) == RUN
+    assert codec.decode_command(RUN) == (codec.Order.RUN, 2.5)
     status = codec.Status(codec.DeviceMode.RUNNING, 0, -2.5, 7.5)
-    assert codec.status(status) == REPORTED
-    assert codec.read_status(REPORTED) == status
-    assert {len(RUN), len(REPORTED)} == {codec.SIZE}
+    assert codec.encode_status(status) == STATUS
+    assert codec.decode_status(STATUS) == status
+    assert {len(RUN), len(STATUS)} == {codec.SIZE}
 
 
 def test_frames() -> None:
-    assert framing.message(framing.COMMAND, 5, RUN) == CanFrame(0x105, RUN)
-    assert framing.message(framing.STATUS, 5, REPORTED) == CanFrame(0x205, REPORTED)
-    assert framing.Reader(framing.STATUS, [5]).read(CanFrame(0x205, REPORTED)) == [(5, REPORTED)]
+    assert framing.make_frame(framing.COMMAND, 5, RUN) == CanFrame(0x105, RUN)
+    assert framing.make_frame(framing.STATUS, 5, STATUS) == CanFrame(0x205, STATUS)
+    assert framing.Reader(framing.STATUS, [5]).read(CanFrame(0x205, STATUS)) == [(5, STATUS)]
 
 
 def test_messages_on_a_stream() -> None:
-    assert framing_serial.message(framing_serial.COMMAND, 5, RUN) == sealed(b"\xa5\x01\x05" + RUN)
-    message = sealed(b"\xa5\x02\x05" + REPORTED)
+    assert framing_serial.make_frame(framing_serial.COMMAND, 5, RUN) == sealed(b"\xa5\x01\x05" + RUN)
+    message = sealed(b"\xa5\x02\x05" + STATUS)
     counters = RxCounters()
     reader = framing_serial.Reader(framing_serial.STATUS, [5], counters)
-    stream = b"\xa5" + message + b"xy" + message[:-1] + b"\0" + sealed(b"\xa5\x02\x06" + REPORTED) + message
+    stream = b"\xa5" + message + b"xy" + message[:-1] + b"\0" + sealed(b"\xa5\x02\x06" + STATUS) + message
     found = [each for at in range(len(stream)) for each in reader.read(stream[at : at + 1])]
-    assert found == [(5, REPORTED), (5, REPORTED)]
+    assert found == [(5, STATUS), (5, STATUS)]
     assert (counters.malformed, counters.ignored) == (1, 3)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 100.1, -1e30])
-def test_what_is_out_of_range_is_no_order(value: float) -> None:
-    assert codec.read_command(struct.pack("<Bxxxf", 1, value)) is None
+def test_a_command_out_of_range_is_malformed(value: float) -> None:
+    assert codec.decode_command(struct.pack("<Bxxxf", 1, value)) is None
 
 
 @pytest.mark.parametrize("payload", [(3, 0, 0, 0.0), (0, 1, 0, 0.0), (2, 0, 0, 0.0), (0, 0, 0, math.nan)])
-def test_what_no_device_can_have_said_is_no_status(payload: tuple[int, int, int, float]) -> None:
-    assert codec.read_status(struct.pack("<BBhf", *payload)) is None
+def test_a_status_that_no_device_sends_is_malformed(payload: tuple[int, int, int, float]) -> None:
+    assert codec.decode_status(struct.pack("<BBhf", *payload)) is None
 
 
-def said(mode: codec.DeviceMode, *rest: float) -> Frame:
+def status_frame(mode: codec.DeviceMode, *rest: float) -> Frame:
     fault, velocity, position = rest
-    return framing.message(
-        framing.STATUS, 1, codec.status(codec.Status(mode, int(fault), velocity, position))
+    return framing.make_frame(
+        framing.STATUS, 1, codec.encode_status(codec.Status(mode, int(fault), velocity, position))
     )
 
 
-# -- what the driver tells -----------------------------------------------------------------------------
+# -- what the driver reports --------------------------------------------------------------------------
+
+
+def make_driver() -> Driver:
+    return templates.plugin.driver([Device("m", 1, templates.plugin.options(), templates.plugin.settings())])
 
 
 def reported(*frames: Frame) -> list[object]:
-    driver = templates.plugin.driver(
-        [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
-    )
+    driver = make_driver()
     return [
         event for at, frame in enumerate(frames) for event in driver.receive(at * 10 * MILLISECOND, frame)
     ]
 
 
-def test_a_status_in_words() -> None:
-    tripped = said(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
+def test_the_events_of_a_status() -> None:
+    tripped = status_frame(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
     state, fault, feedback = reported(tripped)
     assert state == msg.State("m", 0, Mode.FAULT, "fault")
     assert isinstance(fault, msg.Fault)
@@ -98,15 +100,13 @@ def test_a_status_in_words() -> None:
 
 
 @pytest.mark.parametrize(("devices", "found"), [(1, 0), (2, 1)])
-def test_two_devices_at_one_address_are_noticed_by_how_often_they_speak(devices: int, found: int) -> None:
-    frame = said(codec.DeviceMode.READY, 0, 0.0, 0.0)
-    driver = templates.plugin.driver(
-        [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
-    )
+def test_a_duplicate_address_is_detected_by_too_many_messages(devices: int, found: int) -> None:
+    frame = status_frame(codec.DeviceMode.READY, 0, 0.0, 0.0)
+    driver = make_driver()
     times = range(0, SECOND + 1, codec.STATUS_PERIOD)
     events = [e for t in times for _ in range(devices) for e in driver.receive(t, frame)]
-    twice = [event for event in events if isinstance(event, msg.Found) and event.duplicate_address]
-    assert len(twice) == found
+    duplicates = [event for event in events if isinstance(event, msg.Found) and event.duplicate_address]
+    assert len(duplicates) == found
 
 
 @pytest.mark.parametrize(
@@ -117,10 +117,8 @@ def test_two_devices_at_one_address_are_noticed_by_how_often_they_speak(devices:
         (100.0001, "velocity 100 lies outside -100 … 100"),
     ],
 )
-def test_what_must_not_be_said_is_refused_with_a_sentence_and_once(value: float, reason: str) -> None:
-    driver = templates.plugin.driver(
-        [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
-    )
+def test_a_command_out_of_range_is_refused_once_with_the_reason(value: float, reason: str) -> None:
+    driver = make_driver()
     (refused,), frames = driver.send(0, [msg.Velocity("m", value)])
     assert getattr(refused, "reason", "") == reason
     assert not frames
@@ -128,7 +126,7 @@ def test_what_must_not_be_said_is_refused_with_a_sentence_and_once(value: float,
 
 
 @pytest.mark.parametrize(
-    ("word", "reason"),
+    ("message", "reason"),
     [
         (msg.Velocity("x", 1.0), "no such device here"),
         (msg.Scan("bus"), "no such device here"),
@@ -137,10 +135,8 @@ def test_what_must_not_be_said_is_refused_with_a_sentence_and_once(value: float,
         (msg.Velocity("m", 1.0, 0.5), "the device has no torque for Velocity"),
     ],
 )
-def test_what_it_cannot_do_is_refused(word: Command | Request, reason: str) -> None:
-    driver = templates.plugin.driver(
-        [Device("m", 1, templates.plugin.options(), templates.plugin.settings())]
-    )
-    (refused,), frames = driver.send(0, [word])
+def test_what_it_cannot_do_is_refused(message: Command | Request, reason: str) -> None:
+    driver = make_driver()
+    (refused,), frames = driver.send(0, [message])
     assert getattr(refused, "reason", "") == reason
     assert not frames
