@@ -1,15 +1,17 @@
-"""Three languages on one CAN FD bus: each driver gets every frame, its own devices and the bus's states."""
+"""Three protocols on one CAN FD bus: each driver gets every frame, its own devices and the bus's states."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
 
 from gateway import config
+from gateway.buses.frame_time import frame_time
 from gateway.cli.main import main
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Outputs
@@ -86,7 +88,7 @@ def test_each_motor_obeys_its_own_commands_only(rig: Rig) -> None:
 def test_every_frame_is_counted_once_by_every_protocol_and_accepted_by_one(rig: Rig) -> None:
     rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
     received = sum(len(tick.inputs.packets) for tick in rig.ticks)
-    rx_counters = {language: counters for _, language, counters in rig.gateway.rx_counters()}
+    rx_counters = {protocol: counters for _, protocol, counters in rig.gateway.rx_counters()}
     assert list(rx_counters) == list(MOTORS.values())
     assert [
         counters.accepted + counters.malformed + counters.ignored for counters in rx_counters.values()
@@ -97,6 +99,14 @@ def test_every_frame_is_counted_once_by_every_protocol_and_accepted_by_one(rig: 
         frames = [p.frame for tick in rig.ticks for p in getattr(tick, packets).packets]
         kinds = {(w.fd, w.brs, w.extended) for w in frames if isinstance(w, CanFrame)}
         assert kinds == {(False, False, False), (True, True, True)}
+
+
+def test_frames_take_their_time_on_the_bus(rig: Rig) -> None:
+    rig.run(0.5, *(Velocity(name, 1.0) for name in MOTORS))
+    packets = [packet for tick in rig.ticks for packet in tick.inputs.packets]
+    assert len(packets) > 500
+    for before, packet in pairwise(packets):
+        assert packet.t - before.t >= frame_time(packet.frame, 1_000_000, 5_000_000)
 
 
 def test_a_bus_that_vanishes_and_comes_back_is_reported_to_all_drivers(rig: Rig) -> None:
@@ -131,15 +141,15 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     reported = read(recording)
     recorded_robot = config.parse_robot(reported.robot_text)
     gateway = Gateway(recorded_robot)
-    spoilt: list[CanFrame] = []
+    corrupted: list[CanFrame] = []
 
     def step(now: Nanos, inputs: Inputs) -> Outputs:
-        """The gateway, but that the last bit of one CAN FD frame that it says is another one."""
+        """The gateway, with the last bit of one CAN FD frame that it sends inverted."""
         outputs = gateway.step(now, inputs)
         for at, packet in enumerate(outputs.packets):
             frame = packet.frame
-            if isinstance(frame, CanFrame) and frame.fd and now > SECOND // 2 and not spoilt:
-                spoilt.append(frame)
+            if isinstance(frame, CanFrame) and frame.fd and now > SECOND // 2 and not corrupted:
+                corrupted.append(frame)
                 wrong = replace(
                     packet, frame=replace(frame, data=frame.data[:-1] + bytes([frame.data[-1] ^ 1]))
                 )
@@ -149,7 +159,7 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     verdict = compare(reported, step, gateway.belief, lambda bus: decoder_of(recorded_robot, bus))
     assert (verdict.differing, verdict.ok) == (1, False)
     assert verdict.first is not None
-    assert str(spoilt[0]) in verdict.first.text
+    assert str(corrupted[0]) in verdict.first.text
 
 
 @pytest.mark.parametrize(
