@@ -365,9 +365,8 @@ def _mistake(point: EntryPoint, plugin: object) -> str:
         spec = plugin.spec(device)
     except ValueError:  # an address, or options, that it cannot have: the robot file must give others
         return ""
-    if isinstance(spec, Spec):
-        return ""
-    return f"its spec gives {type(spec).__name__}, not protocols.plugin.Spec"
+    wrong = f"its spec gives {type(spec).__name__}, not protocols.plugin.Spec"
+    return "" if isinstance(spec, Spec) else wrong
 
 
 def _required_version(point: EntryPoint, error: BaseException) -> str:

@@ -1,8 +1,8 @@
-"""A driver and its devices' twins in one for-loop: what the conformance kit plays with.
+"""The test bench: a driver, its command decoder, and the twins of its devices, stepped in one loop.
 
-Rules. Virtual time, one step a millisecond; the wire takes one step, loses nothing and keeps the order.
-Shafts and sensors are as simple as can be and have no randomness. Everything that was said is kept in
-`Said`, so that two rehearsals can be compared. Nothing here knows any device language.
+Rules. Virtual time, one step per millisecond; the bus delays replies by one step, loses nothing and keeps
+the order. Shafts and sensors are as simple as can be and have no randomness. Each step returns a
+`StepResult` with all that was transferred, so that two runs can be compared. No protocol is known here.
 """
 
 from __future__ import annotations
@@ -10,25 +10,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from protocols import messages as msg
 from protocols.conformance.random import Random
-from protocols.frames import CanFrame, Frame
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request, seconds
-from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Range, Spec, Twin
+from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Range, RxCounters, Spec, Twin
 
 T = TypeVar("T")
+Messages: TypeAlias = Sequence[Command | Request]
+"""The messages given to a driver in one step."""
 
 STEP: Nanos = MILLISECOND
 START: Nanos = 1_000_000 * MILLISECOND
 """The clock does not begin at zero: nothing may take 0 for "never"."""
-NAMES = ("alpha", "beta")
+ALPHA, BETA = NAMES = ("alpha", "beta")
 STRANGER = "stranger"
 ADDRESSES = (1, 2, 3)
-"""Of alpha, beta, and of the stranger, whom alpha's and beta's driver does not know."""
+"""Of alpha, beta, and the stranger, which the driver of alpha and beta does not know."""
 ARMING = 5000
-"""Steps in which a device must be armed."""
+"""Steps within which a device must become ready, or be armed."""
 
 
 @dataclass(slots=True)
@@ -45,10 +47,10 @@ class Shaft:
     """N·m·s/rad"""
     locked: bool = False
     load: float = 0.0
-    """N·m that the world puts on the shaft"""
+    """N·m, the external torque on the shaft"""
 
     def turn(self, torque: float, span: Nanos) -> None:
-        """Semi-implicit Euler, friction taken implicitly: stable at any torque."""
+        """Integrate by semi-implicit Euler with implicit friction: stable at any torque."""
         if self.locked or not math.isfinite(torque):
             return
         dt = seconds(span)
@@ -59,15 +61,17 @@ class Shaft:
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """What happened in one step."""
+    """All that was transferred in one step."""
 
     now: Nanos
     events: tuple[Event, ...]
-    """What the driver told, from the wire and by itself."""
+    """Reported by the driver, from received frames and by itself."""
     down: tuple[Frame, ...]
+    """Sent by the driver."""
     received: tuple[Command | Request, ...]
-    """What the ear made of `down`."""
+    """`down` as decoded by the command decoder."""
     up: tuple[Frame, ...]
+    """Sent by the devices."""
     torques: tuple[msg.Torque, ...]
     due: tuple[Nanos | None, ...]
     """Of the driver and of each twin, after the step."""
@@ -75,7 +79,7 @@ class StepResult:
 
 @dataclass(slots=True)
 class Bench:
-    """The driver, the ear and the twins of some devices, and the shafts that the twins turn."""
+    """The driver, the command decoder and the twins of some devices, and the shafts that the twins turn."""
 
     specs: tuple[Spec, ...]
     devices: tuple[Device, ...]
@@ -86,103 +90,93 @@ class Bench:
     now: Nanos = START
     count: int = 0
     """Steps taken."""
-    on_the_way: tuple[Frame, ...] = ()
-    """What the devices have said and the driver has not heard yet."""
-    armed: dict[str, Mode] = field(default_factory=dict)
-    """What the driver last told of each device's mode."""
-    tearing: Random | None = None
-    """On a serial line: tears messages, so that an end of them comes a step later. None: all come whole."""
-    torn: dict[str, bytes] = field(default_factory=dict)
-    """The ends that are still to come, by direction."""
+    in_flight: tuple[Frame, ...] = ()
+    """Frames of the devices that the driver has not received yet."""
+    modes: dict[str, Mode] = field(default_factory=dict)
+    """The mode of each device that the driver reported last."""
+    splitting: Random | None = None
+    """On a serial bus: splits messages, so that their ends arrive a step later. None: all arrive whole."""
+    split_off: dict[str, bytes] = field(default_factory=dict)
+    """The ends that have not arrived yet, by direction."""
 
     def step(
         self,
-        words: Sequence[Command | Request] = (),
-        stray_up: Sequence[Frame] = (),
-        stray_down: Sequence[Frame] = (),
+        messages: Messages = (),
+        extra_up: Sequence[Frame] = (),
+        extra_down: Sequence[Frame] = (),
         truth: Sequence[Event] = (),
     ) -> StepResult:
-        """One step. Stray wires reach the driver or the devices besides; `truth` is shown besides."""
+        """Advance one step. Extra frames reach the driver or the devices; sensors also observe `truth`."""
         self.now += STEP
         self.count += 1
-        arrived = (*stray_up, *self._tear("up", self.on_the_way))
+        arrived = (*extra_up, *self._split("up", self.in_flight))
         events = [event for frame in arrived for event in self.driver.receive(self.now, frame)]
-        own, down = self.driver.send(self.now, words)
-        down = self._tear("down", down)
+        own, down = self.driver.send(self.now, messages)
+        down = self._split("down", down)
         events += own
         for event in events:
             if isinstance(event, msg.State):
-                self.armed[event.motor] = event.mode
-        received = [word for frame in (*stray_down, *down) for word in self.decoder.decode(self.now, frame)]
+                self.modes[event.motor] = event.mode
+        received = [m for frame in (*extra_down, *down) for m in self.decoder.decode(self.now, frame)]
         up: list[Frame] = []
         torques: list[msg.Torque] = []
         for at, twin in enumerate(self.twins):
-            for frame in (*stray_down, *down):
+            for frame in (*extra_down, *down):
                 twin.receive(self.now, frame)
-            said = twin.step(self.now, (*self._shown(at), *truth))
-            torques += said[0]
-            up += said[1]
-            self._share(at, said[1])
+            applied, sent = twin.step(self.now, (*self._observed(at), *truth))
+            torques += applied
+            up += sent
+            self._distribute(at, sent)
         for torque in torques:
             self.shafts[torque.motor].turn(torque.torque, STEP)
-        self.on_the_way = tuple(up)
+        self.in_flight = tuple(up)
         due = (self.driver.due(), *(twin.due() for twin in self.twins))
         return StepResult(
             self.now, tuple(events), tuple(down), tuple(received), tuple(up), tuple(torques), due
         )
 
-    def steps(self, count: int, words: Sequence[Command | Request] = ()) -> list[StepResult]:
-        """So many steps with the same words."""
-        return [self.step(words) for _ in range(count)]
+    def steps(self, count: int, messages: Messages = ()) -> list[StepResult]:
+        """Advance `count` steps with the same messages."""
+        return [self.step(messages) for _ in range(count)]
 
     def arm(self, make: Callable[[str], Command]) -> bool:
-        """Say a gentle command until every motor is armed; False if one is not in `ARMING` steps.
+        """Command every motor until all are armed; False if one is not within `ARMING` steps.
 
-        A device that tells nothing of its state is taken to be armed after a tenth of them."""
+        A device that reports no state is assumed to be armed after a tenth of them."""
         motors = [d.name for d in self.devices]
         for count in range(ARMING):
             self.step([make(name) for name in motors])
-            if all(self.armed.get(name) == Mode.ARMED for name in motors):
+            if all(self.modes.get(name) == Mode.ARMED for name in motors):
                 return True
-            if count > ARMING // 10 and not self.armed:
+            if count > ARMING // 10 and not self.modes:
                 return True
         return False
 
-    def _tear(self, way: str, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """What of these wires and of what was torn before arrives in this step."""
-        if self.tearing is None or not all(isinstance(frame, bytes) for frame in frames):
+    def _split(self, direction: str, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Return what of these frames and of earlier ends arrives in this step."""
+        if self.splitting is None or not all(isinstance(frame, bytes) for frame in frames):
             return frames
-        stream = self.torn.get(way, b"") + b"".join(frame for frame in frames if isinstance(frame, bytes))
-        at = len(stream) - self.tearing.below(min(len(stream), 9) + 1)
-        self.torn[way] = stream[at:]
+        sent = b"".join(frame for frame in frames if isinstance(frame, bytes))
+        stream = self.split_off.get(direction, b"") + sent
+        at = len(stream) - self.splitting.below(min(len(stream), 9) + 1)
+        self.split_off[direction] = stream[at:]
         return [stream[:at]] if at else []
 
-    def _shown(self, at: int) -> list[Event]:
-        """What the world shows to a device in this step."""
+    def _observed(self, at: int) -> list[Event]:
+        """Return what a device measures in this step."""
         device, spec = self.devices[at], self.specs[at]
         if spec.kind == "motor":
             shaft = self.shafts[device.name]
             return [msg.Feedback(device.name, self.now, shaft.position, shaft.velocity)]
-        return list(sights(device.name, self.now, self.count)) if self.count % 10 == 1 else []
+        return list(sensor_events(device.name, self.now, self.count)) if self.count % 10 == 1 else []
 
-    def _share(self, at: int, frames: Sequence[Frame]) -> None:
-        """On a CAN bus every node hears every other; a serial line has two directions."""
+    def _distribute(self, at: int, frames: Sequence[Frame]) -> None:
+        """Pass CAN frames on to the other devices: on CAN all receive all, on serial only the host does."""
         for other, twin in enumerate(self.twins):
             if other != at:
                 for frame in frames:
                     if isinstance(frame, CanFrame):
                         twin.receive(self.now, frame)
-
-
-def sights(sensor: str, t: Nanos, count: int) -> tuple[msg.Imu, msg.LaserScan, msg.Fix]:
-    """Something to be seen for each kind of sensor, other numbers each time."""
-    wave = math.sin(0.37 * count)
-    ranges = tuple(2.0 + math.sin(0.37 * count + 0.1 * beam) for beam in range(36))
-    return (
-        msg.Imu(sensor, t, (0.1 * wave, -0.2 * wave, wave), (0.3 * wave, 0.2, 9.81)),
-        msg.LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges),
-        msg.Fix(sensor, t, 48.0 + 1e-6 * wave, 11.0, 500.0 + wave, 4.0),
-    )
 
 
 def make_bench(
@@ -192,7 +186,7 @@ def make_bench(
     names: Sequence[str],
     settings: object = None,
 ) -> Bench:
-    """A rehearsal of devices as they come out of the box (None), or with other settings on them."""
+    """Set up new devices with these settings (None: as delivered)."""
     devices = tuple(
         Device(name, address, options, plugin.settings() if settings is None else settings)
         for name, address in zip(names, addresses, strict=True)
@@ -207,39 +201,114 @@ def make_bench(
     )
 
 
-# -- words to say --------------------------------------------------------------------------------------
+def sensor_events(sensor: str, t: Nanos, count: int) -> tuple[msg.Imu, msg.LaserScan, msg.Fix]:
+    """Return a measurement for each kind of sensor, with other numbers for each count."""
+    wave = math.sin(0.37 * count)
+    ranges = tuple(2.0 + math.sin(0.37 * count + 0.1 * beam) for beam in range(36))
+    return (
+        msg.Imu(sensor, t, (0.1 * wave, -0.2 * wave, wave), (0.3 * wave, 0.2, 9.81)),
+        msg.LaserScan(sensor, t, -math.pi, math.pi / 18, 0.1, 10.0, ranges),
+        msg.Fix(sensor, t, 48.0 + 1e-6 * wave, 11.0, 500.0 + wave, 4.0),
+    )
 
 
-def gentle(kind: type[Command], ranges: dict[str, Range]) -> Callable[[str], Command]:
-    """A command of this kind that asks as little as the device's ranges allow."""
-
-    def make(motor: str) -> Command:
-        if kind is msg.Idle or kind is msg.Hold:
-            return kind(motor)
-        return build(kind, motor, {name: nearest(ranges[key], 0.0) for name, key in numbers(kind, ranges)})
-
-    return make
+# -- wrappers, put between driver and twins to disturb them ----------------------------------------------
 
 
-def build(kind: type[Command], motor: str, values: dict[str, float]) -> Command:
-    """A command with these numbers, zero for the others."""
+@dataclass(slots=True)
+class DriverWrapper:
+    """A driver in the place of another, to which it forwards every call; subclasses change some."""
+
+    driver: Driver
+
+    @property
+    def counters(self) -> RxCounters:
+        """The driver's counters."""
+        return self.driver.counters
+
+    @counters.setter
+    def counters(self, counters: RxCounters) -> None:
+        self.driver.counters = counters
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        """Forward the call."""
+        return self.driver.receive(t, frame)
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        """Forward the call."""
+        self.driver.bus(t, state)
+
+    def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Forward the call."""
+        return self.driver.send(now, messages)
+
+    def due(self) -> Nanos | None:
+        """Forward the call."""
+        return self.driver.due()
+
+
+@dataclass(slots=True)
+class TwinWrapper:
+    """A twin in the place of another, to which it forwards every call; subclasses change some."""
+
+    twin: Twin
+
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        """Forward the call."""
+        self.twin.receive(t, frame)
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
+        """Forward the call."""
+        return self.twin.step(now, truth)
+
+    def due(self) -> Nanos | None:
+        """Forward the call."""
+        return self.twin.due()
+
+    def provoke(self, code: int) -> None:
+        """Forward the call."""
+        self.twin.provoke(code)
+
+
+# -- messages to give to a driver ------------------------------------------------------------------------
+
+
+def build(
+    kind: type[Command], motor: str, ranges: dict[str, Range], values: dict[str, float] | None = None
+) -> Command:
+    """Return a command with these values, 0.0 for the others, each limited to the device's range.
+
+    Without values it is the gentlest command of its kind. Numbers without a range are 0.0."""
+    limited = {
+        name: nearest(ranges[key], (values or {}).get(name, 0.0)) for name, key in numbers(kind, ranges)
+    }
+    return exactly(kind, motor, limited)
+
+
+def exactly(kind: type[Command], motor: str, values: dict[str, float]) -> Command:
+    """Return a command with exactly these values, 0.0 for the others."""
     names = [f.name for f in fields(kind) if f.name != "motor"]
     return kind(motor, *[values.get(name, 0.0) for name in names])
 
 
+def gentle(kind: type[Command], ranges: dict[str, Range]) -> Callable[[str], Command]:
+    """Return a function from a motor to its gentlest command of this kind."""
+    return lambda motor: build(kind, motor, ranges)
+
+
 def numbers(kind: type[Message], ranges: dict[str, Range]) -> list[tuple[str, str]]:
-    """The fields of a word that the device's spec has a range for, and the names of the ranges."""
+    """Return the fields of a message that the device's spec has a range for, with the ranges' names."""
     keys = [(f.name, f"{kind.__name__}.{f.name}") for f in fields(kind)]
     return [(name, key) for name, key in keys if key in ranges]
 
 
 def nearest(bounds: Range, value: float) -> float:
-    """The value, or the limit that it lies behind."""
+    """Limit a value to a range."""
     return max(bounds.low, min(bounds.high, value))
 
 
 def request(kind: type[Request], motor: str) -> Request | None:
-    """A request of this kind that a device may well get, or None: it is no device's business."""
+    """Return a request of this kind that a device may get; None if it is not for a device."""
     if kind is msg.Scan:
         return msg.Scan("bus")
     if kind is msg.SetId:
@@ -254,104 +323,102 @@ def request(kind: type[Request], motor: str) -> Request | None:
 
 
 def script(spec: Spec, names: Sequence[str]) -> Iterator[tuple[Command | Request, ...]]:
-    """A busy day, step by step: listening, every command, every request, silence, and Idle."""
-    quiet: tuple[Command | Request, ...] = ()
-    yield from [quiet] * 150
+    """Yield the messages of each step: none, every command, every request, none, and Idle."""
+    nothing: tuple[Command | Request, ...] = ()
+    yield from [nothing] * 150
     for kind in sorted(spec.commands, key=lambda kind: kind.__name__):
         for step in range(60):
-            # The device at the end of the line lags behind, so that the two are not always in step.
-            speaking = names if step > 20 else names[:1]
-            yield tuple(_mild(kind, name, spec, step) for name in speaking)
-    for asked in sorted(spec.requests, key=lambda kind: kind.__name__):
+            # The second device starts later, so that the two are not always in the same state.
+            commanded = names if step > 20 else names[:1]
+            yield tuple(_slow(kind, name, spec, step) for name in commanded)
+    for requested in sorted(spec.requests, key=lambda kind: kind.__name__):
         for name in names:
-            word = request(asked, name)
-            yield (word,) if word else ()
-            yield from [quiet] * 25
+            message = request(requested, name)
+            yield (message,) if message else ()
+            yield from [nothing] * 25
     if spec.commands:
         yield from [tuple(msg.Idle(name) for name in names)] * 50
-    yield from [quiet] * 300
+    yield from [nothing] * 300
 
 
-def _mild(kind: type[Command], motor: str, spec: Spec, step: int) -> Command:
-    if kind in (msg.Idle, msg.Hold):
-        return gentle(kind, spec.ranges)(motor)
+def _slow(kind: type[Command], motor: str, spec: Spec, step: int) -> Command:
+    """Return a command that varies slowly with the step."""
     size = {"stiffness": 0.5, "damping": 0.05, "torque": 0.01}
-    values = {
-        name: nearest(spec.ranges[key], size.get(name, 1.0) * math.sin(0.1 * step + len(motor)))
-        for name, key in numbers(kind, spec.ranges)
-    }
-    return build(kind, motor, values)
+    wave = math.sin(0.1 * step + len(motor))
+    values = {name: size.get(name, 1.0) * wave for name, _ in numbers(kind, spec.ranges)}
+    return build(kind, motor, spec.ranges, values)
 
 
-# -- looking at words and wires ------------------------------------------------------------------------
+# -- comparing messages, and shortening counterexamples --------------------------------------------------
 
 
-def finite(word: Message) -> bool:
-    """Whether every number in a word is finite."""
-    return all(math.isfinite(number) for number in _floats(word))
+def finite(message: Message) -> bool:
+    """True if every number in a message is finite."""
+    return all(math.isfinite(number) for number in floats(message))
 
 
-def _floats(value: object) -> Iterator[float]:
+def floats(value: object) -> Iterator[float]:
+    """Yield every float in a message."""
     if isinstance(value, float):
         yield value
     elif isinstance(value, tuple):
         for item in value:
-            yield from _floats(item)
+            yield from floats(item)
     elif is_dataclass(value):
         for f in fields(value):
-            yield from _floats(getattr(value, f.name))
+            yield from floats(getattr(value, f.name))
 
 
-def within(word: Command, ranges: dict[str, Range]) -> bool:
-    """Whether every number of a command lies in the range that the spec has for it."""
-    named = [(getattr(word, name), ranges[key]) for name, key in numbers(type(word), ranges)]
+def within(command: Command, ranges: dict[str, Range]) -> bool:
+    """True if every number of a command is within the range that the spec has for it."""
+    named = [(getattr(command, name), ranges[key]) for name, key in numbers(type(command), ranges)]
     return all(bounds.low <= number <= bounds.high for number, bounds in named)
 
 
-def close(said: float, received: float | None, bounds: Range) -> bool:
-    """Whether a number came through within the declared resolution (and a few bits of float64)."""
+def close(sent: float, received: float | None, bounds: Range) -> bool:
+    """True if a number arrived within the declared resolution (and a few bits of float64)."""
     if received is None:
         return False
-    slack = bounds.resolution + bounds.relative * abs(said) + 4 * math.ulp(said)
-    return abs(said - received) <= slack
+    slack = bounds.resolution + bounds.relative * abs(sent) + 4 * math.ulp(sent)
+    return abs(sent - received) <= slack
 
 
-def same(said: Message, received: Message, ranges: dict[str, Range]) -> bool:
-    """Whether a word came through: its kind, its name, and each number that the spec has a range for."""
-    if type(said) is not type(received) or _name(said) != _name(received):
+def same(sent: Message, received: Message, ranges: dict[str, Range]) -> bool:
+    """True if a message arrived: its type, its subject, and each number that the spec has a range for."""
+    if type(sent) is not type(received) or _subject(sent) != _subject(received):
         return False
     return all(
-        _close(getattr(said, name), getattr(received, name), ranges[key])
-        for name, key in numbers(type(said), ranges)
+        _close(getattr(sent, name), getattr(received, name), ranges[key])
+        for name, key in numbers(type(sent), ranges)
     )
 
 
-def _close(said: Any, received: Any, bounds: Range) -> bool:  # noqa: ANN401 -- a field of any word
-    if said is None or received is None:
-        return said is received
-    if isinstance(said, tuple):
-        return len(said) == len(received) and all(
-            close(one, other, bounds) for one, other in zip(said, received, strict=True)
+def _close(sent: Any, received: Any, bounds: Range) -> bool:  # noqa: ANN401 -- a field of any message
+    if sent is None or received is None:
+        return sent is received
+    if isinstance(sent, tuple):
+        return len(sent) == len(received) and all(
+            close(one, other, bounds) for one, other in zip(sent, received, strict=True)
         )
-    return close(said, received, bounds)
+    return close(sent, received, bounds)
 
 
-def _name(word: Message) -> object:
-    return getattr(word, "motor", getattr(word, "sensor", None))
+def _subject(message: Message) -> object:
+    return getattr(message, "motor", getattr(message, "sensor", None))
 
 
 def with_data(frame: Frame, data: bytes) -> Frame:
-    """The same wire with other bytes in it."""
+    """Return the same frame with other data."""
     return replace(frame, data=data) if isinstance(frame, CanFrame) else data
 
 
 def data_of(frame: Frame) -> bytes:
-    """The bytes in a wire."""
+    """Return the data of a frame."""
     return frame.data if isinstance(frame, CanFrame) else frame
 
 
 def fewest(items: Sequence[T], fails: Callable[[Sequence[T]], bool]) -> Sequence[T]:
-    """As few of these, in their order, as still fail. `fails` must be true of all of them."""
+    """Return as few of these, in their order, as still fail. `fails` must be true of all of them."""
     kept = list(items)
     size = max(len(kept) // 2, 1)
     while size:
@@ -367,10 +434,10 @@ def fewest(items: Sequence[T], fails: Callable[[Sequence[T]], bool]) -> Sequence
 
 
 def shortest(frame: Frame, fails: Callable[[Frame], bool]) -> Frame:
-    """A wire with as few and as plain bytes as still fail. `fails` must be true of `wire`."""
+    """Return a frame with as few bytes, most of them zero, as still fails. `fails(frame)` must be true."""
     data = bytes(fewest(data_of(frame), lambda data: fails(with_data(frame, bytes(data)))))
     for at in range(len(data)):
-        plainer = data[:at] + b"\0" + data[at + 1 :]
-        if plainer != data and fails(with_data(frame, plainer)):
-            data = plainer
+        simpler = data[:at] + b"\0" + data[at + 1 :]
+        if simpler != data and fails(with_data(frame, simpler)):
+            data = simpler
     return with_data(frame, data)

@@ -1,104 +1,104 @@
-"""What a clause is given and what it gives back. Values, but for the rehearsals that a case starts."""
+"""A case, what a clause is given; and Failure and Inapplicable, which a clause raises."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import zip_longest
-from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from zlib import crc32
 
 from protocols.conformance import bench as play
 from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Bench, StepResult
 from protocols.conformance.random import Random
 from protocols.frames import Frame
-from protocols.messages import Idle, Message
+from protocols.messages import Command, Idle, Message
 from protocols.plugin import Device, Plugin, RxCounters, Spec
 
 T = TypeVar("T")
+SAMPLE = 3
+"""With options other than the default ones, one in so many trials is made (`Case.sample`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """What is wrong, and the shortest bytes and words that show it."""
+class Failure(Exception):
+    """The plugin breaks a clause: what is wrong, and the shortest frames and messages that show it."""
 
-    text: str
-    frames: tuple[Frame, ...] = ()
-    words: tuple[Message, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Inapplicable:
-    """Why the spec makes a clause say nothing of the device."""
-
-    reason: str
+    def __init__(self, text: str, frames: Sequence[Frame] = (), messages: Sequence[Message] = ()) -> None:
+        super().__init__(text)
+        self.text, self.frames, self.messages = text, tuple(frames), tuple(messages)
 
 
-Verdict: TypeAlias = Failure | Inapplicable | None
-"""None: the clause is kept."""
+class Inapplicable(Exception):
+    """The clause does not apply to the device, and which part of the spec makes it so."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Case:
-    """A plugin to be tried, with one set of options."""
+    """A plugin with one set of options."""
 
     plugin: Plugin
     options: Any
     seed: int
     addresses: tuple[int, int, int]
-    """Of alpha and beta, who have one driver, and of a stranger whom it does not know."""
-    kept: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
-    """What is worked out once: the specs, and a busy day."""
+    """Of alpha and beta, which have one driver, and of a stranger, which it does not know."""
 
     def start(self) -> Bench:
-        """Alpha and beta, as they come out of the box."""
+        """Set up alpha and beta as delivered."""
         return play.make_bench(self.plugin, self.options, self.addresses[:2], NAMES)
 
     def stranger(self) -> Bench:
-        """A third device with a driver of its own."""
+        """Set up a third device with a driver of its own."""
         return play.make_bench(self.plugin, self.options, self.addresses[2:], (STRANGER,))
 
     def armed(self) -> Bench | None:
-        """Alpha and beta with motors armed by the gentlest command there is; None if they do not arm."""
-        stage, spec = self.start(), self.spec
-        kinds = by_name(spec.commands - {Idle})
-        if kinds and not stage.arm(play.gentle(kinds[0], spec.ranges)):
-            return None
-        return stage
+        """Set up alpha and beta, armed by the gentlest command; None if they do not arm."""
+        bench = self.start()
+        kinds = self.kinds
+        return None if kinds and not bench.arm(play.gentle(kinds[0], self.spec.ranges)) else bench
 
-    @property
+    @cached_property
     def specs(self) -> tuple[Spec, ...]:
         """Of alpha and beta."""
-        if "specs" not in self.kept:
-            self.kept["specs"] = self.start().specs
-        specs: tuple[Spec, ...] = self.kept["specs"]
-        return specs
-
-    @property
-    def day(self) -> tuple[StepResult, ...]:
-        """Alpha's and beta's busy day, over a wire without faults."""
-        if "day" not in self.kept:
-            stage = self.start()
-            self.kept["day"] = tuple(stage.step(words) for words in play.script(self.spec, NAMES))
-        day: tuple[StepResult, ...] = self.kept["day"]
-        return day
-
-    @property
-    def usual(self) -> bool:
-        """Whether this is the plugin with its default options: the first of `variants`."""
-        return bool(self.options == self.plugin.options())
+        return self.start().specs
 
     @property
     def spec(self) -> Spec:
         """Alpha's; beta's differs in its ids only."""
         return self.specs[0]
 
-    def part(self, count: int) -> int:
-        """So many with the plugin's usual options, or where these make a device of another kind; else a
-        quarter of them: other options seldom make another device."""
+    @property
+    def kinds(self) -> list[type[Command]]:
+        """The commands that arm: all but Idle, by name."""
+        return by_name(self.spec.commands - {Idle})
+
+    @cached_property
+    def baseline(self) -> tuple[StepResult, ...]:
+        """The steps of the whole `script`, on a bus without faults."""
+        bench = self.start()
+        return tuple(bench.step(messages) for messages in play.script(self.spec, NAMES))
+
+    @property
+    def default(self) -> bool:
+        """True for the plugin's default options: the first of `variants`."""
+        return bool(self.options == self.plugin.options())
+
+    @cached_property
+    def whole(self) -> bool:
+        """True for the default options, and for options that make it another kind of device."""
         usual = Device(NAMES[0], self.addresses[0], self.plugin.options(), self.plugin.settings())
-        if "whole" not in self.kept:
-            self.kept["whole"] = self.usual or self.plugin.spec(usual).kind != self.spec.kind
-        return count if self.kept["whole"] else -(-count // 4)
+        return self.default or self.plugin.spec(usual).kind != self.spec.kind
+
+    def share(self, count: int) -> int:
+        """Return `count`, or a quarter of it with other options: these seldom make another device."""
+        return count if self.whole else -(-count // 4)
+
+    def sample(self, items: Sequence[T]) -> list[T]:
+        """Return all of these, or with other options one in `SAMPLE` of them, chosen by the seed."""
+        if self.whole:
+            return list(items)
+        first = crc32(f"{self.seed} {self.options}".encode()) % SAMPLE
+        return list(items[first::SAMPLE]) or list(items[:1])
 
     @property
     def sends(self) -> frozenset[int]:
@@ -111,12 +111,12 @@ class Case:
         return frozenset(i for spec in self.specs for i in spec.expects)
 
     def random(self) -> Random:
-        """A generator that starts anew for each clause."""
+        """Return a new generator; each clause starts from the same seed."""
         return Random(self.seed)
 
 
 def variants(plugin: Plugin) -> Iterator[Any]:
-    """The plugin's default options, then those that differ in one Literal or bool each."""
+    """Yield the plugin's default options, then those that differ in one Literal or bool each."""
     default = plugin.options()
     yield default
     hints = get_type_hints(plugin.options)
@@ -128,40 +128,35 @@ def variants(plugin: Plugin) -> Iterator[Any]:
                 try:
                     yield plugin.options(**{f.name: value})
                 except ValueError:
-                    continue  # It does not stand alone; the plugin says so itself.
+                    continue  # Not valid alone, as the plugin itself checks.
 
 
 def by_name(kinds: Iterable[type[T]]) -> list[type[T]]:
-    """Kinds of words in an order that is always the same."""
+    """Return types of messages in an order that is always the same."""
     return sorted(kinds, key=lambda kind: kind.__name__)
 
 
 def counts(counters: RxCounters) -> tuple[int, int, int]:
-    """(heard, bad, foreign), a value that can be kept and compared."""
+    """Return (accepted, malformed, ignored), a value that can be kept and compared."""
     return counters.accepted, counters.malformed, counters.ignored
 
 
 def difference(
     one: StepResult, other: StepResult, this: str, that: str, frames: Sequence[Frame] = ()
 ) -> Failure:
-    """Where two steps that should be alike are not: the first part, and in it the first thing."""
+    """Return where two steps that should be equal differ: the first field, and in it the first item."""
     for f in fields(StepResult):
         left, right = getattr(one, f.name), getattr(other, f.name)
         if left == right:
             continue
         if isinstance(left, tuple):
-            left, right = _first(left, right)
+            pairs = zip_longest(left, right, fillvalue="nothing")
+            left, right = next((a, b) for a, b in pairs if a != b)
         text = f"{f.name} in ms {(one.now - START) // STEP} {this}: {shown(left)}; {that}: {shown(right)}"
-        return Failure(text, tuple(frames) or (*one.down, *other.down)[:4])
+        return Failure(text, frames or (*one.down, *other.down)[:4])
     return Failure(f"{this} and {that} differ")
 
 
-def _first(left: tuple[object, ...], right: tuple[object, ...]) -> tuple[object, object]:
-    """The first two things that differ; "nothing" where one side is shorter."""
-    pairs = zip_longest(left, right, fillvalue="nothing")
-    return next((a, b) for a, b in pairs if a != b)
-
-
 def shown(thing: object) -> str:
-    """A wire as a person reads it (bytes in hex, a frame as candump has it), or a word."""
+    """Return a frame as a person reads it (bytes in hex, a CAN frame in candump's notation), or a message."""
     return (thing.hex(" ") or "(no bytes)") if isinstance(thing, bytes) else str(thing)

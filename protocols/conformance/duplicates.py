@@ -1,7 +1,7 @@
-"""An address that two devices hold: the driver notices, and says so by `Found.duplicate_address`.
+"""Duplicate addresses: the driver detects them, and reports them by `Found.duplicate_address`.
 
-Rules. The two are different pieces (another seed, so another serial number where the language has one) on
-different shafts. Nobody commands them. What each says the other hears too.
+Rules. The two devices differ (another seed, so another serial number where the protocol has one) and are on
+different shafts. They are not commanded. Each receives what the other sends.
 """
 
 from __future__ import annotations
@@ -9,34 +9,39 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
+from protocols.conformance.bench import TwinWrapper
+from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.frames import Frame
 from protocols.messages import Event, Feedback, Found, Nanos, Torque
 from protocols.plugin import Twin
 
 BOUND = 12_000
-"""Steps in which an address held twice must have been noticed."""
+"""Steps within which a duplicate address must be detected."""
 APART = 2.375
 """rad between the two shafts."""
 
 
 @dataclass(slots=True)
-class Pair:
-    """Two devices at one address, in the place of one."""
+class Pair(TwinWrapper):
+    """Two devices at one address, in the place of one. Faults are provoked in the first."""
 
-    twin: Twin
     other: Twin
     last: tuple[Frame, ...] = ()
-    """A wire of each, the last time that both spoke at once."""
+    """A frame of each, from the last time that both sent at once."""
 
     def receive(self, t: Nanos, frame: Frame) -> None:
-        """Both hear it."""
+        """Pass the frame to both."""
         self.twin.receive(t, frame)
         self.other.receive(t, frame)
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
-        """Both run; the other's shaft stands elsewhere. The torque is that of the first."""
-        elsewhere = [replace(e, position=_there(e.position)) if isinstance(e, Feedback) else e for e in truth]
+        """Step both; the other's shaft has another position. The torque is that of the first."""
+        elsewhere = [
+            replace(event, position=event.position + APART)
+            if isinstance(event, Feedback) and event.position is not None
+            else event
+            for event in truth
+        ]
         torques, frames = self.twin.step(now, truth)
         theirs = self.other.step(now, elsewhere)[1]
         self.last = (frames[-1], theirs[-1]) if frames and theirs else self.last
@@ -47,34 +52,25 @@ class Pair:
         return torques, (*frames, *theirs)
 
     def due(self) -> Nanos | None:
-        """Of whichever is due first."""
+        """Return when the first of them is due."""
         moments = [due for due in (self.twin.due(), self.other.due()) if due is not None]
         return min(moments, default=None)
 
-    def provoke(self, code: int) -> None:
-        """The first one's."""
-        self.twin.provoke(code)
 
-
-def _there(position: float | None) -> float | None:
-    return None if position is None else position + APART
-
-
-def duplicate_address_is_noticed(case: Case) -> Verdict:
-    """Two devices at alpha's address are noticed in bounded time; without them nobody is accused."""
+def duplicate_address_is_detected(case: Case) -> None:
+    """Two devices at alpha's address are detected in bounded time; different addresses are not reported."""
     if case.spec.bus == "serial":
-        return Inapplicable("the spec's bus is serial: two that speak at once garble each other's bytes")
-    for said in case.day:
-        for event in said.events:
+        raise Inapplicable("the spec's bus is serial: two that send at once garble each other's bytes")
+    for step in case.baseline:
+        for event in step.events:
             if isinstance(event, Found) and event.duplicate_address:
-                return Failure("told to be held twice, and is not", said.up[:4], (event,))
-    stage, address = case.start(), case.addresses[0]
-    pair = Pair(stage.twins[0], case.plugin.twin(stage.devices[0], 2))
-    stage.twins[0] = pair
+                raise Failure("a duplicate address is reported, and there is none", step.up[:4], (event,))
+    bench, address = case.start(), case.addresses[0]
+    pair = Pair(bench.twins[0], case.plugin.twin(bench.devices[0], 2))
+    bench.twins[0] = pair
     for _ in range(BOUND):
-        said = stage.step()
-        for event in said.events:
+        for event in bench.step().events:
             if isinstance(event, Found) and event.duplicate_address and event.address == address:
-                return None
-    text = f"address {address} is held twice, and in {BOUND // 1000} s no Found says so by `twice`"
-    return Failure(text, pair.last)
+                return
+    text = f"two devices have address {address}, and in {BOUND // 1000} s no Found has `duplicate_address`"
+    raise Failure(text, pair.last)

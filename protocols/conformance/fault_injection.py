@@ -1,9 +1,8 @@
-"""What goes wrong on purpose: cables that are cut, hosts that die or share a bus, loads that hang on a shaft.
+"""Fault injection: cables that are cut, hosts that stop or share a bus, loads on a shaft.
 
-Rules. A `Scene` is a rehearsal that keeps what a failure must show: the words that were said, one of each
-run of a kind, and the last wires that a device obeyed. Trouble is put between driver and twin, never into
-them. Everything polls: a scene goes on until a condition holds or a bound is reached. What a clause tries
-is tried whole with the plugin's usual options, and in part with each other value of an option (`some`).
+Rules. A `Rig` is a bench that logs what a failure must show: the messages that were given, one of each run
+of equal types, and the last frames that a device obeyed. Faults are injected between driver and twin, never
+into them. Waiting is polling: a rig is stepped until a condition holds or a bound is reached.
 """
 
 from __future__ import annotations
@@ -11,332 +10,286 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias, TypeVar
-from zlib import crc32
+from typing import Any, TypeAlias
 
 from protocols import messages as msg
 from protocols.conformance import bench as play
-from protocols.conformance.bench import ARMING, NAMES, STEP, Bench, StepResult
+from protocols.conformance.bench import ALPHA, ARMING, NAMES, STEP, Bench, Messages, StepResult
 from protocols.conformance.case import Case, Failure, by_name
-from protocols.frames import BusState, Frame
+from protocols.frames import Frame
 from protocols.messages import Command, Event, Message, Mode, Nanos, Request
-from protocols.plugin import Device, Driver, Range, RxCounters, Spec, Twin
+from protocols.plugin import Driver, Range, Spec
 
-Messages: TypeAlias = Sequence[Command | Request]
-Saying: TypeAlias = Callable[[int], Messages]
-"""What is said, by the number of the step."""
-T = TypeVar("T")
-PART = 3
-"""With options beside the usual ones, one in so many of the tries is made."""
+Giving: TypeAlias = Callable[[int], Messages]
+"""The messages to give, by the number of the step."""
 SPEED = 2.0
 """rad/s at which shafts are turned."""
 SLACK = 0.01
 """rad that a shaft may give way beside the declared resolution: half a degree."""
 STILL = 1e-9
-"""N·m that count as none."""
+"""N·m that count as zero."""
 
 
 @dataclass(slots=True)
-class Cable:
-    """A twin at the end of a cable of which either direction can be cut."""
+class Cable(play.TwinWrapper):
+    """A twin at the end of a cable, of which either direction can be cut."""
 
-    twin: Twin
     up: bool = True
     down: bool = True
-    spoke: Nanos = 0
-    """When it last said something that arrived."""
+    sent_at: Nanos = 0
+    """When it last sent something that arrived."""
 
     def receive(self, t: Nanos, frame: Frame) -> None:
-        """To the device, unless cut."""
+        """Pass the frame to the device, unless cut."""
         if self.down:
             self.twin.receive(t, frame)
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
-        """The device runs on; what it says is lost when cut."""
+        """Step the device; what it sends is lost when cut."""
         torques, frames = self.twin.step(now, truth)
         if frames and self.up:
-            self.spoke = now
+            self.sent_at = now
         return torques, frames if self.up else ()
-
-    def due(self) -> Nanos | None:
-        """The device's."""
-        return self.twin.due()
-
-    def provoke(self, code: int) -> None:
-        """The device's."""
-        self.twin.provoke(code)
 
 
 @dataclass(slots=True)
-class Host:
-    """The driver in a host that may die, be lazy, hear itself, or have another host beside it."""
+class Host(play.DriverWrapper):
+    """The driver in a host that may stop, be lazy, receive its own frames, or share the bus with another."""
 
-    driver: Driver
     alive: bool = True
     lazy: bool = False
-    """It calls the driver only when there is a word to say, or when the driver is due."""
+    """It calls the driver only when there is a message to send, or when the driver is due."""
     echo: bool = False
-    """The bus gives back what this host has sent."""
+    """The bus returns what this host has sent."""
     dropping: bool = False
-    """What our driver sends finds no room in the transmit queue."""
+    """The transmit queue is full: what our driver sends is lost."""
     other: Driver | None = None
-    """Another host on the bus, ..."""
-    others_words: Messages = ()
-    """... and what it says."""
+    """The driver of another host on the bus, ..."""
+    others_messages: Messages = ()
+    """... and what it is given."""
     sent: tuple[Frame, ...] = ()
-    """What our driver sent in the last step, without the other's."""
-
-    @property
-    def counters(self) -> RxCounters:
-        """The driver's."""
-        return self.driver.counters
-
-    @counters.setter
-    def counters(self, counters: RxCounters) -> None:
-        self.driver.counters = counters
+    """What our driver sent in the last step, without the other's frames."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """Both hosts hear; only ours tells."""
+        """Pass the frame to both hosts; return the events of ours."""
         if self.other is not None:
             self.other.receive(t, frame)
         return self.driver.receive(t, frame) if self.alive else ()
 
-    def bus(self, t: Nanos, state: BusState) -> None:
-        """The driver's."""
-        self.driver.bus(t, state)
-
-    def send(self, now: Nanos, words: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """What both hosts send; what ours tells."""
+    def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Return the events of our host and the frames of both."""
         events: list[Event] = []
-        back, self.sent = self.sent if self.echo else (), ()
+        echoed, self.sent = self.sent if self.echo else (), ()
         if self.alive:
-            events += [event for frame in back for event in self.driver.receive(now, frame)]
+            events += [event for frame in echoed for event in self.driver.receive(now, frame)]
             due = self.driver.due()
-            if words or not self.lazy or (due is not None and now >= due):
-                own, frames = self.driver.send(now, words)
+            if messages or not self.lazy or (due is not None and now >= due):
+                own, frames = self.driver.send(now, messages)
                 events += own
                 self.sent = () if self.dropping else tuple(frames)
-        theirs = self.other.send(now, self.others_words)[1] if self.other is not None else ()
+        theirs = self.other.send(now, self.others_messages)[1] if self.other is not None else ()
         return events, (*theirs, *self.sent)
-
-    def due(self) -> Nanos | None:
-        """The driver's."""
-        return self.driver.due()
 
 
 @dataclass(slots=True)
-class Scene:
-    """A rehearsal in which things go wrong."""
+class Rig:
+    """A bench whose cables and host can fail, with a log."""
 
-    stage: Bench
+    bench: Bench
     host: Host
     cables: dict[str, Cable]
-    said: list[tuple[Command | Request, ...]] = field(default_factory=list)
-    """What was said, the last of each run of words of the same kinds."""
+    given: list[tuple[Command | Request, ...]] = field(default_factory=list)
+    """The messages given to the driver: the last of each run of the same types."""
     obeyed: list[Frame] = field(default_factory=list)
-    """The last wires in which the ear heard a word."""
-    passed: list[Frame] = field(default_factory=list)
-    """The last wires from the devices, no two alike."""
+    """The last frames in which the decoder decoded a message."""
+    replies: list[Frame] = field(default_factory=list)
+    """The last frames of the devices, all different."""
     obeys: dict[str, Command] = field(default_factory=dict)
     """The last command that each device would obey."""
     faults: list[msg.Fault] = field(default_factory=list)
-    """Told since this was last emptied."""
+    """Reported since this was last emptied."""
     offline: dict[str, Nanos] = field(default_factory=dict)
-    """When each motor was last told to be offline."""
+    """When each motor was last reported offline."""
     measured: dict[str, float] = field(default_factory=dict)
-    """rad, as last told."""
+    """rad, as last reported."""
 
     @property
     def names(self) -> list[str]:
         """Of the devices."""
-        return [device.name for device in self.stage.devices]
+        return [device.name for device in self.bench.devices]
 
     @property
     def spec(self) -> Spec:
         """Alpha's."""
-        return self.stage.specs[0]
+        return self.bench.specs[0]
 
     @property
     def now(self) -> Nanos:
         """The time of the last step."""
-        return self.stage.now
+        return self.bench.now
 
-    def mode(self, name: str = NAMES[0]) -> Mode | None:
-        """What the driver last told."""
-        return self.stage.armed.get(name)
+    def mode(self, name: str = ALPHA) -> Mode | None:
+        """Return the mode that the driver last reported."""
+        return self.bench.modes.get(name)
 
-    def step(self, words: Messages = ()) -> StepResult:
-        """One step, noted."""
-        said = self.stage.step(words)
-        if words:
-            if self.said and _kinds(self.said[-1]) == _kinds(words):
-                self.said.pop()
-            self.said.append(tuple(words))
-        if said.received:
-            self.obeyed = [*self.obeyed, *(w for w in said.down if w not in self.obeyed[-4:])][-4:]
-        if said.up:
-            self.passed = [*(w for w in self.passed if w not in said.up), *said.up][-4:]
-        for word in said.received:
-            if isinstance(word, Command):
-                self.obeys[word.motor] = word
-        for event in said.events:
-            self._note(event)
-        return said
+    def step(self, messages: Messages = ()) -> StepResult:
+        """Advance one step, and log it."""
+        result = self.bench.step(messages)
+        if messages:
+            if self.given and _types(self.given[-1]) == _types(messages):
+                self.given.pop()
+            self.given.append(tuple(messages))
+        if result.received:
+            self.obeyed = [*self.obeyed, *(f for f in result.down if f not in self.obeyed[-4:])][-4:]
+        if result.up:
+            self.replies = [*(f for f in self.replies if f not in result.up), *result.up][-4:]
+        for message in result.received:
+            if isinstance(message, Command):
+                self.obeys[message.motor] = message
+        for event in result.events:
+            if isinstance(event, msg.Fault):
+                self.faults.append(event)
+            elif isinstance(event, msg.State) and event.mode is Mode.OFFLINE:
+                self.offline[event.motor] = self.now
+            elif isinstance(event, msg.Feedback) and event.position is not None:
+                self.measured[event.motor] = event.position
+        return result
 
-    def _note(self, event: Event) -> None:
-        if isinstance(event, msg.Fault):
-            self.faults.append(event)
-        elif isinstance(event, msg.State) and event.mode is Mode.OFFLINE:
-            self.offline[event.motor] = self.now
-        elif isinstance(event, msg.Feedback) and event.position is not None:
-            self.measured[event.motor] = event.position
+    def wait(self, count: int, messages: Messages = ()) -> None:
+        """Advance this many steps."""
+        for _ in range(count):
+            self.step(messages)
 
-    def until(self, holds: Callable[[StepResult], bool], most: int, saying: Saying | Messages = ()) -> bool:
-        """Step until it holds; False if it does not within so many steps."""
-        return any(holds(self.step(saying(at) if callable(saying) else saying)) for at in range(most))
+    def until(self, holds: Callable[[StepResult], bool], most: int, messages: Giving | Messages = ()) -> bool:
+        """Step until a condition holds; False if it does not within this many steps."""
+        return any(holds(self.step(messages(at) if callable(messages) else messages)) for at in range(most))
 
-    def ready(self) -> bool:
-        """Listen until every device is heard to be ready (one that tells no state: a tenth of the bound)."""
+    def get_ready(self) -> None:
+        """Step until every device is reported ready (one that reports no state: a tenth of the bound).
+
+        Raises Failure."""
+        measuring = set(self.names) if "Feedback.position" in self.spec.ranges else set()
         for count in range(ARMING):
             self.step()
             known = [self.mode(name) for name in self.names]
-            if all(mode is Mode.READY for mode in known) and set(self.measured) >= self._measuring():
-                return True
+            if all(mode is Mode.READY for mode in known) and set(self.measured) >= measuring:
+                return
             if count > ARMING // 10 and not any(known):
-                return True
-        return False
+                return
+        raise self.failure(f"is not reported ready within {ARMING} ms")
 
-    def _measuring(self) -> set[str]:
-        return set(self.names) if "Feedback.position" in self.spec.ranges else set()
-
-    def arm(self, saying: Saying, watch: Callable[[StepResult], bool] = lambda _: False) -> bool | None:
-        """Say this until every commanded device is armed; None if `watch` objects first."""
+    def arm(self, messages: Giving, watch: Callable[[StepResult], bool] = lambda _: False) -> bool | None:
+        """Give these until every commanded device is armed; None if `watch` objects first."""
         for at in range(ARMING):
-            words = saying(at)
-            if watch(self.step(words)):
+            given = messages(at)
+            if watch(self.step(given)):
                 return None
-            wanted = [word.motor for word in words if isinstance(word, Command)]
-            if all(self.mode(name) is Mode.ARMED for name in wanted):
+            commanded = [message.motor for message in given if isinstance(message, Command)]
+            if all(self.mode(name) is Mode.ARMED for name in commanded):
                 return True
-            if at > ARMING // 10 and not self.stage.armed:
+            if at > ARMING // 10 and not self.bench.modes:
                 return True
         return False
+
+    def must_arm(self, messages: Messages, when: str = "") -> None:
+        """Arm by these commands. Raises Failure."""
+        if not self.arm(lambda _: messages):
+            raise self.failure(f"{when}{type(messages[0]).__name__} does not arm within {ARMING} ms")
+
+    def at_rest(self, kind: type[Command], *names: str) -> list[Command]:
+        """Return commands of this kind that keep these shafts where they are measured to be."""
+        return [resting(kind, self.spec, name, self.measured.get(name, 0.0)) for name in names or (ALPHA,)]
 
     def disarm(self, most: int = 2000) -> bool:
-        """Say Idle until every device is heard to be disarmed, and for a few steps more."""
+        """Give Idle until every device is reported disarmed, and for a few steps more."""
         idle = [msg.Idle(name) for name in self.names]
         done = self.until(lambda _: not any(self.mode(n) is Mode.ARMED for n in self.names), most, idle)
-        for _ in range(20):
-            self.step(idle)
+        self.wait(20, idle)
         return done
 
     def turn(self, by: float, count: int = 80) -> None:
-        """Turn every shaft by hand by so many rad, and let go of it at rest."""
-        for shaft in self.stage.shafts.values():
+        """Turn every shaft by hand by this many rad, and release it at rest."""
+        shafts = self.bench.shafts.values()
+        for shaft in shafts:
             shaft.locked, shaft.velocity = True, by / (count * STEP * 1e-9)
         for _ in range(count):
-            for shaft in self.stage.shafts.values():
+            for shaft in shafts:
                 shaft.position += by / count
             self.step()
-        for shaft in self.stage.shafts.values():
+        for shaft in shafts:
             shaft.velocity = 0.0
         self.wait(20 + 3 * (self.spec.feedback_period // STEP))
-        for shaft in self.stage.shafts.values():
+        for shaft in shafts:
             shaft.locked = False
 
-    def wait(self, count: int, words: Messages = ()) -> None:
-        """So many steps."""
-        for _ in range(count):
-            self.step(words)
-
-    def failure(self, text: str, frames: Sequence[Frame] = (), words: Sequence[Message] = ()) -> Failure:
-        """With the wires that led here (or the last that passed), and what was said until now."""
-        shown = tuple(word for words in self.said[-4:] for word in words)
-        return Failure(text, tuple(frames or self.obeyed or self.passed), (*shown, *words))
+    def failure(self, text: str, frames: Sequence[Frame] = (), messages: Sequence[Message] = ()) -> Failure:
+        """Return a failure with the frames that led here (or the last replies), and what was given so far."""
+        given = [message for messages in self.given[-4:] for message in messages]
+        return Failure(text, frames or self.obeyed or self.replies, (*given, *messages))
 
 
-def _kinds(words: Messages) -> list[tuple[type[Message], str]]:
-    return [(type(word), getattr(word, "motor", "")) for word in words]
+def _types(messages: Messages) -> list[tuple[type[Message], str]]:
+    return [(type(message), getattr(message, "motor", "")) for message in messages]
 
 
-def scene(case: Case, count: int = 1, settings: object = None, position: float = 0.0) -> Scene:
-    """The first `count` of alpha and beta with a driver, on shafts that stand at `position` [rad]."""
-    stage = play.make_bench(case.plugin, case.options, case.addresses[:count], NAMES[:count], settings)
-    cables = {device.name: Cable(twin) for device, twin in zip(stage.devices, stage.twins, strict=True)}
-    host = Host(stage.driver)
-    stage.driver, stage.twins = host, list(cables.values())
-    for shaft in stage.shafts.values():
+def make_rig(case: Case, count: int = 1, settings: object = None, position: float = 0.0) -> Rig:
+    """Set up the first `count` of alpha and beta with a driver, on shafts that stand at `position` [rad]."""
+    bench = play.make_bench(case.plugin, case.options, case.addresses[:count], NAMES[:count], settings)
+    cables = {device.name: Cable(twin) for device, twin in zip(bench.devices, bench.twins, strict=True)}
+    host = Host(bench.driver)
+    bench.driver, bench.twins = host, list(cables.values())
+    for shaft in bench.shafts.values():
         shaft.position, shaft.friction = position, 0.01
-    return Scene(stage, host, cables)
+    return Rig(bench, host, cables)
 
 
-def takeover(case: Case, before: Scene) -> Scene:
-    """The same devices, with a fresh driver that knows nothing of them."""
-    stage = replace(before.stage, armed={}, on_the_way=before.stage.on_the_way)
-    host = Host(case.plugin.driver(stage.devices))
-    stage.driver = host
-    return Scene(stage, host, before.cables, said=before.said)
+def takeover(case: Case, before: Rig) -> Rig:
+    """Return a rig with the same devices, and a new driver that knows nothing of them."""
+    bench = replace(before.bench, modes={})
+    host = Host(case.plugin.driver(bench.devices))
+    bench.driver = host
+    return Rig(bench, host, before.cables, given=before.given)
 
 
-def some(case: Case, items: Sequence[T]) -> list[T]:
-    """All of these with the plugin's usual options; with each other value of an option, some of them by the
-    seed. (Where the usual options make a device of another kind, all of them too.)"""
-    usual = Device(NAMES[0], case.addresses[0], case.plugin.options(), case.plugin.settings())
-    if case.usual or case.plugin.spec(usual).kind != case.spec.kind:
-        return list(items)
-    first = crc32(f"{case.seed} {case.options}".encode()) % PART
-    return list(items[first::PART]) or list(items[:1])
-
-
-# -- words ---------------------------------------------------------------------------------------------
-
-
-def kinds_of(spec: Spec) -> list[type[Command]]:
-    """The commands that a device has, without Idle."""
-    return by_name(spec.commands - {msg.Idle})
+# -- commands that do not move a shaft, and commands that do ---------------------------------------------
 
 
 def resting(kind: type[Command], spec: Spec, motor: str, position: float) -> Command:
-    """A command of this kind that leaves a shaft where it is measured to be [rad], at rest."""
-    return _build(kind, spec, motor, {"position": position, "stiffness": 1.0, "damping": 0.05})
+    """Return a command of this kind that keeps a shaft at the position [rad] where it is, at rest."""
+    values = {"position": position, "stiffness": 1.0, "damping": 0.05}
+    return play.build(kind, motor, spec.ranges, values)
 
 
 def moving(kind: type[Command], spec: Spec, motor: str, start: float, step: int) -> Command:
-    """A command of this kind that turns a shaft from `start` [rad] at SPEED (Torque: gently; Hold: not)."""
+    """Return a command that turns a shaft from `start` [rad] at SPEED (Torque: gently; Hold: not)."""
     along = start + SPEED * step * STEP * 1e-9
     values = {"position": along, "velocity": SPEED, "stiffness": 1.0, "damping": 0.05}
     if kind is msg.Torque:
         values = {"torque": 0.02}
     elif kind is msg.Position:
         values["velocity"] = 0.0
-    return _build(kind, spec, motor, values)
+    return play.build(kind, motor, spec.ranges, values)
 
 
-def _build(kind: type[Command], spec: Spec, motor: str, values: dict[str, float]) -> Command:
-    if kind is msg.Hold or kind is msg.Idle:
-        return kind(motor)
-    bounds = {name: spec.ranges[key] for name, key in play.numbers(kind, spec.ranges)}
-    return play.build(kind, motor, {n: play.nearest(b, values.get(n, 0.0)) for n, b in bounds.items()})
-
-
-def liveliest(spec: Spec) -> type[Command] | None:
-    """The command by which a shaft is best turned; None if there is none."""
+def liveliest(spec: Spec) -> type[Command]:
+    """Return the type of command that turns a shaft best. The spec must list one that arms."""
     kinds = (msg.Velocity, msg.Position, msg.Impedance, msg.Torque)
-    return next((kind for kind in kinds if kind in spec.commands), None)
+    first = next((kind for kind in kinds if kind in spec.commands), None)
+    return first or by_name(spec.commands - {msg.Idle})[0]
 
 
 def slack(spec: Spec, position: float) -> float:
-    """rad by which a set-point may miss the shaft: what the two ends declare, and a little."""
+    """Return by how much [rad] a set-point may miss the shaft: the declared resolutions, and SLACK."""
     none = Range(0.0, 0.0, 0.0)
     both = (spec.ranges.get("Feedback.position", none), spec.ranges.get("Position.position", none))
     return SLACK + sum(b.resolution + b.relative * abs(position) for b in both)
 
 
-def torque_of(said: StepResult, motor: str = NAMES[0]) -> float:
-    """N·m that a device gave in a step."""
-    return math.fsum(torque.torque for torque in said.torques if torque.motor == motor)
+def torque_of(result: StepResult, motor: str = ALPHA) -> float:
+    """Return the torque [N·m] that a device applied in a step."""
+    return math.fsum(torque.torque for torque in result.torques if torque.motor == motor)
 
 
-def named(words: Sequence[Any], motor: str = NAMES[0]) -> list[Any]:
-    """The words that are about a motor."""
-    return [word for word in words if getattr(word, "motor", None) == motor]
+def named(messages: Sequence[Any], motor: str = ALPHA) -> list[Any]:
+    """Return the messages that are for or from a motor."""
+    return [message for message in messages if getattr(message, "motor", None) == motor]

@@ -1,7 +1,8 @@
-"""Wires that a bus may hold: real ones, damaged ones, and what never was one."""
+"""Frames that a bus may carry: valid ones, damaged ones, and random ones."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from protocols.conformance import bench as play
@@ -25,40 +26,48 @@ STRANGE = tuple(
         "0080",
     )
 )
-"""Numbers that are none, and the ends of integers."""
+"""Numbers that are not finite, and the limits of integers."""
 
 
 def frames(case: Case, count: int) -> list[Frame]:
-    """So many wires, most of them like those that alpha, beta and their driver say."""
+    """Return this many frames, most of them like those of alpha, beta and their driver."""
     random, spec = case.random(), case.spec
-    said = [frame for frame in conversation(case) if sealed(case, frame)]
+    valid = [frame for frame in valid_frames(case) if protected(case, frame)]
     ids = sorted(case.sends | case.expects)
-    return [_frame(spec, said, ids, random) for _ in range(count)]
+    return [_frame(spec, valid, ids, random) for _ in range(count)]
 
 
-def conversation(case: Case) -> list[Frame]:
-    """Different wires of both directions from a busy day."""
-    seen = dict.fromkeys(frame for said in case.day for frame in (*said.down, *said.up))
-    return list(seen)[:: max(len(seen) // 400, 1)]
+def valid_frames(case: Case) -> list[Frame]:
+    """Return different frames of both directions from the baseline."""
+    distinct = dict.fromkeys(frame for step in case.baseline for frame in (*step.down, *step.up))
+    return list(distinct)[:: max(len(distinct) // 400, 1)]
 
 
-def sealed(case: Case, frame: Frame) -> bool:
-    """Whether the device can notice damage in this wire, as far as the spec says."""
+def protected(case: Case, frame: Frame) -> bool:
+    """True if the device can detect damage to this frame, according to the spec."""
     return not case.spec.unprotected.intersection(case.plugin.messages(frame))
 
 
 def other_format(case: Case) -> list[Frame]:
-    """The frames that the devices say, with the same numbers for ids in the other format of id."""
-    frames = [raw for raw in conversation(case) if isinstance(raw, CanFrame)]
-    known = {(frame.id, frame.extended) for frame in frames}
-    turned = [replace(frame, extended=not frame.extended) for frame in frames]
+    """Return valid frames with the same numbers as ids, in the other id format (11 or 29 bits)."""
+    valid = [frame for frame in valid_frames(case) if isinstance(frame, CanFrame)]
+    known = {(frame.id, frame.extended) for frame in valid}
+    turned = [replace(frame, extended=not frame.extended) for frame in valid]
     return [f for f in turned if (f.id, f.extended) not in known and (f.extended or f.id <= 0x7FF)]
 
 
-def _frame(spec: Spec, said: list[Frame], ids: list[int], random: Random) -> Frame:
+def patched(frame: Frame, numbers: Sequence[bytes]) -> Iterator[Frame]:
+    """Yield a frame with each of these numbers at each place of its first 64 bytes."""
+    data = play.data_of(frame)
+    for number in numbers:
+        for at in range(min(len(data), 64) - len(number) + 1):
+            yield play.with_data(frame, data[:at] + number + data[at + len(number) :])
+
+
+def _frame(spec: Spec, valid: list[Frame], ids: list[int], random: Random) -> Frame:
     kind = random.uniform()
-    if said and kind < 0.6:
-        frame = random.choice(said)
+    if valid and kind < 0.6:
+        frame = random.choice(valid)
         return play.with_data(frame, damaged(play.data_of(frame), random))
     data = random.bytes(random.choice((0, 1, 2, 3, 4, 5, 6, 7, 8, 8, 12, 64, 300)))
     if (spec.bus == "serial") == (kind < 0.9):
@@ -67,7 +76,7 @@ def _frame(spec: Spec, said: list[Frame], ids: list[int], random: Random) -> Fra
 
 
 def _can_frame(spec: Spec, ids: list[int], data: bytes, random: Random) -> CanFrame:
-    """A CAN frame, most often with an id that means something."""
+    """Return a CAN frame, most often with an id of the spec."""
     known = bool(ids) and random.uniform() < 0.8
     id_ = random.choice(ids) if known else random.bits(11)
     extended = id_ > 0x7FF or random.uniform() < 0.2
@@ -78,7 +87,7 @@ def _can_frame(spec: Spec, ids: list[int], data: bytes, random: Random) -> CanFr
 
 
 def damaged(data: bytes, random: Random) -> bytes:
-    """Cut, lengthened, with a bit or a number in it changed, or as it was."""
+    """Return data cut, lengthened, with a bit or a number in it changed, or unchanged."""
     at, change = random.below(len(data) + 1), random.below(5)
     if change == 0:
         return data[:at]
@@ -93,6 +102,6 @@ def damaged(data: bytes, random: Random) -> bytes:
 
 
 def flipped(data: bytes, bit: int) -> bytes:
-    """The same bytes with one bit changed."""
+    """Return the same data with one bit changed."""
     at = bit // 8
     return data[:at] + bytes((data[at] ^ 1 << bit % 8,)) + data[at + 1 :]

@@ -1,6 +1,6 @@
 """Repeatable samples: SplitMix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014).
 
-Rules. A seed gives the same samples on every machine and with every version of Python, and the kit needs
+Rules. A seed gives the same samples on every machine and with every version of Python, and conformance needs
 no numpy for it.
 """
 
@@ -21,7 +21,7 @@ class Random:
     state: int
 
     def bits(self, count: int = 64) -> int:
-        """So many random bits, up to 64."""
+        """Return this many random bits, up to 64."""
         self.state = (self.state + 0x9E3779B97F4A7C15) & _MASK
         mixed = self.state
         mixed = ((mixed ^ mixed >> 30) * 0xBF58476D1CE4E5B9) & _MASK
@@ -29,22 +29,22 @@ class Random:
         return (mixed ^ mixed >> 31) >> (64 - count)
 
     def below(self, end: int) -> int:
-        """One of 0 … end - 1."""
+        """Return one of 0 … end - 1."""
         return self.bits() % end
 
     def uniform(self, low: float = 0.0, high: float = 1.0) -> float:
-        """Between low and high."""
+        """Return a number between low and high."""
         return low + (high - low) * self.bits(53) * 2.0**-53
 
     def choice(self, items: Sequence[T]) -> T:
-        """One of these."""
+        """Return one of these."""
         return items[self.below(len(items))]
 
     def bytes(self, count: int) -> bytes:
-        """So many random bytes."""
+        """Return this many random bytes."""
         return bytes(self.bits(8) for _ in range(count))
 
     def shuffled(self, items: Sequence[T]) -> list[T]:
-        """These in another order."""
+        """Return these in another order."""
         rest = list(items)
         return [rest.pop(self.below(len(rest))) for _ in items]

@@ -1,52 +1,49 @@
-"""Devices that run already: attached to without dropping what they hold, and found without a touch.
+"""Running devices: a new driver takes them over without dropping their load, and finds them without a touch.
 
 Rules. A first host arms the device and leaves it under a constant load; if the device does not hold
-unattended, that host stays on the bus until the fresh one takes over. Sagging is measured against what the
-shaft gave way when the load first came on: a control without integral gives way as much again.
+unattended, that host stays on the bus until the new one takes over. Sagging is compared with how far the
+shaft gave way when the load was applied: a controller without integral gives way as far again.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from protocols.conformance.bench import ARMING, NAMES, StepResult
-from protocols.conformance.case import Case, Failure, Inapplicable, Verdict
+from protocols.conformance.bench import ALPHA, ARMING, BETA, Messages, StepResult
+from protocols.conformance.case import Case, Inapplicable
 from protocols.conformance.fault_injection import (
     SLACK,
     STILL,
-    Messages,
-    Scene,
+    Rig,
+    make_rig,
     resting,
-    scene,
     slack,
-    some,
     takeover,
     torque_of,
 )
-from protocols.conformance.passivity import harmless
+from protocols.conformance.passivity import read_only
 from protocols.messages import Command, Done, Found, Hold, Idle, Mode, Position, Reboot, Refused, Scan
 from protocols.plugin import Spec
 
-ALPHA, BETA = NAMES
 PLACE = 0.7
 """rad where the shafts stand."""
 LOAD = 0.05
-"""N·m that hang on a shaft."""
+"""N·m on a shaft."""
 SETTLE = 500
-"""Steps in which a loaded shaft has given way."""
+"""Steps within which a loaded shaft has given way."""
 SCANNED = 8000
-"""Steps in which a scan must have ended."""
+"""Steps within which a scan must have ended."""
 
 
-# -- attaching -----------------------------------------------------------------------------------------
+# -- attaching -------------------------------------------------------------------------------------------
 
 
-def load_is_held(case: Case) -> Verdict:
-    """A fresh host attaches to a device under load, and takes it over with Hold: the load does not drop."""
+def load_is_held(case: Case) -> None:
+    """A new host attaches to a device under load, and takes it over with Hold: the load does not drop."""
     kinds = _holding(case.spec)
     if not kinds:
-        return Inapplicable("the spec lists neither Hold nor Position: the device holds no load")
-    return _attach(case, case.random().choice(kinds), kinds[0])
+        raise Inapplicable("the spec lists neither Hold nor Position: the device holds no load")
+    _attach(case, case.random().choice(kinds), kinds[0])
 
 
 def _holding(spec: Spec) -> list[type[Command]]:
@@ -58,150 +55,135 @@ def _holding(spec: Spec) -> list[type[Command]]:
 class _Loaded:
     """Devices that a first host holds, with a load on alpha."""
 
-    on: Scene
-    words: list[Command]
-    """What that host says."""
-    given: float
+    rig: Rig
+    commands: list[Command]
+    """What that host is given."""
+    gave_way: float
     """rad by which the shaft gave way at most."""
 
 
-def _loaded(case: Case, kind: type[Command], count: int = 1) -> _Loaded | Failure:
-    """Armed by the first host, then loaded."""
-    on = scene(case, count, position=PLACE)
-    if not on.ready():
-        return on.failure(f"is not heard to be ready in {ARMING} ms")
-    words = [resting(kind, on.spec, name, on.measured.get(name, PLACE)) for name in on.names]
-    if not on.arm(lambda _: words):
-        return on.failure(f"{kind.__name__} does not arm in {ARMING} ms")
-    shaft = on.stage.shafts[ALPHA]
+def _loaded(case: Case, kind: type[Command], count: int = 1) -> _Loaded:
+    """Arm devices by the first host, then load alpha."""
+    rig = make_rig(case, count, position=PLACE)
+    rig.get_ready()
+    commands = [resting(kind, rig.spec, name, rig.measured.get(name, PLACE)) for name in rig.names]
+    rig.must_arm(commands)
+    shaft = rig.bench.shafts[ALPHA]
     place, shaft.load = shaft.position, LOAD
-    given = 0.0
+    gave_way = 0.0
     for _ in range(SETTLE):
-        on.step(words)
-        given = max(given, shaft.position - place)
-    return _Loaded(on, words, given)
+        rig.step(commands)
+        gave_way = max(gave_way, shaft.position - place)
+    return _Loaded(rig, commands, gave_way)
 
 
-def _attach(case: Case, first: type[Command], second: type[Command]) -> Failure | None:
+def _attach(case: Case, first: type[Command], second: type[Command]) -> None:
     loaded = _loaded(case, first)
-    if isinstance(loaded, Failure):
-        return loaded
-    before = loaded.on
-    shaft = before.stage.shafts[ALPHA]
+    before = loaded.rig
+    shaft = before.bench.shafts[ALPHA]
     if before.spec.holds_unattended:
         before.host.alive = False
         before.wait(SETTLE)
-    on, idle = takeover(case, before), [Idle(ALPHA)] if Idle in before.spec.commands else []
+    rig, idle = takeover(case, before), [Idle(ALPHA)] if Idle in before.spec.commands else []
     if not before.spec.holds_unattended:
-        on.host.other, on.host.others_words = before.host.driver, loaded.words
-    place = shaft.position
-    room = 0.5 * SLACK
+        rig.host.other, rig.host.others_messages = before.host.driver, loaded.commands
+    place, room = shaft.position, 0.5 * SLACK
 
     def over(_: StepResult) -> bool:
-        return shaft.position - place > room or on.mode() is Mode.ARMED
+        return shaft.position - place > room or rig.mode() is Mode.ARMED
 
-    if not on.until(over, ARMING, idle):
-        return on.failure(f"a fresh driver does not tell in {ARMING} ms that the device is armed")
-    on.wait(SETTLE // 2, idle)
-    if shaft.position - place > room:
-        return on.failure(
-            f"a fresh driver only listens, and the shaft sags by {shaft.position - place:.3g} rad"
-        )
-    return _takes_over(on, second, loaded.given)
+    if not rig.until(over, ARMING, idle):
+        raise rig.failure(f"a new driver does not report in {ARMING} ms that the device is armed")
+    rig.wait(SETTLE // 2, idle)
+    sag = shaft.position - place
+    if sag > room:
+        raise rig.failure(f"a new driver sends only read-only frames, and the shaft sags by {sag:.3g} rad")
+    _take_over(rig, second, loaded.gave_way)
 
 
-def _takes_over(on: Scene, kind: type[Command], given: float) -> Failure | None:
-    """From now on the fresh host alone commands."""
-    shaft = on.stage.shafts[ALPHA]
+def _take_over(rig: Rig, kind: type[Command], gave_way: float) -> None:
+    """From now on the new host alone commands."""
+    shaft = rig.bench.shafts[ALPHA]
     place = shaft.position
-    room = 1.2 * given + slack(on.spec, place)
-    word = resting(kind, on.spec, ALPHA, on.measured.get(ALPHA, place))
-    on.host.other = None
-    on.obeyed.clear()
-    on.faults.clear()  # two hosts on one bus may well be complained of
+    room = 1.2 * gave_way + slack(rig.spec, place)
+    command = resting(kind, rig.spec, ALPHA, rig.measured.get(ALPHA, place))
+    rig.host.other = None
+    rig.obeyed.clear()
+    rig.faults.clear()  # a driver may well report two hosts on one bus
     limp = 0
     for at in range(2 * SETTLE):
-        said = on.step([word])
-        limp = limp + 1 if abs(torque_of(said)) <= STILL else 0
-        dropping = [w for w in said.received if isinstance(w, Idle | Reboot)]
+        step = rig.step([command])
+        limp = limp + 1 if abs(torque_of(step)) <= STILL else 0
+        dropping = [m for m in step.received if isinstance(m, Idle | Reboot)]
         wrong = ""
         if dropping:
-            wrong = f"the device is told {dropping[0]}"
+            wrong = f"the device is sent {dropping[0]}"
         elif limp > 3:
-            wrong = "the device gives no torque"
+            wrong = "the device applies no torque"
         elif shaft.position - place > room:
             wrong = f"the shaft sags by {shaft.position - place:.3g} rad"
-        elif on.mode() is not Mode.ARMED or on.faults:
-            wrong = f"the driver tells {on.faults[0].name if on.faults else on.mode()}"
+        elif rig.mode() is not Mode.ARMED or rig.faults:
+            wrong = f"the driver reports {rig.faults[0].name if rig.faults else rig.mode()}"
         if wrong:
-            return on.failure(f"a fresh driver takes over with {kind.__name__}; {at} ms later {wrong}")
-    return None
+            raise rig.failure(f"a new driver takes over with {kind.__name__}; {at} ms later {wrong}")
 
 
-# -- finding -------------------------------------------------------------------------------------------
+# -- scanning --------------------------------------------------------------------------------------------
 
 
-def scan_only_looks(case: Case) -> Verdict:
-    """Scan finds the devices, with read-only wires; what runs runs on, what is in fault stays in fault."""
+def scan_is_read_only(case: Case) -> None:
+    """Scan finds the devices by read-only frames; what runs goes on, what is in fault stays in fault."""
     if Scan not in case.spec.requests:
-        return Inapplicable("the spec lists no request Scan")
-    for scan in some(case, [_scan_fresh, *([_scan_running] if _holding(case.spec) else [])]):
-        failure = scan(case)
-        if failure:
-            return failure
-    return None
+        raise Inapplicable("the spec lists no request Scan")
+    for scan in case.sample([_scan_new, *([_scan_running] if _holding(case.spec) else [])]):
+        scan(case)
 
 
-def _scan_fresh(case: Case) -> Failure | None:
-    """Devices as they come, by a driver that knows nothing yet."""
-    on = scene(case, 2)
-    failure = _scan(on, case, "devices as they come")
-    if failure or case.spec.kind != "motor":
-        return failure
-    return None if on.ready() else on.failure(f"after a scan, is not heard to be ready in {ARMING} ms")
+def _scan_new(case: Case) -> None:
+    """Scan devices as delivered, by a new driver."""
+    rig = make_rig(case, 2)
+    _scan(rig, case, "devices as delivered")
+    if case.spec.kind == "motor":
+        rig.get_ready()
 
 
-def _scan_running(case: Case) -> Failure | None:
-    """Alpha holds a load for another host, beta is in fault."""
+def _scan_running(case: Case) -> None:
+    """Scan while alpha holds a load for another host, and beta is in fault."""
     loaded = _loaded(case, _holding(case.spec)[0], 2)
-    if isinstance(loaded, Failure):
-        return loaded
-    before, words = loaded.on, loaded.words
-    codes = sorted(code for code, said in before.spec.faults.items() if said.latching)
+    before, commands = loaded.rig, loaded.commands
+    codes = sorted(code for code, fault in before.spec.faults.items() if fault.latching)
     code = case.random().choice(codes) if codes else None
     if code is not None:
         before.cables[BETA].provoke(code)
-        before.wait(20, words[:1])
-    place = before.stage.shafts[ALPHA].position
-    on = takeover(case, before)
-    on.host.other, on.host.others_words = before.host.driver, words[:1]
-    failure = _scan(on, case, "a device that runs and one in fault")
-    if failure:
-        return failure
-    sag = before.stage.shafts[ALPHA].position - place
-    if sag > 0.5 * SLACK or on.mode() is not Mode.ARMED:
-        return on.failure(f"a scan, and the device that ran sags by {sag:.3g} rad, and is {on.mode()}")
-    if code is not None and on.mode(BETA) is not Mode.FAULT:
-        return on.failure(f"a scan, and the device that was in fault {code} is {on.mode(BETA)}")
-    return None
+        before.wait(20, commands[:1])
+    place = before.bench.shafts[ALPHA].position
+    rig = takeover(case, before)
+    rig.host.other, rig.host.others_messages = before.host.driver, commands[:1]
+    _scan(rig, case, "a device that runs and one in fault")
+    sag = before.bench.shafts[ALPHA].position - place
+    if sag > 0.5 * SLACK or rig.mode() is not Mode.ARMED:
+        raise rig.failure(f"after a scan the device that ran sags by {sag:.3g} rad, and is {rig.mode()}")
+    if code is not None and rig.mode(BETA) is not Mode.FAULT:
+        raise rig.failure(f"after a scan the device that was in fault {code} is {rig.mode(BETA)}")
 
 
-def _scan(on: Scene, case: Case, what: str) -> Failure | None:
+def _scan(rig: Rig, case: Case, what: str) -> None:
     """Scan until it has ended: read-only throughout, with every device found."""
     found, ended = set[int](), list[Done | Refused]()
-    words: Messages = [Scan("bus")]
+    messages: Messages = [Scan("bus")]
     for _ in range(SCANNED):
-        said = on.step(words)
-        words = ()
-        for frame in on.host.sent:
-            if not harmless(on.stage.specs, frame):
-                received = tuple(case.plugin.decoder(on.stage.devices).decode(said.now, frame))
-                return on.failure(f"a scan of {what} sends what is not read-only", (frame,), received)
-        found |= {event.address for event in said.events if isinstance(event, Found)}
-        ended += [e for e in said.events if isinstance(e, Done | Refused) and e.request == Scan.__name__]
+        step = rig.step(messages)
+        messages = ()
+        for frame in rig.host.sent:
+            if not read_only(rig.bench.specs, frame):
+                received = case.plugin.decoder(rig.bench.devices).decode(step.now, frame)
+                raise rig.failure(f"a scan of {what} sends what is not read-only", (frame,), received)
+        found |= {event.address for event in step.events if isinstance(event, Found)}
+        ended += [e for e in step.events if isinstance(e, Done | Refused) and e.request == Scan.__name__]
         if ended:
             break
     if not ended or isinstance(ended[0], Refused):
-        return on.failure(f"a scan of {what} ends with {ended or 'nothing'} in {SCANNED} ms")
-    missing = set(case.addresses[: len(on.names)]) - found
-    return on.failure(f"a scan of {what} does not find address {min(missing)}") if missing else None
+        raise rig.failure(f"a scan of {what} ends with {ended or 'nothing'} in {SCANNED} ms")
+    missing = set(case.addresses[: len(rig.names)]) - found
+    if missing:
+        raise rig.failure(f"a scan of {what} does not find address {min(missing)}")

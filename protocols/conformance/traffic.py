@@ -1,213 +1,222 @@
-"""Bytes: none raise, each is counted, a damaged one changes nothing, and a stream may be cut anywhere."""
+"""Bytes: none raise an exception, all are counted, damage changes nothing, a stream may be cut anywhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, replace
 
 from protocols.conformance import bench as play
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, START, Bench
-from protocols.conformance.case import Case, Failure, Inapplicable, Verdict, counts
+from protocols.conformance.case import Case, Failure, Inapplicable, counts, difference
 from protocols.conformance.random import Random
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Event, Feedback, Request
 
-Poke = Callable[[Bench, Frame], object]
-Fed = tuple[list[Event], tuple[int, int, int]]
-"""The events of a driver, and how it counted: heard, bad, foreign."""
+Feed = Callable[[Bench, Frame], object]
+Received = tuple[list[Event], tuple[int, int, int]]
+"""The events of a driver, and its counts: accepted, malformed, ignored."""
+COUNTED = "(accepted, malformed, ignored)"
 TAIL = 40
-"""Sound messages behind a damaged one, by which a reader must have found its way back."""
+"""Valid messages behind a damaged one, by which a reader must be in step again."""
+KINDS = 12
+"""Different messages of each direction that are damaged."""
+LONGEST = 120
+"""Bytes of a message of which every bit is tried; of a longer one, as many bytes at its two ends together."""
+SETTLED = 20
+"""Steps after which a reader has dropped a message that did not end."""
+COMPARED = 5
+"""Steps that are compared then."""
 
 
-def no_bytes_raise(case: Case) -> Verdict:
-    """Driver, ear and twin take any wire: random, cut, too long, of another kind; disarmed or armed."""
-    samples = noise.frames(case, case.part(500))
+# -- no bytes raise --------------------------------------------------------------------------------------
+
+
+def no_bytes_raise(case: Case) -> None:
+    """Driver, decoder and twin take any frame: random, cut, too long, of another kind; disarmed or armed."""
+    samples = noise.frames(case, case.share(500))
     for start in (case.start, case.armed):
-        for who, poke in POKES:
-            stage = start()
-            if stage is None:
+        for receiver, feed in RECEIVERS:
+            bench = start()
+            if bench is None:
                 continue
             for at, frame in enumerate(samples):
-                error = _raised(poke, stage, frame)
+                error = _raised(feed, bench, frame)
                 if error:
-                    series = samples[max(at - 7, 0) : at + 1]
-                    return _raising(start, who, poke, series, error)
-    return None
+                    raise _shortened(start, receiver, feed, samples[max(at - 7, 0) : at + 1], error)
 
 
-def _raising(
-    start: Callable[[], Bench | None], who: str, poke: Poke, series: list[Frame], error: str
+def _shortened(
+    start: Callable[[], Bench | None], receiver: str, feed: Feed, series: list[Frame], error: str
 ) -> Failure:
-    """The failure, with the one wire that suffices, if one does."""
+    """Return the failure, with the one frame that suffices, if one does."""
 
     def alone(frame: Frame) -> bool:
-        stage = start()
-        return stage is not None and bool(_raised(poke, stage, frame))
+        bench = start()
+        return bench is not None and bool(_raised(feed, bench, frame))
 
     if not alone(series[-1]):
-        return Failure(f"{who} raises {error} at the last of these", tuple(series))
-    return Failure(f"{who} raises {error}", (play.shortest(series[-1], alone),))
+        return Failure(f"{receiver} raises {error} at the last of these", series)
+    return Failure(f"{receiver} raises {error}", (play.shortest(series[-1], alone),))
 
 
-def _poke_driver(stage: Bench, frame: Frame) -> object:
-    return stage.driver.receive(stage.now, frame), stage.driver.send(stage.now, ()), stage.driver.due()
+def _feed_driver(bench: Bench, frame: Frame) -> object:
+    return bench.driver.receive(bench.now, frame), bench.driver.send(bench.now, ()), bench.driver.due()
 
 
-def _poke_decoder(stage: Bench, frame: Frame) -> object:
-    return stage.decoder.decode(stage.now, frame)
+def _feed_decoder(bench: Bench, frame: Frame) -> object:
+    return bench.decoder.decode(bench.now, frame)
 
 
-def _poke_twin(stage: Bench, frame: Frame) -> object:
-    twin = stage.twins[0]
-    twin.receive(stage.now, frame)
-    return twin.step(stage.now, [Feedback(NAMES[0], stage.now, 0.0, 0.0)]), twin.due()
+def _feed_twin(bench: Bench, frame: Frame) -> object:
+    twin = bench.twins[0]
+    twin.receive(bench.now, frame)
+    return twin.step(bench.now, [Feedback(NAMES[0], bench.now, 0.0, 0.0)]), twin.due()
 
 
-POKES: tuple[tuple[str, Poke], ...] = (
-    ("the driver", _poke_driver),
-    ("the ear", _poke_decoder),
-    ("the twin", _poke_twin),
+RECEIVERS: tuple[tuple[str, Feed], ...] = (
+    ("the driver", _feed_driver),
+    ("the decoder", _feed_decoder),
+    ("the twin", _feed_twin),
 )
 
 
-def _raised(poke: Poke, stage: Bench, frame: Frame) -> str:
+def _raised(feed: Feed, bench: Bench, frame: Frame) -> str:
     try:
-        poke(stage, frame)
+        feed(bench, frame)
     except Exception as error:  # noqa: BLE001 -- whatever a plugin raises here is the finding
         return f"{type(error).__name__}: {error}"
     return ""
 
 
-def frames_are_counted(case: Case) -> Verdict:
-    """Every wire is counted once, as what it is; what is not understood tells and changes nothing."""
-    stage = case.start()
-    said = [stage.step(words) for words in play.script(case.spec, NAMES)]
-    first = next((step.up for step in said if step.up), ())
-    counters = stage.driver.counters
+# -- counters --------------------------------------------------------------------------------------------
+
+
+def frames_are_counted(case: Case) -> None:
+    """Every frame is counted once, in its class; what is not accepted reports and changes nothing."""
+    bench = case.start()
+    steps = [bench.step(messages) for messages in play.script(case.spec, NAMES)]
+    first = next((step.up for step in steps if step.up), ())
+    counters = bench.driver.counters
     if counters.malformed or (first and not counters.accepted):
-        return Failure(f"with nothing wrong on the bus: {counters}", first)
-    return _messages_counted(case) if case.spec.bus == "serial" else _frames_counted(case)
+        raise Failure(f"with nothing wrong on the bus: {counters}", first)
+    if case.spec.bus == "serial":
+        _messages_are_counted(case)
+    else:
+        _can_frames_are_counted(case)
 
 
-def _frames_counted(case: Case) -> Failure | None:
-    """On CAN: one driver hears all, another only what the first has counted as heard."""
+def _can_frames_are_counted(case: Case) -> None:
+    """On CAN: one driver receives all frames, another only those that the first counts as accepted."""
     every, some = case.armed(), case.armed()
     if every is None or some is None:
-        return Failure(f"does not arm in {play.ARMING} ms")
-    for frame in noise.conversation(case)[:9]:
-        first = _fed(case, [frame])[1]
+        raise Failure(f"does not arm within {play.ARMING} ms")
+    for frame in noise.valid_frames(case)[:9]:
+        first = _received(case, [frame])[1]
         if sum(first) != 1:
-            return Failure(f"the first wire ever heard is counted as (heard, bad, foreign) {first}", (frame,))
+            raise Failure(f"the first frame ever received is counted as {COUNTED} {first}", (frame,))
     now, other = every.now, noise.other_format(case)
-    for frame in [*other, *noise.frames(case, case.part(1500))]:
+    for frame in [*other, *noise.frames(case, case.share(1500))]:
         before = counts(every.driver.counters)
         events = list(every.driver.receive(now, frame))
         more = tuple(a - b for a, b in zip(counts(every.driver.counters), before, strict=True))
         if more not in ((1, 0, 0), (0, 1, 0), (0, 0, 1)):
-            return Failure(f"one wire is counted as (heard, bad, foreign) {more}", (frame,))
+            raise Failure(f"one frame is counted as {COUNTED} {more}", (frame,))
         if not more[2] and (frame in other or not isinstance(frame, CanFrame)):
-            return Failure(f"no frame of these devices, counted as (heard, bad, foreign) {more}", (frame,))
+            raise Failure(f"a foreign frame is counted as {COUNTED} {more}", (frame,))
         if not more[0] and events:
-            return Failure("not understood, and yet it told something", (frame,), tuple(events))
+            raise Failure("not accepted, and yet something is reported", (frame,), events)
         if more[0] and list(some.driver.receive(now, frame)) != events:
-            return Failure("what was not understood before changes what this tells", (frame,), tuple(events))
+            raise Failure("a frame not accepted before changes what is reported of this", (frame,), events)
         if every.driver.send(now, ()) != some.driver.send(now, ()):
-            return Failure("what was not understood changes what the driver says", (frame,))
-    return _cut_frames(case, every)
+            raise Failure("a frame not accepted changes what the driver sends", (frame,))
+    _cut_frames_report_nothing(case, every)
 
 
-def _cut_frames(case: Case, stage: Bench) -> Failure | None:
-    """A frame that lacks its end tells no number that the whole frame did not tell."""
-    for shaft, position in zip(stage.shafts.values(), (1.25, -2.75), strict=True):
+def _cut_frames_report_nothing(case: Case, bench: Bench) -> None:
+    """A frame that lacks its end reports no number that the whole frame does not report."""
+    for shaft, position in zip(bench.shafts.values(), (1.25, -2.75), strict=True):
         shaft.position, shaft.velocity, shaft.locked = position, 0.5 * position, True
-    for frame in dict.fromkeys(frame for said in stage.steps(300)[-100:] for frame in said.up):
+    for frame in dict.fromkeys(frame for step in bench.steps(300)[-100:] for frame in step.up):
         data = play.data_of(frame)
-        whole = _numbers(_fed(case, [frame])[0])
+        whole = _numbers(_received(case, [frame])[0])
         for size in range(len(data)):
             short = play.with_data(frame, data[:size])
-            events = _fed(case, [short])[0]
+            events = _received(case, [short])[0]
             if not _numbers(events) <= whole:
-                return Failure("a frame cut short tells other numbers", (frame, short), tuple(events))
-    return None
+                raise Failure("a frame cut short reports other numbers", (frame, short), events)
 
 
 def _numbers(events: Sequence[Event]) -> set[tuple[str, str, float]]:
-    """What was measured: motor, quantity, number."""
+    """Return what was measured: motor, quantity, number."""
     measured = [event for event in events if isinstance(event, Feedback)]
     named = [(event.motor, f.name, getattr(event, f.name)) for event in measured for f in fields(event)]
     return {each for each in named if each[1] not in ("motor", "t") and each[2] is not None}
 
 
-def _messages_counted(case: Case) -> Failure | None:
+def _messages_are_counted(case: Case) -> None:
     """On a stream: a damaged message counts once, and all is as if it had not been sent."""
-    random, frames = case.random(), _upward(case)
-    if len(frames) < 2 * TAIL:
-        return Failure(f"in a second the devices say {len(frames)} wires: too few to tell")
-    strange = CanFrame(1, b"\0")
-    if _fed(case, [strange])[1] != (0, 0, 1):
-        return Failure("a CAN frame on a serial line is not counted as foreign", (strange,))
-    for _ in range(case.part(30)):
-        at = random.below(len(frames) - TAIL)
-        frame = frames[at]
-        cut, flipped = (
-            frame[: 1 + random.below(max(len(frame) - 1, 1))],
-            noise.flipped(frame, random.below(8 * len(frame))),
-        )
-        for damage, what in ((flipped, "one bit flipped"), (cut, "cut short")):
-            failure = _counted_once(case, frames, at, damage, what)
-            if failure:
-                return failure
-    return None
+    random, messages = case.random(), _messages_of_devices(case)
+    if len(messages) < 2 * TAIL:
+        raise Failure(f"in a second the devices send {len(messages)} messages: too few to test")
+    can = CanFrame(1, b"\0")
+    if _received(case, [can])[1] != (0, 0, 1):
+        raise Failure("a CAN frame on a serial bus is not counted as ignored", (can,))
+    for _ in range(case.share(30)):
+        at = random.below(len(messages) - TAIL)
+        whole = messages[at]
+        cut = whole[: 1 + random.below(max(len(whole) - 1, 1))]
+        flipped = noise.flipped(whole, random.below(8 * len(whole)))
+        for damaged, what in ((flipped, "one bit flipped"), (cut, "cut short")):
+            _is_counted_once(case, messages, at, damaged, what)
 
 
-def _counted_once(case: Case, frames: list[bytes], at: int, damage: bytes, what: str) -> Failure | None:
-    without, base = _fed(case, [b"".join(frames[:at] + frames[at + 1 :])])
-    events, counters = _fed(case, [b"".join([*frames[:at], damage, *frames[at + 1 :]])])
-    shown = (frames[at], damage)
+def _is_counted_once(case: Case, messages: list[bytes], at: int, damaged: bytes, what: str) -> None:
+    without, base = _received(case, [b"".join(messages[:at] + messages[at + 1 :])])
+    events, counters = _received(case, [b"".join([*messages[:at], damaged, *messages[at + 1 :]])])
+    frames = (messages[at], damaged)
     if counters[0] != base[0] or counters[1] + counters[2] != base[1] + base[2] + 1:
-        return Failure(f"{what}: (heard, bad, foreign) is {counters}, and {base} without that message", shown)
+        raise Failure(f"{what}: {COUNTED} is {counters}, and {base} without that message", frames)
     if events != without:
-        new = tuple(event for event in events if event not in without)[:2]
-        return Failure(f"{what}: the others tell something else than without that message", shown, new)
-    return None
+        new = [event for event in events if event not in without][:2]
+        raise Failure(f"{what}: the other messages report something else than without it", frames, new)
 
 
-def _upward(case: Case) -> list[bytes]:
-    """What the devices say in a second, up to 200 wires."""
-    stage = case.armed() or case.start()
-    said = [frame for _ in range(1000) for frame in stage.step().up][:200]
-    return [frame for frame in said if isinstance(frame, bytes) and frame]
+def _messages_of_devices(case: Case) -> list[bytes]:
+    """Return what the devices send in a second, up to 200 messages."""
+    bench = case.armed() or case.start()
+    frames = [frame for _ in range(1000) for frame in bench.step().up][:200]
+    return [frame for frame in frames if isinstance(frame, bytes) and frame]
 
 
-def _fed(case: Case, frames: Sequence[Frame]) -> Fed:
-    """What a fresh driver makes of these wires."""
+def _received(case: Case, frames: Sequence[Frame]) -> Received:
+    """Return the events and counts of a new driver that receives these frames."""
     driver = case.start().driver
     events = [event for frame in frames for event in driver.receive(START, frame)]
     return events, counts(driver.counters)
 
 
-def streams_may_be_cut(case: Case) -> Verdict:
-    """A serial stream, with rubbish in it, gives the same whole, byte by byte, and cut anywhere."""
+# -- streams ---------------------------------------------------------------------------------------------
+
+
+def streams_may_be_cut(case: Case) -> None:
+    """A serial stream, also with garbage in it, gives the same whole, byte by byte, and cut anywhere."""
     if case.spec.bus != "serial":
-        return Inapplicable(f"the spec's bus is {case.spec.bus}: frames come whole")
-    random, said = case.random(), [play.data_of(frame) for frame in noise.conversation(case)]
+        raise Inapplicable(f"the spec's bus is {case.spec.bus}: frames arrive whole")
+    random, valid = case.random(), [play.data_of(frame) for frame in noise.valid_frames(case)]
     for count in (20, 150):
-        clean = said[:: max(len(said) // count, 1)]
-        rubbish = [noise.damaged(random.choice(clean), random) for _ in range(count // 2)]
-        rubbish += [random.bytes(1 + random.below(20)) for _ in range(count // 4)]
-        for pieces in (clean, random.shuffled([*clean, *rubbish])):
-            failure = _cut(case, b"".join(pieces), random)
-            if failure:
-                return failure
-    return None
+        clean = valid[:: max(len(valid) // count, 1)]
+        garbage = [noise.damaged(random.choice(clean), random) for _ in range(count // 2)]
+        garbage += [random.bytes(1 + random.below(20)) for _ in range(count // 4)]
+        for pieces in (clean, random.shuffled([*clean, *garbage])):
+            _may_be_cut(case, b"".join(pieces), random)
 
 
-def _cut(case: Case, stream: bytes, random: Random) -> Failure | None:
+def _may_be_cut(case: Case, stream: bytes, random: Random) -> None:
     whole = _both(case, [stream])
     for longest in (1, 7, 300):
-        other = _both(case, _pieces(stream, longest, random))
-        if other == whole:
+        cut = _both(case, _pieces(stream, longest, random))
+        if cut == whole:
             continue
 
         def differs(frame: Frame) -> bool:
@@ -215,20 +224,18 @@ def _cut(case: Case, stream: bytes, random: Random) -> Failure | None:
             return _both(case, [data]) != _both(case, [data[at : at + 1] for at in range(len(data))])
 
         short = play.shortest(stream, differs) if differs(stream) else stream[:64]
-        text = f"whole: {_brief(whole)}; in pieces of up to {longest}: {_brief(other)}"
-        return Failure(text, (short,))
-    return None
+        raise Failure(f"whole: {_brief(whole)}; in pieces of up to {longest}: {_brief(cut)}", (short,))
 
 
-def _both(case: Case, frames: Sequence[Frame]) -> tuple[Fed, list[Command | Request]]:
-    """What driver and ear make of the same bytes."""
+def _both(case: Case, frames: Sequence[Frame]) -> tuple[Received, list[Command | Request]]:
+    """Return what driver and decoder make of the same bytes."""
     decoder = case.start().decoder
-    return _fed(case, frames), [word for frame in frames for word in decoder.decode(START, frame)]
+    return _received(case, frames), [m for frame in frames for m in decoder.decode(START, frame)]
 
 
-def _brief(both: tuple[Fed, list[Command | Request]]) -> str:
-    (events, counters), words = both
-    return f"{len(events)} events, (heard, bad, foreign) {counters}, the ear {len(words)} words"
+def _brief(both: tuple[Received, list[Command | Request]]) -> str:
+    (events, counters), messages = both
+    return f"{len(events)} events, {COUNTED} {counters}, {len(messages)} decoded messages"
 
 
 def _pieces(stream: bytes, longest: int, random: Random) -> list[bytes]:
@@ -238,3 +245,78 @@ def _pieces(stream: bytes, longest: int, random: Random) -> list[bytes]:
         pieces.append(stream[at : at + size])
         at += size
     return pieces
+
+
+# -- checksums -------------------------------------------------------------------------------------------
+
+
+def wrong_bits_change_nothing(case: Case) -> None:
+    """No message on a stream in which one bit is wrong has an effect in driver, decoder or device.
+
+    One message of each kind, every bit of it, at both ends, but for those that the spec calls unprotected.
+    What a reader keeps of a message that never ends may cost the next one, never more."""
+    if case.spec.bus != "serial":
+        raise Inapplicable(f"the spec's bus is {case.spec.bus}: its controller drops damaged frames")
+    one, other = _running(case), _running(case)
+    for downward in (True, False):
+        for frame in _one_of_each_kind(case, downward):
+            damaged = list(_each_bit_flipped(frame))
+            try:
+                _change_nothing(case, one, other, damaged, downward)
+            except Failure as failure:
+
+                def fails(some: Sequence[bytes], downward: bool = downward) -> bool:
+                    try:
+                        _change_nothing(case, _running(case), _running(case), some, downward)
+                    except Failure:
+                        return True
+                    return False
+
+                few = play.fewest(damaged, fails) if fails(damaged) else damaged[:1]
+                raise Failure(failure.text, (frame, *few), failure.messages) from failure
+
+
+def _running(case: Case) -> Bench:
+    return case.armed() or case.start()
+
+
+def _one_of_each_kind(case: Case, downward: bool) -> list[bytes]:
+    """Return one message of each kind (down: name, up: length), the shortest first."""
+    frames = [frame for step in case.baseline for frame in (step.down if downward else step.up)]
+    stream = [f for f in frames if isinstance(f, bytes) and f and noise.protected(case, f)]
+    kinds = {(len(f), *(case.plugin.messages(f) if downward else ())): f for f in reversed(stream)}
+    chosen = [kinds[kind] for kind in sorted(kinds)]
+    return chosen[:: max(-(-len(chosen) // KINDS), 1)]
+
+
+def _each_bit_flipped(frame: bytes) -> Iterator[bytes]:
+    bits: Sequence[int] = range(8 * len(frame))
+    if len(frame) > LONGEST:
+        bits = [*bits[: 4 * LONGEST], *bits[-4 * LONGEST :]]
+    for bit in bits:
+        yield noise.flipped(frame, bit)
+
+
+def _change_nothing(case: Case, one: Bench, other: Bench, damaged: Sequence[bytes], downward: bool) -> None:
+    """Give one of two equal benches damaged messages as well: soon after the two are equal again."""
+    for frame in damaged:
+        _has_no_effect(other, downward, frame)
+    messages = [play.build(kind, name, case.spec.ranges) for kind in case.kinds[:1] for name in NAMES]
+    for step in range(SETTLED + COMPARED):
+        left, right = one.step(messages), other.step(messages)
+        if step >= SETTLED and replace(left, due=()) != replace(right, due=()):
+            raise difference(left, right, "without", "with a message in which one bit is wrong")
+
+
+def _has_no_effect(bench: Bench, downward: bool, damaged: bytes) -> None:
+    """Pass a damaged message to one end."""
+    if not downward:
+        events = bench.driver.receive(bench.now, damaged)
+        if events:
+            raise Failure("one bit is wrong, and yet something is reported", (damaged,), events)
+        return
+    messages = bench.decoder.decode(bench.now, damaged)
+    for twin in bench.twins:
+        twin.receive(bench.now, damaged)
+    if messages:
+        raise Failure("one bit is wrong, and yet it is obeyed", (damaged,), messages)

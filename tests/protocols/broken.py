@@ -1,20 +1,22 @@
-"""Plugins that are broken on purpose, one for each promise of the contract.
+"""Plugins that are broken on purpose, at least one for each clause of the contract.
 
-Rules. Each is the plain plugin with one class of it replaced; what is wrong is said by its name. Some of
-the defects are those of drivers in the field.
+Rules. Each is the plugin `plain`, or `odrive_can`, with one class of it replaced, or with its events or
+messages altered by a function; the name says what is wrong. Some of the defects are those of drivers in the
+field.
 """
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal, TypeAlias, TypeVar
 
 from protocols import messages as msg
+from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Command, Event, Message, Nanos, Request
+from protocols.messages import Command, Event, Nanos, Request
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
@@ -22,9 +24,9 @@ from protocols.plain import codec, plugin
 from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
-from protocols.plugin import Device, Plugin
+from protocols.plugin import Device, Driver, Plugin
 
-Sent = tuple[Sequence[Event], Sequence[Frame]]
+Sent: TypeAlias = tuple[Sequence[Event], Sequence[Frame]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,103 +47,158 @@ motors = replace(plugin, options=MotorOptions, vectors=("tests.protocols", "moto
 sensors = replace(plugin, options=SensorOptions, vectors=None)
 
 
+# -- registration --------------------------------------------------------------------------------------
+
+BROKEN: list[tuple[Plugin, tuple[str, ...]]] = []
+"""The broken plugins, each named after what is wrong, with all the clauses that find it."""
+Part = TypeVar("Part", bound=PlainDriver | PlainDecoder | PlainMotor | OdriveDriver)
+EventChange: TypeAlias = Callable[[Event], Event | None]
+MessageChange: TypeAlias = Callable[[Command | Request], Command | Request | None]
+
+
+def found_by(*clauses: str) -> Callable[[type[Part]], type[Part]]:
+    """Register a plugin with this class in the place of the right one."""
+
+    def register(part: type[Part]) -> type[Part]:
+        wrong: Plugin
+        if issubclass(part, OdriveDriver):
+            wrong = replace(odrive, driver=lambda devices: part(devices, RANGES))
+        elif issubclass(part, PlainDriver):
+            wrong = replace(motors, driver=part)
+        elif issubclass(part, PlainDecoder):
+            wrong = replace(motors, decoder=part)
+        else:
+            wrong = replace(motors, twin=lambda device, _: part(device))
+        BROKEN.append((replace(wrong, name=part.__name__), clauses))
+        return part
+
+    return register
+
+
+@dataclass(slots=True)
+class _Altering(DriverWrapper):
+    """A right driver, whose events or messages are altered; None: dropped."""
+
+    event: EventChange = lambda event: event
+    message: MessageChange = lambda message: message
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        return self._altered(self.driver.receive(t, frame))
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        given = [altered for each in messages if (altered := self.message(each)) is not None]
+        events, frames = self.driver.send(now, given)
+        return self._altered(events), frames
+
+    def _altered(self, events: Sequence[Event]) -> Sequence[Event]:
+        return [altered for each in events if (altered := self.event(each)) is not None]
+
+
+def alters_events(*clauses: str, base: Plugin = motors) -> Callable[[EventChange], EventChange]:
+    """Register a plugin whose driver reports each event as this function alters it (None: not at all)."""
+
+    def register(change: EventChange) -> EventChange:
+        _register(base, clauses, change.__name__, lambda driver: _Altering(driver, event=change))
+        return change
+
+    return register
+
+
+def alters_messages(*clauses: str) -> Callable[[MessageChange], MessageChange]:
+    """Register a plugin whose driver sends each message as this function alters it (None: not at all)."""
+
+    def register(change: MessageChange) -> MessageChange:
+        _register(motors, clauses, change.__name__, lambda driver: _Altering(driver, message=change))
+        return change
+
+    return register
+
+
+def _register(base: Plugin, clauses: tuple[str, ...], name: str, wrap: Callable[[Driver], Driver]) -> None:
+    BROKEN.append((replace(base, name=name, driver=lambda devices: wrap(base.driver(devices))), clauses))
+
+
 # -- commands ------------------------------------------------------------------------------------------
 
 
-class RoundsVelocity(PlainDriver):
-    """To thousandths, while the spec promises everything."""
-
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        rounded = [
-            replace(w, velocity=round(w.velocity, 3))
-            if isinstance(w, msg.Velocity) and math.isfinite(w.velocity)
-            else w
-            for w in words
-        ]
-        return super().send(now, rounded)
+@alters_messages("commands")
+def rounds_velocity(message: Command | Request) -> Command | Request:
+    """To thousandths, while the spec promises full resolution."""
+    if isinstance(message, msg.Velocity) and math.isfinite(message.velocity):
+        return replace(message, velocity=round(message.velocity, 3))
+    return message
 
 
-class WrapsFeedForward(PlainDriver):
+@alters_messages("commands")
+def wraps_feed_forward(message: Command | Request) -> Command | Request:
     """A feed-forward of int8 thousandths where there is room for more: above 0.127 it wraps."""
-
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        wrapped = [
-            replace(w, torque=((round(w.torque * 1000) + 128) % 256 - 128) / 1000)
-            if isinstance(w, msg.Position) and abs(w.torque) <= 1e4
-            else w
-            for w in words
-        ]
-        return super().send(now, wrapped)
+    if isinstance(message, msg.Position) and abs(message.torque) <= 1e4:
+        return replace(message, torque=((round(message.torque * 1000) + 128) % 256 - 128) / 1000)
+    return message
 
 
+@found_by("commands")
 class MixesUpMotors(PlainDriver):
-    """What two motors are told in one step goes out in one order to sorted addresses."""
+    """The commands of two motors in one step are sent in one order to sorted addresses."""
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, frames = super().send(now, words)
-        if len(words) == len(frames) == 2 and all(isinstance(w, msg.Velocity) for w in words):
-            (one, other) = (codec.Stream().feed(each)[0] for each in _bytes(frames))
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        if len(messages) == len(frames) == 2 and all(isinstance(m, msg.Velocity) for m in messages):
+            (one, other) = (codec.Stream().feed(each)[0] for each in frames if isinstance(each, bytes))
             frames = [codec.frame(one[:1] + other[1:]), codec.frame(other[:1] + one[1:])]
         return events, frames
 
 
-class ForgetsIdle(PlainDriver):
+@alters_messages("commands", "jump", "disarm", "dropped")
+def forgets_idle(message: Command | Request) -> Command | Request | None:
     """Never disarms."""
-
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        return super().send(now, [w for w in words if not isinstance(w, msg.Idle)])
+    return None if isinstance(message, msg.Idle) else message
 
 
 # -- measurements --------------------------------------------------------------------------------------
 
 
+@found_by("measurements")
 class WholeUnits(PlainMotor):
     """The twin measures whole thousandths of a radian (an integer division in the field)."""
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         whole = [
-            replace(w, position=math.floor(w.position * 1000) / 1000)
-            if isinstance(w, msg.Feedback) and w.position is not None and math.isfinite(w.position)
-            else w
-            for w in truth
+            replace(e, position=math.floor(e.position * 1000) / 1000)
+            if isinstance(e, msg.Feedback) and e.position is not None and math.isfinite(e.position)
+            else e
+            for e in truth
         ]
         return super().step(now, whole)
 
 
-class FromTheFuture(PlainDriver):
-    """Stamps what it hears with a time that has not come."""
-
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return [
-            replace(e, t=e.t + 1) if isinstance(e, msg.Feedback) else e for e in super().receive(t, frame)
-        ]
+@alters_events("measurements")
+def from_the_future(event: Event) -> Event:
+    """Stamps feedback with a time that has not come."""
+    return replace(event, t=event.t + 1) if isinstance(event, msg.Feedback) else event
 
 
-class NamesTheOther(PlainDriver):
-    """Tells alpha's measurements as beta's and the other way round."""
-
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        swap = {"alpha": "beta", "beta": "alpha"}
-        events = super().receive(t, frame)
-        return [
-            replace(e, motor=swap.get(e.motor, e.motor)) if isinstance(e, msg.Feedback) else e for e in events
-        ]
+@alters_events("measurements", "jump", "disarm", "watchdog", "offline", "faults", "attach")
+def names_the_other(event: Event) -> Event:
+    """Reports alpha's measurements as beta's and the other way round."""
+    swap = {"alpha": "beta", "beta": "alpha"}
+    return (
+        replace(event, motor=swap.get(event.motor, event.motor)) if isinstance(event, msg.Feedback) else event
+    )
 
 
-class SingleRanges(PlainDriver):
+@alters_events("measurements", base=sensors)
+def single_ranges(event: Event) -> Event:
     """Ranges of a scan lose what a float32 cannot hold."""
-
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return [_single(e) if isinstance(e, msg.LaserScan) else e for e in super().receive(t, frame)]
-
-
-def _single(scan: msg.LaserScan) -> msg.LaserScan:
-    return replace(scan, ranges=tuple(array("f", scan.ranges)))
+    if isinstance(event, msg.LaserScan):
+        return replace(event, ranges=tuple(array("f", event.ranges)))
+    return event
 
 
 # -- bytes ---------------------------------------------------------------------------------------------
 
 
+@found_by("bytes", "streams", "finite")
 class Raises(PlainDriver):
     """Takes a certain byte for granted."""
 
@@ -151,23 +208,25 @@ class Raises(PlainDriver):
         return super().receive(t, frame)
 
 
-class EarRaises(PlainDecoder):
-    """The ear expects bytes and gets a frame."""
+@found_by("bytes", "obeyed")
+class DecoderRaises(PlainDecoder):
+    """The decoder expects bytes and gets a frame."""
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Messages:
         if isinstance(frame, CanFrame):
             raise TypeError("bytes expected")
         return super().decode(t, frame)
 
 
-class EarFillsUp(PlainDecoder):
-    """The ear keeps what it does not understand, and has room for twenty."""
+@found_by("bytes")
+class DecoderFillsUp(PlainDecoder):
+    """The decoder keeps what it does not understand, and has room for twenty."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
         self._kept: list[CanFrame] = []
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Messages:
         if isinstance(frame, CanFrame):
             self._kept.append(frame)
             if len(self._kept) > 20:
@@ -175,8 +234,9 @@ class EarFillsUp(PlainDecoder):
         return super().decode(t, frame)
 
 
-class CountsTwice(PlainDriver):
-    """A message with a wrong CRC is counted as bad, and its bytes once more as noise."""
+@found_by("counts")
+class CountsDouble(PlainDriver):
+    """A message with a wrong CRC is counted as malformed, and its bytes once more as ignored."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         before = self.counters.malformed
@@ -185,8 +245,9 @@ class CountsTwice(PlainDriver):
         return events
 
 
+@found_by("counts")
 class BelievesBadBytes(PlainDriver):
-    """Does not look at the CRC."""
+    """Does not check the CRC."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
@@ -209,8 +270,9 @@ class _Credulous(codec.Stream):
             self._held = self._held[size:]
 
 
+@found_by("counts", "streams")
 class LosesTheNext(PlainDriver):
-    """After a bad message it throws away all it has."""
+    """After a malformed message it discards all it has."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         before = self.counters.malformed
@@ -221,6 +283,7 @@ class LosesTheNext(PlainDriver):
         return events
 
 
+@found_by("streams")
 class NeedsWholeMessages(PlainDriver):
     """Reads each piece of the stream as if it began with a message."""
 
@@ -230,19 +293,21 @@ class NeedsWholeMessages(PlainDriver):
         return events
 
 
-class EarNeedsWholeMessages(PlainDecoder):
-    """The same, in the ear."""
+@found_by("streams")
+class DecoderNeedsWholeMessages(PlainDecoder):
+    """The same, in the decoder."""
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
-        words = super().decode(t, frame)
+    def decode(self, t: Nanos, frame: Frame) -> Messages:
+        messages = super().decode(t, frame)
         self._stream.drop()
-        return words
+        return messages
 
 
-# -- manners -------------------------------------------------------------------------------------------
+# -- passivity -----------------------------------------------------------------------------------------
 
 
-class HearsStrangers(PlainDriver):
+@found_by("foreign")
+class AcceptsForeignFeedback(PlainDriver):
     """Takes any device's feedback for its first motor's."""
 
     def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
@@ -251,8 +316,9 @@ class HearsStrangers(PlainDriver):
         return super()._handle(t, body)
 
 
-class ObeysStrangers(PlainMotor):
-    """The device does not look at the address."""
+@found_by("foreign")
+class ObeysForeignCommands(PlainMotor):
+    """The device does not check the address."""
 
     def receive(self, t: Nanos, frame: Frame) -> None:
         bodies = codec.Stream().feed(frame) if isinstance(frame, bytes) else []
@@ -262,71 +328,68 @@ class ObeysStrangers(PlainMotor):
                 super().receive(t, codec.frame(bytes((self._device.address,)) + body[1:]))
 
 
+@found_by("passive", "faults", "scan")
 class ClearsFaultsUnasked(PlainDriver):
-    """Begins with clearing faults, so that nobody learns of them."""
+    """Begins with clearing faults, so that they are never reported."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
         self.begun = False
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
+    def send(self, now: Nanos, messages: Messages) -> Sent:
         begun, self.begun = self.begun, True
         clear = [] if begun else [msg.ClearFault(name) for name in self._addresses]
-        return super().send(now, [*clear, *words])
+        return super().send(now, [*clear, *messages])
 
 
+@found_by("passive", "attach")
 class AlwaysIdles(PlainDriver):
-    """Sends Idle to whom it never armed: a running device drops its load."""
+    """Sends Idle to devices that it never armed: a running device drops its load."""
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        for seat in self._devices.values():
-            seat.owned = True
-        return super().send(now, words)
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        for device in self._devices.values():
+            device.owned = True
+        return super().send(now, messages)
 
 
-class SaysNothing(PlainDriver):
-    """Puts wires without bytes on the line: harmless, and not what the spec says."""
+@found_by("declared")
+class SendsEmptyFrames(PlainDriver):
+    """Sends frames without bytes: harmless, and not what the spec says."""
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, frames = super().send(now, words)
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
         return events, [*frames, b""]
 
 
-class TwinSpeaksCan(PlainMotor):
-    """A device on a serial line that puts out CAN frames besides."""
+@found_by("declared")
+class TwinSendsCan(PlainMotor):
+    """A device on a serial bus that also sends CAN frames."""
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         torques, frames = super().step(now, truth)
         return torques, [*frames, CanFrame(1)] if len(frames) > 1 else frames
 
 
-def clamps(word: Message) -> Any:
-    """NaN is full speed: max(-5, min(5, nan)) is 5."""
-    if not isinstance(word, msg.Velocity):
-        return word
-    return replace(word, velocity=max(-1e5, min(1e5, word.velocity)))
+@alters_messages("finite")
+def clamps_nan(message: Command | Request) -> Command | Request:
+    """Clamps instead of refusing, and so makes full speed of NaN: max(-5, min(5, nan)) is 5."""
+    if isinstance(message, msg.Velocity):
+        return replace(message, velocity=max(-1e5, min(1e5, message.velocity)))
+    return message
 
 
-class ClampsNan(PlainDriver):
-    """Clamps instead of refusing, and so makes full speed of NaN."""
-
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        return super().send(now, [clamps(word) for word in words])
-
-
-class TellsNan(PlainDriver):
-    """Tells something that is not finite for what was not measured."""
-
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        events = super().receive(t, frame)
-        return [replace(e, temperature=math.nan) if isinstance(e, msg.Feedback) else e for e in events]
+@alters_events("finite")
+def reports_nan(event: Event) -> Event:
+    """Reports something that is not finite for what was not measured."""
+    return replace(event, temperature=math.nan) if isinstance(event, msg.Feedback) else event
 
 
 # -- state ---------------------------------------------------------------------------------------------
 
 
+@found_by("repeatable")
 class SharesState(PlainDriver):
-    """Keeps what it has heard of the stream where all drivers keep it."""
+    """Keeps its part of the stream in a place that all drivers share."""
 
     shared = codec.Stream()
 
@@ -335,8 +398,9 @@ class SharesState(PlainDriver):
         self._stream = type(self).shared
 
 
+@found_by("counts", "foreign", "repeatable", "copies")
 class CountsDrivers(PlainDriver):
-    """Every second driver that is made tells the current with another sign."""
+    """Every second driver that is made reports another current."""
 
     made = 0
 
@@ -350,19 +414,21 @@ class CountsDrivers(PlainDriver):
         return [replace(e, current=1.0) if self.odd and isinstance(e, msg.Feedback) else e for e in events]
 
 
+@found_by("copies")
 class HoldsAGenerator(PlainDriver):
     """Its state is a generator, which nothing can copy."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
-        self.numbers = iter(_count())
+        self.numbers = iter(_ones())
 
 
-def _count() -> Iterator[int]:
+def _ones() -> Iterator[int]:
     while True:
         yield 1
 
 
+@found_by("copies")
 class HidesState(PlainDriver):
     """Its state hides in a closure, which a copy shares with the original."""
 
@@ -376,14 +442,15 @@ class HidesState(PlainDriver):
 
         self.number = number
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        """Every hundredth word of its own is a question."""
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        """Add a request to every hundredth call."""
         ask = [msg.ReadParameter("alpha", "supply")] if self.number() % 100 == 0 else []
-        return super().send(now, [*words, *ask])
+        return super().send(now, [*messages, *ask])
 
 
+@found_by("copies")
 class TwinSharesState(PlainMotor):
-    """All devices have one set of answers in the making."""
+    """All devices share one list of pending answers."""
 
     shared: ClassVar[list[Event]] = []
 
@@ -397,15 +464,10 @@ class TwinSharesState(PlainMotor):
         return super().step(now, truth)
 
 
-def _bytes(frames: Sequence[Frame]) -> Iterator[bytes]:
-    for frame in frames:
-        assert isinstance(frame, bytes)
-        yield frame
-
-
 # -- on CAN --------------------------------------------------------------------------------------------
 
 
+@found_by("counts", "foreign")
 class IgnoresFormat(OdriveDriver):
     """Takes a 29-bit id for the 11-bit id of the same number."""
 
@@ -413,6 +475,7 @@ class IgnoresFormat(OdriveDriver):
         return super().receive(t, replace(frame, extended=False) if isinstance(frame, CanFrame) else frame)
 
 
+@found_by("counts")
 class PadsShortFrames(OdriveDriver):
     """Reads on where a frame has ended."""
 
@@ -422,96 +485,44 @@ class PadsShortFrames(OdriveDriver):
         return super().receive(t, frame)
 
 
-class DoesNotCountStrangers(OdriveDriver):
-    """Drops what is not its own without a word."""
+@found_by("counts", "foreign")
+class IgnoresWithoutCounting(OdriveDriver):
+    """Drops foreign frames and does not count them."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        foreign = self.counters.ignored
+        ignored = self.counters.ignored
         events = super().receive(t, frame)
-        self.counters.ignored = foreign
+        self.counters.ignored = ignored
         return events
 
 
+@found_by("counts")
 class LearnsFromBadFrames(OdriveDriver):
-    """A frame of a wrong length tells nothing, but its device counts as heard."""
+    """A frame of a wrong length reports nothing, but changes what is known of its device."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        bad = self.counters.malformed
+        malformed = self.counters.malformed
         events = super().receive(t, frame)
-        if self.counters.malformed > bad:
-            for node in self.axes.values():
-                node.forget()
+        if self.counters.malformed > malformed:
+            for axis in self.axes.values():
+                axis.forget()
         return events
 
 
-class SaysWhatItDoesNotList(OdriveDriver):
-    """A frame of an id that the spec does not have."""
+@found_by("passive", "declared", "scan")
+class SendsUndeclaredId(OdriveDriver):
+    """Sends a frame of an id that the spec does not have."""
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, frames = super().send(now, words)
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
         return events, [*frames, CanFrame(0x7FF, b"hello")] if frames else frames
 
 
+@found_by("passive", "scan")
 class FindsByArming(OdriveDriver):
-    """Looks for devices by setting their state, as a test in the field does."""
+    """Searches devices by setting their state, as a test in the field does."""
 
-    def send(self, now: Nanos, words: Sequence[Command | Request]) -> Sent:
-        events, frames = super().send(now, words)
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
         arm = CanFrame(min(self.axes) << 5 | 0x07, b"\1\0\0\0")
-        return events, frames if words or now % 64_000_000 else [*frames, arm]
-
-
-def _can(kind: type[OdriveDriver]) -> Plugin:
-    return replace(odrive, name=kind.__name__, driver=lambda devices: kind(devices, RANGES))
-
-
-def _driver(kind: type[PlainDriver], base: Plugin = motors) -> Plugin:
-    return replace(base, name=kind.__name__, driver=kind)
-
-
-def _decoder(kind: type[PlainDecoder]) -> Plugin:
-    return replace(motors, name=kind.__name__, decoder=kind)
-
-
-def _twin(kind: type[PlainMotor]) -> Plugin:
-    return replace(motors, name=kind.__name__, twin=lambda device, _: kind(device))
-
-
-BROKEN: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
-    (_driver(RoundsVelocity), ("commands",)),
-    (_driver(WrapsFeedForward), ("commands",)),
-    (_driver(MixesUpMotors), ("commands",)),
-    (_driver(ForgetsIdle), ("commands", "jump", "disarm", "dropped")),
-    (_twin(WholeUnits), ("measurements",)),
-    (_driver(FromTheFuture), ("measurements",)),
-    (_driver(NamesTheOther), ("measurements", "jump", "disarm", "watchdog", "blind", "faults", "attach")),
-    (_driver(SingleRanges, sensors), ("measurements",)),
-    (_driver(Raises), ("bytes", "streams", "finite")),
-    (_decoder(EarRaises), ("bytes", "obeyed")),
-    (_decoder(EarFillsUp), ("bytes",)),
-    (_driver(CountsTwice), ("counts",)),
-    (_driver(BelievesBadBytes), ("counts",)),
-    (_driver(LosesTheNext), ("counts", "streams")),
-    (_driver(NeedsWholeMessages), ("streams",)),
-    (_decoder(EarNeedsWholeMessages), ("streams",)),
-    (_driver(HearsStrangers), ("strangers",)),
-    (_twin(ObeysStrangers), ("strangers",)),
-    (_driver(ClearsFaultsUnasked), ("unclaimed", "faults", "scan")),
-    (_driver(AlwaysIdles), ("unclaimed", "attach")),
-    (_driver(SaysNothing), ("declared",)),
-    (_twin(TwinSpeaksCan), ("declared",)),
-    (_driver(ClampsNan), ("finite",)),
-    (_driver(TellsNan), ("finite",)),
-    (_driver(SharesState), ("repeatable",)),
-    (_driver(CountsDrivers), ("counts", "strangers", "repeatable", "copies")),
-    (_driver(HoldsAGenerator), ("copies",)),
-    (_driver(HidesState), ("copies",)),
-    (_twin(TwinSharesState), ("copies",)),
-    (_can(IgnoresFormat), ("counts", "strangers")),
-    (_can(PadsShortFrames), ("counts",)),
-    (_can(DoesNotCountStrangers), ("counts", "strangers")),
-    (_can(LearnsFromBadFrames), ("counts",)),
-    (_can(SaysWhatItDoesNotList), ("unclaimed", "declared", "scan")),
-    (_can(FindsByArming), ("unclaimed", "scan")),
-)
-"""Each with all the clauses that find it."""
+        return events, frames if messages or now % 64_000_000 else [*frames, arm]

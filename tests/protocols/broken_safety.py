@@ -1,8 +1,4 @@
-"""Plugins that are broken on purpose: motion begins or ends unsafely, silence is missed, faults go.
-
-Rules. Each is the plain plugin, or ODrive's, with one class of it replaced; what is wrong is said by its
-name.
-"""
+"""Plugins that are broken on purpose: motion begins or ends unsafely, silence is not noticed, faults go."""
 
 from __future__ import annotations
 
@@ -10,27 +6,25 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from protocols import messages as msg
+from protocols.conformance.bench import Messages
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
-from protocols.odrive_can import RANGES
-from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.plain import codec
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
-from protocols.plugin import Device, Plugin
-from tests.protocols.broken import Sent, motors
-
-Messages = Sequence[Command | Request]
+from protocols.plugin import Device
+from tests.protocols.broken import Sent, alters_events, alters_messages, found_by
 
 
 class Knowing(PlainDriver):
-    """Sound; remembers what it has told, for those below."""
+    """A right driver; it keeps what it was given and what it reported, for those below."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
         self.modes: dict[str, Mode] = {}
-        self.places: dict[str, float] = {}
+        self.positions: dict[str, float] = {}
+        self.last: dict[str, Command] = {}
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
@@ -38,12 +32,16 @@ class Knowing(PlainDriver):
             if isinstance(event, msg.State):
                 self.modes[event.motor] = event.mode
             elif isinstance(event, msg.Feedback) and event.position is not None:
-                self.places[event.motor] = event.position
+                self.positions[event.motor] = event.position
         return events
 
-    def say(self, word: Command | Request) -> Frame:
-        """A word to a device, past everything that a driver should think of."""
-        return codec.encode(self._addresses[getattr(word, "motor", "")], word)
+    def keep(self, messages: Messages) -> None:
+        """Keep the commands in `last`."""
+        self.last |= {m.motor: m for m in messages if isinstance(m, Command)}
+
+    def encoded(self, message: Command | Request) -> Frame:
+        """Return a message to a device, past all that a driver should check."""
+        return codec.encode(self._addresses[getattr(message, "motor", "")], message)
 
     def owned(self, name: str) -> bool:
         return self._devices[self._addresses[name]].owned
@@ -52,86 +50,81 @@ class Knowing(PlainDriver):
 # -- jump ----------------------------------------------------------------------------------------------
 
 
+@found_by("jump")
 class FirstSetPointIsZero(Knowing):
     """The set-point is zero until the first one has been sent."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        fresh = [
-            w.motor for w in words if isinstance(w, msg.Position) and self.modes.get(w.motor) != Mode.ARMED
-        ]
-        events, frames = super().send(now, words)
-        return events, [*(self.say(msg.Position(name, 0.0)) for name in fresh if self.owned(name)), *frames]
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        positions = [m.motor for m in messages if isinstance(m, msg.Position)]
+        fresh = [name for name in positions if self.modes.get(name) != Mode.ARMED]
+        events, frames = super().send(now, messages)
+        zeros = [self.encoded(msg.Position(name, 0.0)) for name in fresh if self.owned(name)]
+        return events, [*zeros, *frames]
 
 
+@found_by("jump")
 class HoldsWhereItOnceWas(Knowing):
-    """Hold is where the shaft was when it was first said in this life."""
+    """Hold is the position at which the shaft was when Hold was given for the first time ever."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
         self.held: dict[str, float] = {}
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        for word in words:
-            if isinstance(word, msg.Hold) and word.motor in self.places:
-                self.held.setdefault(word.motor, self.places[word.motor])
-        return super().send(now, [self.kept(word) for word in words])
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        for message in messages:
+            if isinstance(message, msg.Hold) and message.motor in self.positions:
+                self.held.setdefault(message.motor, self.positions[message.motor])
+        return super().send(now, [self.kept(message) for message in messages])
 
-    def kept(self, word: Command | Request) -> Command | Request:
-        if isinstance(word, msg.Hold) and word.motor in self.held:
-            return msg.Position(word.motor, self.held[word.motor])
-        return word
+    def kept(self, message: Command | Request) -> Command | Request:
+        if isinstance(message, msg.Hold) and message.motor in self.held:
+            return msg.Position(message.motor, self.held[message.motor])
+        return message
 
 
 # -- disarm --------------------------------------------------------------------------------------------
 
 
-class SaysIdleOnce(PlainDriver):
-    """Whether Idle has arrived is nobody's business."""
+@found_by("disarm", "dropped")
+class SendsIdleOnce(Knowing):
+    """Does not check that Idle has arrived."""
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        super().__init__(devices)
-        self.last: dict[str, Command] = {}
-
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        said = [
-            w for w in words if not (isinstance(w, msg.Idle) and isinstance(self.last.get(w.motor), msg.Idle))
-        ]
-        self.last |= {w.motor: w for w in words if isinstance(w, Command)}
-        return super().send(now, said)
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        idle = [name for name, last in self.last.items() if isinstance(last, msg.Idle)]
+        given = [m for m in messages if not (isinstance(m, msg.Idle) and m.motor in idle)]
+        self.keep(messages)
+        return super().send(now, given)
 
 
-class IdlesOnlyWhatItHearsArmed(Knowing):
-    """Idle waits until the device has been heard to be armed."""
+@found_by("commands", "disarm")
+class IdlesOnlyReportedArmed(Knowing):
+    """Idle waits until the device has been reported armed."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        received, self.modes = dict(self.modes), {}
-        return super().send(
-            now, [w for w in words if not isinstance(w, msg.Idle) or received.get(w.motor) == Mode.ARMED]
-        )
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        modes, self.modes = self.modes, {}
+        armed = [name for name, mode in modes.items() if mode is Mode.ARMED]
+        return super().send(now, [m for m in messages if not isinstance(m, msg.Idle) or m.motor in armed])
 
 
-class StopsOnlyItsOwn(PlainDriver):
+@alters_messages("disarm")
+def stops_only_its_own(message: Command | Request) -> Command | Request | None:
     """An operator's stop does not reach what another host has armed."""
-
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        return super().send(now, [w for w in words if not isinstance(w, msg.Stop)])
+    return None if isinstance(message, msg.Stop) else message
 
 
 # -- watchdog ------------------------------------------------------------------------------------------
 
 
-class FeedsByItself(PlainDriver):
-    """Nothing to say: then what was said last, so that the watchdog does not trip."""
+@found_by("watchdog")
+class FeedsByItself(Knowing):
+    """Without a command it repeats the last one, so that the watchdog does not trip."""
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        super().__init__(devices)
-        self.last: dict[str, Command] = {}
-
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        self.last |= {w.motor: w for w in words if isinstance(w, Command)}
-        return super().send(now, words or list(self.last.values()))
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        self.keep(messages)
+        return super().send(now, messages or list(self.last.values()))
 
 
+@found_by("watchdog")
 class NeverTrips(PlainMotor):
     """The watchdog is promised, and forgotten."""
 
@@ -141,8 +134,9 @@ class NeverTrips(PlainMotor):
         super()._watch(now)
 
 
+@found_by("watchdog")
 class TripsEarly(PlainMotor):
-    """The watchdog takes half of the declared time."""
+    """The watchdog trips after half of the declared time."""
 
     def _watch(self, now: Nanos) -> None:
         fed = self._fed
@@ -151,37 +145,41 @@ class TripsEarly(PlainMotor):
         self._fed = fed
 
 
-# -- blind ---------------------------------------------------------------------------------------------
+# -- offline -------------------------------------------------------------------------------------------
 
 
-class NeverMissesADevice(PlainDriver):
-    """The time of silence is stored, and never looked at."""
+@found_by("offline")
+class NeverReportsOffline(PlainDriver):
+    """The time of silence is stored, and never checked."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        for seat in self._devices.values():
-            seat.received = now
-        return super().send(now, words)
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        for device in self._devices.values():
+            device.received_at = now
+        return super().send(now, messages)
 
 
+@found_by("offline")
 class ReadsTheLastStateForEver(Knowing):
     """Every read succeeds, with the last state if there is no newer one."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        events, frames = super().send(now, words)
-        return [*(msg.Feedback(name, now, place) for name, place in self.places.items()), *events], frames
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        return [*(msg.Feedback(name, now, at) for name, at in self.positions.items()), *events], frames
 
 
+@found_by("offline")
 class ReadsZeroAtFirst(Knowing):
     """Every read succeeds, with zero if there was none yet."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        events, frames = super().send(now, words)
-        zeros = [msg.Feedback(name, now, 0.0) for name in self._addresses if name not in self.places]
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        zeros = [msg.Feedback(name, now, 0.0) for name in self._addresses if name not in self.positions]
         return [*zeros, *events], frames
 
 
+@found_by("offline", "replies")
 class WaitsForEver(PlainDriver):
-    """Says and tells nothing more until every device has answered."""
+    """Sends and reports nothing more until every device has replied."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
@@ -189,21 +187,21 @@ class WaitsForEver(PlainDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        seats = self._devices.values()
-        if any(seat.received is None or t - seat.received > 100 * MILLISECOND for seat in seats):
-            return events
-        self.waits = None
+        received = [device.received_at for device in self._devices.values()]
+        if not any(at is None or t - at > 100 * MILLISECOND for at in received):
+            self.waits = None
         return events
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
+    def send(self, now: Nanos, messages: Messages) -> Sent:
         if self.waits is not None and now - self.waits > 100 * MILLISECOND:
             return [], []
         self.waits = now if self.waits is None else self.waits
-        return super().send(now, words)
+        return super().send(now, messages)
 
 
-class HearsItself(OdriveDriver):
-    """What it has sent, given back by the bus, is a sign of life of the device."""
+@found_by("offline")
+class AcceptsItsOwnFrames(OdriveDriver):
+    """What it has sent, returned by the bus, is a sign of life of the device."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
@@ -212,8 +210,9 @@ class HearsItself(OdriveDriver):
         return events
 
 
+@found_by("counts", "foreign")
 class LosesTheFirst(OdriveDriver):
-    """What comes first empties the line, and is gone."""
+    """The first frame flushes the input, and is lost."""
 
     begun = False
 
@@ -222,8 +221,9 @@ class LosesTheFirst(OdriveDriver):
         return super().receive(t, frame) if begun else []
 
 
+@found_by("dropped")
 class IgnoresAFullQueue(OdriveDriver):
-    """That the bus has no room is printed, and what was dropped counts as said."""
+    """That the queue is full is printed, and what was dropped counts as sent."""
 
     def bus(self, t: Nanos, state: BusState) -> None:
         if state is not BusState.FULL:
@@ -233,47 +233,43 @@ class IgnoresAFullQueue(OdriveDriver):
 # -- faults --------------------------------------------------------------------------------------------
 
 
-class IgnoresTheFaultBits(PlainDriver):
-    """The state is told, what is wrong is not."""
-
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return [event for event in super().receive(t, frame) if not isinstance(event, msg.Fault)]
-
-
-class KnowsNoCure(PlainDriver):
-    """Faults are told by number and name."""
-
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        events = super().receive(t, frame)
-        return [replace(e, remedy="") if isinstance(e, msg.Fault) else e for e in events]
+@alters_events("faults")
+def ignores_the_fault_bits(event: Event) -> Event | None:
+    """The state is reported, the faults are not."""
+    return None if isinstance(event, msg.Fault) else event
 
 
+@alters_events("faults")
+def reports_no_remedy(event: Event) -> Event:
+    """Faults are reported by number and name."""
+    return replace(event, remedy="") if isinstance(event, msg.Fault) else event
+
+
+@found_by("finite", "faults")
 class ClearsAtEachModeSwitch(Knowing):
-    """Every change of the kind of command begins with clearing faults."""
+    """Every change of the type of command begins with clearing faults."""
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        super().__init__(devices)
-        self.kinds: dict[str, type[Command]] = {}
-
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        before = dict(self.kinds)
-        self.kinds |= {w.motor: type(w) for w in words if isinstance(w, Command)}
-        switched = [name for name, kind in self.kinds.items() if before.get(name, kind) is not kind]
-        events, frames = super().send(now, words)
-        return events, [*(self.say(msg.ClearFault(name)) for name in switched), *frames]
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        before = dict(self.last)
+        self.keep(messages)
+        switched = [name for name, m in self.last.items() if type(before.get(name, m)) is not type(m)]
+        events, frames = super().send(now, messages)
+        return events, [*(self.encoded(msg.ClearFault(name)) for name in switched), *frames]
 
 
+@found_by("faults")
 class PollsByClearing(Knowing):
-    """A device in fault that is to be commanded is asked for its state by clearing its fault."""
+    """A device in fault that is to be commanded is polled for its state by clearing its fault."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        events, frames = super().send(now, words)
-        wanted = [w.motor for w in words if isinstance(w, Command) and not isinstance(w, msg.Idle)]
-        asked = [name for name in wanted if self.modes.get(name) == Mode.FAULT]
-        clears = [] if now % (50 * MILLISECOND) else [self.say(msg.ClearFault(name)) for name in asked]
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        commanded = [m.motor for m in messages if isinstance(m, Command) and not isinstance(m, msg.Idle)]
+        faulty = [name for name in commanded if self.modes.get(name) == Mode.FAULT]
+        clears = [] if now % (50 * MILLISECOND) else [self.encoded(msg.ClearFault(name)) for name in faulty]
         return events, [*clears, *frames]
 
 
+@found_by("faults")
 class ForgetsItsFault(PlainMotor):
     """The firmware takes Idle for the end of a fault."""
 
@@ -284,11 +280,12 @@ class ForgetsItsFault(PlainMotor):
         super()._obey(t, command)
 
 
-# -- unclaimed, attach, scan -------------------------------------------------------------------------------
+# -- passive, attach, scan -----------------------------------------------------------------------------
 
 
+@found_by("passive")
 class ConfiguresUnasked(Knowing):
-    """Sees to it that the device is set up as it should be, whoever runs it; and tells nobody."""
+    """Configures the device as it should be, whoever runs it, and does not report it."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
@@ -297,85 +294,52 @@ class ConfiguresUnasked(Knowing):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = list(super().receive(t, frame))
-        for event in [
-            e for e in events if isinstance(e, msg.Done) and e.request == msg.WriteParameter.__name__
-        ]:
+        for event in tuple(events):
+            if not isinstance(event, msg.Done) or event.request != msg.WriteParameter.__name__:
+                continue
             if event.name in self.set_up and event.name not in self.answered:
                 self.answered.append(event.name)
                 events.remove(event)
         return events
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        events, frames = super().send(now, words)
-        fresh = [w.motor for w in words if isinstance(w, msg.Idle) and w.motor not in self.set_up]
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        fresh = [m.motor for m in messages if isinstance(m, msg.Idle) and m.motor not in self.set_up]
         self.set_up += fresh
-        return events, [*frames, *(self.say(msg.WriteParameter(name, "supply", 24.0)) for name in fresh)]
+        return events, [*frames, *(self.encoded(msg.WriteParameter(name, "supply", 24.0)) for name in fresh)]
 
 
+@found_by("attach")
 class DisarmsToArm(Knowing):
     """The first command to a device is Idle, to begin from a known state."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
+    def send(self, now: Nanos, messages: Messages) -> Sent:
         before = [name for name in self._addresses if self.owned(name)]
-        events, frames = super().send(now, words)
+        events, frames = super().send(now, messages)
         fresh = [name for name in self._addresses if self.owned(name) and name not in before]
-        return events, [*(self.say(msg.Idle(name)) for name in fresh), *frames]
+        return events, [*(self.encoded(msg.Idle(name)) for name in fresh), *frames]
 
 
-class ScansByArming(Knowing):
-    """Who moves is there."""
+class ScansActively(Knowing):
+    """Scans by a message to each device."""
 
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        events, frames = super().send(now, words)
-        scans = any(isinstance(word, msg.Scan) for word in words)
-        return events, [*frames, *(self.say(msg.Hold(name)) for name in self._addresses if scans)]
+    scan: type[msg.Hold | msg.ClearFault]
 
-
-class ScansByClearing(Knowing):
-    """A device in fault might not answer: so none is left in it."""
-
-    def send(self, now: Nanos, words: Messages) -> Sent:
-        events, frames = super().send(now, words)
-        scans = any(isinstance(word, msg.Scan) for word in words)
-        return events, [*(self.say(msg.ClearFault(name)) for name in self._addresses if scans), *frames]
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        scans = any(isinstance(message, msg.Scan) for message in messages)
+        return events, [*frames, *(self.encoded(self.scan(name)) for name in self._addresses if scans)]
 
 
-def _driver(kind: type[PlainDriver]) -> Plugin:
-    return replace(motors, name=kind.__name__, driver=kind)
+@found_by("scan")
+class ScansByArming(ScansActively):
+    """A device that moves is there."""
+
+    scan = msg.Hold
 
 
-def _twin(kind: type[PlainMotor]) -> Plugin:
-    return replace(motors, name=kind.__name__, twin=lambda device, _: kind(device))
+@found_by("scan")
+class ScansByClearing(ScansActively):
+    """A device in fault might not answer: so its fault is cleared."""
 
-
-def _can(kind: type[OdriveDriver]) -> Plugin:
-    return replace(odrive, name=kind.__name__, driver=lambda devices: kind(devices, RANGES))
-
-
-BROKEN_SAFETY: tuple[tuple[Plugin, tuple[str, ...]], ...] = (
-    (_driver(FirstSetPointIsZero), ("jump",)),
-    (_driver(HoldsWhereItOnceWas), ("jump",)),
-    (_driver(SaysIdleOnce), ("disarm", "dropped")),
-    (_driver(IdlesOnlyWhatItHearsArmed), ("commands", "disarm")),
-    (_driver(StopsOnlyItsOwn), ("disarm",)),
-    (_driver(FeedsByItself), ("watchdog",)),
-    (_twin(NeverTrips), ("watchdog",)),
-    (_twin(TripsEarly), ("watchdog",)),
-    (_driver(NeverMissesADevice), ("blind",)),
-    (_driver(ReadsTheLastStateForEver), ("blind",)),
-    (_driver(ReadsZeroAtFirst), ("blind",)),
-    (_driver(WaitsForEver), ("blind", "replies")),
-    (_can(HearsItself), ("blind",)),
-    (_can(LosesTheFirst), ("counts", "strangers")),
-    (_can(IgnoresAFullQueue), ("dropped",)),
-    (_driver(IgnoresTheFaultBits), ("faults",)),
-    (_driver(KnowsNoCure), ("faults",)),
-    (_driver(ClearsAtEachModeSwitch), ("finite", "faults")),
-    (_driver(PollsByClearing), ("faults",)),
-    (_twin(ForgetsItsFault), ("faults",)),
-    (_driver(ConfiguresUnasked), ("unclaimed",)),
-    (_driver(DisarmsToArm), ("attach",)),
-    (_driver(ScansByArming), ("scan",)),
-    (_driver(ScansByClearing), ("scan",)),
-)
-"""Each with all the clauses that find it."""
+    scan = msg.ClearFault

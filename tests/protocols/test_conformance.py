@@ -16,6 +16,7 @@ from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.random import Random
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Feedback, LaserScan, Velocity
+from protocols.plain import plugin as plain
 from protocols.plugin import Plugin, Range, load_all
 from tests.protocols.broken import HoldsAGenerator, motors, sensors
 from tests.protocols.broken_all import BROKEN
@@ -40,7 +41,7 @@ def test_every_installed_plugin_keeps_the_contract(plugin: Plugin) -> None:
         assert table(results) in PAGE, f"docs/contract.md shows another table of {plugin.name}"
 
 
-def test_the_page_tells_of_every_clause() -> None:
+def test_the_page_lists_every_clause() -> None:
     reported = re.findall(r"^\| `(\w+)` \| [^|]+ \| [^|]+ \|$", PAGE, re.M)
     assert sorted(reported) == sorted(NAMES)
     assert f"{len(BROKEN)} of them" in PAGE
@@ -87,19 +88,19 @@ def test_a_sound_plugin_passes_with_any_seed(plugin: Plugin, seed: int) -> None:
     assert not [result for result in results if result.outcome == "failed"], table(results)
 
 
-# -- what the kit gives back ---------------------------------------------------------------------------
+# -- results and tables --------------------------------------------------------------------------------
 
 
-def test_what_does_not_apply_says_which_part_of_the_spec_makes_it_so() -> None:
+def test_what_does_not_apply_names_the_part_of_the_spec() -> None:
     (commands,) = check(sensors, clauses=clauses(["commands"]))
     assert (commands.outcome, commands.text) == ("not applicable", "the spec lists no commands")
 
 
-def test_the_table_shows_wires_and_words_of_a_failure_only() -> None:
-    word, frame = Velocity("alpha", 1.0), CanFrame(0x123, b"\1\2")
+def test_the_table_shows_frames_and_messages_of_a_failure_only() -> None:
+    message, frame = Velocity("alpha", 1.0), CanFrame(0x123, b"\1\2")
     results = [
-        Result("one", "passed", "fine", 7, (frame,), (word,)),
-        Result("another", "failed", "wrong", 7, (frame, b"\xa5\0", b""), (word,)),
+        Result("one", "passed", "fine", 7, (frame,), (message,)),
+        Result("another", "failed", "wrong", 7, (frame, b"\xa5\0", b""), (message,)),
     ]
     assert table(results).splitlines() == [
         "one      passed          fine",
@@ -113,7 +114,7 @@ def test_the_table_shows_wires_and_words_of_a_failure_only() -> None:
     assert table([]) == ""
 
 
-def test_a_plugin_that_raises_anywhere_is_a_failure_that_says_where() -> None:
+def test_a_plugin_that_raises_anywhere_is_a_failure_with_the_place() -> None:
     def spec(_: object) -> Any:
         raise RuntimeError("boom")
 
@@ -124,22 +125,19 @@ def test_a_plugin_that_raises_anywhere_is_a_failure_that_says_where() -> None:
 
 
 def test_a_failure_in_one_variant_is_a_failure_and_names_it() -> None:
-    def judge(case: Case) -> Failure | Inapplicable | None:
-        return Failure("bad") if case.options.kind == "motor" else Inapplicable("not for sensors")
+    def judge(case: Case) -> None:
+        raise Failure("bad") if case.options.kind == "motor" else Inapplicable("not for sensors")
 
-    from protocols.plain import plugin
-
-    (failed,) = check(plugin, clauses=[Clause("x", "all is well", judge)])
+    (failed,) = check(plain, clauses=[Clause("x", "all is well", judge)])
     assert (failed.outcome, failed.text) == ("failed", "bad [Options(kind='motor')]")
 
 
 def test_a_clause_that_applies_to_one_variant_only_is_passed() -> None:
-    def judge(case: Case) -> Inapplicable | None:
-        return None if case.options.kind == "motor" else Inapplicable("not for sensors")
+    def judge(case: Case) -> None:
+        if case.options.kind != "motor":
+            raise Inapplicable("not for sensors")
 
-    from protocols.plain import plugin
-
-    (passed,) = check(plugin, clauses=[Clause("x", "all is well", judge)])
+    (passed,) = check(plain, clauses=[Clause("x", "all is well", judge)])
     assert (passed.outcome, passed.text) == ("passed", "all is well")
 
 
@@ -166,11 +164,11 @@ def test_other_addresses_can_be_given() -> None:
     assert all(
         r.outcome != "failed" for r in check(motors, addresses=(17, 200, 255), clauses=clauses(["commands"]))
     )
-    bad = check(motors, addresses=(1, 2, 256), clauses=clauses(["strangers"]))
+    bad = check(motors, addresses=(1, 2, 256), clauses=clauses(["foreign"]))
     assert "1 … 255" in bad[0].text
 
 
-# -- the kit's tools -----------------------------------------------------------------------------------
+# -- the bench ------------------------------------------------------------------------------------------
 
 
 def test_shortest_keeps_only_what_still_fails() -> None:
@@ -184,7 +182,7 @@ def test_shortest_keeps_only_what_still_fails() -> None:
     assert (frame.id, len(frame.data), sum(frame.data)) == (5, 3, 7)
 
 
-def test_dice_are_those_of_the_paper_and_repeat() -> None:
+def test_random_numbers_are_those_of_the_paper_and_repeat() -> None:
     # The first numbers of seed 1234567, as in the reference implementation's well-known test.
     random = Random(1234567)
     assert [random.bits() for _ in range(3)] == [
@@ -200,7 +198,7 @@ def test_dice_are_those_of_the_paper_and_repeat() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "received", "bounds", "near"),
+    ("sent", "received", "bounds", "near"),
     [
         (1.0, 1.0, Range(-1.0, 1.0, 0.0), True),
         (1.0, 1.01, Range(-1.0, 1.0, 0.01), True),
@@ -211,8 +209,8 @@ def test_dice_are_those_of_the_paper_and_repeat() -> None:
         (0.0, None, Range(-1.0, 1.0, 1.0), False),
     ],
 )
-def test_close(said: float, received: float | None, bounds: Range, near: bool) -> None:
-    assert close(said, received, bounds) is near
+def test_close(sent: float, received: float | None, bounds: Range, near: bool) -> None:
+    assert close(sent, received, bounds) is near
 
 
 def test_finite_looks_into_everything() -> None:
@@ -223,7 +221,7 @@ def test_finite_looks_into_everything() -> None:
     assert finite(Feedback("m", 0))
 
 
-def test_a_shaft_obeys_newton_and_stands_still_when_locked() -> None:
+def test_a_shaft_follows_newton_and_stands_still_when_locked() -> None:
     shaft = Shaft(inertia=0.5, friction=0.0)
     for _ in range(1000):
         shaft.turn(2.0, 1_000_000)
@@ -240,25 +238,25 @@ def test_a_shaft_obeys_newton_and_stands_still_when_locked() -> None:
     assert rubbed.velocity == pytest.approx(2.0, rel=1e-3)
 
 
-def test_torn_messages_all_arrive_in_order() -> None:
-    whole, torn = _stage(), _stage()
-    torn.tearing = Random(3)
+def test_split_messages_all_arrive_in_order() -> None:
+    whole, split = _bench(), _bench()
+    split.splitting = Random(3)
     one = [frame for _ in range(300) for frame in whole.step([Velocity("alpha", 1.0)]).down]
-    other = [frame for _ in range(300) for frame in torn.step([Velocity("alpha", 1.0)]).down]
+    other = [frame for _ in range(300) for frame in split.step([Velocity("alpha", 1.0)]).down]
     assert len(set(map(len, map(str, other)))) > 3
-    stream = b"".join(frame for frame in other if isinstance(frame, bytes)) + torn.torn["down"]
+    stream = b"".join(frame for frame in other if isinstance(frame, bytes)) + split.split_off["down"]
     assert stream == b"".join(frame for frame in one if isinstance(frame, bytes))
 
 
-def _stage() -> Bench:
+def _bench() -> Bench:
     return make_bench(motors, motors.options(), (1, 2), ("alpha", "beta"))
 
 
 def test_arming_ends_when_a_device_does_not_arm() -> None:
-    deaf = replace(
+    unarmed = replace(
         motors, decoder=motors.decoder, twin=lambda device, seed: sensors.twin(_as_sensor(device), seed)
     )
-    (commands,) = check(deaf, clauses=clauses(["commands"]))
+    (commands,) = check(unarmed, clauses=clauses(["commands"]))
     assert commands.outcome == "failed"
     assert "does not arm" in commands.text
 

@@ -1,7 +1,6 @@
 """The fourteen defects of drivers in the field, each in a plugin that has it, and the clause that finds it.
 
-Rules. One row per defect at least; the defect is told as it was found, by number. The counterexample that is
-given comes again with the same seed, and speaks of what is wrong.
+Rules. One row per defect at least; the defect is described as it was found, by number.
 """
 
 from __future__ import annotations
@@ -13,21 +12,21 @@ from protocols.plugin import Plugin
 from tests.protocols.broken_all import BROKEN
 
 DEFECTS: tuple[tuple[int, str, str, str], ...] = (
-    (1, "NaN in, full speed out", "ClampsNan", "finite"),
-    (2, "a feed-forward of int8 where the protocol has int16", "WrapsFeedForward", "commands"),
-    (3, "waits without a timeout", "WaitsForEver", "blind"),
-    (4, "a frame whose data nobody has set", "SaysAnUnsetFrame", "vectors"),
+    (1, "NaN in, full speed out", "clamps_nan", "finite"),
+    (2, "a feed-forward of int8 where the protocol has int16", "wraps_feed_forward", "commands"),
+    (3, "waits without a timeout", "WaitsForEver", "offline"),
+    (4, "a frame whose data nobody has set", "SendsAnUnsetFrame", "vectors"),
     (5, "a mode switch clears faults", "ClearsAtEachModeSwitch", "faults"),
     (5, "the first set-point is zero", "FirstSetPointIsZero", "jump"),
-    (6, "what was sent is decoded into the state", "HearsItself", "blind"),
-    (7, "frames in the other format of id", "SpeaksInLongIds", "vectors"),
-    (8, "fault bits are ignored", "IgnoresTheFaultBits", "faults"),
+    (6, "what was sent is decoded into the state", "AcceptsItsOwnFrames", "offline"),
+    (7, "frames in the other format of id", "SendsLongIds", "vectors"),
+    (8, "fault bits are ignored", "ignores_the_fault_bits", "faults"),
     (9, "status is polled by clearing the fault", "PollsByClearing", "faults"),
     (10, "the first frame is dropped", "LosesTheFirst", "counts"),
     (10, "a full transmit queue is ignored", "IgnoresAFullQueue", "dropped"),
-    (11, "a timeout is stored and never used", "NeverMissesADevice", "blind"),
-    (12, "read gives the last state without a device", "ReadsTheLastStateForEver", "blind"),
-    (12, "read gives zero without a device", "ReadsZeroAtFirst", "blind"),
+    (11, "a timeout is stored and never used", "NeverReportsOffline", "offline"),
+    (12, "read gives the last state without a device", "ReadsTheLastStateForEver", "offline"),
+    (12, "read gives zero without a device", "ReadsZeroAtFirst", "offline"),
     (13, "a twin that measures whole units", "WholeUnits", "measurements"),
     (14, "devices are found by enabling them", "ScansByArming", "scan"),
 )
@@ -50,4 +49,4 @@ def test_a_defect_of_the_field_is_found(number: int, what: str, name: str, claus
     (result,) = check(BY_NAME[name], clauses=[each for each in CLAUSES if each.name == clause])
     assert result.outcome == "failed", f"defect {number}, {what}: {result}"
     assert result.text
-    assert result.frames or result.words, "a counterexample in bytes or words"
+    assert result.frames or result.messages, "a counterexample in bytes or messages"

@@ -1,0 +1,244 @@
+"""Requests are answered: each once, by its own name, with a reason if it is refused, in well-formed events.
+
+Rules. Made are the requests that the spec lists, of alpha, then of alpha and beta at once, and those that it
+does not list, which must be refused; at last all at once of an alpha that has fallen silent, by a host that
+calls its driver only when that is due: a request that no device answers must be given up. Names of parameters
+are those that the decoder decodes in the plugin's vectors. A message is well-formed if each of its fields has
+the type that `protocols.messages` declares, if its device exists, and if its time is not in the future.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from enum import Enum
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from protocols import messages as msg
+from protocols.conformance import bench as play
+from protocols.conformance.bench import ALPHA, NAMES, START, Bench, StepResult
+from protocols.conformance.case import Case, Failure, Inapplicable, by_name
+from protocols.conformance.fault_injection import make_rig
+from protocols.frames import CanFrame, Frame
+from protocols.messages import MILLISECOND, Message, Nanos, Request
+from protocols.plugin import Device
+from protocols.reference_vectors import vectors_of
+
+KNOWN = 1200
+"""Steps after which a driver knows its devices."""
+ANSWERED = 8000
+"""Steps within which a request must be answered, but for Home, which may take longer."""
+RESTART = 4000
+"""Steps more that a device may take after Reboot."""
+OVERDUE: Nanos = 20 * MILLISECOND
+"""How long a message that is due may wait for its turn, where the driver is called each millisecond."""
+AFTER = 60
+"""Steps in which no request may be answered again."""
+UNKNOWN_SERIAL = 987_654_321
+"""A serial number that no device has."""
+NOT_DECODED = (msg.Scan, msg.ReadParameter, msg.ClearFault, msg.Estop)
+"""Requests that may be done without being decoded: by other messages, or since nothing is to do."""
+MOTOR_REQUESTS = (msg.ClearFault, msg.Estop, msg.Zero, msg.Home, msg.Reboot)
+ALL_REQUESTS = (msg.Scan, msg.SetId, *MOTOR_REQUESTS, msg.ReadParameter, msg.WriteParameter)
+HINTS: dict[type, dict[str, Any]] = {kind: get_type_hints(kind) for kind in get_args(Message)}
+
+
+def requests_are_answered(case: Case) -> None:
+    """Each request has one answer; all events and decoded messages are well-formed."""
+    for step in case.baseline:
+        for message in (*step.events, *step.received):
+            if wrong := ill_formed(message, step.now):
+                raise Failure(wrong, step.down, (message,))
+        if step.due[0] is not None and step.due[0] < step.now - OVERDUE:
+            text = f"called at {step.now}, the driver returns that it was due at {step.due[0]}"
+            raise Failure(text, step.down)
+    if not case.spec.requests:
+        raise Inapplicable("the spec lists no requests")
+    bench = case.start()
+    bench.steps(KNOWN)
+    found: list[msg.Found] = []
+    for requests in _requests(case, found):
+        _must_answer(bench, requests, found, case)
+    _must_give_up(case)
+
+
+def _must_give_up(case: Case) -> None:
+    """The driver itself answers all requests to a silent device."""
+    rig = make_rig(case, len(NAMES))
+    rig.wait(KNOWN)
+    rig.cables[ALPHA].up = rig.cables[ALPHA].down = False
+    rig.bench.step()
+    rig.host.lazy = True
+    kinds = [kind for kind in by_name(case.spec.requests) if kind in ALL_REQUESTS]
+    requests = tuple(_request(kind, ALPHA) for kind in kinds if case.default or kind is not msg.Reboot)
+    try:
+        _must_answer(rig.bench, requests, [], case)
+    except Failure as failure:
+        text = f"{ALPHA} is silent: {failure.text}"
+        raise Failure(text, failure.frames, failure.messages) from failure
+
+
+def _requests(case: Case, found: list[msg.Found]) -> Iterator[tuple[Request, ...]]:
+    """Yield the requests of one step each; `found` fills while this goes on."""
+    listed, names = case.spec.requests, [*_parameters(case), "no such parameter"]
+    for kind in (kind for kind in ALL_REQUESTS if kind not in listed):
+        yield (_request(kind, ALPHA),)
+    if msg.Scan in listed:
+        yield (msg.Scan("bus"),)
+    if msg.ReadParameter in listed:
+        yield from ((msg.ReadParameter(ALPHA, name),) for name in names)
+        yield tuple(msg.ReadParameter(name, names[0]) for name in NAMES)
+    if msg.SetId in listed:
+        yield (msg.SetId("bus", UNKNOWN_SERIAL, 9),)
+        serials = [event.serial for event in found if event.address == case.addresses[0]]
+        yield from ((msg.SetId("bus", serial, case.addresses[0]),) for serial in serials[:1] if serial)
+    for kind in (kind for kind in by_name(listed) if kind in MOTOR_REQUESTS and kind is not msg.Reboot):
+        yield (_request(kind, ALPHA),)
+        yield tuple(_request(kind, name) for name in NAMES)
+    if msg.WriteParameter in listed:
+        yield from ((msg.WriteParameter(ALPHA, name, value),) for name in names for value in (1.0, math.nan))
+    if msg.Reboot in listed:
+        yield (msg.Reboot(ALPHA),)
+
+
+def _request(kind: type[Request], motor: str) -> Request:
+    return play.request(kind, motor) or msg.WriteParameter(motor, "no such parameter", 1.0)
+
+
+def _parameters(case: Case) -> list[str]:
+    """Return the names of parameters that are decoded in the plugin's vectors to any device."""
+    names = set[str]()
+    devices = list(_all_devices(case))
+    for vector in vectors_of(case.plugin):
+        frame = vector.frame
+        if vector.direction != "to_device" or vector.wrong:
+            continue
+        can = isinstance(frame, CanFrame)
+        receivers = [d for ids, d in devices if not isinstance(frame, CanFrame) or frame.id in ids]
+        for device in receivers[: 1 if can else 16]:
+            for message in case.plugin.decoder([device]).decode(START, frame):
+                if isinstance(message, msg.ReadParameter | msg.WriteParameter):
+                    names.add(message.parameter)
+    return sorted(names)
+
+
+def _all_devices(case: Case) -> Iterator[tuple[frozenset[int], Device]]:
+    """Yield a device at each possible address, and the ids that are sent to it."""
+    for address in range(256):
+        device = Device(ALPHA, address, case.options, case.plugin.settings())
+        try:
+            yield case.plugin.spec(device).sends, device
+        except ValueError:
+            continue
+
+
+# -- one round ---------------------------------------------------------------------------------------------
+
+
+def _must_answer(bench: Bench, requests: tuple[Request, ...], found: list[msg.Found], case: Case) -> None:
+    """Each of these requests, made in one step, is answered once, and nothing else is. Raises Failure."""
+    pending, frames, received = list(requests), list[Frame](), list[Message]()
+    most = ANSWERED + (RESTART if any(isinstance(each, msg.Reboot) for each in requests) else 0)
+    for count in range(most):
+        step = bench.step(requests if count == 0 else ())
+        frames += [*step.down, *step.up] if len(frames) < 4 else []
+        received += step.received
+        found += [event for event in step.events if isinstance(event, msg.Found)]
+        _take_answers(step, pending, requests, case)
+        _check_done(step, requests, received)
+        if not pending:
+            break
+    late = [each for each in pending if not isinstance(each, msg.Home)]
+    if late:
+        raise Failure(f"not answered within {most} ms", frames[:4], late[:1])
+    for step in bench.steps(AFTER):
+        _take_answers(step, [], requests, case)
+
+
+def _take_answers(step: StepResult, pending: list[Request], requests: Sequence[Request], case: Case) -> None:
+    """Remove what is answered in a step from the pending requests."""
+    for event in step.events:
+        if wrong := ill_formed(event, step.now):
+            raise Failure(wrong, step.down, (*requests, event))
+        if not isinstance(event, msg.Done | msg.Refused | msg.Parameter):
+            continue
+        answered = next((request for request in pending if _answers(event, request)), None)
+        if answered is None:
+            raise Failure("an answer to no pending request, or a second one", step.up[:2], (*requests, event))
+        if type(answered) not in case.spec.requests and not isinstance(event, msg.Refused):
+            text = f"the spec does not list {type(answered).__name__}, and yet it is not refused"
+            raise Failure(text, step.down, (answered, event))
+        pending.remove(answered)
+
+
+def _check_done(step: StepResult, requests: Sequence[Request], received: Sequence[Message]) -> None:
+    """A request to a device that is done was decoded. Raises Failure."""
+    for event in (event for event in step.events if isinstance(event, msg.Done)):
+        for request in requests:
+            if isinstance(request, NOT_DECODED) or not _answers(event, request):
+                continue
+            if not any(_equivalent(request, each) for each in received):
+                raise Failure("done, and yet it was not decoded", step.down, (request, event))
+
+
+def _equivalent(made: Request, decoded: Message) -> bool:
+    """True if a decoded message is the request that was made; frames do not carry the name of a bus."""
+    if isinstance(made, msg.WriteParameter) and isinstance(decoded, msg.WriteParameter):
+        same = (made.motor, made.parameter) == (decoded.motor, decoded.parameter)
+        return same and math.isclose(made.value, decoded.value, rel_tol=1e-6, abs_tol=1e-6)
+    if isinstance(made, msg.SetId) and isinstance(decoded, msg.SetId):
+        return (made.serial, made.address) == (decoded.serial, decoded.address)
+    return made == decoded
+
+
+def _answers(event: msg.Done | msg.Refused | msg.Parameter, request: Request) -> bool:
+    """True if an event is an answer to this request."""
+    subject = getattr(request, "motor", getattr(request, "bus", ""))
+    if isinstance(event, msg.Parameter):
+        asked = isinstance(request, msg.ReadParameter) and request.parameter
+        return asked == event.parameter and event.motor == subject
+    return event.request == type(request).__name__ and event.name == subject
+
+
+# -- well-formed messages ------------------------------------------------------------------------------------
+
+
+def ill_formed(message: Message, now: Nanos) -> str:
+    """Return what is wrong with the form of a message reported or decoded at `now`, "" if nothing."""
+    hints = HINTS[type(message)]
+    for f in fields(message):
+        value = getattr(message, f.name)
+        if not _fits(value, hints[f.name]):
+            return f"{f.name} is {value!r}, and should be {_type_name(hints[f.name])}"
+    for name in ("motor", "sensor"):
+        if getattr(message, name, ALPHA) not in NAMES:
+            return f"there is no {name} of this name"
+    time = getattr(message, "t", now)
+    if not START <= time <= now:
+        return f"its time is {time}; it was reported at {now}, and nothing was before {START}"
+    if isinstance(message, msg.Refused) and not message.reason.strip():
+        return "refused without a reason"
+    known = {kind.__name__ for kind in ALL_REQUESTS}
+    if isinstance(message, msg.Done | msg.Refused) and message.request not in known:
+        return "an answer to an unknown request"
+    return ""
+
+
+def _fits(value: object, hint: Any) -> bool:  # noqa: ANN401 -- any annotation
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, part) for part in parts)
+    if origin is tuple:
+        if not isinstance(value, tuple) or (parts[-1] is not Ellipsis and len(value) != len(parts)):
+            return False
+        return all(_fits(item, parts[0]) for item in value)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return isinstance(value, hint)
+    return type(value) is hint
+
+
+def _type_name(hint: Any) -> str:  # noqa: ANN401 -- any annotation
+    parts = [part.__name__ for part in get_args(hint) if part is not NoneType and isinstance(part, type)]
+    return " or ".join(parts) or str(getattr(hint, "__name__", hint))

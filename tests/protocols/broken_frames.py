@@ -1,0 +1,284 @@
+"""Plugins that are broken on purpose: numbers, checksums, obedience, addresses, replies, vectors, answers."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from protocols import messages as msg
+from protocols.conformance.bench import Messages
+from protocols.frames import CanFrame, Frame
+from protocols.message_codec import LAYOUTS, pack_fields
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
+from protocols.odrive_can import plugin as odrive
+from protocols.odrive_can.codec import cmd_of
+from protocols.odrive_can.driver import OdriveDriver
+from protocols.odrive_can.messages import GetIq, SetAxisState
+from protocols.plain import codec
+from protocols.plain.decoder import PlainDecoder
+from protocols.plain.driver import PlainDriver
+from protocols.plain.twin import PlainMotor
+from protocols.plugin import Device
+from tests.protocols.broken import BROKEN, Sent, alters_events, found_by, motors
+
+# -- normal --------------------------------------------------------------------------------------------
+
+
+@found_by("normal")
+class SendsMinusZero(PlainDriver):
+    """Sends a velocity as given, −0.0 and denormals too."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        velocities = [m for m in messages if isinstance(m, msg.Velocity)]
+        exact = [
+            bytes((self._addresses[m.motor],)) + pack_fields(LAYOUTS[4], ("", m.velocity, m.torque))
+            for m in velocities
+            if abs(m.velocity) < codec.TINY and m.torque == 0.0
+        ]
+        return events, [*frames, *map(codec.frame, exact)]
+
+
+@alters_events("normal")
+def reports_minus_zero(event: Event) -> Event:
+    """Counts current with the other sign: no current is −0.0."""
+    if isinstance(event, msg.Feedback) and event.current is not None:
+        return replace(event, current=-event.current)
+    return event
+
+
+@found_by("normal")
+class ReportsDenormals(OdriveDriver):
+    """Reads a current as it stands in the frame."""
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
+        if not isinstance(frame, CanFrame) or frame.id & 0x1F != cmd_of(GetIq) or len(frame.data) != 8:
+            return events
+        (measured,) = struct.unpack("<f", frame.data[4:])
+        return [replace(e, current=measured) if isinstance(e, msg.Feedback) else e for e in events]
+
+
+# -- checksums -----------------------------------------------------------------------------------------
+
+
+class _Lenient(codec.Stream):
+    """Does not check one bit of a checksum."""
+
+    __slots__ = ()
+
+    def feed(self, data: bytes) -> list[bytes]:
+        bodies = []
+        for byte in data:
+            held, bad = self._held, self.bad
+            bodies += super().feed(bytes((byte,)))
+            if self.bad > bad:
+                whole = held + bytes((byte,))
+                corrected = whole[:-1] + bytes((byte ^ 0x02,))
+                crc = zlib.crc32(corrected[6:-4])
+                if corrected[:2] == codec.SYNC and corrected[-4:] == struct.pack("<I", crc):
+                    self.bad, self._held, self._skipping = bad, b"", False
+                    bodies.append(corrected[6:-4])
+        return bodies
+
+
+@found_by("checksums")
+class ForgivesABit(PlainDriver):
+    """Takes 31 bits of the checksum for all of it."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self._stream = _Lenient()
+
+
+@found_by("checksums")
+class DecoderForgivesABit(PlainDecoder):
+    """The same, in the decoder."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self._stream = _Lenient()
+
+
+# -- obeyed --------------------------------------------------------------------------------------------
+
+
+@found_by("obeyed")
+class DecoderMissesClear(PlainDecoder):
+    """The decoder does not know a message that the device obeys."""
+
+    def decode(self, t: Nanos, frame: Frame) -> Messages:
+        return [m for m in super().decode(t, frame) if not isinstance(m, msg.ClearFault)]
+
+
+@found_by("obeyed")
+class PushesTheOtherWay(PlainMotor):
+    """The device has the other sign of torque than the decoder."""
+
+    def _loop(self, dt: float) -> float:
+        torque = super()._loop(dt)
+        return -torque if isinstance(self._command, msg.Torque) else torque
+
+
+# -- duplicates ----------------------------------------------------------------------------------------
+
+
+@alters_events("duplicates", base=odrive)
+def never_detects_duplicates(event: Event) -> Event | None:
+    """Does not report a duplicate address at all."""
+    return None if isinstance(event, msg.Found) and event.duplicate_address else event
+
+
+@alters_events("duplicates", base=odrive)
+def reports_duplicates_in_text_only(event: Event) -> Event:
+    """Reports it in the text, where no program finds it."""
+    return replace(event, duplicate_address=False) if isinstance(event, msg.Found) else event
+
+
+@alters_events("duplicates", base=odrive)
+def reports_all_as_duplicates(event: Event) -> Event:
+    """Takes each answer to the scan for another device."""
+    return replace(event, duplicate_address=True) if isinstance(event, msg.Found) else event
+
+
+# -- replies -------------------------------------------------------------------------------------------
+
+
+@found_by("replies")
+class OneAfterTheOther(PlainDriver):
+    """Sends no command while a reply is awaited: one silent device stops all."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        waiting = any(device.pending for device in self._devices.values())
+        requests = [m for m in messages if not isinstance(m, Command)]
+        late = [m for m in messages if isinstance(m, Command)]
+        return super().send(now, requests if waiting else [*requests, *late])
+
+
+@found_by("replies")
+class ArmsInTurn(PlainDriver):
+    """Commands a motor only when those before it have sent something."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.order = [device.name for device in devices]
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        devices = self._devices.values()
+        last = {d.name: d.received_at for d in devices}
+        silent = [name for name, at in last.items() if at is None or now - at > 40 * MILLISECOND]
+        first = min((self.order.index(name) for name in silent), default=len(self.order))
+        held = self.order[first + 1 :] if any(device.owned for device in devices) else []
+        passed = [m for m in messages if isinstance(m, msg.Idle) or getattr(m, "motor", "") not in held]
+        return super().send(now, passed)
+
+
+# -- vectors -------------------------------------------------------------------------------------------
+
+
+@found_by("vectors")
+class SendsAnUnsetFrame(OdriveDriver):
+    """When asked for a parameter, sends a frame whose data is never set."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        asked = any(isinstance(message, msg.ReadParameter) for message in messages)
+        unset = CanFrame(min(self.axes) << 5 | cmd_of(SetAxisState), b"\0\0")
+        return events, [*frames, unset] if asked else frames
+
+
+@found_by("vectors")
+class SendsLongIds(OdriveDriver):
+    """Clears faults in a frame with an id of 29 bits, which no device obeys."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        asked = any(isinstance(message, msg.ReadParameter) for message in messages)
+        long = CanFrame(min(self.axes) << 5 | 0x18, b"\0", extended=True)
+        return events, [*frames, long] if asked else frames
+
+
+BROKEN.append((replace(motors, name="WithoutVectors", vectors=None), ("vectors",)))
+BROKEN.append((replace(motors, name="WithoutMessageNames", messages=lambda _: ()), ("vectors",)))
+
+
+# -- answers -------------------------------------------------------------------------------------------
+
+
+@found_by("answers")
+class AnswersTwice(PlainDriver):
+    """Reports the value of a parameter, and then that the request is done."""
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
+        read = [event for event in events if isinstance(event, msg.Parameter)]
+        return [*events, *(msg.Done(event.t, "ReadParameter", event.motor) for event in read)]
+
+
+@alters_events("answers")
+def refuses_without_reason(event: Event) -> Event:
+    """Refuses, and does not say why."""
+    return replace(event, reason=" ") if isinstance(event, msg.Refused) else event
+
+
+@alters_events("answers")
+def does_not_refuse(event: Event) -> Event | None:
+    """Ignores the request for an unknown parameter."""
+    return None if isinstance(event, msg.Refused) and event.request == "ReadParameter" else event
+
+
+@alters_events("answers")
+def answers_without_name(event: Event) -> Event:
+    """Does not name the motor whose request was done."""
+    return replace(event, name="") if isinstance(event, msg.Done) and event.request == "Zero" else event
+
+
+@alters_events("answers")
+def reports_text(event: Event) -> Event:
+    """The value of a parameter as a text."""
+    value: Callable[[float], float] = str  # type: ignore[assignment]  # what an untyped plugin may do
+    return replace(event, value=value(event.value)) if isinstance(event, msg.Parameter) else event
+
+
+@found_by("answers")
+class ReportsDoneUnsent(PlainDriver):
+    """What is to be written is never sent, and yet done."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, [m for m in messages if not isinstance(m, msg.WriteParameter)])
+        written = [m for m in messages if isinstance(m, msg.WriteParameter)]
+        return [*events, *(msg.Done(now, "WriteParameter", m.motor) for m in written)], frames
+
+
+@alters_events("answers")
+def never_gives_up(event: Event) -> Event | None:
+    """Waits for ever for the answer of a silent device."""
+    return None if isinstance(event, msg.Refused) and "no answer" in event.reason else event
+
+
+@found_by("answers")
+class DueLongAgo(PlainDriver):
+    """A driver that is due when a second of silence began."""
+
+    def due(self) -> Nanos | None:
+        due = super().due()
+        return None if due is None else due - 1000 * MILLISECOND
+
+
+@alters_events("answers", "offline")
+def offline_without_time(event: Event) -> Event:
+    """Does not report when a device fell silent."""
+    missing: Nanos = None  # type: ignore[assignment]  # what an untyped plugin may do
+    return replace(event, t=missing) if isinstance(event, msg.State) and event.mode is Mode.OFFLINE else event
+
+
+@found_by("answers")
+class NoParameterName(PlainDecoder):
+    """The decoder leaves out the name of a parameter."""
+
+    def decode(self, t: Nanos, frame: Frame) -> Messages:
+        missing: str = None  # type: ignore[assignment]  # as above
+        decoded = super().decode(t, frame)
+        return [replace(m, parameter=missing) if isinstance(m, msg.WriteParameter) else m for m in decoded]
