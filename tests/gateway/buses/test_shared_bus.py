@@ -156,10 +156,10 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
                 return replace(outputs, packets=(*outputs.packets[:at], wrong, *outputs.packets[at + 1 :]))
         return outputs
 
-    verdict = compare(reported, step, gateway.belief, lambda bus: decoder_of(recorded_robot, bus))
-    assert (verdict.differing, verdict.ok) == (1, False)
-    assert verdict.first is not None
-    assert str(corrupted[0]) in verdict.first.text
+    result = compare(reported, step, gateway.belief, lambda bus: decoder_of(recorded_robot, bus))
+    assert (result.differing, result.ok) == (1, False)
+    assert result.first is not None
+    assert str(corrupted[0]) in result.first.text
 
 
 @pytest.mark.parametrize(
