@@ -1,21 +1,34 @@
-"""The bench (`tests.protocols.helpers`) with an ODrive driver and twins of both firmware lines."""
+"""A bench (`tests.protocols.helpers`) with an ODrive driver and twins of both firmware lines; one twin
+alone."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-from protocols.messages import Nanos
+from protocols.frames import CanFrame, Frame
+from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.odrive_can import RANGES
-from protocols.odrive_can import twin as made
-from protocols.odrive_can.codec import decode_to_device, node_of
+from protocols.odrive_can import twin as make_twin
+from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode, node_of
 from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.messages import Message, RemoteRequest
+from protocols.odrive_can.messages import (
+    ControlMode,
+    InputMode,
+    Message,
+    RemoteRequest,
+    SetAxisState,
+    SetControllerMode,
+)
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
 from protocols.plugin import Device
 from tests.protocols.helpers import CanBench, Shaft
+
+V05 = Options(firmware="0.5")
+CLOSED, IDLE = SetAxisState(8), SetAxisState(1)
 
 
 def device(
@@ -34,7 +47,7 @@ class Bench(CanBench[OdriveDriver, OdriveTwin]):
     """An ODrive driver and its twins."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
-        twins = [made(item, seed) for seed, item in enumerate(devices)]
+        twins = [make_twin(item, seed) for seed, item in enumerate(devices)]
         super().__init__(devices, OdriveDriver(devices, RANGES), twins, [free_shaft() for _ in devices])
 
     @property
@@ -51,15 +64,77 @@ class Bench(CanBench[OdriveDriver, OdriveTwin]):
         assert isinstance(first, Twin05)
         return first
 
-    def said(self, node: int = 1, since: Nanos = 0, line: str = "0.6") -> list[Message]:
-        """What the driver told a node (questions left out), as its firmware line has it."""
+    def sent_to(self, node: int = 1, since: Nanos = 0, line: str = "0.6") -> list[Message]:
+        """The driver's messages to a node (remote requests left out), as its firmware line decodes them."""
         frames = [f for t, f in self.sent if t >= since and node_of(f) == node and not f.remote]
         messages = [decode_to_device(frame, line) for frame in frames]
         return [m for m in messages if m is not None and not isinstance(m, RemoteRequest)]
 
 
 def ready(*devices: Device) -> Bench:
-    """A bench that has heard its devices."""
+    """A bench whose devices are identified."""
     bench = Bench(devices or (device(),))
-    bench.run(300)
+    bench.run(500 if any(item.options.firmware == "0.5" for item in bench.devices) else 300)
+    assert all(axis.identity.line for axis in bench.driver.axes.values())
     return bench
+
+
+class TwinRig:
+    """One twin at node 1, its shaft, and the frames that it sent."""
+
+    def __init__(
+        self, settings: Settings | None = None, options: Options | None = None, seed: int = 0
+    ) -> None:
+        self.twin: Any = make_twin(device(settings=settings, options=options), seed)
+        """A Twin05 or Twin06, by the settings and options."""
+        self.line = self.twin.axis.line
+        self.shaft = free_shaft()
+        self.now: Nanos = 0
+        self.frames: list[tuple[Nanos, CanFrame]] = []
+
+    def send(self, *messages: Message, node: int = 1) -> None:
+        """Send messages to a node."""
+        for message in messages:
+            self.receive(encode(node, message))
+
+    def receive(self, frame: Frame) -> None:
+        """Let the twin receive a frame."""
+        self.twin.receive(self.now, frame)
+
+    def run(self, milliseconds: int) -> None:
+        """Step twin and shaft."""
+        for _ in range(milliseconds):
+            truth = Feedback("left", self.now, position=self.shaft.position, velocity=self.shaft.velocity)
+            torques, frames = self.twin.step(self.now, [truth])
+            self.frames += [(self.now, frame) for frame in frames if isinstance(frame, CanFrame)]
+            self.shaft.step(torques[0].torque)
+            self.now += MILLISECOND
+
+    def armed(self, mode: int = ControlMode.VELOCITY, input_mode: int = InputMode.PASSTHROUGH) -> TwinRig:
+        """Arm the twin."""
+        self.run(5)
+        self.send(SetControllerMode(mode, input_mode), CLOSED)
+        self.run(5)
+        assert self.twin.axis.armed
+        return self
+
+    def sent(self, cmd: int) -> list[tuple[Nanos, CanFrame]]:
+        """The twin's frames of a command, with their times."""
+        return [(t, frame) for t, frame in self.frames if frame.id & 0x1F == cmd]
+
+    def reply(self, cmd: int, frame: CanFrame | None = None) -> Any:
+        """The twin's reply to a remote frame, or another one, of a command; None if there is none."""
+        before = len(self.sent(cmd))
+        self.receive(frame or CanFrame(0x20 | cmd, remote=True))
+        self.run(1)
+        new = self.sent(cmd)[before:]
+        return decode_from_device(new[-1][1], self.line) if new else None
+
+    def heartbeat(self) -> Any:
+        """A heartbeat: in 0.6.x on request, in 0.5.x the next cyclic one."""
+        if self.line == "0.6":
+            return self.reply(0x01)
+        before = len(self.sent(0x01))
+        while len(self.sent(0x01)) == before:
+            self.run(1)
+        return decode_from_device(self.sent(0x01)[-1][1], self.line)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -16,7 +17,7 @@ from odrive_can.odrive import ODriveCAN
 import fixtures
 from protocols.frames import CanFrame
 from protocols.odrive_can import codec, messages
-from protocols.odrive_can.codec import BY_TYPE, TABLES, decode_from_device, decode_to_device, encode
+from protocols.odrive_can.codec import BY_TYPE, TABLES, cmd_of, decode_from_device, decode_to_device, encode
 from protocols.odrive_can.layout import FLOAT_MAX, Layout
 from protocols.odrive_can.messages import Message, RemoteRequest
 from tests.protocols.odrive_can.conversation import DBCS
@@ -95,8 +96,8 @@ def frame_of(vector: dict[str, Any]) -> CanFrame:
     return CanFrame(vector["id"], bytes.fromhex(vector["data"]), vector["extended"], vector.get("rtr", False))
 
 
-def said(frame: CanFrame, direction: str) -> Message | RemoteRequest | None:
-    return decode_to_device(frame) if direction == "to_device" else decode_from_device(frame)
+def decoded(frame: CanFrame, direction: str, line: str = "0.6") -> Message | RemoteRequest | None:
+    return (decode_to_device if direction == "to_device" else decode_from_device)(frame, line)
 
 
 def close(a: Any, b: Any) -> bool:
@@ -108,9 +109,9 @@ def close(a: Any, b: Any) -> bool:
 
 
 @pytest.mark.parametrize("vector", OURS, ids=lambda vector: vector["name"])
-def test_a_vector_is_what_we_say_and_what_we_understand(vector: dict[str, Any]) -> None:
+def test_a_vector_is_encoded_and_decoded(vector: dict[str, Any]) -> None:
     message, frame = message_of(vector), frame_of(vector)
-    assert close(said(frame, vector["direction"]), message)
+    assert close(decoded(frame, vector["direction"]), message)
     if isinstance(message, RemoteRequest):
         assert CanFrame(frame.id, remote=True) == frame
         return
@@ -235,6 +236,7 @@ DBC_FIELDS: dict[type[Any], tuple[str, ...]] = {
     messages.TxSdo: ("Reserved0", "Endpoint_ID", "Reserved1", "Value"),
     messages.Address: ("Node_ID", "Serial_Number"),
 }
+Make = Callable[[str, Generator], float]
 SPANS = {"b": 1, "B": 0xFF, "c": 0, "H": 0xFFFF, "I": 0xFFFFFFFF, "S": (1 << 48) - 1}
 
 
@@ -247,30 +249,33 @@ def random_value(code: str, random: Generator) -> float | int:
     return float(math.copysign(10.0**exponent, random.uniform(-1, 1)))
 
 
-@pytest.mark.parametrize("layout", TABLES["0.6"].layouts, ids=lambda layout: layout.message.__name__)
-def test_cantools_says_and_understands_the_same(layout: Layout) -> None:
-    seed = 20261121 + layout.cmd
+def compare_with_cantools(row: Layout, line: str, theirs: Any, signals: tuple[str, ...], make: Make) -> None:
+    """Encode and decode 100 random messages as cantools does; `make` gives a random value by field code."""
+    seed = 20261121 + row.cmd
     random = Generator(PCG64(seed))
-    theirs = DBC.get_message_by_name(f"Axis{NODE}_{DBC_NAMES[layout.message]}")
-    signals = DBC_FIELDS.get(layout.message) or tuple(
-        s.name for s in sorted(theirs.signals, key=lambda s: int(s.start))
-    )
+    signals = signals or tuple(s.name for s in sorted(theirs.signals, key=lambda s: int(s.start)))
+    directions = ["to_device", "from_device"] if row.direction == "both" else [row.direction]
     for turn in range(100):
-        values = [random_value(code, random) for code in layout.codes]
-        message = layout.message(*values)
+        values = [make(code, random) for code in row.codes]
+        message = row.message(*values)
         frame = encode(NODE, message)
         reported = dict(zip(signals, values[: len(signals)], strict=True))
         where = f"seed {seed}, turn {turn}: {message}"
         assert frame.id == theirs.frame_id, where
         assert frame.data == theirs.encode(reported), where
-        if layout.codes:
+        if row.codes:
             back = theirs.decode(frame.data, decode_choices=False)
             for name, value in reported.items():
                 assert math.isclose(back[name], value, rel_tol=2**-23, abs_tol=1e-9), where
-        directions = ["to_device", "from_device"] if layout.direction == "both" else [layout.direction]
         for direction in directions:
-            if frame.data or layout.direction == "to_device":
-                assert close(said(frame, direction), message), where
+            if frame.data or direction == "to_device":
+                assert close(decoded(frame, direction, line), message), where
+
+
+@pytest.mark.parametrize("layout", TABLES["0.6"].layouts, ids=lambda layout: layout.message.__name__)
+def test_cantools_encodes_and_decodes_the_same(layout: Layout) -> None:
+    theirs = DBC.get_message_by_name(f"Axis{NODE}_{DBC_NAMES[layout.message]}")
+    compare_with_cantools(layout, "0.6", theirs, DBC_FIELDS.get(layout.message, ()), random_value)
 
 
 # -- edges ------------------------------------------------------------------------------------------
@@ -281,6 +286,8 @@ def test_cantools_says_and_understands_the_same(layout: Layout) -> None:
     [
         (0.0, 0),
         (0.0004, 0),
+        (0.0006, 1),
+        (-0.0006, -1),
         (0.127, 127),
         (0.128, 128),
         (-0.128, -128),
@@ -306,7 +313,7 @@ FLOATS = [layout for layout in TABLES["0.6"].layouts if set(layout.codes) & set(
 
 @pytest.mark.parametrize("layout", FLOATS, ids=lambda layout: layout.message.__name__)
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_neither_said_nor_understood(layout: Layout, bad: float) -> None:
+def test_what_is_not_finite_is_neither_encoded_nor_decoded(layout: Layout, bad: float) -> None:
     for index, code in enumerate(layout.codes):
         values = [1.0 if c in "fnm" else 1 for c in layout.codes]
         values[index] = bad
@@ -317,7 +324,7 @@ def test_what_is_not_finite_is_neither_said_nor_understood(layout: Layout, bad: 
         good = bytearray(encode(NODE, layout.message(*[1.0 for _ in layout.codes])).data)
         good[4 * index : 4 * index + 4] = struct.pack("<f", bad)
         frame = CanFrame(NODE << 5 | layout.cmd, bytes(good))
-        got = said(frame, layout.direction)
+        got = decoded(frame, layout.direction)
         if code == "n":
             assert got is not None
             assert getattr(got, layout.message.__slots__[index]) is None
@@ -325,21 +332,39 @@ def test_what_is_not_finite_is_neither_said_nor_understood(layout: Layout, bad: 
             assert got is None
 
 
-@pytest.mark.parametrize("tiny", [-0.0, 1e-40, -1e-40, 2.0**-149, -(2.0**-127)])
+BELOW = math.nextafter(2.0**-126, 0.0)
+"""The largest denormal binary32, or just above it."""
+
+
+@pytest.mark.parametrize("tiny", [-0.0, 1e-40, -1e-40, 2.0**-149, -(2.0**-127), BELOW, -BELOW])
 def test_minus_zero_and_denormals_are_zero_both_ways(tiny: float) -> None:
-    data = encode(NODE, messages.SetInputVel(tiny, tiny)).data
-    assert data == bytes(8)
-    got = decode_to_device(CanFrame(NODE << 5 | 0x0D, struct.pack("<ff", tiny, tiny)))
-    assert isinstance(got, messages.SetInputVel)
-    assert (str(got.velocity), str(got.torque)) == ("0.0", "0.0")
+    for kind, packed, values in (
+        (messages.SetInputVel, "<ff", (tiny, 1.0)),
+        (messages.SetInputVel, "<ff", (1.0, tiny)),
+        (messages.SetInputPos, "<fhh", (tiny, 0, 0)),
+        (messages.SetInputTorque, "<f", (tiny,)),
+    ):
+        zero = kind(*(0.0 if value is tiny else value for value in values))
+        assert encode(NODE, kind(*values)) == encode(NODE, zero)
+        if abs(tiny) != BELOW:  # which binary32 cannot carry
+            data = struct.pack(packed, *values)
+            assert repr(decode_to_device(CanFrame(NODE << 5 | cmd_of(kind), data))) == repr(
+                decode_to_device(encode(NODE, zero))
+            )
 
 
 @pytest.mark.parametrize("value", [2.0**-126, 1e-30, 1.0, 3.4028234663852886e38, 1e39, 1e308])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_floats_are_rounded_to_binary32_and_saturate(value: float, sign: int) -> None:
-    frame = encode(NODE, messages.SetInputTorque(sign * value))
-    (got,) = struct.unpack("<f", frame.data[:4])
-    assert math.isclose(got, sign * min(value, FLOAT_MAX), rel_tol=2**-24)
+    given, expected = sign * value, sign * min(value, FLOAT_MAX)
+    for message, offset in (
+        (messages.SetInputTorque(given), 0),
+        (messages.SetInputVel(given, 1.0), 0),
+        (messages.SetInputVel(1.0, given), 4),
+        (messages.SetInputPos(given, 0.0, 0.0), 0),
+    ):
+        (got,) = struct.unpack_from("<f", encode(NODE, message).data, offset)
+        assert math.isclose(got, expected, rel_tol=2**-24)
 
 
 @pytest.mark.parametrize(
@@ -362,7 +387,7 @@ def test_a_device_reads_short_frames_as_if_the_rest_were_zero(cmd: int, data: st
     assert decode_to_device(CanFrame(NODE << 5 | cmd, bytes.fromhex(data))) == message
 
 
-def test_a_device_hears_no_fd_or_unknown_frames() -> None:
+def test_a_device_ignores_fd_and_unknown_frames() -> None:
     state = encode(NODE, messages.SetAxisState(8))
     assert decode_to_device(CanFrame(state.id, state.data, fd=True)) is None
     assert decode_to_device(CanFrame(state.id, remote=True)) is None
@@ -376,11 +401,11 @@ def test_a_device_hears_no_fd_or_unknown_frames() -> None:
     [lay for lay in TABLES["0.6"].layouts if lay.direction != "to_device"],
     ids=lambda lay: lay.message.__name__,
 )
-def test_a_short_frame_of_a_device_is_bad(layout: Layout) -> None:
+def test_a_short_or_long_frame_of_a_device_is_malformed(layout: Layout) -> None:
     full = bytes([NODE]) + bytes(7)
     assert decode_from_device(CanFrame(NODE << 5 | layout.cmd, full[: layout.dlc])) is not None
-    for length in range(layout.dlc):
-        assert decode_from_device(CanFrame(NODE << 5 | layout.cmd, full[:length])) is None
+    for length in (*range(layout.dlc), 9):
+        assert decode_from_device(CanFrame(NODE << 5 | layout.cmd, (full + b"\0")[:length])) is None
 
 
 def test_turns_and_radians() -> None:

@@ -14,7 +14,7 @@ from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Request
 from protocols.odrive_can import RANGES
-from protocols.odrive_can import twin as made
+from protocols.odrive_can import twin as make_twin
 from protocols.odrive_can.codec import decode_to_device, encode
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.messages import SetAxisState, SetControllerMode
@@ -76,7 +76,7 @@ def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited(
 ) -> None:
     seed = 2
     random = Generator(PCG64(seed))
-    twin = made(device(options=Options(firmware=line)), seed)
+    twin = make_twin(device(options=Options(firmware=line)), seed)
     limit = twin.settings.current_hard_max * twin.settings.torque_constant
     for turn in range(TURNS):
         now = turn * MILLISECOND

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import re
 from dataclasses import dataclass, replace
@@ -15,39 +16,17 @@ from protocols.frames import CanFrame
 from protocols.odrive_can import WATCHDOG_NOTE, plugin, spec
 from protocols.odrive_can.codec import BROADCAST, TABLES, encode
 from protocols.odrive_can.dialect import DIALECTS
-from protocols.odrive_can.messages import SetAxisState, SetInputPos
+from protocols.odrive_can.faults import DUPLICATE_NODE, FAULT_TABLE06, PROCEDURE, Error
+from protocols.odrive_can.faults05 import FAULT_TABLE05
+from protocols.odrive_can.messages import SetAxisState
 from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.plugin import Device, load
-from tests.protocols.odrive_can.helpers import device, ready
+from tests.protocols.helpers import of
+from tests.protocols.odrive_can.helpers import V05, Bench, device, ready
 
 
 def test_the_entry_point_loads_it() -> None:
     assert load("odrive_can") is plugin
-
-
-def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected() -> None:
-    bench = ready(device("left", 1), device("right", 2))
-    for word in (
-        msg.Velocity("left", 5.0),
-        msg.Position("left", 0.0),
-        msg.Torque("left", 0.0),
-        msg.Hold("left"),
-        msg.Idle("left"),
-    ):
-        bench.run(400, word)
-    asks = (
-        msg.Scan("can0"),
-        msg.SetId("can0", 5, 9),
-        msg.Zero("left"),
-        msg.ReadParameter("left", "Electrical_Power"),
-    )
-    for request in (*asks, msg.WriteParameter("left", "Pos_Gain", 20.0), msg.Reboot("left")):
-        bench.ask(request, 2000)
-    sends = spec(bench.devices[0]).sends | spec(bench.devices[1]).sends
-    expects = spec(bench.devices[0]).expects | spec(bench.devices[1]).expects
-    assert {frame.id for _, frame in bench.sent} <= sends
-    assert {frame.id for _, frame in bench.received} <= expects
-    assert not spec(bench.devices[0]).sends & spec(bench.devices[1]).sends - {0x7E6}
 
 
 def test_read_only_is_a_remote_frame_for_what_devices_tell() -> None:
@@ -71,13 +50,10 @@ def test_the_watchdog_is_told_until_it_is_acknowledged_or_enabled() -> None:
     assert not on.holds_unattended
 
 
-def test_what_it_can_do() -> None:
+def test_commands_and_kind_of_the_spec() -> None:
     contract = spec(device())
     assert contract.commands == {msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}
-    assert msg.Impedance not in contract.commands
-    assert contract.bus == "can"
-    assert contract.kind == "motor"
-    assert not contract.stop_clears_faults
+    assert (contract.bus, contract.kind, contract.stop_clears_faults) == ("can", "motor", False)
 
 
 @pytest.mark.parametrize("address", [-1, BROADCAST, 64])
@@ -129,29 +105,6 @@ def test_settings_are_checked_all_at_once(wrong: dict[str, Any], said: str) -> N
         Settings(**wrong)
 
 
-@pytest.mark.parametrize("quantity", ["position", "velocity", "torque"])
-def test_words_survive_the_wire_within_the_declared_resolution(quantity: str) -> None:
-    ranges = spec(device()).ranges
-    bench = ready()
-    bench.run(400, msg.Position("left", 0.0))
-    allowed = ranges[f"Position.{quantity}"]
-    for share in (-1.0, -0.999999, -0.5, -1e-3, -1e-9, 0.0, 1e-9, 1e-3, 0.123456789, 0.5, 0.999999, 1.0):
-        value = allowed.high * share
-        bench.ask(msg.WriteParameter("nobody", "", 0.0))  # a send outside the tick changes nothing
-        _, outgoing = bench.driver.send(
-            bench.now, [msg.Position("left", **{"position": 0.0, quantity: value})]
-        )
-        frames = [w for w in outgoing if isinstance(w, CanFrame) and w.id == 0x2C]
-        decoders = plugin.decoder([device()])
-        for message in (encode(1, SetInputPos(0.0, 0.0, 0.0)), encode(1, SetAxisState(8))):
-            decoders.decode(0, message)
-        decoders.decode(0, CanFrame(0x2B, bytes.fromhex("0300000001000000")))
-        (received,) = decoders.decode(0, frames[-1])
-        assert isinstance(received, msg.Position)
-        error = abs(getattr(received, quantity) - value)
-        assert error <= allowed.resolution + allowed.relative * abs(value), value
-
-
 # -- the contract, where the plugin's own defaults do not lead ------------------------------------------
 
 
@@ -182,7 +135,7 @@ class Settings05(Settings):
 @pytest.mark.parametrize("options", [Extended, Auto], ids=lambda kind: kind.__name__)
 def test_the_contract_is_kept_by_devices_of_0_5_too(options: type[Options]) -> None:
     """Those clauses that ids, arming and questions bear on; the whole contract runs over the defaults."""
-    wanted = {"commands", "counts", "unclaimed", "declared", "repeatable"}
+    wanted = {"commands", "counts", "passive", "declared", "repeatable"}
     clauses = [clause for clause in CLAUSES if clause.name in wanted]
     assert len(clauses) == len(wanted)
     results = check(replace(plugin, options=options, settings=Settings05), clauses=clauses)
@@ -238,3 +191,51 @@ def test_an_extended_address_has_24_bits(address: int, fits: bool) -> None:
 def test_one_address_may_be_a_standard_and_an_extended_one() -> None:
     both = [device("left", 1), device("right", 1, options=Options(firmware="0.5", is_extended=True))]
     assert plugin.driver(both)
+
+
+# -- faults -------------------------------------------------------------------------------------------
+
+
+def armed(options: Options) -> Bench:
+    """A bench whose motor turns."""
+    bench = ready(device(options=options))
+    bench.run(900, msg.Velocity("left", 1.0))
+    return bench
+
+
+ARMED = {options: armed(options) for options in (Options(), V05)}
+CODES = [(Options(), code) for code in FAULT_TABLE06] + [(V05, code) for code in FAULT_TABLE05]
+
+
+@pytest.mark.parametrize(("options", "code"), CODES)
+def test_a_provoked_fault_disarms_is_reported_as_in_the_spec_and_is_cleared(
+    options: Options, code: int
+) -> None:
+    bench = copy.deepcopy(ARMED[options])
+    info = spec(bench.devices[0]).faults[code]
+    assert [twin.axis.armed for twin in bench.twins] == [True]
+    bench.twins[0].provoke(code)
+    assert [twin.axis.armed for twin in bench.twins] == [False]
+    reported = {fault.code: fault for fault in of(msg.Fault, bench.run(250))}
+    fault = reported[code]
+    assert (fault.motor, fault.name, fault.cause, fault.remedy) == (
+        "left",
+        info.name,
+        info.cause,
+        info.remedy,
+    )
+    assert set(reported) <= set(spec(bench.devices[0]).faults)
+    bench.words = (msg.Idle("left"),)
+    bench.ask(msg.ClearFault("left"), 200)
+    assert not of(msg.Fault, bench.run(150))
+
+
+def test_codes_have_one_meaning_whichever_the_line() -> None:
+    assert not FAULT_TABLE05.keys() & FAULT_TABLE06.keys()
+
+
+@pytest.mark.parametrize("code", [0, 3, Error.INITIALIZING, PROCEDURE + 14, DUPLICATE_NODE, 1 << 60, -1])
+@pytest.mark.parametrize("options", [Options(), V05], ids=["0.6", "0.5"])
+def test_a_code_that_is_no_fault_of_the_device_cannot_be_provoked(options: Options, code: int) -> None:
+    with pytest.raises(ValueError, match="has no fault"):
+        plugin.twin(device(options=options), 0).provoke(int(code))
