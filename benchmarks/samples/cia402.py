@@ -1,9 +1,9 @@
-"""What `gateway bench` measures of this language, and how package canopen does the same.
+"""Benchmark samples of cia402, measured beside package canopen.
 
-Rules. Data and calls only: nothing here is used by the robot. Everybody starts from plain values, or from a
-frame, and ends with what its user would have: ours a whole frame or values, canopen the data of a `PdoMap`
-with its variables set or read by `.raw`, or an SDO transfer by `.raw`, whose answer is there at once.
-Bare `struct` knows its message beforehand, checks nothing and makes no frame: it is the floor.
+Rules. Data and calls only: the robot uses nothing of this. Every contestant starts from plain values, or from
+a frame, and ends with what its user needs: our codec with a whole frame or values, canopen with the data of a
+`PdoMap` whose variables are set or read by `.raw`, or an SDO transfer by `.raw`, answered at once. Bare
+`struct` knows its message beforehand, checks nothing and makes no frame: it is the lower bound.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ COMMAND, STATE = (0x0F, 8, -123_456), (0x0637, 8, 654_321)
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """What canopen needs, made once."""
+class Prepared:
+    """The objects that canopen's calls need."""
 
     rpdo: Any
     tpdo: Any
     sdo: Any
-    """Its SDO client; each request is answered at once."""
+    """SDO client; each request is answered at once."""
     sent: list[bytes]
     """The last request."""
 
 
-def prepared(canopen: Any) -> Known:  # noqa: ANN401 -- canopen has no types
-    """A remote node with a small dictionary and two mapped PDOs, on a network without a bus."""
+def prepared(canopen: Any) -> Prepared:  # noqa: ANN401 -- canopen has no types
+    """Return a remote node with a small dictionary and two mapped PDOs, on a network without a bus."""
     dictionary = canopen.ObjectDictionary()
     for key in (*RPDO, *TPDO, o.TARGET_VELOCITY):
         dictionary.add_object(_variable(canopen, key))
@@ -52,8 +52,8 @@ def prepared(canopen: Any) -> Known:  # noqa: ANN401 -- canopen has no types
 
     def answer(_: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG001 -- canopen's signature
         sent[0] = bytes(data)
-        said = _UPLOADED if data[0] == 0x40 else _DOWNLOADED
-        node.sdo.on_response(said.id, said.data, 0.0)
+        response = _UPLOADED if data[0] == 0x40 else _DOWNLOADED
+        node.sdo.on_response(response.id, response.data, 0.0)
 
     network.send_message = answer
     maps = []
@@ -64,12 +64,12 @@ def prepared(canopen: Any) -> Known:  # noqa: ANN401 -- canopen has no types
         for index, _ in keys:
             known.add_variable(index)
         maps.append(known)
-    return Known(maps[0], maps[1], node.sdo, sent)
+    return Prepared(maps[0], maps[1], node.sdo, sent)
 
 
 def _variable(canopen: Any, key: Key) -> Any:  # noqa: ANN401 -- canopen has no types
     made = canopen.objectdictionary.ODVariable(OBJECTS[key].name, *key)
-    made.data_type, made.access_type = OBJECTS[key].type.value[0], "rw"
+    made.data_type, made.access_type = OBJECTS[key].type.code, "rw"
     return made
 
 
@@ -80,15 +80,15 @@ class Sample:
     what: str
     ours: Callable[[], object]
     struct: Callable[[], object]
-    other: Callable[[Known], Callable[[], object]]
+    other: Callable[[Prepared], Callable[[], object]]
     encodes: bool
 
-    def theirs(self, known: Known) -> Callable[[], object]:
-        """What canopen does for it."""
+    def theirs(self, known: Prepared) -> Callable[[], object]:
+        """Return the same operation in canopen."""
         return self.other(known)
 
     def alike(self, ours: Any, theirs: Any, struct: Any) -> bool:  # noqa: ANN401 -- a frame, or values
-        """Encoding gives the same bytes, decoding the same values in order."""
+        """True if encoding gave the same bytes, or decoding the same values in order."""
         if self.encodes:
             return bool(bytes(theirs) == struct == ours.data)
         return tuple(ours)[-len(struct) :] == tuple(theirs) == tuple(struct)
@@ -102,7 +102,7 @@ _UPLOADED = CanFrame(sdo_tx_id(NODE), _SDO.pack(0x43, *o.POSITION, -123_456))
 _DOWNLOADED = CanFrame(sdo_tx_id(NODE), _SDO.pack(0x60, *o.TARGET_VELOCITY, 0))
 
 
-def _set(known: Known) -> Callable[[], object]:
+def _set(known: Prepared) -> Callable[[], object]:
     variables = list(zip(known.rpdo.map, COMMAND, strict=True))
 
     def call() -> object:
@@ -113,7 +113,7 @@ def _set(known: Known) -> Callable[[], object]:
     return call
 
 
-def _read(known: Known) -> Callable[[], object]:
+def _read(known: Prepared) -> Callable[[], object]:
     def call() -> object:
         known.tpdo.on_message(_REPORTED.id, _REPORTED.data, 0.0)
         return [variable.raw for variable in known.tpdo.map]
@@ -121,7 +121,7 @@ def _read(known: Known) -> Callable[[], object]:
     return call
 
 
-def _download(known: Known) -> Callable[[], object]:
+def _download(known: Prepared) -> Callable[[], object]:
     variable = known.sdo[o.TARGET_VELOCITY[0]]
 
     def call() -> object:
@@ -131,7 +131,7 @@ def _download(known: Known) -> Callable[[], object]:
     return call
 
 
-def _upload(known: Known) -> Callable[[], object]:
+def _upload(known: Prepared) -> Callable[[], object]:
     variable = known.sdo[o.POSITION[0]]
     return lambda: (variable.raw,)
 

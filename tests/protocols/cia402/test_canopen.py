@@ -217,7 +217,7 @@ def test_homing(drive: Rig, method: int) -> None:
     node.sdo[0x6098].raw = method
     node.sdo[0x6099][2].raw = 30_000
     assert not node.is_homed()
-    assert node.homing(timeout=30)
+    assert node.homing(timeout=60)
     assert node.is_homed(restore_op_mode=True)
     at = {33: 0, 34: 16_384}.get(method, 2608)
     away = drive.bench.increments() - at
