@@ -56,33 +56,22 @@ class Status(IntFlag):
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
     INTERNAL_LIMIT = 1 << 11
-    SETPOINT_ACKNOWLEDGED = 1 << 12
-    """PP."""
-    ZERO_SPEED = 1 << 12
-    """PV."""
-    HOMING_ATTAINED = 1 << 12
-    """HM."""
-    FOLLOWS_COMMAND = 1 << 12
-    """CSP, CSV, CST."""
-    FOLLOWING_ERROR = 1 << 13
-    """PP, CSP."""
-    HOMING_ERROR = 1 << 13
-    """HM."""
+    SETPOINT_ACKNOWLEDGED = 1 << 12  # PP
+    ZERO_SPEED = 1 << 12  # PV
+    HOMING_ATTAINED = 1 << 12  # HM
+    FOLLOWS_COMMAND = 1 << 12  # CSP, CSV, CST
+    FOLLOWING_ERROR = 1 << 13  # PP, CSP
+    HOMING_ERROR = 1 << 13  # HM
 
 
 class Control(IntFlag):
     """Bits of the controlword beside those of a demand."""
 
-    NEW_SETPOINT = 1 << 4
-    """PP."""
-    START_HOMING = 1 << 4
-    """HM."""
-    CHANGE_IMMEDIATELY = 1 << 5
-    """PP: do not finish the set-point before."""
-    RELATIVE = 1 << 6
-    """PP."""
-    FAULT_RESET = 1 << 7
-    """Obeyed on its rising edge."""
+    NEW_SETPOINT = 1 << 4  # PP
+    START_HOMING = 1 << 4  # HM
+    CHANGE_IMMEDIATELY = 1 << 5  # PP: do not finish the set-point before
+    RELATIVE = 1 << 6  # PP
+    FAULT_RESET = 1 << 7  # obeyed on its rising edge
     HALT = 1 << 8
 
 
@@ -111,33 +100,24 @@ def demand_of(controlword: int, before: int) -> Demand | None:
 
 
 class Mode(IntEnum):
-    """Modes of operation, objects 6060 and 6061."""
+    """Modes of operation, objects 6060 and 6061; `MODE_NAMES` spells them out."""
 
     NONE = 0
     PP = 1
-    """Profile position."""
     VL = 2
-    """Velocity (frequency converters)."""
     PV = 3
-    """Profile velocity."""
     PT = 4
-    """Profile torque."""
     HM = 6
-    """Homing."""
     IP = 7
-    """Interpolated position."""
     CSP = 8
-    """Cyclic synchronous position."""
     CSV = 9
-    """Cyclic synchronous velocity."""
     CST = 10
-    """Cyclic synchronous torque."""
 
 
 MODE_NAMES: dict[Mode, str] = {
     Mode.NONE: "no mode",
     Mode.PP: "profile position",
-    Mode.VL: "velocity",
+    Mode.VL: "velocity",  # frequency converters
     Mode.PV: "profile velocity",
     Mode.PT: "profile torque",
     Mode.HM: "homing",
