@@ -193,7 +193,9 @@ def test_check_prints_which_fails_and_ends_with_1(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = replace(templates.plugin, name="a1_bad", spec=_raising)
-    monkeypatch.setattr("gateway.cli.protocols.load", lambda name: bad if name == "a1_bad" else templates.plugin)
+    monkeypatch.setattr(
+        "gateway.cli.protocols.load", lambda name: bad if name == "a1_bad" else templates.plugin
+    )
     assert main(["protocols", "check", "a1_bad", "-q"]) == 1
     output = capsys.readouterr().out
     assert re.search(r"^commands +failed +the plugin raises RuntimeError: no", output, re.MULTILINE)
