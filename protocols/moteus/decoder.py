@@ -12,7 +12,7 @@ command itself: it takes a mode as granted. Source: mjbots/moteus@1f4a195 `fw/mo
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import isfinite, isnan, nan, tau
 
@@ -192,21 +192,18 @@ def is_addressed(state: CommandState, frame: CanFrame) -> bool:
     )
 
 
-def effective(state: CommandState, data: bytes) -> Iterator[Subframe]:
-    """Yield what a device takes of a frame's data: all up to a flaw, or to a UUID that is not its own."""
+def effective(state: CommandState, data: bytes) -> tuple[list[Subframe], bool]:
+    """Return what a device takes of a frame's data: all up to a flaw, or to a UUID that is not its own; and
+    whether its UUID fits, since else there is no reply either."""
+    taken: list[Subframe] = []
     for subframe in parse(data)[0]:
-        if isinstance(subframe, Values) and subframe.code == WRITE:
+        if isinstance(subframe, Values):
+            if subframe.code != WRITE:
+                continue
             if not _matches(state.uuid, subframe):
-                return
-            yield subframe
-        elif not isinstance(subframe, Values):
-            yield subframe
-
-
-def is_for_another(state: CommandState, data: bytes) -> bool:
-    """True if a frame is for a device with another UUID: then there is no reply either."""
-    writes = (s for s in parse(data)[0] if isinstance(s, Values) and s.code == WRITE)
-    return not all(_matches(state.uuid, subframe) for subframe in writes)
+                return taken, False
+        taken.append(subframe)
+    return taken, True
 
 
 def _matches(uuid: bytes | None, subframe: Values) -> bool:
@@ -243,7 +240,7 @@ def obey(state: CommandState, data: bytes) -> list[Command | Request]:
     """Apply a frame's data to a device. Returns what that makes it do."""
     messages: list[Command | Request] = []
     commanded, mask = False, bytearray()
-    for subframe in effective(state, data):
+    for subframe in effective(state, data)[0]:
         if isinstance(subframe, Values):
             for register, raw in enumerate(subframe.raw, subframe.start):
                 if Register.UUID_MASK1 <= register <= Register.UUID_MASK4:

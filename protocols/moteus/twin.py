@@ -17,15 +17,7 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Event, Feedback, Nanos, Torque, seconds
 from protocols.moteus import codec
 from protocols.moteus.codec import F32, INT32, Console, Error, Query, Raw, Subframe, Values
-from protocols.moteus.decoder import (
-    DEFAULTS,
-    SHADOWS,
-    UNKNOWN,
-    command_state,
-    effective,
-    is_addressed,
-    is_for_another,
-)
+from protocols.moteus.decoder import DEFAULTS, SHADOWS, UNKNOWN, command_state, effective, is_addressed
 from protocols.moteus.faults import FAULTS, TIMEOUT
 from protocols.moteus.options import Settings, firmware_number, uuid_of
 from protocols.moteus.registers import Mode, Register
@@ -70,7 +62,8 @@ class MoteusTwin:
         if self._now is None or not isinstance(frame, CanFrame) or not is_addressed(self.state, frame):
             return
         commanded, out = False, list[Subframe]()
-        for subframe in effective(self.state, frame.data):
+        subframes, uuid_fits = effective(self.state, frame.data)
+        for subframe in subframes:
             match subframe:
                 case Values():
                     commanded |= self._write(subframe, out)
@@ -80,7 +73,7 @@ class MoteusTwin:
                     self._console_subframe(subframe, out)
         if commanded:
             self.servo.take(self.state.mode, dict(self.state.command))
-        if frame.id & codec.REPLY_BIT and not is_for_another(self.state, frame.data):
+        if frame.id & codec.REPLY_BIT and uuid_fits:
             self._reply(t, frame.id >> 8 & 0x7F, out)
 
     def _write(self, subframe: Values, out: list[Subframe]) -> bool:

@@ -12,41 +12,20 @@ import pytest
 
 from benchmarks.codec import theirs
 from benchmarks.samples import moteus as samples
-from protocols.frames import CanFrame
 from protocols.messages import Estop, Hold, Idle, Impedance, Position, Reboot, Torque, Velocity
-from protocols.moteus import driver, plugin, spec
+from protocols.moteus import driver, spec
 from protocols.moteus.codec import Query, command_id, encode, make_frame
 from protocols.moteus.faults import FAULTS, LIMITS, fault_info_of
 from protocols.moteus.messages import DISCOVER, IDENTIFY, STOP, Limits, console, masked, position_command
 from protocols.moteus.options import Options, Settings, limits_of
 from protocols.moteus.registers import Register
 from protocols.moteus.reply import FAST, FULL
-from protocols.plugin import Device, load
-from tests.protocols.moteus.helpers import device, ready
+from protocols.plugin import Device
+from tests.protocols.moteus.helpers import device
 
 
 def changed(options: Any, name: str, value: Any) -> Any:
     return replace(options, **{name: value})
-
-
-def test_the_entry_point_loads_it() -> None:
-    assert load("moteus") is plugin
-
-
-def test_nothing_is_sent_outside_the_declared_ids_and_nothing_else_is_expected() -> None:
-    bench_ = ready(device("left", 1), device("right", 2))
-    for message in (
-        Velocity("left", 5.0),
-        Position("left", 0.0),
-        Torque("left", 0.0),
-        Hold("left"),
-        Idle("left"),
-    ):
-        bench_.run(100, message)
-    specs = [spec(item) for item in bench_.devices]
-    assert {f.id for _, f in bench_.sent} <= specs[0].sends | specs[1].sends
-    assert {f.id for _, f in bench_.received} <= specs[0].expects | specs[1].expects
-    assert specs[0].sends & specs[1].sends == {0x807F}
 
 
 def test_specs_of_equal_devices_are_equal() -> None:
@@ -180,9 +159,3 @@ def test_every_fault_has_name_cause_and_remedy() -> None:
 def test_both_sides_of_a_sample_come_to_the_same(sample: samples.Sample) -> None:
     package: ModuleType = moteus
     theirs(sample, samples.prepared(package))
-
-
-def test_decoder_and_twin_are_the_plugin_s() -> None:
-    twin = plugin.twin(device(), 0)
-    assert twin.step(0, [])[1] == []
-    assert plugin.decoder([device()]).decode(0, CanFrame(1, STOP, fd=True)) == [Idle("left")]
