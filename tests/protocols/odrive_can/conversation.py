@@ -1,7 +1,7 @@
 """Frames of a conversation of vectors: devices' encoded, and ours read, by cantools from the vendor's DBC.
 
 Rules. The DBCs are those of package odrive-can 2.1.0; our codec has no part in it. What they do not have
-(node ids given out and answers to the roll call; Estop of 0.5.x) is shown as bytes.
+(node ids given out and replies to discovery; Estop of 0.5.x) is shown as bytes.
 """
 
 from __future__ import annotations

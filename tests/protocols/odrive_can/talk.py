@@ -1,19 +1,20 @@
-"""A conversation of vectors: what devices say, encoded by cantools from the vendor's DBC, and what it means.
+"""A conversation of vectors: frames of devices, encoded by cantools from the vendor's DBC, and what they
+mean.
 
-Rules. The device's frames come from the DBCs of package odrive-can 2.1.0 by cantools, and what our driver
-says is read with the same (`conversation`); our codec has no part in it. What the driver is expected to say
-and to tell is written by hand, stage by stage, from the README's promises, the docstrings of `options`, and
-the messages' table (odriverobotics/ODrive@f9b5419, odriverobotics/ODriveArduino@f52eef5): see `transcript`
-for its form. Virtual time in ms.
+Rules. The devices' frames come from the DBCs of package odrive-can 2.1.0 by cantools, and the driver's frames
+are decoded with the same (`conversation`); our codec has no part in it. The expected frames and events are
+written by hand, stage by stage, from the README, the docstrings of `options`, and the messages' table
+(odriverobotics/ODrive@f9b5419, odriverobotics/ODriveArduino@f52eef5): see `transcript` for their form.
+Virtual time in ms.
 
-Questions that come by the clock (`ROUTINE`) stand in no transcript; how often they come is promised too, and
-`test_vectors_asked` counts them. A measurement is told when it changes. In every conversation holds:
+Periodic requests (`ROUTINE`) are in no transcript; their periods are promised too, and `test_vectors_polling`
+counts them. A measurement is listed when it changes. In every conversation holds:
 
-* before a command or a request, nothing but questions goes out;
-* a remote frame only ever asks for what devices tell;
+* before a command or a request, only remote frames are sent;
+* a remote frame only ever requests a message that devices send;
 * errors are cleared only after a ClearFault;
-* who has just been called is not due again and again at the same moment;
-* a fault has a cause and a cure; every frame is counted once.
+* `due` is never at once again after a call of `send`;
+* a fault has a cause and a remedy; every frame is counted once.
 """
 
 from __future__ import annotations
@@ -44,38 +45,38 @@ ROUTINE = frozenset(
         "Address",
     }
 )
-TOLD_BY_DEVICES = ROUTINE | {
+SENT_BY_DEVICES = ROUTINE | {
     *("Get_Error", "Get_Powers", "Get_Motor_Error", "Get_Encoder_Error", "Get_Sensorless_Error"),
     *("Get_Controller_Error", "Get_Encoder_Count", "Get_Sensorless_Estimates"),
 }
 ROUND = math.tau
-"""rad of a turn: what the wire has as 1."""
+"""rad of one turn"""
 
 
 @dataclass
 class Talk:
-    """The driver among devices that say what the test has them say."""
+    """The driver among devices whose frames the test determines."""
 
     devices: Sequence[Device]
     line: str = "0.6"
-    """In which what the driver says is read, and what devices say is written."""
+    """The firmware line that frames are decoded and encoded with."""
     others: dict[int, str] = field(default_factory=dict)
-    """By node, where it is another one."""
+    """The line by node, where it is another one."""
     every: int = 10
     """ms between calls of `send`, besides those that are due; 0: only those."""
     shown: frozenset[str] = frozenset()
-    """Questions of `ROUTINE` that stand in the transcript all the same."""
+    """Requests of `ROUTINE` that are in the transcript all the same."""
     now: int = 0
     cyclic: dict[tuple[str, int], tuple[int, int, bool, dict[str, Any]]] = field(default_factory=dict)
-    """By name and node: from when on, and every so many ms, this is said."""
+    """Cyclic messages by name and node: start, period [ms], format, signals."""
     answers: dict[tuple[str, int], dict[str, Any]] = field(default_factory=dict)
-    """By name and node: what is answered, 1 ms after it is asked for."""
+    """Replies by name and node, sent 1 ms after the request."""
 
     def __post_init__(self) -> None:
         self.driver = OdriveDriver(self.devices, RANGES)
         self.lines: list[Line] = []
-        self.questions: dict[str, list[int]] = {}
-        """When each was asked, since the conversation began, as "3?Heartbeat"."""
+        self.requests: dict[str, list[int]] = {}
+        """When each message was requested, since the conversation began, as "3?Heartbeat"."""
         self.began = 0
         self._going_on: Line | None = None
         self._paused = False
@@ -83,32 +84,32 @@ class Talk:
         self._coming: list[CanFrame] = []
         self._came = 0
         self._counted = (0, 0)
-        self._claimed = self._clearing = self._pressing = False
+        self._commanded = self._clearing = self._pressing = False
 
     # -- the devices ---------------------------------------------------------------------------
 
     def cycle(self, period: int, name: str, node: int = 3, extended: bool = False, **signals: float) -> None:
-        """From now on a device says this every `period` ms, and now; 0: no more."""
+        """Send this message every `period` ms, from now on; 0: no more."""
         self.cyclic[name, node] = (self.now, period, extended, signals)
 
     def beat(
         self, state: int = 1, error: int = 0, node: int = 3, extended: bool = False, **signals: float
     ) -> None:
-        """From now on heartbeats every 100 ms say this."""
+        """Send heartbeats of this content every 100 ms."""
         self.cycle(100, "Heartbeat", node, extended, Axis_State=state, Axis_Error=error, **signals)
 
     def place(
         self, position: float = 0.0, velocity: float = 0.0, node: int = 3, extended: bool = False
     ) -> None:
-        """From now on estimates every 10 ms say this."""
+        """Send estimates of this content every 10 ms."""
         self.cycle(10, "Get_Encoder_Estimates", node, extended, Pos_Estimate=position, Vel_Estimate=velocity)
 
     def answer(self, name: str, node: int = 3, **signals: float) -> None:
-        """From now on this is answered."""
+        """Reply with this message from now on."""
         self.answers[name, node] = signals
 
     def version(self, node: int = 3, minor: int = 6) -> None:
-        """From now on Get_Version is answered."""
+        """Reply to Get_Version from now on."""
         self.answer("Get_Version", node, Protocol_Version=2, Fw_Version_Minor=minor, Fw_Version_Revision=10)
 
     def up(self, node: int = 3, state: int = 1) -> None:
@@ -124,21 +125,21 @@ class Talk:
         self.answer("Get_Bus_Voltage_Current", node, Bus_Voltage=24.0)
 
     def report(self, name: str, node: int = 3, extended: bool = False, **signals: float) -> None:
-        """A device says this now, once."""
+        """Send a message of a device once."""
         self.handle(frame(name, self.line_of(node), node, extended, **signals))
 
     def line_of(self, node: int) -> str:
-        """In which a node is spoken with."""
+        """The firmware line of a node."""
         return self.others.get(node, self.line)
 
     def handle(self, *frames: CanFrame) -> None:
-        """These frames come now."""
+        """Let the driver receive frames."""
         for raw in frames:
             self._came += 1
             self._reported(self.driver.receive(self.now * MILLISECOND, raw))
 
     def mute(self, node: int = 3) -> None:
-        """From now on a device says nothing."""
+        """Let a device send nothing from now on."""
         for key in [key for key in self.cyclic if key[1] == node]:
             del self.cyclic[key]
         for key in [key for key in self.answers if key[1] == node]:
@@ -146,20 +147,20 @@ class Talk:
 
     # -- the host ------------------------------------------------------------------------------
 
-    def run(self, ms: int, *words: Command) -> None:
-        """So many ms with these words in every step."""
+    def run(self, ms: int, *messages: Command) -> None:
+        """Run with these commands in every step."""
         for _ in range(ms):
-            self._millisecond(words)
+            self._millisecond(messages)
 
     def ask(self, *requests: Request | Command) -> None:
-        """Say these now."""
+        """Send these now."""
         self._send(requests)
 
     def bus(self, state: BusState) -> None:
         """The bus changes."""
         self.driver.bus(self.now * MILLISECOND, state)
 
-    def _millisecond(self, words: tuple[Command, ...]) -> None:
+    def _millisecond(self, messages: tuple[Command, ...]) -> None:
         arrived, self._coming = self._coming, []
         self.handle(*arrived)
         for (name, node), (since, period, extended, signals) in list(self.cyclic.items()):
@@ -168,36 +169,36 @@ class Talk:
         due = self.driver.due()
         at = self.now * MILLISECOND
         if (self.every and self.now % self.every == 0) or (due is not None and due <= at):
-            self._send(words)
+            self._send(messages)
         self.now += 1
 
-    def _send(self, words: Sequence[Command | Request]) -> None:
-        self._claimed = self._claimed or any(not isinstance(word, Idle) for word in words)
-        self._clearing = self._clearing or any(isinstance(word, ClearFault) for word in words)
-        events, frames = self.driver.send(self.now * MILLISECOND, words)
+    def _send(self, messages: Sequence[Command | Request]) -> None:
+        self._commanded = self._commanded or any(not isinstance(message, Idle) for message in messages)
+        self._clearing = self._clearing or any(isinstance(message, ClearFault) for message in messages)
+        events, frames = self.driver.send(self.now * MILLISECOND, messages)
         due = self.driver.due()
         pressing = due is not None and due <= self.now * MILLISECOND
-        assert not (pressing and self._pressing), "it has just been called, and wants to be again and again"
+        assert not (pressing and self._pressing), "due at once again after a call of send"
         self._pressing = pressing
         self._reported(events)
-        said = []
+        sent = []
         for raw in frames:
             assert isinstance(raw, CanFrame)
-            assert raw.remote or self._claimed, "something other than a question, unasked"
+            assert raw.remote or self._commanded, "something other than a remote frame, before any command"
             text = meaning(raw, self.line_of(raw.id >> 5))
             assert self._clearing or "Clear_Errors" not in text, "errors are cleared unasked"
             if not raw.remote or self._asked(text, raw):
-                said.append(text)
-        counted = [(text, len(list(same))) for text, same in groupby(said)]
-        self._said(" | ".join(f"{count} × {text}" if count > 1 else text for text, count in counted))
+                sent.append(text)
+        counted = [(text, len(list(same))) for text, same in groupby(sent)]
+        self._sent(" | ".join(f"{count} × {text}" if count > 1 else text for text, count in counted))
 
     def _asked(self, text: str, raw: CanFrame) -> bool:
-        """A question goes out; whether it stands in the transcript."""
+        """Note a remote request; True if it is in the transcript."""
         node, cmd = raw.id >> 5, raw.id & 0x1F
         name = {0: "Get_Version", 6: "Address"}.get(cmd, text.partition("?")[2])  # not in the DBC of 0.5.x
-        assert name in TOLD_BY_DEVICES, "a remote frame of a host's message"
+        assert name in SENT_BY_DEVICES, "a remote frame of a host's message"
         assert name != "Address" or (node == 63 and not raw.extended), "an axis of 0.5.x would obey it"
-        self.questions.setdefault(f"{node}?{name}", []).append(self.now)
+        self.requests.setdefault(f"{node}?{name}", []).append(self.now)
         if (name, node) in self.answers:
             line = "0.6" if name == "Get_Version" else self.line_of(node)
             self._coming.append(frame(name, line, node, raw.extended, **self.answers[name, node]))
@@ -205,7 +206,7 @@ class Talk:
 
     # -- the transcript --------------------------------------------------------------------------
 
-    def _said(self, text: str) -> None:
+    def _sent(self, text: str) -> None:
         if not text:
             self._paused = True
             return
@@ -230,12 +231,12 @@ class Talk:
             last = self.lines[-1] if self.lines else None
             line = Line("<", text, self.now - self.began, self.now - self.began)
             if last is not None and (last.way, last.text, last.first) == (line.way, line.text, line.first):
-                last.said += 1
+                last.count += 1
             else:
                 self.lines.append(line)
 
     def reports(self, transcript: str, bad: int = 0, foreign: int = 0) -> None:
-        """This was said and told since the last stage, and so many frames were bad and foreign."""
+        """Compare frames and events since the last stage; `bad` and `foreign`: numbers of received frames."""
         wrong = difference(self.lines, expectation(transcript))
         assert not wrong, wrong
         counters = self.driver.counters
@@ -244,7 +245,7 @@ class Talk:
         self.stage()
 
     def stage(self) -> None:
-        """A stage begins; whatever was said before is not looked at."""
+        """Begin a stage: what was before is not compared."""
         self.lines.clear()
         self.began, self._going_on, self._paused = self.now, None, False
         self._counted = (self.driver.counters.malformed, self.driver.counters.ignored)
@@ -260,7 +261,7 @@ def standing(**options: Any) -> Talk:
 
 
 def running() -> Talk:
-    """One that is driven with a turn a second, and was last heard to be in closed loop before that."""
+    """A device that is driven at one turn per second, and last reported closed loop before that."""
     talk = standing()
     talk.beat(8)
     talk.run(100, Velocity("left", ROUND))

@@ -120,7 +120,7 @@ def test_the_vectors_of_the_client_are_regenerated_from_it(monkeypatch: pytest.M
         "set_axis_node_id05_5": lambda: client.set_axis_node_id(5),
         "clear_errors05": client.clear_errors,
         "reboot05": client.reboot,
-        # Its own set_linear_count asks its DBC for the message of 0.6.x, which is not in there.
+        # Its own set_linear_count looks up the message of 0.6.x in its DBC, which does not have it.
         "set_linear_count05_client": lambda: client._send_message("Set_Linear_Count", {"Position": -8192}),
         "rtr_get_motor_error05": lambda: client._send_message("Get_Motor_Error", rtr=True),
         "rtr_get_controller_error05": lambda: client._send_message("Get_Controller_Error", rtr=True),
@@ -141,7 +141,7 @@ KNOWN_BUGS = {
 UNITS = {
     "Axis3_Set_Input_Vel": ("rev", "rev/s"),
 }
-"""Units that the DBC has wrong: turns/s and N·m on the wire."""
+"""Units that the DBC has wrong: turns/s and N·m in the frame."""
 NAMES = {kind: name for name, (kind, _) in (*MEANINGS.items(), *MEANINGS05.items())}
 SPANS: dict[type[Any], tuple[int, int]] = {
     messages.GetMotorError: (0, 2**32 - 1),

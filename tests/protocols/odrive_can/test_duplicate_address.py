@@ -16,17 +16,17 @@ from protocols.odrive_can.twin06 import Twin06
 from tests.protocols.helpers import Shaft, of
 from tests.protocols.odrive_can.helpers import device, ready
 
-Told = list[tuple[Nanos, float, float]]
+Samples = list[tuple[Nanos, float, float]]
 
 
-def first(reported: Told) -> int | None:
+def first(reported: Samples) -> int | None:
     """Which of these made it certain that there are two shafts."""
     places = PositionCheck()
     return next((at for at, place in enumerate(reported) if places.add(*place)), None)
 
 
-def every(period_ms: int, places: list[tuple[float, float]]) -> Told:
-    return [(at * period_ms * MILLISECOND + 1, *place) for at, place in enumerate(places)]
+def every(period_ms: int, positions: list[tuple[float, float]]) -> Samples:
+    return [(at * period_ms * MILLISECOND + 1, *place) for at, place in enumerate(positions)]
 
 
 def vibration(amplitude: float, hertz: float) -> list[tuple[float, float]]:
@@ -43,9 +43,9 @@ def vibration(amplitude: float, hertz: float) -> list[tuple[float, float]]:
         (every(10, [(3.0, 0.0), (3.0, 0.0), (3.0, 0.0), (-1.0, 0.0)] * 20), 4 * JUMPS),
         (every(5, [(at * 0.05, 10.0) if at % 2 else (7.5, 0.0) for at in range(40)]), JUMPS + 1),
     ],
-    ids=["far apart", "just apart", "one speaks more often", "one turns"],
+    ids=["far apart", "just apart", "one sends more often", "one turns"],
 )
-def test_two_shafts_are_noticed(reported: Told, at: int) -> None:
+def test_two_shafts_are_noticed(reported: Samples, at: int) -> None:
     assert first(reported) == at
 
 
@@ -61,12 +61,12 @@ def test_two_shafts_are_noticed(reported: Told, at: int) -> None:
     ],
     ids=["turning", "a new zero", "a loose encoder", "noise", "seldom", *["vibration"] * 6],
 )
-def test_one_shaft_is_believed_to_be_one(reported: Told) -> None:
+def test_one_shaft_is_not_taken_for_two(reported: Samples) -> None:
     assert first(reported) is None
 
 
 @pytest.mark.parametrize("bunch", [1, 2, 3, 5])
-def test_frames_that_are_handed_over_in_bunches_make_no_second_shaft(bunch: int) -> None:
+def test_frames_that_are_delivered_in_bunches_make_no_second_shaft(bunch: int) -> None:
     """An adapter without stamps: so many frames bear the moment at which they were read."""
     times = [10 * MILLISECOND * (at // bunch * bunch + bunch) for at in range(300)]
     assert first([(t, 12.7 * 0.01 * at, 12.7) for at, t in enumerate(times)]) is None
@@ -75,7 +75,7 @@ def test_frames_that_are_handed_over_in_bunches_make_no_second_shaft(bunch: int)
 
 
 @pytest.mark.parametrize(("line", "kind"), [("0.5", Twin05), ("0.6", Twin06)])
-def test_two_devices_with_one_serial_number_are_noticed_by_their_places(
+def test_two_devices_with_one_serial_number_are_noticed_by_their_positions(
     line: str, kind: type[OdriveTwin]
 ) -> None:
     options = Options(firmware="0.5") if line == "0.5" else Options(firmware="0.6")
@@ -88,7 +88,7 @@ def test_two_devices_with_one_serial_number_are_noticed_by_their_places(
     assert [fault.code for fault in of(Fault, events)] == [DUPLICATE_NODE]
     assert "positions contradict" in of(Fault, events)[0].cause
 
-    assert not of(Fault, bench.run(400))  # told once, until it is cleared
+    assert not of(Fault, bench.run(400))  # reported once, until it is cleared
     assert [fault.code for fault in of(Fault, bench.ask(ClearFault("left"), 400))] == [DUPLICATE_NODE]
     bench.twins.pop()
     bench.shafts.pop()

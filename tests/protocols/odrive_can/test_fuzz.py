@@ -25,7 +25,7 @@ TURNS = 4000
 EXTREMES = (0.0, -0.0, 1e-40, 1.0, -1.0, 3.4e38, -3.4e38, math.nan, math.inf, -math.inf)
 
 
-def random_wire(random: Generator) -> Frame:
+def random_frame(random: Generator) -> Frame:
     """Mostly ids of node 1, broadcasts and neighbours; now and then what does not belong on a CAN bus."""
     if random.random() < 0.02:
         return random.bytes(int(random.integers(0, 40)))
@@ -48,7 +48,7 @@ def test_the_driver_survives_any_traffic(firmware: Literal["auto", "0.5", "0.6"]
     seed = 1
     random = Generator(PCG64(seed))
     driver = OdriveDriver([device(options=Options(firmware=firmware))], RANGES)
-    words: list[Command | Request] = [
+    messages: list[Command | Request] = [
         msg.Velocity("left", 1.0),
         msg.Position("left", 2.0, 0.1, 0.1),
         msg.Scan("can0"),
@@ -56,12 +56,12 @@ def test_the_driver_survives_any_traffic(firmware: Literal["auto", "0.5", "0.6"]
         msg.WriteParameter("left", "Pos_Gain", 3.0),
     ]
     for turn in range(TURNS):
-        frame = random_wire(random)
+        frame = random_frame(random)
         events = driver.receive(turn * MILLISECOND, frame)
         assert all(finite(event) for event in events), (seed, turn, frame)
         counters = driver.counters
         assert counters.accepted + counters.malformed + counters.ignored == turn + 1, (seed, turn, frame)
-        reported, frames = driver.send(turn * MILLISECOND, [words[int(random.integers(0, len(words)))]])
+        reported, frames = driver.send(turn * MILLISECOND, [messages[int(random.integers(0, len(messages)))]])
         assert all(finite(event) for event in reported)
         for sent in frames:
             assert isinstance(sent, CanFrame)
@@ -80,7 +80,7 @@ def test_the_twin_survives_any_traffic_and_its_torque_stays_finite_and_limited(
     limit = twin.settings.current_hard_max * twin.settings.torque_constant
     for turn in range(TURNS):
         now = turn * MILLISECOND
-        frame = random_wire(random)
+        frame = random_frame(random)
         if isinstance(frame, CanFrame) and frame.id & 0x1F in (0x06, 0x16, 0x1F):
             continue  # it would be gone: renamed, restarting, or in its boot loader
         twin.receive(now, frame)

@@ -1,4 +1,4 @@
-"""The vendor's names of what a host says."""
+"""The vendor's names of a host's messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MARKED = ("Reboot", "Clear_Errors")
     [vector for vector in vectors_of(plugin) if vector.direction == "to_device"],
     ids=lambda vector: str(vector.name),
 )
-def test_a_vector_has_the_name_that_its_source_gives_it(vector: object) -> None:
+def test_a_vector_has_the_name_that_its_source_gives(vector: object) -> None:
     (vector,) = [v for v in vectors_of(plugin) if v == vector]
     name = str(vector.meaning.get("cmd") or vector.meaning["msg"])
     if vector.meaning.get("request"):

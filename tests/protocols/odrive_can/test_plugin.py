@@ -29,7 +29,7 @@ def test_the_entry_point_loads_it() -> None:
     assert load("odrive_can") is plugin
 
 
-def test_read_only_is_a_remote_frame_for_what_devices_tell() -> None:
+def test_read_only_is_a_remote_frame_of_a_device_s_message() -> None:
     read_only = spec(device(options=Options(firmware="0.6"))).read_only
     assert read_only(CanFrame(0x29, remote=True))
     assert read_only(CanFrame(0x7E6, remote=True))
@@ -40,7 +40,7 @@ def test_read_only_is_a_remote_frame_for_what_devices_tell() -> None:
     assert not read_only(b"\x29")
 
 
-def test_the_watchdog_is_told_until_it_is_acknowledged_or_enabled() -> None:
+def test_the_watchdog_note_is_there_until_it_is_acknowledged_or_enabled() -> None:
     assert spec(device()).watchdog.note == WATCHDOG_NOTE
     assert not spec(device()).watchdog.enabled
     assert spec(device(options=Options(watchdog="acknowledged"))).watchdog.note == ""
@@ -73,7 +73,7 @@ def test_options_of_another_plugin_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "error"),
     [
         ({"feedback_ms": 0}, "feedback_ms is 0"),
         ({"poll_ms": -1}, "poll_ms is -1"),
@@ -82,13 +82,13 @@ def test_options_of_another_plugin_are_refused() -> None:
         ({"feedback_ms": 200, "offline_ms": 300}, "at least twice"),
     ],
 )
-def test_options_are_checked(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_options_are_checked(wrong: dict[str, Any], error: str) -> None:
+    with pytest.raises(ValueError, match=error):
         Options(**wrong)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "error"),
     [
         ({"vel_gain": math.nan}, "vel_gain must be finite"),
         ({"torque_constant": 0.0}, "torque_constant must be above 0"),
@@ -100,8 +100,8 @@ def test_options_are_checked(wrong: dict[str, Any], said: str) -> None:
         ({"vel_limit": 0.0, "bus_voltage": -1.0}, "vel_limit must be above 0; bus_voltage must be above 0"),
     ],
 )
-def test_settings_are_checked_all_at_once(wrong: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_settings_are_checked_all_at_once(wrong: dict[str, Any], error: str) -> None:
+    with pytest.raises(ValueError, match=error):
         Settings(**wrong)
 
 
@@ -134,7 +134,7 @@ class Settings05(Settings):
 
 @pytest.mark.parametrize("options", [Extended, Auto], ids=lambda kind: kind.__name__)
 def test_the_contract_is_kept_by_devices_of_0_5_too(options: type[Options]) -> None:
-    """Those clauses that ids, arming and questions bear on; the whole contract runs over the defaults."""
+    """Those clauses that ids, arming and requests bear on; the whole contract runs over the defaults."""
     wanted = {"commands", "counts", "passive", "declared", "repeatable"}
     clauses = [clause for clause in CLAUSES if clause.name in wanted]
     assert len(clauses) == len(wanted)
@@ -149,18 +149,20 @@ def test_the_contract_tries_every_firmware_option() -> None:
 @pytest.mark.parametrize("firmware", ["auto", "0.5", "0.6"])
 def test_specs_of_each_option(firmware: Literal["auto", "0.5", "0.6"]) -> None:
     contract = spec(device(options=Options(firmware=firmware)))
-    asks = {frame & 0x1F for frame in range(0x20, 0x40) if contract.read_only(CanFrame(frame, remote=True))}
+    requestable = {
+        frame & 0x1F for frame in range(0x20, 0x40) if contract.read_only(CanFrame(frame, remote=True))
+    }
     lines = {"auto": ("0.5", "0.6"), "0.5": ("0.5",), "0.6": ("0.6",)}[firmware]
     for line in lines:
         assert {0x20 | cmd for cmd in TABLES[line].requestable - {0x06}} <= contract.sends
         assert {0x20 | cmd for cmd in TABLES[line].requestable - {0x06}} <= contract.expects
         dialect = DIALECTS[line]
-        assert {*dialect.polled, *dialect.disarm_reasons, *dialect.component_faults} <= asks
-        said = {row.cmd for row in TABLES[line].to_device.values() if row.cmd not in (0x04, 0x1F, 0x10, 0x1C)}
-        assert {0x20 | cmd for cmd in said - {0x06}} <= contract.sends
+        assert {*dialect.polled, *dialect.disarm_reasons, *dialect.component_faults} <= requestable
+        sent = {row.cmd for row in TABLES[line].to_device.values() if row.cmd not in (0x04, 0x1F, 0x10, 0x1C)}
+        assert {0x20 | cmd for cmd in sent - {0x06}} <= contract.sends
     obeyed = {0x02, 0x07, 0x0C, 0x0D, 0x0E, 0x16, 0x18}
-    assert not asks & obeyed
-    assert (0x06 in asks) == (firmware == "0.6")
+    assert not requestable & obeyed
+    assert (0x06 in requestable) == (firmware == "0.6")
     assert (0x7E6 in contract.sends) == (msg.SetId in contract.requests) == (firmware != "0.5")
     assert contract == spec(device(options=Options(firmware=firmware)))
 
@@ -225,7 +227,7 @@ def test_a_provoked_fault_disarms_is_reported_as_in_the_spec_and_is_cleared(
         info.remedy,
     )
     assert set(reported) <= set(spec(bench.devices[0]).faults)
-    bench.words = (msg.Idle("left"),)
+    bench.commands = (msg.Idle("left"),)
     bench.ask(msg.ClearFault("left"), 200)
     assert not of(msg.Fault, bench.run(150))
 

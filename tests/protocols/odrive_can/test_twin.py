@@ -1,4 +1,5 @@
-"""The twin alone: the firmware's habits, one by one (the table in the plugin's README names these tests)."""
+"""The twin of 0.6.x alone: the firmware's behaviour, point by point, as in the table of the plugin's
+README."""
 
 from __future__ import annotations
 
@@ -101,7 +102,7 @@ def test_an_axis_in_fault_does_not_arm_until_cleared() -> None:
     assert (beat.error, beat.state) == (0, AxisState.CLOSED_LOOP_CONTROL)
 
 
-def test_the_disarm_reason_is_told_until_cleared() -> None:
+def test_the_disarm_reason_is_reported_until_cleared() -> None:
     rig = TwinRig().armed()
     rig.send(Estop())
     assert rig.reply(0x03) == GetError(Error.ESTOP_REQUESTED, Error.ESTOP_REQUESTED)
@@ -140,7 +141,7 @@ def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
 
 @pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
 @pytest.mark.parametrize("cmd", sorted(TABLES["0.6"].requestable - {0x05}))
-def test_every_message_is_told_when_asked(cmd: int, remote: bool) -> None:
+def test_every_message_is_sent_on_request(cmd: int, remote: bool) -> None:
     rig = TwinRig(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
     rig.run(5)
     rig.receive(CanFrame(0x20 | cmd, remote=remote))
@@ -191,7 +192,7 @@ def test_short_frames_are_obeyed() -> None:
     assert rig.twin.servo.torque() == pytest.approx(0.1, rel=1e-3)
 
 
-def test_what_it_tells_is_rounded_to_binary32() -> None:
+def test_estimates_are_rounded_to_binary32() -> None:
     rig = TwinRig()
     rig.shaft.position = radians(123456.789012345)
     rig.shaft.held = True
@@ -312,7 +313,7 @@ def test_a_broadcast_reboots_and_an_erased_device_has_no_node_id() -> None:
     assert rig.twin.axis.node == BROADCAST
 
 
-def test_the_boot_loader_says_nothing_any_more() -> None:
+def test_the_boot_loader_is_silent() -> None:
     rig = TwinRig()
     rig.run(10)
     rig.send(EnterDfuMode())
@@ -559,7 +560,7 @@ def test_truth_that_is_not_finite_or_not_of_its_shaft_is_not_believed() -> None:
     assert rig.twin.servo.position == 0.0
 
 
-def test_due_is_when_it_next_speaks() -> None:
+def test_due_is_when_it_next_sends() -> None:
     rig = TwinRig()
     rig.run(1)
     for _ in range(20):

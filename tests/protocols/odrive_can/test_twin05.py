@@ -1,4 +1,5 @@
-"""The twin of firmware 0.5.x alone: its habits, one by one (the table in the plugin's README names these)."""
+"""The twin of 0.5.x alone: the firmware's behaviour, point by point, as in the table of the plugin's
+README."""
 
 from __future__ import annotations
 
@@ -46,7 +47,7 @@ def rig05(settings: Settings | None = None) -> TwinRig:
 # -- states and errors --------------------------------------------------------------------------------
 
 
-def test_closed_loop_and_idle_are_told_without_a_result() -> None:
+def test_closed_loop_and_idle_are_reported_without_a_result() -> None:
     rig = rig05().armed()
     assert rig.heartbeat() == Heartbeat05(0, AxisState.CLOSED_LOOP_CONTROL, 0, 0, 0, 1)
     rig.send(IDLE)
@@ -54,7 +55,7 @@ def test_closed_loop_and_idle_are_told_without_a_result() -> None:
 
 
 @pytest.mark.parametrize("state", [5, 42, 0xFFFFFFFF, AxisState.MOTOR_CALIBRATION])
-def test_an_illegal_state_is_invalid_state_and_idle_and_the_next_request_takes_it_back(state: int) -> None:
+def test_an_illegal_state_is_invalid_state_and_idle_and_the_next_request_clears_it(state: int) -> None:
     rig = rig05().armed()
     rig.send(SetAxisState(state))
     beat = rig.heartbeat()
@@ -74,7 +75,7 @@ def test_an_illegal_state_adds_to_other_errors() -> None:
     assert rig.heartbeat().error == 0
 
 
-def test_an_uncalibrated_axis_says_invalid_state() -> None:
+def test_an_uncalibrated_axis_reports_invalid_state() -> None:
     rig = rig05(Settings(calibrated=False))
     rig.run(5)
     rig.send(CLOSED)
@@ -122,7 +123,7 @@ def test_an_axis_with_errors_does_not_stay_armed_until_cleared() -> None:
     ],
     ids=lambda value: value.name if isinstance(value, Error) else "",
 )
-def test_errors_stand_in_the_part_that_they_are_of(
+def test_errors_are_in_the_word_of_their_component(
     trip: Error, axis: int, motor: int, controller: int
 ) -> None:
     rig = rig05().armed()
@@ -134,7 +135,7 @@ def test_errors_stand_in_the_part_that_they_are_of(
     assert rig.heartbeat() == Heartbeat05(0, AxisState.IDLE, 0, 0, 0, 1)
 
 
-def test_what_its_servo_finds_trips_it_too() -> None:
+def test_errors_of_the_servo_trip_it_too() -> None:
     rig = rig05(Settings(vel_limit=5.0)).armed()
     rig.shaft.load = 1.5
     rig.run(500)
@@ -145,7 +146,7 @@ def test_what_its_servo_finds_trips_it_too() -> None:
     assert rig.twin.motor_errors == MotorError.SYSTEM_LEVEL
 
 
-def test_asking_for_closed_loop_again_starts_position_control_afresh() -> None:
+def test_requesting_closed_loop_again_restarts_position_control() -> None:
     rig = rig05().armed(ControlMode.POSITION)
     rig.send(SetInputPos(3.0, 0.0, 0.0), CLOSED)
     rig.run(300)
@@ -190,7 +191,7 @@ def test_the_cyclic_messages_of_the_line_keep_their_rates() -> None:
 
 @pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
 @pytest.mark.parametrize("cmd", sorted(TABLES["0.5"].requestable))
-def test_every_message_but_the_heartbeat_is_told_when_asked(cmd: int, remote: bool) -> None:
+def test_every_message_but_the_heartbeat_is_sent_on_request(cmd: int, remote: bool) -> None:
     rig = rig05(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
     rig.run(5)
     reported = rig.reply(cmd, CanFrame(0x20 | cmd, remote=remote))
@@ -200,14 +201,14 @@ def test_every_message_but_the_heartbeat_is_told_when_asked(cmd: int, remote: bo
 
 
 @pytest.mark.parametrize("cmd", [0x00, 0x01])
-def test_get_version_and_the_heartbeat_are_not_told_when_asked(cmd: int) -> None:
+def test_get_version_and_the_heartbeat_are_not_sent_on_request(cmd: int) -> None:
     rig = rig05(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
     rig.run(5)
     assert rig.reply(cmd) is None
     assert rig.frames == []
 
 
-def test_the_roll_call_of_0_6_is_not_answered() -> None:
+def test_the_discovery_of_0_6_is_not_answered() -> None:
     rig = rig05()
     rig.run(1)
     rig.frames.clear()
@@ -216,12 +217,12 @@ def test_the_roll_call_of_0_6_is_not_answered() -> None:
     assert {frame.id & 0x1F for _, frame in rig.frames} <= {0x01, 0x09}
 
 
-def test_the_controller_s_error_is_told_for_any_frame_of_its_number() -> None:
+def test_the_controller_s_error_is_sent_for_any_frame_of_its_number() -> None:
     rig = rig05()
     assert rig.reply(0x1D, CanFrame(0x3D, bytes(8))) == GetControllerError(0)
 
 
-def test_an_adc_s_voltage_is_told_for_a_gpio_that_there_is() -> None:
+def test_an_adc_s_voltage_is_sent_for_a_gpio_that_exists() -> None:
     rig = rig05()
     assert rig.reply(0x1C, encode(1, RequestAdcVoltage(3))) == GetAdcVoltage(0.0)
     assert rig.reply(0x1C) == GetAdcVoltage(0.0)
@@ -270,7 +271,7 @@ def test_a_node_id_is_taken_at_once_and_lost_at_the_next_restart() -> None:
 
 
 @pytest.mark.parametrize("address", [1, 0xFEDCBA])
-def test_an_extended_axis_hears_and_speaks_extended_identifiers_only(address: int) -> None:
+def test_an_extended_axis_uses_extended_identifiers_only(address: int) -> None:
     options = Options(firmware="0.5", is_extended=True)
     twin = make_twin(device(address=address, options=options), 0)
     twin.step(0, [])
@@ -285,7 +286,7 @@ def test_an_extended_axis_hears_and_speaks_extended_identifiers_only(address: in
     assert {(raw.id >> 5, raw.extended) for raw in frames if isinstance(raw, CanFrame)} == {(address, True)}
 
 
-def test_a_standard_axis_does_not_hear_extended_identifiers() -> None:
+def test_a_standard_axis_ignores_extended_identifiers() -> None:
     rig = rig05()
     rig.run(5)
     rig.receive(encode(1 | EXTENDED, Estop()))
@@ -313,7 +314,7 @@ def test_what_clears_or_restarts_a_board_reaches_both_axes_and_nothing_else_does
     assert rig.now < rig.twin.silent_until
 
 
-def test_the_ear_knows_the_board() -> None:
+def test_the_decoder_knows_the_board() -> None:
     pair = [
         device("left", 1, Settings(other_axis=2), V05),
         device("right", 2, Settings(other_axis=1), V05),
@@ -375,7 +376,7 @@ def test_the_watchdog_runs_while_idle_too() -> None:
     assert rig.twin.errors == AxisError.WATCHDOG_TIMER_EXPIRED
 
 
-def test_the_watchdog_is_off_by_default_and_due_tells_when_it_expires() -> None:
+def test_the_watchdog_is_off_by_default_and_due_is_when_it_expires() -> None:
     rig = rig05().armed()
     rig.run(3000)
     assert rig.twin.axis.armed
@@ -387,7 +388,7 @@ def test_the_watchdog_is_off_by_default_and_due_tells_when_it_expires() -> None:
     assert rig.twin.due() == 250 * MILLISECOND + 1
 
 
-def test_a_restart_is_silent_and_comes_back_idle_without_saying_that_it_starts() -> None:
+def test_a_restart_is_silent_and_ends_idle_without_a_starting_state() -> None:
     rig = rig05(Settings(reboot_ms=400)).armed()
     rig.send(SetPosGain(5.0), SetInputVel(10.0, 0.0))
     rig.run(300)

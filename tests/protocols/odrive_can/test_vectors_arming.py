@@ -2,7 +2,7 @@
 
 What vouches: the devices' bytes and the names of results are cantools' with the DBCs 0.6.10 and 0.5.6;
 what else is expected is derived by hand from the README ("What it does": arming, verdicts) and the
-docstrings of `options` and `node`. See `talk`.
+docstrings of `options` and `host_axis`. See `talk`.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def test_vectors_of_clearing_and_zeroing_an_axis_of_0_5() -> None:
     """)
 
 
-def test_vectors_of_a_restart_beside_an_axis_that_somebody_drives() -> None:
+def test_vectors_of_a_restart_beside_an_axis_that_another_host_drives() -> None:
     talk = standing05(4)
     talk.beat(8, node=4)
     talk.run(50)
@@ -92,7 +92,7 @@ def test_vectors_of_a_restart_beside_an_axis_that_we_drive() -> None:
     """)
 
 
-def test_vectors_of_an_estop_and_a_question_of_0_5() -> None:
+def test_vectors_of_an_estop_and_a_parameter_of_0_5() -> None:
     talk = standing05()
     talk.ask(msg.Estop("axis3"), msg.ReadParameter("axis3", "Axis_State"))
     talk.beat(1, 0x1000)
@@ -109,4 +109,4 @@ def test_vectors_of_an_estop_and_a_question_of_0_5() -> None:
         100 < Fault axis3 0x5000000004000 ESTOP_REQUESTED: *
         100 < Done Estop axis3: it stays in fault until cleared
     """)
-    assert "3?Heartbeat" not in talk.questions
+    assert "3?Heartbeat" not in talk.requests

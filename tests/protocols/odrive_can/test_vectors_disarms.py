@@ -1,7 +1,7 @@
 """Conversations of vectors: devices that fall, restart or are silent while they run, and a bus that fails.
 
 What vouches: the devices' bytes are cantools' with the DBC 0.6.10; what is expected is derived by hand
-from the README ("What it does": errors, restarts) and the docstrings of `node` and `driver` (what a bus
+from the README ("What it does": errors, restarts) and the docstrings of `host_axis` and `driver` (what a bus
 loses). See `talk`.
 """
 

@@ -1,8 +1,8 @@
 """Conversations of vectors: two devices hold one node id.
 
-What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6, answers to the roll call
+What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6, replies to discovery
 are as vector address_reply06 has them; what is expected is derived by hand from the README ("What it
-does": a node id that is held twice) and the docstrings of `places` and `driver`. See `talk`.
+does": a duplicate node id) and the docstrings of `duplicate_address` and `driver`. See `talk`.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def test_vectors_of_heartbeats_that_contradict_each_other(
         ]
         * twice
     )
-    assert talk.questions["63?Address"] == [0, *[150] * twice]
+    assert talk.requests["63?Address"] == [0, *[150] * twice]
 
 
 def test_vectors_of_heartbeats_with_extended_identifiers_that_contradict_each_other() -> None:
@@ -112,7 +112,7 @@ def test_vectors_of_heartbeats_with_extended_identifiers_that_contradict_each_ot
     """)
 
 
-def test_vectors_of_heartbeats_that_we_asked_for() -> None:
+def test_vectors_of_heartbeats_after_requested_states() -> None:
     """What we had it do in between is no contradiction."""
     talk = standing(arm_retry_ms=50)
     for state in (8, 1, 8, 1):
@@ -141,7 +141,7 @@ def test_vectors_of_heartbeats_that_we_asked_for() -> None:
         ((0.0, 1.0, 0.5), 10, 0),
     ],
 )
-def test_vectors_of_places_that_contradict_each_other(
+def test_vectors_of_positions_that_contradict_each_other(
     places: tuple[float, ...], every: int, twice: int
 ) -> None:
     """`twice`: the estimate from which on it is known, counted from 0: the eighth leap back in two seconds.
@@ -172,7 +172,7 @@ def test_vectors_of_a_shaft_that_turns_so_fast_that_it_may_be_anywhere(velocity:
     assert any("contradict" in line.text for line in talk.lines) == twice
 
 
-def test_vectors_of_places_that_are_told_again_after_a_clearing() -> None:
+def test_vectors_of_positions_that_are_reported_again_after_a_clearing() -> None:
     talk = standing()
     talk.cycle(0, "Get_Encoder_Estimates")
     reported = []

@@ -2,7 +2,7 @@
 
 What vouches: the devices' bytes and the names of error bits are cantools' with the DBCs 0.6.10 and 0.5.6;
 what else is expected is derived by hand from the README ("Two firmware lines", "What it does": codes,
-verdicts, restarts) and the docstrings of `node`. See `talk`.
+verdicts, restarts) and the docstrings of `host_axis`. See `talk`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def faults(talk: Talk) -> list[str]:
     return [line.text.split(":")[0] for line in talk.lines if line.text.startswith("Fault ")]
 
 
-def test_vectors_of_an_axis_of_0_5_whose_parts_complain() -> None:
+def test_vectors_of_an_axis_of_0_5_whose_components_fail() -> None:
     talk = standing05()
     talk.beat(8)
     talk.run(100, Velocity("axis3", 0.0))
@@ -84,7 +84,7 @@ def test_vectors_of_an_axis_of_0_5_whose_parts_complain() -> None:
     talk.reports(again)  # what stays is told again, with all its words
 
 
-def test_vectors_of_an_axis_of_0_5_whose_invalid_state_is_taken_back() -> None:
+def test_vectors_of_an_axis_of_0_5_whose_invalid_state_is_cleared() -> None:
     """The device takes it back at the next state request, such as that of Idle."""
     talk = standing05()
     talk.run(50, Velocity("axis3", 0.0))
@@ -130,7 +130,7 @@ def test_vectors_of_every_bit_of_a_heartbeat(line: str, base: int) -> None:
         ("Sensorless_Error", 4, 0x80),
     ],
 )
-def test_vectors_of_every_bit_of_a_part_of_0_5(message: str, number: int, bit: int) -> None:
+def test_vectors_of_every_bit_of_a_component_of_0_5(message: str, number: int, bit: int) -> None:
     part = message.split("_")[0]
     words = names_of("0.5", f"Get_{message}", message)
     known = {value: word for value, word in words.items() if 0 < value < 1 << 32}  # the DBC has 32 bits

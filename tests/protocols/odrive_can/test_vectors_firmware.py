@@ -1,6 +1,6 @@
 """Conversations of vectors: which firmware a device has, and how it is told.
 
-What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6, answers to the roll call
+What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6, replies to discovery
 are as vector address_reply06 has them; what is expected is derived by hand from the README ("Two firmware
 lines") and the docstrings of `identify`. See `talk`.
 """
@@ -65,7 +65,7 @@ def test_vectors_of_firmware_0_5(expected: str, answers: int) -> None:
     assert bool(talk.lines) == (expected != "0.6")
 
 
-def test_vectors_of_a_question_that_is_answered_twice() -> None:
+def test_vectors_of_a_request_with_more_than_one_reply() -> None:
     """An answer counts once for each asking: what comes unasked, or again, tells nothing of our frames."""
     talk = Talk([device(poll_ms=0)], "0.5")
     talk.up05()
@@ -105,7 +105,7 @@ def test_vectors_of_a_device_that_answers_nothing() -> None:
     """)
 
 
-def test_vectors_of_a_device_that_answers_the_roll_call_but_not_get_version() -> None:
+def test_vectors_of_a_device_that_answers_discovery_but_not_get_version() -> None:
     talk = Talk([device(poll_ms=0)])
     talk.beat()
     talk.place()
@@ -122,7 +122,7 @@ def test_vectors_of_a_device_that_answers_the_roll_call_but_not_get_version() ->
     """)
 
 
-def test_vectors_of_a_device_that_is_not_what_the_robot_file_says() -> None:
+def test_vectors_of_a_device_of_another_line_than_stated() -> None:
     talk = Talk([device(poll_ms=0, firmware="0.6")], "0.5")
     talk.up05()
     talk.beat(1, 0x40, Motor_Error_Flag=1)
@@ -139,7 +139,7 @@ def test_vectors_of_a_device_that_is_not_what_the_robot_file_says() -> None:
     """)
 
 
-def test_vectors_of_a_line_that_this_driver_does_not_speak() -> None:
+def test_vectors_of_a_line_that_is_not_supported() -> None:
     talk = Talk([device(poll_ms=0)])
     talk.up()
     talk.version(minor=7)
@@ -275,7 +275,7 @@ UNREAD = "State left initialising: IDLE"
         ("0.6", {"Axis_Error": 0x2000000}, ["Fault left 0x2000000 ESTOP_REQUESTED", FAULT]),
     ],
 )
-def test_vectors_of_heartbeats_that_tell_the_line_by_their_shape(
+def test_vectors_of_heartbeats_whose_form_shows_the_line(
     line: str, signals: dict[str, Any], reported: list[str]
 ) -> None:
     """Read where only one line can have sent them; that is never enough to command."""
@@ -285,7 +285,7 @@ def test_vectors_of_heartbeats_that_tell_the_line_by_their_shape(
     talk.reports("\n".join(f"0 < {text}{suffix if text.startswith('State') else ': *'}" for text in reported))
     talk.report("Get_Encoder_Estimates")
     talk.run(1, Velocity("left", 1.0))
-    assert all(":" not in said.text for said in talk.lines if said.way == ">")
+    assert all(":" not in line.text for line in talk.lines if line.way == ">")
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def test_vectors_of_node_ids_that_cannot_be(serial: int, address: int) -> None:
         (SERIAL, 5, "05303373345f38"),
     ],
 )
-def test_vectors_of_a_node_id_that_nobody_takes(serial: int, address: int, data: str) -> None:
+def test_vectors_of_a_node_id_that_no_device_takes(serial: int, address: int, data: str) -> None:
     """Given out on the broadcast node, and asked who is who; given up after 1.5 s."""
     talk = standing()
     talk.shown = frozenset({"Address"})
@@ -71,7 +71,7 @@ def test_vectors_of_a_node_id_that_another_holds() -> None:
     """)
 
 
-def test_vectors_of_what_looks_like_an_answer() -> None:
+def test_vectors_of_what_looks_like_a_reply() -> None:
     talk = standing()
     talk.handle(CanFrame(0x66, bytes.fromhex("05303373345f3800")))  # a host's, to node 3
     talk.handle(CanFrame(0x66, bytes.fromhex("0330337334")))  # cut off
@@ -162,4 +162,4 @@ def test_vectors_of_a_scan_of_0_5() -> None:
         """,
         foreign=1,
     )
-    assert "63?Address" not in talk.questions
+    assert "63?Address" not in talk.requests

@@ -88,7 +88,7 @@ def test_vectors_of_a_heartbeat_s_parameters_of_0_5() -> None:
     ]
     wanted = [text for pair in reported for text in pair]
     assert [text for text in answered(talk) if "?" not in text] == wanted
-    assert "3?Heartbeat" not in talk.questions
+    assert "3?Heartbeat" not in talk.requests
 
 
 def test_vectors_of_counts_below_zero() -> None:
@@ -117,7 +117,7 @@ def test_vectors_of_a_sensor_that_is_not_there() -> None:
     ]
 
 
-def test_vectors_of_parameters_that_are_not_told() -> None:
+def test_vectors_of_parameters_that_cannot_be_read() -> None:
     talk = standing()
     talk.ask(ReadParameter("left", "nothing"), ReadParameter("nobody", "Iq_Measured"))
     talk.ask(ReadParameter("left", "Motor_Error"))  # of 0.5.x

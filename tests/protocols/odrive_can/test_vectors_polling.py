@@ -1,8 +1,8 @@
 """Conversations of vectors: what devices are asked for by the clock, and how often.
 
 What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6; how often is derived by
-hand from the README ("Settings on the device", "What it does": the roll call) and the docstrings of
-`options` and `asking`. Spans in ms. See `talk`.
+hand from the README ("Settings on the device", "What it does": discovery) and the docstrings of
+`options` and `polling`. Spans in ms. See `talk`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tests.protocols.odrive_can.talk import Talk, standing, standing05
 
 def since(talk: Talk, question: str) -> list[int]:
     """When this was asked in the present stage."""
-    return [at - talk.began for at in talk.questions.get(question, []) if at >= talk.began]
+    return [at - talk.began for at in talk.requests.get(question, []) if at >= talk.began]
 
 
 def spans(talk: Talk, question: str) -> set[int]:
@@ -27,7 +27,7 @@ def spans(talk: Talk, question: str) -> set[int]:
     return {later - earlier for earlier, later in pairwise(asked)}
 
 
-def test_vectors_of_questions_to_nobody() -> None:
+def test_vectors_of_requests_to_an_absent_device() -> None:
     talk = Talk([device()])
     talk.run(10_010)
     for question, first, span in (
@@ -39,10 +39,10 @@ def test_vectors_of_questions_to_nobody() -> None:
         assert spans(talk, question) == {span}
     assert max(spans(talk, "3?Get_Encoder_Estimates")) <= 100
     # Nothing is polled of who says nothing.
-    assert set(talk.questions) == {"3?Get_Version", "3?Heartbeat", "63?Address", "3?Get_Encoder_Estimates"}
+    assert set(talk.requests) == {"3?Get_Version", "3?Heartbeat", "63?Address", "3?Get_Encoder_Estimates"}
 
 
-def test_vectors_of_questions_at_their_moment_and_not_at_the_next_step() -> None:
+def test_vectors_of_polls_when_due_and_not_at_the_next_step() -> None:
     talk = Talk([device()], every=0)
     talk.run(600)
     assert since(talk, "3?Get_Version") == [0, 100, 200, 300, 400, 500]
@@ -63,7 +63,7 @@ def test_vectors_of_what_is_polled(line: str, polled: set[str], poll_ms: int) ->
     talk.run(300)
     talk.stage()
     talk.run(1000)
-    asked = {question for question in talk.questions if since(talk, question)}
+    asked = {question for question in talk.requests if since(talk, question)}
     assert asked == ({f"3?{name}" for name in polled} if poll_ms else set())
     for question in asked:
         assert since(talk, question)[0] <= poll_ms
@@ -72,7 +72,7 @@ def test_vectors_of_what_is_polled(line: str, polled: set[str], poll_ms: int) ->
     assert len({since(talk, question)[0] for question in asked}) == len(asked)
 
 
-def test_vectors_of_what_comes_by_the_device_s_clock_and_is_not_polled() -> None:
+def test_vectors_of_cyclic_messages_that_are_not_polled() -> None:
     talk = Talk([device(poll_ms=50)])
     talk.up()
     talk.cycle(40, "Get_Bus_Voltage_Current", Bus_Voltage=20.0)
@@ -87,7 +87,7 @@ def test_vectors_of_what_comes_by_the_device_s_clock_and_is_not_polled() -> None
     assert spans(talk, "3?Get_Bus_Voltage_Current") == {50}  # unanswered
 
 
-def test_vectors_of_who_falls_silent_and_is_not_polled() -> None:
+def test_vectors_of_a_silent_device_that_is_not_polled() -> None:
     talk = Talk([device(poll_ms=50)])
     talk.up()
     talk.run(300)
@@ -99,10 +99,10 @@ def test_vectors_of_who_falls_silent_and_is_not_polled() -> None:
     assert spans(talk, "3?Get_Version") == spans(talk, "3?Heartbeat") == {100}
 
 
-def test_vectors_of_heartbeats_that_do_not_come_by_themselves() -> None:
+def test_vectors_of_heartbeats_that_are_not_cyclic() -> None:
     talk = standing()
     talk.run(1000)
-    assert not talk.questions.get("3?Heartbeat")
+    assert not talk.requests.get("3?Heartbeat")
     talk.cycle(0, "Heartbeat")
     talk.answer("Heartbeat", Axis_State=1)
     talk.stage()
@@ -117,7 +117,7 @@ def test_vectors_of_heartbeats_that_do_not_come_by_themselves() -> None:
     assert spans(talk, "3?Heartbeat") == {100}
 
 
-def test_vectors_of_heartbeats_of_0_5_that_cannot_be_asked_for() -> None:
+def test_vectors_of_heartbeats_of_0_5_that_cannot_be_requested() -> None:
     talk = Talk([device(poll_ms=50, firmware="0.5")], "0.5")
     talk.up05()
     talk.run(300)
@@ -128,7 +128,7 @@ def test_vectors_of_heartbeats_of_0_5_that_cannot_be_asked_for() -> None:
 
 
 @pytest.mark.parametrize("feedback_ms", [10, 50])
-def test_vectors_of_estimates_that_do_not_come_by_themselves(feedback_ms: int) -> None:
+def test_vectors_of_estimates_that_are_not_cyclic(feedback_ms: int) -> None:
     talk = standing(feedback_ms=feedback_ms)
     talk.stage()
     talk.run(200)
@@ -155,7 +155,7 @@ def test_vectors_of_a_version_that_is_known() -> None:
     talk.run(10_000)
     assert not since(talk, "3?Get_Version")
     talk = standing05()
-    asked = talk.questions["3?Get_Version"][-1] - talk.began
+    asked = talk.requests["3?Get_Version"][-1] - talk.began
     talk.run(10_000)
     assert since(talk, "3?Get_Version") == [asked + 5000, asked + 10_000]
 
@@ -169,14 +169,14 @@ def test_vectors_of_what_both_lines_answer_alike() -> None:
     assert since(talk, "3?Get_Bus_Voltage_Current") == since(talk, "3?Get_Version") == asked
 
 
-def test_vectors_of_a_bus_with_0_5_only_that_is_not_asked_who_is_who() -> None:
+def test_vectors_of_a_bus_with_0_5_only_without_discovery() -> None:
     """An axis with node id 63 would take it for Set_Axis_Node_ID."""
     talk = standing05(4)
     talk.run(5100)
-    assert "63?Address" not in talk.questions
+    assert "63?Address" not in talk.requests
 
 
-def test_vectors_of_questions_while_it_is_driven() -> None:
+def test_vectors_of_polls_while_it_is_driven() -> None:
     """The set-points of a step are not said once more because a poll is due; a version is worth it."""
     talk = Talk([device(poll_ms=35)], every=20)
     talk.up(state=8)
@@ -197,8 +197,8 @@ def test_vectors_of_what_one_motor_costs() -> None:
     talk.run(300, Velocity("left", 0.0))
     talk.stage()
     talk.run(1000, Velocity("left", 0.0))
-    assert [(line.text, line.said) for line in talk.lines] == [("3:Set_Input_Vel 0 0", 200)]
-    assert sum(len(since(talk, question)) for question in talk.questions) == 20
+    assert [(line.text, line.count) for line in talk.lines] == [("3:Set_Input_Vel 0 0", 200)]
+    assert sum(len(since(talk, question)) for question in talk.requests) == 20
 
 
 def test_vectors_of_a_watchdog_of_0_5_that_is_fed_while_idle() -> None:
@@ -207,5 +207,5 @@ def test_vectors_of_a_watchdog_of_0_5_that_is_fed_while_idle() -> None:
     talk.up05()
     talk.answer("Get_Iq", Iq_Measured=0.0)
     talk.run(5300)
-    asked = sorted(at for question in talk.questions for at in talk.questions[question] if at >= 300)
+    asked = sorted(at for question in talk.requests for at in talk.requests[question] if at >= 300)
     assert max(later - earlier for earlier, later in pairwise(asked)) <= 110

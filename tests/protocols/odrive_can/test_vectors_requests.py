@@ -2,7 +2,7 @@
 
 What vouches: the devices' bytes are cantools' with the DBCs 0.6.10 and 0.5.6; what is expected is derived
 by hand from the README ("Two firmware lines", "What it does": who is refused what, and after which
-silence) and the docstrings of `requests`. How often an unanswered frame is said again is our own choice.
+silence) and the docstrings of `requests`. how often an unanswered frame is sent again is our own choice.
 See `talk`.
 """
 
@@ -84,7 +84,7 @@ def test_vectors_of_an_estop_and_a_clearing() -> None:
     """)
 
 
-def test_vectors_of_requests_that_no_device_of_this_language_knows() -> None:
+def test_vectors_of_requests_that_are_not_supported() -> None:
     talk = standing()
     talk.ask(msg.Home("left"), msg.Release(), msg.Set("gains.left", 1.0), msg.Zero("nobody"))
     talk.reports("""
@@ -182,7 +182,7 @@ def test_vectors_of_requests_to_a_device_that_arms() -> None:
     """)
 
 
-def test_vectors_of_requests_that_nobody_answers() -> None:
+def test_vectors_of_requests_without_a_reply() -> None:
     talk = Talk([device(poll_ms=0)])
     talk.run(10)
     talk.stage()

@@ -1,7 +1,7 @@
 """Conversations of vectors: a device of 0.6.x comes up, is read, armed, steered, stopped and let go.
 
 What vouches: the devices' bytes are cantools' with the DBC 0.6.10; what is expected is derived by hand
-from the README ("What it does", "Units") and the docstrings of `options` and `node`. See `talk`.
+from the README ("What it does", "Units") and the docstrings of `options` and `host_axis`. See `talk`.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def test_vectors_of_arming_steering_and_letting_go() -> None:
     """)
 
 
-def test_vectors_of_commands_that_must_not_reach_the_wire() -> None:
+def test_vectors_of_commands_that_must_not_be_sent() -> None:
     talk = standing()
     talk.beat(8)
     talk.run(20, Velocity("left", ROUND))
@@ -153,7 +153,7 @@ def test_vectors_of_commands_that_must_not_reach_the_wire() -> None:
         (Position("left", 0.0, 0.0006 * ROUND, -0.0006), "Set_Input_Pos 0 0.001 -0.001"),  # thousandths
     ],
 )
-def test_vectors_of_commands_at_the_edges_of_what_the_wire_carries(
+def test_vectors_of_commands_at_the_limits_of_their_fields(
     command: Velocity | Torque | Position, said: str
 ) -> None:
     talk = standing()
@@ -209,7 +209,7 @@ def test_vectors_of_one_whose_version_comes_before_its_first_heartbeat() -> None
     """)
 
 
-def test_vectors_of_a_stop_that_reaches_what_somebody_else_has_armed() -> None:
+def test_vectors_of_a_stop_of_a_device_that_another_host_has_armed() -> None:
     talk = Talk([device(poll_ms=0), device("right", 4, poll_ms=0)])
     talk.up(state=8)
     talk.up(4)

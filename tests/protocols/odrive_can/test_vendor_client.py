@@ -1,7 +1,7 @@
 """The client of package odrive-can 2.1.0 drives our twin over a python-can bus.
 
-One of the few tests on the wall clock (`vendor` says why). Every public call of the client is listed; a new
-one fails the test.
+One of the few tests on the wall clock (`vendor` has the reason). Every public call of the client is listed; a
+new one fails the test.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from protocols.odrive_can.twin06 import Twin06
 from tests.protocols.odrive_can.helpers import device
 from tests.protocols.odrive_can.vendor import NODE, SETTINGS, Session, hold, until
 
-# What asks or moves a motor on firmware 0.6, in the order in which it runs; see `drive`.
+# The calls that request something or move a motor on firmware 0.6, in the order of `drive`.
 RUN = {
     "start",
     "wait_for_heartbeat",
@@ -54,12 +54,12 @@ OTHER_LINE: dict[str, tuple[Any, ...]] = {
     "get_controller_error": (),
     "set_axis_node_id": (5,),
 }
-# Neither asks nor moves a motor.
+# Neither requests anything nor moves a motor.
 LOCAL = {"check_alive", "check_errors", "ignore_message", "allow_message", "axis_id", "axis_state"}
 
 
 async def drive(session: Session[Twin06]) -> None:
-    """A session with every call of the client that asks or moves a motor."""
+    """A session with every call of the client that requests something or moves a motor."""
     bench, client, twin, call = session.bench, session.client, session.bench.twin, session.call
     await session.begin()
     assert (await call("get_iq"))["Iq_Measured"] == 0.0

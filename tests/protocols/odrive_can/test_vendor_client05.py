@@ -20,13 +20,13 @@ from tests.protocols.odrive_can.helpers import device
 from tests.protocols.odrive_can.test_vendor_client import OTHER_LINE, RUN
 from tests.protocols.odrive_can.vendor import NODE, SETTINGS, Session, hold, until
 
-# Its DBC for 0.5.6 has the message Set_Linear_Count; the client asks it for Set_Absolute_Position.
+# Its DBC for 0.5.6 has the message Set_Linear_Count; the client looks up Set_Absolute_Position in it.
 BROKEN = {"set_linear_count": KeyError}
 RUN05 = (RUN | set(OTHER_LINE)) - set(BROKEN)
 
 
 async def drive(session: Session[Twin05]) -> None:
-    """A session with every call of the client that asks or moves a motor of 0.5.6."""
+    """A session with every call of the client that requests something or moves a motor of 0.5.6."""
     bench, client, twin, call = session.bench, session.client, session.bench.twin, session.call
     await session.begin()
     assert (await call("get_adc_voltage"))["ADC_Voltage"] == 0.0

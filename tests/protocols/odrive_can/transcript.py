@@ -1,13 +1,13 @@
-"""Transcripts: what a driver says and tells, line by line, and whether that is what was expected.
+"""Transcripts: the frames and events of a driver, line by line, compared with an expectation.
 
 Rules. An expectation is written by hand, from what is promised, and never taken from the driver. Times are ms
 since the stage of the conversation began. A line is one of
 
-    20 > 3:Set_Axis_State 1                 said in one call of `send`, in this order
-    20…100 > 3:Set_Input_Vel 1 0            said in each call of `send` from here to there
-    20…120/50 > 3:Set_Axis_State 1          said again every so many ms, and not in between
+    20 > 3:Set_Axis_State 1                 sent in one call of `send`, in this order
+    20…100 > 3:Set_Input_Vel 1 0            sent in each call of `send` from here to there
+    20…120/50 > 3:Set_Axis_State 1          sent again with this period [ms], and not in between
     20 < State left ready: IDLE             an event
-    20 < Refused … (× 31)                   so many of one text
+    20 < Refused … (× 31)                   this number of equal lines
 
 Where a time or a text is our own choice and no promise, the expectation has room: `100-200` for a time means
 "from … to …", `*` in an event any text.
@@ -25,13 +25,13 @@ from protocols.messages import Done, Event, Fault, Feedback, Found, Parameter, R
 TIME = r"\d+(?:-\d+)?"
 LINE = re.compile(
     rf"(?P<first>{TIME})(?:…(?P<last>{TIME}))?(?:/(?P<step>{TIME}))? (?P<way>[<>]) (?P<text>.*?)"
-    r"(?: \(× (?P<said>\d+)\))?"
+    r"(?: \(× (?P<count>\d+)\))?"
 )
 
 
 @dataclass
 class Line:
-    """What was said or told, once or again and again."""
+    """Frames or an event, once or repeatedly."""
 
     way: str
     text: str
@@ -39,20 +39,20 @@ class Line:
     last: int
     step: int = 0
     """ms from one to the next; 0: in each call of `send`."""
-    said: int = 1
+    count: int = 1
 
     def __str__(self) -> str:
         if self.way == "<":
-            return f"{self.first} < {self.text}{f' (× {self.said})' if self.said > 1 else ''}"
-        last = f"…{self.last}" if self.said > 1 else ""
+            return f"{self.first} < {self.text}{f' (× {self.count})' if self.count > 1 else ''}"
+        last = f"…{self.last}" if self.count > 1 else ""
         return f"{self.first}{last}{f'/{self.step}' if self.step else ''} > {self.text}"
 
     def again(self, text: str, now: int, without_pause: bool) -> bool:
         """Whether this goes on: the same text once more, after the same pause."""
         step = 0 if without_pause else now - self.last
-        if self.way != ">" or text != self.text or (self.said > 1 and step != self.step):
+        if self.way != ">" or text != self.text or (self.count > 1 and step != self.step):
             return False
-        self.last, self.step, self.said = now, step, self.said + 1
+        self.last, self.step, self.count = now, step, self.count + 1
         return True
 
     def is_as(self, wanted: str) -> bool:
@@ -66,7 +66,7 @@ class Line:
             bool(re.fullmatch(text, self.text))
             and all(_within(room, time) for room, time in times)
             and _within(found["step"] or "0", self.step)
-            and (self.way == ">" or self.said == int(found["said"] or 1))
+            and (self.way == ">" or self.count == int(found["count"] or 1))
         )
 
 
@@ -89,11 +89,11 @@ def expectation(text: str) -> list[str]:
 def difference(lines: Sequence[Line], wanted: Sequence[str]) -> str:
     """The first line that is not as expected, with the whole transcript; "" if none."""
     for at in range(max(len(lines), len(wanted))):
-        said = lines[at] if at < len(lines) else None
-        if said is None or at >= len(wanted) or not said.is_as(wanted[at]):
+        line = lines[at] if at < len(lines) else None
+        if line is None or at >= len(wanted) or not line.is_as(wanted[at]):
             meant = wanted[at] if at < len(wanted) else "nothing more"
             whole = "\n".join(map(str, lines))
-            return f"line {at + 1} is\n{said or 'nothing'}\nand should be\n{meant}\nin\n{whole}"
+            return f"line {at + 1} is\n{line or 'nothing'}\nand should be\n{meant}\nin\n{whole}"
     return ""
 
 

@@ -26,7 +26,7 @@ from tests.protocols.odrive_can.helpers import free_shaft
 NODE = 3
 TwinKind = TypeVar("TwinKind", bound=OdriveTwin)
 # Without cyclic estimates: the client takes the next frame of the same id for the answer, keeps a second one
-# for the next request, and would then read a message that it did not ask for.
+# for the next request, and would then read a message that it did not request.
 SETTINGS = Settings(encoder_msg_rate_ms=0)
 
 
@@ -86,7 +86,7 @@ class Session(Generic[TwinKind]):
         return await answer if isinstance(answer, Awaitable) else answer
 
     async def begin(self) -> None:
-        """It hears a device that is well, idle, and on 24 V."""
+        """Receive frames of a device without errors, idle, on 24 V."""
         await self.call("start")
         await self.call("wait_for_heartbeat")
         self.client.check_alive()
