@@ -1,19 +1,19 @@
-"""A conversation of vectors: drives of package canopen (`firmware`), our driver, and what a person expects.
+"""A conversation of vectors: drives of package canopen (`firmware`), the driver, and an expected transcript.
 
-Rules. What the driver says is read with canopen's dictionary, constants and PDO maps; our codec has no part
-in it. Virtual time in ms. A conversation has chapters; a chapter is so many ms with the same words, and what
-is to be said and told in it, in this order:
+Rules. The driver's frames are decoded with canopen's dictionary, constants and PDO maps; this project's codec
+has no part in it. Virtual time in ms. A conversation has chapters; a chapter is a number of ms with the same
+commands, and the frames and events expected in it, in this order:
 
     12..20 write 6060 = 9       SDO download; only between 12 and 20 ms after the chapter's beginning
-    rpdo1 6040=000F 607A=-5 …   said again, as often as may be; "×3": said so often; "/10": every 10 ms
+    rpdo1 6040=000F 607A=-5 …   repeated any number of times; "×3": three times; "/10": every 10 ms
     rpdo1 6040=0006 /50 until 400..460      the last time then; else it goes on to the chapter's end
     nmt OPERATIONAL 2           with the node's number
     < Fault 2310 *              an event; "*" stands for anything
 
-The same said again of the same object (or the same RPDO) is one line, where it was said first. These have no
-place in the order: SYNC and our heartbeat ("sync ?": whatever); and, compared only where they are given, what
-an RPDO goes on saying as before the chapter ("still rpdo1 …"), uploads ("reads"; "asks" for what is asked for
-as feedback), and what is measured last ("measures").
+The same value sent again to the same object (or by the same RPDO) is one line, at its first time. These have
+no place in the order: SYNC and the host's heartbeat ("sync ?": any); and, compared only where they are given,
+an RPDO that goes on as before the chapter ("still rpdo1 …"), uploads ("reads"; "asks" for polled feedback),
+and the last measurements ("measures").
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ DICTIONARY = dictionary(1)
 SUMMED = ("still", "reads", "asks", "sync", "beat", "measures")
 
 
-# -- what the driver says, read with canopen ----------------------------------------------------------------
+# -- the driver's frames, decoded with canopen ---------------------------------------------------------------
 
 
 def title(index: int, sub: int) -> str:
-    """An object's number: 6041, 608F:01."""
+    """Return an object's address: 6041, 608F:01."""
     return f"{index:04X}:{sub:02X}" if sub else f"{index:04X}"
 
 
 def number(index: int, sub: int, data: bytes) -> str:
-    """A value, as canopen's dictionary has it."""
+    """Return a value as canopen's dictionary decodes it."""
     found = DICTIONARY.indices.get(index)
     variable = found if found is None or isinstance(found, ODVariable) else found[sub]
     value = int.from_bytes(data, "little") if variable is None else int(variable.decode_raw(data))
@@ -79,7 +79,7 @@ def _sdo(data: bytes) -> str:
 
 
 def meaning(frame: CanFrame, drives: Sequence[Drive]) -> tuple[str, str]:
-    """(what it is about, what it says): what is about the same replaces what was said before."""
+    """Return (subject, text) of a frame: one text replaces another with the same subject."""
     function, node = frame.id & ~0x7F, frame.id & 0x7F
     own = "" if [node] == [drive.node for drive in drives] else f"{node}: "
     if frame.id == 0 and len(frame.data) == 2:
@@ -104,7 +104,7 @@ def meaning(frame: CanFrame, drives: Sequence[Drive]) -> tuple[str, str]:
 
 
 def configured(index: int, cob: int, kind: int, *entries: int, timer: int = 0) -> str:
-    """The lines of a PDO that is written: in the order of `PdoMap.save()` of the package.
+    """Return the lines of a PDO that is written, in the order of `PdoMap.save()` of the package.
 
     The event timer [ms] of a TPDO comes with an inhibit time as long, which counts 100 µs."""
     mapped = index + 0x200
@@ -121,13 +121,13 @@ def configured(index: int, cob: int, kind: int, *entries: int, timer: int = 0) -
 
 @dataclass
 class Run:
-    """The same, said at these times [ms of the chapter]."""
+    """The same text at these times [ms of the chapter]."""
 
     text: str
     times: list[int]
 
-    def said(self, end: int) -> str:
-        """As a person would write it down."""
+    def line(self, end: int) -> str:
+        """Return its line in a transcript."""
         gaps = sorted(self.gaps())
         if not gaps:
             return f"{self.times[0]} {self.text}"
@@ -136,11 +136,11 @@ class Run:
         return f"{self.times[0]} {self.text} {step} ×{len(self.times)}{until}"
 
     def gaps(self) -> list[int]:
-        """Between one time and the next."""
+        """Return the times between one and the next."""
         return [late - soon for soon, late in pairwise(self.times)]
 
     def ended(self, end: int) -> bool:
-        """Whether it was to be said once more before the chapter's end."""
+        """True if it was due once more before the chapter's end."""
         return bool(self.gaps()) and self.times[-1] + max(self.gaps()) < end
 
 
@@ -159,7 +159,7 @@ def _within(value: int, low: str | None, high: str | None) -> bool:
 
 
 def fits(line: str, run: Run, end: int) -> bool:
-    """Whether a line of the expectation is about this."""
+    """True if a line of the expectation matches."""
     found = _LINE.fullmatch(line)
     if found is None:
         return False
@@ -181,7 +181,7 @@ def fits(line: str, run: Run, end: int) -> bool:
 
 
 class Talk:
-    """Our driver on a bus with drives."""
+    """The driver on a bus with drives."""
 
     def __init__(self, *drives: Drive, names: Sequence[str] = ("m", "n", "p"), **options: Any) -> None:
         self.drives = drives or (Drive(),)
@@ -194,10 +194,10 @@ class Talk:
         """ms between calls of `send`, besides those that are due."""
         self.now = BEGIN
         self.frames: list[tuple[int, CanFrame]] = []
-        """Everything that the driver has said, with its time since the beginning."""
+        """All frames of the driver, with their time since the beginning."""
         self.events: list[Event] = []
         self.frame_count = 0
-        """How many frames the driver has heard."""
+        """Frames that the driver has received."""
         self._runs: list[Run] = []
         self._latest: dict[str, Run] = {}
         self._asked: set[str] = set()
@@ -205,15 +205,15 @@ class Talk:
         self._measured: dict[str, str] = {}
         self._began = self.now
         self._before: dict[str, str] = {}
-        """What each RPDO said last before this chapter."""
+        """The last text of each RPDO before this chapter."""
 
     @property
     def drive(self) -> Drive:
         """The first drive."""
         return self.drives[0]
 
-    def chapter(self, ms: int, *words: Command | Request, reported: str | None = None) -> None:
-        """So many ms. Commands are said in each step, requests in the first one."""
+    def chapter(self, ms: int, *words: Command | Request, expected: str | None = None) -> None:
+        """Run for this time. Commands are repeated in each step, requests are in the first one."""
         self._before |= {about: run.text for about, run in self._latest.items() if "rpdo" in about}
         self._runs, self._latest, self._began = [], {}, self.now
         self._asked, self._read, self._measured = set(), set(), {}
@@ -221,15 +221,15 @@ class Talk:
         commands = [word for word in words if isinstance(word, Command)]
         for at in range(ms):
             self._millisecond([*requests, *commands] if at == 0 else commands, at == 0)
-        if reported is not None:
-            self._compare(textwrap.dedent(reported).strip("\n").split("\n"), ms)
+        if expected is not None:
+            self._compare(textwrap.dedent(expected).strip("\n").split("\n"), ms)
 
     def bus(self, state: BusState) -> None:
-        """The bus changes."""
+        """Let the bus change."""
         self.driver.bus(self.now * MILLISECOND, state)
 
     def handle(self, *frames: CanFrame) -> None:
-        """These stand on the bus now, whoever said them."""
+        """Put frames on the bus, from any sender."""
         for frame in frames:
             self.frame_count += 1
             self._reported(self.driver.receive(self.now * MILLISECOND, frame))
@@ -244,10 +244,10 @@ class Talk:
             self._reported(events)
             for frame in frames:
                 assert isinstance(frame, CanFrame)
-                self._said(frame)
+                self._on_sent(frame)
         self.now += 1
 
-    def _said(self, frame: CanFrame) -> None:
+    def _on_sent(self, frame: CanFrame) -> None:
         self.frames.append((self.now - BEGIN, frame))
         about, text = meaning(frame, self.drives)
         for drive in self.drives:
@@ -282,7 +282,7 @@ class Talk:
         run.times.append(self.now - self._began)
 
     def _ordered(self) -> list[Run]:
-        """What has its place in the order: not what an RPDO goes on saying."""
+        """Return what has its place in the order: not RPDOs that go on as before."""
         reported: set[str] = set()
         runs = []
         for run in self._runs:
@@ -295,18 +295,18 @@ class Talk:
         return runs
 
     def runs(self) -> list[Run]:
-        """What has been said and told in this chapter."""
+        """Return the frames and events of this chapter."""
         return list(self._runs)
 
     # -- comparing ----------------------------------------------------------------------------------
 
     def transcript(self, end: int) -> list[str]:
-        """The chapter as a person would write it down."""
+        """Return the chapter's transcript."""
         summed = [("reads", self._read), ("asks", self._asked)]
         lines = [f"{name} {' '.join(sorted(reported))}" for name, reported in summed if reported]
         measured = " ".join(f"{name}={value}" for name, value in sorted(self._measured.items()))
         return [
-            *(run.said(end) for run in self._runs),
+            *(run.line(end) for run in self._runs),
             *lines,
             *([f"measures {measured}"] if measured else []),
         ]
@@ -316,8 +316,8 @@ class Talk:
         orderly = [line for line in wanted if line and line.split()[0] not in SUMMED]
         runs = self._ordered()
         for line, run in zip(orderly, runs, strict=False):
-            assert fits(line, run, end), f"{line!r} is not {run.said(end)!r}\n{got}"
-        rest = orderly[len(runs) :] or [run.said(end) for run in runs[len(orderly) :]]
+            assert fits(line, run, end), f"{line!r} is not {run.line(end)!r}\n{got}"
+        rest = orderly[len(runs) :] or [run.line(end) for run in runs[len(orderly) :]]
         assert len(orderly) == len(runs), f"{len(orderly)} lines, and {len(runs)}: {rest}\n{got}"
         still = [run for run in self._runs if run not in runs]
         for line in [line.removeprefix("still ") for line in wanted if line.startswith("still ")]:
@@ -328,7 +328,7 @@ class Talk:
                 continue
             reported = [run for run in self._runs if run.text.split()[0] == name]
             agree = len(lines) == len(reported) and all(map(fits, lines, reported, [end] * len(reported)))
-            assert agree, f"{lines} is not {[run.said(end) for run in reported]}\n{got}"
+            assert agree, f"{lines} is not {[run.line(end) for run in reported]}\n{got}"
         for line in wanted:
             name, _, rest_of = line.partition(" ")
             known = {"reads": self._read, "asks": self._asked}.get(name)
@@ -339,7 +339,7 @@ class Talk:
 
 
 def _event(event: Event, several: bool) -> str:
-    """An event in short: its kind and its values, without the time and the texts for people."""
+    """Return an event in short: its kind and its values, without the time and the texts for people."""
     left = ("t", "cause", "remedy", "protocol") + (() if several else ("motor",))
     values = [(f.name, getattr(event, f.name)) for f in fields(event) if f.name not in left]
     said = [type(event).__name__]

@@ -1,4 +1,4 @@
-"""Our driver and twins in a for-loop, with names for what the tests of the driver look at."""
+"""The driver and twins in a for-loop, with what the tests of the driver look at."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ALL = {"sync": Options(), "event": EVENT, "polled": POLLED, "keep": BY_SDO, "pro
 
 @dataclass(slots=True)
 class Stage:
-    """Alpha (node 1) and beta (node 2), as many as asked for."""
+    """Alpha (node 1) and beta (node 2), or alpha alone."""
 
     stage: Bench
     events: list[Event] = field(default_factory=list)
@@ -42,41 +42,41 @@ class Stage:
 
     @property
     def drive(self) -> Any:
-        """Alpha, as the driver knows it."""
+        """Alpha's record in the driver."""
         return self.driver.drives[1]
 
     @property
     def ms(self) -> int:
         return (self.stage.now - START) // STEP
 
-    def step(self, *words: Command | Request, stray: Sequence[Frame] = ()) -> StepResult:
-        said = self.stage.step(words, extra_up=stray)
-        self.events += [e for e in said.events if not isinstance(e, Feedback)]
-        self.feedback += [e for e in said.events if isinstance(e, Feedback)]
-        self.down += [w for w in said.down if isinstance(w, CanFrame)]
-        self.up += [w for w in said.up if isinstance(w, CanFrame)]
-        return said
+    def step(self, *messages: Command | Request, stray: Sequence[Frame] = ()) -> StepResult:
+        result = self.stage.step(messages, extra_up=stray)
+        self.events += [e for e in result.events if not isinstance(e, Feedback)]
+        self.feedback += [e for e in result.events if isinstance(e, Feedback)]
+        self.down += [f for f in result.down if isinstance(f, CanFrame)]
+        self.up += [f for f in result.up if isinstance(f, CanFrame)]
+        return result
 
-    def steps(self, count: int, *words: Command | Request) -> None:
+    def steps(self, count: int, *messages: Command | Request) -> None:
         for _ in range(count):
-            self.step(*words)
+            self.step(*messages)
 
-    def until(self, mode: Mode, *words: Command | Request, most: int = 1500, name: str = NAMES[0]) -> int:
-        """Step until the driver tells this mode; how many steps it took."""
+    def until(self, mode: Mode, *messages: Command | Request, most: int = 1500, name: str = NAMES[0]) -> int:
+        """Step until the driver reports this mode; return the number of steps."""
         for count in range(most):
-            self.step(*words)
+            self.step(*messages)
             if self.stage.modes.get(name) is mode:
                 return count
         raise AssertionError(f"not {mode} in {most} ms: {self.events[-3:]}")
 
     def fresh(self) -> None:
-        """Another driver, that knows nothing."""
+        """Replace the driver by a new one."""
         self.stage.driver = plugin.driver(self.stage.devices)
         self.stage.modes.clear()
         self.forget()
 
     def forget(self) -> None:
-        """What was said so far."""
+        """Forget the events and frames so far."""
         self.events.clear()
         self.feedback.clear()
         self.down.clear()
@@ -86,12 +86,12 @@ class Stage:
         """The events of a kind."""
         return [event for event in self.events if isinstance(event, kind)]
 
-    def said(self, id_: int) -> list[bytes]:
-        """The data of the frames that the driver said with this identifier."""
+    def sent(self, id_: int) -> list[bytes]:
+        """Return the data of the driver's frames with this identifier."""
         return [frame.data for frame in self.down if frame.id == id_]
 
     def writes(self, node: int = 1) -> list[tuple[int, int, int]]:
-        """(index, subindex, value) of every SDO download to a node."""
+        """Return (index, subindex, value) of every SDO download to a node."""
         requests = [sdo.decode_request(f.data) for f in self.down if f.id == 0x600 + node]
         return [
             (r.index, r.sub, int.from_bytes(r.data, "little"))
@@ -103,7 +103,7 @@ class Stage:
 def stage(
     options: Options | None = None, settings: Settings | None = None, count: int = 1, position: float = 0.0
 ) -> Stage:
-    """Devices as they come, on shafts at a position."""
+    """Set up devices as delivered, on shafts at a position."""
     made = make_bench(plugin, options or Options(), (1, 2)[:count], NAMES[:count], settings or Settings())
     for shaft in made.shafts.values():
         shaft.position = position

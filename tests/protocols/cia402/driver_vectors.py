@@ -1,4 +1,4 @@
-"""Independent bytes of what our driver says to a drive: made by package canopen 2.4.1, kept in the vectors.
+"""Independent bytes of the driver's messages: made by package canopen 2.4.1, kept in the vectors.
 
 Run as a program, it writes the entries of SOURCE in fixtures/vectors/cia402.json anew and leaves the others.
 """
@@ -42,12 +42,12 @@ PDO_VALUES: setpoint.Values = {
 
 
 def pdos() -> list[Pdo]:
-    """The PDOs as our driver writes them with its default options."""
+    """Return the PDOs as the driver writes them with its default options."""
     return mapping.wanted(NODE, Options(), synced=True, absent=())
 
 
 def made() -> list[dict[str, Any]]:
-    """Every entry of ours, in order."""
+    """Return every entry of SOURCE, in order."""
     entries: list[dict[str, Any]] = []
     for name, meaning, frames in [*_nmt(), *_downloads(), *_configurations(), *_rpdos()]:
         for at, frame in enumerate(frames):
@@ -68,7 +68,7 @@ def _entry(name: str, meaning: dict[str, Any], frame: CanFrame) -> dict[str, Any
     }
 
 
-def _said(network: Joined) -> list[CanFrame]:
+def _sent(network: Joined) -> list[CanFrame]:
     sent, network.sent = network.sent, []
     return sent
 
@@ -76,9 +76,9 @@ def _said(network: Joined) -> list[CanFrame]:
 def _nmt() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
     network, node = master(NODE)
     node.nmt.send_command(0x81)
-    reset = _said(network)
+    reset = _sent(network)
     local = network.create_node(127, node.object_dictionary)
-    _said(network)
+    _sent(network)
     local.nmt.start_heartbeat(125)
     local.nmt.state = "OPERATIONAL"
     beat = CanFrame(0x77F, network.cyclic[0x77F])
@@ -95,12 +95,12 @@ def _downloads() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
         variable = node.sdo[index][sub] if sub else node.sdo[index]
         variable.raw = value
         meaning = {"msg": "SDO download", "index": index, "sub": sub, "value": value}
-        rows.append((f"sdo_write_{index:04X}", meaning, _said(network)))
+        rows.append((f"sdo_write_{index:04X}", meaning, _sent(network)))
     return rows
 
 
 def saved(pdo: Pdo) -> list[CanFrame]:
-    """What `PdoMap.save()` says to configure a PDO like ours."""
+    """Return the frames with which `PdoMap.save()` configures this PDO."""
     network, node = master(NODE)
     known = (node.rpdo if pdo.kind == "RPDO" else node.tpdo)[pdo.number]
     known.read()
@@ -111,9 +111,9 @@ def saved(pdo: Pdo) -> list[CanFrame]:
     timed = pdo.kind == "TPDO" and pdo.transmission >= EVENT
     known.inhibit_time = 10 * pdo.event_ms if timed else None
     known.event_timer = pdo.event_ms if timed else None
-    _said(network)
+    _sent(network)
     known.save()
-    return _said(network)
+    return _sent(network)
 
 
 def _configurations() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
@@ -143,7 +143,7 @@ def _rpdos() -> list[tuple[str, dict[str, Any], list[CanFrame]]]:
             variable.raw = PDO_VALUES[key]
         known.transmit()
         values = {OBJECTS[key].name: PDO_VALUES[key] for key in pdo.keys}
-        rows.append((f"rpdo{pdo.number}_as_mapped", {"msg": f"RPDO{pdo.number}", **values}, _said(network)))
+        rows.append((f"rpdo{pdo.number}_as_mapped", {"msg": f"RPDO{pdo.number}", **values}, _sent(network)))
     return rows
 
 

@@ -1,10 +1,10 @@
 """A drive for conversations of vectors: package canopen 2.4.1's LocalNode, and a firmware behind it.
 
 Rules. SDO, NMT, heartbeat, EMCY, what PDOs hold and how values lie in bytes are canopen's; its table of CiA
-402 (`State402.TRANSITIONTABLE`) moves the statusword. What the package does not know stands here, by CiA
+402 (`State402.TRANSITIONTABLE`) moves the statusword. What the package does not implement is here, by CiA
 402-2: READY and SWITCHED ON are left by a quick stop, too (transitions 7, 10), and READY goes to OPERATION
 ENABLED at once (3 and 4); a quick stop with 605A below 5 ends in SWITCH ON DISABLED; synchronous RPDOs act
-with the next SYNC; the bits of the modes (10, 12, 13). It answers a millisecond after it was asked.
+with the next SYNC; the bits of the modes (10, 12, 13). It responds a millisecond after a request.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from canopen.profiles.p402 import OperationMode, State402
 from protocols.frames import CanFrame
 from tests.protocols.cia402.stack import Slave
 
-WORDS = {name: value | 0x210 for name, (_, value) in State402.SW_MASK.items()}
+STATUSWORDS = {name: value | 0x210 for name, (_, value) in State402.SW_MASK.items()}
 """Statuswords: voltage is enabled (bit 4), and it is remote controlled (bit 9)."""
 NEXT: dict[tuple[str, int], str] = {
     (before, word): after for (before, after), word in State402.TRANSITIONTABLE.items() if after != "FAULT"
@@ -27,7 +27,7 @@ NEXT: dict[tuple[str, int], str] = {
     ("READY TO SWITCH ON", 0x0F): "OPERATION ENABLED",
 }
 STOPPING_MS = 20
-"""A quick stop that does not hold takes so long."""
+"""Duration of a quick stop that does not hold."""
 HOMING_MS = 40
 DEMAND = 0x8F
 """The bits of a controlword that demand a state."""
@@ -39,33 +39,33 @@ class Drive:
     def __init__(self, node: int = 2) -> None:
         self.node = node
         self.slave = Slave(node)
-        self.slave.said()
+        self.slave.take_sent()
         self.local: Any = self.slave.node
         self.state, self.control, self.ms = "SWITCH ON DISABLED", 0, 0
         self.since = 0
         """When it came into its state, or began to home."""
         self.dead = False
-        """It neither hears nor says anything."""
+        """It neither receives nor sends anything."""
         self.mute = False
-        """It answers no SDO."""
+        """It sends no SDO response."""
         self.deaf = False
         """It does not obey controlword and mode."""
         self.modes_late = False
         """It does not change its mode yet."""
         self.copies = 1
-        """So often each SDO answer stands on the bus."""
+        """Copies of each SDO response on the bus."""
         self.unsized = False
-        """Its expedited answers of four bytes do not tell their size (CiA 301: s = 0; n means nothing)."""
+        """Its expedited responses of four bytes have no size (CiA 301: s = 0; n means nothing)."""
         self.late = 0
-        """Its SDO answers come so many ms later."""
+        """ms by which its SDO responses are delayed."""
         self.acknowledges, self.homes = True, "attained"
         self.starts = 0
-        """So many NMT commands are lost."""
+        """NMT commands that are lost."""
         self.resets = 1
-        """So many fault resets it takes."""
+        """Fault resets that it needs."""
         self.refused: dict[tuple[int, int | None], int] = {}
         self.extra: list[CanFrame] = []
-        """Said next, besides."""
+        """More frames to be sent next."""
         self.delayed: list[tuple[int, CanFrame]] = []
         self.latched: dict[int, CanFrame] = {}
         self._fresh = False
@@ -94,18 +94,18 @@ class Drive:
         self.local.data_store.setdefault(index, {})[0] = data
 
     def get(self, index: int, sub: int = 0) -> int:
-        """What stands in it."""
+        """Return a value of its dictionary."""
         return int(self._variable(index, sub).decode_raw(self.local.get_data(index, sub)))
 
     def lack(self, *indices: int) -> None:
-        """It has no such objects."""
+        """Remove these objects."""
         own = self.local.object_dictionary
         for index in indices:
             own.names.pop(own.indices.pop(index).name, None)
             self.local.data_store.pop(index, None)
 
     def own(self, index: int, sub: int) -> None:
-        """It has an object of its maker's, a byte."""
+        """Give it a manufacturer-specific object, a byte."""
         made = canopen.objectdictionary.ODRecord(f"maker's {index:04X}", index)
         byte = canopen.objectdictionary.ODVariable(f"byte {sub}", index, sub)
         byte.data_type, byte.default = canopen.objectdictionary.datatypes.UNSIGNED8, 0
@@ -113,11 +113,11 @@ class Drive:
         self.local.object_dictionary.add_object(made)
 
     def refuse(self, index: int, code: int, value: int | None = None) -> None:
-        """It refuses to have this object written (with this value)."""
+        """Let it refuse to have this object written (with this value)."""
         self.refused[index, value] = code
 
     def map(self, first: int, cob: int, kind: int, *entries: int, timer: int = 0) -> None:
-        """It comes with this PDO."""
+        """Give it this PDO as delivered."""
         self.put(first, cob, 1)
         self.put(first, kind, 2)
         self.put(first, timer, 5)
@@ -160,7 +160,7 @@ class Drive:
         self._go("SWITCH ON DISABLED")
 
     def stand(self, state: str, mode: int) -> None:
-        """Somebody else has brought it into this state."""
+        """Another host has brought it into this state."""
         self.control = State402.CW_COMMANDS_CODE.get(state, 0) & DEMAND & ~0x80
         self.put(0x6040, self.control)
         self.put(0x6060, mode)
@@ -168,7 +168,7 @@ class Drive:
         self._go(state)
 
     def nmt(self, command: int) -> None:
-        """Somebody else's NMT command."""
+        """Handle another host's NMT command."""
         self.slave.receive(CanFrame(0, bytes((command, self.node))))
 
     # -- the bus ------------------------------------------------------------------------------------
@@ -193,29 +193,29 @@ class Drive:
         return self.ms // 10 % every == 0
 
     def speak(self, ms: int) -> list[CanFrame]:
-        """What it says in this millisecond."""
+        """Return what it sends in this millisecond."""
         self.ms = ms
         if self.dead:
-            self.slave.said()
+            self.slave.take_sent()
             return []
         self._obey()
         self._report(lambda pdo: pdo.trans_type >= 254 and pdo.event_timer and ms % pdo.event_timer == 0)
         beat = self.get(0x1017)
         if beat and ms % beat == beat // 2:
             self.slave.network.sent += [CanFrame(i, bytes(d)) for i, d in self.slave.network.cyclic.items()]
-        said = [frame for at, frame in self.delayed if at <= ms]
+        frames = [frame for at, frame in self.delayed if at <= ms]
         self.delayed = [(at, frame) for at, frame in self.delayed if at > ms]
-        for frame in self.slave.said():
+        for frame in self.slave.take_sent():
             if self.unsized and frame.id == 0x580 + self.node and frame.data[0] == 0x43:
                 frame = CanFrame(frame.id, b"\x4e" + frame.data[1:])
             if frame.id != 0x580 + self.node:
-                said.append(frame)
+                frames.append(frame)
             elif self.late:
                 self.delayed.append((ms + self.late, frame))
             else:
-                said += [frame] * (0 if self.mute else self.copies)
+                frames += [frame] * (0 if self.mute else self.copies)
         more, self.extra = self.extra, []
-        return said + more
+        return frames + more
 
     def rpdo(self, id_: int) -> Any:
         """The RPDO of an identifier, as the drive has it; None if it has none."""
@@ -273,15 +273,15 @@ class Drive:
             self._go("SWITCH ON DISABLED")
         self._show()
 
-    def _demand(self, word: int) -> None:
+    def _demand(self, control: int) -> None:
         if self.state == "FAULT":
             self.resets -= 1
             if self.resets > 0:
                 return
             self.put(0x603F, 0)
-        if (self.state, word) == ("QUICK STOP ACTIVE", 0x0F) and self.get(0x605A) < 5:
+        if (self.state, control) == ("QUICK STOP ACTIVE", 0x0F) and self.get(0x605A) < 5:
             return
-        after = NEXT.get((self.state, word), self.state)
+        after = NEXT.get((self.state, control), self.state)
         if after != self.state:
             self._go(after)
 
@@ -291,7 +291,7 @@ class Drive:
 
     def _show(self) -> None:
         bits = self._mode_bits() if self.state == "OPERATION ENABLED" else 0
-        self.put(0x6041, WORDS[self.state] | bits)
+        self.put(0x6041, STATUSWORDS[self.state] | bits)
 
     def _mode_bits(self) -> int:
         mode, bit4 = self.get(0x6061), self.control & 0x10
@@ -302,7 +302,7 @@ class Drive:
             if self.homes == "never" or self.ms < self.since + HOMING_MS:
                 return 0
             if self.homes == "attained" and self.ms == self.since + HOMING_MS:
-                self.put(0x6064, self.get(0x607C))  # home is where 607C says
+                self.put(0x6064, self.get(0x607C))  # home is at 607C
             return 0x1400 if self.homes == "attained" else 0x2000
         if mode == OperationMode.PROFILED_POSITION:
             return 0x1000 if bit4 and self.acknowledges else 0

@@ -1,8 +1,8 @@
 """Package canopen 2.4.1 without a bus and without a thread: its networks joined by function calls.
 
-Rules. What a network sends is kept in order and handed to whoever listens at once, so that a master's SDO
-client has its answer before it begins to wait. `Slave` is a `LocalNode` as a device for our driver; `said_by`
-records what a master says. Nothing is measured in wall time.
+Rules. What a network sends is kept in order and passed on at once, so that a master's SDO client has its
+response before it begins to wait. `Slave` is a `LocalNode` as a device for the driver. Nothing is measured in
+wall time.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _parsed(node: int) -> Any:
 
 
 def dictionary(node: int) -> Any:
-    """The twin's EDS as the package understands it; one's own to change."""
+    """Return the twin's EDS as the package reads it; a copy that may be changed."""
     return deepcopy(_parsed(node))
 
 
@@ -81,20 +81,20 @@ class Slave:
     def receive(self, frame: CanFrame) -> None:
         self.network.handle(frame)
 
-    def said(self) -> list[CanFrame]:
-        """What it has sent since this was last asked."""
+    def take_sent(self) -> list[CanFrame]:
+        """Return what it has sent since the last call."""
         sent, self.network.sent = self.network.sent, []
         return sent
 
     def value(self, index: int, sub: int = 0) -> int:
-        """What stands in its dictionary."""
+        """Return a value of its dictionary."""
         return int.from_bytes(self.node.get_data(index, sub), "little")
 
 
 def master(node: int) -> tuple[Joined, Any]:
-    """A network with a RemoteNode, whose frames a LocalNode answers at once: (network, node)."""
+    """Return (network, node): a RemoteNode whose frames a LocalNode answers at once."""
     network, slave = Joined(), Slave(node)
-    slave.said()
+    slave.take_sent()
     remote = canopen.RemoteNode(node, dictionary(node))
     network.add_node(remote)
     slave.network.on_sent = network.handle

@@ -1,9 +1,9 @@
 """Package canopen 2.4.1 drives our twin over a python-can bus: its scanner, NMT, SDO, PdoMap, BaseNode402.
 
-The package waits in its calls, by a wall clock of its own, for what a thread of its own hears. So the twin
-runs in a thread here (the one exception in these tests): each turn of it is a millisecond of the twin's time,
-and takes about as long or less of the wall's, so that the package's timeouts (0.4 s for a change of state)
-are far away even on a loaded machine. Nothing is measured in wall time.
+The package waits in its calls, by a wall clock of its own, for frames that a thread of its own receives. So
+the twin runs in a thread here (the one exception in these tests): each turn of it is a millisecond of the
+twin's time, and takes about as long or less of the wall's, so that the package's timeouts (0.4 s for a change
+of state) are far away even on a loaded machine. Nothing is measured in wall time.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ class Rig:
                         message.arbitration_id, bytes(message.data), remote=message.is_remote_frame
                     )
                     self.bench.twin.receive(self.bench.now, frame)
-                said = self.bench.run(1)
-            for frame in said:
+                sent = self.bench.run(1)
+            for frame in sent:
                 self._bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
             if self.sync_every and self.turns % self.sync_every == 0:
                 self.network.sync.transmit()
@@ -177,7 +177,7 @@ def test_arming_motion_and_disarming_in_each_mode(drive: Rig, mode: Mode) -> Non
     assert drive.wait(lambda: bench.torque == 0.0)
 
 
-def test_a_fault_is_told_and_recovered_from(drive: Rig) -> None:
+def test_a_fault_is_reported_and_recovered_from(drive: Rig) -> None:
     node = drive.node
     node.op_mode = MODES[Mode.CSV]
     node.state = "OPERATION ENABLED"

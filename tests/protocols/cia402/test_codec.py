@@ -55,7 +55,7 @@ def is_pdo(vector: Vector) -> bool:
 
 
 def value_of(vector: Vector) -> Message | sdo.Request | sdo.Response | None:
-    """What a vector's frame says, by its identifier; None for a PDO."""
+    """Decode a vector's frame by its identifier; None for a PDO."""
     frame = vector.frame
     assert isinstance(frame, CanFrame)
     node = frame.id & 0x7F
@@ -73,7 +73,7 @@ def bytes_of(value: Message | sdo.Request | sdo.Response) -> bytes:
 
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if not is_pdo(v)], ids=lambda v: v.name)
-def test_every_vector_is_understood_and_said_alike(vector: Vector) -> None:
+def test_every_vector_is_decoded_and_encoded_alike(vector: Vector) -> None:
     frame = vector.frame
     assert isinstance(frame, CanFrame)
     value = value_of(vector)
@@ -153,7 +153,7 @@ def test_a_transfer_takes_only_answers_to_itself() -> None:
     assert "0x06020000" in sdo.abort_text(sdo.NO_OBJECT)
 
 
-def test_a_segmented_value_of_another_length_than_was_said_is_refused() -> None:
+def test_a_segmented_value_of_another_length_than_announced_is_refused() -> None:
     transfer = Transfer(0x1008, 0)
     transfer.first()
     transfer.handle(sdo.UploadStart(0x1008, 0, 9))
@@ -334,16 +334,16 @@ def test_units_both_ways_and_at_their_limits() -> None:
             refused()
 
 
-# -- words of the profile ----------------------------------------------------------------------------------
+# -- the profile -------------------------------------------------------------------------------------------
 
 
 def test_states_and_statuswords_as_the_package_has_them() -> None:
     from canopen.profiles.p402 import OperationMode, State402
 
     assert {s.value: bits for s, bits in STATE_BITS.items()} == State402.SW_MASK
-    for word in range(1 << 16):
-        theirs = [name for name, (mask, value) in State402.SW_MASK.items() if word & mask == value]
-        ours = state_of(word)
+    for status in range(1 << 16):
+        theirs = [name for name, (mask, value) in State402.SW_MASK.items() if status & mask == value]
+        ours = state_of(status)
         assert theirs == ([ours.value] if ours else [])
     for mode in Mode:
         name = OperationMode.CODE2NAME[int(mode)]
@@ -363,7 +363,7 @@ def test_homing_bits_as_the_package_has_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "word", "demand"),
+    ("before", "control", "demand"),
     [
         (0x00, 0x06, Demand.SHUTDOWN),
         (0x06, 0x07, Demand.SWITCH_ON),
@@ -380,8 +380,8 @@ def test_homing_bits_as_the_package_has_them() -> None:
         (0x80, 0x8F, None),
     ],
 )
-def test_what_a_controlword_demands(before: int, word: int, demand: Demand | None) -> None:
-    assert demand_of(word, before) is demand
+def test_what_a_controlword_demands(before: int, control: int, demand: Demand | None) -> None:
+    assert demand_of(control, before) is demand
 
 
 # -- faults, options ---------------------------------------------------------------------------------------
@@ -434,7 +434,7 @@ def test_the_error_register_names_the_family() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "error"),
     [
         (lambda: Options(host_id=0), "host_id is 0"),
         (lambda: Options(sync_ms=-1), "sync_ms is -1"),
@@ -451,11 +451,11 @@ def test_the_error_register_names_the_family() -> None:
         (lambda: Settings(device_name="größer"), "ASCII"),
     ],
 )
-def test_wrong_options_are_told(wrong: Any, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_wrong_options_are_refused(wrong: Any, error: str) -> None:
+    with pytest.raises(ValueError, match=error):
         wrong()
 
 
-def test_all_mistakes_are_told_at_once() -> None:
+def test_all_mistakes_are_reported_at_once() -> None:
     with pytest.raises(ValueError, match=r"max_torque.*feed_shaft.*halt_option"):
         Settings(max_torque=70_000, feed_shaft=0, halt_option=9)

@@ -1,4 +1,4 @@
-"""Conversations of vectors: a drive comes up, is read, configured, armed, steered in each mode, and let go.
+"""Conversations of vectors: a drive boots, is read, configured, armed, commanded in each mode, and disarmed.
 
 The drive counts 16384 increments a turn (608F), has no gear (6091) and no feed (6092), and 1 N·m (6076):
 an increment is τ/16384 rad, a per mille of torque 1 mN·m. It stands at 4096: a quarter turn, 1.5708 rad.
@@ -16,7 +16,7 @@ RPDO3 = (0x60B10020,)
 TPDO1 = (0x60410010, 0x60610008, 0x60640020)
 TPDO2 = (0x606C0020, 0x60770010, 0x603F0010)
 TPDO3 = (0x60780010, 0x60790020)
-"""What stands in the PDOs that the driver writes, by the README: index, subindex, bits."""
+"""The mappings that the driver writes, by the README: index, subindex, bits."""
 CONFIGURED = "\n        ".join(
     (
         "",
@@ -38,14 +38,14 @@ AGAIN = """
         < State ready SWITCHED ON
         rpdo1 6040=000F 6060=8 607A=4096 …
         < State armed OPERATION ENABLED, cyclic synchronous position"""
-"""An arming of a drive that stands at 4096, whose other RPDOs say what they said before."""
+"""The arming of a drive at position 4096, whose other RPDOs go on as before."""
 
 
-def test_vectors_of_a_drive_that_comes_up_and_is_only_asked() -> None:
+def test_vectors_of_a_drive_that_comes_up_and_is_only_polled() -> None:
     talk = Talk()
     talk.chapter(
         100,
-        reported="""
+        expected="""
         < State initialising SWITCH ON DISABLED*
         40..60 < State ready SWITCH ON DISABLED
         reads 1000 1008 1017 1018:01 1018:02 1018:03 1018:04 603F 605A 6075 6076 608F:01 608F:02 6091:01 \
@@ -61,8 +61,8 @@ def test_vectors_of_a_drive_that_comes_up_and_is_only_asked() -> None:
     talk.drive.put(0x6079, 23_500)  # mV
     talk.chapter(
         250,
-        Idle("m"),  # what nobody armed is not told to disarm
-        reported="""
+        Idle("m"),  # what no host armed is not told to disarm
+        expected="""
         asks 6041 6061 6064 606C 6077 6078 6079
         measures position=-3.1416 velocity=6.2832 torque=-0.25 current=1.5 voltage=23.5
         """,
@@ -75,7 +75,7 @@ def test_vectors_of_the_first_command_configure_start_and_arm_where_the_shaft_st
     talk.chapter(
         300,
         Hold("m"),
-        reported=f"""{CONFIGURED}
+        expected=f"""{CONFIGURED}
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 60B2=0 …
         rpdo3 60B1=0 …
@@ -94,20 +94,20 @@ def test_vectors_of_the_first_command_configure_start_and_arm_where_the_shaft_st
 
 
 def armed(talk: Talk, *words: Hold | Velocity | Torque | Position) -> Talk:
-    """Up, and armed by these words."""
+    """Boot it, and arm it by these commands."""
     talk.chapter(100)
     talk.chapter(300, *(words or (Hold("m"),)))
     assert talk.drive.state == "OPERATION ENABLED", talk.transcript(300)
     return talk
 
 
-def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
+def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
     talk = armed(Talk())
     talk.chapter(
         100,
         # -0.5·16384/τ = -1303.8; 0.25·16384/τ = 651.9; 0.125 N·m = 125 ‰
         Position("m", -0.5, 0.25, 0.125),
-        reported="""
+        expected="""
         rpdo2 60FF=0 6071=0 60B2=125 …
         rpdo3 60B1=652 …
         rpdo1 6040=000F 6060=8 607A=-1304 /10
@@ -118,7 +118,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Velocity("m", -1.5, -0.06),  # -1.5·16384/τ = -3911.4
-        reported="""
+        expected="""
         rpdo2 60FF=-3911 6071=0 60B2=-60 /10
         rpdo3 60B1=0 …
         rpdo1 6040=000F 6060=9 607A=* …
@@ -130,7 +130,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Torque("m", 0.25),
-        reported="""
+        expected="""
         rpdo2 60FF=0 6071=250 60B2=0 /10
         rpdo1 6040=000F 6060=10 607A=* …
         < State armed OPERATION ENABLED, cyclic synchronous torque
@@ -144,7 +144,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Hold("m"),
-        reported="""
+        expected="""
         rpdo2 60FF=0 6071=0 60B2=0 …
         rpdo1 6040=000F 6060=8 607A=5000 /10
         < State armed OPERATION ENABLED, cyclic synchronous position
@@ -156,7 +156,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(
         100,
         Hold("m"),
-        reported="""
+        expected="""
         still rpdo1 6040=000F 6060=8 607A=5000 /10
         sync /10
         beat ?
@@ -166,7 +166,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
     talk.chapter(  # with each SYNC, every 10 ms, comes a statusword: two must say so
         200,
         Idle("m"),
-        reported="""
+        expected="""
         0 rpdo1 6040=0006 6060=8 607A=5100
         < State ready READY TO SWITCH ON
         15..27 write 1016:01 = 00000000
@@ -174,7 +174,7 @@ def test_vectors_of_each_cyclic_mode_and_of_letting_go() -> None:
         beat ?
         """,
     )
-    talk.chapter(400, Idle("m"), reported="asks 6041 6061 6064 606C 6077 6078 6079")
+    talk.chapter(400, Idle("m"), expected="asks 6041 6061 6064 606C 6077 6078 6079")
     assert talk.drive.state == "READY TO SWITCH ON"
 
 
@@ -206,7 +206,7 @@ def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
     talk.chapter(
         150,
         Velocity("m", 1.0),
-        reported="""
+        expected="""
         still rpdo1 6040=0007 6060=9 607A=4096 /100
         still rpdo2 60FF=0 6071=0 60B2=0 /10
         still rpdo3 60B1=0 /100
@@ -218,7 +218,7 @@ def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
     talk.chapter(
         150,
         Velocity("m", 1.0),  # 16384/τ = 2607.6
-        reported="""
+        expected="""
         rpdo1 6040=000F 6060=9 607A=4096 …
         < State armed OPERATION ENABLED, cyclic synchronous velocity
         rpdo2 60FF=2608 6071=0 60B2=0 /10
@@ -239,7 +239,7 @@ def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped()
     talk.chapter(
         200,
         Idle("m"),
-        reported="""
+        expected="""
         < State initialising OPERATION ENABLED, *
         < State initialising OPERATION ENABLED, cyclic synchronous position, *
         < State armed OPERATION ENABLED, cyclic synchronous position
@@ -248,7 +248,7 @@ def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped()
     talk.chapter(
         100,
         Hold("m"),  # no NMT, no mapping, no 06 or 07: it goes on in its mode
-        reported="""
+        expected="""
         write 1016:01 = 007F01F4
         rpdo2 60FF=0 6071=0 …
         rpdo1 6040=000F 6060=8 607A=4096 …
@@ -261,9 +261,9 @@ def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped()
     talk.chapter(100)
     talk.chapter(
         100,
-        Stop(),  # an operator's stop reaches what somebody else has armed
+        Stop(),  # an operator's stop reaches what another host has armed
         Idle("m"),
-        reported="""
+        expected="""
         0..10 write 6040 = 0006 …
         < State ready READY TO SWITCH ON
         """,
@@ -276,7 +276,7 @@ def test_vectors_of_a_drive_that_does_not_disarm() -> None:
     talk.chapter(
         800,
         Idle("m"),
-        reported="""
+        expected="""
         0 rpdo1 6040=0006 6060=8 607A=4096 /50 until 450..500
         50 write 6040 = 0006 /50 until 450..500
         500 rpdo1 6040=0000 6060=8 607A=4096 /50
@@ -289,7 +289,7 @@ def test_vectors_of_a_drive_that_does_not_disarm() -> None:
     talk.chapter(
         200,
         Idle("m"),
-        reported="""
+        expected="""
         write 6040 = 0000 …
         < State ready SWITCH ON DISABLED
         write 1016:01 = 00000000
@@ -308,7 +308,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
     talk.chapter(
         300,
         Hold("m"),
-        reported="""
+        expected="""
         still rpdo1 6040=0006 6060=8 607A=4096 /10 until 80..160
         80..170 < Fault 10001 operation not enabled
         sync ?
@@ -322,7 +322,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
     talk.chapter(  # it obeys what it was told last; nothing is tried by itself
         200,
         Hold("m"),
-        reported="""
+        expected="""
         < State ready READY TO SWITCH ON
         sync ?
         beat ?
@@ -332,7 +332,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
         200,
         ClearFault("m"),
         Hold("m"),
-        reported="""
+        expected="""
         < Done ClearFault m
         rpdo1 6040=0007 6060=8 607A=4096 …
         < State ready SWITCHED ON
@@ -344,14 +344,14 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
     )
 
 
-def test_vectors_of_letting_go_of_a_drive_that_hears_no_pdos() -> None:
+def test_vectors_of_disarming_a_drive_that_receives_no_pdos() -> None:
     talk = armed(Talk())
-    talk.drive.nmt(0x80)  # somebody else says pre-operational, and its heartbeat tells
+    talk.drive.nmt(0x80)  # another host sends pre-operational, and its heartbeat tells
     talk.chapter(110)
     talk.chapter(
         100,
         Idle("m"),
-        reported="""
+        expected="""
         0 write 6040 = 0006
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000

@@ -1,4 +1,4 @@
-"""Conversations of vectors: the bus, looking for devices, and several drives on it."""
+"""Conversations of vectors: the state of the bus, scans, and several drives on it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_vectors_of_a_bus_that_is_gone_and_back(state: BusState) -> None:
     talk.chapter(
         100,
         Hold("m"),
-        reported=f"""
+        expected=f"""
         0 < Refused ReadParameter m the bus is {state}
         0 < Refused Home m the bus is {state}
         0 < Refused Scan can0 the bus is {state}
@@ -39,14 +39,14 @@ def test_vectors_of_a_bus_that_is_gone_and_back(state: BusState) -> None:
     assert talk.drive.get(0x6060) == 8, "nobody homes any longer"
 
 
-def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_said() -> None:
+def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_written() -> None:
     talk = armed(Talk(), Velocity("m", 1.0))
     talk.bus(BusState.BACK)
     talk.drive.put(0x6064, 5000)
     talk.chapter(
         40,
         Velocity("m", 1.0),
-        reported="""
+        expected="""
         < State initialising *
         < State initialising *
         sync ?
@@ -56,7 +56,7 @@ def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_said
     talk.chapter(
         160,
         Velocity("m", 1.0),  # it runs still, in the mode that is wanted: it is steered again
-        reported="""
+        expected="""
         < State armed OPERATION ENABLED, cyclic synchronous velocity
         write 1016:01 = 007F01F4
         rpdo1 6040=000F 6060=9 607A=5000 …
@@ -67,7 +67,7 @@ def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_said
     )
 
 
-def test_vectors_of_a_full_queue_what_may_be_lost_is_said_again() -> None:
+def test_vectors_of_a_full_queue_what_may_be_lost_is_sent_again() -> None:
     talk = armed(Talk(), Velocity("m", 1.0))
     talk.chapter(30, Velocity("m", 1.0))
     talk.bus(BusState.FULL)
@@ -80,7 +80,7 @@ def test_vectors_of_a_full_queue_what_may_be_lost_is_said_again() -> None:
 def test_vectors_of_a_bus_that_goes_on(state: BusState) -> None:
     talk = armed(Talk())
     talk.bus(state)
-    talk.chapter(50, Hold("m"), reported="still rpdo1 6040=000F 6060=8 607A=4096 /10\nsync /10\nbeat ?")
+    talk.chapter(50, Hold("m"), expected="still rpdo1 6040=000F 6060=8 607A=4096 /10\nsync /10\nbeat ?")
 
 
 # -- looking for devices --------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ def test_vectors_of_a_scan_of_an_empty_bus() -> None:
 
 
 class Stranger(Drive):
-    """A drive that nobody has in the robot file: it hears all, and answers what is for it."""
+    """A drive that is not in the robot file: it receives all, and answers what is for it."""
 
     def __init__(self, node: int, serial: int, copies: int = 1) -> None:
         super().__init__(node)
@@ -122,7 +122,7 @@ class Stranger(Drive):
 
 
 def with_strangers(talk: Talk, strangers: Sequence[Drive], ms: int, *words: Scan) -> None:
-    """So many ms beside them."""
+    """Run for this time beside them."""
     for at in range(ms):
         mark = len(talk.frames)
         talk.chapter(1, *(words if at == 0 else ()))
@@ -150,7 +150,7 @@ def test_vectors_of_a_scan_that_finds_strangers() -> None:
     ]
     asked = _asked(talk, mark)
     assert [key for node, key in asked if node == 5] == ["001000", "181001", "181002", "181004"]
-    talk.handle(CanFrame(0x585, bytes.fromhex("4300100092010200")))  # nobody looks any longer
+    talk.handle(CanFrame(0x585, bytes.fromhex("4300100092010200")))  # no host looks any longer
     foreign = talk.driver.counters.ignored
     talk.handle(CanFrame(0x585, bytes.fromhex("4300100092010200")))
     assert talk.driver.counters.ignored == foreign + 1
@@ -167,7 +167,7 @@ def test_vectors_of_two_scans_at_once() -> None:
     assert [type(event).__name__ for event in talk.events].count("Done") == 2
 
 
-def test_vectors_of_a_scan_says_of_its_own_drive_that_it_is_held_twice() -> None:
+def test_vectors_of_a_scan_that_reports_a_duplicate_of_its_own_drive() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive.copies = 2
@@ -196,7 +196,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         300,
         Velocity("m", 1.0),
         Velocity("n", -2.0),
-        reported="""
+        expected="""
         3: rpdo2 60FF=-5215 6071=0 60B2=0 /10
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
         still 3: rpdo1 6040=000F 6060=9 607A=-4096 …
@@ -208,7 +208,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
     talk.chapter(
         200,
         Velocity("m", 1.0),  # the other is not commanded: the host's heartbeat stops for both
-        reported="""
+        expected="""
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
         sync /10
         """,
@@ -217,7 +217,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         100,
         Velocity("m", 1.0),
         Idle("n"),  # once it is let go, the other's is fed again
-        reported="""
+        expected="""
         3: rpdo2 60FF=0 6071=0 60B2=0
         3: rpdo1 6040=0006 6060=9 607A=-4096
         < State n ready READY TO SWITCH ON
@@ -226,13 +226,13 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         beat ?
         """,
     )
-    talk.chapter(200, Velocity("m", 1.0), reported="sync /10\nbeat 127 OPERATIONAL /125..130")
+    talk.chapter(200, Velocity("m", 1.0), expected="sync /10\nbeat 127 OPERATIONAL /125..130")
     right.trip(0x2310)
     talk.chapter(
         50,
         Velocity("m", 1.0),
         Idle("n"),
-        reported="""
+        expected="""
         0 < Fault n 2310 continuous over current on the output
         < State n fault FAULT
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
@@ -252,14 +252,14 @@ def test_vectors_of_drives_with_different_watchdogs_share_the_faster_heartbeat()
     talk.driver = plugin.driver(devices)
     talk.chapter(100)
     talk.chapter(300, Hold("m"), Hold("n"))
-    talk.chapter(300, Hold("m"), Hold("n"), reported="sync /10\nbeat 127 OPERATIONAL /50..60")
+    talk.chapter(300, Hold("m"), Hold("n"), expected="sync /10\nbeat 127 OPERATIONAL /50..60")
     assert [left.get(0x1016, 1), right.get(0x1016, 1)] == [0x7F0190, 0x7F00C8]
 
 
-def test_vectors_of_a_bus_whose_sync_is_somebody_else_s() -> None:
+def test_vectors_of_a_bus_whose_sync_has_another_producer() -> None:
     talk = Talk(sync_ms=0)
     talk.chapter(100)
-    talk.chapter(150, Hold("m"), reported=None)
+    talk.chapter(150, Hold("m"), expected=None)
     assert not [frame for _, frame in talk.frames if frame.id == 0x80]
     sync = CanFrame(0x80)
     for _ in range(30):

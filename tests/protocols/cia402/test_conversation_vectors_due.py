@@ -1,4 +1,4 @@
-"""Conversations of vectors with a host that calls the driver when it says that it is due, and never else."""
+"""Conversations of vectors with a host that calls the driver only when it is due."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ NEVER = 10**12
 
 
 def lazy(drive: Drive | None = None, **options: Any) -> Talk:
-    """Nobody calls but when it is due, and at the beginning of a chapter."""
+    """Call the driver only when it is due, and at the beginning of a chapter."""
     talk = Talk(drive or Drive(), **options)
     talk.every = NEVER
     return talk
 
 
-def test_vectors_of_coming_up_and_falling_silent_when_due() -> None:
+def test_vectors_of_coming_up_and_going_offline_when_due() -> None:
     talk = lazy()
     talk.chapter(
         300,
-        reported="""
+        expected="""
         < State initialising SWITCH ON DISABLED*
         40..60 < State ready SWITCH ON DISABLED
         asks 6041 6061 6064 606C 6077 6078 6079
@@ -31,13 +31,13 @@ def test_vectors_of_coming_up_and_falling_silent_when_due() -> None:
         """,
     )
     talk.drive.put(0x6064, 0)
-    talk.chapter(25, reported="measures position=0")
-    talk.chapter(1000, reported="reads 1018:04")
+    talk.chapter(25, expected="measures position=0")
+    talk.chapter(1000, expected="reads 1018:04")
     talk.drive.dead = True
-    talk.chapter(700, reported="480..505 < State offline no frames received")
+    talk.chapter(700, expected="480..505 < State offline no frames received")
     talk.drive.dead = False
     talk.chapter(
-        300, reported="< State initialising *\n< State initialising *\n< State ready SWITCH ON DISABLED"
+        300, expected="< State initialising *\n< State initialising *\n< State ready SWITCH ON DISABLED"
     )
 
 
@@ -47,7 +47,7 @@ def test_vectors_of_arming_when_due() -> None:
     talk.chapter(
         300,
         Hold("m"),
-        reported=f"""{CONFIGURED}
+        expected=f"""{CONFIGURED}
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 60B2=0 …
         rpdo3 60B1=0 …
@@ -64,7 +64,7 @@ def test_vectors_of_arming_when_due() -> None:
     talk.chapter(
         100,
         Idle("m"),
-        reported="""
+        expected="""
         0 rpdo1 6040=0006 6060=8 607A=4096
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000
@@ -83,7 +83,7 @@ def test_vectors_of_a_drive_that_does_not_disarm_when_due() -> None:
     talk.chapter(
         700,
         Idle("m"),
-        reported="""
+        expected="""
         write 6040 = 0006 /50 until 440..460
         500..505 write 6040 = 0000 /50
         """,
@@ -98,7 +98,7 @@ def test_vectors_of_a_drive_that_does_not_arm_when_due() -> None:
     talk.chapter(
         300,
         Hold("m"),
-        reported="""
+        expected="""
         nmt OPERATIONAL 2
         write 607A = 4096 …
         write 6060 = 8
@@ -111,7 +111,7 @@ def test_vectors_of_a_drive_that_does_not_arm_when_due() -> None:
 def test_vectors_of_requests_when_due() -> None:
     talk = lazy()
     talk.chapter(100)
-    talk.chapter(20, ReadParameter("m", "6502"), reported="< Parameter 6502 941\n< Done ReadParameter m")
+    talk.chapter(20, ReadParameter("m", "6502"), expected="< Parameter 6502 941\n< Done ReadParameter m")
     talk.chapter(900, Scan("can0"))
     (done,) = [run for run in talk.runs() if run.text.startswith("< Done Scan")]
     assert 400 <= done.times[0] <= 600
@@ -122,7 +122,7 @@ def test_vectors_of_requests_when_due() -> None:
     (done,) = [run for run in talk.runs() if run.text.startswith("< Done ClearFault")]
     assert 500 <= done.times[0] <= 530, "the second reset"
     reported = "0 < Fault 10004 *\n0 < State fault *\nwrite 6040 = 0002\n< Done Estop m *"
-    talk.chapter(200, Estop("m"), reported=reported)  # it gives no torque
+    talk.chapter(200, Estop("m"), expected=reported)  # it gives no torque
     talk.drive.dead = True
     talk.chapter(2500, ReadParameter("m", "6502"))
     (refused,) = [run for run in talk.runs() if run.text.startswith("< Refused ReadParameter")]
@@ -136,7 +136,7 @@ def test_vectors_of_a_reboot_that_is_not_seen_when_due() -> None:
     talk.chapter(
         8100,
         Reboot("m"),
-        reported="""
+        expected="""
         0 nmt RESET 2 /2000 until 6000..8000
         8000..8001 < Refused Reboot m no boot-up message after the reset
         """,

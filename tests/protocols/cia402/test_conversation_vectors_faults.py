@@ -1,4 +1,4 @@
-"""Conversations of vectors: faults, how they are told, and how they end."""
+"""Conversations of vectors: faults, how they are reported, and how they end."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import AGAIN, RPDO1, armed
 
 
-def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
+def test_vectors_of_a_fault_reported_by_emcy_and_cleared() -> None:
     talk = armed(Talk())
     talk.drive.trip(0x2310)
     talk.chapter(
         200,
         Hold("m"),  # nothing is said to it till somebody clears it
-        reported="""
+        expected="""
         0..1 < Fault 2310 continuous over current on the output
         0..20 < State fault FAULT
         still rpdo1 6040=000F 6060=8 607A=4096 …
@@ -24,12 +24,12 @@ def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
         beat 127 OPERATIONAL …
         """,
     )
-    talk.chapter(50, Hold("m"), reported="sync ?\nbeat ?")
+    talk.chapter(50, Hold("m"), expected="sync ?\nbeat ?")
     talk.chapter(
         200,
         ClearFault("m"),
         Hold("m"),
-        reported=f"""
+        expected=f"""
         write 6040 = 0000
         write 6040 = 0080
         < State ready SWITCH ON DISABLED
@@ -39,7 +39,7 @@ def test_vectors_of_a_fault_told_by_emcy_and_cleared() -> None:
         """,
     )
     talk.drive.trip(0x2310)  # again is another one
-    talk.chapter(50, Hold("m"), reported="< Fault 2310 *\n< State fault FAULT\nsync ?\nbeat ?")
+    talk.chapter(50, Hold("m"), expected="< Fault 2310 *\n< State fault FAULT\nsync ?\nbeat ?")
 
 
 def test_vectors_of_a_fault_without_emcy() -> None:
@@ -48,7 +48,7 @@ def test_vectors_of_a_fault_without_emcy() -> None:
     talk.chapter(
         100,
         Hold("m"),  # 603F comes with TPDO2
-        reported="""
+        expected="""
         < State fault FAULT
         < Fault 7305 incremental sensor 1
         sync /10
@@ -57,13 +57,13 @@ def test_vectors_of_a_fault_without_emcy() -> None:
     )
 
 
-def test_vectors_of_a_fault_that_is_asked_for() -> None:
+def test_vectors_of_a_fault_that_is_polled() -> None:
     talk = armed(Talk(feedback="sdo"), Velocity("m", 1.0))
     talk.drive.trip(0x3220, emcy=False)
     talk.chapter(
         200,
         Velocity("m", 1.0),
-        reported="""
+        expected="""
         0..40 < State fault FAULT
         0..60 < Fault 3220 DC link under voltage
         beat ?
@@ -74,7 +74,7 @@ def test_vectors_of_a_fault_that_is_asked_for() -> None:
         200,
         ClearFault("m"),
         Velocity("m", 1.0),
-        reported="""
+        expected="""
         write 6040 = 0000
         write 6040 = 0080
         < State ready SWITCH ON DISABLED
@@ -99,18 +99,18 @@ def test_vectors_of_a_fault_found_at_the_start() -> None:
     talk.chapter(
         150,
         Idle("m"),
-        reported="""
+        expected="""
         < State initialising FAULT*
         < Fault 8611 following error
         < State fault FAULT
         """,
     )
-    talk.chapter(100, Hold("m"), reported="")
+    talk.chapter(100, Hold("m"), expected="")
     talk.chapter(
         100,
         ClearFault("m"),
         Idle("m"),
-        reported="""
+        expected="""
         write 6040 = 0000
         write 6040 = 0080
         < State ready SWITCH ON DISABLED
@@ -149,14 +149,14 @@ def test_vectors_of_a_fault_that_does_not_go(stubborn: int) -> None:
         assert low <= run.times[0] <= high, run
 
 
-def test_vectors_of_a_fault_cleared_before_its_statusword_tells_it() -> None:
+def test_vectors_of_a_fault_cleared_before_its_statusword_shows_it() -> None:
     talk = armed(Talk())
     talk.drive.trip(0x2320)
     talk.chapter(
         150,
         ClearFault("m"),
         Hold("m"),
-        reported=f"""
+        expected=f"""
         0..1 < Fault 2320 short circuit or earth leakage on the output
         < State fault FAULT
         write 6040 = 0000
@@ -176,7 +176,7 @@ def test_vectors_of_a_warning_that_comes_goes_and_comes_again() -> None:
         talk.chapter(
             50,
             Hold("m"),
-            reported="""
+            expected="""
             0 < Fault 4210 excess temperature device
             still rpdo1 6040=000F 6060=8 607A=4096 /10
             sync /10
@@ -184,9 +184,9 @@ def test_vectors_of_a_warning_that_comes_goes_and_comes_again() -> None:
             """,
         )
         talk.drive.say_emcy(0x4210)
-        talk.chapter(50, Hold("m"), reported="sync /10\nbeat ?")
+        talk.chapter(50, Hold("m"), expected="sync /10\nbeat ?")
         talk.drive.say_emcy(0)
-        talk.chapter(50, Hold("m"), reported="sync /10\nbeat ?")
+        talk.chapter(50, Hold("m"), expected="sync /10\nbeat ?")
 
 
 def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
@@ -197,7 +197,7 @@ def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
         talk.chapter(
             150,
             Idle("m"),
-            reported="""
+            expected="""
             < Fault 3210 DC link over voltage
             < State fault FAULT
             write 1016:01 = 00000000
@@ -207,7 +207,7 @@ def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
         )
 
 
-def test_vectors_of_a_drive_that_is_no_longer_asked_to_hold_after_a_fault() -> None:
+def test_vectors_of_a_drive_that_is_disarmed_after_a_fault() -> None:
     talk = armed(Talk(), Velocity("m", 1.0))
     talk.drive.trip(0x8611)
     talk.chapter(100, Velocity("m", 1.0))
@@ -216,7 +216,7 @@ def test_vectors_of_a_drive_that_is_no_longer_asked_to_hold_after_a_fault() -> N
         150,
         ClearFault("m"),
         Idle("m"),  # cleared, and let go: 06 stands in its RPDO
-        reported="""
+        expected="""
         rpdo2 60FF=0 6071=0 60B2=0
         rpdo1 6040=0006 6060=9 607A=*
         write 6040 = 0000
@@ -237,7 +237,7 @@ def test_vectors_of_a_fault_cleared_before_the_state_is_known() -> None:
     talk.chapter(
         150,
         ClearFault("m"),
-        reported="""
+        expected="""
         < State initialising FAULT*
         write 6040 = 0000
         write 6040 = 0080
@@ -255,6 +255,6 @@ def test_vectors_of_a_fault_whose_code_comes_with_the_statusword() -> None:
     drive.map(0x1800, 0x40000182, 1, 0x60410010, 0x603F0010, 0x60640020)
     talk = armed(Talk(drive))
     drive.trip(0, emcy=False)
-    talk.chapter(30, Hold("m"), reported="< State fault FAULT\nsync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), expected="< State fault FAULT\nsync /10\nbeat ?")
     drive.put(0x603F, 0x7305)  # a bit later it knows why
-    talk.chapter(30, Hold("m"), reported="< Fault 7305 incremental sensor 1\nsync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), expected="< Fault 7305 incremental sensor 1\nsync /10\nbeat ?")

@@ -1,4 +1,4 @@
-"""Conversations of vectors: restarts, silence, NMT that somebody else says, a brain that falls silent."""
+"""Conversations of vectors: restarts, offline drives, NMT of another host, a brain that stops commanding."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
     talk.chapter(
         350,
         Hold("m"),
-        reported=f"""
+        expected=f"""
         0 < State initialising restarted
         < State initialising SWITCH ON DISABLED*
         < State ready SWITCH ON DISABLED
@@ -35,25 +35,25 @@ def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
     )
 
 
-def test_vectors_of_silence_and_of_coming_back() -> None:
+def test_vectors_of_a_drive_that_goes_offline_and_comes_back() -> None:
     talk = armed(Talk(offline_ms=300))
     talk.drive.dead = True
     talk.chapter(
         1000,
         Hold("m"),
-        reported="""
+        expected="""
         280..310 < State offline no frames received
         still rpdo1 6040=000F 6060=8 607A=4096 /10 until 280..310
         sync ?
         beat ?
         """,
     )
-    talk.chapter(500, Hold("m"), reported="reads 1000")
+    talk.chapter(500, Hold("m"), expected="reads 1000")
     talk.drive.dead = False
     talk.chapter(
         400,
         Idle("m"),
-        reported="""
+        expected="""
         0 write 6040 = 0006 …
         < State initialising READY TO SWITCH ON*
         < State ready READY TO SWITCH ON
@@ -65,20 +65,20 @@ def test_vectors_of_a_drive_that_never_answers() -> None:
     drive = Drive()
     drive.dead = True
     talk = Talk(drive, sdo_timeout_ms=50)
-    talk.chapter(400, Hold("m"), reported="reads 1000")
-    talk.chapter(700, Hold("m"), reported="95..110 < State offline no frames received\nreads 1000")
+    talk.chapter(400, Hold("m"), expected="reads 1000")
+    talk.chapter(700, Hold("m"), expected="95..110 < State offline no frames received\nreads 1000")
     times = [at for at, _ in talk.frames]
     assert {b - a for a, b in pairwise(times)} == {50}
 
 
-def test_vectors_of_an_nmt_state_that_somebody_else_changes() -> None:
+def test_vectors_of_an_nmt_state_that_another_host_changes() -> None:
     talk = armed(Talk())
     for command in (2, 0x80):  # stop; enter pre-operational: both end its PDOs
         talk.drive.nmt(command)
         talk.chapter(
             250,
             Hold("m"),
-            reported="""
+            expected="""
             0..110 nmt OPERATIONAL 2
             still rpdo1 6040=000F 6060=8 607A=4096 …
             sync /10
@@ -97,14 +97,14 @@ def test_vectors_of_a_start_that_is_not_obeyed() -> None:
     assert talk.drive.state == "SWITCH ON DISABLED"
 
 
-def test_vectors_of_letting_go_where_the_position_is_zero() -> None:
+def test_vectors_of_disarming_where_the_position_is_zero() -> None:
     drive = Drive()
     drive.put(0x6064, 0)
     talk = armed(Talk(drive))
     talk.chapter(
         30,
         Idle("m"),
-        reported="""
+        expected="""
         rpdo1 6040=0006 6060=8 607A=0
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000
@@ -114,14 +114,14 @@ def test_vectors_of_letting_go_where_the_position_is_zero() -> None:
     )
 
 
-def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it_stands_then() -> None:
+def test_vectors_of_a_drive_that_another_host_disarms_and_that_is_armed_at_its_new_position() -> None:
     talk = armed(Talk())
     talk.drive.stand("SWITCH ON DISABLED", 8)
     talk.drive.put(0x6064, 5000)
     talk.chapter(
         150,
         Hold("m"),
-        reported="""
+        expected="""
         < State ready SWITCH ON DISABLED
         rpdo1 6040=0006 6060=8 607A=5000 …
         < State ready READY TO SWITCH ON
@@ -136,15 +136,15 @@ def test_vectors_of_a_drive_that_is_disarmed_by_somebody_else_and_armed_where_it
     )
 
 
-def test_vectors_of_a_brain_that_falls_silent() -> None:
+def test_vectors_of_a_brain_that_stops_commanding() -> None:
     talk = armed(Talk())
     talk.chapter(
-        300, reported="sync ?"
+        300, expected="sync ?"
     )  # neither set-points nor heartbeat: the drive's own watchdog is to trip
     talk.chapter(
         150,
         Hold("m"),
-        reported="""
+        expected="""
         still rpdo1 6040=000F 6060=8 607A=4096 …
         sync /10
         beat 127 OPERATIONAL …

@@ -1,4 +1,4 @@
-"""Conversations of vectors: how set-points go and feedback comes: by PDOs written, found, or not to be had.
+"""Conversations of vectors: the PDOs of set-points and feedback: written, found, or missing.
 
 Flags of a COB-ID: 8… the PDO does not exist, 4… no remote frames. An inhibit time (subindex 3) counts 100 µs,
 an event timer (subindex 5) ms.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.messages import ClearFault, Fault, Hold, Idle, Position, Velocity
+from protocols.messages import ClearFault, Fault, Hold, Idle, Position, Torque, Velocity
 from tests.protocols.cia402.conversation import Talk, configured
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.test_conversation_vectors import RPDO1, RPDO2, RPDO3, TPDO1, TPDO2, TPDO3, armed
@@ -29,7 +29,7 @@ WRITTEN_FOR_SYNC = f"""
 
 
 def with_pdos(kind: int, timer: int = 0) -> Drive:
-    """A drive that comes with PDOs that tell and steer all that is needed."""
+    """Return a drive delivered with PDOs for all commands and feedback."""
     drive = Drive()
     drive.map(0x1400, 0x202, kind, *RPDO1)
     drive.map(0x1401, 0x302, kind, *SHORT)
@@ -45,7 +45,7 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
     talk.chapter(
         300,
         Hold("m"),
-        reported=f"""
+        expected=f"""
         write 1017 = 50
         {configured(0x1400, 0x202, 255, *RPDO1)}
         {configured(0x1401, 0x302, 255, *RPDO2)}
@@ -65,7 +65,7 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
     talk.chapter(
         40,
         Hold("m"),
-        reported="""
+        expected="""
         still rpdo1 6040=000F 6060=8 607A=4096 /10
         beat ?
         measures position=0 velocity=6.2832
@@ -73,14 +73,14 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
     )
 
 
-def test_vectors_of_feedback_that_is_asked_for() -> None:
+def test_vectors_of_feedback_that_is_polled() -> None:
     talk = Talk(feedback="sdo")
     talk.chapter(100)
     before = len(talk.frames)
     talk.chapter(
         1000,
         Idle("m"),
-        reported="reads 1018:04\nasks 6041 6061 6064 606C 6077 6078 6079",
+        expected="reads 1018:04\nasks 6041 6061 6064 606C 6077 6078 6079",
     )
     said = [frame.data[1:3] for _, frame in talk.frames[before:]]
     assert {frame.id for _, frame in talk.frames} == {0x602}
@@ -92,7 +92,7 @@ def test_vectors_of_feedback_that_is_asked_for() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        reported=f"""
+        expected=f"""
         {configured(0x1400, 0x202, 255, *RPDO1)}
         {configured(0x1401, 0x302, 255, *RPDO2)}
         {configured(0x1402, 0x402, 255, *RPDO3)}
@@ -111,7 +111,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        reported="""
+        expected="""
         nmt OPERATIONAL 2
         write 607A = 4096 …
         write 6060 = 8
@@ -126,7 +126,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     talk.chapter(
         150,
         Velocity("m", 1.0, 0.1),  # 16384/τ = 2607.6; 100 ‰
-        reported="""
+        expected="""
         write 60B2 = 100
         write 60FF = 2608 /20..30
         write 6060 = 9
@@ -136,7 +136,7 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     talk.chapter(
         150,
         Position("m", 0.5, -1.0),  # 0.5·16384/τ = 1303.8
-        reported="""
+        expected="""
         write 60B1 = -2608
         write 60B2 = 0
         write 607A = 1304 /20..30
@@ -146,8 +146,18 @@ def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
     )
     talk.chapter(
         150,
+        Torque("m", -0.25),
+        expected="""
+        write 60B1 = 0
+        write 6071 = -250 /20..30
+        write 6060 = 10
+        < State armed OPERATION ENABLED, cyclic synchronous torque
+        """,
+    )
+    talk.chapter(
+        150,
         Idle("m"),
-        reported="""
+        expected="""
         0 write 6040 = 0006
         < State ready READY TO SWITCH ON
         """,
@@ -159,7 +169,7 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
     talk = Talk(with_pdos(kind, 10 if kind == 255 else 0), **options)
     talk.chapter(
         150,  # of a PDO that exists: identifier, type, its timer if it tells, and what is mapped
-        reported="""
+        expected="""
         < *
         < State ready SWITCH ON DISABLED
         reads 1000 1008 1017 1018:01 1018:02 1018:03 1018:04 603F 605A 6075 6076 608F:01 608F:02 6091:01 \
@@ -171,7 +181,7 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
     talk.chapter(
         200,
         Hold("m"),
-        reported=f"""
+        expected=f"""
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 …{ARMED}
@@ -179,11 +189,11 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
         beat 127 OPERATIONAL …
         """,
     )
-    talk.chapter(250, Hold("m"), reported=f"{synced}\nbeat ?\nasks 606C 6077 6078 6079")
+    talk.chapter(250, Hold("m"), expected=f"{synced}\nbeat ?\nasks 606C 6077 6078 6079")
     talk.chapter(
         50,
         Position("m", 1.0, 1.0),  # 60B1 stands in no PDO: by SDO
-        reported=f"""
+        expected=f"""
         rpdo1 6040=000F 6060=8 607A=2608 /1..10
         write 60B1 = 2608
         {synced}
@@ -192,7 +202,7 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
     )
 
 
-def test_vectors_of_pdos_that_wait_for_a_sync_that_is_nobody_s() -> None:
+def test_vectors_of_pdos_that_wait_for_a_sync_without_a_producer() -> None:
     drive = with_pdos(1)
     talk = Talk(drive, feedback="event")  # SYNC is not said here: neither end of them is of use
     talk.chapter(150)
@@ -201,13 +211,13 @@ def test_vectors_of_pdos_that_wait_for_a_sync_that_is_nobody_s() -> None:
     assert drive.state == "OPERATION ENABLED"
 
 
-def test_vectors_of_pdos_that_tell_too_seldom() -> None:
+def test_vectors_of_pdos_that_report_too_seldom() -> None:
     talk = Talk(with_pdos(255, 5000))
     talk.chapter(150)
     talk.chapter(
         250,
         Hold("m"),  # what steers stays as it is
-        reported=f"""{WRITTEN_FOR_SYNC}
+        expected=f"""{WRITTEN_FOR_SYNC}
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 …{ARMED}
@@ -217,7 +227,7 @@ def test_vectors_of_pdos_that_tell_too_seldom() -> None:
     )
 
 
-def test_vectors_of_pdos_that_steer_too_little() -> None:
+def test_vectors_of_pdos_that_lack_a_set_point() -> None:
     drive = with_pdos(1)
     drive.map(0x1401, 0x302, 1, 0x60FF0020)  # no torque
     talk = Talk(drive)
@@ -225,7 +235,7 @@ def test_vectors_of_pdos_that_steer_too_little() -> None:
     talk.chapter(
         250,
         Hold("m"),  # RPDO1 and what tells stay as they are
-        reported=f"""
+        expected=f"""
         {configured(0x1401, 0x302, 1, *RPDO2)}
         {configured(0x1402, 0x402, 1, *RPDO3)}
         write 1016:01 = 007F01F4
@@ -274,7 +284,7 @@ def test_vectors_of_odd_pdos_that_do_well(index: int, kind: int, entries: tuple[
     assert drive.state == "OPERATION ENABLED"
     drive.put(0x6064, -8192)
     dummy = "202#0F00080010000000 /10\n" if len(entries) == 4 and index == 0x1400 else ""
-    talk.chapter(100, Hold("m"), reported=f"{dummy}sync /10\nbeat ?\nmeasures position=-3.1416")
+    talk.chapter(100, Hold("m"), expected=f"{dummy}sync /10\nbeat ?\nmeasures position=-3.1416")
 
 
 def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
@@ -287,7 +297,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         50,
         Position("m", 1.0, 0.5),
-        reported="""
+        expected="""
         0 < Refused Position m it has no object 60B1 *
         sync /10
         beat ?
@@ -296,7 +306,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         50,
         Velocity("m", 1.0, 0.5),
-        reported="""
+        expected="""
         0 < Refused Velocity m it has no object 60B2 *
         sync /10
         beat ?
@@ -305,7 +315,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         50,
         Position("m", 1.0),
-        reported="""
+        expected="""
         rpdo1 6040=000F 6060=8 607A=2608 /2..10
         sync /10
         beat ?
@@ -318,7 +328,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        reported="""
+        expected="""
         nmt OPERATIONAL 2
         write 607A = 4096 …
         write 6060 = 8
@@ -341,7 +351,7 @@ def test_vectors_of_pdos_that_may_not_be_written() -> None:
     talk.chapter(
         350,
         Hold("m"),
-        reported=f"""
+        expected=f"""
         write 1400:01 = 80000202
         {configured(0x1401, 0x302, 1, *RPDO2)}
         {configured(0x1402, 0x402, 1, *RPDO3)}
@@ -374,7 +384,7 @@ def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        reported="""
+        expected="""
         write 1016:01 = 007F01F4
         < Fault 10005 not configured
         """,
@@ -386,7 +396,7 @@ def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
         200,
         ClearFault("m"),
         Hold("m"),
-        reported=f"""
+        expected=f"""
         < Done ClearFault m
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2

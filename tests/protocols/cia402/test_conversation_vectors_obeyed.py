@@ -1,8 +1,8 @@
-"""Conversations of vectors with a host: package canopen's RemoteNode says it, our ear tells what is obeyed.
+"""Conversations of vectors with a host: package canopen's RemoteNode sends, the decoder decodes.
 
-The words are written down from CiA 402-2; 16384 increments a turn, and 1 N·m of rated torque. What a drive's
-SDO server answers is compared with what canopen's LocalNode answers to the same frames. An ear does not wait
-for a shaft: a quick stop that does not hold is over at once.
+The commands are written by hand from CiA 402-2; 16384 increments a turn, and 1 N·m of rated torque. The
+responses of a drive's SDO server are compared with those of canopen's LocalNode to the same frames. A decoder
+does not wait for a shaft: a quick stop that does not hold is over at once.
 """
 
 from __future__ import annotations
@@ -116,13 +116,13 @@ OBEYED: dict[str, Lines] = {
     "faults are reset by the rising edge of bit 7": [
         ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
         ("nmt 2",         "Idle; WriteParameter NMT state 4"),  # 6007 = 1: a fault
-        ("6040 = 128",    ""),  # SDO is not heard in stopped
+        ("6040 = 128",    ""),  # SDO is not received in stopped
         ("nmt 1",         "WriteParameter NMT state 5"),
         *UP, ("6040 = 15", ""),
         ("6040 = 128",    "ClearFault"),
         ("6040 = 143",    ""),  # bit 7 stands
         ("6040 = 15",     ""),
-        ("6040 = 143",    "ClearFault"),  # without a fault it says so too
+        ("6040 = 143",    "ClearFault"),  # without a fault, too
         *UP, ("6040 = 15", "Velocity 0 0"),
     ],
     "a lost connection: nothing": [
@@ -229,7 +229,7 @@ OBEYED: dict[str, Lines] = {
         ("1400:01 = 2147484162", "WriteParameter 1400:01 2147484162"),
         ("1600:01 = 1614807056", ""),  # not while the count stands
         ("1600 = 0",             "WriteParameter 1600 0"),
-        ("1A00:01 = 1614872592", "WriteParameter 1A00:01 1614872592"),  # 6041 may be told
+        ("1A00:01 = 1614872592", "WriteParameter 1A00:01 1614872592"),  # 6041 is mappable
         ("1A00:01 = 268435488", ""),  # 1000 is not mappable
     ],
     "units, and what may be written": [
@@ -264,32 +264,32 @@ OBEYED: dict[str, Lines] = {
 
 
 class Host:
-    """A RemoteNode, a LocalNode that answers it, and an axis and an ear that hear the same."""
+    """A RemoteNode, a LocalNode that answers it, and an axis and a decoder that receive the same."""
 
     def __init__(self, settings: Settings | None = None) -> None:
         device = Device("m", NODE, Options(), settings or Settings())
         self.axis = Axis(device, instant=True)
         self.decoder = plugin.decoder([device])
         self.slave = Slave(NODE)
-        self.slave.said()
+        self.slave.take_sent()
         self.network = Joined()
         self.node: Any = canopen.RemoteNode(NODE, dictionary(NODE))
         self.network.add_node(self.node)
         self.now = 0
-        self.words: list[Command | Request] = []
+        self.obeyed: list[Command | Request] = []
         self.compared: list[tuple[CanFrame, list[str], list[str]]] = []
-        """(request, what LocalNode answered, what the axis did)"""
+        """(request, LocalNode's responses, the axis's responses)"""
         self.last = ""
         self.network.on_sent = self._handle
 
     def _handle(self, frame: CanFrame) -> None:
         self.now += MILLISECOND
-        words = list(self.axis.receive(self.now, frame))
-        assert words == list(self.decoder.decode(self.now, frame))
-        self.words += words
+        obeyed = list(self.axis.receive(self.now, frame))
+        assert obeyed == list(self.decoder.decode(self.now, frame))
+        self.obeyed += obeyed
         if len(frame.data) == {0x000: 2, 0x602: 8}.get(frame.id, -1):  # it raises on others
             self.slave.receive(frame)
-        reported = [answer for answer in self.slave.said() if answer.id == 0x580 + NODE]
+        reported = [answer for answer in self.slave.take_sent() if answer.id == 0x580 + NODE]
         own = [sdo.encode(answer).hex() for answer in self.axis.responses]
         if frame.id == 0x600 + NODE:
             self.compared.append((frame, [answer.data.hex() for answer in reported], own))
@@ -297,23 +297,23 @@ class Host:
         for answer in reported:
             self.network.handle(answer)
 
-    def say(self, line: str) -> str:
-        """Say what a line says; what is obeyed, in short. The command that stands already is left out."""
-        self.words.clear()
+    def send(self, line: str) -> str:
+        """Send what a line describes; return what is obeyed, in short. An unchanged command is left out."""
+        self.obeyed.clear()
         with contextlib.suppress(canopen.SdoAbortedError, canopen.SdoCommunicationError):
-            self._say(*line.split())
+            self._send(*line.split())
         reported = []
-        assert {getattr(word, "motor", "") for word in self.words} <= {"m"}
-        for word in self.words:
-            text = _short(word)
-            if text != self.last or not isinstance(word, Command):
+        assert {getattr(each, "motor", "") for each in self.obeyed} <= {"m"}
+        for each in self.obeyed:
+            text = _short(each)
+            if text != self.last or not isinstance(each, Command):
                 reported.append(text)
-            self.last = text if isinstance(word, Command) else self.last
+            self.last = text if isinstance(each, Command) else self.last
             if text in ("Estop", "ClearFault", "Reboot"):
                 self.last = ""
         return "; ".join(reported)
 
-    def _say(self, what: str, *rest: str) -> None:
+    def _send(self, what: str, *rest: str) -> None:
         if what == "nmt":
             self.node.nmt.send_command(int(rest[0]))
         elif what == "sync":
@@ -341,7 +341,7 @@ class Host:
         pdo.save()
 
     def variable(self, index: int, sub: int) -> Any:
-        """An object, as canopen's dictionary has it."""
+        """Return an object of canopen's dictionary."""
         known = self.node.object_dictionary[index]
         return known if isinstance(known, canopen.objectdictionary.ODVariable) else known[sub]
 
@@ -350,10 +350,10 @@ class Host:
         self.node.sdo.download(index, sub, self.variable(index, sub).encode_raw(value))
 
 
-def _short(word: Command | Request) -> str:
-    values = [getattr(word, f.name) for f in fields(word) if f.name != "motor"]
+def _short(each: Command | Request) -> str:
+    values = [getattr(each, f.name) for f in fields(each) if f.name != "motor"]
     reported = [_number(value) if isinstance(value, float) else str(value) for value in values]
-    return " ".join([type(word).__name__, *reported])
+    return " ".join([type(each).__name__, *reported])
 
 
 def _number(value: float) -> str:
@@ -364,7 +364,7 @@ def _number(value: float) -> str:
 def test_vectors_of_a_host_are_obeyed(name: str) -> None:
     host = Host()
     for at, (line, wanted) in enumerate(OBEYED[name]):
-        reported = host.say(line)
+        reported = host.send(line)
         assert wanted == "*" or reported == wanted, f"{at}: {line}: {reported!r}, not {wanted!r}"
 
 
@@ -375,14 +375,14 @@ def test_vectors_of_a_mapping_that_is_usual() -> None:
         pdo.cob_id, pdo.trans_type, pdo.enabled = 0x100 * number + 0x100 + NODE, 1, True
         for index in indices.split():
             pdo.add_variable(int(index, 16))
-    assert [host.say(line) for line in ("nmt 1", "rpdo1 6 8 0", "sync")] == [
+    assert [host.send(line) for line in ("nmt 1", "rpdo1 6 8 0", "sync")] == [
         "WriteParameter NMT state 5",
         "",
         "",
     ]
-    assert [host.say(line) for line in ("rpdo1 15 8 4096", "sync")] == ["", "Position 1.5708 0 0"]
-    assert [host.say(line) for line in ("rpdo2 16384 0", "sync")] == ["", ""]
-    assert [host.say(line) for line in ("rpdo1 15 9 0", "sync")] == ["", "Velocity 6.2832 0"]
+    assert [host.send(line) for line in ("rpdo1 15 8 4096", "sync")] == ["", "Position 1.5708 0 0"]
+    assert [host.send(line) for line in ("rpdo2 16384 0", "sync")] == ["", ""]
+    assert [host.send(line) for line in ("rpdo1 15 9 0", "sync")] == ["", "Velocity 6.2832 0"]
 
 
 def test_vectors_of_the_hosts_heartbeat_are_noted() -> None:
@@ -393,12 +393,12 @@ def test_vectors_of_the_hosts_heartbeat_are_noted() -> None:
         host.network.send_message(frame.id, frame.data)
         return host.axis.host_beat
 
-    assert noted(beat) is None, "nobody asked for it"
-    host.say("1016:01 = 8323572")  # 127 << 16 | 500
+    assert noted(beat) is None, "not configured"
+    host.send("1016:01 = 8323572")  # 127 << 16 | 500
     for other in (CanFrame(0x77E, b"\x05"), CanFrame(0x77F), CanFrame(0x77F, b"\x05\x00")):
         assert noted(other) is None, other
     assert noted(beat) == host.now
-    host.say("1016:01 = 0")
+    host.send("1016:01 = 0")
     assert noted(beat) is None
 
 
@@ -437,7 +437,7 @@ def test_vectors_of_every_object_is_written_in_its_length_alone() -> None:
     assert len(host.compared) > 600
     for request, reported, own in host.compared:
         assert reported == own, request
-    assert not host.words
+    assert not host.obeyed
 
 
 def test_vectors_of_values_that_are_written_stand_there_afterwards() -> None:
@@ -456,7 +456,7 @@ def test_vectors_of_values_that_are_written_stand_there_afterwards() -> None:
 
 
 CODED = (0x1005, 0x1029, 0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6060, 0x6098)
-"""Objects of which a drive knows some values only."""
+"""Objects of which a drive supports some values only."""
 PIECES = {
     # an upload of 1008, "twin402", 7 bytes: one segment; toggle bits; without a beginning; broken off
     "upload": ["4008100000000000", "6000000000000000"],
@@ -481,7 +481,7 @@ def test_vectors_of_pieces_are_answered_as_the_package_answers_them(name: str) -
         assert reported == own, request
 
 
-def test_vectors_of_the_drives_side_are_no_words() -> None:
+def test_vectors_of_the_drives_side_are_no_commands() -> None:
     decoder = plugin.decoder([DEVICE])
     for vector in VECTORS:
         if vector.direction == "from_device":

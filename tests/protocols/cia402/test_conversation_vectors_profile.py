@@ -24,7 +24,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
     talk.chapter(
         20,
         Position("m", 1.0, 5.0),  # a profile has no feed-forward
-        reported="""
+        expected="""
         0 < Refused Position m * no velocity for Position
         sync /10
         beat ?
@@ -33,7 +33,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
     talk.chapter(
         100,
         Position("m", 1.0),
-        reported="""
+        expected="""
         0..10 rpdo1 6040=003F 6060=1 607A=2608 …
         rpdo1 6040=002F 6060=1 607A=2608 …
         still rpdo2 60FF=0 6071=0 60B2=0 …
@@ -45,7 +45,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
     talk.chapter(
         100,
         Position("m", 1.0),
-        reported="""
+        expected="""
         still rpdo1 6040=002F 6060=1 607A=2608 …
         sync /10
         beat ?
@@ -54,7 +54,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
     talk.chapter(
         100,
         Position("m", 2.0),
-        reported="""
+        expected="""
         0..10 rpdo1 6040=003F 6060=1 607A=5215 …
         rpdo1 6040=002F 6060=1 607A=5215 …
         sync /10
@@ -73,7 +73,7 @@ def test_vectors_of_the_first_set_point_of_profile_position() -> None:
     talk.chapter(
         200,
         Position("m", 1.0),
-        reported="""
+        expected="""
         0..10 nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 …
         rpdo1 6040=0006 6060=1 607A=4096 …
@@ -92,11 +92,11 @@ def test_vectors_of_the_first_set_point_of_profile_position() -> None:
 def test_vectors_of_a_set_point_that_is_not_acknowledged_yet() -> None:
     talk = armed(Talk(modes="profile"), Position("m", 0.0))
     talk.drive.acknowledges = False
-    talk.chapter(50, Position("m", 1.0), reported="0..10 rpdo1 6040=003F 6060=1 607A=2608 …\nsync ?\nbeat ?")
+    talk.chapter(50, Position("m", 1.0), expected="0..10 rpdo1 6040=003F 6060=1 607A=2608 …\nsync ?\nbeat ?")
     talk.chapter(
         100,
         Position("m", 2.0),  # the target stays while it is handed over
-        reported="""
+        expected="""
         still rpdo1 6040=003F 6060=1 607A=2608 …
         sync ?
         beat ?
@@ -106,7 +106,7 @@ def test_vectors_of_a_set_point_that_is_not_acknowledged_yet() -> None:
     talk.chapter(
         100,
         Position("m", 2.0),
-        reported="""
+        expected="""
         still rpdo1 6040=003F 6060=1 607A=2608 …
         rpdo1 6040=002F 6060=1 607A=* …
         rpdo1 6040=003F 6060=1 607A=5215 …
@@ -136,7 +136,7 @@ def test_vectors_of_profile_velocity_and_torque() -> None:
     talk.chapter(
         100,
         Velocity("m", -2.0),
-        reported="""
+        expected="""
         rpdo2 60FF=-5215 6071=0 60B2=0 …
         still rpdo1 6040=000F 6060=3 607A=4096 …
         sync /10
@@ -146,7 +146,7 @@ def test_vectors_of_profile_velocity_and_torque() -> None:
     talk.chapter(
         100,
         Torque("m", -0.25),
-        reported="""
+        expected="""
         rpdo2 60FF=0 6071=-250 60B2=0 …
         rpdo1 6040=000F 6060=4 607A=4096 …
         < State armed OPERATION ENABLED, profile torque
@@ -162,7 +162,7 @@ def test_vectors_of_homing() -> None:
         150,
         Home("m"),
         Hold("m"),
-        reported="""
+        expected="""
         rpdo1 6040=000F 6060=6 607A=4096 …
         < State armed OPERATION ENABLED, homing
         rpdo1 6040=001F 6060=6 607A=4096 …
@@ -182,7 +182,7 @@ def test_vectors_of_homing_by_sdo() -> None:
         200,
         Home("m"),
         Hold("m"),
-        reported="""
+        expected="""
         write 6060 = 6
         write 607A = 4096 /20..25 until 50..70
         write 6040 = 001F
@@ -204,7 +204,7 @@ def test_vectors_of_homing_that_fails_or_never_ends() -> None:
         150,
         Home("m"),
         Hold("m"),
-        reported="""
+        expected="""
         rpdo1 6040=000F 6060=6 607A=4096 …
         < State armed OPERATION ENABLED, homing
         rpdo1 6040=001F 6060=6 607A=4096 …
@@ -220,7 +220,7 @@ def test_vectors_of_homing_that_fails_or_never_ends() -> None:
         300,
         Home("m"),
         Hold("m"),
-        reported="""
+        expected="""
         rpdo1 6040=000F 6060=6 607A=4096 …
         < State armed OPERATION ENABLED, homing
         rpdo1 6040=001F 6060=6 607A=4096 …
@@ -243,7 +243,7 @@ def test_vectors_of_homing_that_is_left() -> None:
         20,
         Home("m"),
         Hold("m"),
-        reported="""
+        expected="""
         0 < Refused Home m homing is under way
         still rpdo1 6040=001F 6060=6 607A=4096 …
         sync ?
@@ -253,7 +253,7 @@ def test_vectors_of_homing_that_is_left() -> None:
     talk.chapter(
         100,
         Idle("m"),
-        reported="""
+        expected="""
         < Refused Home m *disarmed*
         rpdo1 6040=0006 6060=6 607A=4096 …
         < State ready READY TO SWITCH ON
@@ -267,14 +267,14 @@ def test_vectors_of_homing_that_is_left() -> None:
         Home("m"),
         Zero("m"),
         Idle("m"),
-        reported="""
+        expected="""
         0 < Refused Home m it must be armed and hold*
         0 < Refused Zero m it must be armed and hold*
         """,
     )
 
 
-def test_vectors_of_calling_the_present_position_zero() -> None:
+def test_vectors_of_setting_the_present_position_to_zero() -> None:
     for refused, method in ((None, 37), (37, 35)):
         drive = Drive()
         drive.put(0x6098, -3)  # one of the maker's own
@@ -286,7 +286,7 @@ def test_vectors_of_calling_the_present_position_zero() -> None:
             200,
             Zero("m"),
             Hold("m"),
-            reported=f"""
+            expected=f"""
         {tried}
         rpdo1 6040=000F 6060=6 607A=4096 …
         < State armed OPERATION ENABLED, homing
@@ -314,7 +314,7 @@ def test_vectors_of_drives_that_cannot_home() -> None:
         100,
         Zero("m"),
         Hold("m"),
-        reported="""
+        expected="""
         < Refused Zero m it cannot take its present position as zero: the device has no such object*
         sync /10
         beat ?
@@ -328,7 +328,7 @@ def test_vectors_of_drives_that_cannot_home() -> None:
         Home("m"),
         ClearFault("m"),
         Hold("m"),
-        reported="""
+        expected="""
         0 < Refused Home m it has no homing mode*
         < Done ClearFault m
         sync /10
@@ -340,11 +340,11 @@ def test_vectors_of_drives_that_cannot_home() -> None:
 def test_vectors_of_a_set_point_by_sdo_that_is_acknowledged_very_late() -> None:
     talk = armed(Talk(modes="profile", feedback="sdo", mapping="keep", watchdog_ms=0), Position("m", 0.0))
     talk.drive.acknowledges = False
-    talk.chapter(50, Position("m", 1.0), reported="write 607A = 2608 …\nwrite 6040 = 003F")
+    talk.chapter(50, Position("m", 1.0), expected="write 607A = 2608 …\nwrite 6040 = 003F")
     talk.chapter(
         350,
         Position("m", 2.0),
-        reported="""
+        expected="""
         write 607A = 2608 /20..25 until 180..220
         190..220 write 607A = 5215 /20..25
         write 6040 = 002F
@@ -352,15 +352,15 @@ def test_vectors_of_a_set_point_by_sdo_that_is_acknowledged_very_late() -> None:
         """,
     )
     talk.drive.acknowledges = True
-    talk.chapter(100, Position("m", 2.0), reported="write 607A = 5215 /20..25\nwrite 6040 = 002F")
+    talk.chapter(100, Position("m", 2.0), expected="write 607A = 5215 /20..25\nwrite 6040 = 002F")
 
 
-def test_vectors_of_arming_in_profile_modes_is_let_go_like_any_other() -> None:
+def test_vectors_of_disarming_in_profile_modes() -> None:
     talk = armed(Talk(modes="profile", feedback="event"), Velocity("m", 1.0))
     talk.chapter(
         100,
         Idle("m"),
-        reported="""
+        expected="""
         0 rpdo2 60FF=0 6071=0 60B2=0
         0 rpdo1 6040=0006 6060=3 607A=4096
         < State ready READY TO SWITCH ON
@@ -379,7 +379,7 @@ def test_vectors_of_a_zero_that_fails_leaves_the_homing_method_as_it_was() -> No
         150,
         Zero("m"),
         Hold("m"),
-        reported="""
+        expected="""
         write 6098 = 37
         rpdo1 6040=000F 6060=6 607A=4096 …
         < State armed OPERATION ENABLED, homing
@@ -403,7 +403,7 @@ def test_vectors_of_a_restart_in_the_middle_of_homing() -> None:
     talk.chapter(
         20,
         Idle("m"),
-        reported="""
+        expected="""
         0 < State initialising restarted
         < State initialising reading its object dictionary
         0 < Refused Home m it was disarmed*

@@ -1,4 +1,4 @@
-"""Conversations of vectors: what a drive tells of state, mode, name and numbers; transfers in segments."""
+"""Conversations of vectors: what a drive reports of state, mode and name; segmented transfers."""
 
 from __future__ import annotations
 
@@ -102,12 +102,12 @@ def test_vectors_of_a_drive_that_shortens_its_answers() -> None:
     assert "position" not in talk.transcript(150)[-1]
 
 
-def test_vectors_of_a_statusword_of_a_wrong_length_it_tells_nothing() -> None:
+def test_vectors_of_a_statusword_of_a_wrong_length_it_is_ignored() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive._show = lambda: None  # type: ignore[method-assign]  # as above
     talk.drive.put_bytes(0x6041, b"\x37")
-    talk.chapter(100, reported="asks 6041 6061 6064 606C 6077")
+    talk.chapter(100, expected="asks 6041 6061 6064 606C 6077")
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_vectors_of_a_faster_sync() -> None:
     talk.chapter(
         200,
         Hold("m"),
-        reported="""
+        expected="""
         still rpdo1 6040=000F 6060=8 607A=4096 /5
         still rpdo2 60FF=0 6071=0 60B2=0 /100
         still rpdo3 60B1=0 /100
@@ -148,7 +148,7 @@ def test_vectors_of_a_faster_sync() -> None:
     )
 
 
-def test_vectors_of_a_tpdo_that_stays_away_its_objects_are_asked_for_again() -> None:
+def test_vectors_of_a_tpdo_that_stops_its_objects_are_polled_again() -> None:
     talk = armed(Talk())
     talk.drive.local.data_store[0x1800][1] = (0xC000_0182).to_bytes(4, "little")  # somebody switches it off
     talk.drive._fresh = False
@@ -157,7 +157,7 @@ def test_vectors_of_a_tpdo_that_stays_away_its_objects_are_asked_for_again() -> 
     talk.chapter(
         200,
         Hold("m"),
-        reported="""
+        expected="""
         still rpdo1 6040=000F 6060=8 607A=4096 /10
         sync /10
         beat ?
@@ -177,12 +177,12 @@ def _domain(slave: Slave) -> None:
 
 
 def _run(slave: Slave, transfer: Transfer) -> int:
-    """A whole transfer; how many frames it took."""
+    """Run a transfer; return the number of requests."""
     request: sdo.Request | None = transfer.first()
     count = 0
     while request is not None and count < 99:
         slave.receive(CanFrame(0x602, sdo.encode(request)))
-        (answer,) = slave.said()
+        (answer,) = slave.take_sent()
         received = sdo.decode_response(answer.data)
         assert received is not None
         request, count = transfer.handle(received), count + 1
@@ -193,7 +193,7 @@ def _run(slave: Slave, transfer: Transfer) -> int:
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 6, 7, 8, 13, 14, 15, 40])
 def test_vectors_of_transfers_of_any_length(size: int) -> None:
     slave, data = Slave(2), bytes(range(1, size + 1))
-    slave.said()
+    slave.take_sent()
     _domain(slave)
     written, read = Transfer(0x2100, 0, data), Transfer(0x2100, 0)
     frames = 1 if size <= 4 else 1 + -(-size // 7)
@@ -207,7 +207,7 @@ def test_vectors_of_transfers_of_any_length(size: int) -> None:
 
 def test_vectors_of_a_transfer_of_nothing_and_of_one_that_is_refused() -> None:
     slave = Slave(2)
-    slave.said()
+    slave.take_sent()
     _domain(slave)
     empty = Transfer(0x2100, 0, b"")
     assert _run(slave, empty) == 2

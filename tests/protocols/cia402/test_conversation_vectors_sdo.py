@@ -1,4 +1,4 @@
-"""Conversations of vectors: SDO answers lost, late, doubled, refused, cut; and what a person asks for."""
+"""Conversations of vectors: SDO responses lost, late, doubled, refused, cut; and requests."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_vectors_of_answers_that_come_late() -> None:
     talk = Talk(drive, feedback_ms=20)
     talk.chapter(
         1200,
-        reported="""
+        expected="""
         < State initialising reading its object dictionary
         < State initialising SWITCH ON DISABLED*
         < State ready SWITCH ON DISABLED
@@ -65,7 +65,7 @@ def test_vectors_of_answers_that_come_late() -> None:
     assert not [event for event in talk.events if isinstance(event, msg.Found)]
 
 
-def test_vectors_of_answers_that_come_after_the_question_was_repeated() -> None:
+def test_vectors_of_answers_that_come_after_the_request_was_repeated() -> None:
     drive = Drive()
     drive.late = 40
     talk = Talk(drive, sdo_timeout_ms=30, feedback_ms=100)
@@ -75,35 +75,35 @@ def test_vectors_of_answers_that_come_after_the_question_was_repeated() -> None:
     assert any("State ready" in str(run) for run in talk.runs()) or len(talk.events) > 10
 
 
-def test_vectors_of_every_question_answered_twice() -> None:
+def test_vectors_of_every_request_answered_twice() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive.copies = 2
     talk.chapter(
         100,
         msg.Idle("m"),
-        reported="""
+        expected="""
         0..50 < Found 2 4711 duplicate node id 2: * duplicate_address
         < Fault 10002 duplicate node id
         """,
     )
-    talk.chapter(1200, msg.Idle("m"), reported="reads 1018:04")  # told once
+    talk.chapter(1200, msg.Idle("m"), expected="reads 1018:04")  # told once
     talk.drive.copies = 1
-    talk.chapter(100, msg.ClearFault("m"), msg.Idle("m"), reported="< Done ClearFault m")
-    talk.chapter(1200, msg.Idle("m"), reported="reads 1018:04")
+    talk.chapter(100, msg.ClearFault("m"), msg.Idle("m"), expected="< Done ClearFault m")
+    talk.chapter(1200, msg.Idle("m"), expected="reads 1018:04")
     talk.drive.copies = 2
-    talk.chapter(100, msg.Idle("m"), reported="< Found *\n< Fault 10002 *")
+    talk.chapter(100, msg.Idle("m"), expected="< Found *\n< Fault 10002 *")
 
 
 def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
     talk = Talk(feedback_ms=50)
     talk.chapter(900)
-    talk.handle(CanFrame(0x582, bytes.fromhex("4318100405000000")))  # nobody asked: it changes nothing
-    talk.chapter(50, reported="")
+    talk.handle(CanFrame(0x582, bytes.fromhex("4318100405000000")))  # no host asked: it changes nothing
+    talk.chapter(50, expected="")
     talk.drive.put(0x1018, 99, 4)
     talk.chapter(
         1200,
-        reported="""
+        expected="""
         0..1060 < State initialising another device responds
         < State initialising reading its object dictionary
         < State initialising SWITCH ON DISABLED*
@@ -118,19 +118,19 @@ def test_vectors_of_two_serial_numbers_and_of_another_device() -> None:
         talk.chapter(1)
         for _, raw in talk.frames[mark:]:
             if raw.id == 0x602 and raw.data[:4] == b"\x40\x18\x10\x04":
-                other.slave.said()
+                other.slave.take_sent()
                 other.slave.receive(raw)
-                talk.drive.extra += [frame for frame in other.slave.said() if frame.id == 0x582]
+                talk.drive.extra += [frame for frame in other.slave.take_sent() if frame.id == 0x582]
     found = [event for event in talk.events if isinstance(event, msg.Found)]
     assert [(each.address, each.duplicate_address) for each in found] == [(2, True)]
 
 
-def test_vectors_of_heartbeats_that_contradict_each_other() -> None:
+def test_vectors_of_heartbeats_that_alternate() -> None:
     beats = {state: CanFrame(0x702, bytes((state,))) for state in (5, 127)}
     talk = Talk()
     talk.chapter(60)
     talk.handle(beats[5], beats[127], beats[127])  # it was stopped: no contradiction
-    talk.chapter(20, reported="")
+    talk.chapter(20, expected="")
     talk.handle(beats[5], beats[127], beats[5])
     talk.chapter(0)
     found = [event for event in talk.events if isinstance(event, msg.Found)]
@@ -178,7 +178,7 @@ ASKED: list[tuple[Request, Sequence[str]]] = [
 def test_vectors_of_parameters(request_: Request, reported: Sequence[str]) -> None:
     talk = Talk()
     talk.chapter(100)
-    talk.chapter(30, request_, reported="\n".join(reported))
+    talk.chapter(30, request_, expected="\n".join(reported))
 
 
 def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
@@ -190,20 +190,20 @@ def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
     talk.chapter(
         30,
         msg.ReadParameter("m", "2000:01"),
-        reported="< Parameter 2000:01 254\n< Done ReadParameter m of unknown type*",
+        expected="< Parameter 2000:01 254\n< Done ReadParameter m of unknown type*",
     )
     drive.local.data_store[0x2000] = {1: bytes(9)}
     talk.chapter(
-        30, msg.ReadParameter("m", "2000:01"), reported="< Refused ReadParameter m * is no number of its type"
+        30, msg.ReadParameter("m", "2000:01"), expected="< Refused ReadParameter m * is no number of its type"
     )
 
 
-def test_vectors_of_answers_that_do_not_tell_their_size() -> None:
+def test_vectors_of_answers_without_their_size() -> None:
     talk = Talk()
     talk.drive.unsized = True
     talk.drive.put(0x6064, 70_000)  # 26.8447 rad
-    talk.chapter(100, reported="< *\n< State ready *\nmeasures position=26.845 voltage=48")
-    talk.chapter(30, msg.ReadParameter("m", "6081"), reported="< Parameter 6081 100000\n< Done *")
+    talk.chapter(100, expected="< *\n< State ready *\nmeasures position=26.845 voltage=48")
+    talk.chapter(30, msg.ReadParameter("m", "6081"), expected="< Parameter 6081 100000\n< Done *")
 
 
 def test_vectors_of_parameters_below_zero() -> None:
@@ -211,7 +211,7 @@ def test_vectors_of_parameters_below_zero() -> None:
     talk.chapter(100)
     talk.drive.put(0x607C, -5)
     talk.chapter(
-        30, msg.ReadParameter("m", "607C"), reported="< Parameter 607C -5\n< Done ReadParameter m position"
+        30, msg.ReadParameter("m", "607C"), expected="< Parameter 607C -5\n< Done ReadParameter m position"
     )
 
 
@@ -222,7 +222,7 @@ def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
         100,
         msg.WriteParameter("m", "608F:01", 8192.0),
         msg.Idle("m"),
-        reported="""
+        expected="""
         write 608F:01 = 8192
         < Done WriteParameter m
         < State initialising SWITCH ON DISABLED*
@@ -232,14 +232,14 @@ def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
     )
 
 
-def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
+def test_vectors_of_parameters_of_an_armed_drive_and_without_a_response() -> None:
     talk = armed(Talk(sdo_timeout_ms=50))
     talk.chapter(
         50,
         msg.ReadParameter("m", "6502"),
         msg.WriteParameter("m", "6083", 7.0),
         msg.Hold("m"),
-        reported="""
+        expected="""
         < Parameter 6502 941
         < Done ReadParameter m
         write 6083 = 7
@@ -253,7 +253,7 @@ def test_vectors_of_parameters_asked_of_an_armed_drive_and_in_vain() -> None:
         400,
         msg.ReadParameter("m", "6502"),
         msg.Hold("m"),
-        reported="""
+        expected="""
         100..310 < Refused ReadParameter m no response from the device
         still rpdo1 6040=000F 6060=8 607A=4096 /10
         sync /10
@@ -277,7 +277,7 @@ def test_vectors_of_a_reboot() -> None:
         150,
         msg.Reboot("m"),
         msg.Idle("m"),
-        reported="""
+        expected="""
         0 nmt RESET 2
         < State initialising restarted
         < Done Reboot m *
@@ -287,7 +287,7 @@ def test_vectors_of_a_reboot() -> None:
     )
     talk = armed(Talk())
     talk.chapter(
-        20, msg.Reboot("m"), msg.Hold("m"), reported="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?"
+        20, msg.Reboot("m"), msg.Hold("m"), expected="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?"
     )
     talk.chapter(200, msg.Idle("m"))
     talk.drive.starts = 99  # NMT is lost
@@ -295,7 +295,7 @@ def test_vectors_of_a_reboot() -> None:
         8200,
         msg.Reboot("m"),
         msg.Idle("m"),
-        reported="""
+        expected="""
         nmt RESET 2 /2000 until 6000..8000
         8000..8010 < Refused Reboot m no boot-up message after the reset
         """,
@@ -304,19 +304,19 @@ def test_vectors_of_a_reboot() -> None:
     drive.stand("OPERATION ENABLED", 8)
     talk = Talk(drive)
     talk.chapter(100)
-    talk.chapter(20, msg.Reboot("m"), msg.Idle("m"), reported="0 < Refused Reboot m it is armed*")
+    talk.chapter(20, msg.Reboot("m"), msg.Idle("m"), expected="0 < Refused Reboot m it is armed*")
 
 
 def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
     talk = Talk()
     talk.chapter(100)
     talk.drive.dead = True
-    talk.chapter(600, reported="400..510 < State offline no frames received")
+    talk.chapter(600, expected="400..510 < State offline no frames received")
     talk.chapter(
         8200,
         msg.Reboot("m"),
         msg.ClearFault("m"),
-        reported="""
+        expected="""
         0 nmt RESET 2 /2000 until 6000..8000
         3000..3010 < Refused ClearFault m no response from the device
         8000..8010 < Refused Reboot m no response from the device
@@ -333,7 +333,7 @@ def test_vectors_of_segments_that_come_twice() -> None:
 
 
 def test_vectors_of_noise_change_nothing() -> None:
-    """Every independent vector from the drive's side, cut and lengthened, beside what the drive says."""
+    """Every independent vector from the drive's side, cut and lengthened, beside the drive's frames."""
     noise: dict[CanFrame, None] = {}
     for vector in VECTORS:
         raw = vector.frame

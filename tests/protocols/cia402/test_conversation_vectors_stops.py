@@ -1,4 +1,4 @@
-"""Conversations of vectors: emergency stops, and quick stops that somebody else has said."""
+"""Conversations of vectors: emergency stops, and quick stops of another host."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_vectors_of_an_emergency_stop_and_its_end() -> None:
         100,
         Estop("m"),
         Hold("m"),
-        reported="""
+        expected="""
         0 < Fault 10004 quick stop
         < State fault OPERATION ENABLED, cyclic synchronous position
         rpdo1 6040=0002 6060=8 607A=4096 …
@@ -27,12 +27,12 @@ def test_vectors_of_an_emergency_stop_and_its_end() -> None:
         beat ?
         """,
     )
-    talk.chapter(100, Hold("m"), reported="sync /10\nbeat ?")
+    talk.chapter(100, Hold("m"), expected="sync /10\nbeat ?")
     talk.chapter(
         150,
         ClearFault("m"),
         Hold("m"),
-        reported=f"""
+        expected=f"""
         < State ready SWITCH ON DISABLED
         < Done ClearFault m{AGAIN}
         sync /10
@@ -48,12 +48,12 @@ def test_vectors_of_an_emergency_stop_that_holds_is_left_without_dropping_the_lo
     talk.chapter(100, Estop("m"), Hold("m"))
     assert drive.state == "QUICK STOP ACTIVE"
     drive.put(0x6064, 4000)
-    talk.chapter(30, Hold("m"), reported="sync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), expected="sync /10\nbeat ?")
     talk.chapter(
         150,
         ClearFault("m"),
         Hold("m"),
-        reported="""
+        expected="""
         < State ready QUICK STOP ACTIVE
         < Done ClearFault m
         rpdo1 6040=0002 6060=8 607A=4000 …
@@ -65,14 +65,14 @@ def test_vectors_of_an_emergency_stop_that_holds_is_left_without_dropping_the_lo
     )
 
 
-def test_vectors_of_an_emergency_stop_by_sdo_said_till_it_is_obeyed() -> None:
+def test_vectors_of_an_emergency_stop_by_sdo_repeated_until_it_is_obeyed() -> None:
     talk = armed(Talk(feedback="sdo", mapping="keep", watchdog_ms=0))
     talk.drive.deaf = True
     talk.chapter(
         200,
         Estop("m"),
         Hold("m"),
-        reported="""
+        expected="""
         0 < Fault 10004 quick stop
         0 < State fault *
         write 6040 = 0002 /50
@@ -82,7 +82,7 @@ def test_vectors_of_an_emergency_stop_by_sdo_said_till_it_is_obeyed() -> None:
     talk.chapter(
         100,
         Hold("m"),
-        reported="""
+        expected="""
         write 6040 = 0002
         < State fault QUICK STOP ACTIVE
         < Done Estop m *
@@ -92,13 +92,13 @@ def test_vectors_of_an_emergency_stop_by_sdo_said_till_it_is_obeyed() -> None:
 
 
 @pytest.mark.parametrize("holds", [True, False])
-def test_vectors_of_a_quick_stop_that_somebody_else_has_said(holds: bool) -> None:
+def test_vectors_of_a_quick_stop_of_another_host(holds: bool) -> None:
     drive = Drive()
     drive.put(0x605A, 6 if holds else 2)
     drive.stand("QUICK STOP ACTIVE", 8)
     drive.since = 10**9  # it still slows down
     talk = Talk(drive, watchdog_ms=0)
-    talk.chapter(100, Idle("m"), reported="< State initialising *\n< State ready QUICK STOP ACTIVE")
+    talk.chapter(100, Idle("m"), expected="< State initialising *\n< State ready QUICK STOP ACTIVE")
     before = len(talk.frames)
     talk.chapter(200, Hold("m"))
     words = [w.data[0] for _, w in talk.frames[before:] if w.id == 0x202]
@@ -117,7 +117,7 @@ def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
         700,
         Stop(),
         Idle("m"),  # 06 does not lead out of a quick stop, 00 does
-        reported="""
+        expected="""
         0..10 write 6040 = 0006 /50 until 450..500
         500..510 write 6040 = 0000 …
         < State ready SWITCH ON DISABLED
@@ -125,7 +125,7 @@ def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
     )
 
 
-def test_vectors_of_an_emergency_stop_of_a_drive_that_somebody_else_runs() -> None:
+def test_vectors_of_an_emergency_stop_of_a_drive_that_another_host_runs() -> None:
     drive = Drive()
     drive.stand("OPERATION ENABLED", 9)
     talk = Talk(drive)
@@ -133,7 +133,7 @@ def test_vectors_of_an_emergency_stop_of_a_drive_that_somebody_else_runs() -> No
     talk.chapter(
         100,
         Estop("m"),
-        reported="""
+        expected="""
         0 < Fault 10004 quick stop
         0 < State fault OPERATION ENABLED*
         write 6040 = 0002
@@ -142,5 +142,5 @@ def test_vectors_of_an_emergency_stop_of_a_drive_that_somebody_else_runs() -> No
         < State fault SWITCH ON DISABLED
         """,
     )
-    talk.chapter(100, Hold("m"), reported="")
-    talk.chapter(100, ClearFault("m"), reported="< State ready SWITCH ON DISABLED\n< Done ClearFault m")
+    talk.chapter(100, Hold("m"), expected="")
+    talk.chapter(100, ClearFault("m"), expected="< State ready SWITCH ON DISABLED\n< Done ClearFault m")

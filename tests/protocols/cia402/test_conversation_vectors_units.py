@@ -1,4 +1,4 @@
-"""Conversations of vectors: what a drive tells of itself, units, what it cannot do, and what is refused."""
+"""Conversations of vectors: units, what a drive cannot do, and what is refused."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_vectors_of_units(
     kind(drive)
     talk = Talk(drive, **options)
     talk.chapter(
-        100, reported="< *\n< *\nmeasures position=1.5708 velocity=-6.2832 torque=0.5 current=-1 voltage=48"
+        100, expected="< *\n< *\nmeasures position=1.5708 velocity=-6.2832 torque=0.5 current=-1 voltage=48"
     )
     talk.chapter(200, msg.Position("m", 1.0))
     assert drive.get(0x607A) == turned
@@ -84,7 +84,7 @@ def test_vectors_of_units(
     talk.chapter(
         50,
         msg.Hold("m"),
-        reported="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10\nbeat ?\nmeasures position=-3.1416",
+        expected="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10\nbeat ?\nmeasures position=-3.1416",
     )
 
 
@@ -96,7 +96,7 @@ def test_vectors_of_a_drive_without_rated_current_and_torque() -> None:
     talk.chapter(
         50,
         msg.Torque("m", 0.25),
-        reported="""
+        expected="""
         0 < Refused Torque m *
         sync /10
         beat ?
@@ -145,7 +145,7 @@ def test_vectors_of_a_drive_with_position_alone() -> None:
         talk.chapter(
             50,
             word,
-            reported=f"""
+            expected=f"""
             0 < Refused {type(word).__name__} m its object 6502 (0x80) has no mode *
             sync /10
             beat ?
@@ -153,7 +153,7 @@ def test_vectors_of_a_drive_with_position_alone() -> None:
         )
 
 
-def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity() -> None:
+def test_vectors_of_a_drive_without_position_modes_that_holds_by_velocity() -> None:
     drive = Drive()
     drive.put(0x6502, 0x104)  # PV and CSV
     talk = armed(Talk(drive))
@@ -161,7 +161,7 @@ def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity
     talk.chapter(
         50,
         msg.Hold("m"),
-        reported="""
+        expected="""
         rpdo2 60FF=0 6071=0 60B2=0 /10
         still rpdo1 6040=000F 6060=9 607A=4096 …
         sync /10
@@ -171,7 +171,7 @@ def test_vectors_of_a_drive_without_position_modes_that_stands_still_by_velocity
     talk.chapter(
         50,
         msg.Position("m", 1.0),
-        reported="""
+        expected="""
         0 < Refused Position m *
         sync /10
         beat ?
@@ -196,20 +196,20 @@ REFUSED: list[tuple[Command, str]] = [
 
 
 @pytest.mark.parametrize(("word", "why"), REFUSED)
-def test_vectors_of_words_that_reach_no_wire(word: Command, why: str) -> None:
+def test_vectors_of_commands_that_are_never_sent(word: Command, why: str) -> None:
     talk = armed(Talk())
     reported = f"0 < Refused {type(word).__name__} {word.motor} {why}"
-    talk.chapter(60, word, reported=f"{reported}\nsync /10\nbeat ?")  # told once, as long as it stands
+    talk.chapter(60, word, expected=f"{reported}\nsync /10\nbeat ?")  # told once, as long as it stands
     assert not [frame for _, frame in talk.frames[-3:] if frame.id == 0x202]
-    talk.chapter(20, msg.Hold("m"), reported="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?\nbeat ?")
+    talk.chapter(20, msg.Hold("m"), expected="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?\nbeat ?")
     if word.motor == "m":
-        talk.chapter(20, word, reported=f"{reported}\nsync ?\nbeat ?")
+        talk.chapter(20, word, expected=f"{reported}\nsync ?\nbeat ?")
     talk.chapter(
         20,
         msg.SetId("can0", 4711, 3),
         msg.ClearFault("nobody"),
         msg.Hold("m"),
-        reported="""
+        expected="""
         < Refused SetId *
         < Refused ClearFault nobody *
         sync ?

@@ -63,7 +63,7 @@ def test_arms_in_every_mode_from_the_measured_position(options: str, kind: str) 
     cyclic = {"hold": 8, "position": 8, "velocity": 9, "torque": 10}
     profile = {"hold": 1, "position": 1, "velocity": 3, "torque": 4}
     assert axis.mode == (profile if options == "profile" else cyclic)[kind]
-    controls = [int.from_bytes(data[:2], "little") for data in s.said(0x201)] + controlwords(s)
+    controls = [int.from_bytes(data[:2], "little") for data in s.sent(0x201)] + controlwords(s)
     assert list(dict.fromkeys(control & 0x0F for control in controls)) == [0x06, 0x07, 0x0F]
 
 

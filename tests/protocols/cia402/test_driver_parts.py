@@ -247,12 +247,12 @@ def test_units_of_the_robot_file_stand_in_for_what_a_drive_lacks() -> None:
 
 
 def test_a_scan_requests_in_bursts_and_accepts_only_what_it_requested() -> None:
-    scan, asked, now = Scanner("can0", (3,), 0), [], 0
+    scan, requested, now = Scanner("can0", (3,), 0), [], 0
     while not scan.over(now):
-        asked += [frame.id - 0x600 for frame in scan.send(now)]
-        assert len(asked) <= BURST * (now // (10 * MILLISECOND) + 1)
+        requested += [frame.id - 0x600 for frame in scan.send(now)]
+        assert len(requested) <= BURST * (now // (10 * MILLISECOND) + 1)
         now += MILLISECOND
-    assert asked == [n for n in range(1, 128) if n != 3]
+    assert requested == [n for n in range(1, 128) if n != 3]
     assert not scan.receive(now, 5, Uploaded(*o.DEVICE_TYPE, bytes(4))), "too late"
     fresh = Scanner("can0", (), 0)
     fresh.send(0)

@@ -1,4 +1,4 @@
-"""SYNC has one producer a bus: the devices agree on who it is, and another one beside us is told of once."""
+"""SYNC has one producer a bus: a second one beside the driver is reported once."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tests.protocols.cia402.driver_stage import Stage, device, stage
 
 A = "alpha"
 SYNC = CanFrame(0x080)
-OURS = Options()
-THEIRS = (Options(sync_ms=0), Options(feedback="event"), Options(feedback="sdo"))
-"""With these the driver says no SYNC."""
+OWN = Options()
+FOREIGN = (Options(sync_ms=0), Options(feedback="event"), Options(feedback="sdo"))
+"""With these the driver produces no SYNC."""
 
 
-def armed(options: Options = OURS) -> Stage:
+def armed(options: Options = OWN) -> Stage:
     """Alpha, commanded."""
     s = stage(options)
     s.until(Mode.READY)
@@ -30,13 +30,13 @@ def armed(options: Options = OURS) -> Stage:
 
 
 def received(s: Stage, *frames: CanFrame) -> tuple[list[Event], tuple[int, int, int]]:
-    """What the driver tells of these frames, and how it counts them: heard, bad, foreign."""
+    """Return the events of these frames, and their counts: accepted, malformed, ignored."""
     counters = s.driver.counters = RxCounters()
     events = [event for frame in frames for event in s.driver.receive(s.stage.now, frame)]
     return events, (counters.accepted, counters.malformed, counters.ignored)
 
 
-def syncs(s: Stage) -> list[CanFrame]:
+def own_syncs(s: Stage) -> list[CanFrame]:
     return [frame for frame in s.down if frame.id == SYNC.id]
 
 
@@ -44,34 +44,34 @@ def syncs(s: Stage) -> list[CanFrame]:
 
 
 @pytest.mark.parametrize("frame", [SYNC, CanFrame(0x080, b"\x07")], ids=["plain", "with a counter"])
-def test_another_producer_is_told_of_once_with_what_to_do(frame: CanFrame) -> None:
+def test_another_producer_is_reported_once_with_the_remedy(frame: CanFrame) -> None:
     s = armed()
     events, counters = received(s, frame, SYNC, frame)
     (found,) = events
     assert isinstance(found, Found)
     assert (found.t, found.protocol, found.address, found.serial) == (s.stage.now, "cia402", 0, None)
     assert found.duplicate_address
-    assert all(said in found.detail for said in ("SYNC", "0x080", "1005", "sync_ms = 0"))
+    assert all(part in found.detail for part in ("SYNC", "0x080", "1005", "sync_ms = 0"))
     assert counters == (3, 0, 0)
 
 
-@pytest.mark.parametrize("options", THEIRS, ids=["sync_ms = 0", "event", "sdo"])
-def test_a_producer_is_nobodys_business_where_we_are_none(options: Options) -> None:
+@pytest.mark.parametrize("options", FOREIGN, ids=["sync_ms = 0", "event", "sdo"])
+def test_a_producer_is_ignored_where_this_host_is_none(options: Options) -> None:
     s = stage(options)
     s.until(Mode.READY)
     s.steps(200, Hold(A))
-    assert not syncs(s)
+    assert not own_syncs(s)
     assert received(s, SYNC, SYNC) == ([], (0, 0, 2))
 
 
-def test_a_producer_is_nobodys_business_until_we_are_one_and_after() -> None:
+def test_a_producer_is_ignored_until_this_host_is_one_and_after() -> None:
     s = stage()
     s.until(Mode.READY)
     assert received(s, SYNC, SYNC) == ([], (0, 0, 2))
     s.forget()
     while not s.of(Found):
         s.step(Hold(A), stray=[SYNC])
-    assert len(syncs(s)) in (1, 2)
+    assert len(own_syncs(s)) in (1, 2)
     for _ in range(200):
         s.step(Hold(A), stray=[SYNC])
     assert len(s.of(Found)) == 1
@@ -92,12 +92,12 @@ def test_a_producer_is_nobodys_business_until_we_are_one_and_after() -> None:
     ],
     ids=str,
 )
-def test_what_is_no_sync_is_foreign(frame: CanFrame) -> None:
+def test_what_is_no_sync_is_ignored(frame: CanFrame) -> None:
     assert received(armed(), frame) == ([], (0, 0, 1))
 
 
 @pytest.mark.parametrize("state", [BusState.GONE, BusState.OFF])
-def test_it_is_told_again_after_the_bus_was_gone(state: BusState) -> None:
+def test_it_is_reported_again_after_the_bus_was_gone(state: BusState) -> None:
     s = armed()
     assert len(received(s, SYNC)[0]) == 1
     for passing in (BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP):
@@ -107,11 +107,11 @@ def test_it_is_told_again_after_the_bus_was_gone(state: BusState) -> None:
     s.driver.bus(s.stage.now, BusState.BACK)
     s.forget()
     s.steps(1000, Hold(A))
-    assert syncs(s)
+    assert own_syncs(s)
     assert len(received(s, SYNC)[0]) == 1
 
 
-def test_it_stops_nobody() -> None:
+def test_it_stops_no_motor() -> None:
     s = armed()
     s.steps(500, Velocity(A, 2.0))
     s.forget()
@@ -121,11 +121,11 @@ def test_it_stops_nobody() -> None:
     assert not s.of(Fault)
     assert s.stage.modes[A] is Mode.ARMED
     assert s.stage.shafts[A].velocity == pytest.approx(2.0, abs=0.05)
-    assert len(syncs(s)) == 30
+    assert len(own_syncs(s)) == 30
 
 
-@pytest.mark.parametrize(("options", "let_in"), [(OURS, True), *((options, False) for options in THEIRS)])
-def test_a_bus_that_hears_only_what_concerns_it_lets_sync_in(options: Options, *, let_in: bool) -> None:
+@pytest.mark.parametrize(("options", "let_in"), [(OWN, True), *((options, False) for options in FOREIGN)])
+def test_a_receive_filter_lets_sync_in_where_it_is_produced(options: Options, *, let_in: bool) -> None:
     receives_also = plugin.spec(device(options=options)).receives_also
     assert any(number == SYNC.id and mask == 0x1FFF_FFFF for number, mask in receives_also) is let_in
 

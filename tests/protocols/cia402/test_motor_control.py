@@ -134,7 +134,7 @@ def test_pp_finishes_one_set_point_before_the_next() -> None:
     assert not bench.status & ACKNOWLEDGED
 
 
-def test_pp_changes_at_once_when_it_is_told_to() -> None:
+def test_pp_changes_immediately_with_bit_5() -> None:
     bench = pp()
     highest = 0.0
     for target in (8000, 1000):
@@ -167,13 +167,13 @@ def test_pp_forgets_its_set_point_when_it_is_disabled() -> None:
     bench.run(400)
     bench.velocity = 0.0
     stalled_for = bench.position
-    for word in (0x06, 0x07, 0x0F):
-        bench.control(word)
+    for control in (0x06, 0x07, 0x0F):
+        bench.control(control)
     bench.run(500)
     assert bench.position == pytest.approx(stalled_for, abs=0.01)
 
 
-def test_pv_ramps_and_tells_standstill() -> None:
+def test_pv_ramps_and_shows_standstill() -> None:
     bench = TwinBench(Settings(profile_acceleration=20_000, profile_deceleration=40_000))
     bench.enable(Mode.PV)
     assert bench.status & Status.ZERO_SPEED
@@ -358,7 +358,7 @@ def test_interpolation_reaches_its_target_in_time() -> None:
     assert way.follow(0.001, 1.0, 5.0, 0.0) == 5.0
 
 
-def test_a_timer_lasts_as_long_as_it_is_so() -> None:
+def test_a_timer_lasts_as_long_as_its_condition_holds() -> None:
     timer = Timer()
     assert not timer.lasts(0)
     timer.run(0.01, holds=True)

@@ -46,7 +46,7 @@ def beat(bench: TwinBench) -> list[CanFrame]:
 
 def test_it_boots_and_follows_nmt() -> None:
     bench = TwinBench()
-    assert bench.said[0] == CanFrame(heartbeat_id(NODE), b"\x00")
+    assert bench.sent[0] == CanFrame(heartbeat_id(NODE), b"\x00")
     for command, node, state in (
         (NmtCommand.START, NODE, NmtState.OPERATIONAL),
         (NmtCommand.STOP, 0, NmtState.STOPPED),
@@ -54,10 +54,10 @@ def test_it_boots_and_follows_nmt() -> None:
         (NmtCommand.START, NODE + 1, NmtState.PRE_OPERATIONAL),
     ):
         bench.nmt(command, node)
-        bench.said.clear()
+        bench.sent.clear()
         bench.run(110)
         assert bench.beats()[-1] == state
-        answer = bench.ask(sdo.Upload(0x1000, 0))
+        answer = bench.request(sdo.Upload(0x1000, 0))
         assert (answer is None) is (state is NmtState.STOPPED)
 
 
@@ -66,7 +66,7 @@ def test_the_heartbeats_period_is_what_1017_says() -> None:
     for period in (100, 20, 0, 50):
         bench.put(o.PRODUCER_HEARTBEAT, period)
         bench.run(120)
-        bench.said.clear()
+        bench.sent.clear()
         bench.run(600)
         assert len(bench.beats()) == (600 // period if period else 0)
 
@@ -77,10 +77,10 @@ def test_a_reset_forgets(command: NmtCommand) -> None:
     bench.put(o.PROFILE_VELOCITY, 777)
     bench.put(o.PRODUCER_HEARTBEAT, 13)
     bench.nmt(NmtCommand.START)
-    bench.said.clear()
+    bench.sent.clear()
     bench.nmt(command)
     silent = command is NmtCommand.RESET_NODE
-    assert (bench.ask(sdo.Upload(0x1000, 0)) is None) is silent
+    assert (bench.request(sdo.Upload(0x1000, 0)) is None) is silent
     bench.run(200)
     assert 0 in bench.beats()
     assert bench.torque == 0.0
@@ -89,7 +89,7 @@ def test_a_reset_forgets(command: NmtCommand) -> None:
     assert bench.state is (OFF if silent else PowerState.FAULT)
 
 
-def test_the_hosts_heartbeat_is_watched_from_the_first_one_on() -> None:
+def test_the_hosts_heartbeat_is_monitored_from_the_first_one_on() -> None:
     bench = spinning()
     bench.put(o.CONSUMER_HEARTBEAT, HELD)
     bench.run(500)
@@ -110,7 +110,7 @@ def test_the_hosts_heartbeat_is_watched_from_the_first_one_on() -> None:
 @pytest.mark.parametrize(
     ("option", "state"), [(0, ON), (1, PowerState.FAULT), (2, OFF), (3, OFF)], ids=lambda v: str(v)
 )
-def test_what_the_drive_does_when_the_host_falls_silent(option: int, state: PowerState) -> None:
+def test_what_the_drive_does_when_the_host_is_lost(option: int, state: PowerState) -> None:
     bench = spinning(Settings(abort_connection=option, heartbeat_consumer=HELD))
     beat(bench)
     bench.run(500)
@@ -122,7 +122,7 @@ def test_what_the_drive_does_when_the_host_falls_silent(option: int, state: Powe
 @pytest.mark.parametrize(
     ("behaviour", "state"), [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)]
 )
-def test_the_nmt_state_after_the_host_fell_silent(behaviour: int, state: NmtState) -> None:
+def test_the_nmt_state_after_the_host_is_lost(behaviour: int, state: NmtState) -> None:
     bench = TwinBench(Settings(error_behaviour=behaviour, heartbeat_consumer=HELD))
     bench.nmt(NmtCommand.START)
     beat(bench)
@@ -140,13 +140,13 @@ def test_nmt_stop_is_a_lost_connection_for_what_turns() -> None:
     assert bench.state is PowerState.FAULT
 
 
-def test_an_rpdo_that_stays_away_is_noticed() -> None:
+def test_an_rpdo_that_does_not_come_is_noticed() -> None:
     bench = TwinBench()
     pack = bench.map_pdo(0x1400, rpdo_id(1, NODE), 255, o.CONTROLWORD, o.TARGET_VELOCITY, timer=50)
     bench.put(o.MODE, Mode.CSV)
     bench.nmt(NmtCommand.START)
-    for word in (0x06, 0x07, 0x0F):
-        bench.rpdo(1, pack, word, 0)
+    for control in (0x06, 0x07, 0x0F):
+        bench.rpdo(1, pack, control, 0)
     for _ in range(10):
         bench.rpdo(1, pack, 0x0F, 20_000)
         bench.run(40)
@@ -173,8 +173,8 @@ WAY: dict[PowerState, tuple[int, ...]] = {
 def test_every_demand_in_every_state(state: PowerState, demand: Demand) -> None:
     bench = TwinBench(Settings(quick_stop_option=6))
     bench.put(o.MODE, Mode.CSV)
-    for word in WAY[state]:
-        bench.control(word)
+    for control in WAY[state]:
+        bench.control(control)
     if state is PowerState.FAULT:
         bench.twin.provoke(OVERCURRENT)
         bench.run(1)
@@ -253,12 +253,12 @@ def test_quick_stop(option: int, slowest: float | None, end: PowerState) -> None
     assert end is OFF or abs(bench.velocity) < 0.05
 
 
-@pytest.mark.parametrize(("word", "key"), [(0x06, o.SHUTDOWN_OPTION), (0x07, o.DISABLE_OPTION)])
+@pytest.mark.parametrize(("control", "key"), [(0x06, o.SHUTDOWN_OPTION), (0x07, o.DISABLE_OPTION)])
 @pytest.mark.parametrize("slows", [0, 1])
-def test_leaving_with_and_without_slowing_down(word: int, key: Key, slows: int) -> None:
+def test_leaving_with_and_without_slowing_down(control: int, key: Key, slows: int) -> None:
     bench = spinning()
     bench.put(key, slows)
-    bench.control(word, steps=2)
+    bench.control(control, steps=2)
     assert (bench.torque != 0.0) is bool(slows)
     bench.run(400)
     assert bench.torque == 0.0
@@ -345,11 +345,11 @@ def test_another_rpdo_takes_effect_at_once_and_only_in_operational(transmission:
 
 
 @pytest.mark.parametrize("transmission", [1, 2, 7])
-def test_a_tpdo_goes_with_every_nth_sync(transmission: int) -> None:
+def test_a_tpdo_is_sent_with_every_nth_sync(transmission: int) -> None:
     bench = TwinBench()
     pack = bench.map_pdo(0x1A00 - 0x200, 0x180 + NODE, transmission, o.POSITION, o.STATUSWORD)
     bench.sync(20)
-    assert not bench.tpdo(1, bench.said), "not in pre-operational"
+    assert not bench.tpdo(1, bench.sent), "not in pre-operational"
     bench.nmt(NmtCommand.START)
     bench.position = 1.0
     frames = [frame for _ in range(21) for frame in bench.sync(3)]
@@ -358,7 +358,7 @@ def test_a_tpdo_goes_with_every_nth_sync(transmission: int) -> None:
     assert reported[-1] == (2608, bench.status)
 
 
-def test_type_0_goes_with_a_sync_when_something_has_changed() -> None:
+def test_type_0_is_sent_with_a_sync_when_a_value_has_changed() -> None:
     bench = TwinBench()
     bench.map_pdo(0x1800, 0x180 + NODE, 0, o.POSITION)
     bench.nmt(NmtCommand.START)
@@ -381,9 +381,9 @@ def test_an_event_timer_and_a_change_of_state_send_a_tpdo() -> None:
     assert len(bench.tpdo(1, frames)) == 10
     bench.position = 0.5
     assert not bench.tpdo(1, bench.run(3)), "a position is no event where there is a timer"
-    bench.said.clear()
+    bench.sent.clear()
     bench.control(0x06)
-    assert bench.tpdo(1, bench.said)[0][:2] == b"\x31\x02"
+    assert bench.tpdo(1, bench.sent)[0][:2] == b"\x31\x02"
 
 
 def test_without_a_timer_every_change_is_an_event_but_not_within_the_inhibit_time() -> None:
@@ -466,28 +466,28 @@ def test_aborts() -> None:
         (sdo.DownloadSegment(False, b"1", True), sdo.GENERAL),
         (sdo.Unsupported(0xC2, 0x6064, 0), sdo.UNKNOWN_COMMAND),
     ):
-        answer = bench.ask(request)
+        answer = bench.request(request)
         assert isinstance(answer, sdo.Abort), request
         assert answer.code == code, request
 
 
 def test_segments_alternate_and_a_new_request_takes_over() -> None:
     bench = TwinBench(Settings(device_name="a rather long name"))
-    assert bench.ask(sdo.Upload(0x1008, 0)) == sdo.UploadStart(0x1008, 0, 18)
-    assert bench.ask(sdo.UploadSegment(True)) == sdo.Abort(0x1008, 0, sdo.TOGGLE)
-    bench.ask(sdo.Upload(0x1008, 0))
-    bench.ask(sdo.UploadSegment(False))
-    assert bench.ask(sdo.Upload(0x6060, 0)) == sdo.Uploaded(0x6060, 0, b"\0")
-    assert isinstance(bench.ask(sdo.UploadSegment(True)), sdo.Abort)
-    assert bench.ask(sdo.DownloadStart(0x6083, 0, 4)) == sdo.Downloaded(0x6083, 0)
-    assert bench.ask(sdo.DownloadSegment(False, b"\x10\0", False)) == sdo.SegmentDownloaded(False)
+    assert bench.request(sdo.Upload(0x1008, 0)) == sdo.UploadStart(0x1008, 0, 18)
+    assert bench.request(sdo.UploadSegment(True)) == sdo.Abort(0x1008, 0, sdo.TOGGLE)
+    bench.request(sdo.Upload(0x1008, 0))
+    bench.request(sdo.UploadSegment(False))
+    assert bench.request(sdo.Upload(0x6060, 0)) == sdo.Uploaded(0x6060, 0, b"\0")
+    assert isinstance(bench.request(sdo.UploadSegment(True)), sdo.Abort)
+    assert bench.request(sdo.DownloadStart(0x6083, 0, 4)) == sdo.Downloaded(0x6083, 0)
+    assert bench.request(sdo.DownloadSegment(False, b"\x10\0", False)) == sdo.SegmentDownloaded(False)
     assert bench.read(o.PROFILE_ACCELERATION) != 16
-    bench.ask(sdo.DownloadStart(0x6083, 0, 4))
-    bench.ask(sdo.DownloadSegment(False, b"\x10\0", False))
-    assert bench.ask(sdo.DownloadSegment(True, b"\0\0", True)) == sdo.SegmentDownloaded(True)
+    bench.request(sdo.DownloadStart(0x6083, 0, 4))
+    bench.request(sdo.DownloadSegment(False, b"\x10\0", False))
+    assert bench.request(sdo.DownloadSegment(True, b"\0\0", True)) == sdo.SegmentDownloaded(True)
     assert bench.read(o.PROFILE_ACCELERATION) == 16
-    bench.ask(sdo.DownloadStart(0x6083, 0, 9))
-    assert bench.ask(sdo.DownloadSegment(False, b"\x11\0\0\0", True)) == sdo.Abort(
+    bench.request(sdo.DownloadStart(0x6083, 0, 9))
+    assert bench.request(sdo.DownloadSegment(False, b"\x11\0\0\0", True)) == sdo.Abort(
         0x6083, 0, sdo.LENGTH_MISMATCH
     )
     assert bench.read(o.PROFILE_ACCELERATION) == 16
@@ -495,34 +495,34 @@ def test_segments_alternate_and_a_new_request_takes_over() -> None:
 
 def test_an_abort_ends_a_transfer_without_an_answer() -> None:
     bench = TwinBench()
-    bench.ask(sdo.Upload(0x1008, 0))
-    assert bench.ask(sdo.Abort(0x1008, 0, sdo.GENERAL)) is None
-    assert isinstance(bench.ask(sdo.UploadSegment(False)), sdo.Abort)
+    bench.request(sdo.Upload(0x1008, 0))
+    assert bench.request(sdo.Abort(0x1008, 0, sdo.GENERAL)) is None
+    assert isinstance(bench.request(sdo.UploadSegment(False)), sdo.Abort)
 
 
-def test_an_answer_takes_its_time() -> None:
+def test_a_response_is_delayed() -> None:
     bench = TwinBench(Settings(sdo_delay_ms=5))
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(sdo.Upload(0x1000, 0)))
     assert [f for f in bench.run(5, [frame]) if f.id == sdo_tx_id(NODE)] == []
     assert [f for f in bench.run(1) if f.id == sdo_tx_id(NODE)]
 
 
-# -- manners ---------------------------------------------------------------------------------------------
+# -- determinism and robustness --------------------------------------------------------------------------
 
 
 def test_two_twins_of_one_seed_are_alike_and_a_copy_goes_on_the_same() -> None:
     one, two = spinning(), spinning()
-    assert one.said == two.said
+    assert one.sent == two.sent
     three = copy.deepcopy(one)
     for bench in (one, two, three):
-        bench.said.clear()
+        bench.sent.clear()
         bench.put(o.TARGET_VELOCITY, -9000)
         bench.run(200)
-    assert one.said == two.said == three.said
+    assert one.sent == two.sent == three.sent
     assert one.position == two.position == three.position
 
 
-def test_nothing_it_hears_makes_it_raise_or_give_a_torque_that_is_not_finite() -> None:
+def test_no_frame_makes_it_raise_or_give_a_torque_that_is_not_finite() -> None:
     random = np.random.Generator(np.random.PCG64(SEED))
     bench = TwinBench(Settings(pdos="usual"))
     bench.nmt(NmtCommand.START)
@@ -544,7 +544,7 @@ def test_nothing_it_hears_makes_it_raise_or_give_a_torque_that_is_not_finite() -
     bench.twin.receive(bench.now, b"bytes of a serial line")
 
 
-def test_what_is_not_finite_does_not_come_in_with_the_truth() -> None:
+def test_a_measurement_that_is_not_finite_is_ignored() -> None:
     bench = TwinBench()
     bench.position = 1.0
     bench.run(2)

@@ -1,4 +1,4 @@
-"""The independent vectors at the drive's side: the twin answers as canopen's slave did, the ear hears them.
+"""The independent vectors at the drive's side: the twin responds as canopen's slave did.
 
 The vectors are of node 2, whose dictionary was another one: what it held is put into the twin first.
 """
@@ -49,8 +49,8 @@ def frame_of(name: str) -> CanFrame:
     return frame
 
 
-class Drive:
-    """A twin on a shaft that stands still."""
+class StillTwin:
+    """A twin on a shaft at standstill."""
 
     def __init__(self) -> None:
         self.twin = Cia402Twin(DEVICE, 0)
@@ -65,34 +65,34 @@ class Drive:
 
 
 def test_the_twin_answers_sdo_vectors_as_the_slave_did() -> None:
-    drive = Drive()
+    drive = StillTwin()
     drive.step()
     drive.step()
     for asked, answered in ANSWERED:
         if asked == "enable_over_sdo#2":  # in no mode the statusword has no bits of a mode
             drive.twin.axis.dictionary.values[o.MODE] = 0
-        said = [
+        sent = [
             frame
             for frame in drive.step(frame_of(asked))
             if isinstance(frame, CanFrame) and frame.id == 0x582
         ]
-        assert said == [frame_of(answered)], f"{asked}: {[str(s) for s in said]}"
+        assert sent == [frame_of(answered)], f"{asked}: {[str(s) for s in sent]}"
 
 
-def test_the_twin_tells_its_name_in_segments_as_the_vectors_have_it() -> None:
-    drive = Drive()
+def test_the_twin_uploads_its_name_in_segments_as_in_the_vectors() -> None:
+    drive = StillTwin()
     drive.step()
     ask = CanFrame(0x602, bytes.fromhex("4008100000000000"))
     assert drive.step(ask)[:1] == [frame_of("sdo_read_dev_name_segmented#1")]
-    said = drive.step(frame_of("sdo_read_dev_name_segmented#2"))
-    assert said[0] == CanFrame(0x582, b"\x01twin402")
+    sent = drive.step(frame_of("sdo_read_dev_name_segmented#2"))
+    assert sent[0] == CanFrame(0x582, b"\x01twin402")
 
 
-def test_the_twin_boots_beats_and_clears_as_the_vectors_have_it() -> None:
-    drive = Drive()
-    said = [frame for _ in range(120) for frame in drive.step()]
-    assert said[0] == frame_of("nmt_slave_bootup#0")
-    assert frame_of("heartbeat_preop") in said
+def test_boot_up_heartbeat_and_fault_reset_are_as_in_the_vectors() -> None:
+    drive = StillTwin()
+    sent = [frame for _ in range(120) for frame in drive.step()]
+    assert sent[0] == frame_of("nmt_slave_bootup#0")
+    assert frame_of("heartbeat_preop") in sent
     drive.twin.provoke(OVERCURRENT)
     drive.step()
     fault = drive.step(frame_of("sdo_read_statusword#0"))
@@ -104,19 +104,19 @@ def test_the_twin_boots_beats_and_clears_as_the_vectors_have_it() -> None:
         ("nmt_stop#0", NmtState.STOPPED),
         ("nmt_enter_preop#0", NmtState.PRE_OPERATIONAL),
     ):
-        said = [*drive.step(frame_of(name)), *(frame for _ in range(110) for frame in drive.step())]
-        assert any(getattr(decode(frame), "state", None) is state for frame in said), name
+        sent = [*drive.step(frame_of(name)), *(frame for _ in range(110) for frame in drive.step())]
+        assert any(getattr(decode(frame), "state", None) is state for frame in sent), name
     assert frame_of("nmt_slave_bootup#0") in drive.step(frame_of("nmt_reset_comm#0"))
 
 
 def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
-    drive = Drive()
+    drive = StillTwin()
     drive.step()
     frames = [v.frame for v in VECTORS if v.name.startswith("configure_")]
     for frame in frames:
-        for said in drive.step(frame):
-            assert isinstance(said, CanFrame)
-            assert said.id != 0x582 or said.data[0] in (0x60, 0x4F, 0x4B, 0x43), f"{frame!r}: {said}"
+        for sent in drive.step(frame):
+            assert isinstance(sent, CanFrame)
+            assert sent.id != 0x582 or sent.data[0] in (0x60, 0x4F, 0x4B, 0x43), f"{frame!r}: {sent}"
     dictionary = drive.twin.axis.dictionary
     for vector in VECTORS:
         if vector.name.startswith("configure_") and vector.name.endswith("#0"):
@@ -124,4 +124,4 @@ def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
             first = o.RPDO_COMMUNICATION if what[0] == "R" else o.TPDO_COMMUNICATION
             packing = dictionary.active(first + int(what[-1]) - 1)
             assert packing is not None, what
-            assert [*packing.entries] == [decode_entry(word) for word in vector.meaning["entries"]], what
+            assert [*packing.entries] == [decode_entry(value) for value in vector.meaning["entries"]], what

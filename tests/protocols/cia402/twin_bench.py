@@ -1,6 +1,6 @@
-"""A twin on a simple shaft, and a host that speaks to it in messages: what the tests of the drive play with.
+"""A twin on a simple shaft, and a host that sends it messages: the bench of the twin's tests.
 
-Rules. Virtual time, one step a millisecond. The host has no driver in it: what it says is said by the test.
+Rules. Virtual time, one step a millisecond. The host has no driver: the test sends its messages.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class TwinBench:
         """N·m from outside."""
         self.locked = False
         self.torque = 0.0
-        self.said: list[CanFrame] = []
-        """Everything that the twin has said."""
+        self.sent: list[CanFrame] = []
+        """All frames of the twin."""
         self.beat_every: Nanos = 0
         """The host's heartbeat, if it has one."""
         self.run(2)
@@ -70,7 +70,7 @@ class TwinBench:
     # -- time ---------------------------------------------------------------------------------
 
     def run(self, steps: int, frames: Sequence[CanFrame] = ()) -> list[CanFrame]:
-        """Steps of a millisecond; what the twin said in them. The wires reach it in the first one."""
+        """Advance by milliseconds; return the twin's frames. The given frames reach it in the first step."""
         received: list[CanFrame] = []
         for step in range(steps):
             self.now += MILLISECOND
@@ -78,11 +78,11 @@ class TwinBench:
                 self.twin.receive(self.now, frame)
             if self.beat_every and self.now % self.beat_every < MILLISECOND:
                 self.twin.receive(self.now, CanFrame(heartbeat_id(HOST), b"\x05"))
-            torques, said = self.twin.step(self.now, (Feedback("m", self.now, self.position, self.velocity),))
+            torques, sent = self.twin.step(self.now, (Feedback("m", self.now, self.position, self.velocity),))
             self.torque = sum(torque.torque for torque in torques)
-            received += [frame for frame in said if isinstance(frame, CanFrame)]
+            received += [frame for frame in sent if isinstance(frame, CanFrame)]
             self._turn(seconds(MILLISECOND))
-        self.said += received
+        self.sent += received
         return received
 
     def _turn(self, dt: float) -> None:
@@ -93,42 +93,42 @@ class TwinBench:
         self.velocity = pushed / (1.0 + self.friction / self.inertia * dt)
         self.position += self.velocity * dt
 
-    # -- saying -------------------------------------------------------------------------------
+    # -- sending ------------------------------------------------------------------------------
 
-    def say(self, message: Message, steps: int = 1) -> list[CanFrame]:
-        """Say a message of CANopen."""
+    def send(self, message: Message, steps: int = 1) -> list[CanFrame]:
+        """Send a message of CANopen."""
         return self.run(steps, [encode(message)])
 
     def nmt(self, command: NmtCommand, node: int = NODE) -> list[CanFrame]:
-        """An NMT command."""
-        return self.say(Nmt(command, node))
+        """Send an NMT command."""
+        return self.send(Nmt(command, node))
 
     def sync(self, steps: int = 1) -> list[CanFrame]:
-        """A SYNC."""
-        return self.say(Sync(), steps)
+        """Send SYNC."""
+        return self.send(Sync(), steps)
 
     def rpdo(self, number: int, pack: Packing, *values: int) -> list[CanFrame]:
-        """An RPDO of the predefined connection set."""
+        """Send an RPDO of the predefined connection set."""
         return self.run(1, [CanFrame(rpdo_id(number, NODE), pack.pack(values))])
 
-    def ask(self, request: sdo.Request) -> sdo.Response | None:
-        """An SDO request, and its answer."""
+    def request(self, request: sdo.Request) -> sdo.Response | None:
+        """Send an SDO request; return its response."""
         for frame in self.run(1, [CanFrame(sdo_rx_id(NODE), sdo.encode(request))]):
             if frame.id == sdo_tx_id(NODE):
                 return sdo.decode_response(frame.data)
         return None
 
     def transfer(self, transfer: Transfer) -> Transfer:
-        """A whole SDO transfer."""
+        """Run a whole SDO transfer."""
         request: sdo.Request | None = transfer.first()
         while request is not None:
-            answer = self.ask(request)
-            assert answer is not None, f"no answer to {request}"
-            request = transfer.handle(answer)
+            response = self.request(request)
+            assert response is not None, f"no response to {request}"
+            request = transfer.handle(response)
         return transfer
 
     def read(self, key: Key) -> int:
-        """An object's value."""
+        """Read an object."""
         got = self.transfer(Transfer(*key))
         assert got.abort is None, sdo.abort_text(got.abort or 0)
         value = from_bytes(OBJECTS[key].type, got.value)
@@ -136,11 +136,11 @@ class TwinBench:
         return value
 
     def write(self, key: Key, value: int) -> int:
-        """Write an object; the abort code, or 0."""
+        """Write an object; return the abort code, or 0."""
         return self.transfer(Transfer(*key, to_bytes(OBJECTS[key].type, value))).abort or 0
 
     def put(self, key: Key, value: int) -> None:
-        """Write an object that must be taken."""
+        """Write an object that must be accepted."""
         code = self.write(key, value)
         assert not code, f"{o.title(key)} = {value}: {sdo.abort_text(code)}"
 
@@ -158,9 +158,9 @@ class TwinBench:
 
     # -- the profile --------------------------------------------------------------------------
 
-    def control(self, word: int, steps: int = 1) -> PowerState | None:
-        """Write the controlword; the state after some steps."""
-        self.put(o.CONTROLWORD, word)
+    def control(self, controlword: int, steps: int = 1) -> PowerState | None:
+        """Write the controlword; return the state after some steps."""
+        self.put(o.CONTROLWORD, controlword)
         self.run(steps)
         return self.state
 
@@ -175,27 +175,27 @@ class TwinBench:
         return state_of(self.status)
 
     def enable(self, mode: Mode) -> None:
-        """Into OPERATION ENABLED, where the shaft stands."""
+        """Arm: OPERATION ENABLED at the present position."""
         self.put(o.MODE, mode)
         self.put(o.TARGET_POSITION, self.read(o.POSITION))
-        for word in (0x06, 0x07, 0x0F):
-            self.control(word)
+        for control in (0x06, 0x07, 0x0F):
+            self.control(control)
         assert self.state is PowerState.OPERATION_ENABLED
 
-    # -- what was said --------------------------------------------------------------------------
+    # -- what the twin has sent -----------------------------------------------------------------
 
     def emergencies(self) -> list[int]:
-        """The error codes of all EMCY so far."""
-        return [m.code for frame in self.said if isinstance(m := decode(frame), Emcy)]
+        """Return the error codes of all EMCY."""
+        return [m.code for frame in self.sent if isinstance(m := decode(frame), Emcy)]
 
     def beats(self) -> list[int]:
-        """The NMT states of all heartbeats so far."""
-        return [m.state for frame in self.said if isinstance(m := decode(frame), Heartbeat)]
+        """Return the NMT states of all heartbeats."""
+        return [m.state for frame in self.sent if isinstance(m := decode(frame), Heartbeat)]
 
     def tpdo(self, number: int, frames: Sequence[CanFrame]) -> list[bytes]:
-        """The data of a TPDO among frames."""
+        """Return the data of a TPDO among frames."""
         return [frame.data for frame in frames if frame.id == tpdo_id(number, NODE)]
 
     def increments(self) -> float:
-        """The true position, in position units."""
+        """Return the true position in position units."""
         return self.position * self.units.per_turn / math.tau
