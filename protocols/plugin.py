@@ -88,7 +88,7 @@ class Watchdog:
     timeout: Nanos | None
     """None: the device has no watchdog."""
     enabled: bool
-    """True if the watchdog is on, as far as the options and settings of the device tell."""
+    """True if the watchdog is on, according to the options and settings of the device."""
     note: str = ""
     """What a person must know, printed at every start until the robot file acknowledges it."""
     fed_by: Literal["its commands", "any command", "any frame"] = "its commands"
@@ -151,7 +151,7 @@ class Spec:
     extended: frozenset[int] | None = None
     """Those of its ids that are 29-bit ones. None: those above 0x7FF, which can be nothing else."""
     obeys_also: tuple[tuple[int, int], ...] = ()
-    """Ids that the device obeys beside `sends`, whoever sends them: as (id, mask), with bit 31 for the format
+    """Ids that the device obeys beside `sends`, from any sender: as (id, mask), with bit 31 for the format
     (1: 29 bits), as the kernel's filters have them. Other protocols on its bus must not use them."""
 
     def is_extended(self, number: int) -> bool:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import zip_longest
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 from zlib import crc32
 
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Bench, StepResult
 from protocols.conformance.random import Random
 from protocols.frames import Frame
@@ -45,17 +45,17 @@ class Case:
 
     def start(self) -> Bench:
         """Set up alpha and beta as delivered."""
-        return play.make_bench(self.plugin, self.options, self.addresses[:2], NAMES)
+        return tools.make_bench(self.plugin, self.options, self.addresses[:2], NAMES)
 
     def stranger(self) -> Bench:
         """Set up a third device with a driver of its own."""
-        return play.make_bench(self.plugin, self.options, self.addresses[2:], (STRANGER,))
+        return tools.make_bench(self.plugin, self.options, self.addresses[2:], (STRANGER,))
 
     def armed(self) -> Bench | None:
         """Set up alpha and beta, armed by the gentlest command; None if they do not arm."""
         bench = self.start()
         kinds = self.kinds
-        return None if kinds and not bench.arm(play.gentle(kinds[0], self.spec.ranges)) else bench
+        return None if kinds and not bench.arm(tools.gentle(kinds[0], self.spec.ranges)) else bench
 
     @cached_property
     def specs(self) -> tuple[Spec, ...]:
@@ -76,7 +76,7 @@ class Case:
     def baseline(self) -> tuple[StepResult, ...]:
         """The steps of the whole `script`, on a bus without faults."""
         bench = self.start()
-        return tuple(bench.step(messages) for messages in play.script(self.spec, NAMES))
+        return tuple(bench.step(messages) for messages in tools.script(self.spec, NAMES))
 
     @property
     def default(self) -> bool:
@@ -119,16 +119,37 @@ def variants(plugin: Plugin) -> Iterator[Any]:
     """Yield the plugin's default options, then those that differ in one Literal or bool each."""
     default = plugin.options()
     yield default
-    hints = get_type_hints(plugin.options)
-    for f in fields(plugin.options):
+    yield from valid(default, [dict([each]) for each in alternatives(default)])
+
+
+def alternatives(default: Any) -> list[tuple[str, object]]:  # noqa: ANN401 -- a dataclass of the plugin's
+    """Return the fields that are a Literal or a bool, each with every other value."""
+    hints = get_type_hints(type(default))
+    found: list[tuple[str, object]] = []
+    for f in fields(default):
         literal = get_origin(hints[f.name]) is Literal
         values = get_args(hints[f.name]) if literal else (False, True) if hints[f.name] is bool else ()
-        for value in values:
-            if value != getattr(default, f.name):
-                try:
-                    yield plugin.options(**{f.name: value})
-                except ValueError:
-                    continue  # Not valid alone, as the plugin itself checks.
+        found += [(f.name, value) for value in values if value != getattr(default, f.name)]
+    return found
+
+
+def valid(default: Any, changes: Iterable[dict[str, object]]) -> Iterator[Any]:  # noqa: ANN401 -- as above
+    """Yield the default with each of these changes, but for those that the plugin itself rejects."""
+    for change in changes:
+        try:
+            yield replace(default, **change)
+        except ValueError:
+            continue
+
+
+def all_devices(case: Case, options: object) -> Iterator[tuple[Device, Spec]]:
+    """Yield a device at each possible address, and its spec."""
+    for address in range(256):
+        device = Device(NAMES[0], address, options, case.plugin.settings())
+        try:
+            yield device, case.plugin.spec(device)
+        except ValueError:
+            continue
 
 
 def by_name(kinds: Iterable[type[T]]) -> list[type[T]]:

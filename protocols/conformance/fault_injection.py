@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from protocols import messages as msg
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.bench import ALPHA, ARMING, NAMES, STEP, Bench, Messages, StepResult
 from protocols.conformance.case import Case, Failure, by_name
 from protocols.frames import Frame
@@ -31,7 +31,7 @@ STILL = 1e-9
 
 
 @dataclass(slots=True)
-class Cable(play.TwinWrapper):
+class Cable(tools.TwinWrapper):
     """A twin at the end of a cable, of which either direction can be cut."""
 
     up: bool = True
@@ -53,7 +53,7 @@ class Cable(play.TwinWrapper):
 
 
 @dataclass(slots=True)
-class Host(play.DriverWrapper):
+class Host(tools.DriverWrapper):
     """The driver in a host that may stop, be lazy, receive its own frames, or share the bus with another."""
 
     alive: bool = True
@@ -71,7 +71,7 @@ class Host(play.DriverWrapper):
     """What our driver sent in the last step, without the other's frames."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """Pass the frame to both hosts; return the events of ours."""
+        """Pass the frame to both hosts; return the events of our driver."""
         if self.other is not None:
             self.other.receive(t, frame)
         return self.driver.receive(t, frame) if self.alive else ()
@@ -234,7 +234,7 @@ def _types(messages: Messages) -> list[tuple[type[Message], str]]:
 
 def make_rig(case: Case, count: int = 1, settings: object = None, position: float = 0.0) -> Rig:
     """Set up the first `count` of alpha and beta with a driver, on shafts that stand at `position` [rad]."""
-    bench = play.make_bench(case.plugin, case.options, case.addresses[:count], NAMES[:count], settings)
+    bench = tools.make_bench(case.plugin, case.options, case.addresses[:count], NAMES[:count], settings)
     cables = {device.name: Cable(twin) for device, twin in zip(bench.devices, bench.twins, strict=True)}
     host = Host(bench.driver)
     bench.driver, bench.twins = host, list(cables.values())
@@ -257,7 +257,7 @@ def takeover(case: Case, before: Rig) -> Rig:
 def resting(kind: type[Command], spec: Spec, motor: str, position: float) -> Command:
     """Return a command of this kind that keeps a shaft at the position [rad] where it is, at rest."""
     values = {"position": position, "stiffness": 1.0, "damping": 0.05}
-    return play.build(kind, motor, spec.ranges, values)
+    return tools.build(kind, motor, spec.ranges, values)
 
 
 def moving(kind: type[Command], spec: Spec, motor: str, start: float, step: int) -> Command:
@@ -268,7 +268,7 @@ def moving(kind: type[Command], spec: Spec, motor: str, start: float, step: int)
         values = {"torque": 0.02}
     elif kind is msg.Position:
         values["velocity"] = 0.0
-    return play.build(kind, motor, spec.ranges, values)
+    return tools.build(kind, motor, spec.ranges, values)
 
 
 def liveliest(spec: Spec) -> type[Command]:

@@ -81,11 +81,11 @@ def _must_report(rig: Rig, spec: Spec, code: int, when: str) -> None:
         event: Fault = next(event for event in named(rig.faults) if event.code == code)
         wrong = ""
         if event.name != fault.name:
-            wrong = f"name {event.name!r}, the spec says {fault.name!r}"
+            wrong = f"name {event.name!r}, not {fault.name!r} as in the spec"
         elif not fault.cause or fault.cause not in event.cause:  # a driver may add to the cause
-            wrong = f"cause {event.cause!r}, the spec says {fault.cause!r}"
+            wrong = f"cause {event.cause!r}, without {fault.cause!r} of the spec"
         elif not fault.remedy or event.remedy != fault.remedy:
-            wrong = f"remedy {event.remedy!r}, the spec says {fault.remedy!r}"
+            wrong = f"remedy {event.remedy!r}, not {fault.remedy!r} as in the spec"
         if not wrong:
             return
         text = f"fault {code} is reported with {wrong}"

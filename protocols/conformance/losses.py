@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from protocols import messages as msg
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.bench import ALPHA, ARMING, BETA, NAMES, STEP, Bench, StepResult, TwinWrapper
 from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.fault_injection import Rig, make_rig
@@ -135,16 +135,15 @@ class _Watch:
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """What became of beta while alpha was disturbed, and of alpha afterwards; in steps, None: never."""
+    """What became of beta while alpha was disturbed, and of alpha afterwards."""
 
-    armed: int | None
-    feedback_gap: int
+    alpha: _Watch
+    beta: _Watch
     answered: int | None
-    command_gap: int
+    """Steps after which beta's requests were answered; None: never."""
     stays: bool
     """Beta stays armed."""
     recovered: bool
-    fault: msg.Fault | None
     last: StepResult
 
 
@@ -152,7 +151,7 @@ def one_delays_no_other(case: Case) -> None:
     """Whatever happens to alpha's replies, beta behaves as without it; and alpha recovers."""
     if not case.kinds:
         raise Inapplicable("the spec lists no commands: nothing waits for a reply")
-    commands = [play.build(case.kinds[0], name, case.spec.ranges) for name in NAMES]
+    commands = [tools.build(case.kinds[0], name, case.spec.ranges) for name in NAMES]
     usual = _try(case, commands, None)
     for what, disturb in DISTURBANCES if case.default else DISTURBANCES[:1]:
         disturbed = Disturbed(case.start().twins[0], disturb, case.random())
@@ -160,7 +159,7 @@ def one_delays_no_other(case: Case) -> None:
         wrong = _worse(usual, trial)
         if wrong:
             text = f"alpha's replies are {what}: {wrong}"
-            fault = (trial.fault,) if trial.fault else ()
+            fault = (trial.alpha.fault,) if trial.alpha.fault else ()
             raise Failure(text, (*trial.last.down, *trial.last.up)[:6], (*commands, *fault))
 
 
@@ -189,8 +188,7 @@ def _try(case: Case, commands: list[Command], disturbed: Disturbed | None) -> _T
         answered = beta.answered_at - beta.armed_at
     stays = _is_armed(bench, BETA, at)
     recovered = _recovers(case, bench, commands, alpha)
-    gaps = (beta.feedback_gap, answered, beta.command_gap)
-    return _Trial(beta.armed_at, *gaps, stays, recovered, alpha.fault, step)
+    return _Trial(alpha, beta, answered, stays, recovered, step)
 
 
 def _requests(case: Case) -> list[Command | Request]:
@@ -222,18 +220,23 @@ def _recovers(case: Case, bench: Bench, commands: list[Command], alpha: _Watch) 
 
 def _worse(usual: _Trial, trial: _Trial) -> str:
     """Return how beta behaves worse than usual, or that alpha did not recover; "" if neither."""
-    late = usual.armed is not None and trial.armed is not None and trial.armed > usual.armed + GRACE
-    if trial.armed is None or late:
-        return f"beta arms after {_ms(trial.armed)} instead of {_ms(usual.armed)}"
-    if trial.feedback_gap > usual.feedback_gap + GRACE:
-        return f"beta gives no feedback for {trial.feedback_gap} ms instead of {usual.feedback_gap}"
-    if usual.answered is not None and (trial.answered is None or trial.answered > usual.answered + GRACE):
+    before, beta = usual.beta, trial.beta
+    if _later(before.armed_at, beta.armed_at) or beta.armed_at is None:
+        return f"beta arms after {_ms(beta.armed_at)} instead of {_ms(before.armed_at)}"
+    if _later(before.feedback_gap, beta.feedback_gap):
+        return f"beta gives no feedback for {beta.feedback_gap} ms instead of {before.feedback_gap}"
+    if _later(usual.answered, trial.answered):
         return f"beta's request is answered after {_ms(trial.answered)} instead of {_ms(usual.answered)}"
-    if trial.command_gap > usual.command_gap + GRACE:
-        return f"beta is not commanded for {trial.command_gap} ms instead of {usual.command_gap}"
+    if _later(before.command_gap, beta.command_gap):
+        return f"beta is not commanded for {beta.command_gap} ms instead of {before.command_gap}"
     if usual.stays and not trial.stays:
         return "beta does not stay armed"
     return "" if trial.recovered else "alpha does not recover when it is over"
+
+
+def _later(usual: int | None, steps: int | None) -> bool:
+    """True if something took longer than usual, by more than GRACE."""
+    return usual is not None and (steps is None or steps > usual + GRACE)
 
 
 def _ms(steps: int | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.case import Case
 from protocols.conformance.random import Random
 from protocols.frames import CanFrame, Frame
@@ -58,17 +58,17 @@ def other_format(case: Case) -> list[Frame]:
 
 def patched(frame: Frame, numbers: Sequence[bytes]) -> Iterator[Frame]:
     """Yield a frame with each of these numbers at each place of its first 64 bytes."""
-    data = play.data_of(frame)
+    data = tools.data_of(frame)
     for number in numbers:
         for at in range(min(len(data), 64) - len(number) + 1):
-            yield play.with_data(frame, data[:at] + number + data[at + len(number) :])
+            yield tools.with_data(frame, data[:at] + number + data[at + len(number) :])
 
 
 def _frame(spec: Spec, valid: list[Frame], ids: list[int], random: Random) -> Frame:
     kind = random.uniform()
     if valid and kind < 0.6:
         frame = random.choice(valid)
-        return play.with_data(frame, damaged(play.data_of(frame), random))
+        return tools.with_data(frame, damaged(tools.data_of(frame), random))
     data = random.bytes(random.choice((0, 1, 2, 3, 4, 5, 6, 7, 8, 8, 12, 64, 300)))
     if (spec.bus == "serial") == (kind < 0.9):
         return data

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, DriverWrapper, Messages
 from protocols.conformance.case import Case, Failure, by_name
@@ -72,7 +72,7 @@ def _bad_commands_are_refused(case: Case) -> None:
             one, other = make(), make()
             if not bad or one is None or other is None:
                 continue
-            good = [play.build(kind, name, spec.ranges) for name in NAMES] if make == case.armed else []
+            good = [tools.build(kind, name, spec.ranges) for name in NAMES] if make == case.armed else []
             for command in bad:
                 without, given = one.step(good[1:]), other.step([command, *good[1:]])
                 if without.down != given.down:
@@ -84,8 +84,8 @@ def _bad_commands_are_refused(case: Case) -> None:
 
 def _bad_commands(kind: type[Command], spec: Spec) -> Iterator[Command]:
     """Yield commands of this kind with one number that must not pass."""
-    gentle: Any = play.build(kind, NAMES[0], spec.ranges)
-    for name, key in play.numbers(kind, spec.ranges):
+    gentle: Any = tools.build(kind, NAMES[0], spec.ranges)
+    for name, key in tools.numbers(kind, spec.ranges):
         bounds = spec.ranges[key]
         beyond = 1.0 + 0.01 * max(abs(bounds.low), abs(bounds.high))
         values = [math.nan, math.inf, -math.inf, bounds.high + beyond, bounds.low - beyond, 1e300, -1e300]
@@ -96,12 +96,12 @@ def _bad_commands(kind: type[Command], spec: Spec) -> Iterator[Command]:
 
 def _check_finite(events: Sequence[Event], frames: Sequence[Frame]) -> None:
     for event in events:
-        if not play.finite(event):
+        if not tools.finite(event):
             raise Failure("a number that is not finite is reported", frames, (event,))
 
 
 def _mad_sensors(sensor: str, t: Nanos, value: float) -> list[Event]:
-    imu, scan, fix = play.sensor_events(sensor, t, 1)
+    imu, scan, fix = tools.sensor_events(sensor, t, 1)
     return [
         replace(imu, angular_velocity=(0.0, value, 0.0)),
         replace(imu, linear_acceleration=(value, 0.0, 0.0)),
@@ -161,18 +161,18 @@ class _Two(DriverWrapper):
 def _denormal_commands_send_zero(case: Case) -> None:
     """Give one of two equal drivers nearly zero: it must send what the other sends for zero."""
     spec = case.spec
-    kinds = [kind for kind in case.kinds if play.numbers(kind, spec.ranges)]
+    kinds = [kind for kind in case.kinds if tools.numbers(kind, spec.ranges)]
     bench = case.start()
     both = _Two(bench.driver, case.start().driver)
     bench.driver = both
-    if not kinds or not bench.arm(play.gentle(kinds[0], spec.ranges)):
+    if not kinds or not bench.arm(tools.gentle(kinds[0], spec.ranges)):
         return
     for kind in kinds:
-        gentle = [play.build(kind, name, spec.ranges) for name in NAMES]
+        gentle = [tools.build(kind, name, spec.ranges) for name in NAMES]
         for _ in range(CHANGED):
             if any(type(message) is kind for message in bench.step(gentle).received):
                 break
-        for name, key in play.numbers(kind, spec.ranges):
+        for name, key in tools.numbers(kind, spec.ranges):
             bounds = spec.ranges[key]
             for number in NEARLY_ZERO:
                 if not bounds.low <= number <= bounds.high or not bounds.low <= 0.0 <= bounds.high:
@@ -190,7 +190,7 @@ def _with(message: Any, name: str, number: float) -> Any:  # noqa: ANN401 -- a c
 
 
 def _tiny_sensors(sensor: str, t: Nanos, number: float) -> list[Event]:
-    imu, scan, fix = play.sensor_events(sensor, t, 1)
+    imu, scan, fix = tools.sensor_events(sensor, t, 1)
     small = abs(number) if number else number
     return [
         replace(imu, angular_velocity=(0.0, number, number), linear_acceleration=(number, 0.0, 9.81)),
@@ -209,5 +209,5 @@ def normal(message: Message) -> bool:
     """True if every number in a message is 0.0 or a normal float32 (or larger)."""
     return all(
         not abs(number) < SMALLEST or (number == 0.0 and math.copysign(1.0, number) > 0.0)
-        for number in play.floats(message)
+        for number in tools.floats(message)
     )

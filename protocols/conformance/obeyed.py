@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from protocols import messages as msg
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, STEP, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable, shown
@@ -92,7 +92,7 @@ def _samples(case: Case) -> list[Frame]:
     random = case.random()
     shuffled = random.shuffled(noise.valid_frames(case))
     valid = [*named.values(), *shuffled[: case.share(len(shuffled))]]
-    damaged = [play.with_data(frame, noise.damaged(play.data_of(frame), random)) for frame in valid]
+    damaged = [tools.with_data(frame, noise.damaged(tools.data_of(frame), random)) for frame in valid]
     return [*valid, *damaged, *noise.frames(case, case.share(150))]
 
 
@@ -122,7 +122,7 @@ def _states(case: Case) -> Iterator[_State]:
         yield _copied("in fault", bench, ())
 
 
-def _copied(title: str, bench: play.Bench, messages: Messages) -> _State:
+def _copied(title: str, bench: tools.Bench, messages: Messages) -> _State:
     """Copy the devices as they are, and keep what the host goes on to send."""
     decoder, twins, now = copy.deepcopy(bench.decoder), copy.deepcopy(bench.twins), bench.now
     driver: Driver | None = None
@@ -197,10 +197,10 @@ def _undecoded_frames_do_nothing(state: _State, frames: Sequence[Frame]) -> None
 
         if not _effect(state, frames, at):
             continue
-        few = play.fewest(frames, fails)
+        few = tools.fewest(frames, fails)
         text = f"{name}, {state.title}: nothing is decoded, and yet {_effect(state, few, at)}"
         if len(few) == 1 and fails(few):
-            few = [play.shortest(few[0], lambda frame: fails([frame]))]
+            few = [tools.shortest(few[0], lambda frame: fails([frame]))]
         raise Failure(text, few)
 
 
@@ -277,7 +277,7 @@ def _disobeyed(case: Case, state: _State, message: Command | Request, frame: Fra
     torque = _run(state, [[frame]], at, WATCHED, hosted=False).torques[-1]
     if isinstance(message, msg.Idle | msg.Estop | msg.Reboot):
         return "" if abs(torque) <= NONE else f"it should disarm, and applies {torque:.6g} N·m"
-    if not isinstance(message, Command) or state.faulty or not play.within(message, case.spec.ranges):
+    if not isinstance(message, Command) or state.faulty or not tools.within(message, case.spec.ranges):
         return ""
     wanted = push(message)
     if wanted and torque * wanted <= 0.0:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, STRANGER, Bench, Messages
 from protocols.conformance.case import Case, Failure, counts, difference
@@ -26,7 +26,7 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
     alone, crowded, stranger = case.start(), case.start(), case.stranger()
     counter = case.stranger().driver
     foreign, count = _foreign(case), 0
-    for at, messages in enumerate(play.script(spec, NAMES)):
+    for at, messages in enumerate(tools.script(spec, NAMES)):
         theirs = stranger.step(_theirs(messages))
         host = [frame for frame in theirs.down if not _received_also(spec, frame)]
         can = [*host, *theirs.up] if spec.bus != "serial" else []
@@ -107,7 +107,7 @@ def read_only(specs: Sequence[Spec], frame: Frame) -> bool:
 
 def only_declared_frames(case: Case) -> None:
     """All frames in both directions are of the bus's kind, and of an id that the spec lists."""
-    for messages, step in zip(play.script(case.spec, NAMES), case.baseline, strict=True):
+    for messages, step in zip(tools.script(case.spec, NAMES), case.baseline, strict=True):
         for sender, frames, ids in (("driver", step.down, case.sends), ("device", step.up, case.expects)):
             for frame in frames:
                 wrong = _undeclared(case.spec, frame, ids)

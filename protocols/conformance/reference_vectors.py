@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any
 
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, Bench
-from protocols.conformance.case import Case, Failure, Inapplicable, variants
+from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, variants
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Request
-from protocols.plugin import Device, Plugin, Spec
+from protocols.plugin import Plugin, Spec
 from protocols.reference_vectors import Vector, vectors_of
 
 SOURCE = re.compile(
@@ -25,7 +24,6 @@ SOURCE = re.compile(
 """A version, a commit, or a place in a manual."""
 KNOWN = 800
 """Steps after which a driver knows its devices."""
-ADDRESSES = range(256)
 
 
 def motion_is_in_reference_vectors(case: Case) -> None:
@@ -71,7 +69,7 @@ def _format(frame: Frame) -> tuple[bool, ...]:
 def _commanding(case: Case) -> Iterator[tuple[Frame, tuple[Command | Request, ...]]]:
     """Yield what the driver sends in the baseline that is not read-only, with the messages of its step."""
     seen = set[Frame]()
-    for messages, step in zip(play.script(case.spec, NAMES), case.baseline, strict=True):
+    for messages, step in zip(tools.script(case.spec, NAMES), case.baseline, strict=True):
         for frame in step.down:
             if frame not in seen and not all(spec.read_only(frame) for spec in _receivers(case, frame)):
                 yield frame, messages
@@ -115,7 +113,7 @@ def _vectors_to_devices_are_valid(case: Case, vectors: Sequence[Vector]) -> None
         elif (case.spec.bus == "serial") != isinstance(vector.frame, bytes):
             wrong = f"vector {vector.name} is of another kind of bus than the spec"
         elif vector.direction == "to_device":
-            decoder.decode(play.START, vector.frame)
+            decoder.decode(tools.START, vector.frame)
             if not case.plugin.messages(vector.frame):
                 wrong = f"`messages` has no name for vector {vector.name}"
         if wrong:
@@ -128,7 +126,7 @@ def _vectors_to_devices_are_valid(case: Case, vectors: Sequence[Vector]) -> None
 def _vectors_from_devices_are_accepted(case: Case, vectors: Sequence[Vector]) -> None:
     """Each vector is counted as accepted by a driver with some options."""
     left = {vector.name: vector for vector in vectors}
-    for name in sorted(vector.name for vector in vectors if not _senders(case.plugin, vector.frame)):
+    for name in sorted(vector.name for vector in vectors if not _senders(case, vector.frame, case.options)):
         raise Failure(f"no device would send vector {name}: no spec expects it", (left[name].frame,))
     for apart in (False, True):  # at last each alone: an earlier one may have changed the driver
         for options in variants(case.plugin):
@@ -136,7 +134,7 @@ def _vectors_from_devices_are_accepted(case: Case, vectors: Sequence[Vector]) ->
             for vector in list(left.values()):
                 if apart:
                     benches.clear()
-                addresses = _senders(case.plugin, vector.frame, options)
+                addresses = _senders(case, vector.frame, options)
                 if addresses and _accepted(benches, case.plugin, options, addresses, vector.frame):
                     del left[vector.name]
         if not left:
@@ -148,14 +146,14 @@ def _vectors_from_devices_are_accepted(case: Case, vectors: Sequence[Vector]) ->
 def _accepted(
     benches: dict[tuple[int, ...], Bench],
     plugin: Plugin,
-    options: Any,  # noqa: ANN401 -- the plugin's own
+    options: object,
     addresses: tuple[int, ...],
     frame: Frame,
 ) -> bool:
     """True if a driver that knows its devices counts a frame as accepted."""
     if addresses not in benches:
         names = [f"m{address}" for address in addresses]
-        benches[addresses] = play.make_bench(plugin, options, addresses, names)
+        benches[addresses] = tools.make_bench(plugin, options, addresses, names)
         benches[addresses].steps(KNOWN)
     driver = benches[addresses].driver
     before = driver.counters.accepted
@@ -163,17 +161,9 @@ def _accepted(
     return driver.counters.accepted == before + 1
 
 
-def _senders(plugin: Plugin, frame: Frame, options: Any = None) -> tuple[int, ...]:  # noqa: ANN401
+def _senders(case: Case, frame: Frame, options: object) -> tuple[int, ...]:
     """Return addresses of devices that may send a frame: on CAN the first whose spec expects it."""
-    found: list[int] = []
-    for address in ADDRESSES:
-        device = Device("m", address, plugin.options() if options is None else options, plugin.settings())
-        try:
-            spec = plugin.spec(device)
-        except ValueError:
-            continue
-        if not isinstance(frame, CanFrame):
-            found.append(address)
-        elif frame.id in spec.expects:
-            return (address,)
-    return tuple(found[:10])
+    devices = all_devices(case, options)
+    if not isinstance(frame, CanFrame):
+        return tuple(device.address for device, _ in devices)[:10]
+    return tuple(device.address for device, spec in devices if frame.id in spec.expects)[:1]

@@ -17,13 +17,12 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from protocols import messages as msg
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.bench import ALPHA, NAMES, START, Bench, StepResult
-from protocols.conformance.case import Case, Failure, Inapplicable, by_name
+from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, by_name
 from protocols.conformance.fault_injection import make_rig
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Message, Nanos, Request
-from protocols.plugin import Device
 from protocols.reference_vectors import vectors_of
 
 KNOWN = 1200
@@ -104,34 +103,24 @@ def _requests(case: Case, found: list[msg.Found]) -> Iterator[tuple[Request, ...
 
 
 def _request(kind: type[Request], motor: str) -> Request:
-    return play.request(kind, motor) or msg.WriteParameter(motor, "no such parameter", 1.0)
+    return tools.request(kind, motor) or msg.WriteParameter(motor, "no such parameter", 1.0)
 
 
 def _parameters(case: Case) -> list[str]:
     """Return the names of parameters that are decoded in the plugin's vectors to any device."""
     names = set[str]()
-    devices = list(_all_devices(case))
+    devices = list(all_devices(case, case.options))
     for vector in vectors_of(case.plugin):
         frame = vector.frame
         if vector.direction != "to_device" or vector.wrong:
             continue
         can = isinstance(frame, CanFrame)
-        receivers = [d for ids, d in devices if not isinstance(frame, CanFrame) or frame.id in ids]
+        receivers = [d for d, spec in devices if not isinstance(frame, CanFrame) or frame.id in spec.sends]
         for device in receivers[: 1 if can else 16]:
             for message in case.plugin.decoder([device]).decode(START, frame):
                 if isinstance(message, msg.ReadParameter | msg.WriteParameter):
                     names.add(message.parameter)
     return sorted(names)
-
-
-def _all_devices(case: Case) -> Iterator[tuple[frozenset[int], Device]]:
-    """Yield a device at each possible address, and the ids that are sent to it."""
-    for address in range(256):
-        device = Device(ALPHA, address, case.options, case.plugin.settings())
-        try:
-            yield case.plugin.spec(device).sends, device
-        except ValueError:
-            continue
 
 
 # -- one round ---------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from protocols import messages as msg
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, STEP, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.random import Random
@@ -33,7 +33,7 @@ def commands_arrive(case: Case) -> None:
     for kind in case.kinds:
         _all_arrive(case, kind, list(_samples(kind, spec.ranges, random)))
     if msg.Idle in spec.commands and case.kinds:
-        bench = _armed(case, play.gentle(case.kinds[0], spec.ranges))
+        bench = _armed(case, tools.gentle(case.kinds[0], spec.ranges))
         failure = bench and _not_received(bench, spec, [msg.Idle(name) for name in NAMES])
         if failure:
             raise failure
@@ -44,13 +44,13 @@ def _all_arrive(case: Case, kind: type[Command], samples: list[dict[str, float]]
     for at, values in enumerate(samples):
         # Beta gets the next sample: the two must not be confused.
         other = samples[(at + 1) % len(samples)]
-        commands = [play.exactly(kind, NAMES[0], values), play.exactly(kind, NAMES[1], other)]
+        commands = [tools.exactly(kind, NAMES[0], values), tools.exactly(kind, NAMES[1], other)]
         if bench and not _not_received(bench, spec, commands):
             continue
         # A device may have gone into fault over the last sample: once more, on a new one.
-        bench = _armed(case, play.gentle(kind, spec.ranges))
+        bench = _armed(case, tools.gentle(kind, spec.ranges))
         if bench is None:
-            raise Failure(f"{kind.__name__} does not arm within {play.ARMING} ms")
+            raise Failure(f"{kind.__name__} does not arm within {tools.ARMING} ms")
         failure = _not_received(bench, spec, commands)
         if failure:
             raise failure
@@ -87,8 +87,8 @@ def obeyed(bench: Bench, spec: Spec, given: Command, received: Command | Request
         measured = spec.ranges.get("Feedback.position", Range(0.0, 0.0, 0.0))
         bounds = spec.ranges.get("Position.position", measured)
         both = replace(bounds, resolution=bounds.resolution + measured.resolution)
-        return play.close(bench.shafts[given.motor].position, received.position, both)
-    return play.same(given, received, spec.ranges)
+        return tools.close(bench.shafts[given.motor].position, received.position, both)
+    return tools.same(given, received, spec.ranges)
 
 
 # -- samples -----------------------------------------------------------------------------------------------
@@ -96,8 +96,8 @@ def obeyed(bench: Bench, spec: Spec, given: Command, received: Command | Request
 
 def _samples(kind: type[Message], ranges: dict[str, Range], random: Random) -> Iterator[dict[str, float]]:
     """Yield values for the numbers of a message: each densely around its limits, then all at random."""
-    named = play.numbers(kind, ranges)
-    rest = {name: play.nearest(ranges[key], 0.0) for name, key in named}
+    named = tools.numbers(kind, ranges)
+    rest = {name: tools.nearest(ranges[key], 0.0) for name, key in named}
     yield rest
     for name, key in named:
         for value in _dense(ranges[key], random):
@@ -121,7 +121,7 @@ def _anywhere(bounds: Range, random: Random) -> float:
     """Return a number in a range, small ones as likely as large ones."""
     size = max(abs(bounds.low), abs(bounds.high))
     value = size * 10.0 ** random.uniform(-9.0, 0.0) * random.choice((-1.0, 1.0))
-    return play.nearest(bounds, value)
+    return tools.nearest(bounds, value)
 
 
 # -- measurements ------------------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ def _is_reported(case: Case, spec: Spec, name: str, values: dict[str, float]) ->
         if event is None:
             raise Failure(f"{name} of {motor} is {value!r}, and is not reported")
         reported = getattr(event, name)
-        if not play.close(value, reported, spec.ranges[f"Feedback.{name}"]):
+        if not tools.close(value, reported, spec.ranges[f"Feedback.{name}"]):
             text = f"{name} of {motor} is {value!r}, reported {reported!r}"
             raise Failure(text, bench.in_flight, (event,))
 
@@ -181,7 +181,7 @@ def _settled(bench: Bench, spec: Spec, name: str) -> dict[str, msg.Feedback]:
 
 
 def _sensors_arrive(case: Case, spec: Spec, random: Random) -> None:
-    kinds = [kind for kind in (msg.Imu, msg.LaserScan, msg.Fix) if play.numbers(kind, spec.ranges)]
+    kinds = [kind for kind in (msg.Imu, msg.LaserScan, msg.Fix) if tools.numbers(kind, spec.ranges)]
     if not kinds:
         raise Inapplicable("the spec has no range for any measurement")
     bench = case.start()
@@ -214,4 +214,4 @@ def _measurement(
 
 
 def _arrived(measured: Event, reported: Event, spec: Spec, now: Nanos) -> bool:
-    return play.same(measured, reported, spec.ranges) and now - 1000 * STEP <= reported.t <= now + STEP
+    return tools.same(measured, reported, spec.ranges) and now - 1000 * STEP <= reported.t <= now + STEP

@@ -6,7 +6,7 @@ import copy
 from dataclasses import dataclass
 from typing import Any, cast
 
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, Bench
 from protocols.conformance.case import Case, Failure, difference
 from protocols.conformance.random import Random
@@ -40,7 +40,7 @@ def _compare(case: Case, other: Bench, this: str, that: str) -> None:
     if case.spec.bus == "serial":
         one.splitting, other.splitting = case.random(), case.random()
     states = [BusState.PASSIVE, BusState.UP, BusState.FULL, BusState.UP, BusState.OFF, BusState.BACK]
-    for at, messages in enumerate(play.script(case.spec, NAMES)):
+    for at, messages in enumerate(tools.script(case.spec, NAMES)):
         if at % 97 == 96:
             for bench in (one, other):
                 bench.driver.bus(bench.now, states[at // 97 % len(states)])

@@ -7,8 +7,6 @@ shaft gave way when the load was applied: a controller without integral gives wa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from protocols.conformance.bench import ALPHA, ARMING, BETA, Messages, StepResult
 from protocols.conformance.case import Case, Inapplicable
 from protocols.conformance.fault_injection import (
@@ -51,19 +49,10 @@ def _holding(spec: Spec) -> list[type[Command]]:
     return [kind for kind in kinds if kind in spec.commands]
 
 
-@dataclass(frozen=True, slots=True)
-class _Loaded:
-    """Devices that a first host holds, with a load on alpha."""
+def _loaded(case: Case, kind: type[Command], count: int = 1) -> tuple[Rig, list[Command], float]:
+    """Arm devices by a first host, then load alpha.
 
-    rig: Rig
-    commands: list[Command]
-    """What that host is given."""
-    gave_way: float
-    """rad by which the shaft gave way at most."""
-
-
-def _loaded(case: Case, kind: type[Command], count: int = 1) -> _Loaded:
-    """Arm devices by the first host, then load alpha."""
+    Returns the rig, what that host is given, and how far the shaft gave way at most [rad]."""
     rig = make_rig(case, count, position=PLACE)
     rig.get_ready()
     commands = [resting(kind, rig.spec, name, rig.measured.get(name, PLACE)) for name in rig.names]
@@ -74,19 +63,18 @@ def _loaded(case: Case, kind: type[Command], count: int = 1) -> _Loaded:
     for _ in range(SETTLE):
         rig.step(commands)
         gave_way = max(gave_way, shaft.position - place)
-    return _Loaded(rig, commands, gave_way)
+    return rig, commands, gave_way
 
 
 def _attach(case: Case, first: type[Command], second: type[Command]) -> None:
-    loaded = _loaded(case, first)
-    before = loaded.rig
+    before, commands, gave_way = _loaded(case, first)
     shaft = before.bench.shafts[ALPHA]
     if before.spec.holds_unattended:
         before.host.alive = False
         before.wait(SETTLE)
     rig, idle = takeover(case, before), [Idle(ALPHA)] if Idle in before.spec.commands else []
     if not before.spec.holds_unattended:
-        rig.host.other, rig.host.others_messages = before.host.driver, loaded.commands
+        rig.host.other, rig.host.others_messages = before.host.driver, commands
     place, room = shaft.position, 0.5 * SLACK
 
     def over(_: StepResult) -> bool:
@@ -98,7 +86,7 @@ def _attach(case: Case, first: type[Command], second: type[Command]) -> None:
     sag = shaft.position - place
     if sag > room:
         raise rig.failure(f"a new driver sends only read-only frames, and the shaft sags by {sag:.3g} rad")
-    _take_over(rig, second, loaded.gave_way)
+    _take_over(rig, second, gave_way)
 
 
 def _take_over(rig: Rig, kind: type[Command], gave_way: float) -> None:
@@ -149,8 +137,7 @@ def _scan_new(case: Case) -> None:
 
 def _scan_running(case: Case) -> None:
     """Scan while alpha holds a load for another host, and beta is in fault."""
-    loaded = _loaded(case, _holding(case.spec)[0], 2)
-    before, commands = loaded.rig, loaded.commands
+    before, commands, _ = _loaded(case, _holding(case.spec)[0], 2)
     codes = sorted(code for code, fault in before.spec.faults.items() if fault.latching)
     code = case.random().choice(codes) if codes else None
     if code is not None:

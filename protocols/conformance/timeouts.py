@@ -10,12 +10,12 @@ is no sign of life.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 from protocols.conformance.bench import ALPHA, BETA, NAMES, STEP, Messages, StepResult
-from protocols.conformance.case import Case, Failure, Inapplicable
+from protocols.conformance.case import Case, Failure, Inapplicable, alternatives, valid
 from protocols.conformance.fault_injection import (
     SLACK,
     Rig,
@@ -90,23 +90,12 @@ def _settings(default: Any) -> Iterator[object]:  # noqa: ANN401 -- a dataclass 
     """Yield the default settings; those with one value changed; those with a bool and a number changed."""
     yield default
     hints = get_type_hints(type(default))
-    switches: list[tuple[str, object]] = []
-    numbers: list[tuple[str, object]] = []
-    for f in fields(default):
-        kind, value = hints[f.name], getattr(default, f.name)
-        if kind is bool:
-            switches.append((f.name, not value))
-        elif get_origin(kind) is Literal:
-            switches += [(f.name, other) for other in get_args(kind) if other != value]
-        elif kind in (int, float) and not value:
-            numbers += [(f.name, kind(number)) for number in (0.2, 200.0) if kind(number)]
-    changes = [dict([one]) for one in (*switches, *numbers)]
-    changes += [dict([switch, number]) for switch in switches for number in numbers]
-    for change in changes:
-        try:
-            yield replace(default, **change)
-        except ValueError:
-            continue  # They do not go together, as the plugin itself checks.
+    unset = [(f.name, hints[f.name]) for f in fields(default) if not getattr(default, f.name)]
+    numeric = [(name, kind) for name, kind in unset if kind in (int, float)]
+    numbers = [(name, kind(value)) for name, kind in numeric for value in (0.2, 200.0) if kind(value)]
+    switches = alternatives(default)
+    yield from valid(default, [dict([one]) for one in (*switches, *numbers)])
+    yield from valid(default, [dict([switch, number]) for switch in switches for number in numbers])
 
 
 def _armed(case: Case, settings: object, count: int) -> Rig:
@@ -202,7 +191,7 @@ def silent_device_is_offline(case: Case) -> None:
     if spec.kind != "motor":
         raise Inapplicable("the spec's kind is sensor: it has no joint that could lose its feedback")
     if spec.feedback is FeedbackKind.NONE:
-        raise Inapplicable("the spec says that the device gives no feedback")
+        raise Inapplicable("the spec's feedback is none")
     trials: list[Callable[[Case], None]] = [_never_there, partial(_falls_silent, None)]
     trials += [partial(_falls_silent, kind) for kind in case.kinds[:1]]
     for trial in case.sample(trials):

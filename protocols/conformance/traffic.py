@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
 
-from protocols.conformance import bench as play
+from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, START, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, counts, difference
@@ -57,7 +57,7 @@ def _shortened(
 
     if not alone(series[-1]):
         return Failure(f"{receiver} raises {error} at the last of these", series)
-    return Failure(f"{receiver} raises {error}", (play.shortest(series[-1], alone),))
+    return Failure(f"{receiver} raises {error}", (tools.shortest(series[-1], alone),))
 
 
 def _feed_driver(bench: Bench, frame: Frame) -> object:
@@ -95,7 +95,7 @@ def _raised(feed: Feed, bench: Bench, frame: Frame) -> str:
 def frames_are_counted(case: Case) -> None:
     """Every frame is counted once, in its class; what is not accepted reports and changes nothing."""
     bench = case.start()
-    steps = [bench.step(messages) for messages in play.script(case.spec, NAMES)]
+    steps = [bench.step(messages) for messages in tools.script(case.spec, NAMES)]
     first = next((step.up for step in steps if step.up), ())
     counters = bench.driver.counters
     if counters.malformed or (first and not counters.accepted):
@@ -110,7 +110,7 @@ def _can_frames_are_counted(case: Case) -> None:
     """On CAN: one driver receives all frames, another only those that the first counts as accepted."""
     every, some = case.armed(), case.armed()
     if every is None or some is None:
-        raise Failure(f"does not arm within {play.ARMING} ms")
+        raise Failure(f"does not arm within {tools.ARMING} ms")
     for frame in noise.valid_frames(case)[:9]:
         first = _received(case, [frame])[1]
         if sum(first) != 1:
@@ -138,10 +138,10 @@ def _cut_frames_report_nothing(case: Case, bench: Bench) -> None:
     for shaft, position in zip(bench.shafts.values(), (1.25, -2.75), strict=True):
         shaft.position, shaft.velocity, shaft.locked = position, 0.5 * position, True
     for frame in dict.fromkeys(frame for step in bench.steps(300)[-100:] for frame in step.up):
-        data = play.data_of(frame)
+        data = tools.data_of(frame)
         whole = _numbers(_received(case, [frame])[0])
         for size in range(len(data)):
-            short = play.with_data(frame, data[:size])
+            short = tools.with_data(frame, data[:size])
             events = _received(case, [short])[0]
             if not _numbers(events) <= whole:
                 raise Failure("a frame cut short reports other numbers", (frame, short), events)
@@ -203,7 +203,7 @@ def streams_may_be_cut(case: Case) -> None:
     """A serial stream, also with garbage in it, gives the same whole, byte by byte, and cut anywhere."""
     if case.spec.bus != "serial":
         raise Inapplicable(f"the spec's bus is {case.spec.bus}: frames arrive whole")
-    random, valid = case.random(), [play.data_of(frame) for frame in noise.valid_frames(case)]
+    random, valid = case.random(), [tools.data_of(frame) for frame in noise.valid_frames(case)]
     for count in (20, 150):
         clean = valid[:: max(len(valid) // count, 1)]
         garbage = [noise.damaged(random.choice(clean), random) for _ in range(count // 2)]
@@ -220,10 +220,10 @@ def _may_be_cut(case: Case, stream: bytes, random: Random) -> None:
             continue
 
         def differs(frame: Frame) -> bool:
-            data = play.data_of(frame)
+            data = tools.data_of(frame)
             return _both(case, [data]) != _both(case, [data[at : at + 1] for at in range(len(data))])
 
-        short = play.shortest(stream, differs) if differs(stream) else stream[:64]
+        short = tools.shortest(stream, differs) if differs(stream) else stream[:64]
         raise Failure(f"whole: {_brief(whole)}; in pieces of up to {longest}: {_brief(cut)}", (short,))
 
 
@@ -272,7 +272,7 @@ def wrong_bits_change_nothing(case: Case) -> None:
                         return True
                     return False
 
-                few = play.fewest(damaged, fails) if fails(damaged) else damaged[:1]
+                few = tools.fewest(damaged, fails) if fails(damaged) else damaged[:1]
                 raise Failure(failure.text, (frame, *few), failure.messages) from failure
 
 
@@ -301,7 +301,7 @@ def _change_nothing(case: Case, one: Bench, other: Bench, damaged: Sequence[byte
     """Give one of two equal benches damaged messages as well: soon after the two are equal again."""
     for frame in damaged:
         _has_no_effect(other, downward, frame)
-    messages = [play.build(kind, name, case.spec.ranges) for kind in case.kinds[:1] for name in NAMES]
+    messages = [tools.build(kind, name, case.spec.ranges) for kind in case.kinds[:1] for name in NAMES]
     for step in range(SETTLED + COMPARED):
         left, right = one.step(messages), other.step(messages)
         if step >= SETTLED and replace(left, due=()) != replace(right, due=()):

@@ -1,7 +1,7 @@
 """Plugins that are broken on purpose, at least one for each clause of the contract.
 
 Rules. Each is the plugin `plain`, or `odrive_can`, with one class of it replaced, or with its events or
-messages altered by a function; the name says what is wrong. Some of the defects are those of drivers in the
+messages altered by a function; the name is what is wrong. Some of the defects are those of drivers in the
 field.
 """
 
@@ -11,12 +11,12 @@ import math
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, TypeAlias, TypeVar
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar
 
 from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Command, Event, Nanos, Request
+from protocols.messages import Event, Message, Nanos
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
@@ -24,7 +24,7 @@ from protocols.plain import codec, plugin
 from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
-from protocols.plugin import Device, Driver, Plugin
+from protocols.plugin import Device, Plugin
 
 Sent: TypeAlias = tuple[Sequence[Event], Sequence[Frame]]
 
@@ -52,8 +52,8 @@ sensors = replace(plugin, options=SensorOptions, vectors=None)
 BROKEN: list[tuple[Plugin, tuple[str, ...]]] = []
 """The broken plugins, each named after what is wrong, with all the clauses that find it."""
 Part = TypeVar("Part", bound=PlainDriver | PlainDecoder | PlainMotor | OdriveDriver)
-EventChange: TypeAlias = Callable[[Event], Event | None]
-MessageChange: TypeAlias = Callable[[Command | Request], Command | Request | None]
+Change: TypeAlias = Callable[[Any], Any]
+"""Alters an event, a command or a request; None: drops it."""
 
 
 def found_by(*clauses: str) -> Callable[[type[Part]], type[Part]]:
@@ -77,60 +77,45 @@ def found_by(*clauses: str) -> Callable[[type[Part]], type[Part]]:
 
 @dataclass(slots=True)
 class _Altering(DriverWrapper):
-    """A right driver, whose events or messages are altered; None: dropped."""
+    """A right driver, whose events and messages are altered."""
 
-    event: EventChange = lambda event: event
-    message: MessageChange = lambda message: message
+    change: Change
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         return self._altered(self.driver.receive(t, frame))
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
-        given = [altered for each in messages if (altered := self.message(each)) is not None]
-        events, frames = self.driver.send(now, given)
+        events, frames = self.driver.send(now, self._altered(messages))
         return self._altered(events), frames
 
-    def _altered(self, events: Sequence[Event]) -> Sequence[Event]:
-        return [altered for each in events if (altered := self.event(each)) is not None]
+    def _altered(self, messages: Sequence[Any]) -> list[Any]:
+        return [altered for each in messages if (altered := self.change(each)) is not None]
 
 
-def alters_events(*clauses: str, base: Plugin = motors) -> Callable[[EventChange], EventChange]:
-    """Register a plugin whose driver reports each event as this function alters it (None: not at all)."""
+def alters(*clauses: str, base: Plugin = motors) -> Callable[[Change], Change]:
+    """Register a plugin whose driver reports events and sends messages as this function alters them."""
 
-    def register(change: EventChange) -> EventChange:
-        _register(base, clauses, change.__name__, lambda driver: _Altering(driver, event=change))
+    def register(change: Change) -> Change:
+        wrong = replace(base, name=change.__name__, driver=lambda each: _Altering(base.driver(each), change))
+        BROKEN.append((wrong, clauses))
         return change
 
     return register
-
-
-def alters_messages(*clauses: str) -> Callable[[MessageChange], MessageChange]:
-    """Register a plugin whose driver sends each message as this function alters it (None: not at all)."""
-
-    def register(change: MessageChange) -> MessageChange:
-        _register(motors, clauses, change.__name__, lambda driver: _Altering(driver, message=change))
-        return change
-
-    return register
-
-
-def _register(base: Plugin, clauses: tuple[str, ...], name: str, wrap: Callable[[Driver], Driver]) -> None:
-    BROKEN.append((replace(base, name=name, driver=lambda devices: wrap(base.driver(devices))), clauses))
 
 
 # -- commands ------------------------------------------------------------------------------------------
 
 
-@alters_messages("commands")
-def rounds_velocity(message: Command | Request) -> Command | Request:
+@alters("commands")
+def rounds_velocity(message: Message) -> Message:
     """To thousandths, while the spec promises full resolution."""
     if isinstance(message, msg.Velocity) and math.isfinite(message.velocity):
         return replace(message, velocity=round(message.velocity, 3))
     return message
 
 
-@alters_messages("commands")
-def wraps_feed_forward(message: Command | Request) -> Command | Request:
+@alters("commands")
+def wraps_feed_forward(message: Message) -> Message:
     """A feed-forward of int8 thousandths where there is room for more: above 0.127 it wraps."""
     if isinstance(message, msg.Position) and abs(message.torque) <= 1e4:
         return replace(message, torque=((round(message.torque * 1000) + 128) % 256 - 128) / 1000)
@@ -149,8 +134,8 @@ class MixesUpMotors(PlainDriver):
         return events, frames
 
 
-@alters_messages("commands", "jump", "disarm", "dropped")
-def forgets_idle(message: Command | Request) -> Command | Request | None:
+@alters("commands", "jump", "disarm", "dropped")
+def forgets_idle(message: Message) -> Message | None:
     """Never disarms."""
     return None if isinstance(message, msg.Idle) else message
 
@@ -172,14 +157,14 @@ class WholeUnits(PlainMotor):
         return super().step(now, whole)
 
 
-@alters_events("measurements")
-def from_the_future(event: Event) -> Event:
+@alters("measurements")
+def from_the_future(event: Message) -> Message:
     """Stamps feedback with a time that has not come."""
     return replace(event, t=event.t + 1) if isinstance(event, msg.Feedback) else event
 
 
-@alters_events("measurements", "jump", "disarm", "watchdog", "offline", "faults", "attach")
-def names_the_other(event: Event) -> Event:
+@alters("measurements", "jump", "disarm", "watchdog", "offline", "faults", "attach")
+def names_the_other(event: Message) -> Message:
     """Reports alpha's measurements as beta's and the other way round."""
     swap = {"alpha": "beta", "beta": "alpha"}
     return (
@@ -187,8 +172,8 @@ def names_the_other(event: Event) -> Event:
     )
 
 
-@alters_events("measurements", base=sensors)
-def single_ranges(event: Event) -> Event:
+@alters("measurements", base=sensors)
+def single_ranges(event: Message) -> Message:
     """Ranges of a scan lose what a float32 cannot hold."""
     if isinstance(event, msg.LaserScan):
         return replace(event, ranges=tuple(array("f", event.ranges)))
@@ -354,7 +339,7 @@ class AlwaysIdles(PlainDriver):
 
 @found_by("declared")
 class SendsEmptyFrames(PlainDriver):
-    """Sends frames without bytes: harmless, and not what the spec says."""
+    """Sends frames without bytes: harmless, and not in the spec."""
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
         events, frames = super().send(now, messages)
@@ -370,16 +355,16 @@ class TwinSendsCan(PlainMotor):
         return torques, [*frames, CanFrame(1)] if len(frames) > 1 else frames
 
 
-@alters_messages("finite")
-def clamps_nan(message: Command | Request) -> Command | Request:
+@alters("finite")
+def clamps_nan(message: Message) -> Message:
     """Clamps instead of refusing, and so makes full speed of NaN: max(-5, min(5, nan)) is 5."""
     if isinstance(message, msg.Velocity):
         return replace(message, velocity=max(-1e5, min(1e5, message.velocity)))
     return message
 
 
-@alters_events("finite")
-def reports_nan(event: Event) -> Event:
+@alters("finite")
+def reports_nan(event: Message) -> Message:
     """Reports something that is not finite for what was not measured."""
     return replace(event, temperature=math.nan) if isinstance(event, msg.Feedback) else event
 

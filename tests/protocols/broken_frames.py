@@ -11,7 +11,7 @@ from protocols import messages as msg
 from protocols.conformance.bench import Messages
 from protocols.frames import CanFrame, Frame
 from protocols.message_codec import LAYOUTS, pack_fields
-from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos
+from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.codec import cmd_of
 from protocols.odrive_can.driver import OdriveDriver
@@ -21,7 +21,7 @@ from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
 from protocols.plugin import Device
-from tests.protocols.broken import BROKEN, Sent, alters_events, found_by, motors
+from tests.protocols.broken import BROKEN, Sent, alters, found_by, motors
 
 # -- normal --------------------------------------------------------------------------------------------
 
@@ -41,8 +41,8 @@ class SendsMinusZero(PlainDriver):
         return events, [*frames, *map(codec.frame, exact)]
 
 
-@alters_events("normal")
-def reports_minus_zero(event: Event) -> Event:
+@alters("normal")
+def reports_minus_zero(event: Message) -> Message:
     """Counts current with the other sign: no current is −0.0."""
     if isinstance(event, msg.Feedback) and event.current is not None:
         return replace(event, current=-event.current)
@@ -125,20 +125,20 @@ class PushesTheOtherWay(PlainMotor):
 # -- duplicates ----------------------------------------------------------------------------------------
 
 
-@alters_events("duplicates", base=odrive)
-def never_detects_duplicates(event: Event) -> Event | None:
+@alters("duplicates", base=odrive)
+def never_detects_duplicates(event: Message) -> Message | None:
     """Does not report a duplicate address at all."""
     return None if isinstance(event, msg.Found) and event.duplicate_address else event
 
 
-@alters_events("duplicates", base=odrive)
-def reports_duplicates_in_text_only(event: Event) -> Event:
+@alters("duplicates", base=odrive)
+def reports_duplicates_in_text_only(event: Message) -> Message:
     """Reports it in the text, where no program finds it."""
     return replace(event, duplicate_address=False) if isinstance(event, msg.Found) else event
 
 
-@alters_events("duplicates", base=odrive)
-def reports_all_as_duplicates(event: Event) -> Event:
+@alters("duplicates", base=odrive)
+def reports_all_as_duplicates(event: Message) -> Message:
     """Takes each answer to the scan for another device."""
     return replace(event, duplicate_address=True) if isinstance(event, msg.Found) else event
 
@@ -217,26 +217,26 @@ class AnswersTwice(PlainDriver):
         return [*events, *(msg.Done(event.t, "ReadParameter", event.motor) for event in read)]
 
 
-@alters_events("answers")
-def refuses_without_reason(event: Event) -> Event:
-    """Refuses, and does not say why."""
+@alters("answers")
+def refuses_without_reason(event: Message) -> Message:
+    """Refuses, and gives no reason."""
     return replace(event, reason=" ") if isinstance(event, msg.Refused) else event
 
 
-@alters_events("answers")
-def does_not_refuse(event: Event) -> Event | None:
+@alters("answers")
+def does_not_refuse(event: Message) -> Message | None:
     """Ignores the request for an unknown parameter."""
     return None if isinstance(event, msg.Refused) and event.request == "ReadParameter" else event
 
 
-@alters_events("answers")
-def answers_without_name(event: Event) -> Event:
+@alters("answers")
+def answers_without_name(event: Message) -> Message:
     """Does not name the motor whose request was done."""
     return replace(event, name="") if isinstance(event, msg.Done) and event.request == "Zero" else event
 
 
-@alters_events("answers")
-def reports_text(event: Event) -> Event:
+@alters("answers")
+def reports_text(event: Message) -> Message:
     """The value of a parameter as a text."""
     value: Callable[[float], float] = str  # type: ignore[assignment]  # what an untyped plugin may do
     return replace(event, value=value(event.value)) if isinstance(event, msg.Parameter) else event
@@ -252,8 +252,8 @@ class ReportsDoneUnsent(PlainDriver):
         return [*events, *(msg.Done(now, "WriteParameter", m.motor) for m in written)], frames
 
 
-@alters_events("answers")
-def never_gives_up(event: Event) -> Event | None:
+@alters("answers")
+def never_gives_up(event: Message) -> Message | None:
     """Waits for ever for the answer of a silent device."""
     return None if isinstance(event, msg.Refused) and "no answer" in event.reason else event
 
@@ -267,8 +267,8 @@ class DueLongAgo(PlainDriver):
         return None if due is None else due - 1000 * MILLISECOND
 
 
-@alters_events("answers", "offline")
-def offline_without_time(event: Event) -> Event:
+@alters("answers", "offline")
+def offline_without_time(event: Message) -> Message:
     """Does not report when a device fell silent."""
     missing: Nanos = None  # type: ignore[assignment]  # what an untyped plugin may do
     return replace(event, t=missing) if isinstance(event, msg.State) and event.mode is Mode.OFFLINE else event

@@ -8,13 +8,13 @@ from dataclasses import replace
 from protocols import messages as msg
 from protocols.conformance.bench import Messages
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.plain import codec
 from protocols.plain.driver import PlainDriver
 from protocols.plain.twin import PlainMotor
 from protocols.plugin import Device
-from tests.protocols.broken import Sent, alters_events, alters_messages, found_by
+from tests.protocols.broken import Sent, alters, found_by
 
 
 class Knowing(PlainDriver):
@@ -106,8 +106,8 @@ class IdlesOnlyReportedArmed(Knowing):
         return super().send(now, [m for m in messages if not isinstance(m, msg.Idle) or m.motor in armed])
 
 
-@alters_messages("disarm")
-def stops_only_its_own(message: Command | Request) -> Command | Request | None:
+@alters("disarm")
+def stops_only_its_own(message: Message) -> Message | None:
     """An operator's stop does not reach what another host has armed."""
     return None if isinstance(message, msg.Stop) else message
 
@@ -233,14 +233,14 @@ class IgnoresAFullQueue(OdriveDriver):
 # -- faults --------------------------------------------------------------------------------------------
 
 
-@alters_events("faults")
-def ignores_the_fault_bits(event: Event) -> Event | None:
+@alters("faults")
+def ignores_the_fault_bits(event: Message) -> Message | None:
     """The state is reported, the faults are not."""
     return None if isinstance(event, msg.Fault) else event
 
 
-@alters_events("faults")
-def reports_no_remedy(event: Event) -> Event:
+@alters("faults")
+def reports_no_remedy(event: Message) -> Message:
     """Faults are reported by number and name."""
     return replace(event, remedy="") if isinstance(event, msg.Fault) else event
 
@@ -285,7 +285,7 @@ class ForgetsItsFault(PlainMotor):
 
 @found_by("passive")
 class ConfiguresUnasked(Knowing):
-    """Configures the device as it should be, whoever runs it, and does not report it."""
+    """Configures the device as it should be, whichever host runs it, and does not report it."""
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)

@@ -1,4 +1,4 @@
-"""Two real ends and a for-loop: one driver, its twins, a shaft each, a wire that can be cut. Virtual time."""
+"""One driver, its twins, a shaft each, and a bus that can lose frames, stepped in one loop."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EventKind = TypeVar("EventKind", bound=Event)
 
 @dataclass
 class Shaft:
-    """What turns behind a twin; `load` [N·m] pushes it, `held` clamps it. rad, rad/s."""
+    """The shaft of a twin; `load` [N·m] is an external torque, `held` locks it. rad, rad/s."""
 
     inertia: float
     """kg·m² at the motor"""
@@ -29,7 +29,7 @@ class Shaft:
     held: bool = False
 
     def step(self, torque: float) -> None:
-        """One millisecond."""
+        """Advance one millisecond."""
         pushed = self.velocity + (torque + self.load) / self.inertia * 1e-3
         self.velocity = 0.0 if self.held else pushed / (1.0 + self.friction / self.inertia * 1e-3)
         self.position += self.velocity * 1e-3
@@ -48,43 +48,43 @@ class CanBench(Generic[DriverKind, TwinKind]):
     received: list[tuple[Nanos, CanFrame]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     to_device: Callable[[CanFrame], bool] = lambda frame: True
-    """Whether a frame of the driver arrives."""
+    """True if a frame of the driver arrives."""
     from_device: Callable[[CanFrame], bool] = lambda frame: True
-    """Whether a frame of a device arrives, ..."""
+    """True if a frame of a device arrives, ..."""
     arrives: Callable[[CanFrame], Sequence[CanFrame]] = lambda frame: (frame,)
     """... and as what."""
-    words: Sequence[Command] = ()
+    commands: Sequence[Command] = ()
 
     @property
     def shaft(self) -> Shaft:
-        """The first one's."""
+        """The first shaft."""
         return self.shafts[0]
 
-    def run(self, milliseconds: int, *words: Command) -> list[Event]:
-        """Say the words all the time (none: as before); what was told meanwhile."""
-        self.words = words or self.words
+    def run(self, milliseconds: int, *commands: Command) -> list[Event]:
+        """Give these commands all the time (none: as before); return the events."""
+        self.commands = commands or self.commands
         before = len(self.events)
         for _ in range(milliseconds):
-            self.tick(self.words)
+            self.tick(self.commands)
         return self.events[before:]
 
     def quiet(self, milliseconds: int) -> list[Event]:
-        """Say nothing."""
-        self.words = ()
+        """Run without commands; return the events."""
+        self.commands = ()
         return self.run(milliseconds)
 
     def ask(self, request: Request, milliseconds: int = 0) -> list[Event]:
-        """Say a request once, beside the words; what was told since."""
+        """Make a request once, beside the commands; return the events."""
         before = len(self.events)
-        self._send([request, *self.words])
+        self._send([request, *self.commands])
         self.run(milliseconds)
         return self.events[before:]
 
-    def tick(self, words: Sequence[Command]) -> None:
-        """One millisecond of everything."""
+    def tick(self, commands: Sequence[Command]) -> None:
+        """Advance everything one millisecond."""
         due = self.driver.due()
         if self.now % (5 * MILLISECOND) == 0 or (due is not None and due <= self.now):
-            self._send(words)
+            self._send(commands)
         for item, twin, shaft in zip(self.devices, self.twins, self.shafts, strict=True):
             truth = Feedback(item.name, self.now, position=shaft.position, velocity=shaft.velocity)
             torques, frames = twin.step(self.now, [truth])
@@ -96,8 +96,8 @@ class CanBench(Generic[DriverKind, TwinKind]):
                     self.events += self.driver.receive(self.now, arrived)
         self.now += MILLISECOND
 
-    def _send(self, words: Sequence[Command | Request]) -> None:
-        events, frames = self.driver.send(self.now, words)
+    def _send(self, messages: Sequence[Command | Request]) -> None:
+        events, frames = self.driver.send(self.now, messages)
         self.events += events
         for frame in frames:
             assert isinstance(frame, CanFrame)
@@ -108,10 +108,10 @@ class CanBench(Generic[DriverKind, TwinKind]):
 
 
 def of(kind: type[EventKind], events: Sequence[Event]) -> list[EventKind]:
-    """The events of one kind."""
+    """Return the events of one type."""
     return [event for event in events if isinstance(event, kind)]
 
 
 def modes(events: Sequence[Event], motor: str = "left") -> list[str]:
-    """The modes that a motor told, in order."""
+    """Return the modes that a motor reported, in order."""
     return [state.mode.value for state in of(State, events) if state.motor == motor]

@@ -15,7 +15,7 @@ DEFECTS: tuple[tuple[int, str, str, str], ...] = (
     (1, "NaN in, full speed out", "clamps_nan", "finite"),
     (2, "a feed-forward of int8 where the protocol has int16", "wraps_feed_forward", "commands"),
     (3, "waits without a timeout", "WaitsForEver", "offline"),
-    (4, "a frame whose data nobody has set", "SendsAnUnsetFrame", "vectors"),
+    (4, "a frame whose data is never set", "SendsAnUnsetFrame", "vectors"),
     (5, "a mode switch clears faults", "ClearsAtEachModeSwitch", "faults"),
     (5, "the first set-point is zero", "FirstSetPointIsZero", "jump"),
     (6, "what was sent is decoded into the state", "AcceptsItsOwnFrames", "offline"),

@@ -7,7 +7,7 @@ import pytest
 
 from protocols.frames import BusState, CanFrame, Frame, Packet
 
-# candump's own notation: id in three or eight digits, # or ##flags, data in upper case, R for a request
+# candump's own notation: id in three or eight digits, # or ##flags, data in upper case, R for a remote frame
 # (linux-can/can-utils `lib.h`, sprint_canframe and parse_canframe).
 NOTATION: list[tuple[CanFrame, str]] = [
     (CanFrame(0x123, bytes.fromhex("deadbeef")), "123#DEADBEEF"),
@@ -30,21 +30,6 @@ def test_a_frame_reads_as_candump_has_it(frame: CanFrame, text: str) -> None:
     assert f"{frame}" == text
 
 
-def parsed(text: str) -> CanFrame:
-    """The frame that candump's notation stands for, read independently of how it is written."""
-    head, _, rest = text.partition("#")
-    fd = rest.startswith("#")
-    remote = rest == "R"
-    data = rest[2:] if fd else "" if remote else rest
-    brs = fd and bool(int(rest[1], 16) & 1)
-    return CanFrame(int(head, 16), bytes.fromhex(data), len(head) == 8, remote, fd, brs)
-
-
-@pytest.mark.parametrize(("frame", "text"), NOTATION, ids=[text for _, text in NOTATION])
-def test_the_notation_loses_nothing(frame: CanFrame, text: str) -> None:
-    assert parsed(text) == frame
-
-
 def test_frames_that_differ_in_anything_differ() -> None:
     base = CanFrame(0x123, b"\1")
     others: list[Frame] = [
@@ -61,7 +46,7 @@ def test_frames_that_differ_in_anything_differ() -> None:
 
 
 @pytest.mark.parametrize("value", [CanFrame(1, b"\2"), Packet(5, "can0", CanFrame(1))])
-def test_wires_and_packets_are_frozen(value: Any) -> None:
+def test_frames_and_packets_are_frozen(value: Any) -> None:
     for f in fields(value):
         with pytest.raises(FrozenInstanceError):
             setattr(value, f.name, 0)

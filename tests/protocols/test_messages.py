@@ -16,33 +16,33 @@ KINDS: tuple[Any, ...] = get_args(Message)
 SAMPLES: list[Message] = [message_of(row) for row in VECTORS["packed"]]
 
 
-def test_there_is_a_sample_of_every_word() -> None:
-    assert {type(word) for word in SAMPLES} == set(KINDS)
+def test_there_is_a_sample_of_every_message() -> None:
+    assert {type(message) for message in SAMPLES} == set(KINDS)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.__name__))
-def test_a_word_is_a_frozen_slotted_value_without_methods(kind: type[Any]) -> None:
+def test_a_message_is_a_frozen_slotted_value_without_methods(kind: type[Any]) -> None:
     assert is_dataclass(kind)
     assert vars(kind)["__slots__"] == tuple(f.name for f in fields(kind))
     own = {name for name in vars(kind) if not name.startswith("_")}
     assert own == {f.name for f in fields(kind)}
     assert kind.__doc__
-    assert not kind.__doc__.startswith(f"{kind.__name__}(")  # what a dataclass writes if nobody did
+    assert not kind.__doc__.startswith(f"{kind.__name__}(")  # what a dataclass writes without one
 
 
-@pytest.mark.parametrize("word", SAMPLES, ids=lambda word: type(word).__name__)
-def test_a_word_cannot_be_changed_and_is_equal_to_its_copy(word: Any) -> None:
-    for f in fields(word):
+@pytest.mark.parametrize("message", SAMPLES, ids=lambda message: type(message).__name__)
+def test_a_message_cannot_be_changed_and_is_equal_to_its_copy(message: Any) -> None:
+    for f in fields(message):
         with pytest.raises(FrozenInstanceError):
-            setattr(word, f.name, getattr(word, f.name))
+            setattr(message, f.name, getattr(message, f.name))
     with pytest.raises((AttributeError, TypeError)):
-        word.another = 1
-    for twin in (copy.copy(word), copy.deepcopy(word), pickle.loads(pickle.dumps(word))):
-        assert twin == word
-        assert hash(twin) == hash(word)
+        message.another = 1
+    for twin in (copy.copy(message), copy.deepcopy(message), pickle.loads(pickle.dumps(message))):
+        assert twin == message
+        assert hash(twin) == hash(message)
 
 
-def test_words_of_different_kinds_are_never_equal() -> None:
+def test_messages_of_different_kinds_are_never_equal() -> None:
     values: list[Any] = ["m", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
     made = [(len(fields(kind)), kind(*values[: len(fields(kind))])) for kind in KINDS]
     for size, one in made:

@@ -36,14 +36,14 @@ RANGES = {"Velocity.velocity": Range(-10.0, 20.0, 0.0)}
         (Position("m", 1.0), "the device has no position for Position"),
     ],
 )
-def test_what_may_reach_a_wire(command: Command, reason: str) -> None:
+def test_what_may_be_sent(command: Command, reason: str) -> None:
     assert out_of_range(command, RANGES) == reason
 
 
-def test_a_refusal_is_told_when_its_reason_is_new_and_once_for_each_motor() -> None:
+def test_a_refusal_is_reported_when_its_reason_is_new_and_once_for_each_motor() -> None:
     refusals = RejectionFilter()
-    said = [("m", "a"), ("m", "a"), ("n", "a"), ("m", "b"), ("m", ""), ("m", "b"), ("n", "a")]
-    reported = [refusals.filter(t, Hold(motor), reason) for t, (motor, reason) in enumerate(said)]
+    given = [("m", "a"), ("m", "a"), ("n", "a"), ("m", "b"), ("m", ""), ("m", "b"), ("n", "a")]
+    reported = [refusals.filter(t, Hold(motor), reason) for t, (motor, reason) in enumerate(given)]
     assert [[(r.t, r.name, r.reason) for r in each] for each in reported] == [
         [(0, "m", "a")], [], [(2, "n", "a")], [(3, "m", "b")], [], [(5, "m", "b")], [],
     ]  # fmt: skip
@@ -51,8 +51,8 @@ def test_a_refusal_is_told_when_its_reason_is_new_and_once_for_each_motor() -> N
 
 def test_a_request_is_refused_as_often_as_it_comes_and_changes_nothing_for_commands() -> None:
     refusals = RejectionFilter()
-    words: list[Command | Request] = [Hold("m"), Zero("m"), Zero("m"), Hold("m")]
-    assert [len(refusals.filter(0, word, "a")) for word in words] == [1, 1, 1, 0]
+    messages: list[Command | Request] = [Hold("m"), Zero("m"), Zero("m"), Hold("m")]
+    assert [len(refusals.filter(0, message, "a")) for message in messages] == [1, 1, 1, 0]
     assert refusals.filter(0, Zero("m"), "") == refusals.filter(0, Hold("m"), "a") == []
 
 
@@ -101,7 +101,7 @@ def test_what_is_not_begun_does_not_wait_and_what_waits_has_a_limit() -> None:
     assert waiting.full() == ""
 
 
-@pytest.mark.parametrize(("word", "name"), [(Zero("m"), "m"), (Scan("can0"), "can0"), (Hold("h"), "h")])
-def test_what_is_not_begun_names_its_motor_or_its_bus(word: Command | Request, name: str) -> None:
-    assert subject(word) == name
-    assert refusal(3, word, "not now") == Refused(3, type(word).__name__, name, "not now")
+@pytest.mark.parametrize(("message", "name"), [(Zero("m"), "m"), (Scan("can0"), "can0"), (Hold("h"), "h")])
+def test_what_is_not_begun_names_its_motor_or_its_bus(message: Command | Request, name: str) -> None:
+    assert subject(message) == name
+    assert refusal(3, message, "not now") == Refused(3, type(message).__name__, name, "not now")
