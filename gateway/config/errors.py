@@ -16,8 +16,6 @@ from protocols.suggest import did_you_mean
 
 Key: TypeAlias = tuple[str, ...]
 """A key of the file, part by part: ("motors", "left", "gear")."""
-INT64 = range(-(2**63), 2**63)
-"""The integers of TOML."""
 
 
 class Mistakes:
@@ -98,9 +96,14 @@ def shown(value: object) -> str:
         return "an array"
     if isinstance(value, datetime | date | time):
         return value.isoformat()
-    if isinstance(value, int) and value not in INT64:
+    if isinstance(value, int) and not is_int64(value):
         return "an integer of more than 64 bits"
     return repr(value)
+
+
+def is_int64(value: int) -> bool:
+    """True for an integer that TOML allows."""
+    return -(2**63) <= value < 2**63
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:

@@ -18,12 +18,18 @@ from math import isfinite
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from gateway.config.errors import INT64, Key, Mistakes, shown, unknown
+from gateway.config.errors import Key, Mistakes, is_int64, shown, unknown
 from gateway.core.bounds import Bounds
 from protocols.messages import MILLISECOND
 from protocols.suggest import did_you_mean
 
 T = TypeVar("T")
+
+
+class _Milliseconds:
+    """The hint of a time: a number of milliseconds in the file, which becomes nanoseconds."""
+
+
 _MAX_DEPTH = 32
 """Tables and arrays inside each other; valid files need 5."""
 _INVALID = object()
@@ -36,19 +42,18 @@ def read_toml(text: str, mistakes: Mistakes) -> dict[str, Any]:
     """Return the file as a table. Raises ConfigError if it is not TOML or nested too deeply."""
     try:
         table = tomllib.loads(text)
+        level: list[object] = [table]
+        for _ in range(_MAX_DEPTH):
+            level = [one for inner in level for one in _items(inner)]
+        if level:
+            raise RecursionError  # noqa: TRY301 -- the same mistake as in the parser
+    except RecursionError as error:
+        mistakes.add((), "tables or arrays are nested too deeply")
+        raise mistakes.error() from error
     except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
         place = re.search(r"line (\d+)", str(error))
         mistakes.add((), f"not TOML: {error}", int(place[1]) if place else 0)
         raise mistakes.error() from error
-    except RecursionError as error:
-        mistakes.add((), "tables or arrays are nested too deeply")
-        raise mistakes.error() from error
-    level: list[object] = [table]
-    for _ in range(_MAX_DEPTH):
-        level = [one for inner in level for one in _items(inner)]
-    if level:
-        mistakes.add((), "tables or arrays are nested too deeply")
-        raise mistakes.error()
     return table
 
 
@@ -82,76 +87,63 @@ def _is_time(field: Field[Any]) -> bool:
     return "Nanos" in str(field.type)
 
 
+def _is_required(field: Field[Any]) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
+
+
 def _build(
     kind: type[Any], table: dict[str, Any], at: Key, mistakes: Mistakes, also: Sequence[str]
 ) -> object:
     own, hints = keys(kind), get_type_hints(kind, include_extras=True)
     values: dict[str, object] = {}
-    wrong: set[str] = set()
     for key, field in own.items():
         hint = hints[field.name]
         if _is_time(field):
-            hint = Annotated[float, "milliseconds", *getattr(hint, "__metadata__", ())]
+            hint = Annotated[_Milliseconds, "milliseconds", *getattr(hint, "__metadata__", ())]
         if key in table:
-            value = _field_value(hint, table[key], (*at, key), mistakes)
-            if value is not _INVALID and _is_time(field):
-                value = _nanos(table[key], (*at, key), mistakes)
-        elif field.default is MISSING and field.default_factory is MISSING:
+            values[field.name] = _field_value(hint, table[key], (*at, key), mistakes)
+        elif _is_required(field):
             mistakes.add((*at, key), f"missing; expected {wanted(hint)}")
-            value = _INVALID
-        else:
-            continue
-        if value is _INVALID:
-            wrong.add(field.name)
-        else:
-            values[field.name] = value
+            values[field.name] = _INVALID
     strange = [key for key in table if key not in own and key not in also]
     for key in strange:
         if f"{key}_ms" in own:
             mistakes.add((*at, key), f"unknown key; did you mean '{key}_ms' (milliseconds)?")
         else:
             mistakes.add((*at, key), unknown("key", key, [*own, *also]))
-    made = _construct(kind, values, wrong, at, mistakes)
-    return None if wrong or strange else made
+    made = _construct(kind, values, at, mistakes)
+    return None if strange else made
 
 
-def _nanos(milliseconds: float, at: Key, mistakes: Mistakes) -> object:
-    """Return a time in nanoseconds, or _INVALID if it does not fit into 64 bits."""
-    if abs(milliseconds) < INT64.stop / MILLISECOND:
-        return round(milliseconds * MILLISECOND)
-    mistakes.add(at, f"found {shown(milliseconds)}, expected a time of less than 292 years")
-    return _INVALID
+def _construct(kind: type[Any], values: dict[str, object], at: Key, mistakes: Mistakes) -> object:
+    """Call the dataclass, and report what its `__post_init__` objects to; None if a value is invalid.
 
-
-def _construct(
-    kind: type[Any], values: dict[str, object], wrong: set[str], at: Key, mistakes: Mistakes
-) -> object:
-    """Call the dataclass, and report what its `__post_init__` objects to.
-
-    It raises at the first invalid field. That field is added to `wrong` and gets its default or a stand-in,
-    and the next call shows the next one.
+    It raises at the first invalid field. That field is then given its default or a stand-in, and the next
+    call shows the next one.
     """
     own = {field.name: (key, field) for key, field in keys(kind).items()}
     hints = get_type_hints(kind)
+    wrong = {name for name, value in values.items() if value is _INVALID}
     while True:
         for name in wrong:
-            field = own[name][1]
             values.pop(name, None)
-            if field.default is MISSING and field.default_factory is MISSING:
+            if _is_required(own[name][1]):
                 if _bare(hints[name]) not in _STAND_INS:
                     return None
                 values[name] = _STAND_INS[_bare(hints[name])]
         try:
-            return kind(**values)
+            made: object = kind(**values)
         except (ValueError, ArithmeticError) as error:
             before = len(wrong)
             for sentence in str(error).split("; "):
-                name = next((word for word in re.findall(r"\w+", sentence) if word in own), "")
+                name = next((one for one in re.findall(r"\w+", sentence) if one in own), "")
                 if name not in wrong:
                     mistakes.add((*at, own[name][0]) if name else at, sentence)
                     wrong.add(name)
             if "" in wrong or len(wrong) == before:
                 return None
+        else:
+            return None if wrong else made
 
 
 def _field_value(hint: object, value: object, at: Key, mistakes: Mistakes) -> object:
@@ -182,7 +174,10 @@ def _converted(hint: object, value: object) -> object:
         tried = (_converted(one, value) for one in args if one is not NoneType)
         return next((made for made in tried if made is not _INVALID), _INVALID)
     if origin is tuple:
-        return _converted_array(args, value)
+        items = value if isinstance(value, list) else [_INVALID]
+        each = args[:1] * len(items) if Ellipsis in args else args
+        made_items = tuple(map(_converted, each, items))
+        return _INVALID if _INVALID in made_items or len(each) != len(items) else made_items
     if origin is dict or is_dataclass(hint):
         fits = isinstance(value, dict)
         return _field_value(hint, value, (), Mistakes("", "")) if fits else _INVALID
@@ -190,22 +185,16 @@ def _converted(hint: object, value: object) -> object:
         return value if any(type(value) is type(one) and value == one for one in args) else _INVALID
     if isinstance(hint, type) and issubclass(hint, Enum):
         return next((one for one in hint if type(value) is type(one.value) and value == one.value), _INVALID)
-    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
-        fits = isfinite(value) if isinstance(value, float) else value in INT64
-        return float(value) if fits else _INVALID
-    if hint is Any or (type(value) is hint and (hint is not int or value in INT64)):
+    if hint in (float, _Milliseconds) and isinstance(value, int | float) and not isinstance(value, bool):
+        if isinstance(value, int) and not is_int64(value):
+            return _INVALID
+        if hint is float:
+            return float(value) if isfinite(value) else _INVALID
+        nanos = value * MILLISECOND
+        return round(nanos) if isfinite(nanos) and is_int64(round(nanos)) else _INVALID
+    if hint is Any or (type(value) is hint and (not isinstance(value, int) or is_int64(value))):
         return value
     return _INVALID
-
-
-def _converted_array(args: tuple[Any, ...], value: object) -> object:
-    """Return a tuple with these arguments of `tuple[...]` from an array of the file."""
-    if not isinstance(value, list):
-        return _INVALID
-    hints = args[:1] * len(value) if Ellipsis in args else args
-    made = tuple(map(_converted, hints, value))
-    fits = len(hints) == len(value) and not any(one is _INVALID for one in made)
-    return made if fits else _INVALID
 
 
 def _bare(hint: object) -> object:
@@ -218,7 +207,13 @@ def _bare(hint: object) -> object:
     return hint
 
 
-_SIMPLE = {float: "a finite number", int: "an integer", str: "a string", bool: "true or false"}
+_SIMPLE = {
+    float: "a finite number",
+    _Milliseconds: "a finite number",
+    int: "an integer",
+    str: "a string",
+    bool: "true or false",
+}
 
 
 def wanted(hint: object) -> str:

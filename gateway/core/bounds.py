@@ -14,7 +14,7 @@ from protocols.messages import Nanos
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What a number must keep, in the unit in which the file has it."""
+    """The bounds of a number, in the unit of its field (nanoseconds of a `Nanos` field)."""
 
     above: float = -inf
     least: float = -inf

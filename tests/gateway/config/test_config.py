@@ -174,7 +174,7 @@ MISTAKES = [
     ("motors.left.command_timeout_ms", "command_timeout_ms = 100", "command_timeout_ms = inf",
      "found inf, expected a finite number of milliseconds"),
     ("motors.left.command_timeout_ms", "command_timeout_ms = 100", "command_timeout_ms = 1e308",
-     "found 1e+308, expected a time of less than 292 years"),
+     "found 1e+308, expected a finite number of milliseconds"),
     ("motors.left.command_timeout_ms", "command_timeout_ms = 100", "command_timeout_ms = 5",
      "the robot steps every 5 ms; expected more"),
     ("motors.left.command_timeout", "command_timeout_ms = 100", "command_timeout = 100",
