@@ -187,12 +187,12 @@ class Talk:
             assert raw.remote or self._commanded, "something other than a remote frame, before any command"
             text = meaning(raw, self.line_of(raw.id >> 5))
             assert self._clearing or "Clear_Errors" not in text, "errors are cleared unasked"
-            if not raw.remote or self._asked(text, raw):
+            if not raw.remote or self._on_remote_request(text, raw):
                 sent.append(text)
         counted = [(text, len(list(same))) for text, same in groupby(sent)]
         self._sent(" | ".join(f"{count} × {text}" if count > 1 else text for text, count in counted))
 
-    def _asked(self, text: str, raw: CanFrame) -> bool:
+    def _on_remote_request(self, text: str, raw: CanFrame) -> bool:
         """Note a remote request; True if it is in the transcript."""
         node, cmd = raw.id >> 5, raw.id & 0x1F
         name = {0: "Get_Version", 6: "Address"}.get(cmd, text.partition("?")[2])  # not in the DBC of 0.5.x
