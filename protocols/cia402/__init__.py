@@ -28,7 +28,6 @@ from protocols.cia402.codec import (
     SDO_TX_BASE,
     SYNC_ID,
 )
-from protocols.cia402.codec import NmtCommand as Nmt
 from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.faults import FAULTS
@@ -159,11 +158,11 @@ def _feedback_ms(options: Options) -> int:
 
 
 NMT_NAMES = {
-    Nmt.START: "NMT start",
-    Nmt.STOP: "NMT stop",
-    Nmt.ENTER_PRE_OPERATIONAL: "NMT enter pre-operational",
-    Nmt.RESET_NODE: "NMT reset node",
-    Nmt.RESET_COMMUNICATION: "NMT reset communication",
+    codec.NmtCommand.START: "NMT start",
+    codec.NmtCommand.STOP: "NMT stop",
+    codec.NmtCommand.ENTER_PRE_OPERATIONAL: "NMT enter pre-operational",
+    codec.NmtCommand.RESET_NODE: "NMT reset node",
+    codec.NmtCommand.RESET_COMMUNICATION: "NMT reset communication",
 }
 RPDO_NAMES = {codec.rpdo_id(number, 0): f"RPDO{number}" for number in PDO_NUMBERS}
 
