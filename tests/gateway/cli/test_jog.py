@@ -386,7 +386,7 @@ def test_the_terminal_is_restored_after_an_exception() -> None:
                 assert not inside[3] & (termios.ICANON | termios.ECHO)
                 assert inside[3] & termios.ISIG  # Ctrl-C still interrupts
                 os.write(master, b"\x1a\x1c\x13+")  # Ctrl-Z, Ctrl-\ and Ctrl-S are keys like any other
-                select.select([terminal], [], [], 5)
+                select.select([terminal], [], [], 60)
                 assert read_keys(terminal) == b"\x1a\x1c\x13+"
                 assert read_keys(terminal) == b""
                 os.write(master, b"rest")
