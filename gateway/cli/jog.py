@@ -39,14 +39,18 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.add_argument("motor", metavar="MOTOR", help="its name in the robot file")
     parser.add_argument(
-        "robot", nargs="?", default="bench", metavar="ROBOT", help="(default: bench, simulated)"
+        "robot",
+        nargs="?",
+        default="bench",
+        metavar="ROBOT",
+        help="a robot file or its name (default: bench, simulated)",
     )
     arguments.add_bus(parser, "where the motor's bus is: can0=socketcan:can0")
     parser.add_argument(
         "--speed",
         type=arguments.number("rad/s"),
         metavar="RAD_PER_S",
-        help="(default: 5 %% of the joint's velocity limit)",
+        help="rad/s (default: 5 %% of the joint's velocity limit)",
     )
 
 

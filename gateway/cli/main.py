@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
         status: int = options.run(options)
     except GatewayError as error:
         text = str(error)
-        print(f"gateway {options.command}:", f"\n{text}" if "\n" in text else text, file=sys.stderr)
+        print(f"gateway {options.command}:", text, sep="\n" if "\n" in text else " ", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output has gone, which is not our error
         return 1

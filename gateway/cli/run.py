@@ -1,4 +1,4 @@
-"""`gateway run`: a robot on its buses, until it is told to leave."""
+"""`gateway run`: a robot on its buses, until a signal, a quit, or the end of its time."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         "--adapter",
         action="append",
         choices=ADAPTERS,
-        help="protocol of those pseudo-terminals (default: slcan); if given twice, N of each",
+        help="protocol of those pseudo-terminals (default: slcan); if given several times, N of each",
     )
     parser.add_argument(
         "--link",

@@ -1,7 +1,7 @@
-"""A plugin in a distribution of its own: built, installed, found by its entry point, and treated like ours.
+"""A plugin in a distribution of its own: built, installed, found by its entry point, like a built-in one.
 
-One wheel is built, of what `gateway protocols new` writes, and installed with pip into a folder of its own.
-Beside it, by hand, distributions that are broken in each way there is: they are named, and hinder nobody.
+One wheel is built from what `gateway protocols new` writes, and installed with pip into a folder of its own.
+Beside it, by hand, lie distributions that are broken in different ways: they are named, and affect no other.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import sys
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from gateway import config
 from gateway.cli import scaffold
 from gateway.errors import ConfigError
 from protocols.messages import Idle, Velocity
-from protocols.plugin import load, load_all
+from protocols.plugin import load
 from tests.distributions import ROOT, Site
 from tests.gateway.rig import BENCH, Rig, sent_commands
 
@@ -27,7 +28,7 @@ NAME = "g7_motor"
 MIXED = BENCH.replace("[motors.left]\n", f'[motors.left]\nprotocol = "{NAME}"\noptions = {{}}\n').replace(
     'options = { watchdog = "acknowledged" }\n', ""
 )
-"""The left motor speaks the stranger's language and the right one ours, on one bus."""
+"""The left motor has the installed protocol and the right one a built-in one, on one bus."""
 ROBOT = MIXED.replace("address = 2\n", 'address = 2\noptions = { watchdog = "acknowledged" }\n')
 COLOURED = """
 from dataclasses import replace
@@ -53,18 +54,19 @@ BROKEN = {
 
 @dataclass(frozen=True)
 class Installed:
-    """Folders with installed distributions, first come first found."""
+    """Folders with installed distributions, in the order of the search."""
 
     folders: tuple[Path, ...]
 
     def gateway(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Run the gateway with them on its path, outside the checkout."""
+        """Run the gateway outside the checkout, with the folders on its path."""
         path = os.pathsep.join(str(folder) for folder in (*self.folders, ROOT))
+        home = str(self.folders[0])
         environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
         return subprocess.run(
             [sys.executable, "-P", "-m", "gateway", *arguments],
-            cwd=self.folders[0],
-            env={**environment, "HOME": str(self.folders[0]), "XDG_RUNTIME_DIR": ""},
+            cwd=home,
+            env={**environment, "HOME": home, "XDG_RUNTIME_DIR": ""},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
@@ -72,8 +74,8 @@ class Installed:
         )
 
 
-def ran(*command: str) -> None:
-    done = subprocess.run([sys.executable, "-m", *command], capture_output=True, text=True, check=False)
+def python(*arguments: str) -> None:
+    done = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -81,7 +83,7 @@ def ran(*command: str) -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = scaffold.new(NAME, "can", tmp_path_factory.mktemp("source")).folder
     out = tmp_path_factory.mktemp("dist")
-    ran("build", "--wheel", "--no-isolation", "--outdir", str(out), str(folder))
+    python("build", "--wheel", "--no-isolation", "--outdir", str(out), str(folder))
     (made,) = out.glob("*.whl")
     return made
 
@@ -89,13 +91,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def sound(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
     target = tmp_path_factory.mktemp("site")
-    ran("pip", "install", "-q", "--no-index", "--no-deps", "--target", str(target), str(wheel))
+    python("pip", "install", "-q", "--no-index", "--no-deps", "--target", str(target), str(wheel))
     return Installed((target,))
 
 
 @pytest.fixture(scope="module")
 def beside(sound: Installed, tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    """The same, with broken ones beside it."""
+    """The same, with the broken ones beside it."""
     with pytest.MonkeyPatch.context() as patch:
         site = Site(tmp_path_factory.mktemp("broken"), patch)
     for name, (source, _) in BROKEN.items():
@@ -106,30 +108,20 @@ def beside(sound: Installed, tmp_path_factory: pytest.TempPathFactory) -> Instal
 
 @pytest.fixture
 def here(sound: Installed, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Found by this process, too."""
+    """Let this process find it, too."""
     monkeypatch.syspath_prepend(str(sound.folders[0]))
-
-
-@pytest.fixture
-def all_here(beside: Installed, here: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(beside.folders[0]))
-
-
-def wheel_names(wheel: Path) -> set[str]:
-    import zipfile
-
-    with zipfile.ZipFile(wheel) as archive:
-        return {name for name in archive.namelist() if ".dist-info/" not in name}
 
 
 # -- one that is sound ---------------------------------------------------------------------------------
 
 
 def test_its_wheel_carries_the_package_and_its_data(wheel: Path) -> None:
-    assert wheel_names(wheel) == {f"{NAME}/{file}" for file in (*scaffold.PACKAGE, "py.typed")}
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name for name in archive.namelist() if ".dist-info/" not in name}
+    assert names == {f"{NAME}/{file}" for file in (*scaffold.PACKAGE, "py.typed")}
 
 
-def test_it_is_listed_like_ours(sound: Installed) -> None:
+def test_it_is_listed_like_a_built_in_one(sound: Installed) -> None:
     done = sound.gateway("protocols")
     assert (done.returncode, done.stderr) == (0, "")
     listed = re.findall(r"^(\w+)", done.stdout, re.MULTILINE)
@@ -153,23 +145,15 @@ def test_a_robot_file_may_name_it(sound: Installed) -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_it_is_driven_beside_one_of_ours() -> None:
+def test_it_drives_a_motor_beside_a_built_in_one() -> None:
     rig = Rig(ROBOT)
     rig.run(0.5)
     ticks = rig.run(2.0, Velocity("left", 3.0), Velocity("right", 2.0))
     assert rig.velocity("left") == pytest.approx(3.0, abs=0.2)
     assert rig.velocity("right") == pytest.approx(2.0, abs=0.2)
-    assert any(word.motor == "left" for _, word in sent_commands(rig, ticks) if isinstance(word, Velocity))
+    assert any(c.motor == "left" for _, c in sent_commands(rig, ticks) if isinstance(c, Velocity))
     last = sent_commands(rig, rig.leave())
-    assert Idle("left") in [word for _, word in last]
-
-
-def test_it_is_run_from_the_command_line(sound: Installed) -> None:
-    robot = sound.folders[0] / "robot.toml"
-    robot.write_text(ROBOT)
-    done = sound.gateway("run", str(robot), "--fast", "--seconds", "0.5")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "ticks" in done.stdout
+    assert Idle("left") in [command for _, command in last]
 
 
 # -- broken ones ---------------------------------------------------------------------------------------
@@ -186,15 +170,16 @@ def test_broken_ones_are_named_with_the_reason_and_left_out(beside: Installed, s
     assert done.stdout == sound.gateway("protocols").stdout
 
 
-def test_they_hinder_no_robot(beside: Installed) -> None:
+def test_a_robot_runs_beside_them(beside: Installed) -> None:
     robot = beside.folders[0] / "robot.toml"
     robot.write_text(ROBOT)
     done = beside.gateway("run", str(robot), "--fast", "--seconds", "0.5")
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "ticks" in done.stdout
     assert "acme" not in done.stdout + done.stderr
 
 
-def test_the_contract_is_run_over_the_sound_one_all_the_same(beside: Installed) -> None:
+def test_the_contract_is_run_on_the_sound_one_beside_them(beside: Installed) -> None:
     done = beside.gateway("protocols", "check", NAME, "-q")
     failed = re.findall(r"^(\w+) +failed", done.stdout, re.MULTILINE)
     assert set(failed) <= {"vectors"}, done.stdout
@@ -203,21 +188,16 @@ def test_the_contract_is_run_over_the_sound_one_all_the_same(beside: Installed) 
     assert not done.stderr
 
 
-@pytest.mark.usefixtures("all_here")
-def test_a_robot_that_names_a_broken_one_is_told_why() -> None:
+@pytest.mark.usefixtures("here")
+def test_a_robot_file_with_a_broken_one_is_refused_with_the_reason(
+    beside: Installed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(beside.folders[0]))
     for name, (_, reason) in BROKEN.items():
         with pytest.raises(ConfigError) as raised:
             config.parse_robot(ROBOT.replace(NAME, f"g7_{name}"))
         assert f"protocol 'g7_{name}' of acme-{name} is broken: " in str(raised.value)
         assert reason in str(raised.value)
-
-
-@pytest.mark.usefixtures("all_here")
-def test_the_sound_ones_are_all_loaded() -> None:
-    plugins, broken = load_all()
-    assert {NAME, "odrive_can", "plain"} <= {plugin.name for plugin in plugins}
-    assert [bad.name for bad in broken] == sorted(f"g7_{name}" for name in BROKEN)
-    assert load(NAME).name == NAME
 
 
 @pytest.mark.usefixtures("here")

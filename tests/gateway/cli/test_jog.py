@@ -395,7 +395,7 @@ def test_the_terminal_is_restored_after_an_exception() -> None:
         with pytest.raises(ZeroDivisionError):
             fail()
         assert termios.tcgetattr(terminal) == before
-        assert read_keys(terminal) == b""  # what nobody has read is not left to the shell
+        assert read_keys(terminal) == b""  # what was not read is not left to the shell
     finally:
         os.close(master)
     assert read_keys(terminal) is None  # hung up
