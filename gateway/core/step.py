@@ -186,6 +186,9 @@ class Gateway:
         """Carry out what concerns the gateway, queue requests for the drivers, return the brain's part."""
         tasks: list[Task | Command] = []
         for one in instructions:
+            if isinstance(one, Task | Command):
+                tasks.append(one)
+                continue
             match one:
                 case msg.Stop(reason):
                     self.stopped = reason or "an operator sent stop"
@@ -202,18 +205,8 @@ class Gateway:
                     self._set(key, value)
                 case msg.Scan() | msg.SetId():
                     self._requests.append(one)
-                case (
-                    msg.ClearFault()
-                    | msg.Estop()
-                    | msg.Zero()
-                    | msg.Home()
-                    | msg.ReadParameter()
-                    | msg.WriteParameter()
-                    | msg.Reboot()
-                ):
-                    self._on_motor_request(now, one)
                 case _:
-                    tasks.append(one)
+                    self._on_motor_request(now, one)
         return tasks
 
     def _set(self, key: str, value: float) -> None:

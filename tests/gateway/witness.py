@@ -56,11 +56,10 @@ class Board:
 def _serve() -> None:
     """One process at a time, for each line `ROBOT FILE BOARD TYPED` (separated by tabs)."""
     from gateway import config  # all that a run imports, once
-    from gateway.config import resources
     from gateway.recording import environment
     from gateway.recording.ros_views import Views
 
-    config.load_robot(resources.find("robots", "bench"))
+    config.load_robot("bench")
     Views().prepare()
     environment.facts()
     print("ready", flush=True)

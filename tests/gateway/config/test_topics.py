@@ -34,7 +34,7 @@ def test_a_minimal_table() -> None:
 
 def test_without_a_table_there_are_no_topics() -> None:
     assert parse_robot(ROBOT.replace(TABLE, "")).bag is None
-    assert load_robot(resources.find("robots", "diffbot")).bag is None
+    assert load_robot("diffbot").bag is None
 
 
 MISTAKES = [
@@ -84,10 +84,10 @@ def test_a_value_instead_of_the_table() -> None:
 
 
 def test_the_description_has_the_topics_and_the_mounting_of_the_imu() -> None:
-    found = describe(load_robot(resources.find("robots", "husky")))
+    found = describe(load_robot("husky"))
     assert "0, -0.3, 0.52 m  -1.5708 rad, pitch 0, roll 1.5708  500 ms" in found
     assert "odometry     /husky_velocity_controller/odom\nsensors.imu  /imu/data\ntruth        /fix" in found
-    assert "/odom" not in describe(load_robot(resources.find("robots", "diffbot")))
+    assert "/odom" not in describe(load_robot("diffbot"))
 
 
 def test_bare_joints_need_no_bag() -> None:

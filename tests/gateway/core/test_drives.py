@@ -25,7 +25,7 @@ ROBOTS = {
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: str, tmp_path: Path) -> None:
-    robot = config.load_robot(resources.find("robots", name))
+    robot = config.load_robot(name)
     assert {motor.plugin.name for motor in robot.motors.values()} == ROBOTS[name]
     done = gateway("demo", "--fast", "--robot", name, "--goal", "1.6,0.6", "--out", str(tmp_path))
     text = done.stdout + done.stderr
