@@ -1,4 +1,4 @@
-"""What lies under a CAN bus: states, waiting frames, stamps, the kernel's structs and errors, rtnetlink."""
+"""The parts of a CAN bus: states, transmit queue, timestamps, the kernel's structs and errors, rtnetlink."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_congestion_is_over_when_nothing_had_to_wait_for_a_while_and_then_the_st
     for line, after in ((UP, UP), (PASSIVE, PASSIVE)):
         states = StateTracker()
         reported = []
-        for tick in range(400):  # every tick's last frame finds no room: told once
+        for tick in range(400):  # every tick's last frame finds no room: reported once
             states.full(tick * 5 * MILLISECOND)
             reported += states.take(tick * 5 * MILLISECOND)
         assert reported == [FULL]
@@ -220,7 +220,7 @@ def test_frames_are_python_cans_own_bytes_and_come_back(frame: CanFrame) -> None
         bitrate_switch=frame.brs,
     )
     theirs = bytearray(build_can_frame(message))
-    theirs[7] = 0  # python-can fills in len8_dlc, which says nothing unless the driver was told to heed it
+    theirs[7] = 0  # python-can fills in len8_dlc, which is ignored unless the driver is configured for it
     assert pack(frame) == bytes(theirs)
     assert unpack(pack(frame)) == frame
 

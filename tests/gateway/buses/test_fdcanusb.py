@@ -45,7 +45,7 @@ from tests.gateway.buses.adapter_helpers import (
 
 # fmt: off
 LINES = [
-    # frame, the command that sends it, what is told of it
+    # frame, the command that sends it, the line that reports it
     (CanFrame(0x8005, bytes.fromhex("11001f01130d"), True, False, True, True),
         "can send 8005 11001F01130D BF",        "rcv 8005 11001F01130D E B F r f-1"),
     (CanFrame(0x500, b"\x21\x00\x0a\x50", fd=True, brs=True),
@@ -125,7 +125,7 @@ def test_the_vendors_client_sends_what_we_send_and_the_adapter_receives_it(
     frames_received, answer = Adapter(RATE, DATA_RATE).feed(written.data)
     assert answer == (b"OK *BD\r\n" if checksums else b"OK\r\n")
     if frame.extended != (frame.id > 0x7FF):
-        return  # the client cannot say that
+        return  # the client cannot express that
     line = encode_send(frame).encode()
     if frame.fd:
         assert written.data == (with_checksum(line) if checksums else line) + b"\n"
@@ -216,8 +216,8 @@ def test_commands_are_answered_and_invalid_ones_refused(sent: bytes, answers: by
 
 def test_flags_may_be_left_out_separated_or_repeated() -> None:
     adapter = Adapter(RATE, DATA_RATE)
-    said = b"".join(b"can send 1 01%s\n" % flags for flags in (b"", b" b", b" f", b" B F", b" FBf", b" R"))
-    kinds = [(frame.fd, frame.brs, frame.remote) for frame in adapter.feed(said)[0]]
+    sent = b"".join(b"can send 1 01%s\n" % flags for flags in (b"", b" b", b" f", b" B F", b" FBf", b" R"))
+    kinds = [(frame.fd, frame.brs, frame.remote) for frame in adapter.feed(sent)[0]]
     assert kinds == [
         (True, True, False),
         (True, False, False),
@@ -318,7 +318,7 @@ def test_any_bytes_cut_anywhere_raise_nothing_and_decode_alike(pieces: list[byte
     assert replies[1].count(b"\r\n") == len(lines)
 
 
-# -- our own end ---------------------------------------------------------------------------------------
+# -- the client ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -329,7 +329,7 @@ def bus() -> Iterator[AdapterPty]:
 
 @pytest.fixture
 def known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every port is an adapter on USB, as far as its ids say."""
+    """Every port has the USB ids of an adapter."""
     monkeypatch.setattr(fdcanusb_client, "_is_known", lambda path: True)
 
 
@@ -376,7 +376,7 @@ def test_a_frame_without_data_is_refused_and_logged_once(
 
 
 class Port:
-    """A pty whose far end the test itself plays."""
+    """A pty whose other end is the test itself."""
 
     def __init__(self) -> None:
         self.adapter = AdapterPty(FD, ("fdcanusb",))
@@ -454,7 +454,7 @@ def test_a_listener_receives_from_an_adapter_without_checksums(bus: AdapterPty) 
     bus.read(0)
     bus.write(1, EVERY)
     assert [packet.frame for packet in source.read(1)[1]] == EVERY
-    assert bus.read(2)[1] == []  # it has said nothing
+    assert bus.read(2)[1] == []  # it has sent nothing
     source.close()
 
 
@@ -477,11 +477,11 @@ def test_an_adapter_of_another_bit_rate_is_logged_with_the_commands(
         port.received()
         port.send(ours, b"1000000\r\n2000000\r\n")
         assert ours.bad == 0
-    (said,) = caplog.messages
-    assert said.startswith(
+    (text,) = caplog.messages
+    assert text.startswith(
         f"fdcanusb {port.path} has a can.fd_bitrate of 2000000 bit/s, the robot file has 50"
     )
-    assert said.endswith("send it: conf set can.fd_bitrate 5000000, conf write, can off, can on")
+    assert text.endswith("send it: conf set can.fd_bitrate 5000000, conf write, can off, can on")
 
 
 # -- the vendor's own client -----------------------------------------------------------------------------
@@ -491,7 +491,7 @@ def test_an_adapter_of_another_bit_rate_is_logged_with_the_commands(
 async def serving(
     bus: AdapterPty, answer: Callable[[CanFrame], list[CanFrame]]
 ) -> AsyncIterator[list[CanFrame]]:
-    """While inside, a device answers on the bus; what it has heard."""
+    """While inside, a device replies on the bus; yields what it has received."""
     received: list[CanFrame] = []
 
     async def serve() -> None:

@@ -302,7 +302,7 @@ def test_a_slow_program_loses_the_oldest_frames_and_the_flags_report_it(bus: Ada
     os.close(other)
 
 
-# -- our own end -----------------------------------------------------------------------------------
+# -- the client ------------------------------------------------------------------------------------
 
 
 def test_what_cannot_be_opened_is_a_sentence_and_leaves_nothing_open() -> None:

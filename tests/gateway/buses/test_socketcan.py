@@ -45,7 +45,7 @@ class End:
 
 @dataclass
 class Kernel(Device):
-    """What the kernel says of can0."""
+    """The kernel's state of can0."""
 
     status_: Status | None = field(default_factory=lambda: Status(7, up=True, running=True))
     link_: Link | None = LINK
@@ -134,7 +134,7 @@ def test_one_read_is_bounded(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_full_queue_keeps_the_newest_of_each_id_and_is_reported_once(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It says EAGAIN, as a raw CAN socket does that has used up its share of the kernel's memory."""
+    """EAGAIN, as from a raw CAN socket that has used up its share of the kernel's memory."""
     rig.ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)  # as little as can be: a few frames
     with caplog.at_level(logging.WARNING, "gateway"):
         rig.bus.write(0, [CanFrame(number) for number in range(100)])
@@ -161,7 +161,7 @@ def test_a_full_queue_keeps_the_newest_of_each_id_and_is_reported_once(
 
 
 def test_nothing_is_added_to_what_the_kernel_holds_for_too_long(rig: Rig) -> None:
-    """Nobody takes what was sent: as with a controller that nobody acknowledges, behind a long queue."""
+    """Nothing reads what was sent, as with a controller that no node acknowledges, behind a long queue."""
     step = 5 * MILLISECOND
     reported: list[BusState] = []
     for tick in range(40):

@@ -38,7 +38,7 @@ class Rig:
     def run(
         self, steps: int, command: Callable[[Nanos], Messages] | None = None, period: Nanos = PERIOD
     ) -> Rig:
-        """So many steps; what `say` gives is said to the motors at each."""
+        """Run `steps` steps; send the motors what `command` returns at each."""
         for _ in range(steps):
             for name, bus in self.twins.buses.items():
                 states, packets = bus.read(self.now)
@@ -57,7 +57,7 @@ class Rig:
         return next(e for e in reversed(self.events) if isinstance(e, msg.Feedback) and e.motor == motor)
 
     def truth(self) -> float:
-        """m, the true way from the origin"""
+        """m, the true distance from the origin"""
         pose = self.twins.world.truth()
         return math.hypot(pose.x, pose.y)
 
@@ -65,12 +65,11 @@ class Rig:
 def rig(file: WorldFile | None = None, made: Robot | None = None, seed: int = 1, now: Nanos = 0) -> Rig:
     made = made or robot(sensors=file is None or file.kind == "scene")
     twins = TwinWorld(made, World(file or scene(), made, seed), seed)
-    parts: list[Motor | Sensor] = [*made.motors.values(), *made.sensors.values()]
-    drivers = {
-        bus: next(p.plugin for p in parts if p.bus == bus).driver([p.device for p in parts if p.bus == bus])
-        for bus in twins.buses
-        if any(p.bus == bus for p in parts)
-    }
+    devices: list[Motor | Sensor] = [*made.motors.values(), *made.sensors.values()]
+    drivers = {}
+    for bus in twins.buses:
+        if on_bus := [device for device in devices if device.bus == bus]:
+            drivers[bus] = on_bus[0].plugin.driver([device.device for device in on_bus])
     return Rig(twins, drivers, now)
 
 
@@ -83,7 +82,7 @@ def drive(left: float, right: float) -> Callable[[Nanos], Messages]:
     return lambda _: [msg.Velocity("left", 8.0 * left), msg.Velocity("right", -8.0 * right)]
 
 
-# -- motion through gear, sign and wire -----------------------------------------------------------------
+# -- motion through gear, sign and bus ------------------------------------------------------------------
 
 
 def test_equal_velocities_drive_straight() -> None:
@@ -160,7 +159,7 @@ def test_packets_come_in_order_and_never_from_the_future() -> None:
         stamps = [packet.t for packet in driven.packets if packet.bus == name]
         assert len(stamps) > 100
         assert stamps == sorted(stamps)
-        assert len(set(stamps)) == len(stamps), "one wire at a time"
+        assert len(set(stamps)) == len(stamps), "one frame at a time"
     assert min(packet.t for packet in driven.packets) > 77_000_000_123
 
 
@@ -217,7 +216,7 @@ def test_a_copy_goes_on_alike() -> None:
 
 
 class Spy:
-    """A twin that keeps what it was shown and what it said."""
+    """A twin that records what it was shown and what it sent."""
 
     def __init__(self, name: str, inner: Twin, shown: list[tuple[str, Event]], sent: list[Frame]) -> None:
         self.name, self.inner, self.shown, self.sent = name, inner, shown, sent
@@ -334,7 +333,7 @@ def test_a_lost_interface_reports_gone_and_back() -> None:
     driven.run(100, drive(4.0, 4.0))
     assert driven.states == [("motors", BusState.GONE)]
     assert not [packet for packet in driven.packets if packet.t >= start]
-    assert abs(driven.twins.world.shaft("right")[1]) < 3.0, "nobody fed the watchdogs"
+    assert abs(driven.twins.world.shaft("right")[1]) < 3.0, "its watchdog has disarmed it"
     driven.twins.buses["motors"].restore()
     driven.run(100)
     assert driven.states == [("motors", BusState.GONE), ("motors", BusState.BACK)]

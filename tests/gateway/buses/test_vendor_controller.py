@@ -1,6 +1,6 @@
 """The vendor's Controller (package moteus 1.1.1) on the twin's process, over fdcanusb and python-can's slcan.
 
-On the wall clock, since processes and ptys are: nothing less shows that they meet."""
+On the wall clock, as processes and ptys are: only so is it shown that they work together."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def over_slcan(path: str) -> PythonCanDevice:
 
 
 async def session(device: FdcanusbDevice | PythonCanDevice) -> list[float]:
-    """Find both, turn one of them until it says that it turns, stop it; the velocities told, in rev/s."""
+    """Find both, turn one until it reports the velocity, stop it; return what it reported, in rev/s."""
     transport = Transport([device])
-    reported: list[float] = []
+    velocities: list[float] = []
     try:
         found = await transport.discover()
         assert sorted(info.can_id for info in found) == [1, 2]
@@ -61,15 +61,15 @@ async def session(device: FdcanusbDevice | PythonCanDevice) -> list[float]:
             state = await servo.set_position(
                 position=math.nan, velocity=0.5, watchdog_timeout=5.0, maximum_torque=1.0, query=True
             )
-            reported.append(state.values[Register.VELOCITY])
-            if state.values[Register.MODE] == Mode.POSITION and abs(reported[-1] - 0.5) < 0.01:
+            velocities.append(state.values[Register.VELOCITY])
+            if state.values[Register.MODE] == Mode.POSITION and abs(velocities[-1] - 0.5) < 0.01:
                 break
         await servo.set_stop(query=True)
         state = await servo.query()
         assert state.values[Register.MODE] == Mode.STOPPED
     finally:
         transport.close()
-    return reported
+    return velocities
 
 
 @pytest.mark.timeout(240)
@@ -90,8 +90,8 @@ def test_the_vendors_controller_turns_the_twin(
         async def talk() -> list[float]:
             return await session(opened(str(link / "can0")))
 
-        reported = asyncio.run(talk())
-        assert reported[-1] == pytest.approx(0.5, abs=0.01)
+        velocities = asyncio.run(talk())
+        assert velocities[-1] == pytest.approx(0.5, abs=0.01)
         twin.until("can0: client connected", "left: armed", "left: ready", "can0: client disconnected")
         status, text = twin.end(signal.SIGTERM)
         assert status == 0, text

@@ -1,4 +1,4 @@
-"""World files: what comes with the package is right, and mistakes are told all at once."""
+"""World files: the shipped ones are valid, and all mistakes are reported at once."""
 
 from __future__ import annotations
 
