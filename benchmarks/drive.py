@@ -19,13 +19,12 @@ from benchmarks.measure import Effort, Figures, NotMeasured, figures
 from benchmarks.rows import Row, Target, span
 from benchmarks.steps import TICK, figures_by_step, timed
 from gateway import config
-from gateway.config import resources
 from gateway.core.clock import WallClock, processor_time, stopwatch
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, decoder_of
+from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.recording import Recorder, read
-from gateway.replay.compare import compare
+from gateway.replay import replay
 from gateway.runtime.process import quiet_collector
 from gateway.runtime.session import open_session
 from protocols.messages import SECOND, Goal, Imu, LaserScan, Nanos
@@ -69,7 +68,7 @@ def driving(effort: Effort) -> list[Row]:
 
 def drive(folder: Path, seconds: int) -> Drive:
     """Drive towards the first goals of the office's tour, and record it."""
-    robot = config.load_robot(resources.find("robots", "diffbot"))
+    robot = config.load_robot("diffbot")
     file = folder / "drive.mcap"
     with open_session(robot, simulated=True, record=file) as made:
         tour = iter(made.tour())
@@ -139,14 +138,10 @@ def _protocols(made: Drive) -> None:
 
 
 def _judged(made: Drive) -> None:
-    """As `gateway replay` does it; a replay that differs would be our mistake: it raises NotMeasured."""
-    gateway = Gateway(made.robot)
-    mounts = {name: sensor.mount for name, sensor in made.robot.sensors.items()}
-    verdict = compare(
-        read(made.file), gateway.step, gateway.belief, lambda bus: decoder_of(made.robot, bus), mounts=mounts
-    )
-    if not verdict.ok:
-        raise NotMeasured(f"the replay of the bench's own drive differs: {verdict.text()}")
+    """Replay as `gateway replay` does. Raises NotMeasured if the replay differs."""
+    comparison = replay(read(made.file), made.robot)
+    if not comparison.ok:
+        raise NotMeasured(f"the replay of the benchmark's own drive differs: {comparison.text()}")
 
 
 # -- recording ------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from gateway.recording.recover import is_whole, salvage
+from gateway.recording.recover import is_whole, recover
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -23,8 +23,8 @@ def run(options: Namespace) -> int:
         print(f"{path} is whole: nothing to recover, nothing written")
         return 0
     target: Path = options.out or path.with_name(f"{path.stem}.recovered.mcap")
-    found = salvage(path, target)
-    print("\n".join(found.reported()))
+    found = recover(path, target)
+    print("\n".join(found.summary()))
     if not found.ticks:
         print("nothing could be recovered")
         return 1

@@ -5,14 +5,14 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from gateway import config
 from gateway.cli import arguments
+from gateway.config import load_robot
 from gateway.core.clock import stopwatch
-from gateway.core.step import Gateway, decoder_of
 from gateway.errors import UserError
-from gateway.recording import environment, read
-from gateway.replay.compare import compare
-from gateway.rosbag import evaluate, is_foreign
+from gateway.recording import read
+from gateway.replay import replay
+from gateway.rosbag import is_bag
+from gateway.rosbag.evaluate import evaluate_file
 from protocols.messages import SECOND
 
 
@@ -34,29 +34,18 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Return 1 if a byte differs, or if the bag does not pass."""
-    if is_foreign(options.file):
+    if is_bag(options.file):
         if options.robot is None:
             raise UserError(f"{options.file} is another program's bag: name its robot file with --robot")
-        return evaluate.replay(options.file, arguments.read_robot(options.robot), options.at_most)
+        evaluation = evaluate_file(options.file, load_robot(options.robot), options.at_most)
+        print(evaluation.text())
+        return 0 if evaluation.ok else 1
     if options.at_most is not None:
         raise UserError(f"{options.file} is a recording of this gateway: --at-most is for bags only")
     recording = read(options.file)
-    if options.robot is None:
-        robot = config.parse_robot(recording.robot_text, f"{options.file}: robot.toml")
-    else:
-        robot = arguments.read_robot(options.robot)
-    gateway = Gateway(robot)
+    robot = None if options.robot is None else load_robot(options.robot)
     began = stopwatch()
-    verdict = compare(
-        recording,
-        gateway.step,
-        gateway.belief,
-        lambda bus: decoder_of(robot, bus),
-        robot_text=robot.text,
-        facts=environment.facts(),
-        mounts={name: sensor.mount for name, sensor in robot.sensors.items()},
-        buses=robot.buses,
-    )
-    print(verdict.text())
+    comparison = replay(recording, robot)
+    print(comparison.text())
     print(f"replayed in {(stopwatch() - began) / SECOND:.1f} s")
-    return 0 if verdict.ok else 1
+    return 0 if comparison.ok else 1

@@ -18,6 +18,7 @@ from gateway import config
 from gateway.cli import arguments
 from gateway.cli.terminal.screen import screen
 from gateway.core.clock import WallClock
+from gateway.core.message_text import message_text
 from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.monitor import render
@@ -26,7 +27,6 @@ from gateway.monitor.decoder import BusMonitor
 from gateway.monitor.sources import WatchSession, open_all
 from gateway.monitor.state import DecodedPacket
 from gateway.recording import read
-from gateway.replay.diff import say
 from gateway.runtime.process import signals
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -181,7 +181,7 @@ def _tick_lines(tick: Tick, received: Sequence[DecodedPacket], sent: Sequence[De
     return [
         *(_state_line(tick.now, bus, state) for bus, state in tick.inputs.states),
         *(render.line(packet) for packet in received),
-        *(f"{time} asked: {say(message)}" for message in tick.inputs.instructions),
+        *(f"{time} asked: {message_text(message)}" for message in tick.inputs.instructions),
         *(f"{time} {note.level}: {note.source}: {note.text}" for note in tick.outputs.notes),
         *(render.line(packet) for packet in sent),
     ]

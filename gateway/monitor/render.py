@@ -10,9 +10,9 @@ import re
 from collections.abc import Sequence
 from math import sqrt
 
+from gateway.core.message_text import message_text
 from gateway.monitor.decoder import BusMonitor
 from gateway.monitor.state import BusRecord, DecodedPacket, DeviceRecord, Measurement
-from gateway.replay.diff import say
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import MILLISECOND, SECOND, Event, Fault, Feedback, Imu, LaserScan, Nanos, State
 
@@ -39,7 +39,7 @@ def page(monitor: BusMonitor, now: Nanos, title: str) -> list[str]:
     """Return everything that is known now: buses, devices, unknown ids, answers."""
     blocks = [[title], _buses(monitor, now), _devices(monitor, now), _unknown(monitor, now)]
     if monitor.notes:
-        blocks.append(["answers and discoveries:", *(f"  {say(event)}" for event in monitor.notes)])
+        blocks.append(["answers and discoveries:", *(f"  {message_text(event)}" for event in monitor.notes)])
     return [line for block in blocks if block for line in [*block, ""]][:-1]
 
 
@@ -102,7 +102,7 @@ def _details(monitor: BusMonitor, record: DeviceRecord, now: Nanos) -> list[str]
     if sent:
         lines.append(f"sends: {', '.join(sent)}")
     if record.command is not None and record.commands is not None:
-        text = say(record.command)
+        text = message_text(record.command)
         text = text.partition(": ")[2] or text  # without the name
         rate, age = record.commands.per_second(now), age_text(record.commanded_at, now)
         lines.append(f"is commanded: {text}, {rate:.1f}/s, {age}")
@@ -192,7 +192,9 @@ def _frame(packet: Packet) -> str:
 
 
 def _meaning(decoded: DecodedPacket) -> str:
-    texts = [_event(event) for event in decoded.events] + [say(command) for command in decoded.commands]
+    texts = [_event(event) for event in decoded.events] + [
+        message_text(command) for command in decoded.commands
+    ]
     texts += [f"{_event(event)} (a guess)" for event in decoded.guesses]
     return NEGATIVE_ZERO.sub("0", "; ".join(texts)) or ", ".join(decoded.names)
 
@@ -203,4 +205,4 @@ def _event(event: Event) -> str:
             return f"{event.sensor}: {measurement_text(event)}"
         case Fault():
             return f"{event.motor}: FAULT {fault_text(event)}"
-    return say(event)
+    return message_text(event)

@@ -1,14 +1,16 @@
-"""Recordings: every tick in an MCAP file, with what shows it to others; and reading one back.
+"""Recordings: every tick in an MCAP file, with ROS 2 views for other tools; and reading them back.
 
-Rules. Writing never hinders the robot: the loop hands over values, one thread writes them. The ticks in a
-file are whole, sealed and in the order in which they happened; their own numbers tell if one is missing.
-Reading takes a file without an end as far as it goes, and never believes a byte that its digest does not
-prove.
+Exports: `Recorder` (writes), `read`, `Recording` and `Step` (read); `recover.recover` repairs a damaged file.
+Must not import: `gateway.core.step`, `gateway.runtime` or anything that moves a robot.
 
-The file: profile "ros2"; attachment "robot.toml"; metadata "motor_gateway" (the format, the digest of the
-robot file) and "facts" (versions, processor, …); channel /gateway/tick with `journal.DEFINITION`, after each
-tick its views. A message's log time is the tick's `now`, its publish time the stamp of what it shows, its
-sequence the number of the tick. Chunks are lz4; all can be read with `rosbags` as a bare .mcap.
+Rules. Recording never delays the robot: the loop queues values, one thread writes them. The ticks in a file
+are complete, protected by digests and in order; their numbers reveal a gap. Reading takes a file without an
+end as far as it goes, and trusts no byte that its digest does not verify.
+
+The file: profile "ros2"; attachment "robot.toml"; metadata "motor_gateway" (format, digest of the robot file)
+and "facts" (versions, processor, …); channel /gateway/tick with `tick_codec.DEFINITION`, after each tick its
+views. A message's log time is the tick's `now`, its publish time the stamp of its contents, its sequence the
+number of the tick. Chunks are lz4; everything can be read with `rosbags` as a bare .mcap.
 """
 
 from gateway.recording.reader import Recording, Step, read

@@ -1,7 +1,7 @@
-"""What a recording must tell of where it was made: program, versions, processor, arithmetic.
+"""The environment of a recording: program, versions, processor, arithmetic.
 
-Equal bytes are demanded of a replay on the processor and the packages that recorded; elsewhere BLAS may round
-otherwise. So the judge must be able to say what is different here.
+A replay must be equal to the byte on the processor and packages that recorded; elsewhere BLAS may round
+differently. So the comparison must be able to name what is different.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ _CPU_KEYS = ("model name", "Hardware", "CPU implementer", "CPU part", "flags", "
 
 
 def facts(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
-    """Name to value: our sources, packages, Python, BLAS, processor, platform, environment."""
-    reported = {PROGRAM: sources()} | {
-        f"package {name}": found for name in PACKAGES if (found := _version(name))
+    """Return name to value: sources, packages, Python, BLAS, processor, platform, environment variables."""
+    found = {PROGRAM: sources()} | {
+        f"package {name}": number for name in PACKAGES if (number := _version(name))
     }
-    reported["python"] = sys.version.replace("\n", " ")
-    reported["platform"] = platform.platform()
-    reported["machine"] = platform.machine()
+    found["python"] = sys.version.replace("\n", " ")
+    found["platform"] = platform.platform()
+    found["machine"] = platform.machine()
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
-    reported["numpy blas"] = " ".join(
+    found["numpy blas"] = " ".join(
         str(blas.get(key, "")) for key in ("name", "version", "openblas configuration")
     )
-    reported |= {f"processor {key}": value for key, value in _processor(cpuinfo).items()}
-    reported |= {f"environment {name}": os.environ[name] for name in _ENVIRONMENT if name in os.environ}
-    return reported
+    found |= {f"processor {key}": value for key, value in _processor(cpuinfo).items()}
+    found |= {f"environment {name}": os.environ[name] for name in _ENVIRONMENT if name in os.environ}
+    return found
 
 
 def sources(root: Path = Path(__file__).parent.parent) -> str:
-    """A digest over every source file of ours, since two programs of one version may differ."""
+    """Return a digest of every source file, since two programs of one version may differ."""
     digest = blake2b(digest_size=16)
     for room in ROOMS:
         for file in sorted((root / room).rglob("*.py")):
@@ -69,7 +69,7 @@ def _version(package: str) -> str:
 
 
 def _processor(cpuinfo: Path) -> dict[str, str]:
-    """Of the first core, as Linux tells it; elsewhere what Python knows."""
+    """Return model and flags of the first core (Linux); elsewhere what Python knows."""
     try:
         lines = cpuinfo.read_text().partition("\n\n")[0].splitlines()
     except OSError:

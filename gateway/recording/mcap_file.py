@@ -1,12 +1,12 @@
-"""An MCAP file that is whole at any moment but for its index: chunks of messages, each in one write.
+"""An MCAP file that is complete at any moment except for its index: chunks of messages, each in one write.
 
-Rules. What lies in the file is a run of whole records. A write that fails is taken back: the file is cut to
-where it was, what should have been written is forgotten, and the next chunk may be tried. Memory does not
-grow by more than a few bytes per chunk: the index waits for the end compressed. Nothing here knows a tick.
+Rules. The file is always a sequence of complete records. A write that fails is undone: the file is truncated
+to its previous size, the data of that write is dropped, and the next chunk may be tried. Memory does not grow
+by more than a few bytes per chunk: the index is kept compressed until the end. Nothing here knows ticks.
 
 Why not `mcap.writer`: it keeps 1 kB in memory per chunk, which is much at 12 chunks a second, spends several
-times as long on a message, and does not say what lies in the file after a failed write. Rare records are
-written by `mcap.records`; layouts are those of the MCAP specification (mcap.dev/spec).
+times as long on a message, and leaves the file undefined after a failed write. Rare records are written by
+`mcap.records`; layouts are those of the MCAP specification (mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -21,19 +21,7 @@ from typing import TYPE_CHECKING
 
 import lz4.frame
 
-from gateway.recording.layout import MAGIC
-from gateway.recording.opcode import (
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    FOOTER,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA_INDEX,
-    SCHEMA,
-    STATISTICS,
-)
+from gateway.recording.layout import MAGIC, Opcode
 from protocols.messages import Nanos
 
 if TYPE_CHECKING:
@@ -55,23 +43,23 @@ UINT64 = 2**64 - 1
 
 
 class McapFile:
-    """Takes messages, and writes them when told to. Raises OSError where a file may.
+    """Collects messages, and writes them on `flush`. Raises OSError as a file does.
 
-    `broken` says that a failed write could not be taken back: the file must be left alone."""
+    `broken`: a failed write could not be undone; the file must not be written to any more."""
 
     def __init__(self, path: Path, library: str) -> None:
         from mcap.records import Header
 
         self.broken = False
         self.size = 0
-        """Bytes in the file, all of them whole records,"""
+        """Bytes in the file, all of them complete records,"""
         self._crc = 0
         """and their checksum."""
         self._head: list[tuple[int, int, McapRecord]] = []
         self._schemas: dict[str, int] = {}
         self._records: list[tuple[int, bytes]] = []
-        """Schemas and channels, by opcode, for the end."""
-        self._fresh = bytearray()
+        """Schemas and channels, with their opcodes, for the summary."""
+        self._unwritten = bytearray()
         """Those of them that are not yet in the file."""
         self._channels: dict[tuple[str, str], int] = {}
         self._counts: dict[int, int] = {}
@@ -81,7 +69,7 @@ class McapFile:
         self._packed_index: list[bytes] = []
         self._chunk = bytearray()
         self._indices: dict[int, bytearray] = {}
-        """Of the messages in the chunk, by channel: time and offset."""
+        """Log time and offset of the messages in the chunk, by channel."""
         self._from: Nanos = UINT64
         self._to: Nanos = 0
         self._stream = path.open("wb", buffering=0)
@@ -93,72 +81,72 @@ class McapFile:
 
     @property
     def waiting(self) -> int:
-        """Bytes in the chunk at hand."""
+        """Bytes in the present chunk."""
         return len(self._chunk)
 
     @property
     def descriptor(self) -> int:
-        """Of the open file."""
+        """File descriptor of the open file."""
         return self._stream.fileno()
 
-    # -- what goes in ---------------------------------------------------------------------------
+    # -- add ------------------------------------------------------------------------------------
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write name-value pairs, at once."""
+        """Write name-value pairs, immediately."""
         from mcap.records import Metadata
 
-        self._rare(Metadata(name, dict(values)))
+        self._write_now(Metadata(name, dict(values)))
 
     def attachment(self, name: str, kind: str, data: bytes) -> None:
-        """Write a file, at once."""
+        """Write an attached file, immediately."""
         from mcap.records import Attachment
 
-        self._rare(Attachment(0, 0, name, kind, data))
+        self._write_now(Attachment(0, 0, name, kind, data))
 
     def channel(self, topic: str, type_: str) -> int | None:
-        """The channel of a topic with messages of a type, if it was made."""
+        """Return the channel of a topic with messages of a type; None if there is none yet."""
         return self._channels.get((topic, type_))
 
     def open_channel(self, topic: str, type_: str, definition: str, qos: str = "") -> int:
-        """A new channel, CDR of a ROS 2 message; it goes into the file with the next chunk."""
+        """Add a channel with a ROS 2 message type in CDR; it is written with the next chunk."""
         from mcap.records import Channel, Schema
 
         schema = self._schemas.get(type_)
         if schema is None:
             schema = self._schemas[type_] = len(self._schemas) + 1
             self._register(
-                SCHEMA, Schema(id=schema, name=type_, encoding="ros2msg", data=definition.encode())
+                Opcode.SCHEMA, Schema(id=schema, name=type_, encoding="ros2msg", data=definition.encode())
             )
         number = self._channels[topic, type_] = len(self._channels) + 1
-        reported = {"offered_qos_profiles": qos} if qos else {}
+        metadata = {"offered_qos_profiles": qos} if qos else {}
         self._register(
-            CHANNEL,
-            Channel(id=number, schema_id=schema, topic=topic, message_encoding="cdr", metadata=reported),
+            Opcode.CHANNEL,
+            Channel(id=number, schema_id=schema, topic=topic, message_encoding="cdr", metadata=metadata),
         )
         return number
 
     def message(self, channel: int, sequence: int, log: Nanos, publish: Nanos, data: bytes) -> None:
-        """One message into the chunk at hand."""
+        """Add a message to the present chunk."""
         chunk = self._chunk
         index = self._indices.get(channel)
         if index is None:
             index = self._indices[channel] = bytearray()
         index += _INDEX_ENTRY.pack(log, len(chunk))
-        chunk += _MESSAGE.pack(MESSAGE, _MESSAGE_BODY + len(data), channel, sequence, log, publish)
+        chunk += _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_BODY + len(data), channel, sequence, log, publish)
         chunk += data
         self._from, self._to = min(self._from, log), max(self._to, log)
 
-    # -- what goes out --------------------------------------------------------------------------
+    # -- write ----------------------------------------------------------------------------------
 
     def flush(self) -> None:
-        """The chunk at hand into the file, in one write. If it fails, all messages in it are gone."""
+        """Write the present chunk in one write. If that fails, all messages in it are lost."""
         if not self._chunk:
             return
         data = lz4.frame.compress(self._chunk)
-        out = bytearray(self._fresh)
+        out = bytearray(self._unwritten)
         start = self.size + len(out)
         out += _CHUNK.pack(
-            CHUNK, _CHUNK_BODY + len(data), self._from, self._to,
+            Opcode.CHUNK, _CHUNK_BODY + len(data), self._from, self._to,
             len(self._chunk), zlib.crc32(self._chunk), 3, b"lz4", len(data),
         )  # fmt: skip
         out += data
@@ -166,11 +154,11 @@ class McapFile:
         offsets = bytearray()
         for channel, index in self._indices.items():
             offsets += _CHUNK_INDEX_OFFSET.pack(channel, self.size + len(out))
-            out += _MESSAGE_INDEX.pack(MESSAGE_INDEX, 6 + len(index), channel, len(index))
+            out += _MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(index), channel, len(index))
             out += index
         size = _CHUNK_INDEX_BODY + len(offsets)
         entry = bytearray(
-            _CHUNK_INDEX.pack(CHUNK_INDEX, size, self._from, self._to, start, length, len(offsets))
+            _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, size, self._from, self._to, start, length, len(offsets))
         )
         entry += offsets
         entry += _CHUNK_INDEX_END.pack(
@@ -178,12 +166,12 @@ class McapFile:
         )
         try:
             self._append(out)
-            self._account(entry)
+            self._count(entry)
         finally:
-            self._forget()
+            self._new_chunk()
 
     def finish(self) -> None:
-        """What is at hand, the index, and the end; closes the file. If it fails, there is no index."""
+        """Write the present chunk, the index and the end, and close. If that fails, there is no index."""
         self.flush()
         size = self.size
         try:
@@ -191,7 +179,7 @@ class McapFile:
             os.fsync(self.descriptor)
         except OSError:
             self.size = size
-            self._cut_back()
+            self._truncate()
             self.abandon()
             raise
         self._stream.close()
@@ -200,9 +188,9 @@ class McapFile:
         """Close the file as it is."""
         self._stream.close()
 
-    # -- the inside -----------------------------------------------------------------------------
+    # -- private --------------------------------------------------------------------------------
 
-    def _rare(self, record: McapRecord) -> None:
+    def _write_now(self, record: McapRecord) -> None:
         data = _bytes(record)
         at = self.size
         self._append(data)
@@ -211,7 +199,7 @@ class McapFile:
     def _register(self, opcode: int, record: McapRecord) -> None:
         data = _bytes(record)
         self._records.append((opcode, data))
-        self._fresh += data
+        self._unwritten += data
 
     def _append(self, data: bytes | bytearray) -> None:
         view = memoryview(data)
@@ -219,21 +207,21 @@ class McapFile:
             while view:
                 view = view[self._stream.write(view) :]
         except OSError:
-            self._cut_back()
+            self._truncate()
             raise
         self.size += len(data)
         self._crc = zlib.crc32(data, self._crc)
 
-    def _cut_back(self) -> None:
+    def _truncate(self) -> None:
         try:
             self._stream.truncate(self.size)
             self._stream.seek(self.size)
-        except OSError:  # a pipe or a device, or a disk that is gone
+        except OSError:  # a pipe or a device, or a lost disk
             self.broken = True
 
-    def _account(self, entry: bytearray) -> None:
-        """The chunk is in the file."""
-        self._fresh.clear()
+    def _count(self, entry: bytearray) -> None:
+        """Update counts and index after a chunk was written."""
+        self._unwritten.clear()
         for channel, index in self._indices.items():
             self._counts[channel] = self._counts.get(channel, 0) + len(index) // _INDEX_ENTRY.size
         self._chunks += 1
@@ -243,7 +231,7 @@ class McapFile:
             self._packed_index.append(zlib.compress(self._index, 1))
             self._index = bytearray()
 
-    def _forget(self) -> None:
+    def _new_chunk(self) -> None:
         self._chunk, self._indices = bytearray(), {}
         self._from, self._to = UINT64, 0
 
@@ -264,12 +252,12 @@ class McapFile:
                 )
         where = self.size
         data = b"".join(_bytes(offset) for offset in offsets)
-        footer = _FOOTER.pack(FOOTER, 20, start, where)
+        footer = _FOOTER.pack(Opcode.FOOTER, 20, start, where)
         crc = zlib.crc32(footer, zlib.crc32(data, crc))
         self._append(data + footer + struct.pack("<I", crc) + MAGIC)
 
     def _summary(self) -> list[tuple[int, Iterable[bytes]]]:
-        """The groups of the summary, by opcode."""
+        """Return the groups of the summary, each with its opcode."""
         from mcap.records import Attachment, AttachmentIndex, Metadata, MetadataIndex, Statistics
 
         attached = [
@@ -277,7 +265,7 @@ class McapFile:
             for at, size, r in self._head
             if isinstance(r, Attachment)
         ]
-        reported = [
+        metadata = [
             _bytes(MetadataIndex(at, size, r.name)) for at, size, r in self._head if isinstance(r, Metadata)
         ]
         statistics = Statistics(
@@ -288,17 +276,17 @@ class McapFile:
             message_count=sum(self._counts.values()),
             message_start_time=self._first if self._chunks else 0,
             message_end_time=self._last,
-            metadata_count=len(reported),
+            metadata_count=len(metadata),
             schema_count=len(self._schemas),
         )
         unpacked = (zlib.decompress(block) for block in self._packed_index)
         return [
-            (SCHEMA, [data for opcode, data in self._records if opcode == SCHEMA]),
-            (CHANNEL, [data for opcode, data in self._records if opcode == CHANNEL]),
-            (STATISTICS, [_bytes(statistics)]),
-            (CHUNK_INDEX, chain(unpacked, [bytes(self._index)])),
-            (ATTACHMENT_INDEX, attached),
-            (METADATA_INDEX, reported),
+            (Opcode.SCHEMA, [data for opcode, data in self._records if opcode == Opcode.SCHEMA]),
+            (Opcode.CHANNEL, [data for opcode, data in self._records if opcode == Opcode.CHANNEL]),
+            (Opcode.STATISTICS, [_bytes(statistics)]),
+            (Opcode.CHUNK_INDEX, chain(unpacked, [bytes(self._index)])),
+            (Opcode.ATTACHMENT_INDEX, attached),
+            (Opcode.METADATA_INDEX, metadata),
         ]
 
 

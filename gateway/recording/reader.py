@@ -1,10 +1,10 @@
-"""Reads a recording: closed, cut short, or damaged."""
+"""Reading a recording: closed, cut short, or damaged."""
 
 from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -12,21 +12,31 @@ from typing import TYPE_CHECKING, TypeVar
 
 from gateway.core.tick import Tick
 from gateway.errors import RecordingError
-from gateway.recording import opcode, tick_codec
-from gateway.recording.layout import FACTS, FORMAT, MAGIC, METADATA, ROBOT_FILE, digest
+from gateway.recording import tick_codec
+from gateway.recording.layout import (
+    FACTS,
+    FORMAT,
+    MAGIC,
+    METADATA,
+    READABLE,
+    ROBOT_FILE,
+    Opcode,
+    digest,
+    modernised,
+)
 from gateway.recording.mcap_records import MESSAGE_HEAD, Damage, Record, records
 from gateway.recording.ros_views import View
-from gateway.recording.tick_codec import JournalError
+from gateway.recording.tick_codec import TickCodecError
 
 if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
-    Rare = TypeVar("Rare", Attachment, Channel, Header, Metadata, Schema)
+    R = TypeVar("R", Attachment, Channel, Header, Metadata, Schema)
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A tick as it stands in a recording, with what was shown of it."""
+    """A recorded tick, with its views."""
 
     tick: Tick
     views: tuple[View, ...]
@@ -38,38 +48,40 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A recording on disk. Its ticks are read as they are asked for, every time anew."""
+    """A recording on disk. Its ticks are read from the file at each iteration."""
 
     path: Path
+    format: str
     robot_text: str
-    """The robot file it was made with."""
+    """The robot file it was made with, in today's keys."""
     facts: dict[str, str]
-    """Where and with what it was made."""
+    """Program, packages and processor it was made with."""
     whole: bool
-    """Whether it was closed; otherwise it ends where the writing ended."""
-    promised: int | None
-    """How many ticks its index says there are; None without an index."""
+    """True if it was closed; otherwise it ends where the writing ended."""
+    indexed: int | None
+    """Number of ticks by its index; None without an index."""
 
     @property
     def ticks(self) -> Iterator[Tick]:
-        """The ticks, in the order in which they happened. Raises RecordingError where it is damaged."""
+        """The ticks, in order. Raises RecordingError where it is damaged."""
         return (step.tick for step in self.steps)
 
     @property
     def steps(self) -> Iterator[Step]:
-        """The ticks with their views and with what was changed since. Raises RecordingError as `ticks`."""
+        """The ticks with their views and damage. Raises RecordingError as `ticks`."""
         return _steps(self.path, self.whole)
 
 
 def read(path: Path) -> Recording:
-    """Open a recording. Raises RecordingError if it is none, of another format, or unreadable."""
+    """Open a recording. Raises RecordingError if it is not one, of an unknown format, or unreadable."""
     whole = has_end(path)
-    robot_text, facts = head(path, whole)
-    return Recording(path, robot_text, facts, whole, _promised(path) if whole else None)
+    format_, robot_text, facts = head(path, whole)
+    robot_text = robot_text if format_ == FORMAT else modernised(robot_text)
+    return Recording(path, format_, robot_text, facts, whole, _indexed(path) if whole else None)
 
 
 def has_end(path: Path) -> bool:
-    """Whether the file was closed. Raises RecordingError if it is no MCAP file."""
+    """True if the file was closed. Raises RecordingError if it is not an MCAP file."""
     try:
         with path.open("rb") as file:
             start = file.read(len(MAGIC) + 8)
@@ -78,11 +90,11 @@ def has_end(path: Path) -> bool:
     except OSError as error:
         raise RecordingError(f"{path}: {error.strerror}") from error
     if not start.startswith(MAGIC):
-        raise RecordingError(f"{path}: {_what_it_is(start)}, not a recording of this gateway")
+        raise RecordingError(f"{path}: {_file_kind(start)}, not a recording of this gateway")
     return whole
 
 
-def _what_it_is(start: bytes) -> str:
+def _file_kind(start: bytes) -> str:
     if not start:
         return "an empty file"
     if start.startswith(b"#ROSBAG"):
@@ -90,58 +102,58 @@ def _what_it_is(start: bytes) -> str:
     return "a ROS 2 bag of kind sqlite3" if start.startswith(b"SQLite format") else "no MCAP file"
 
 
-def parse(path: Path, kind: type[Rare], record: Record) -> Rare:
-    """A rare record's fields. Raises RecordingError if they cannot be made out."""
+def parse(path: Path, kind: type[R], record: Record) -> R:
+    """Parse a record other than a message. Raises RecordingError if it is damaged."""
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
 
     try:
-        made: Rare = kind.read(ReadDataStream(BytesIO(record.content)))
+        parsed: R = kind.read(ReadDataStream(BytesIO(record.content)))
     except (McapError, struct.error, ValueError) as error:
         raise RecordingError(f"{path}: damaged: a {kind.__name__} cannot be read: {error}") from error
-    return made
+    return parsed
 
 
-def head(path: Path, whole: bool) -> tuple[str, dict[str, str]]:
-    """The robot file and the facts, which stand before the first tick. Raises RecordingError if they do not,
-    or if the file has an end and is damaged before it."""
+def head(path: Path, whole: bool) -> tuple[str, str, dict[str, str]]:
+    """Return format, robot file and facts, which precede the first tick.
+
+    Raises RecordingError if they do not, or if the file has an end and is damaged before it."""
     from mcap.records import Attachment, Header, Metadata
 
     metadata: dict[str, dict[str, str]] = {}
     library = ""
     robot: bytes | None = None
     for record in _records(path, whole):
-        if record.opcode == opcode.HEADER:
+        if record.opcode == Opcode.HEADER:
             library = parse(path, Header, record).library
-        elif record.opcode == opcode.METADATA:
-            reported = parse(path, Metadata, record)
-            metadata[reported.name] = reported.metadata
-        elif record.opcode == opcode.ATTACHMENT:
-            attached = parse(path, Attachment, record)
-            robot = attached.data if attached.name == ROBOT_FILE else robot
-        elif record.opcode == opcode.MESSAGE:
+        elif record.opcode == Opcode.METADATA:
+            entry = parse(path, Metadata, record)
+            metadata[entry.name] = entry.metadata
+        elif record.opcode == Opcode.ATTACHMENT:
+            attachment = parse(path, Attachment, record)
+            robot = attachment.data if attachment.name == ROBOT_FILE else robot
+        elif record.opcode == Opcode.MESSAGE:
             break
     if METADATA not in metadata:
         if not whole and not library:
             raise RecordingError(f"{path}: cut off in its first bytes: nothing can be read")
         raise RecordingError(f"{path}: an MCAP file of {library or 'another program'}, not of this gateway")
-    _check_head(path, metadata[METADATA], robot)
-    return (robot or b"").decode(errors="surrogateescape"), metadata.get(FACTS, {})
-
-
-def _check_head(path: Path, head: Mapping[str, str], robot: bytes | None) -> None:
-    if head.get("format") != FORMAT:
+    own = metadata[METADATA]
+    format_ = own.get("format", "")
+    if format_ not in READABLE:
+        readable = " and ".join(READABLE)
         raise RecordingError(
-            f"{path}: a recording of format {head.get('format')}; this program reads format {FORMAT}"
+            f"{path}: a recording of format {format_}; this program reads formats {readable}"
         )
     if robot is None:
         raise RecordingError(f"{path}: cut off before the robot file: there is no tick in it")
-    if digest(robot) != head.get("robot digest"):
+    if digest(robot) != own.get("robot digest"):
         raise RecordingError(f"{path}: damaged: the robot file in it does not match its digest")
+    return format_, robot.decode(errors="surrogateescape"), metadata.get(FACTS, {})
 
 
-def _promised(path: Path) -> int | None:
-    """How many ticks the index at the end counts."""
+def _indexed(path: Path) -> int | None:
+    """Return the number of ticks that the index counts."""
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
@@ -157,14 +169,14 @@ def _promised(path: Path) -> int | None:
 
 
 def _records(path: Path, whole: bool) -> Iterator[Record]:
-    """The records in the order of the file. A closed file must be undamaged; another ends at the first
+    """Yield the records in the order of the file. A closed file must be undamaged; another ends at the first
     damage."""
     with path.open("rb") as file:
         for piece in records(file):
             if isinstance(piece, Damage):
                 if not whole:
                     return
-                raise RecordingError(f"{path}: damaged near byte {piece.at}: {piece.why}")
+                raise RecordingError(f"{path}: damaged near byte {piece.at}: {piece.reason}")
             yield piece
 
 
@@ -173,17 +185,17 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
 
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
-    seals = tick_codec.UNPROTECTED
+    chain = tick_codec.CHAIN_START
     entry: tick_codec.Entry | None = None
     views: list[View] = []
     for record in _records(path, whole):
-        if record.opcode == opcode.SCHEMA:
+        if record.opcode == Opcode.SCHEMA:
             schema = parse(path, Schema, record)
             schemas[schema.id] = schema.name
-        elif record.opcode == opcode.CHANNEL:
+        elif record.opcode == Opcode.CHANNEL:
             channel = parse(path, Channel, record)
             channels[channel.id] = (channel.topic, schemas.get(channel.schema_id, ""))
-        elif record.opcode == opcode.MESSAGE:
+        elif record.opcode == Opcode.MESSAGE:
             number, _sequence, _log, published = MESSAGE_HEAD.unpack_from(record.content)
             topic, type_ = channels.get(number, ("", ""))
             data = record.content[MESSAGE_HEAD.size :]
@@ -192,17 +204,17 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
                 continue
             if entry is not None:
                 yield Step(entry.tick, tuple(views), entry.damage(), whole=True)
-            entry, views = _entry(path, data, seals, entry), []
-            seals = entry.seals
+            entry, views = _entry(path, data, chain, entry), []
+            chain = entry.written
     if entry is not None:
         yield Step(entry.tick, tuple(views), entry.damage(), whole)
 
 
 def _entry(
-    path: Path, data: bytes, seals: tick_codec.DigestChain, last: tick_codec.Entry | None
+    path: Path, data: bytes, chain: tick_codec.DigestChain, last: tick_codec.Entry | None
 ) -> tick_codec.Entry:
     try:
-        return tick_codec.decode(data, seals)
-    except JournalError as error:
+        return tick_codec.decode(data, chain)
+    except TickCodecError as error:
         where = f"after tick {last.tick.number}" if last else "at its first tick"
         raise RecordingError(f"{path}: damaged {where}: {error}") from error

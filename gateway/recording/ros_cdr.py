@@ -1,11 +1,12 @@
-"""The messages that come many times a second, as bytes (CDR, little endian) straight from our values.
+"""The frequent ROS 2 messages, encoded to bytes (CDR, little endian) directly from the gateway's values.
 
-Rules. Units, frames and stamps as in `gateway.recording.ros_messages`, which makes the rare ones. By hand with `struct`,
-because this runs at every step: a general serialiser costs several times as much. A test holds every one to
-the general serialiser, byte for byte. No value here raises: what does not fit a field is cut to its range.
+Rules. Units, frames and stamps as in `gateway.recording.ros_messages`, which makes the rare ones. Encoded by
+`struct`, because this runs at every step: a general serialiser costs several times as much. A test compares
+every message with the general serialiser, byte for byte. Nothing here raises: a value that does not fit its
+field is clamped.
 
-Everything in a message that stands before its numbers (stamp, names) has a length that depends on the names
-alone, so one `struct.Struct` per message and name says where each number lies; `Layouts` keeps them.
+The part of a message before its numbers (stamp, names) has a length that depends on the names only, so one
+`struct.Struct` per message and name describes the whole; `Layouts` caches them.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from protocols.frames import CanFrame
 from protocols.messages import SECOND, Imu, LaserScan, Nanos
 
 WORLD, BASE = "odom", "base_link"
-"""REP-105: the world as the robot knows it, and the robot."""
+"""REP-105: the frames of the odometry and of the robot."""
 FLOAT32_MAX = 3.4028234663852886e38
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -40,24 +41,24 @@ _U32 = struct.Struct("<I")
 
 
 def clock(t: Nanos) -> tuple[int, int]:
-    """builtin_interfaces/Time: seconds, which are int32 there, and nanoseconds."""
+    """Return builtin_interfaces/Time: seconds (int32 there) and nanoseconds."""
     seconds, rest = divmod(t, SECOND)
     return max(-(2**31), min(2**31 - 1, seconds)), rest
 
 
 def float32(value: float) -> float:
-    """Cut to what float32 can hold, so that packing it cannot overflow."""
+    """Clamp to the range of float32, so that packing cannot overflow."""
     return max(-FLOAT32_MAX, min(FLOAT32_MAX, value))
 
 
 @dataclass(slots=True)
 class Layouts:
-    """Where the numbers of a message lie, by what it is and the names in it. Belongs to one `Views`."""
+    """Cache of `struct` layouts, by the numbers and names of a message. Belongs to one `Views`."""
 
     _known: dict[tuple[str, tuple[str, ...]], struct.Struct] = field(default_factory=dict)
 
     def stamped(self, numbers: str, *names: str, many: bool = False) -> struct.Struct:
-        """Encapsulation, (with `many`, the count of a sequence,) stamp, one string per name, numbers."""
+        """Return the layout: encapsulation, (with `many`, a sequence's count,) stamp, strings, numbers."""
         key = (numbers, names)
         layout = self._known.get(key)
         if layout is None:
@@ -66,7 +67,7 @@ class Layouts:
 
 
 def _layout(numbers: str, names: Sequence[str], many: bool) -> struct.Struct:
-    """The encapsulation does not count for alignment."""
+    """Build a layout. The encapsulation does not count for alignment."""
     at = 12 if many else 8
     form = "<4sIiI" if many else "<4siI"
     for name in names:
@@ -78,20 +79,20 @@ def _layout(numbers: str, names: Sequence[str], many: bool) -> struct.Struct:
 
 
 def _name(name: str) -> tuple[int, bytes]:
-    """As `struct` takes it; the end of the string is the zero that it fills up with."""
+    """Return size and bytes for `struct`, which pads with the terminating zero."""
     data = name.encode(errors="backslashreplace")
     return len(data) + 1, data
 
 
 def can_frame(layouts: Layouts, t: Nanos, bus: str, frame: CanFrame) -> bytes:
-    """can_msgs/Frame of a classic frame; the header's frame is the bus."""
+    """Encode can_msgs/Frame of a classic frame; the header's frame is the bus."""
     data = frame.data[:8]
     head = (frame.id & 0xFFFFFFFF, frame.remote, frame.extended, 0, len(data))
     return layouts.stamped(_CAN, bus).pack(_ENCAPSULATION, *clock(t), *_name(bus), *head, data)
 
 
 def fd_frame(layouts: Layouts, t: Nanos, bus: str, frame: CanFrame) -> bytes:
-    """ros2_socketcan_msgs/FdFrame of an FD frame; the header's frame is the bus."""
+    """Encode ros2_socketcan_msgs/FdFrame of an FD frame; the header's frame is the bus."""
     data = frame.data[:64]
     size = len(data)
     head = (frame.id & 0xFFFFFFFF, frame.extended, 0, size, size)
@@ -99,8 +100,8 @@ def fd_frame(layouts: Layouts, t: Nanos, bus: str, frame: CanFrame) -> bytes:
 
 
 def odometry(layouts: Layouts, estimate: Estimate) -> bytes:
-    """nav_msgs/Odometry of the filter's estimate; z, roll and pitch are zero and certain, the twist has no
-    covariance."""
+    """Encode nav_msgs/Odometry of the filter's estimate; z, roll and pitch are zero with zero variance, the
+    twist has no covariance."""
     (xx, xy, xa), (yx, yy, ya), (ax, ay, aa) = estimate.covariance.tolist()
     none = (0.0, 0.0, 0.0)
     covariance = (xx, xy, *none, xa, yx, yy, *none, ya, *(0.0,) * 18, ax, ay, *none, aa)
@@ -108,7 +109,7 @@ def odometry(layouts: Layouts, estimate: Estimate) -> bytes:
 
 
 def dead_reckoning(layouts: Layouts, t: Nanos, pose: Pose) -> bytes:
-    """nav_msgs/Odometry of the wheels alone; neither twist nor covariance."""
+    """Encode nav_msgs/Odometry of the wheels alone; neither twist nor covariance."""
     return _odometry(layouts, t, pose, 0.0, 0.0, _NO_COVARIANCE)
 
 
@@ -123,7 +124,7 @@ def _odometry(
 
 
 def base_transform(layouts: Layouts, estimate: Estimate) -> bytes:
-    """tf2_msgs/TFMessage: where base_link stands in odom."""
+    """Encode tf2_msgs/TFMessage: base_link in odom."""
     pose = estimate.pose
     return layouts.stamped(_TRANSFORM, WORLD, BASE, many=True).pack(
         _ENCAPSULATION, 1, *clock(estimate.t), *_name(WORLD), *_name(BASE),
@@ -132,7 +133,7 @@ def base_transform(layouts: Layouts, estimate: Estimate) -> bytes:
 
 
 def imu(layouts: Layouts, event: Imu) -> bytes:
-    """sensor_msgs/Imu; a covariance that starts with -1 marks an orientation that was not measured."""
+    """Encode sensor_msgs/Imu; a covariance that starts with -1 marks an orientation not measured."""
     known = event.orientation is not None
     return layouts.stamped(_IMU, event.sensor).pack(
         _ENCAPSULATION, *clock(event.t), *_name(event.sensor),
@@ -142,7 +143,7 @@ def imu(layouts: Layouts, event: Imu) -> bytes:
 
 
 def laser_scan(layouts: Layouts, scan: LaserScan) -> bytes:
-    """sensor_msgs/LaserScan: nothing hit is +inf (REP-117); no reading stays as it is, below range_min."""
+    """Encode sensor_msgs/LaserScan: no hit is +inf (REP-117); no reading stays below range_min."""
     ranges = np.array(scan.ranges, np.float64)
     ranges[ranges >= scan.range_max] = np.inf
     with np.errstate(over="ignore"):
@@ -157,7 +158,7 @@ def laser_scan(layouts: Layouts, scan: LaserScan) -> bytes:
 
 
 def joint_state(t: Nanos, joints: Mapping[str, tuple[float | None, float | None, float | None]]) -> bytes:
-    """sensor_msgs/JointState of (position, velocity, effort) by joint, at the output shafts.
+    """Encode sensor_msgs/JointState of (position, velocity, effort) by joint, at the output shafts.
 
     A quantity that no joint measures is an empty array; one that some do not measure is NaN there."""
     out = bytearray(struct.pack("<4siIIsxxxI", _ENCAPSULATION, *clock(t), 1, b"", len(joints)))

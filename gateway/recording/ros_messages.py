@@ -1,13 +1,13 @@
-"""Our values as ROS 2 messages: one pure function per message, from what we know to what others can open.
+"""The gateway's values as ROS 2 messages: one pure function per message.
 
-Here are the rare ones, made as objects for a general serialiser; those of every step are in `gateway.recording.ros_cdr`.
+Here are the rare ones, as objects for a general serialiser; frequent ones are in `gateway.recording.ros_cdr`.
 
-Rules. Units and frames are those of REP-103 and REP-105: SI, x forward, y left, z up; "odom" is the world as
-the robot knows it, "base_link" the robot, and every sensor has a frame of its own name. A header's stamp is
-the time of the measurement or belief, not of the writing. What a message cannot say is left out, never made
-up. No value here raises: what does not fit a field is cut to its range.
+Rules. Units and frames are those of REP-103 and REP-105: SI, x forward, y left, z up; "odom" is the fixed
+frame, "base_link" the robot, and every sensor has a frame of its own name. A header's stamp is the time of
+the measurement or estimate, not of the writing. What a message type cannot represent is left out, never
+invented. Nothing here raises: a value that does not fit its field is clamped.
 
-`Types` are the message classes by name, as a typestore has them; nothing here imports one.
+`Types` are the message classes by name, as in a typestore; nothing here imports one.
 """
 
 from __future__ import annotations
@@ -66,60 +66,37 @@ uint8[<=64] data
 
 
 def stamp(types: Types, t: Nanos) -> Message:
-    """builtin_interfaces/Time; seconds are int32 there."""
+    """Make builtin_interfaces/Time; seconds are int32 there."""
     seconds, rest = clock(t)
     return types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
 
 
 def header(types: Types, t: Nanos, frame: str) -> Message:
-    """std_msgs/Header."""
+    """Make std_msgs/Header."""
     return types["std_msgs/msg/Header"](stamp=stamp(types, t), frame_id=frame)
 
 
-# -- where the robot is ------------------------------------------------------------------------
+# -- poses, path, map --------------------------------------------------------------------------
 
 
 def mount_transforms(types: Types, t: Nanos, mounts: Mapping[str, Mount]) -> Message:
-    """tf2_msgs/TFMessage for /tf_static: how each sensor sits on base_link."""
-    return _transforms(
-        types,
-        [
-            _transform(
-                types,
-                t,
-                BASE,
-                name,
-                (mount.x, mount.y, mount.z),
-                quaternion(mount.yaw, mount.pitch, mount.roll),
-            )
-            for name, mount in mounts.items()
-        ],
-    )
-
-
-def _transforms(types: Types, transforms: list[Message]) -> Message:
+    """Make tf2_msgs/TFMessage for /tf_static: the mounting of each sensor on base_link."""
+    transforms = [
+        types["geometry_msgs/msg/TransformStamped"](
+            header=header(types, t, BASE),
+            child_frame_id=name,
+            transform=types["geometry_msgs/msg/Transform"](
+                translation=types["geometry_msgs/msg/Vector3"](x=mount.x, y=mount.y, z=mount.z),
+                rotation=_quaternion(types, *quaternion(mount.yaw, mount.pitch, mount.roll)),
+            ),
+        )
+        for name, mount in mounts.items()
+    ]
     return types["tf2_msgs/msg/TFMessage"](transforms=transforms)
 
 
-def _transform(
-    types: Types,
-    t: Nanos,
-    parent: str,
-    child: str,
-    at: tuple[float, float, float],
-    turned: tuple[float, float, float, float],
-) -> Message:
-    return types["geometry_msgs/msg/TransformStamped"](
-        header=header(types, t, parent),
-        child_frame_id=child,
-        transform=types["geometry_msgs/msg/Transform"](
-            translation=_vector(types, *at), rotation=_quaternion(types, turned)
-        ),
-    )
-
-
 def path(types: Types, t: Nanos, points: Sequence[tuple[float, float]]) -> Message:
-    """nav_msgs/Path in odom; each pose looks along the path to the next."""
+    """Make nav_msgs/Path in odom; each pose is directed to the next."""
     yaws = [math.atan2(y2 - y1, x2 - x1) for (x1, y1), (x2, y2) in pairwise(points)]
     yaws += yaws[-1:] or [0.0]
     poses = [_pose_stamped(types, t, Pose(x, y, yaw)) for (x, y), yaw in zip(points, yaws, strict=False)]
@@ -127,12 +104,12 @@ def path(types: Types, t: Nanos, points: Sequence[tuple[float, float]]) -> Messa
 
 
 def goal_pose(types: Types, t: Nanos, goal: Goal) -> Message:
-    """geometry_msgs/PoseStamped; a goal without a yaw looks along x."""
+    """Make geometry_msgs/PoseStamped; a goal without a yaw is directed along x."""
     return _pose_stamped(types, t, Pose(goal.x, goal.y, goal.yaw or 0.0))
 
 
 def occupancy(types: Types, t: Nanos, view: MapView) -> Message:
-    """nav_msgs/OccupancyGrid: percent, row by row from the lower left; -1 (unknown) where log-odds are 0."""
+    """Make nav_msgs/OccupancyGrid: percent, row by row from the lower left; -1 (unknown) for log-odds 0."""
     rows, columns = view.log_odds.shape
     percent = np.rint(50.0 + 50.0 * np.tanh(np.float32(0.5) * view.log_odds)).astype(np.int8)
     percent[view.log_odds == 0.0] = -1
@@ -149,11 +126,8 @@ def occupancy(types: Types, t: Nanos, view: MapView) -> Message:
     )
 
 
-# -- what the sensors and motors said ----------------------------------------------------------
-
-
 def fix(types: Types, event: Fix) -> Message:
-    """sensor_msgs/NavSatFix; an altitude that was not measured is NaN, as that message has it."""
+    """Make sensor_msgs/NavSatFix; an altitude not measured is NaN, as that message defines."""
     covariance = np.zeros(9)
     if event.variance is not None:
         covariance[0] = covariance[4] = event.variance
@@ -168,13 +142,13 @@ def fix(types: Types, event: Fix) -> Message:
     )
 
 
-# -- how it is ---------------------------------------------------------------------------------
+# -- diagnostics -------------------------------------------------------------------------------
 
 
 def diagnostic_status(
     types: Types, level: int, name: str, message: str, values: Mapping[str, str]
 ) -> Message:
-    """diagnostic_msgs/DiagnosticStatus; level 0 OK, 1 WARN, 2 ERROR, 3 STALE."""
+    """Make diagnostic_msgs/DiagnosticStatus; level 0 OK, 1 WARN, 2 ERROR, 3 STALE."""
     key_value = types["diagnostic_msgs/msg/KeyValue"]
     return types["diagnostic_msgs/msg/DiagnosticStatus"](
         level=level,
@@ -186,12 +160,12 @@ def diagnostic_status(
 
 
 def diagnostics(types: Types, t: Nanos, statuses: list[Message]) -> Message:
-    """diagnostic_msgs/DiagnosticArray."""
+    """Make diagnostic_msgs/DiagnosticArray."""
     return types["diagnostic_msgs/msg/DiagnosticArray"](header=header(types, t, ""), status=statuses)
 
 
 def log(types: Types, t: Nanos, note: Note) -> Message:
-    """rcl_interfaces/Log: what a log panel shows."""
+    """Make rcl_interfaces/Log, for a log panel."""
     return types["rcl_interfaces/msg/Log"](
         stamp=stamp(types, t),
         level=_LOG_LEVELS[note.level],
@@ -203,21 +177,16 @@ def log(types: Types, t: Nanos, note: Note) -> Message:
     )
 
 
-# -- small ones --------------------------------------------------------------------------------
+# -- parts -------------------------------------------------------------------------------------
 
 
-def text(said: str) -> str:
-    """Fit for UTF-8: a lone surrogate (a stray byte on a terminal) becomes an escape."""
-    return said if said.isascii() else said.encode(errors="backslashreplace").decode()
-
-
-def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    """x, y, z, w of a turn about z."""
-    return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
+def text(raw: str) -> str:
+    """Return text that UTF-8 can encode: a lone surrogate (a stray byte of a terminal) becomes an escape."""
+    return raw if raw.isascii() else raw.encode(errors="backslashreplace").decode()
 
 
 def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:
-    """x, y, z, w of Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return x, y, z, w of Rz(yaw) Ry(pitch) Rx(roll)."""
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
@@ -229,18 +198,14 @@ def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, flo
     )
 
 
-def _vector(types: Types, x: float, y: float, z: float) -> Message:
-    return types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
-
-
-def _quaternion(types: Types, q: tuple[float, float, float, float]) -> Message:
-    return types["geometry_msgs/msg/Quaternion"](x=q[0], y=q[1], z=q[2], w=q[3])
+def _quaternion(types: Types, x: float, y: float, z: float, w: float) -> Message:
+    return types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
 
 def _pose(types: Types, pose: Pose) -> Message:
     return types["geometry_msgs/msg/Pose"](
         position=types["geometry_msgs/msg/Point"](x=pose.x, y=pose.y, z=0.0),
-        orientation=_quaternion(types, yaw_quaternion(pose.yaw)),
+        orientation=_quaternion(types, 0.0, 0.0, math.sin(pose.yaw / 2), math.cos(pose.yaw / 2)),
     )
 
 

@@ -1,8 +1,8 @@
-"""What a recording shows to others: each tick and the belief after it as ROS 2 messages, thinned out.
+"""Views: each tick and the belief after it as ROS 2 messages for other tools, at reduced rates.
 
-Rules. Pure but for what was last sent: the same ticks and beliefs give the same messages, to the byte. The
-raw tick stands beside them, so nothing is lost by thinning: every frame and every reading of a sensor is
-shown, the belief at most 50 times a second, the map once, the diagnostics twice or when a state changes.
+Rules. The only state is what was last sent: equal ticks and beliefs give equal messages, to the byte. The raw
+tick is recorded beside them, so nothing is lost: every frame and sensor reading has a view, the estimate at
+most 50 per second, the map one, the diagnostics two or one per change of state.
 
 | topic | type | when |
 |---|---|---|
@@ -11,14 +11,14 @@ shown, the belief at most 50 times a second, the map once, the diagnostics twice
 | /scan, /imu/data, /fix | sensor_msgs | each reading; the header names the sensor |
 | /odom, /tf | nav_msgs/Odometry, tf2_msgs/TFMessage | a new estimate, at most 50 Hz |
 | /wheel_odom | nav_msgs/Odometry | beside /odom: the wheels alone |
-| /tf_static | tf2_msgs/TFMessage | once, in front: where the sensors sit |
+| /tf_static | tf2_msgs/TFMessage | once, at the start: the sensors' mountings |
 | /joint_states | sensor_msgs/JointState | new feedback, at most 50 Hz |
 | /map | nav_msgs/OccupancyGrid | a new version, at most 1 Hz |
 | /plan, /goal_pose | nav_msgs/Path, geometry_msgs/PoseStamped | on change |
 | /diagnostics | diagnostic_msgs/DiagnosticArray | 2 Hz, on a change of state, with every note |
 | /rosout | rcl_interfaces/Log | each note |
 
-Bytes of serial buses are in the raw tick only: ROS has no message for them.
+Bytes of serial buses are in the raw tick only: ROS has no message type for them.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ UINT64 = 2**64 - 1
 SCAN, IMU = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Imu"
 ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 JOINT_STATE = "sensor_msgs/msg/JointState"
-_BY_HAND = (ros_messages.CAN_FRAME, ros_messages.FD_FRAME, SCAN, IMU, ODOMETRY, TRANSFORMS, JOINT_STATE)
+_BY_STRUCT = (ros_messages.CAN_FRAME, ros_messages.FD_FRAME, SCAN, IMU, ODOMETRY, TRANSFORMS, JOINT_STATE)
 _BY_SERIALISER = (
     TRANSFORMS,
     "nav_msgs/msg/OccupancyGrid",
@@ -82,15 +82,15 @@ class View(NamedTuple):
 
     topic: str
     type: str
-    """"package/msg/Name"""
+    """package/msg/Name"""
     t: Nanos
-    """When what it shows was measured, believed or sent, cut to 64 bits without a sign as a file has them."""
+    """Time of measurement, estimate or sending, clamped to 64 bits unsigned as in a file."""
     data: bytes
     """CDR"""
 
 
 def typestore() -> Typestore:
-    """ROS 2 Jazzy's message types, and the two for CAN frames that are not part of it."""
+    """Return ROS 2 Jazzy's message types, and the two for CAN frames that are not part of it."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -100,8 +100,8 @@ def typestore() -> Typestore:
 
 
 @dataclass(slots=True)
-class _MotorSeen:
-    """What a motor last told, at its joint's output shaft."""
+class _MotorStatus:
+    """Last reported values of a motor, at its joint's output shaft."""
 
     mode: Mode = Mode.INITIALISING
     detail: str = ""
@@ -115,7 +115,7 @@ class _MotorSeen:
 
 
 class Views:
-    """Turns ticks and beliefs into messages; remembers only what it last sent and what motors last told."""
+    """Converts ticks and beliefs to messages. State: what was last sent, and the motors' last values."""
 
     def __init__(self, mounts: Mapping[str, Mount] | None = None) -> None:
         self._mounts = dict(mounts or {})
@@ -124,18 +124,18 @@ class Views:
         self._definitions: dict[str, str] = {}
         self._layouts = ros_cdr.Layouts()
         self._topics: dict[tuple[str, str, bool], str] = {}
-        """Of frames, by bus, direction and whether they are FD."""
+        """Topics of frames, by bus, direction and FD."""
         self._sent: dict[str, Nanos] = {}
-        """By topic, when it was last sent."""
+        """Time of the last message, by topic."""
         self._shown: dict[str, object] = {}
-        """By topic, what was last shown: a message goes out when it is another."""
-        self._motors: dict[str, _MotorSeen] = {}
+        """Key of the last message, by topic: a message is sent when it differs."""
+        self._motors: dict[str, _MotorStatus] = {}
         self._moved = False
-        """Whether feedback came since the last joint state."""
+        """True if feedback came since the last joint state."""
 
     def messages(self, tick: Tick, belief: Belief) -> list[View]:
-        """What this tick shows, in a fixed order."""
-        views = self._mounting(tick.now)
+        """Return the messages for a tick, in a fixed order."""
+        views = self._mounts_view(tick.now)
         views += [
             self._frame(p, "from", p.frame) for p in tick.inputs.packets if isinstance(p.frame, CanFrame)
         ]
@@ -143,40 +143,40 @@ class Views:
         views += [
             self._frame(p, "to", p.frame) for p in tick.outputs.packets if isinstance(p.frame, CanFrame)
         ]
-        views += self._believed(tick.now, belief)
-        views += self._wanted(tick.now, belief)
+        views += self._estimate_and_map(tick.now, belief)
+        views += self._goal_and_plan(tick.now, belief)
         views += self._joints(tick.now)
         views += [
             self._view("/rosout", tick.now, ros_messages.log(self._types, tick.now, note))
             for note in tick.outputs.notes
         ]
-        views += self._health(tick, belief)
+        views += self._diagnostics(tick, belief)
         return views
 
-    def show_again(self) -> None:
-        """Forget what was shown, as after a gap in a recording: all that is now is shown anew."""
+    def reset(self) -> None:
+        """Send everything again, as after a gap in a recording."""
         self._sent.clear()
         self._shown.clear()
 
     def definition(self, type_: str) -> str:
-        """The definition of a message type, with those of all types in it (ros2msg)."""
+        """Return the definition of a message type, with those of all types in it (ros2msg)."""
         known = self._definitions.get(type_)
         if known is None:
             known = self._definitions[type_] = self._store.generate_msgdef(type_, ros_version=2)[0]
         return known
 
     def prepare(self) -> None:
-        """Do now what the first message of each type would cost: a tenth of a second, all in all."""
-        for type_ in (*_BY_HAND, *_BY_SERIALISER):
+        """Prepare all message types now (0.1 s), which would otherwise delay the first messages."""
+        for type_ in (*_BY_STRUCT, *_BY_SERIALISER):
             self.definition(type_)
         for type_ in _BY_SERIALISER:
             self._store.get_msgdef(type_)
 
-    def open(self, view: View) -> object:
-        """The message again, as an object with its fields."""
+    def deserialise(self, view: View) -> object:
+        """Return the message as an object with its fields."""
         return self._store.deserialize_cdr(view.data, view.type)
 
-    # -- when -----------------------------------------------------------------------------------
+    # -- rates ----------------------------------------------------------------------------------
 
     def _due(self, topic: str, now: Nanos, period: Nanos) -> bool:
         last = self._sent.get(topic)
@@ -200,7 +200,7 @@ class Views:
             bytes(self._store.serialize_cdr(message, type_, little_endian=True)),
         )
 
-    # -- what came in and went out ----------------------------------------------------------------
+    # -- frames and events ------------------------------------------------------------------------
 
     def _frame(self, packet: Packet, direction: str, frame: CanFrame) -> View:
         key = packet.bus, direction, frame.fd
@@ -227,20 +227,20 @@ class Views:
                 case msg.Fix():
                     views.append(self._view("/fix", event.t, ros_messages.fix(self._types, event)))
                 case _:
-                    self._handle(event)
+                    self._on_motor_event(event)
         return views
 
-    def _handle(self, event: Event) -> None:
+    def _on_motor_event(self, event: Event) -> None:
         match event:
             case msg.Feedback():
-                seen = self._motor(event.motor)
+                status = self._motor(event.motor)
                 for name in _MEASURED:
                     if (value := getattr(event, name)) is not None:
-                        setattr(seen, name, value)
+                        setattr(status, name, value)
                 self._moved = True
             case msg.State(motor, _, mode, detail):
-                seen = self._motor(motor)
-                seen.mode, seen.detail = mode, detail
+                status = self._motor(motor)
+                status.mode, status.detail = mode, detail
             case msg.Fault(motor, _, code, name):
                 self._motor(motor).faults[code] = name
             case msg.Done(_, "ClearFault", name) if name in self._motors:
@@ -248,17 +248,17 @@ class Views:
             case _:
                 pass
 
-    def _motor(self, name: str) -> _MotorSeen:
-        return self._motors.setdefault(name, _MotorSeen())
+    def _motor(self, name: str) -> _MotorStatus:
+        return self._motors.setdefault(name, _MotorStatus())
 
-    # -- what is believed and wanted --------------------------------------------------------------
+    # -- belief -----------------------------------------------------------------------------------
 
-    def _mounting(self, now: Nanos) -> list[View]:
+    def _mounts_view(self, now: Nanos) -> list[View]:
         if not self._mounts or not self._is_new("/tf_static", True):
             return []
         return [self._view("/tf_static", now, ros_messages.mount_transforms(self._types, now, self._mounts))]
 
-    def _believed(self, now: Nanos, belief: Belief) -> list[View]:
+    def _estimate_and_map(self, now: Nanos, belief: Belief) -> list[View]:
         views: list[View] = []
         estimate = belief.estimate
         if (
@@ -283,7 +283,7 @@ class Views:
             views.append(self._view("/map", now, ros_messages.occupancy(self._types, now, grid)))
         return views
 
-    def _wanted(self, now: Nanos, belief: Belief) -> list[View]:
+    def _goal_and_plan(self, now: Nanos, belief: Belief) -> list[View]:
         views: list[View] = []
         if belief.goal != self._shown.get("/goal_pose"):
             self._shown["/goal_pose"] = belief.goal
@@ -303,23 +303,23 @@ class Views:
         measured = {name: (m.position, m.velocity, m.torque) for name, m in self._motors.items()}
         return [View("/joint_states", JOINT_STATE, _stamp(now), ros_cdr.joint_state(now, measured))]
 
-    # -- how it is --------------------------------------------------------------------------------
+    # -- diagnostics ------------------------------------------------------------------------------
 
-    def _health(self, tick: Tick, belief: Belief) -> list[View]:
+    def _diagnostics(self, tick: Tick, belief: Belief) -> list[View]:
         motors = tuple((name, m.mode, m.detail, tuple(m.faults)) for name, m in self._motors.items())
         changed = self._is_new("/diagnostics", (belief.state, motors))
         due = self._due("/diagnostics", tick.now, DIAGNOSTICS_PERIOD)
         if not (changed or due or tick.outputs.notes):
             return []
         self._sent["/diagnostics"] = tick.now
-        statuses = [self._brain(belief)]
-        statuses += [self._motor_status(name, seen) for name, seen in self._motors.items()]
-        statuses += [self._note(note) for note in tick.outputs.notes]
+        statuses = [self._brain_status(belief)]
+        statuses += [self._motor_status(name, status) for name, status in self._motors.items()]
+        statuses += [self._note_status(note) for note in tick.outputs.notes]
         return [
             self._view("/diagnostics", tick.now, ros_messages.diagnostics(self._types, tick.now, statuses))
         ]
 
-    def _brain(self, belief: Belief) -> Message:
+    def _brain_status(self, belief: Belief) -> Message:
         values = {f"rejected {name}": str(count) for name, count in sorted(belief.rejected.items())}
         values["goals reached"] = str(belief.reached)
         message = f"{belief.state.value}: {belief.reason}" if belief.reason else belief.state.value
@@ -327,19 +327,19 @@ class Views:
             self._types, _BRAIN_LEVELS[belief.state], "/gateway/brain", message, values
         )
 
-    def _motor_status(self, name: str, seen: _MotorSeen) -> Message:
-        message = f"{seen.mode.value}: {seen.detail}" if seen.detail else seen.mode.value
-        if seen.faults:
-            message += "; faults: " + ", ".join(seen.faults.values())
-        level = _ERROR if seen.faults else _MODE_LEVELS[seen.mode]
+    def _motor_status(self, name: str, status: _MotorStatus) -> Message:
+        message = f"{status.mode.value}: {status.detail}" if status.detail else status.mode.value
+        if status.faults:
+            message += "; faults: " + ", ".join(status.faults.values())
+        level = _ERROR if status.faults else _MODE_LEVELS[status.mode]
         values = {
             f"{quantity} [{unit}]": repr(value)
             for quantity, unit in _REPORTED.items()
-            if (value := getattr(seen, quantity)) is not None
+            if (value := getattr(status, quantity)) is not None
         }
         return ros_messages.diagnostic_status(self._types, level, f"/gateway/motors/{name}", message, values)
 
-    def _note(self, note: Note) -> Message:
+    def _note_status(self, note: Note) -> Message:
         return ros_messages.diagnostic_status(
             self._types, _NOTE_LEVELS[note.level], f"/gateway/notes/{note.source}", note.text, {}
         )
@@ -354,6 +354,6 @@ def _stamp(t: Nanos) -> Nanos:
 
 
 def topic_name(name: str) -> str:
-    """A name as part of a ROS topic: letters, digits and underscores, no digit in front."""
+    """Return a name as part of a ROS topic: letters, digits and underscores, no leading digit."""
     clean = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"
     return f"_{clean}" if clean[0].isdigit() else clean

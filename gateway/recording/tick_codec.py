@@ -1,13 +1,13 @@
-"""Ticks as bytes: one ROS 2 message of ours per tick, sealed so that no later change goes unseen.
+"""Ticks as bytes: one ROS 2 message per tick, with digests that reveal any later change.
 
-Rules. The bytes are CDR (little endian, as ROS 2 writes it) of the definition below, which stands in every
-recording: any ROS 2 tool can read them without us. `decode(encode(tick))` is the tick, exactly. Words (what
-was asked, what was heard) are bytes of the language `plain`. Each packet carries a checksum of itself, each
-tick two rolling digests, over all inputs and over all outputs since the start; each digest is made from the
-one written before it, so that one damaged tick is named and the ticks after it are still good.
+Rules. The bytes are CDR (little endian, as ROS 2 writes it) of the definition below, which is part of every
+recording: any ROS 2 tool can read them. `decode(encode(tick))` is the tick, exactly. Instructions and events
+are encoded by `protocols.message_codec`. Each packet has its own checksum, each tick two chained digests,
+over all inputs and over all outputs since the start; each digest is made from the one written before it, so
+that one damaged tick is named and the ticks after it are still good.
 
-Written by hand with `struct`, because this runs at every step: several times faster than a general
-serialiser. A test holds it to the general one, byte for byte.
+Encoded by `struct`, because this runs at every step: several times faster than a general serialiser. A test
+compares it with the general one, byte for byte.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from protocols.messages import Event, Instruction, Message
 TYPE = "motor_gateway_msgs/msg/Tick"
 TOPIC = "/gateway/tick"
 DEFINITION = f"""\
-# One step of the gateway: all that went into it, and all that came out.
-uint64 number             # counts up by one
-int64 now                 # ns, the clock of every stamp in here
-BusState[] states         # inputs: changes of buses,
-Packet[] received         #   what was read from the buses, in order,
-Word[] asked              #   what a person or a tool asked for
-Packet[] sent             # outputs: what was to be written, in order,
-Word[] events             #   what the drivers heard,
-Note[] notes              #   sentences for a person
-uint8[16] input_digest    # BLAKE2b of the digest before it and the bytes from number to asked
+# One step of the gateway: its inputs and its outputs.
+uint64 number             # increments by one
+int64 now                 # ns, the clock of all time stamps in here
+BusState[] states         # inputs: state changes of buses,
+Packet[] received         #   frames received, in order,
+Message[] instructions    #   requests, tasks and commands of an operator or a tool
+Packet[] sent             # outputs: frames to send, in order,
+Message[] events          #   events decoded by the drivers,
+Note[] notes              #   messages for the operator
+uint8[16] input_digest    # BLAKE2b of the digest before it and the bytes from number to instructions
 uint8[16] output_digest   # BLAKE2b of the digest before it and the bytes from sent to notes
 {"=" * 80}
 MSG: motor_gateway_msgs/BusState
@@ -44,7 +44,7 @@ string bus
 string state
 {"=" * 80}
 MSG: motor_gateway_msgs/Packet
-int64 t                   # ns; of what was received: stamped by its bus
+int64 t                   # ns; of a received frame: its time of reception
 uint32 id                 # CAN identifier; 0 if serial
 uint8 kind                # 0 serial bytes, 1 CAN frame
 uint8 flags               # CAN: 1 extended identifier, 2 remote, 4 FD, 8 bit-rate switch
@@ -52,12 +52,12 @@ string bus
 uint8[] data
 uint32 crc                # CRC-32 of the bytes of this packet before it
 {"=" * 80}
-MSG: motor_gateway_msgs/Word
-uint8[] data              # a word in the language plain
+MSG: motor_gateway_msgs/Message
+uint8[] data              # an instruction or event, encoded by protocols.message_codec
 {"=" * 80}
 MSG: motor_gateway_msgs/Note
 string level              # info, warning, error
-string about
+string source
 string text
 """
 
@@ -75,66 +75,66 @@ _EXTENDED, _REMOTE, _FD, _BRS = 1, 2, 4, 8
 _LEVELS = ("info", "warning", "error")
 
 
-class JournalError(ValueError):
-    """These bytes are no tick."""
+class TickCodecError(ValueError):
+    """The bytes are not a tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class DigestChain:
-    """The two rolling digests after a tick."""
+    """The two chained digests after a tick."""
 
     inputs: bytes
     outputs: bytes
 
 
-UNPROTECTED = DigestChain(bytes(_DIGEST), bytes(_DIGEST))
+CHAIN_START = DigestChain(bytes(_DIGEST), bytes(_DIGEST))
 """Before the first tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A tick read back, with what was written to prove it."""
+    """A decoded tick, with the digests to verify it."""
 
     tick: Tick
-    seals: DigestChain
-    """As written."""
-    made: DigestChain
-    """As they follow from the bytes and the seals before it."""
-    spoilt: tuple[tuple[str, Packet], ...]
-    """Packets that do not match their own checksum, each "input" or "output"."""
+    written: DigestChain
+    """The digests in the message."""
+    computed: DigestChain
+    """The digests that follow from the bytes and the chain before it."""
+    bad_packets: tuple[tuple[str, Packet], ...]
+    """Packets that do not match their own checksum, each with "input" or "output"."""
 
     def damage(self) -> tuple[str, ...]:
-        """What does not match, in words; empty if nothing was changed since it was written."""
-        said = []
-        for side, made, written in (
-            ("input", self.made.inputs, self.seals.inputs),
-            ("output", self.made.outputs, self.seals.outputs),
+        """Return what does not match, in words; empty if nothing was changed since it was written."""
+        damage = []
+        for side, computed, written in (
+            ("input", self.computed.inputs, self.written.inputs),
+            ("output", self.computed.outputs, self.written.outputs),
         ):
-            packets = [p for s, p in self.spoilt if s == side]
-            said += [
-                f"the recorded {side} on bus {p.bus}, {show(p)}, does not match the digest written with it"
+            packets = [p for s, p in self.bad_packets if s == side]
+            damage += [
+                f"the recorded {side} on bus {p.bus}, {packet_text(p)}, does not match the digest written with it"
                 for p in packets
             ]
-            if made != written and not packets:
-                said.append(
+            if computed != written and not packets:
+                damage.append(
                     f"the recorded {side}s do not match the digest written with them, although each packet "
                     f"does: something else in the tick was changed, or the tick before it is missing"
                 )
-        return tuple(said)
+        return tuple(damage)
 
 
-def show(packet: Packet) -> str:
-    """A packet's wire for a person: a frame in the notation of candump, or bytes in hexadecimal."""
+def packet_text(packet: Packet) -> str:
+    """Return a packet's frame as text: a CAN frame in the notation of candump, or bytes in hexadecimal."""
     if isinstance(packet.frame, CanFrame):
         return f"frame {packet.frame}"
     return f"bytes {packet.frame.hex(' ').upper()}"
 
 
-# -- out ---------------------------------------------------------------------------------------
+# -- encode ------------------------------------------------------------------------------------
 
 
 def encode(tick: Tick, before: DigestChain) -> tuple[bytes, DigestChain]:
-    """The tick as a message, and the seals for the next one."""
+    """Return the tick as a message, and the digest chain for the next one."""
     out = bytearray(_ENCAPSULATION)
     out += _START.pack(tick.number, tick.now)
     _count(out, tick.inputs.states)
@@ -142,22 +142,22 @@ def encode(tick: Tick, before: DigestChain) -> tuple[bytes, DigestChain]:
         _string(out, bus)
         _string(out, state.value)
     _put_packets(out, tick.inputs.packets)
-    _put_words(out, tick.inputs.instructions)
+    _put_messages(out, tick.inputs.instructions)
     half = len(out)
     _put_packets(out, tick.outputs.packets)
-    _put_words(out, tick.outputs.events)
+    _put_messages(out, tick.outputs.events)
     _count(out, tick.outputs.notes)
     for note in tick.outputs.notes:
         _string(out, note.level)
         _string(out, note.source)
         _string(out, note.text)
-    seals = _seal(out, half, len(out), before)
-    out += seals.inputs
-    out += seals.outputs
-    return bytes(out), seals
+    chain = _chained(out, half, len(out), before)
+    out += chain.inputs
+    out += chain.outputs
+    return bytes(out), chain
 
 
-def _seal(data: bytes | bytearray, half: int, end: int, before: DigestChain) -> DigestChain:
+def _chained(data: bytes | bytearray, half: int, end: int, before: DigestChain) -> DigestChain:
     return DigestChain(
         blake2b(before.inputs + data[_BODY:half], digest_size=_DIGEST).digest(),
         blake2b(before.outputs + data[half:end], digest_size=_DIGEST).digest(),
@@ -204,57 +204,57 @@ def _put_packets(out: bytearray, packets: Sequence[Packet]) -> None:
         out += _U32.pack(zlib.crc32(out[start:]))
 
 
-def _put_words(out: bytearray, words: Sequence[Message]) -> None:
-    _count(out, words)
-    for word in words:
-        _bytes(out, pack(word))
+def _put_messages(out: bytearray, messages: Sequence[Message]) -> None:
+    _count(out, messages)
+    for message in messages:
+        _bytes(out, pack(message))
 
 
-# -- in ----------------------------------------------------------------------------------------
+# -- decode ------------------------------------------------------------------------------------
 
 
 def decode(data: bytes, before: DigestChain) -> Entry:
-    """The tick in a message; `before` are the seals written with the tick before it.
+    """Return the tick in a message; `before` is the chain written with the tick before it.
 
-    Raises JournalError if these bytes are no tick. A tick that was changed is told by `Entry.damage`."""
+    Raises TickCodecError if the bytes are not a tick. Whether a tick was changed is in `Entry.damage`."""
     try:
         return _decode(data, before)
     except (struct.error, IndexError, UnicodeDecodeError, ValueError, TypeError) as error:
-        raise JournalError(f"not the bytes of a tick: {error}") from error
+        raise TickCodecError(f"not the bytes of a tick: {error}") from error
 
 
 def _decode(data: bytes, before: DigestChain) -> Entry:
     reader = _Reader(data)
     if data[:_BODY] != _ENCAPSULATION:
-        raise JournalError(f"it starts with {data[:_BODY].hex(' ')}, not with {_ENCAPSULATION.hex(' ')}")
+        raise TickCodecError(f"it starts with {data[:_BODY].hex(' ')}, not with {_ENCAPSULATION.hex(' ')}")
     number, now = cast(tuple[int, int], reader.take(_START))
     states = tuple((reader.string(), BusState(reader.string())) for _ in range(reader.count()))
     received = reader.packets()
-    asked = cast(tuple[Instruction, ...], reader.words())
+    instructions = cast(tuple[Instruction, ...], reader.messages())
     half = reader.at
     sent = reader.packets()
-    events = cast(tuple[Event, ...], reader.words())
+    events = cast(tuple[Event, ...], reader.messages())
     notes = tuple(Note(reader.level(), reader.string(), reader.string()) for _ in range(reader.count()))
     end = reader.at
     if len(data) != end + 2 * _DIGEST:
-        raise JournalError(f"{len(data) - end} bytes after the last note, expected {2 * _DIGEST}")
-    spoilt = [("input", p) for p, good in received if not good]
-    spoilt += [("output", p) for p, good in sent if not good]
+        raise TickCodecError(f"{len(data) - end} bytes after the last note, expected {2 * _DIGEST}")
+    bad_packets = [("input", p) for p, good in received if not good]
+    bad_packets += [("output", p) for p, good in sent if not good]
     return Entry(
         Tick(
             number,
             now,
-            Inputs(states, tuple(p for p, _ in received), asked),
+            Inputs(states, tuple(p for p, _ in received), instructions),
             Outputs(tuple(p for p, _ in sent), events, notes),
         ),
         DigestChain(data[end : end + _DIGEST], data[end + _DIGEST :]),
-        _seal(data, half, end, before),
-        tuple(spoilt),
+        _chained(data, half, end, before),
+        tuple(bad_packets),
     )
 
 
 class _Reader:
-    """A place in the bytes of a message."""
+    """A position in the bytes of a message."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -270,35 +270,35 @@ class _Reader:
         count = int(_U32.unpack_from(self.data, self.at)[0])
         self.at += 4
         if count > len(self.data):
-            raise JournalError(f"{count} items cannot stand in {len(self.data)} bytes")
+            raise TickCodecError(f"{count} items do not fit in {len(self.data)} bytes")
         return count
 
     def bytes(self, size: int) -> bytes:
         if size > len(self.data) - self.at:
-            raise JournalError(f"{size} bytes wanted, {len(self.data) - self.at} left")
+            raise TickCodecError(f"{size} bytes wanted, {len(self.data) - self.at} left")
         self.at += size
         return self.data[self.at - size : self.at]
 
     def string(self) -> str:
         data = self.bytes(self.count())
         if data[-1:] != b"\0":
-            raise JournalError("a string without an end")
+            raise TickCodecError("a string without its terminator")
         return data[:-1].decode()
 
     def level(self) -> Literal["info", "warning", "error"]:
         level = self.string()
         if level not in _LEVELS:
-            raise JournalError(f"a note of level {level!r}")
+            raise TickCodecError(f"a note of level {level!r}")
         return cast(Literal["info", "warning", "error"], level)
 
-    def words(self) -> tuple[Message, ...]:
-        return tuple(self._word() for _ in range(self.count()))
+    def messages(self) -> tuple[Message, ...]:
+        return tuple(self._message() for _ in range(self.count()))
 
-    def _word(self) -> Message:
-        word = unpack(self.bytes(self.count()))
-        if word is None:
-            raise JournalError("a word that the language plain does not know")
-        return word
+    def _message(self) -> Message:
+        message = unpack(self.bytes(self.count()))
+        if message is None:
+            raise TickCodecError("a message of an unknown kind")
+        return message
 
     def packets(self) -> list[tuple[Packet, bool]]:
         return [self._packet() for _ in range(self.count())]
@@ -313,7 +313,7 @@ class _Reader:
         good = zlib.crc32(self.data[start : self.at]) == _U32.unpack_from(self.data, self.at)[0]
         self.at += 4
         if kind > _CAN:
-            raise JournalError(f"a packet of kind {kind}")
+            raise TickCodecError(f"a packet of kind {kind}")
         if kind == _SERIAL:
             return Packet(t, bus, data), good
         return Packet(t, bus, _frame(id_, flags, data)), good

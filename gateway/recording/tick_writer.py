@@ -1,9 +1,10 @@
-"""Ticks into a file, and what happens when the disk does not take them. One thread's own.
+"""Writing ticks to a file, and handling of disk errors. Used by one thread.
 
-Rules. No error of a disk gets out of here but as a sentence. What cannot be written is counted in `lost`,
-whole chunks at a time, and told once; a second later it is tried again, so a recording goes on when there is
-space again. What lies in the file is whole and readable at any moment; a gap shows in the ticks' numbers.
-The first tick after a gap is sealed to the last one before it, and shows map, plan and mountings anew.
+Rules. A disk error is never raised but returned as a sentence. What cannot be written is counted in `lost`,
+whole chunks at a time, and reported once; writing is tried again after a second, so a recording continues
+when there is space again. The file is complete and readable at any moment; a gap shows in the ticks' numbers.
+The digest chain of the first tick after a gap continues from the last one before it, and map, plan and
+mountings are written again.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from gateway.recording.ros_views import Views
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 FLUSH_PERIOD: Nanos = 50 * MILLISECOND
-"""Between two flushes, by the ticks' own time, if nobody asks for them sooner."""
+"""Period of flushes, by the ticks' own time, if not requested sooner."""
 RETRY_PERIOD: Nanos = SECOND
-"""After a write that failed."""
+"""Time from a failed write to the next attempt."""
 
-# Their subscribers come late: rosbag2 must offer them what was sent before (QoS as rosbag2 writes it).
+# Subscribers may come late: rosbag2 must offer them what was sent before (QoS as rosbag2 writes it).
 _LATCHED = frozenset({"/tf_static", "/map", "/plan", "/goal_pose"})
 _LATCHED_QOS = """\
 - history: keep_last
@@ -42,50 +43,50 @@ _LATCHED_QOS = """\
 
 
 class TickWriter:
-    """A recording that is being written. Each method returns what is to be told, or "".
+    """A recording being written. Methods that return text return a new problem or its end, or "".
 
-    Raises RecordingError if the file cannot be begun. `add` is the whole cost of recording a tick."""
+    Raises RecordingError if the file cannot be created. `add` is the whole cost of recording a tick."""
 
     def __init__(self, path: Path, robot_text: str, facts: Mapping[str, str], views: Views) -> None:
         self.path = path
         self.lost = 0
-        """Ticks that were handed over and are not in the file."""
+        """Ticks that were added and are not in the file."""
         self.pending = 0
         """Ticks not yet flushed,"""
         self._since: Nanos = 0
-        """the first of them from then."""
+        """and the time of the first of them."""
         self._views = views
         views.prepare()
-        self._written = self._seals = tick_codec.UNPROTECTED
-        """The seals of the last tick in the file, and of the last tick of all."""
-        self._again: Nanos | None = None
-        """When to try again after a write that failed; None: all is well."""
+        self._written = self._chain = tick_codec.CHAIN_START
+        """Digest chain after the last tick in the file, and after the last tick added."""
+        self._retry_at: Nanos | None = None
+        """When to try again after a failed write; None: no failure."""
         self._missing = 0
-        """Ticks lost since then."""
+        """Ticks lost since the failure."""
         robot = robot_text.encode(errors="surrogateescape")
         try:
             self._file = McapFile(path, f"motor-gateway {facts.get('package motor-gateway', '')}")
         except OSError as error:
-            raise _not_begun(path, error) from error
+            raise _not_created(path, error) from error
         try:
             self._file.metadata(METADATA, {"format": FORMAT, "robot digest": digest(robot)})
             self._file.metadata(FACTS, dict(sorted(facts.items())))
             self._file.attachment(ROBOT_FILE, "application/toml", robot)
         except OSError as error:
             self._file.abandon()
-            raise _not_begun(path, error) from error
+            raise _not_created(path, error) from error
 
     @property
     def descriptor(self) -> int:
-        """Of the open file."""
+        """File descriptor of the open file."""
         return self._file.descriptor
 
     def add(self, tick: Tick, belief: Belief) -> str:
-        """One tick and its views; flushes when it is time to, or when a note is more than news."""
-        if self._file.broken or (self._again is not None and tick.now < self._again):
-            return self._lose(1)
+        """Add a tick and its views; flush if that is due, or after a warning or error."""
+        if self._file.broken or (self._retry_at is not None and tick.now < self._retry_at):
+            return self._count_lost(1)
         try:
-            data, self._seals = tick_codec.encode(tick, self._seals)
+            data, self._chain = tick_codec.encode(tick, self._chain)
         except (ValueError, struct.error) as error:
             self.lost += 1
             return f"tick {tick.number} is not in the recording: {error}"
@@ -99,49 +100,49 @@ class TickWriter:
         return ""
 
     def flush(self) -> str:
-        """Everything so far, out of this process."""
+        """Write all ticks so far to the file."""
         if not self.pending:
             return ""
         pending, self.pending = self.pending, 0
         try:
             self._file.flush()
         except OSError as error:
-            return self._fail(error, pending)
-        self._written = self._seals
-        if self._again is None:
+            return self._write_failed(error, pending)
+        self._written = self._chain
+        if self._retry_at is None:
             return ""
-        missing, self._again, self._missing = self._missing, None, 0
-        return f"the recording {self.path} goes on; {missing} ticks are missing in it"
+        missing, self._retry_at, self._missing = self._missing, None, 0
+        return f"the recording {self.path} continues; {missing} ticks are missing in it"
 
     def finish(self) -> str:
-        """The index, and the end."""
-        reported = self.flush()
+        """Write the index and the end, and close."""
+        problem = self.flush()
         if self._file.broken:
             self._file.abandon()
-            return reported
+            return problem
         try:
             self._file.finish()
         except OSError as error:
-            return f"{self.path} has no index: {error.strerror}; mend it with: gateway recover {self.path}"
-        return reported
+            return f"{self.path} has no index: {error.strerror}; repair it with: gateway recover {self.path}"
+        return problem
 
-    def _lose(self, count: int) -> str:
+    def _count_lost(self, count: int) -> str:
         self.lost += count
         self._missing += count
         return ""
 
-    def _fail(self, error: OSError, pending: int) -> str:
-        """A chunk was not written: what was in it is lost, and what comes follows what is in the file."""
-        reported = self._again is not None
-        self._lose(pending)
-        self._seals = self._written
-        self._views.show_again()
-        self._again = self._since + RETRY_PERIOD
+    def _write_failed(self, error: OSError, pending: int) -> str:
+        """Handle a chunk that was not written: its ticks are lost, the next one continues the file."""
+        repeated = self._retry_at is not None
+        self._count_lost(pending)
+        self._chain = self._written
+        self._views.reset()
+        self._retry_at = self._since + RETRY_PERIOD
         if self._file.broken:
-            return f"the recording ends here: {self.path}: {error.strerror}; the robot drives on"
-        if reported:
+            return f"the recording ends here: {self.path}: {error.strerror}; the robot continues"
+        if repeated:
             return ""
-        return f"nothing can be recorded in {self.path}: {error.strerror}; the robot drives on"
+        return f"nothing can be recorded in {self.path}: {error.strerror}; the robot continues"
 
     def _put(self, tick: Tick, topic: str, type_: str, t: Nanos, data: bytes) -> None:
         file = self._file
@@ -152,5 +153,5 @@ class TickWriter:
         file.message(channel, tick.number & 0xFFFFFFFF, max(0, tick.now), max(0, t), data)
 
 
-def _not_begun(path: Path, error: OSError) -> RecordingError:
+def _not_created(path: Path, error: OSError) -> RecordingError:
     return RecordingError(f"{path}: cannot be written: {error.strerror}")

@@ -1,12 +1,12 @@
-"""The recorder: takes ticks from the loop and never hinders it. What is missing is counted and told.
+"""The recorder: takes ticks from the loop without delaying it; lost ticks are counted and reported.
 
-Rules. Two threads beside the loop: one writes, one asks the disk to make it last. The writer is woken for
-20 ms of ticks, which it puts into the file in one go, while the loop sleeps: to be woken for each would cost
-more than the writing, and to wake by itself would hold up the loop. So a kill loses 25 ms, up to 100 ms if
-the machine is busy; a note is written at once. All survives a loss of power after about a second. A disk
-that is slow has 5 s of ticks to wait; then ticks are left out until half of these are written, so that a gap
-is one gap. Trouble is told once, when it begins and when it ends, by whichever thread meets it: to the log
-at once, and in `trouble`.
+Rules. Two threads beside the loop: one writes, one syncs the file to disk. The writer is woken for 20 ms of
+ticks, which it writes at once, while the loop sleeps: to be woken for each would cost more than the writing,
+and to wake by itself would delay the loop. So a kill loses 25 ms, up to 100 ms if the machine is busy; a
+note is written immediately. After about a second the data survive a loss of power. For a slow disk 5 s of
+ticks are queued; then ticks are dropped until half of these are written, so that a gap is one gap. A problem
+is reported once when it begins and once when it ends, by the thread that meets it: to the log, and in
+`trouble`.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from protocols.messages import MILLISECOND, Nanos
 log = logging.getLogger("gateway")
 
 BATCH: Nanos = 20 * MILLISECOND
-"""The writer is woken when ticks wait over so much of their own time;"""
-LOOK_PERIOD = 0.025
-"""s after which it looks by itself, if no tick comes."""
-DEPTH = 1024
-"""Ticks that may wait for the writer: 5 s at 200 Hz."""
+"""The writer is woken when the queued ticks span this time;"""
+POLL_PERIOD = 0.025
+"""s: it polls the queue with this period, if not woken."""
+QUEUE_LENGTH = 1024
+"""Ticks that may be queued for the writer: 5 s at 200 Hz."""
 SYNC_PERIOD = 1.0
-"""s between two requests to the disk to keep what was written"""
-CLOSE_WITHIN = 10.0
+"""s: period of syncing the file to disk"""
+CLOSE_TIMEOUT = 10.0
 """s that closing waits for a slow disk"""
 
 
 class Recorder:
-    """Takes ticks from the loop and gives them to the one thread that writes.
+    """Queues ticks from the loop for the thread that writes them.
 
-    Raises RecordingError if the file cannot be begun. Afterwards nothing raises."""
+    Raises RecordingError if the file cannot be created. Afterwards nothing raises."""
 
     def __init__(
         self,
@@ -55,24 +55,24 @@ class Recorder:
         robot_text: str,
         facts: Mapping[str, str],
         mounts: Mapping[str, Mount] | None = None,
-        depth: int = DEPTH,
+        depth: int = QUEUE_LENGTH,
     ) -> None:
         self.path = path
         self.trouble = ""
-        """What went wrong last, in a sentence; "" as long as nothing has. Changes at most a few times."""
-        self._refused = 0
+        """The last problem, in a sentence; "" if there was none. Changes at most a few times."""
+        self._dropped = 0
         self._gap = 0
-        """Ticks refused since the queue was full; 0 if it is not."""
+        """Ticks dropped since the queue was full; 0 if it is not."""
         self._depth = depth
         self._writer = TickWriter(path, robot_text, {**environment.facts(), **facts}, Views(mounts))
-        self._waiting: deque[tuple[Tick, Belief, dict[str, int]]] = deque()
-        """What was handed over. Both ends of a deque may be used by two threads at once."""
+        self._queue: deque[tuple[Tick, Belief, dict[str, int]]] = deque()
+        """Both ends of a deque may be used by two threads at once."""
         self._woken: Nanos = 0
-        """At which tick the writer was last woken."""
-        self._look = threading.Event()
-        """That the writer is to look now."""
+        """Time of the tick at which the writer was last woken."""
+        self._wake = threading.Event()
+        """Wakes the writer."""
         self._room = threading.Event()
-        """That a tick was taken."""
+        """Set when a tick was taken from the queue."""
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
@@ -80,38 +80,38 @@ class Recorder:
 
     @property
     def lost(self) -> int:
-        """Ticks that are not in the file although they were handed over."""
-        return self._refused + self._writer.lost
+        """Number of ticks that were recorded and are not in the file."""
+        return self._dropped + self._writer.lost
 
     def record(self, tick: Tick, belief: Belief, *, patient: bool = False) -> None:
-        """Hand over a tick and the belief after it. Never waits, unless `patient` (in simulated time)."""
+        """Queue a tick and the belief after it. Never waits, unless `patient` (in simulated time)."""
         if patient:
             self._wait_for_room()
         room = self._depth // 2 if self._gap else self._depth
-        if len(self._waiting) >= room or self._closing or not self._thread.is_alive():
-            self._refuse(tick)
+        if len(self._queue) >= room or self._closing or not self._thread.is_alive():
+            self._drop(tick)
             return
-        # The counts are the one part of a belief that its owner goes on writing to.
-        self._waiting.append((tick, belief, dict(belief.rejected)))
+        # The counts are the only part of a belief that its owner continues to change.
+        self._queue.append((tick, belief, dict(belief.rejected)))
         if tick.outputs.notes or tick.now - self._woken >= BATCH:
             self._woken = tick.now
-            self._look.set()
+            self._wake.set()
         if self._gap:
-            self._report(f"{self.path} goes on with tick {tick.number}: {self._gap} ticks are missing")
+            self._report(f"{self.path} continues with tick {tick.number}: {self._gap} ticks are missing")
             self._gap = 0
 
     def close(self) -> None:
-        """Write what is waiting, and the file's index. May be called again."""
+        """Write the queued ticks and the file's index. May be called again."""
         if self._closing:
             return
         self._closing = True
-        self._look.set()
-        self._thread.join(CLOSE_WITHIN)
+        self._wake.set()
+        self._thread.join(CLOSE_TIMEOUT)
         self._syncer.close()
         if self._thread.is_alive():
             self._report(
-                f"{self.path} has no index: the disk did not take the rest within {CLOSE_WITHIN:g} s; "
-                f"mend it with: gateway recover {self.path}"
+                f"{self.path} has no index: the disk did not take the rest within {CLOSE_TIMEOUT:g} s; "
+                f"repair it with: gateway recover {self.path}"
             )
 
     def __enter__(self) -> Self:
@@ -123,30 +123,30 @@ class Recorder:
         self.close()
 
     def _wait_for_room(self) -> None:
-        while len(self._waiting) >= self._depth and self._thread.is_alive():
-            self._look.set()
+        while len(self._queue) >= self._depth and self._thread.is_alive():
+            self._wake.set()
             self._room.clear()
-            self._room.wait(LOOK_PERIOD)
+            self._room.wait(POLL_PERIOD)
 
-    def _refuse(self, tick: Tick) -> None:
+    def _drop(self, tick: Tick) -> None:
         if not self._gap:
-            why = "it is closed" if self._closing else "the disk is too slow"
+            reason = "it is closed" if self._closing else "the disk is too slow"
             self._report(
-                f"ticks from {tick.number} on are missing in {self.path}: {why}; the robot drives on"
+                f"ticks from {tick.number} on are missing in {self.path}: {reason}; the robot continues"
             )
-        self._refused += 1
+        self._dropped += 1
         self._gap += 1
 
     def _run(self) -> None:
         closing = False
         while not closing:
-            self._look.wait(LOOK_PERIOD)
-            self._look.clear()
-            closing = self._closing  # read before the last look: nothing is handed over after it
-            while self._waiting:
-                tick, belief, rejected = self._waiting[0]
+            self._wake.wait(POLL_PERIOD)
+            self._wake.clear()
+            closing = self._closing  # read before the last poll: nothing is queued after it
+            while self._queue:
+                tick, belief, rejected = self._queue[0]
                 self._report(self._writer.add(tick, replace(belief, rejected=rejected)))
-                self._waiting.popleft()  # only now: until it is in the sheet, it waits
+                self._queue.popleft()  # only now: until it is in the chunk, it is queued
                 self._room.set()
             self._report(self._writer.flush())
         self._report(self._writer.finish())
@@ -158,18 +158,18 @@ class Recorder:
 
 
 class _Syncer:
-    """Asks the disk once a second to make last what was written, in a thread of its own: a disk may take its
-    time over that, and what is handed over must leave the process meanwhile."""
+    """Syncs the file to disk once a second, in its own thread: a disk may need long for that, and ticks must
+    leave the process meanwhile."""
 
     def __init__(self, descriptor: int, path: Path, report: Callable[[str], None]) -> None:
-        self._descriptor = os.dup(descriptor)  # so that it is still ours when the file is closed
+        self._descriptor = os.dup(descriptor)  # so that it stays valid when the file is closed
         self._path, self._report = path, report
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Ask no more. Does not wait for a disk."""
+        """Stop syncing. Does not wait for the disk."""
         self._closing.set()
 
     def _run(self) -> None:
@@ -179,13 +179,13 @@ class _Syncer:
                 os.fdatasync(self._descriptor)
         except OSError as error:
             if error.errno not in (errno.EINVAL, errno.EROFS):  # a pipe or device, which cannot do that
-                self._report(f"{self._path}: the disk says that it lost something: {error.strerror}")
+                self._report(f"{self._path}: the disk reports lost data: {error.strerror}")
         finally:
             os.close(self._descriptor)
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the file's name last."""
+    """Sync the folder, which holds the file's name."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -1,38 +1,55 @@
-"""Judges a replay: the recorded inputs go through the code of today, and every byte is compared.
+"""Replay of a recording: its inputs go through the present code, and every output is compared to the byte.
 
-Rules. A verdict is good only if something was compared, nothing was left over, nothing in the recording was
-changed, and all is the same: each packet to the byte, on its bus and in its order, each event, each note and
-each message that shows what was believed. After a difference the replay goes on, so that the verdict can tell
-what a change in the input did to the wires. Nothing here knows a device: the ear of a bus says what a frame
-means.
+Rules. The result is good only if something was compared, nothing was left over, nothing in the recording was
+changed, and everything is equal: each packet to the byte, on its bus and in its order, each event, each note
+and each view. After a difference the replay continues, so that the result can show what a change of the input
+did to the frames. Nothing here knows a device: the command decoder of a bus gives the meaning of a frame.
+
+A recording of format 1 has texts for people that were worded differently: these, and the contents of the
+views made from them, are left out of the comparison, and the result says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 from brain.belief import Belief
 from brain.perception.mount import Mount
+from gateway.config import parse_robot
+from gateway.core.robot import Robot
+from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.errors import RecordingError
-from gateway.recording import Recording, Step
+from gateway.recording import Recording, Step, environment
 from gateway.recording.environment import PROGRAM
 from gateway.recording.ros_messages import CAN_FRAME, FD_FRAME
 from gateway.recording.ros_views import View, Views
-from gateway.recording.tick_codec import show
+from gateway.recording.tick_codec import packet_text
 from gateway.replay import diff
-from protocols.frames import Frame, Packet
+from protocols import messages as msg
+from protocols.frames import Packet
 from protocols.messages import Command, Event, Nanos, Request, seconds
 from protocols.plugin import CommandDecoder
 
+T = TypeVar("T")
 Kind: TypeAlias = Literal["recording", "events", "packets", "notes", "views"]
 _KINDS: tuple[Kind, ...] = ("recording", "events", "packets", "notes", "views")
-FRAMES = (CAN_FRAME, FD_FRAME)
-_MOST_SETTINGS = 12
+_FRAME_VIEWS = (CAN_FRAME, FD_FRAME)
+_MAX_SETTINGS = 12
+"""Changed settings that are listed."""
+_TEXTS: dict[type[Event], tuple[str, ...]] = {
+    msg.State: ("detail",),
+    msg.Fault: ("cause", "remedy"),
+    msg.Done: ("detail",),
+    msg.Refused: ("reason",),
+}
+"""Fields of events that are texts for people,"""
+_TEXT_VIEWS = ("/diagnostics", "/rosout")
+"""and the views made from texts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +68,16 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What a replay has shown."""
+class Comparison:
+    """Result of a replay."""
 
     ticks: int
     packets: int
     """Sent packets that were compared,"""
     bytes: int
-    """with so many bytes of data."""
+    """and their bytes of data."""
     views: int
-    """Messages that show what was believed, compared likewise."""
+    """View messages that were compared."""
     given: int
     """Received packets that were given to the gateway again,"""
     left_over: int
@@ -72,7 +89,9 @@ class Verdict:
     differences: tuple[Difference, ...]
     """The first of each kind, in order of time."""
     causes: tuple[str, ...]
-    """What is not as it was when it was recorded."""
+    """What has changed since the recording."""
+    texts_compared: bool = True
+    """False for a recording of format 1: see above."""
 
     @property
     def first(self) -> Difference | None:
@@ -81,122 +100,148 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """Whether the replay proves that the same comes out."""
+        """True if the replay proves that the outputs are the same."""
         return not self.objections()
 
     def objections(self) -> list[str]:
-        """Why the verdict is not good; [] if it is."""
-        said = []
+        """Return why the result is not good; [] if it is."""
+        objections = []
         if not self.ticks:
-            said.append("there is no tick in the recording: nothing was compared")
+            objections.append("there is no tick in the recording: nothing was compared")
         elif not self.packets:
-            said.append("not one packet was sent in the recording: nothing was compared")
+            objections.append("no packet was sent in the recording: nothing was compared")
         if self.left_over:
-            said.append(f"{self.left_over} received packets are left over: the robot has no such bus")
+            objections.append(f"{self.left_over} received packets are left over: the robot has no such bus")
         if self.unread:
-            said.append(f"{self.unread} ticks are left over: the recording could not be read to its end")
-        return said + [str(d) for d in self.differences]
+            objections.append(
+                f"{self.unread} ticks are left over: the recording could not be read to its end"
+            )
+        return objections + [str(difference) for difference in self.differences]
 
     def text(self) -> str:
-        """For a person."""
-        compared = (
+        """Return the result as text."""
+        counts = (
             f"compared {self.ticks} ticks, {self.packets} packets with {self.bytes} bytes, and {self.views} "
             f"view messages; {self.given} received packets given again, {self.left_over} left over"
         )
+        compared = [counts]
+        if not self.texts_compared:
+            compared.append("texts for people were left out: they were worded differently in format 1")
         if self.ok:
-            return f"the same, byte for byte\n{compared}"
+            return "\n".join(["the same, byte for byte", *compared])
         lines = ["NOT the same", *self.objections()]
         if self.differing:
             lines.append(f"the packets of {self.differing} ticks differ in all")
         lines += [f"likely cause: {cause}" for cause in self.causes]
-        return "\n".join([*lines, compared])
+        return "\n".join([*lines, *compared])
+
+
+def replay(recording: Recording, robot: Robot | None = None) -> Comparison:
+    """Replay a recording with its own robot file, or with another robot.
+
+    Raises ConfigError if the recorded robot file is no longer valid."""
+    robot = robot or parse_robot(recording.robot_text, f"{recording.path}: robot.toml")
+    gateway = Gateway(robot)
+    return compare(
+        recording,
+        gateway.step,
+        gateway.belief,
+        lambda bus: decoder_of(robot, bus),
+        robot_text=robot.text,
+        facts=environment.facts(),
+        mounts={name: sensor.mount for name, sensor in robot.sensors.items()},
+        buses=robot.buses,
+    )
 
 
 def compare(
     recording: Recording,
     step: Callable[[Nanos, Inputs], Outputs],
     belief: Callable[[], Belief],
-    decode: Callable[[str], CommandDecoder],
+    decoder: Callable[[str], CommandDecoder],
     *,
     robot_text: str | None = None,
     facts: Mapping[str, str] | None = None,
     mounts: Mapping[str, Mount] | None = None,
     buses: Collection[str] | None = None,
-) -> Verdict:
-    """Run the recorded inputs through `step` and compare all that comes out.
+) -> Comparison:
+    """Run the recorded inputs through `step` and compare all outputs.
 
-    `belief` is asked after each step; `decode` makes the ear of a bus; `mounts` are those of the recorder.
-    `robot_text` and `facts` are of today, to find the cause of a difference (None: the recorded ones). What
-    was received on a bus that is not among `buses` (None: all are) is not given to `step`, but left over."""
-    judge = _Judge(step, belief, decode, Views(mounts), buses)
+    `belief` is called after each step; `decoder` makes the command decoder of a bus; `mounts` are those of
+    the recorder. `robot_text` and `facts` are the present ones, to find the cause of a difference (None:
+    the recorded ones). Frames received on a bus that is not among `buses` (None: all are) are left over."""
+    comparer = _Comparer(step, belief, decoder, Views(mounts), buses, texts=recording.format != "1")
     try:
         for recorded in recording.steps:
-            judge.take(recorded)
+            comparer.take(recorded)
     except RecordingError as error:
-        judge.differ("recording", f"the recording cannot be read on: {error}")
-    if not recording.whole and judge.ticks:
-        judge.differ(
+        comparer.differ("recording", f"the recording cannot be read further: {error}")
+    if not recording.whole and comparer.ticks:
+        comparer.differ(
             "recording", "the recording ends here without its end: it was cut; all before was compared"
         )
     causes: list[str] = []
-    if judge.found:
-        causes = _causes(judge, recording, robot_text, facts)
-    return judge.verdict(recording.promised, causes)
+    if comparer.differences:
+        causes = _causes(comparer.differences, recording, robot_text, facts)
+    return comparer.result(recording.indexed, causes)
 
 
-class _Judge:
-    """Counts and first differences so far, and the ears that have heard all that was sent so far."""
+class _Comparer:
+    """Counts and first differences so far, and command decoders that have decoded all frames sent so far."""
 
     def __init__(
         self,
         step: Callable[[Nanos, Inputs], Outputs],
         belief: Callable[[], Belief],
-        decode: Callable[[str], CommandDecoder],
+        decoder: Callable[[str], CommandDecoder],
         views: Views,
         buses: Collection[str] | None,
+        *,
+        texts: bool,
     ) -> None:
-        self._step, self._belief, self._decode = step, belief, decode
-        self._views, self._buses = views, buses
+        self._step, self._belief, self._decoder = step, belief, decoder
+        self._views, self._buses, self._texts = views, buses, texts
         self._decoders: dict[str, CommandDecoder | None] = {}
         self._start: Nanos = 0
         self._last: Tick | None = None
-        self.found: dict[Kind, Difference] = {}
-        self.ticks = self.packets = self.bytes = self.shown = self.given = self.left = self.differing = 0
+        self.differences: dict[Kind, Difference] = {}
+        self.ticks = 0
+        self._packets = self._bytes = self._view_count = self._given = self._left_over = self._differing = 0
 
-    def verdict(self, promised: int | None, causes: Sequence[str]) -> Verdict:
-        """What it all comes to."""
-        order = sorted(self.found.values(), key=lambda d: (d.tick, _KINDS.index(d.kind)))
-        unread = max(0, (promised or 0) - self.ticks)
-        return Verdict(
+    def result(self, indexed: int | None, causes: Sequence[str]) -> Comparison:
+        """Return the result."""
+        order = sorted(self.differences.values(), key=lambda d: (d.tick, _KINDS.index(d.kind)))
+        return Comparison(
             self.ticks,
-            self.packets,
-            self.bytes,
-            self.shown,
-            self.given,
-            self.left,
-            unread,
-            self.differing,
+            self._packets,
+            self._bytes,
+            self._view_count,
+            self._given,
+            self._left_over,
+            max(0, (indexed or 0) - self.ticks),
+            self._differing,
             tuple(order),
             tuple(causes),
+            self._texts,
         )
 
     def differ(self, kind: Kind, text: str) -> None:
-        """Keep the difference if it is the first of its kind."""
+        """Keep a difference if it is the first of its kind."""
         tick = self._last
         number, since = (tick.number, tick.now - self._start) if tick else (0, 0)
-        self.found.setdefault(kind, Difference(kind, number, since, text))
+        self.differences.setdefault(kind, Difference(kind, number, since, text))
 
     def take(self, recorded: Step) -> None:
-        """One tick through the code of today."""
+        """Run one tick and compare it."""
         tick = recorded.tick
-        self._follow(tick)
+        self._check_number(tick)
         for damage in recorded.damage:
             self.differ("recording", damage)
-        inputs = self._known(tick.inputs)
+        inputs = self._on_known_buses(tick.inputs)
         outputs = self._step(tick.now, inputs)
         self.ticks += 1
-        self.given += len(inputs.packets)
-        self.left += len(tick.inputs.packets) - len(inputs.packets)
+        self._given += len(inputs.packets)
+        self._left_over += len(tick.inputs.packets) - len(inputs.packets)
         self._compare_events(tick.outputs.events, outputs.events)
         self._compare_packets(tick.outputs.packets, outputs.packets)
         self._compare_notes(tick.outputs.notes, outputs.notes)
@@ -204,7 +249,7 @@ class _Judge:
         if recorded.whole:
             self._compare_views(recorded.views, views)
 
-    def _follow(self, tick: Tick) -> None:
+    def _check_number(self, tick: Tick) -> None:
         before, self._last = self._last, tick
         if before is None:
             self._start = tick.now
@@ -213,8 +258,7 @@ class _Judge:
                 "recording", f"the tick before it in the recording is {before.number}: some were lost"
             )
 
-    def _known(self, inputs: Inputs) -> Inputs:
-        """What of the inputs is on a bus that the gateway has."""
+    def _on_known_buses(self, inputs: Inputs) -> Inputs:
         buses = self._buses
         if buses is None:
             return inputs
@@ -227,92 +271,96 @@ class _Judge:
     # -- packets ----------------------------------------------------------------------------------
 
     def _compare_packets(self, recorded: Sequence[Packet], now: Sequence[Packet]) -> None:
-        self.packets += len(recorded)
-        self.bytes += sum(len(_data(packet.frame)) for packet in recorded)
-        self.differing += tuple(recorded) != tuple(now)
-        if "packets" in self.found:
+        self._packets += len(recorded)
+        self._bytes += sum(len(p.frame if isinstance(p.frame, bytes) else p.frame.data) for p in recorded)
+        self._differing += tuple(recorded) != tuple(now)
+        if "packets" in self.differences:
             return
         for one, two in zip_longest(recorded, now):
             if one != two:
                 self.differ("packets", self._side_by_side(one, two))
                 return
-            self._handle(self._decoders, one)
+            self._decode(self._decoders, one)
 
     def _side_by_side(self, recorded: Packet | None, now: Packet | None) -> str:
-        """Both packets and what a device would obey on hearing them, given all that it heard before."""
-        words = [self._handle(deepcopy(self._decoders), packet) for packet in (recorded, now)]
+        """Return both packets and what a device would obey, given all frames before."""
+        commands = [self._decode(deepcopy(self._decoders), packet) for packet in (recorded, now)]
         buses = dict.fromkeys(packet.bus for packet in (recorded, now) if packet)
-        return "\n".join(
-            [
-                f"bus {' and '.join(buses)}",
-                *(
-                    f"  {side} {show(packet) if packet else 'nothing more'}{f'   {said}' if said else ''}"
-                    for side, packet, said in zip(
-                        ("recorded:", "now:     "), (recorded, now), diff.contrast(*words), strict=True
-                    )
-                ),
-            ]
-        )
+        lines = [f"bus {' and '.join(buses)}"]
+        for side, packet, text in zip(
+            ("recorded:", "now:     "), (recorded, now), diff.message_texts(*commands), strict=True
+        ):
+            frame = packet_text(packet) if packet else "nothing more"
+            lines.append(f"  {side} {frame}{f'   {text}' if text else ''}")
+        return "\n".join(lines)
 
-    def _handle(
+    def _decode(
         self, decoders: dict[str, CommandDecoder | None], packet: Packet | None
     ) -> Sequence[Command | Request]:
         if packet is None:
             return ()
         if packet.bus not in decoders:
-            decoders[packet.bus] = self._decoder(packet.bus)
+            known = self._buses is None or packet.bus in self._buses
+            decoders[packet.bus] = self._decoder(packet.bus) if known else None
         decoder = decoders[packet.bus]
         return decoder.decode(packet.t, packet.frame) if decoder else ()
 
-    def _decoder(self, bus: str) -> CommandDecoder | None:
-        known = self._buses is None or bus in self._buses
-        return self._decode(bus) if known else None
-
     # -- events, notes, views ---------------------------------------------------------------------
 
-    def _compare_events(self, recorded: Sequence[Event], now: Sequence[Event]) -> None:
-        if tuple(recorded) == tuple(now) or "events" in self.found:
-            return
-        one, two = next((a, b) for a, b in zip_longest(recorded, now) if a != b)
-        said = diff.contrast([one] if one else [], [two] if two else [])
-        self.differ("events", _both("heard from a device", *said))
+    def _compare_events(self, recorded: Iterable[Event], now: Iterable[Event]) -> None:
+        if not self._texts:
+            recorded, now = ([_without_texts(event) for event in side] for side in (recorded, now))
+        pair = _first_pair(recorded, now)
+        if pair and "events" not in self.differences:
+            texts = diff.message_texts(*([event] if event else [] for event in pair))
+            self.differ("events", _both("event of a device", *texts))
 
-    def _compare_notes(self, recorded: Sequence[Note], now: Sequence[Note]) -> None:
-        if tuple(recorded) == tuple(now) or "notes" in self.found:
-            return
-        one, two = next((a, b) for a, b in zip_longest(recorded, now) if a != b)
-        said = [f"{note.source}: {note.text} ({note.level})" if note else "" for note in (one, two)]
-        self.differ("notes", _both("told to a person", *said))
+    def _compare_notes(self, recorded: Iterable[Note], now: Iterable[Note]) -> None:
+        if not self._texts:
+            recorded, now = ([replace(note, text="") for note in side] for side in (recorded, now))
+        pair = _first_pair(recorded, now)
+        if pair and "notes" not in self.differences:
+            texts = [f"{note.source}: {note.text} ({note.level})" if note else "" for note in pair]
+            self.differ("notes", _both("note", *texts))
 
     def _compare_views(self, recorded: Sequence[View], now: Sequence[View]) -> None:
-        self.shown += len(recorded)
-        if "views" in self.found or list(recorded) == list(now):
-            return
-        # Frames last: that they differ was told already, as packets or as a change of the recording.
-        for frames in (False, True):
-            pairs = zip_longest(
-                *([v for v in side if (v.type in FRAMES) is frames] for side in (recorded, now))
+        self._view_count += len(recorded)
+        if not self._texts:
+            recorded, now = (
+                [view._replace(data=b"") if view.topic in _TEXT_VIEWS else view for view in side]
+                for side in (recorded, now)
             )
-            differing = next(((a, b) for a, b in pairs if a != b), None)
-            if differing and not (frames and self.found):
-                self._differ_view(*differing)
+        if "views" in self.differences or list(recorded) == list(now):
+            return
+        # Frames last: that they differ was already found, as packets or as a change of the recording.
+        for frames in (False, True):
+            pair = _first_pair(
+                *([v for v in side if (v.type in _FRAME_VIEWS) is frames] for side in (recorded, now))
+            )
+            if pair and not (frames and self.differences):
+                self._differ_view(*pair)
                 return
 
     def _differ_view(self, one: View | None, two: View | None) -> None:
         if one and two and one[:2] == two[:2]:
             field = (
-                diff.first_field(self._views.open(one), self._views.open(two))
+                diff.first_field(self._views.deserialise(one), self._views.deserialise(two))
                 if one.data != two.data
                 else f"its time: {one.t} ns recorded, {two.t} ns now"
             )
-            self.differ("views", f"what was believed or seen, {one.topic}: {field}")
+            self.differ("views", f"view {one.topic}: {field}")
         else:
-            said = [view.topic if view else "" for view in (one, two)]
-            self.differ("views", _both("shown", *said))
+            self.differ("views", _both("view", *(view.topic if view else "" for view in (one, two))))
 
 
-def _data(frame: Frame) -> bytes:
-    return frame if isinstance(frame, bytes) else frame.data
+def _first_pair(recorded: Iterable[T], now: Iterable[T]) -> tuple[T | None, T | None] | None:
+    """Return the first pair that differs; None if there is none."""
+    return next((pair for pair in zip_longest(recorded, now) if pair[0] != pair[1]), None)
+
+
+def _without_texts(event: Event) -> Event:
+    texts = dict.fromkeys(_TEXTS.get(type(event), ()), "")
+    return replace(event, **texts) if texts else event  # type: ignore[arg-type]  # all are strings
 
 
 def _both(what: str, recorded: str, now: str) -> str:
@@ -320,31 +368,28 @@ def _both(what: str, recorded: str, now: str) -> str:
 
 
 def _causes(
-    judge: _Judge, recording: Recording, robot_text: str | None, facts: Mapping[str, str] | None
+    differences: Mapping[Kind, Difference],
+    recording: Recording,
+    robot_text: str | None,
+    facts: Mapping[str, str] | None,
 ) -> list[str]:
-    """What is not as it was, most likely first."""
+    """Return what has changed since the recording, most likely cause first."""
     causes = []
     changed = diff.settings(recording.robot_text, robot_text) if robot_text is not None else []
     if changed:
-        more = [f"and {len(changed) - _MOST_SETTINGS} more"] if len(changed) > _MOST_SETTINGS else []
-        causes.append("the robot file is not the recorded one: " + "; ".join(changed[:_MOST_SETTINGS] + more))
-    spoilt = judge.found.get("recording")
-    if spoilt and all(spoilt.tick <= other.tick for other in judge.found.values()):
+        more = [f"and {len(changed) - _MAX_SETTINGS} more"] if len(changed) > _MAX_SETTINGS else []
+        causes.append("the robot file is not the recorded one: " + "; ".join(changed[:_MAX_SETTINGS] + more))
+    damaged = differences.get("recording")
+    if damaged and all(damaged.tick <= other.tick for other in differences.values()):
         causes.append("the recording is not as it was written: see above")
-    machine = diff.mappings(*_comparable(recording.facts, facts)) if facts is not None else []
-    if any(line.startswith(PROGRAM) for line in machine):
+    # Only facts of both sides: a recorder adds some of its own (a date) that no replay has.
+    common = recording.facts.keys() & facts.keys() if facts is not None else set()
+    environments = diff.mappings(
+        *({key: side[key] for key in common} for side in (recording.facts, facts or {}))
+    )
+    if any(line.startswith(PROGRAM) for line in environments):
         causes.append("the program: its sources have changed since")
-    elsewhere = [line for line in machine if not line.startswith(PROGRAM)]
+    elsewhere = [line for line in environments if not line.startswith(PROGRAM)]
     if elsewhere:
         causes.append("it was recorded elsewhere: " + "; ".join(elsewhere))
-    if not causes:
-        causes.append("the program: robot file and inputs are the recorded ones")
-    return causes
-
-
-def _comparable(recorded: Mapping[str, str], now: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-    """What both sides tell: a recorder adds facts of its own (a date) that no replay has."""
-    return (
-        {key: value for key, value in recorded.items() if key in now},
-        {key: value for key, value in now.items() if key in recorded},
-    )
+    return causes or ["the program: robot file and inputs are the recorded ones"]

@@ -1,8 +1,7 @@
-"""A whole bag, as a robot understands it: its topics' parts, and its messages as events in order."""
+"""A whole bag: the role of each topic on this robot, and the messages as events in order."""
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,9 +11,10 @@ from brain.belief import Pose
 from brain.bodies.differential import Differential
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
-from gateway.rosbag.convert import TYPES, Report, Said, understood
-from gateway.rosbag.file import opened
+from gateway.rosbag.convert import TYPES, OdometryReading, Reading, converted
+from gateway.rosbag.file import open_bag
 from protocols.messages import Event, Feedback, Fix, Imu, Nanos, seconds
+from protocols.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -22,73 +22,73 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Topic:
-    """What became of one topic of a bag."""
+    """One topic of a bag, and how its messages were used."""
 
     name: str
     type: str
     count: int
     """Messages in the bag."""
-    part: str = ""
-    """What it is on this robot: "odometry", "sensors.imu", "truth"; "" if nothing."""
-    left: dict[str, int] = field(default_factory=dict)
+    role: str = ""
+    """On this robot: "odometry", "sensors.imu", "truth"; "" if none."""
+    unused: dict[str, int] = field(default_factory=dict)
     """Messages that were not used, by reason."""
 
     @property
     def used(self) -> int:
-        """Messages that became something."""
-        return self.count - sum(self.left.values()) if self.part else 0
+        """Messages that were used."""
+        return self.count - sum(self.unused.values()) if self.role else 0
 
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """A bag as this robot understands it."""
+    """A bag, converted for a robot."""
 
     path: Path
     events: tuple[Event, ...]
     """Feedback of both wheels and Imu, in order."""
     odometry: tuple[tuple[Nanos, Pose], ...]
-    """The poses that the bag's own odometry told, for comparison."""
+    """The poses of the bag's own odometry, for comparison."""
     truth: tuple[Fix, ...]
+    """Ground truth."""
     topics: tuple[Topic, ...]
-    """All topics of the bag, in order of their names."""
+    """All topics of the bag, sorted by name."""
 
 
 def read(path: Path, topics: BagTopics | None, body: Differential) -> Bag:
-    """The whole bag. Raises BagError: what it is that cannot be read, or which topics are not there."""
-    with opened(path) as reader:
+    """Read a bag. Raises BagError: what cannot be read, or which topics are missing."""
+    with open_bag(path) as reader:
         found = _topics(reader)
         _check(path, topics, found)
-        for name, part in topics.parts() if topics else ():
-            found[name].part = part
-        wanted = [one for one in reader.connections if found[one.topic].part]
+        for name, role in topics.parts() if topics else ():
+            found[name].role = role
+        wanted = [one for one in reader.connections if found[one.topic].role]
         messages = [(c.topic, reader.deserialize(data, c.msgtype)) for c, _, data in reader.messages(wanted)]
     wheels = _Wheels(body)
     poses: list[tuple[Nanos, Pose]] = []
     events: list[Event] = []
     truth: list[Fix] = []
-    for said in _in_order(messages, found):
-        if isinstance(said, Fix):
-            truth.append(said)
-        elif isinstance(said, Imu):
-            events.append(said)
+    for reading in _in_order(messages, found):
+        if isinstance(reading, Fix):
+            truth.append(reading)
+        elif isinstance(reading, Imu):
+            events.append(reading)
         else:
-            events += wheels.turned(said)
-            poses.append((said.t, said.pose))
+            events += wheels.feedback(reading)
+            poses.append((reading.t, reading.pose))
     return Bag(path, tuple(events), tuple(poses), tuple(truth), tuple(found[n] for n in sorted(found)))
 
 
-def _in_order(messages: Sequence[tuple[str, object]], found: Mapping[str, Topic]) -> list[Said]:
-    """What messages in the order of the bag say, in the order of their stamps; what says nothing is
-    counted in its topic."""
-    said: list[Said] = []
+def _in_order(messages: Sequence[tuple[str, object]], found: Mapping[str, Topic]) -> list[Reading]:
+    """Return the messages as readings, in the order of their stamps; count unused ones in their topic."""
+    readings: list[Reading] = []
     for name, message in messages:
         topic = found[name]
-        one = understood(topic.part, message)
-        if isinstance(one, str):
-            topic.left[one] = topic.left.get(one, 0) + 1
+        reading = converted(topic.role, message)
+        if isinstance(reading, str):
+            topic.unused[reading] = topic.unused.get(reading, 0) + 1
         else:
-            said.append(one)
-    return sorted(said, key=lambda one: one.t)
+            readings.append(reading)
+    return sorted(readings, key=lambda reading: reading.t)
 
 
 def _topics(reader: AnyReader) -> dict[str, Topic]:
@@ -102,48 +102,43 @@ def _topics(reader: AnyReader) -> dict[str, Topic]:
 
 
 def _check(path: Path, topics: BagTopics | None, found: Mapping[str, Topic]) -> None:
-    """Every part has its topic, with messages of its type: otherwise all that is wrong, and what there is."""
+    """Raise BagError unless every role has its topic, with messages of its type."""
     there = "\n".join(f"  {t.name}: {t.count} of {t.type}" for _, t in sorted(found.items())) or "  nothing"
     if topics is None:
-        raise BagError(
-            f"{path}: the robot file has no table [bag] that says which topic is what; there is\n{there}"
-        )
+        raise BagError(f"{path}: the robot file has no table [bag] that maps its topics; there is\n{there}")
     wrong: list[str] = []
-    for name, part in topics.parts():
-        topic, wanted = found.get(name), TYPES[part.split(".")[0]]
+    for name, role in topics.parts():
+        topic, wanted = found.get(name), TYPES[role.split(".")[0]]
         if topic is None:
-            near = difflib.get_close_matches(name, found, 1)
-            wrong.append(f"{part}: no topic {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+            wrong.append(f"{role}: no topic {name!r}{did_you_mean(name, found)}")
         elif topic.type != wanted:
-            wrong.append(f"{part}: {name} holds {topic.type}, expected {wanted}")
+            wrong.append(f"{role}: {name} holds {topic.type}, expected {wanted}")
         elif not topic.count:
-            wrong.append(f"{part}: {name} is empty")
+            wrong.append(f"{role}: {name} is empty")
     if wrong:
-        raise BagError("\n".join([*(f"{path}: {said}" for said in wrong), f"there is\n{there}"]))
+        raise BagError("\n".join([*(f"{path}: {text}" for text in wrong), f"there is\n{there}"]))
 
 
 class _Wheels:
-    """What the wheels turned, from the twists of the base.
-
-    From one report to the next the speeds change evenly (trapezium rule)."""
+    """Wheel angles from the twists of the base, by the trapezoidal rule."""
 
     def __init__(self, body: Differential) -> None:
         self._body = body
         self._left = self._right = 0.0
         """rad"""
         self._last: tuple[Nanos, float, float] | None = None
-        """The last report's time, and the wheels' speeds then [rad/s]."""
+        """Time of the last reading, and the wheels' speeds then [rad/s]."""
 
-    def turned(self, report: Report) -> list[Feedback]:
-        """The feedback of the left and the right wheel at a report; each report once, and in order."""
-        left, right = self._body.inverse(report.linear, report.angular)
+    def feedback(self, reading: OdometryReading) -> list[Feedback]:
+        """Return the feedback of the left and right wheel; to be called once per reading, in order."""
+        left, right = self._body.inverse(reading.linear, reading.angular)
         if self._last is not None:
             t, left_before, right_before = self._last
-            dt = seconds(report.t - t)
+            dt = seconds(reading.t - t)
             self._left += dt * (left_before + left) / 2.0
             self._right += dt * (right_before + right) / 2.0
-        self._last = (report.t, left, right)
+        self._last = (reading.t, left, right)
         return [
-            Feedback(self._body.left, report.t, self._left, left),
-            Feedback(self._body.right, report.t, self._right, right),
+            Feedback(self._body.left, reading.t, self._left, left),
+            Feedback(self._body.right, reading.t, self._right, right),
         ]

@@ -1,5 +1,6 @@
-"""One ROS message → what it says, or why it says nothing. Pure functions; the types are ROS 1's and ROS 2's
-alike (common_interfaces: nav_msgs, sensor_msgs).
+"""Conversion of one ROS message to a reading, or the reason why it is not used.
+
+Pure functions; the types of ROS 1 and ROS 2 are alike (common_interfaces: nav_msgs, sensor_msgs).
 """
 
 from __future__ import annotations
@@ -23,18 +24,17 @@ TYPES = {
     "sensors": "sensor_msgs/msg/Imu",
     "truth": "sensor_msgs/msg/NavSatFix",
 }
-"""What the messages of each part are."""
-
+"""Message type of each role."""
 
 UNUSED = 1e6
-"""A variance from here on marks an axis that is not measured, as drivers of bases have it."""
+"""A variance from here on marks an axis that is not measured, by convention of base drivers."""
 NOT_MEASURED = -1.0
 """In the first field of a covariance: the message has no such measurement (sensor_msgs/Imu.msg)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """What odometry says."""
+class OdometryReading:
+    """One odometry message."""
 
     t: Nanos
     linear: float
@@ -44,19 +44,19 @@ class Report:
     pose: Pose
 
 
-Said: TypeAlias = Report | Imu | Fix
+Reading: TypeAlias = OdometryReading | Imu | Fix
 
 
-def understood(part: str, message: object) -> Said | str:
-    """A message as a value, or why it is not used."""
-    said: Said | str
-    if part == "odometry":
-        said = _report(cast("RosOdometry", message))
-    elif part == "truth":
-        said = _fix(cast("RosFix", message))
+def converted(role: str, message: object) -> Reading | str:
+    """Return a message as a reading, or why it is not used."""
+    reading: Reading | str
+    if role == "odometry":
+        reading = _odometry(cast("RosOdometry", message))
+    elif role == "truth":
+        reading = _fix(cast("RosFix", message))
     else:
-        said = _imu(part.removeprefix("sensors."), cast("RosImu", message))
-    return said if isinstance(said, str) or said.t > 0 else "no stamp"
+        reading = _imu(role.removeprefix("sensors."), cast("RosImu", message))
+    return reading if isinstance(reading, str) or reading.t > 0 else "no stamp"
 
 
 def _stamp(message: RosOdometry | RosImu | RosFix) -> Nanos:
@@ -64,28 +64,29 @@ def _stamp(message: RosOdometry | RosImu | RosFix) -> Nanos:
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
-def _report(message: RosOdometry) -> Report | str:
+def _odometry(message: RosOdometry) -> OdometryReading | str:
     twist, place = message.twist, message.pose.pose
     variances = float(twist.covariance[0]), float(twist.covariance[35])
     if any(variance >= UNUSED for variance in variances):
-        return "no speed in it"
+        return "twist not measured"
     yaw = _yaw(place.orientation)
     numbers = (twist.twist.linear.x, twist.twist.angular.z, place.position.x, place.position.y, yaw)
     if not all(math.isfinite(number) for number in numbers):
         return "not finite"
-    return Report(_stamp(message), *numbers[:2], Pose(*numbers[2:]))
+    return OdometryReading(_stamp(message), *numbers[:2], Pose(*numbers[2:]))
 
 
 def _imu(sensor: str, message: RosImu) -> Imu | str:
     if float(message.angular_velocity_covariance[0]) == NOT_MEASURED:
-        return "no rate of turn in it"
-    rate, push = _vector(message.angular_velocity), _vector(message.linear_acceleration)
-    if not all(math.isfinite(number) for number in (*rate, *push)):
+        return "angular velocity not measured"
+    rate, acceleration = _vector(message.angular_velocity), _vector(message.linear_acceleration)
+    if not all(math.isfinite(number) for number in (*rate, *acceleration)):
         return "not finite"
     q = message.orientation
-    turned = (q.x, q.y, q.z, q.w)
-    reported = float(message.orientation_covariance[0]) != NOT_MEASURED and all(map(math.isfinite, turned))
-    return Imu(sensor, _stamp(message), rate, push, turned if reported and any(turned) else None)
+    orientation = (q.x, q.y, q.z, q.w)
+    measured = float(message.orientation_covariance[0]) != NOT_MEASURED and any(orientation)
+    known = measured and all(map(math.isfinite, orientation))
+    return Imu(sensor, _stamp(message), rate, acceleration, orientation if known else None)
 
 
 def _fix(message: RosFix) -> Fix | str:

@@ -1,7 +1,7 @@
-"""A bag on disk, opened; and whether a file is one.
+"""Opening a bag on disk, and recognising one.
 
-Rules. The library that reads bags knows by the name alone whether one is of ROS 1, checks by `assert`, and
-lets other libraries' errors through. Here all of that becomes a `BagError`: a sentence with a cause.
+Rules. The library that reads bags recognises ROS 1 by the file name only, checks by `assert`, and passes
+other libraries' errors through. Here all of that becomes a `BagError` with its cause.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 ROS1 = b"#ROSBAG"
 
 
-def is_foreign(path: Path) -> bool:
-    """Whether this is a bag of somebody else's: a folder, a ROS 1 bag, SQLite, or another's MCAP file."""
+def is_bag(path: Path) -> bool:
+    """True if this is another program's bag: a folder, a ROS 1 bag, SQLite, or another's MCAP file."""
     if path.is_dir():
         return True
     try:
@@ -32,7 +32,7 @@ def is_foreign(path: Path) -> bool:
     except OSError:
         return False
     if start.startswith(MAGIC):
-        return not _is_ours(path)
+        return not _is_recording(path)
     return start.startswith((ROS1, b"SQLite format 3"))
 
 
@@ -41,8 +41,8 @@ def _start(path: Path) -> bytes:
         return file.read(16)
 
 
-def _is_ours(path: Path) -> bool:
-    """Whether our metadata stand before the first message; yes too for what is too short to tell."""
+def _is_recording(path: Path) -> bool:
+    """True if a recording's metadata precede the first message, or if the file is too short to decide."""
     from mcap.exceptions import McapError
     from mcap.records import Message, Metadata
     from mcap.stream_reader import StreamReader
@@ -55,13 +55,13 @@ def _is_ours(path: Path) -> bool:
                 if isinstance(record, Metadata) and record.name == METADATA:
                     return True
         except (McapError, struct.error, ValueError, RuntimeError):
-            return True  # our own reader says what is wrong with it
+            return True  # gateway.recording reports what is wrong with it
     return False
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[AnyReader]:
-    """The bag, open; whatever its reader meets becomes a BagError that says so."""
+def open_bag(path: Path) -> Iterator[AnyReader]:
+    """Open a bag; any error of its reader becomes a BagError."""
     _check_form(path)
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.rosbag1 import ReaderError as Ros1Error
@@ -69,7 +69,7 @@ def opened(path: Path) -> Iterator[AnyReader]:
     from rosbags.typesys import Stores, get_typestore
 
     try:
-        # A ROS 1 bag holds the definitions of its types; of ROS 2, some leave them to the reader.
+        # A ROS 1 bag contains the definitions of its types; some ROS 2 bags leave them to the reader.
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             yield reader
     except (AnyReaderError, Ros1Error, Ros2Error) as error:
@@ -84,7 +84,7 @@ def opened(path: Path) -> Iterator[AnyReader]:
 
 
 def _check_form(path: Path) -> None:
-    """What the library would take for something else."""
+    """Raise BagError for what the library would misinterpret."""
     if not __debug__:
         raise BagError(
             f"{path}: python -O switches off the checks of the library that reads bags; run without"
@@ -100,26 +100,26 @@ def _check_form(path: Path) -> None:
 
 
 def _check_database(path: Path) -> None:
-    """SQLite's own check: the library that reads bags lets SQLite's complaints through."""
+    """Run SQLite's own check: the library that reads bags passes SQLite's errors through."""
     try:
         with closing(
             sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
         ) as database:
-            said = database.execute("PRAGMA integrity_check(1)").fetchone()[0]
+            result = database.execute("PRAGMA integrity_check(1)").fetchone()[0]
     except sqlite3.Error as error:
         raise BagError(f"{path}: damaged: {_line(error)}") from error
-    if said != "ok":
-        raise BagError(f"{path}: damaged: {_line(said)}")
+    if result != "ok":
+        raise BagError(f"{path}: damaged: {_line(result)}")
 
 
-def _line(said: object) -> str:
-    """What somebody else's error says, as a part of a sentence."""
-    text = " ".join(str(said).split())
-    return (text if len(text) <= LONGEST else f"{text[:LONGEST]}…").rstrip(".: ")
+def _line(error: object) -> str:
+    """Return an error of another library as one short line."""
+    text = " ".join(str(error).split())
+    return (text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]}…").rstrip(".: ")
 
 
-LONGEST = 120
-"""Characters of somebody else's words that are told."""
+MAX_LENGTH = 120
+"""Characters of another library's error text that are shown."""
 DAMAGE = (
     ArithmeticError,
     EOFError,
@@ -131,4 +131,4 @@ DAMAGE = (
     ValueError,
     struct.error,
 )
-"""What a reader of damaged bytes runs into, beside its own errors."""
+"""Errors that a reader of damaged bytes raises, beside its own."""

@@ -1,8 +1,8 @@
-"""How far a believed path lies from where the robot was: positions on the earth, alignment, error.
+"""Absolute trajectory error (ATE): positions on the earth, alignment, error.
 
-Rules. Pure functions of arrays, one row per moment: m in a plane. A path begins anywhere and in any
-direction, so it is laid over the truth by the one turn and shift (SE(2), no scale) that make the sum of
-squares least (Umeyama 1991, without its scale); what remains is the absolute trajectory error (ATE).
+Rules. Pure functions of arrays, one row per time: m in a plane. A path begins anywhere and in any direction,
+so it is aligned to the truth by the rotation and translation (SE(2), no scale) with the least sum of squares
+(Umeyama 1991, without its scale); the remaining error is the ATE.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from protocols.messages import Fix
 SEMI_MAJOR = 6_378_137.0
 """m; with FLATTENING the ellipsoid of WGS 84 (NGA.STND.0036, table 3.1)"""
 FLATTENING = 1.0 / 298.257223563
-FEWEST = 3
-"""Moments that it takes to judge a path: two can always be aligned in direction."""
+MIN_PAIRS = 3
+"""Least number of positions to evaluate a path: two can always be aligned in direction."""
 
 
 def east_north(fixes: Sequence[Fix]) -> Floats:
-    """The fixes (n × 2: m east, m north) in the plane that touches the earth at the first one.
+    """Return the fixes (n × 2: m east, m north) in the tangent plane at the first one.
 
-    Heights are left out: a satellite's worst coordinate would only add its noise."""
+    Heights are left out: the least accurate coordinate would only add noise."""
     latitude, longitude = np.radians([[f.latitude, f.longitude] for f in fixes]).T
     square = FLATTENING * (2.0 - FLATTENING)
     normal = SEMI_MAJOR / np.sqrt(1.0 - square * np.sin(latitude) ** 2)
@@ -41,30 +41,31 @@ def east_north(fixes: Sequence[Fix]) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class PathError:
-    """What is left between a path and the truth after alignment, m."""
+    """Distance between a path and the truth after alignment [m]."""
 
     count: int
-    """Moments compared."""
+    """Positions compared."""
     rms: float
     median: float
     largest: float
 
 
 def path_error(path: Floats, truth: Floats) -> PathError:
-    """ATE of a path (n × 2) against the truth (n × 2). Raises ValueError for too few moments to align,
-    or for what is not finite."""
-    if path.shape != truth.shape or len(path) < FEWEST:
-        raise ValueError(f"{len(path)} positions against {len(truth)}: at least {FEWEST} pairs are needed")
+    """Return the ATE of a path (n × 2) against the truth (n × 2) [m].
+
+    Raises ValueError for too few positions to align, or for values that are not finite."""
+    if path.shape != truth.shape or len(path) < MIN_PAIRS:
+        raise ValueError(f"{len(path)} positions against {len(truth)}: at least {MIN_PAIRS} pairs are needed")
     if not (np.isfinite(path).all() and np.isfinite(truth).all()):
         raise ValueError("a position is not finite")
-    apart = truth - aligned(path, truth)
-    distances = np.hypot(apart[:, 0], apart[:, 1])
+    difference = truth - aligned(path, truth)
+    distances = np.hypot(difference[:, 0], difference[:, 1])
     rms = math.sqrt(float((distances**2).sum()) / len(distances))
     return PathError(len(path), rms, float(np.median(distances)), float(distances.max()))
 
 
 def aligned(path: Floats, truth: Floats) -> Floats:
-    """The path (n × 2), turned and shifted to lie as near to the truth as it can."""
+    """Return the path (n × 2), rotated and translated to best fit the truth."""
     centre, goal = path.sum(axis=0) / len(path), truth.sum(axis=0) / len(truth)
     a, b = path - centre, truth - goal
     turn = math.atan2(
@@ -77,6 +78,6 @@ def aligned(path: Floats, truth: Floats) -> Floats:
 
 
 def spread(path: Floats) -> float:
-    """How far the farthest of its points lies from their centre, m."""
-    away = path - path.sum(axis=0) / len(path)
-    return float(np.hypot(away[:, 0], away[:, 1]).max())
+    """Return the largest distance of a point from the centre of all [m]."""
+    offset = path - path.sum(axis=0) / len(path)
+    return float(np.hypot(offset[:, 0], offset[:, 1]).max())

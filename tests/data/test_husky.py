@@ -15,10 +15,9 @@ import pytest
 from brain.perception.mount import Mount
 from gateway import config
 from gateway.cli.main import main
-from gateway.config import resources
 from gateway.core.robot import Robot
 from gateway.rosbag import Bag, read
-from gateway.rosbag.evaluate import Verdict, judge
+from gateway.rosbag.evaluate import Evaluation, evaluate
 from protocols.messages import SECOND, Imu
 
 BAG = "husky/husky.bag"
@@ -26,7 +25,7 @@ BAG = "husky/husky.bag"
 
 @pytest.fixture(scope="module")
 def husky() -> Robot:
-    return config.load_robot(resources.find("robots", "husky"))
+    return config.load_robot("husky")
 
 
 @pytest.fixture(scope="module")
@@ -37,12 +36,12 @@ def bag(recording: Callable[[str], Path], husky: Robot) -> Bag:
 
 
 @pytest.fixture(scope="module")
-def judged(bag: Bag, husky: Robot) -> Verdict:
-    return judge(bag, husky, at_most=3.1)
+def evaluation(bag: Bag, husky: Robot) -> Evaluation:
+    return evaluate(bag, husky, at_most=3.1)
 
 
 def test_all_of_it_is_used(bag: Bag) -> None:
-    assert [(t.name, t.count, t.used, t.left) for t in bag.topics] == [
+    assert [(t.name, t.count, t.used, t.unused) for t in bag.topics] == [
         ("/fix", 989, 989, {}),
         ("/husky_velocity_controller/odom", 3952, 3952, {}),
         ("/imu/data", 11865, 11865, {}),
@@ -51,35 +50,35 @@ def test_all_of_it_is_used(bag: Bag) -> None:
     assert times == sorted(times)
 
 
-def test_the_path_is_within_what_was_promised(judged: Verdict) -> None:
-    assert judged.ok
-    assert judged.lasted == pytest.approx(395.3 * SECOND, abs=0.1 * SECOND)
-    assert judged.driven == pytest.approx(359.0, abs=1.0)
-    assert (judged.fixes, judged.early) == (989, 1)
-    assert judged.believed is not None
-    assert judged.believed.count == 988
-    assert judged.believed.rms <= 3.1
+def test_the_path_is_within_what_was_promised(evaluation: Evaluation) -> None:
+    assert evaluation.ok
+    assert evaluation.duration == pytest.approx(395.3 * SECOND, abs=0.1 * SECOND)
+    assert evaluation.driven == pytest.approx(359.0, abs=1.0)
+    assert (evaluation.fixes, evaluation.early) == (989, 1)
+    assert evaluation.estimated is not None
+    assert evaluation.estimated.count == 988
+    assert evaluation.estimated.rms <= 3.1
 
 
-def test_the_others_on_the_same_fixes(judged: Verdict) -> None:
+def test_the_others_on_the_same_fixes(evaluation: Evaluation) -> None:
     """As measured by others: so alignment, projection and the choice of fixes are theirs."""
-    assert judged.odometry is not None
-    assert judged.wheels is not None
-    assert judged.odometry.rms == pytest.approx(7.0, abs=0.05)
-    assert judged.wheels.rms == pytest.approx(6.9, abs=0.05)
+    assert evaluation.odometry is not None
+    assert evaluation.wheels is not None
+    assert evaluation.odometry.rms == pytest.approx(7.0, abs=0.05)
+    assert evaluation.wheels.rms == pytest.approx(6.9, abs=0.05)
 
 
-def test_nothing_was_refused_and_the_filter_is_not_too_sure(judged: Verdict) -> None:
-    assert not any(judged.anomalies.values())
-    assert all(0.0 < nis.mean < 1.0 for nis in judged.nis.values())
+def test_nothing_was_refused_and_the_filter_is_not_too_sure(evaluation: Evaluation) -> None:
+    assert not any(evaluation.anomalies.values())
+    assert all(0.0 < nis.mean < 1.0 for nis in evaluation.nis.values())
 
 
 def test_without_the_mounting_of_the_imu_the_path_is_lost(bag: Bag, husky: Robot) -> None:
     flat = replace(husky, sensors={"imu": replace(husky.sensors["imu"], mount=Mount())})
-    judged = judge(bag, flat, at_most=3.1)
-    assert not judged.ok
-    assert judged.believed is not None
-    assert judged.believed.rms == pytest.approx(102.0, abs=3.0)
+    evaluation = evaluate(bag, flat, at_most=3.1)
+    assert not evaluation.ok
+    assert evaluation.estimated is not None
+    assert evaluation.estimated.rms == pytest.approx(102.0, abs=3.0)
 
 
 def test_gravity_shows_the_mounting(bag: Bag, husky: Robot) -> None:
@@ -99,14 +98,14 @@ def test_the_settings_are_no_lucky_hit(bag: Bag, husky: Robot) -> None:
         wheels = perception.wheels
         loose = replace(wheels, turn_slip=wheels.turn_slip * factor, slip_lasts=wheels.slip_lasts * factor)
         other = replace(perception, wheels=loose, gyro_sigma=perception.gyro_sigma * factor)
-        judged = judge(bag, replace(husky, brain=replace(husky.brain, perception=other)))
-        assert judged.believed is not None
-        assert judged.believed.rms < 3.2, factor
+        evaluation = evaluate(bag, replace(husky, brain=replace(husky.brain, perception=other)))
+        assert evaluation.estimated is not None
+        assert evaluation.estimated.rms < 3.2, factor
 
 
 def test_the_command(recording: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["replay", str(recording(BAG)), "--robot", "husky"]
     assert main([*arguments, "--at-most", "3.1"]) == 0
-    said = capsys.readouterr().out
-    assert "395.3 s, 358.9 m driven" in said
-    assert "/imu/data: 11865 of 11865 as sensors.imu" in said
+    message = capsys.readouterr().out
+    assert "395.3 s, 358.9 m driven" in message
+    assert "/imu/data: 11865 of 11865 as sensors.imu" in message

@@ -17,20 +17,19 @@ import pytest
 
 from gateway import config
 from gateway.cli.main import main
-from gateway.config import resources
 from gateway.rosbag import read
-from gateway.rosbag.evaluate import judge
+from gateway.rosbag.evaluate import evaluate
 from protocols.messages import Imu
 
 BAG = "jackal/jackal.bag"
 
 
 def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> None:
-    robot = config.load_robot(resources.find("robots", "jackal"))
+    robot = config.load_robot("jackal")
     body = robot.brain.differential
     assert body is not None
     bag = read(recording(BAG), robot.bag, body)
-    assert [(t.part, t.count, t.used) for t in bag.topics] == [
+    assert [(t.role, t.count, t.used) for t in bag.topics] == [
         ("sensors.imu", 3061, 3061),
         ("odometry", 3060, 3060),
     ]
@@ -40,10 +39,10 @@ def test_it_ends_where_another_filter_does(recording: Callable[[str], Path]) -> 
     yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     perception = robot.brain.perception
     turned = replace(perception, ekf=replace(perception.ekf, start_yaw=yaw))
-    judged = judge(bag, replace(robot, brain=replace(robot.brain, perception=turned)))
-    assert judged.driven == pytest.approx(84.2, abs=1.0)
-    assert judged.end is not None
-    assert math.hypot(judged.end.x - 1.0206, judged.end.y - 3.4292) < 0.5
+    evaluation = evaluate(bag, replace(robot, brain=replace(robot.brain, perception=turned)))
+    assert evaluation.driven == pytest.approx(84.2, abs=1.0)
+    assert evaluation.end is not None
+    assert math.hypot(evaluation.end.x - 1.0206, evaluation.end.y - 3.4292) < 0.5
     start, end = bag.odometry[0][1], bag.odometry[-1][1]
     x, y = end.x - start.x, end.y - start.y
     there = (math.cos(yaw) * x - math.sin(yaw) * y, math.sin(yaw) * x + math.cos(yaw) * y)
@@ -54,6 +53,6 @@ def test_without_a_truth_it_is_not_passed(
     recording: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", str(recording(BAG)), "--robot", "jackal"]) == 1
-    said = capsys.readouterr().out
-    assert "NOT PASSED: there is no truth in it" in said
-    assert "imu: 1 × refused by the gate" in said
+    message = capsys.readouterr().out
+    assert "NOT PASSED: there is no ground truth in it" in message
+    assert "imu: 1 × rejected by the gate" in message

@@ -14,8 +14,8 @@ import pytest
 from gateway.cli.main import main
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
-from gateway.rosbag import is_foreign, read
-from gateway.rosbag.evaluate import judge
+from gateway.rosbag import is_bag, read
+from gateway.rosbag.evaluate import evaluate
 from tests.gateway.bag_helpers import ROBOT, rover
 
 DAMAGED = "odd/laser_scan_matcher_demo.bag"
@@ -51,7 +51,7 @@ def test_a_bag_without_odometry_is_told_what_there_is(recording: Callable[[str],
     """Types that are in no store (they stand in the bag) hinder nothing."""
     assert BODY is not None
     path = recording(TILTED)
-    assert is_foreign(path)
+    assert is_bag(path)
     with pytest.raises(BagError) as reported:
         read(path, BagTopics("/odom", {"imu": "/imu_dat"}, "/position_gps"), BODY)
     assert str(reported.value).splitlines() == [
@@ -85,9 +85,9 @@ def test_a_simulated_drive(recording: Callable[[str], Path]) -> None:
     body = robot.brain.differential
     assert body is not None
     bag = read(recording(SIMULATED), robot.bag, body)
-    assert {t.name: t.used for t in bag.topics if t.part} == {"/imu": 2253, "/odom": 2741}
-    judged = judge(bag, robot)
-    assert judged.driven == pytest.approx(24.81, abs=0.15)
-    assert judged.end is not None
+    assert {t.name: t.used for t in bag.topics if t.role} == {"/imu": 2253, "/odom": 2741}
+    evaluation = evaluate(bag, robot)
+    assert evaluation.driven == pytest.approx(24.81, abs=0.15)
+    assert evaluation.end is not None
     start, end = bag.odometry[0][1], bag.odometry[-1][1]
-    assert math.hypot(judged.end.x - (end.x - start.x), judged.end.y - (end.y - start.y)) < 0.25
+    assert math.hypot(evaluation.end.x - (end.x - start.x), evaluation.end.y - (end.y - start.y)) < 0.25

@@ -32,7 +32,7 @@ Make = Callable[[Any], Any]
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class BagMessage:
     """One message of a bag."""
 
     topic: str
@@ -41,7 +41,7 @@ class Said:
     make: Make
 
 
-def write(path: Path, messages: Sequence[Said], kind: Kind = "ros1") -> Path:
+def write(path: Path, messages: Sequence[BagMessage], kind: Kind = "ros1") -> Path:
     """The bag: a file called path.bag, or a folder of ROS 2. Returns where it is."""
     path.parent.mkdir(parents=True, exist_ok=True)
     topics = dict.fromkeys((s.topic, s.type) for s in messages)
@@ -84,7 +84,7 @@ def odometry(
     variance: float = 1e-3,
     topic: str = "/odom",
     logged: Nanos | None = None,
-) -> Said:
+) -> BagMessage:
     """`variance` is that of the speed along x."""
 
     def make(types: Any) -> Any:
@@ -104,7 +104,7 @@ def odometry(
             twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=covariance),
         )
 
-    return Said(topic, ODOM, t if logged is None else logged, make)
+    return BagMessage(topic, ODOM, t if logged is None else logged, make)
 
 
 def imu(
@@ -115,7 +115,7 @@ def imu(
     turned_variance: float = 0.0,
     topic: str = "/imu/data",
     logged: Nanos | None = None,
-) -> Said:
+) -> BagMessage:
     """Level and at rest but for its rate of turn."""
 
     def make(types: Any) -> Any:
@@ -133,7 +133,7 @@ def imu(
             linear_acceleration_covariance=covariance(0.0),
         )
 
-    return Said(topic, IMU, t if logged is None else logged, make)
+    return BagMessage(topic, IMU, t if logged is None else logged, make)
 
 
 def fix(
@@ -144,7 +144,7 @@ def fix(
     altitude: float = 100.0,
     known: int = 2,
     logged: Nanos | None = None,
-) -> Said:
+) -> BagMessage:
     def make(types: Any) -> Any:
         state = types["sensor_msgs/msg/NavSatStatus"](status=status, service=1)
         return types[FIX](
@@ -157,7 +157,7 @@ def fix(
             position_covariance_type=known,
         )
 
-    return Said("/fix", FIX, t if logged is None else logged, make)
+    return BagMessage("/fix", FIX, t if logged is None else logged, make)
 
 
 # -- a drive ------------------------------------------------------------------------------------
@@ -173,13 +173,13 @@ def drive(
     seed: int = 1,
     slip: float = 0.1,
     rate: Callable[[float], tuple[float, float, float]] = lambda w: (0.0, 0.0, w),
-) -> list[Said]:
+) -> list[BagMessage]:
     """A base that drives a slalom at 1 m/s for `length` s near the equator, and turns by a share `slip`
     less than its wheels say. Odometry at 10 Hz, IMU at 30 Hz (`rate`: what its axes show of a turn), GPS
     (0.3 m) at 2.5 Hz, each with the stamp of its moment, and written down later, the IMU latest."""
     random = np.random.Generator(np.random.PCG64(seed))
     true = reported = Pose(0.0, 0.0, 0.5)
-    said: list[Said] = []
+    said: list[BagMessage] = []
     step = 10 * MILLISECOND
     for tick in range(round(length * 100.0)):
         t, now = START + tick * step, tick / 100.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import RecordingError
-from gateway.recording.recover import salvage
+from gateway.recording.recover import recover
 from tests.gateway import kills, little
 from tests.gateway.kills import Outcome, raw_ticks
 from tests.gateway.recording.test_recover import chunks
@@ -42,7 +42,7 @@ def test_a_cut_at_every_byte_gives_back_all_whole_ticks_before_it(tmp_path: Path
             cut.write_bytes(whole[:size])
             expected = [tick for _, end, ticks in parts if end <= size for tick in ticks]
             try:
-                found = salvage(cut, out).ticks
+                found = recover(cut, out).ticks
             except RecordingError:
                 found = 0
             assert (raw_ticks(out) if found else []) == expected, f"cut at byte {size}"

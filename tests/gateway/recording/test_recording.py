@@ -24,7 +24,7 @@ from rosbags.highlevel import AnyReader
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.errors import RecordingError
 from gateway.recording import Recorder, Recording, environment, read, tick_codec
-from gateway.recording.layout import FORMAT, METADATA
+from gateway.recording.layout import FORMAT, METADATA, modernised
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.ros_views import Views
 from gateway.recording.tick_writer import TickWriter
@@ -62,7 +62,7 @@ def contents(made: Recording) -> str:
 def drained(recorder: Recorder) -> None:
     """Wait until the thread has taken all, and has gone idle once."""
     for _ in range(500):
-        if not recorder._waiting and not recorder._writer.pending:
+        if not recorder._queue and not recorder._writer.pending:
             return
         threading.Event().wait(0.01)
     raise AssertionError("the recorder did not flush within 5 s")
@@ -77,7 +77,7 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
     made = read(path)
     assert list(made.ticks) == ticks
     assert list(made.ticks) == ticks, "a second time"
-    assert (made.whole, made.promised, made.robot_text) == (True, 300, little.ROBOT)
+    assert (made.whole, made.indexed, made.robot_text) == (True, 300, little.ROBOT)
     assert made.facts["date"] == "2026-11-21T10:00:00+00:00"
     assert not any(step.damage for step in made.steps)
     assert all(step.whole for step in made.steps)
@@ -174,7 +174,7 @@ os._exit(0)
 """
     child(code, str(path))
     made = read(path)
-    assert (made.whole, made.promised, made.robot_text) == (False, None, little.ROBOT)
+    assert (made.whole, made.indexed, made.robot_text) == (False, None, little.ROBOT)
     steps = list(made.steps)
     assert [step.tick for step in steps] == [tick for tick, _ in little.life(len(steps))]
     assert 500 - len(steps) <= 16 + 2
@@ -243,7 +243,7 @@ def test_a_slow_writer_costs_ticks_and_says_so(tmp_path: Path) -> None:
     left = list(read(path).ticks)
     assert 0 < recorder.lost < 400
     assert len(left) == 400 - recorder.lost
-    assert f"are missing in {path}: the disk is too slow; the robot drives on" in recorder.trouble
+    assert f"are missing in {path}: the disk is too slow; the robot continues" in recorder.trouble
     assert all(tick == moments[tick.number][0] for tick in left)
     assert not any(step.damage for step in read(path).steps)
 
@@ -327,9 +327,9 @@ def test_other_files_are_refused(tmp_path: Path, content: bytes, said: str) -> N
     [
         (None, None, "an MCAP file of some program 1.0, not of this gateway"),
         (
-            {"format": "2", "robot digest": DIGEST},
+            {"format": "3", "robot digest": DIGEST},
             b"x = 1\n",
-            f"of format 2; this program reads format {FORMAT}",
+            "of format 3; this program reads formats 1 and 2",
         ),
         ({"format": FORMAT, "robot digest": DIGEST}, None, "there is no tick in it"),
         (
@@ -400,3 +400,20 @@ def test_the_index_of_a_long_recording_costs_little_and_is_right(tmp_path: Path)
     assert [(channel.topic, message.sequence) for _, channel, message in middle] == [
         (f"/{n}", 4_999) for n in range(6)
     ]
+
+
+# -- format 1 ----------------------------------------------------------------------------------
+
+
+def test_keys_of_format_1_are_translated_where_they_are_keys() -> None:
+    old = (
+        'silent = "hold" # safe = "idle"\n[buses.hear]\nhear = [1]\nmixed = true\n'
+        'left = { silent = "idle", safe="brake" }\nsafe = { bus = "silent = 1" }\n'
+        'text = """\nsafe = 1\n"""\nother_safe = 1\n[defaults.motors]\nsafe = \'hold\'\n'
+    )
+    new = (
+        'on_command_timeout = "hold" # safe = "idle"\n[buses.hear]\nreceive_filter = [1]\nshared_bus = true\n'
+        'left = { on_command_timeout = "idle", stop_action="brake" }\nsafe = { bus = "silent = 1" }\n'
+        'text = """\nsafe = 1\n"""\nother_safe = 1\n[defaults.motors]\nstop_action = \'hold\'\n'
+    )
+    assert modernised(old) == new

@@ -15,7 +15,7 @@ from rosbags.highlevel import AnyReader
 from gateway.cli.main import main
 from gateway.errors import RecordingError
 from gateway.recording import read, tick_codec
-from gateway.recording.recover import SALVAGED, is_whole, salvage
+from gateway.recording.recover import RECOVERED, is_whole, recover
 from protocols.messages import seconds
 from tests.gateway import little
 from tests.gateway.kills import raw_ticks, read_by_rosbags
@@ -56,10 +56,10 @@ def note(topics: dict[int, str], record: McapRecord) -> None:
         topics[record.id] = topic  # type: ignore[attr-defined]  # it is a channel
 
 
-def recover(path: Path, target: Path) -> list[bytes]:
+def recovered_ticks(path: Path, target: Path) -> list[bytes]:
     """The ticks that come back, as bytes; the file that they come back in must be whole."""
     before = hashlib.sha256(path.read_bytes()).digest()
-    found = salvage(path, target)
+    found = recover(path, target)
     assert hashlib.sha256(path.read_bytes()).digest() == before, "the input was changed"
     assert not target.with_name(target.name + ".part").exists()
     if not found.ticks:
@@ -67,7 +67,7 @@ def recover(path: Path, target: Path) -> list[bytes]:
         return []
     made = read(target)
     assert made.whole
-    assert made.promised == found.ticks
+    assert made.indexed == found.ticks
     assert is_whole(target)
     ticks = raw_ticks(target)
     target.unlink()
@@ -94,7 +94,7 @@ def test_all_whole_ticks_before_a_cut_come_back(recorded: Path, tmp_path: Path) 
         cut.write_bytes(whole[:size])
         expected = [tick for _, end, ticks in parts if end <= size for tick in ticks]
         try:
-            found = recover(cut, tmp_path / "out.mcap")
+            found = recovered_ticks(cut, tmp_path / "out.mcap")
         except RecordingError:  # so early that it is not known for a recording
             found = []
         assert found == expected, f"cut at byte {size}"
@@ -106,7 +106,7 @@ def test_every_view_comes_back_too(recorded: Path, tmp_path: Path) -> None:
     data = recorded.read_bytes()
     recorded.write_bytes(data[: chunks(recorded)[2][1]])
     steps = list(read(recorded).steps)
-    salvage(recorded, tmp_path / "out.mcap")
+    recover(recorded, tmp_path / "out.mcap")
     again = list(read(tmp_path / "out.mcap").steps)
     assert [(s.tick, s.views) for s in again] == [(s.tick, s.views) for s in steps]
     with AnyReader([tmp_path / "out.mcap"]) as reader:
@@ -120,11 +120,11 @@ def test_every_view_comes_back_too(recorded: Path, tmp_path: Path) -> None:
 
 def test_what_is_recovered_says_so(recorded: Path, tmp_path: Path) -> None:
     recorded.write_bytes(recorded.read_bytes()[: chunks(recorded)[1][1] + 100])
-    salvage(recorded, tmp_path / "out.mcap")
+    recover(recorded, tmp_path / "out.mcap")
     with (tmp_path / "out.mcap").open("rb") as file:
         reported = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
-    assert reported[SALVAGED]["from"] == "a.mcap"
-    assert "the file was not closed" in reported[SALVAGED]["told"]
+    assert reported[RECOVERED]["from"] == "a.mcap"
+    assert "the file was not closed" in reported[RECOVERED]["summary"]
     assert read(tmp_path / "out.mcap").facts == read(recorded).facts
 
 
@@ -137,7 +137,7 @@ def test_a_torn_chunk_in_the_middle_costs_its_own_ticks(recorded: Path, tmp_path
     data = bytearray(recorded.read_bytes())
     data[(start + end) // 2] ^= 0x40
     recorded.write_bytes(data)
-    found = salvage(recorded, tmp_path / "out.mcap")
+    found = recover(recorded, tmp_path / "out.mcap")
     assert raw_ticks(tmp_path / "out.mcap") == [t for part in (0, 2, 3) for t in parts[part][2]]
     first = len(parts[0][2])
     assert found.gaps == [(first, first + len(parts[1][2]) - 1)]
@@ -151,7 +151,7 @@ def test_zeros_in_the_middle_are_stepped_over(recorded: Path, tmp_path: Path) ->
     data = bytearray(recorded.read_bytes())
     data[start - 30 : start + 300] = bytes(330)
     recorded.write_bytes(data)
-    salvage(recorded, tmp_path / "out.mcap")
+    recover(recorded, tmp_path / "out.mcap")
     assert raw_ticks(tmp_path / "out.mcap") == [t for part in (0, 2, 3) for t in parts[part][2]]
 
 
@@ -159,12 +159,12 @@ def test_a_file_without_its_index_loses_nothing(recorded: Path, tmp_path: Path) 
     ticks = raw_ticks(recorded)
     data = recorded.read_bytes()
     recorded.write_bytes(data[: chunks(recorded)[-1][1]])
-    assert recover(recorded, tmp_path / "out.mcap") == ticks
+    assert recovered_ticks(recorded, tmp_path / "out.mcap") == ticks
     damaged = bytearray(data)
     damaged[-40] ^= 1
     recorded.write_bytes(damaged)
     assert not is_whole(recorded)
-    assert recover(recorded, tmp_path / "out.mcap") == ticks
+    assert recovered_ticks(recorded, tmp_path / "out.mcap") == ticks
 
 
 def test_any_flipped_bit_gives_the_truth_or_a_sentence(recorded: Path, tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_any_flipped_bit_gives_the_truth_or_a_sentence(recorded: Path, tmp_path:
         data[at] ^= 1 << bit
         recorded.write_bytes(data)
         try:
-            found = recover(recorded, tmp_path / "out.mcap")
+            found = recovered_ticks(recorded, tmp_path / "out.mcap")
         except RecordingError:
             continue
         assert set(found) <= set(ticks), f"bit {bit} of byte {at}: a tick that was never written"
@@ -191,7 +191,7 @@ def test_no_length_is_believed(recorded: Path, tmp_path: Path, length: int) -> N
     data = bytearray(recorded.read_bytes())
     data[parts[1][0] + 1 : parts[1][0] + 9] = length.to_bytes(8, "little")
     recorded.write_bytes(data)
-    assert recover(recorded, tmp_path / "out.mcap") == [t for p in (0, 2, 3) for t in parts[p][2]]
+    assert recovered_ticks(recorded, tmp_path / "out.mcap") == [t for p in (0, 2, 3) for t in parts[p][2]]
 
 
 # -- the command -------------------------------------------------------------------------------
@@ -214,7 +214,7 @@ def test_the_command_gives_back_and_says_what_was_lost(
     assert "the file was not closed" in said
     assert raw_ticks(tmp_path / "a.recovered.mcap") == ticks
     assert main(["recover", str(recorded)]) == 2
-    assert "there is such a file already; it is not overwritten" in capsys.readouterr().err
+    assert "exists already; it is not overwritten" in capsys.readouterr().err
 
 
 def test_a_whole_file_is_left_alone(

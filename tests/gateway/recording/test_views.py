@@ -45,7 +45,7 @@ def tick(*events: Event, now: Nanos = T, received: Any = (), sent: Any = (), not
 def shown(made: Tick, belief: Belief = BELIEF, views: Views | None = None) -> dict[str, Any]:
     """The messages of one tick by topic (the last of each), read back by rosbags."""
     views = views or Views()
-    return {view.topic: views.open(view) for view in views.messages(made, belief)}
+    return {view.topic: views.deserialise(view) for view in views.messages(made, belief)}
 
 
 def at(message: Any) -> tuple[Nanos, str]:
@@ -322,7 +322,7 @@ _VIEWS = Views()
 @settings(max_examples=200, deadline=None)
 def test_no_tick_raises_and_rosbags_reads_what_is_shown(made: Tick) -> None:
     for view in _VIEWS.messages(made, BELIEF):
-        assert _VIEWS.open(view) is not None
+        assert _VIEWS.deserialise(view) is not None
 
 
 @pytest.mark.parametrize("t", [-(2**63), -1, 2**31 * SECOND, 2**63 - 1])

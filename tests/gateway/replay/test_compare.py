@@ -1,4 +1,4 @@
-"""The judge: the same is the same, and whatever is not is found, named, and said in words."""
+"""Comparison: equal is equal, and every difference is found, named and described."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from brain.belief import Belief
+from gateway.config import parse_robot
+from gateway.core.message_text import message_text
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import Recorder, environment, read, tick_codec
-from gateway.replay import diff
-from gateway.replay.compare import Verdict, compare
+from gateway.replay import Comparison, compare, diff, replay
 from protocols import messages as msg
 from protocols.frames import CanFrame, Packet
+from protocols.messages import Event, Nanos
 from protocols.messages import (
     Message as AnyMessage,
 )
-from protocols.messages import Nanos
 from protocols.plugin import CommandDecoder
 from tests.gateway import little
 from tests.gateway.little import Little
@@ -40,7 +41,7 @@ def always(outputs: Outputs) -> Callable[[Nanos, Inputs], Outputs]:
     return lambda _now, _inputs: outputs
 
 
-def judged(path: Path, robot: Little | None = None, **more: Any) -> Verdict:
+def compared(path: Path, robot: Little | None = None, **more: Any) -> Comparison:
     robot = robot or Little()
     options = {"mounts": little.MOUNTS, "robot_text": little.ROBOT, **more}
     return compare(read(path), robot.step, robot.belief, decoder, **options)
@@ -48,7 +49,7 @@ def judged(path: Path, robot: Little | None = None, **more: Any) -> Verdict:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("judge") / "a.mcap"
+    path = tmp_path_factory.mktemp("compare") / "a.mcap"
     little.record(path, 300)
     return path
 
@@ -91,21 +92,21 @@ def rewritten(old: Path, new: Path, change: Callable[[int, bytes], bytes | None]
 
 
 def test_the_same_is_the_same(recorded: Path) -> None:
-    verdict = judged(recorded)
-    assert verdict.ok, verdict.text()
-    assert (verdict.ticks, verdict.packets, verdict.bytes) == (300, 300, 2400)
-    assert verdict.views == sum(len(step.views) for step in read(recorded).steps) > 900
-    assert (verdict.given, verdict.left_over, verdict.unread) == (900, 0, 0)
-    assert verdict.first is None
-    assert verdict.causes == ()
-    assert verdict.text() == (
-        f"the same, byte for byte\ncompared 300 ticks, 300 packets with 2400 bytes, and {verdict.views} view "
+    result = compared(recorded)
+    assert result.ok, result.text()
+    assert (result.ticks, result.packets, result.bytes) == (300, 300, 2400)
+    assert result.views == sum(len(step.views) for step in read(recorded).steps) > 900
+    assert (result.given, result.left_over, result.unread) == (900, 0, 0)
+    assert result.first is None
+    assert result.causes == ()
+    assert result.text() == (
+        f"the same, byte for byte\ncompared 300 ticks, 300 packets with 2400 bytes, and {result.views} view "
         "messages; 900 received packets given again, 0 left over"
     )
 
 
-def test_twice_the_same_verdict(recorded: Path) -> None:
-    assert judged(recorded, Little(gain=3.0)) == judged(recorded, Little(gain=3.0))
+def test_the_result_is_deterministic(recorded: Path) -> None:
+    assert compared(recorded, Little(gain=3.0)) == compared(recorded, Little(gain=3.0))
 
 
 # -- nothing proven ----------------------------------------------------------------------------
@@ -113,9 +114,9 @@ def test_twice_the_same_verdict(recorded: Path) -> None:
 
 def test_no_tick_proves_nothing(tmp_path: Path) -> None:
     little.record(tmp_path / "a.mcap", 0)
-    verdict = judged(tmp_path / "a.mcap")
-    assert not verdict.ok
-    assert "there is no tick in the recording: nothing was compared" in verdict.text()
+    result = compared(tmp_path / "a.mcap")
+    assert not result.ok
+    assert "there is no tick in the recording: nothing was compared" in result.text()
 
 
 def test_no_packet_proves_nothing(tmp_path: Path) -> None:
@@ -123,79 +124,79 @@ def test_no_packet_proves_nothing(tmp_path: Path) -> None:
     with Recorder(path, little.ROBOT, {}) as recorder:
         for number in range(5):
             recorder.record(Tick(number, number, Inputs(), Outputs()), little.bare_belief(), patient=True)
-    verdict = compare(read(path), always(Outputs()), little.bare_belief, decoder)
-    assert (verdict.ticks, verdict.ok) == (5, False)
-    assert "not one packet was sent in the recording" in verdict.text()
+    result = compare(read(path), always(Outputs()), little.bare_belief, decoder)
+    assert (result.ticks, result.ok) == (5, False)
+    assert "no packet was sent in the recording" in result.text()
 
 
 def test_packets_of_an_unknown_bus_are_left_over(recorded: Path) -> None:
-    assert judged(recorded, buses=["can0", "tty"]).ok
-    verdict = judged(recorded, buses=["can0"])
-    assert not verdict.ok
-    assert (verdict.given, verdict.left_over) == (600, 300)
-    assert verdict.differences == ()
-    assert "300 received packets are left over: the robot has no such bus" in verdict.text()
-    assert judged(recorded, buses=[]).left_over == 900
+    assert compared(recorded, buses=["can0", "tty"]).ok
+    result = compared(recorded, buses=["can0"])
+    assert not result.ok
+    assert (result.given, result.left_over) == (600, 300)
+    assert result.differences == ()
+    assert "300 received packets are left over: the robot has no such bus" in result.text()
+    assert compared(recorded, buses=[]).left_over == 900
 
 
 def test_a_cut_recording_is_compared_and_not_good(recorded: Path, tmp_path: Path) -> None:
     data = recorded.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
-    verdict = judged(tmp_path / "cut.mcap")
-    assert 0 < verdict.ticks < 300
-    assert [d.kind for d in verdict.differences] == ["recording"]
-    assert "it was cut; all before was compared" in verdict.text()
+    result = compared(tmp_path / "cut.mcap")
+    assert 0 < result.ticks < 300
+    assert [d.kind for d in result.differences] == ["recording"]
+    assert "it was cut; all before was compared" in result.text()
 
 
 def test_a_damaged_recording_leaves_ticks_over(recorded: Path, tmp_path: Path) -> None:
     path, data = tmp_path / "damaged.mcap", bytearray(recorded.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
-    verdict = judged(path)
-    assert verdict.ticks + verdict.unread == 300
-    assert 0 < verdict.ticks < 300
-    assert "the recording cannot be read on" in verdict.text()
-    assert f"{verdict.unread} ticks are left over" in verdict.text()
+    result = compared(path)
+    assert result.ticks + result.unread == 300
+    assert 0 < result.ticks < 300
+    assert "the recording cannot be read further" in result.text()
+    assert f"{result.unread} ticks are left over" in result.text()
 
 
-def test_lost_ticks_are_told(recorded: Path, tmp_path: Path) -> None:
+def test_lost_ticks_are_reported(recorded: Path, tmp_path: Path) -> None:
     path = rewritten(recorded, tmp_path / "b.mcap", lambda n, data: None if n == 100 else data)
-    verdict = judged(path)
-    assert not verdict.ok
-    assert verdict.differences[0].tick == 101
-    assert "the tick before it in the recording is 99: some were lost" in verdict.text()
+    result = compared(path)
+    assert not result.ok
+    assert result.differences[0].tick == 101
+    assert "the tick before it in the recording is 99: some were lost" in result.text()
 
 
 # -- a change of the robot ---------------------------------------------------------------------
 
 
-def test_a_changed_gain_is_told_in_words_with_its_key(recorded: Path) -> None:
+def test_a_changed_gain_is_reported_with_its_key(recorded: Path) -> None:
     changed = little.ROBOT.replace("gain = 2.0", "gain = 2.1")
-    verdict = judged(recorded, Little(gain=2.1), robot_text=changed)
-    assert not verdict.ok
-    first = verdict.first
+    result = compared(recorded, Little(gain=2.1), robot_text=changed)
+    assert not result.ok
+    first = result.first
     assert first is not None
     assert (first.kind, first.tick, first.since) == ("packets", 1, little.PERIOD)
     position = struct.unpack("<f", struct.pack("<f", math.sin(0.01)))[0]
     frames = [little.command(-gain * position) for gain in (2.0, 2.1)]
-    assert verdict.text().splitlines()[:5] == [
+    assert result.text().splitlines()[:5] == [
         "NOT the same",
         "tick 1, 0.005 s after the start: bus can0",
         f"  recorded: frame {frames[0]}   left: Velocity -0.02 rad/s",
         f"  now:      frame {frames[1]}   left: Velocity -0.021 rad/s",
         "the packets of 299 ticks differ in all",
     ]
-    assert verdict.causes == ("the robot file is not the recorded one: brain.gain: 2.0 recorded, 2.1 now",)
+    assert result.causes == ("the robot file is not the recorded one: brain.gain: 2.0 recorded, 2.1 now",)
 
 
 def test_a_tiny_change_gets_the_digits_it_needs(recorded: Path) -> None:
-    verdict = judged(recorded, Little(gain=2.000001))
-    assert verdict.first is not None
-    one, two = verdict.first.text.splitlines()[1:]
+    result = compared(recorded, Little(gain=2.000001))
+    assert result.first is not None
+    one, two = result.first.text.splitlines()[1:]
     assert one.split("Velocity")[1] != two.split("Velocity")[1]
 
 
-def test_the_ear_has_heard_all_before(recorded: Path) -> None:
+def test_the_decoder_has_decoded_all_frames_before(recorded: Path) -> None:
     class Counting:
         received = 0
 
@@ -209,47 +210,45 @@ def test_the_ear_has_heard_all_before(recorded: Path) -> None:
             return replace(outputs, packets=()) if now == 100 * little.PERIOD else outputs
 
     robot = Late()
-    verdict = compare(read(recorded), robot.step, robot.belief, lambda _: Counting(), mounts=little.MOUNTS)
-    assert verdict.first is not None
-    assert verdict.first.tick == 100
-    assert "left: Velocity 101 rad/s\n  now:      nothing more" in verdict.first.text
-    assert verdict.differing == 1
+    result = compare(read(recorded), robot.step, robot.belief, lambda _: Counting(), mounts=little.MOUNTS)
+    assert result.first is not None
+    assert result.first.tick == 100
+    assert "left: Velocity 101 rad/s\n  now:      nothing more" in result.first.text
+    assert result.differing == 1
 
 
 def test_a_difference_in_belief_alone_is_found(recorded: Path) -> None:
-    class Dreamer(Little):
+    class OtherBelief(Little):
         def belief(self) -> Belief:
-            reported = super().belief()
-            assert reported.estimate is not None
-            moved = replace(reported.estimate.pose, y=0.5 + 1e-12)
+            belief = super().belief()
+            assert belief.estimate is not None
+            moved = replace(belief.estimate.pose, y=0.5 + 1e-12)
             return (
-                replace(reported, estimate=replace(reported.estimate, pose=moved))
-                if self.seen > 150
-                else reported
+                replace(belief, estimate=replace(belief.estimate, pose=moved)) if self.seen > 150 else belief
             )
 
-    verdict = judged(recorded, Dreamer())
-    assert [d.kind for d in verdict.differences] == ["views"]
-    assert verdict.differing == 0
-    assert "/odom: pose.pose.position.y: 0.5 recorded, 0.500000000001 now" in verdict.text()
-    assert verdict.causes == ("the program: robot file and inputs are the recorded ones",)
+    result = compared(recorded, OtherBelief())
+    assert [d.kind for d in result.differences] == ["views"]
+    assert result.differing == 0
+    assert "/odom: pose.pose.position.y: 0.5 recorded, 0.500000000001 now" in result.text()
+    assert result.causes == ("the program: robot file and inputs are the recorded ones",)
 
 
-def test_a_difference_in_what_a_driver_hears_is_found(recorded: Path) -> None:
-    class Deaf(Little):
+def test_a_difference_in_events_is_found(recorded: Path) -> None:
+    class WithoutEvents(Little):
         def step(self, now: Nanos, inputs: Inputs) -> Outputs:
             outputs = super().step(now, inputs)
             return replace(outputs, events=()) if now == 50 * little.PERIOD else outputs
 
-    verdict = judged(recorded, Deaf())
-    assert verdict.differences[0].kind == "events"
-    assert verdict.differences[0].text == (
-        "heard from a device\n  recorded: left: Feedback position 0.4794 rad\n  now:      nothing more"
+    result = compared(recorded, WithoutEvents())
+    assert result.differences[0].kind == "events"
+    assert result.differences[0].text == (
+        "event of a device\n  recorded: left: Feedback position 0.4794 rad\n  now:      nothing more"
     )
 
 
 def test_a_difference_in_notes_is_found(recorded: Path) -> None:
-    class Chatty(Little):
+    class WithNote(Little):
         def step(self, now: Nanos, inputs: Inputs) -> Outputs:
             outputs = super().step(now, inputs)
             return (
@@ -258,9 +257,9 @@ def test_a_difference_in_notes_is_found(recorded: Path) -> None:
                 else outputs
             )
 
-    verdict = judged(recorded, Chatty())
-    assert "notes" in [d.kind for d in verdict.differences]
-    assert "recorded: nothing more\n  now:      left: hello (info)" in verdict.text()
+    result = compared(recorded, WithNote())
+    assert "notes" in [d.kind for d in result.differences]
+    assert "recorded: nothing more\n  now:      left: hello (info)" in result.text()
 
 
 def test_order_and_bus_of_packets_matter(tmp_path: Path) -> None:
@@ -269,26 +268,26 @@ def test_order_and_bus_of_packets_matter(tmp_path: Path) -> None:
     with Recorder(path, little.ROBOT, {}) as recorder:
         recorder.record(Tick(0, 0, Inputs(), Outputs((a, b))), little.bare_belief(), patient=True)
     for sent in ((b, a), (a, replace(b, bus="can1")), (a,), (a, b, b), (a, Packet(0, "can0", b"b"))):
-        verdict = compare(
+        result = compare(
             read(path),
             always(Outputs(sent)),
             little.bare_belief,
             lambda _: little.LittleDecoder(),
         )
-        assert not verdict.ok
-        assert verdict.differing == 1
-        assert "packets" in [d.kind for d in verdict.differences]
+        assert not result.ok
+        assert result.differing == 1
+        assert "packets" in [d.kind for d in result.differences]
 
 
 def test_another_machine_is_named_as_a_cause(recorded: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     little.record(path, 20, facts={"package numpy": "1.0", "date": "today"})
     facts = {**read(recorded).facts, "package numpy": "2.0"}
-    assert judged(path, facts=facts).causes == ()
-    causes = judged(path, Little(gain=1.0), facts=facts).causes
+    assert compared(path, facts=facts).causes == ()
+    causes = compared(path, Little(gain=1.0), facts=facts).causes
     assert causes == ("it was recorded elsewhere: package numpy: '1.0' recorded, '2.0' now",)
     facts = {**read(path).facts, environment.PROGRAM: "another"}
-    causes = judged(path, Little(gain=1.0), facts=facts).causes
+    causes = compared(path, Little(gain=1.0), facts=facts).causes
     assert causes == ("the program: its sources have changed since",)
 
 
@@ -311,28 +310,28 @@ def flip(number: int, written: bytes, bit: int) -> Callable[[int, bytes], bytes]
 def test_a_flipped_bit_that_moves_the_wheel(recorded: Path, tmp_path: Path) -> None:
     frame = little.feedback(math.sin(0.01 * 120))
     path = rewritten(recorded, tmp_path / "b.mcap", flip(120, frame.data, 4))
-    verdict = judged(path)
-    assert not verdict.ok
-    assert [d.kind for d in verdict.differences] == ["recording", "events", "packets", "views"]
-    assert {d.tick for d in verdict.differences} == {120}
+    result = compared(path)
+    assert not result.ok
+    assert [d.kind for d in result.differences] == ["recording", "events", "packets", "views"]
+    assert {d.tick for d in result.differences} == {120}
     flipped = CanFrame(frame.id, bytes([frame.data[0] ^ 16]) + frame.data[1:])
-    assert str(verdict.first) == (
+    assert str(result.first) == (
         "tick 120, 0.600 s after the start: the recorded input on bus can0, "
         f"frame {flipped}, does not match the digest written with it"
     )
-    assert "left: Velocity" in verdict.text()
-    assert verdict.causes == ("the recording is not as it was written: see above",)
-    assert verdict.differing == 1
+    assert "left: Velocity" in result.text()
+    assert result.causes == ("the recording is not as it was written: see above",)
+    assert result.differing == 1
 
 
 def test_a_flipped_bit_is_no_cause_of_what_came_before(recorded: Path, tmp_path: Path) -> None:
     frame = little.feedback(math.sin(0.01 * 120))
     path = rewritten(recorded, tmp_path / "b.mcap", flip(120, frame.data, 4))
-    verdict = judged(path, Little(gain=1.0))
-    assert verdict.first is not None
-    assert verdict.first.tick == 1
-    assert "recording" in [d.kind for d in verdict.differences]
-    assert verdict.causes == ("the program: robot file and inputs are the recorded ones",)
+    result = compared(path, Little(gain=1.0))
+    assert result.first is not None
+    assert result.first.tick == 1
+    assert "recording" in [d.kind for d in result.differences]
+    assert result.causes == ("the program: robot file and inputs are the recorded ones",)
 
 
 def test_a_flipped_bit_that_changes_nothing_is_found_too(recorded: Path, tmp_path: Path) -> None:
@@ -343,42 +342,93 @@ def test_a_flipped_bit_that_changes_nothing_is_found_too(recorded: Path, tmp_pat
         return data.replace(needle, needle[:-1] + bytes([33 ^ 1])) if place == 33 else data
 
     path = rewritten(recorded, tmp_path / "b.mcap", change)
-    verdict = judged(path)
-    assert not verdict.ok
-    assert verdict.differing == 0
-    assert (verdict.differences[0].kind, verdict.differences[0].tick) == ("recording", 33)
-    assert "frame 7FF#20, does not match the digest" in verdict.text()
+    result = compared(path)
+    assert not result.ok
+    assert result.differing == 0
+    assert (result.differences[0].kind, result.differences[0].tick) == ("recording", 33)
+    assert "frame 7FF#20, does not match the digest" in result.text()
 
 
 def test_a_flipped_bit_in_what_was_sent_is_found(recorded: Path, tmp_path: Path) -> None:
     sent = next(t for t in read(recorded).ticks if t.number == 77).outputs.packets[0].frame
     assert isinstance(sent, CanFrame)
-    verdict = judged(rewritten(recorded, tmp_path / "b.mcap", flip(77, sent.data, 0)))
-    assert [d.kind for d in verdict.differences] == ["recording", "packets"]
-    assert "the recorded output on bus can0" in verdict.text()
-    assert verdict.differing == 1
+    result = compared(rewritten(recorded, tmp_path / "b.mcap", flip(77, sent.data, 0)))
+    assert [d.kind for d in result.differences] == ["recording", "packets"]
+    assert "the recorded output on bus can0" in result.text()
+    assert result.differing == 1
 
 
 def test_a_tick_written_with_false_digests_is_found(recorded: Path, tmp_path: Path) -> None:
-    """Somebody wrote the tick anew with another input, properly sealed by itself: the chain is broken."""
+    """A tick rewritten with another input and digests of its own: the chain is broken."""
 
     def change(place: int, data: bytes) -> bytes:
         if place != 200:
             return data
-        tick = tick_codec.decode(data, tick_codec.UNPROTECTED).tick
+        tick = tick_codec.decode(data, tick_codec.CHAIN_START).tick
         other = replace(tick, inputs=replace(tick.inputs, packets=()))
-        return tick_codec.encode(other, tick_codec.UNPROTECTED)[0]
+        return tick_codec.encode(other, tick_codec.CHAIN_START)[0]
 
-    verdict = judged(rewritten(recorded, tmp_path / "b.mcap", change))
-    assert verdict.differences[0].kind == "recording"
-    assert verdict.differences[0].tick == 200
+    result = compared(rewritten(recorded, tmp_path / "b.mcap", change))
+    assert result.differences[0].kind == "recording"
+    assert result.differences[0].tick == 200
 
 
 def test_rewriting_alone_changes_nothing(recorded: Path, tmp_path: Path) -> None:
-    assert judged(rewritten(recorded, tmp_path / "b.mcap", lambda _, data: data)).ok
+    assert compared(rewritten(recorded, tmp_path / "b.mcap", lambda _, data: data)).ok
 
 
-# -- in words ----------------------------------------------------------------------------------
+# -- format 1 ----------------------------------------------------------------------------------
+
+FORMAT_1 = Path(__file__).parents[3] / "fixtures" / "recordings" / "format1.mcap"
+
+
+def test_a_recording_of_format_1_replays_but_for_its_texts() -> None:
+    recording = read(FORMAT_1)
+    assert recording.format == "1"
+    assert 'on_command_timeout = "hold"' in recording.robot_text
+    result = replay(recording)
+    assert result.ok, result.text()
+    assert (result.ticks, result.packets, result.bytes) == (199, 67, 184)
+    assert result.text().splitlines()[0] == "the same, byte for byte"
+    assert "texts for people were left out: they were worded differently in format 1" in result.text()
+    changed = parse_robot(recording.robot_text.replace("gear = 8.0", "gear = 4.0"), "changed")
+    assert "packets" in [d.kind for d in replay(recording, changed).differences]
+
+
+@pytest.mark.parametrize(
+    ("recorded", "now", "same"),
+    [
+        (Note("info", "left", "was"), Note("info", "left", "is"), True),
+        (Note("info", "left", "was"), Note("error", "left", "is"), False),
+        (msg.State("left", 0, msg.Mode.READY, "was"), msg.State("left", 0, msg.Mode.READY, "is"), True),
+        (msg.State("left", 0, msg.Mode.READY, "was"), msg.State("left", 0, msg.Mode.ARMED, "was"), False),
+        (msg.Refused(0, "Zero", "left", "was"), msg.Refused(0, "Zero", "left", "is"), True),
+        (msg.Refused(0, "Zero", "left", "was"), msg.Refused(0, "Home", "left", "was"), False),
+        (msg.Fault("left", 0, 1, "NAME", "was", "was"), msg.Fault("left", 0, 1, "NAME", "is", "is"), True),
+        (msg.Fault("left", 0, 1, "NAME", "was"), msg.Fault("left", 0, 1, "OTHER", "was"), False),
+        (msg.Done(0, "Zero", "left", "was"), msg.Done(0, "Zero", "left", "is"), True),
+    ],
+)
+def test_in_format_1_only_texts_are_left_out(
+    tmp_path: Path, recorded: Note | Event, now: Note | Event, same: bool
+) -> None:
+    old_outputs, new_outputs = (
+        Outputs(
+            packets=(Packet(0, "can0", CanFrame(1, b"a")),),
+            events=() if isinstance(one, Note) else (one,),
+            notes=(one,) if isinstance(one, Note) else (),
+        )
+        for one in (recorded, now)
+    )
+    with Recorder(tmp_path / "a.mcap", little.ROBOT, {}) as recorder:
+        recorder.record(Tick(0, 0, Inputs(), old_outputs), little.bare_belief(), patient=True)
+    new = read(tmp_path / "a.mcap")
+    step = always(new_outputs)
+    results = [compare(one, step, little.bare_belief, decoder) for one in (replace(new, format="1"), new)]
+    assert [result.ok for result in results] == [same, False]
+
+
+# -- texts -------------------------------------------------------------------------------------
 
 IMPEDANCE = (
     "a: Impedance position 1 rad, velocity 0 rad/s, torque 2 N·m, stiffness 3 N·m/rad, damping 4 N·m·s/rad"
@@ -390,7 +440,7 @@ SCAN = (
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("message", "text"),
     [
         (msg.Velocity("left", 3.14159), "left: Velocity 3.142 rad/s"),
         (msg.Velocity("left", 3.0, 0.5), "left: Velocity 3 rad/s, torque 0.5 N·m"),
@@ -411,14 +461,14 @@ SCAN = (
         ),
     ],
 )
-def test_words_in_words(word: AnyMessage, said: str) -> None:
-    assert diff.say(word) == said
+def test_messages_as_text(message: AnyMessage, text: str) -> None:
+    assert message_text(message) == text
 
 
-def test_settings_in_words() -> None:
+def test_settings_as_text() -> None:
     old = 'a = 1\n[b]\nc = [1, 2]\nd = "x"\n[[m]]\nname = "left"\ng = 1.0\n[[n]]\ng = 1\n'
     assert diff.settings(old, old) == []
-    assert diff.settings(old, "# said\n" + old) == []
+    assert diff.settings(old, "# comment\n" + old) == []
     new = 'a = 1.0\n[b]\nc = [1, 3]\ne = true\n[[m]]\nname = "left"\ng = 2.0\n[[n]]\ng = 2\n'
     assert diff.settings(old, new) == [
         "a: 1 recorded, 1.0 now",

@@ -16,15 +16,15 @@ from brain.belief import Pose
 from gateway.core.robot import BagTopics
 from gateway.errors import BagError
 from gateway.recording import Recorder
-from gateway.rosbag import Bag, is_foreign, read
-from gateway.rosbag.evaluate import judge
+from gateway.rosbag import Bag, is_bag, read
+from gateway.rosbag.evaluate import evaluate
 from protocols.messages import MILLISECOND, SECOND, Feedback, Fix, Imu
 from tests.gateway.bag_helpers import (
     IMU,
     KINDS,
     START,
+    BagMessage,
     Kind,
-    Said,
     drive,
     fix,
     imu,
@@ -40,7 +40,7 @@ assert BODY is not None
 TOPICS = BagTopics("/odom", {"imu": "/imu/data"}, "/fix")
 
 
-def bag_of(path: Path, *messages: Said, topics: BagTopics = TOPICS, kind: Kind = "ros1") -> Bag:
+def bag_of(path: Path, *messages: BagMessage, topics: BagTopics = TOPICS, kind: Kind = "ros1") -> Bag:
     """A bag with these messages and one of each topic, which count as the first of all."""
     assert BODY is not None
     first = (odometry(START, 0.0, 0.0), imu(START, (0.0, 0.0, 0.0)), fix(START, 0.0, 0.0))
@@ -66,7 +66,7 @@ def test_every_kind_of_bag_gives_the_same(tmp_path: Path) -> None:
     bags = [read(write(tmp_path / kind, drive(8.0), kind), TOPICS, BODY) for kind in KINDS]
     for bag in bags:
         assert (bag.events, bag.truth, bag.odometry) == (bags[0].events, bags[0].truth, bags[0].odometry)
-        assert [(t.name, t.part, t.count, t.used) for t in bag.topics] == [
+        assert [(t.name, t.role, t.count, t.used) for t in bag.topics] == [
             ("/fix", "truth", 20, 20),
             ("/imu/data", "sensors.imu", 267, 267),
             ("/odom", "odometry", 80, 80),
@@ -102,8 +102,8 @@ def test_poses_of_the_bag_are_for_comparison_alone(tmp_path: Path) -> None:
 
 def test_an_imu_keeps_its_own_frame_and_its_stamp(tmp_path: Path) -> None:
     bag = bag_of(tmp_path, imu(at(20), (0.1, -0.2, 0.3), (0.5, 0.5, 0.5, 0.5), logged=at(45)))
-    said = bag.events[-1]
-    assert said == Imu("imu", at(20), (0.1, -0.2, 0.3), (0.0, 0.0, 9.81), (0.5, 0.5, 0.5, 0.5))
+    message = bag.events[-1]
+    assert message == Imu("imu", at(20), (0.1, -0.2, 0.3), (0.0, 0.0, 9.81), (0.5, 0.5, 0.5, 0.5))
 
 
 @pytest.mark.parametrize(
@@ -114,12 +114,14 @@ def test_an_imu_keeps_its_own_frame_and_its_stamp(tmp_path: Path) -> None:
         (imu(at(5), (0.0, 0.0, 0.0), turned=(math.nan, 0.0, 0.0, 1.0)), None),
         (imu(at(5), (0.0, 0.0, 0.0), turned=(0.0, 0.0, 0.6, 0.8)), (0.0, 0.0, 0.6, 0.8)),
     ],
-    ids=["said not to be there", "all zero", "not a number", "there"],
+    ids=["marked as not measured", "all zero", "not a number", "there"],
 )
-def test_an_orientation_that_was_not_measured_is_none(tmp_path: Path, message: Said, turned: object) -> None:
-    said = bag_of(tmp_path, message).events[-1]
-    assert isinstance(said, Imu)
-    assert said.orientation == turned
+def test_an_orientation_that_was_not_measured_is_none(
+    tmp_path: Path, message: BagMessage, turned: object
+) -> None:
+    event = bag_of(tmp_path, message).events[-1]
+    assert isinstance(event, Imu)
+    assert event.orientation == turned
 
 
 def test_a_fix_tells_its_horizontal_variance_if_it_knows_it(tmp_path: Path) -> None:
@@ -131,10 +133,10 @@ LEFT = [
     (odometry(at(5), math.nan, 0.0), "/odom", "not finite"),
     (odometry(at(5), 0.0, math.inf), "/odom", "not finite"),
     (odometry(at(5), 0.0, 0.0, Pose(math.nan, 0.0, 0.0)), "/odom", "not finite"),
-    (odometry(at(5), 0.0, 0.0, variance=1e6), "/odom", "no speed in it"),
+    (odometry(at(5), 0.0, 0.0, variance=1e6), "/odom", "twist not measured"),
     (odometry(0, 0.0, 0.0, logged=at(5)), "/odom", "no stamp"),
     (imu(at(5), (0.0, math.nan, 0.0)), "/imu/data", "not finite"),
-    (imu(at(5), (0.0, 0.0, 0.0), rate_variance=-1.0), "/imu/data", "no rate of turn in it"),
+    (imu(at(5), (0.0, 0.0, 0.0), rate_variance=-1.0), "/imu/data", "angular velocity not measured"),
     (imu(0, (0.0, 0.0, 0.0), logged=at(5)), "/imu/data", "no stamp"),
     (fix(at(5), 0.0, 0.0, status=-1), "/fix", "no fix"),
     (fix(at(5), math.nan, 0.0), "/fix", "not on the earth"),
@@ -146,19 +148,19 @@ LEFT = [
 
 @pytest.mark.parametrize(("message", "name", "reason"), LEFT)
 def test_what_is_not_used_is_counted_with_its_reason(
-    tmp_path: Path, message: Said, name: str, reason: str
+    tmp_path: Path, message: BagMessage, name: str, reason: str
 ) -> None:
     plain, bag = bag_of(tmp_path / "a"), bag_of(tmp_path / "b", message)
     assert (bag.events, bag.truth, bag.odometry) == (plain.events, plain.truth, plain.odometry)
     topics = {topic.name: topic for topic in bag.topics}
-    assert (topics[name].count, topics[name].used, topics[name].left) == (2, 1, {reason: 1})
-    assert all(not topic.left for other, topic in topics.items() if other != name)
+    assert (topics[name].count, topics[name].used, topics[name].unused) == (2, 1, {reason: 1})
+    assert all(not topic.unused for other, topic in topics.items() if other != name)
 
 
 def test_topics_without_a_part_are_left_over(tmp_path: Path) -> None:
     other = imu(at(5), (0.0, 0.0, 0.0), topic="/imu/other")
     bag = bag_of(tmp_path, other, topics=BagTopics("/odom"))
-    assert [(t.name, t.part, t.used) for t in bag.topics] == [
+    assert [(t.name, t.role, t.used) for t in bag.topics] == [
         ("/fix", "", 0),
         ("/imu/data", "", 0),
         ("/imu/other", "", 0),
@@ -200,8 +202,8 @@ def test_wheels_turn_in_the_order_of_stamps(tmp_path: Path) -> None:
 
 def test_every_missing_topic_is_told_with_the_nearest_and_what_there_is(tmp_path: Path) -> None:
     path = write(tmp_path / "x", drive(1.0))
-    said = refusal(path, BagTopics("/odm", {"imu": "/odom"}, "/gps"))
-    assert said.splitlines() == [
+    message = refusal(path, BagTopics("/odm", {"imu": "/odom"}, "/gps"))
+    assert message.splitlines() == [
         f"{path}: odometry: no topic '/odm'; did you mean '/odom'?",
         f"{path}: sensors.imu: /odom holds nav_msgs/msg/Odometry, expected sensor_msgs/msg/Imu",
         f"{path}: truth: no topic '/gps'",
@@ -213,19 +215,19 @@ def test_every_missing_topic_is_told_with_the_nearest_and_what_there_is(tmp_path
 
 
 def test_a_robot_without_topics_is_told_what_there_is(tmp_path: Path) -> None:
-    said = refusal(write(tmp_path / "x", drive(1.0)), None)
-    assert "no table [bag]" in said
-    assert "/odom: 10 of nav_msgs/msg/Odometry" in said
+    message = refusal(write(tmp_path / "x", drive(1.0)), None)
+    assert "no table [bag]" in message
+    assert "/odom: 10 of nav_msgs/msg/Odometry" in message
 
 
 def test_a_topic_with_messages_of_several_types_is_none_of_them(tmp_path: Path) -> None:
     def make(types: Any) -> Any:
         return vector(types, 0.0, 0.0, 0.0)
 
-    other = Said("/imu/data", "geometry_msgs/msg/Vector3", at(1), make)
+    other = BagMessage("/imu/data", "geometry_msgs/msg/Vector3", at(1), make)
     path = write(tmp_path / "x", [odometry(START, 0.0, 0.0), imu(START, (0.0, 0.0, 0.0)), other])
-    said = refusal(path, BagTopics("/odom", {"imu": "/imu/data"}))
-    assert f"/imu/data holds messages of several types, expected {IMU}" in said
+    message = refusal(path, BagTopics("/odom", {"imu": "/imu/data"}))
+    assert f"/imu/data holds messages of several types, expected {IMU}" in message
 
 
 # -- which file is one ----------------------------------------------------------------------------
@@ -234,22 +236,22 @@ def test_a_topic_with_messages_of_several_types_is_none_of_them(tmp_path: Path) 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_is_known_as_foreign(tmp_path: Path, kind: Kind) -> None:
     path = write(tmp_path / "x", drive(1.0), kind)
-    assert is_foreign(path)
-    assert all(is_foreign(p) for p in path.parent.rglob("*") if p.suffix in (".bag", ".mcap", ".db3"))
+    assert is_bag(path)
+    assert all(is_bag(p) for p in path.parent.rglob("*") if p.suffix in (".bag", ".mcap", ".db3"))
 
 
 def test_our_own_recording_is_not_foreign(tmp_path: Path) -> None:
     path = tmp_path / "own.mcap"
     recorder = Recorder(path, ROVER.text, {})
     recorder.close()
-    assert not is_foreign(path)
+    assert not is_bag(path)
 
 
 def test_what_is_no_bag_is_not_foreign(tmp_path: Path) -> None:
     for name, data in (("a", b""), ("b.bag", b"x" * 100), ("c.mcap", b"\x89MCAP0\r\n"), ("d", b"# no bag")):
         (tmp_path / name).write_bytes(data)
-        assert not is_foreign(tmp_path / name), name
-    assert not is_foreign(tmp_path / "nothing")
+        assert not is_bag(tmp_path / name), name
+    assert not is_bag(tmp_path / "nothing")
 
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
@@ -301,7 +303,7 @@ def test_without_asserts_no_bag_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: Kind) -> None:
     """Cut anywhere, and with bits flipped anywhere: nothing but BagError comes out, and what is read can
-    be judged."""
+    be evaluation."""
     assert BODY is not None
     seed, read_after_all, refused = 7, 0, 0
     random = np.random.Generator(np.random.PCG64(seed))
@@ -326,7 +328,7 @@ def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: 
             raise
         else:
             read_after_all += 1
-            assert judge(bag, ROVER).text()
+            assert evaluate(bag, ROVER).text()
         file.write_bytes(whole)
     assert refused > 6
     assert read_after_all > 0
@@ -335,4 +337,4 @@ def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: 
 
 def test_a_stamp_far_away_harms_nothing_but_itself(tmp_path: Path) -> None:
     bag = bag_of(tmp_path, odometry(START + 4 * 10**8 * SECOND, 1.0, 0.0, logged=at(5)))
-    assert judge(bag, ROVER).text()
+    assert evaluate(bag, ROVER).text()

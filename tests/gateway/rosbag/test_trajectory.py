@@ -102,7 +102,7 @@ def test_figures_of_an_error_worked_out_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("one", "other", "said"),
+    ("one", "other", "message"),
     [
         (np.zeros((2, 2)), np.zeros((2, 2)), "2 positions against 2: at least 3"),
         (np.zeros((4, 2)), np.zeros((5, 2)), "4 positions against 5"),
@@ -110,8 +110,8 @@ def test_figures_of_an_error_worked_out_by_hand() -> None:
         (np.zeros((3, 2)), np.array([[0.0, 0.0], [math.inf, 0.0], [2.0, 0.0]]), "not finite"),
     ],
 )
-def test_what_cannot_be_judged_is_refused(one: Floats, other: Floats, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+def test_what_cannot_be_judged_is_refused(one: Floats, other: Floats, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         path_error(one, other)
 
 

@@ -16,7 +16,7 @@ from rosbags.typesys.store import Typestore
 from gateway.core.tick import Inputs, Outputs, Tick
 from gateway.recording import tick_codec
 from gateway.recording.ros_views import typestore
-from gateway.recording.tick_codec import UNPROTECTED, DigestChain, JournalError, decode, encode
+from gateway.recording.tick_codec import CHAIN_START, DigestChain, TickCodecError, decode, encode
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import Feedback
 from tests.gateway import little
@@ -39,7 +39,7 @@ def test_a_tick_comes_back_exactly(tick: Tick, before: DigestChain) -> None:
     entry = decode(data, before)
     # repr tells -0.0 from 0.0, which == does not
     assert repr(entry.tick) == repr(tick)
-    assert entry.seals == entry.made == after
+    assert entry.written == entry.computed == after
     assert entry.damage() == ()
     assert encode(entry.tick, before) == (data, after)
 
@@ -48,7 +48,7 @@ def test_a_tick_comes_back_exactly(tick: Tick, before: DigestChain) -> None:
 @settings(max_examples=200, deadline=None)
 def test_the_bytes_are_those_of_a_general_serialiser(tick: Tick) -> None:
     made = store()
-    data, _ = encode(tick, UNPROTECTED)
+    data, _ = encode(tick, CHAIN_START)
     message: Any = made.deserialize_cdr(data, tick_codec.TYPE)
     assert bytes(made.serialize_cdr(message, tick_codec.TYPE, little_endian=True)) == data
     assert (message.number, message.now) == (tick.number, tick.now)
@@ -59,7 +59,7 @@ def test_the_bytes_are_those_of_a_general_serialiser(tick: Tick) -> None:
         assert (reported.t, reported.bus, reported.data.tobytes()) == (packet.t, packet.bus, data_in)
         assert reported.kind == isinstance(frame, CanFrame)
         assert reported.id == (frame.id if isinstance(frame, CanFrame) else 0)
-    assert len(message.asked) == len(tick.inputs.instructions)
+    assert len(message.instructions) == len(tick.inputs.instructions)
     assert len(message.sent) == len(tick.outputs.packets)
     assert [n.text for n in message.notes] == [n.text for n in tick.outputs.notes]
 
@@ -93,49 +93,49 @@ TICK = Tick(
     ids=["frame", "serial", "sent", "state"],
 )
 def test_what_was_changed_is_named(written: str, changed: str, reported: str) -> None:
-    raw, _ = encode(TICK, UNPROTECTED)
+    raw, _ = encode(TICK, CHAIN_START)
     assert raw.count(bytes.fromhex(written)) == 1
-    damage = decode(raw.replace(bytes.fromhex(written), bytes.fromhex(changed)), UNPROTECTED).damage()
+    damage = decode(raw.replace(bytes.fromhex(written), bytes.fromhex(changed)), CHAIN_START).damage()
     assert len(damage) == 1
     assert reported in damage[0]
 
 
 @pytest.mark.parametrize("bit", range(8))
 def test_any_flipped_bit_is_found(bit: int) -> None:
-    raw, after = encode(TICK, UNPROTECTED)
+    raw, after = encode(TICK, CHAIN_START)
     for at in range(len(raw)):
         changed = bytearray(raw)
         changed[at] ^= 1 << bit
         try:
-            entry = decode(bytes(changed), UNPROTECTED)
-        except JournalError:
+            entry = decode(bytes(changed), CHAIN_START)
+        except TickCodecError:
             continue
         assert entry.damage(), f"bit {bit} of byte {at} was flipped unseen"
-    assert decode(raw, UNPROTECTED).seals == after
+    assert decode(raw, CHAIN_START).written == after
 
 
 def test_a_tick_left_out_is_found() -> None:
-    _, first = encode(TICK, UNPROTECTED)
+    _, first = encode(TICK, CHAIN_START)
     data, _ = encode(replace(TICK, number=4), first)
     assert decode(data, first).damage() == ()
-    assert "the tick before it is missing" in decode(data, UNPROTECTED).damage()[0]
+    assert "the tick before it is missing" in decode(data, CHAIN_START).damage()[0]
 
 
 @given(st.binary(max_size=200))
 @settings(max_examples=300, deadline=None)
 def test_no_bytes_raise_anything_else(data: bytes) -> None:
     for raw in (data, b"\x00\x01\x00\x00" + data):
-        with pytest.raises(JournalError):
-            decode(raw, UNPROTECTED)
+        with pytest.raises(TickCodecError):
+            decode(raw, CHAIN_START)
 
 
 def test_a_cut_tick_is_none() -> None:
-    raw, _ = encode(TICK, UNPROTECTED)
+    raw, _ = encode(TICK, CHAIN_START)
     for size in range(len(raw)):
-        with pytest.raises(JournalError, match="not the bytes of a tick"):
-            decode(raw[:size], UNPROTECTED)
-    with pytest.raises(JournalError, match="after the last note"):
-        decode(raw + b"\0", UNPROTECTED)
+        with pytest.raises(TickCodecError, match="not the bytes of a tick"):
+            decode(raw[:size], CHAIN_START)
+    with pytest.raises(TickCodecError, match="after the last note"):
+        decode(raw + b"\0", CHAIN_START)
 
 
 def test_writing_a_tick_is_cheap() -> None:
@@ -145,5 +145,5 @@ def test_writing_a_tick_is_cheap() -> None:
     sent = tuple(Packet(9, "can0", CanFrame(0x0D + i, b"12345678")) for i in range(2))
     events = tuple(Feedback("left", i, 1.0, 2.0) for i in range(4))
     tick = Tick(1, 9, Inputs((), frames), Outputs(sent, events))
-    best = min(timeit.repeat(lambda: encode(tick, UNPROTECTED), number=200, repeat=20)) / 200
+    best = min(timeit.repeat(lambda: encode(tick, CHAIN_START), number=200, repeat=20)) / 200
     assert best < 60e-6

@@ -1,0 +1,55 @@
+"""Messages as text: `left: Velocity 3.142 rad/s`."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, fields
+
+from protocols.messages import Message
+
+UNITS = {
+    "position": "rad",
+    "velocity": "rad/s",
+    "torque": "N·m",
+    "stiffness": "N·m/rad",
+    "damping": "N·m·s/rad",
+    "current": "A",
+    "voltage": "V",
+    "temperature": "°C",
+    "linear": "m/s",
+    "angular": "rad/s",
+    "x": "m",
+    "y": "m",
+    "yaw": "rad",
+    "angular_velocity": "rad/s",
+    "linear_acceleration": "m/s²",
+}
+_NAMES = ("motor", "sensor", "bus", "name")
+_LIST = 8
+"""Values of a long tuple that are shown."""
+
+
+def message_text(message: Message, digits: int = 4) -> str:
+    """Return a message's subject, kind, and the fields that are not at their default."""
+    names = [field.name for field in fields(message)]
+    subject = next((name for name in _NAMES if name in names), None)
+    kind = type(message).__name__
+    parts = []
+    for field in fields(message):
+        value = getattr(message, field.name)
+        is_default = field.default is not MISSING and value == field.default
+        if field.name in (subject, "t") or value is None or is_default:
+            continue
+        label = "" if field.name == kind.lower() else f"{field.name} "
+        unit = f" {UNITS[field.name]}" if field.name in UNITS else ""
+        parts.append(f"{label}{_value(value, digits)}{unit}")
+    about = f"{getattr(message, subject)}: " if subject and getattr(message, subject) else ""
+    return f"{about}{kind} {', '.join(parts)}".rstrip()
+
+
+def _value(value: object, digits: int) -> str:
+    if isinstance(value, float):
+        return f"{value:.{digits}g}"
+    if isinstance(value, tuple):
+        more = f", … {len(value)} in all" if len(value) > _LIST else ""
+        return f"({', '.join(_value(v, digits) for v in value[:_LIST])}{more})"
+    return str(value)
