@@ -1,14 +1,10 @@
-"""Arguments that several commands share, their types, and the robot that they name. Cheap to import."""
+"""Arguments that several commands share, and the types of arguments. Cheap to import."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, ArgumentTypeError
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from math import inf, isfinite, radians
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from gateway.core.robot import Robot
 
 
 def add_verbosity(parser: ArgumentParser) -> None:
@@ -56,14 +52,6 @@ def add_realtime(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--realtime", type=int, metavar="PRIORITY", help="request SCHED_FIFO with this priority"
     )
-
-
-def read_robot(name: str, interfaces: Sequence[tuple[str, str]] = ()) -> Robot:
-    """Return the robot of a file or a shipped name, its buses on these interfaces."""
-    from gateway import config
-    from gateway.config import resources
-
-    return config.with_interfaces(config.load_robot(resources.find("robots", name)), dict(interfaces))
 
 
 # -- types ------------------------------------------------------------------------------------------

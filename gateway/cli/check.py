@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 
 from gateway.cli import arguments
-from gateway.config import describe
+from gateway.config import describe, load_robot
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -15,5 +15,5 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Print the description of the robot."""
-    print(describe(arguments.read_robot(options.robot)))
+    print(describe(load_robot(options.robot)))
     return 0

@@ -14,6 +14,7 @@ from gateway.cli import arguments
 from gateway.cli.picture import draw
 from gateway.cli.run import print_recording
 from gateway.cli.tour import Tour
+from gateway.config import load_robot
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
 from gateway.runtime.session import Session, open_session
@@ -42,7 +43,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Return 1 unless the true pose was near every goal."""
-    robot = arguments.read_robot(options.robot)
+    robot = load_robot(options.robot)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

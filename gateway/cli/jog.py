@@ -20,6 +20,7 @@ from brain.bodies.joints import Joints
 from gateway.cli import arguments
 from gateway.cli.terminal.keys import HeldKey, Key, parse, press, raw_mode, read_keys, speed_share
 from gateway.cli.terminal.screen import Line
+from gateway.config import load_robot, with_interfaces
 from gateway.config.errors import unknown
 from gateway.core.joint import Joint
 from gateway.core.robot import Robot
@@ -56,7 +57,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Return 1 if the motor is left in fault."""
-    robot = single_motor(arguments.read_robot(options.robot, options.bus), options.motor, options.speed)
+    robot = with_interfaces(load_robot(options.robot), dict(options.bus))
+    robot = single_motor(robot, options.motor, options.speed)
     if not sys.stdin.isatty():
         raise UserError("the motor turns as long as a key is held: standard input must be a terminal")
     terminal = sys.stdin.fileno()

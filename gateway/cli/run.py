@@ -10,6 +10,7 @@ from pathlib import Path
 
 from brain.belief import BrainState
 from gateway.cli import arguments
+from gateway.config import load_robot, with_interfaces
 from gateway.operator import Operator
 from gateway.operator.status import status_text
 from gateway.runtime.process import request_realtime
@@ -39,7 +40,7 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Return 1 if a motor was left in fault or a goal was not reached."""
-    robot = arguments.read_robot(options.robot, options.bus)
+    robot = with_interfaces(load_robot(options.robot), dict(options.bus))
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         print(refused, file=sys.stderr)
     with (

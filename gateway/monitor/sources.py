@@ -14,9 +14,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from gateway import config
 from gateway.buses import open_bus
-from gateway.config import resources
+from gateway.config import load_robot, with_interfaces
 from gateway.core.clock import Clock
 from gateway.core.robot import TWIN, BusSettings
 from gateway.errors import BusError, UserError
@@ -66,8 +65,7 @@ def open_all(options: Namespace, clock: Clock, stack: ExitStack) -> WatchSession
         title, plugins = ", ".join(interfaces), _plugins()
         buses = {bus.name: bus for bus in (_settings(interface, options) for interface in interfaces)}
     else:
-        robot = config.load_robot(resources.find("robots", options.what))
-        robot = config.with_interfaces(robot, dict(options.bus))
+        robot = with_interfaces(load_robot(options.what), dict(options.bus))
         title, buses = robot.name, dict(robot.buses)
         left_out = {name: _simulated(bus) for name, bus in buses.items() if bus.interface == TWIN}
     sources: dict[str, Source] = {}
