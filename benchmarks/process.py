@@ -22,7 +22,6 @@ from benchmarks.rows import Beside, Row, Target
 from gateway import config
 from gateway.buses.adapters.adapter_pty import AdapterPty
 from gateway.buses.adapters.pty import SerialPty
-from gateway.config import resources
 from gateway.core.clock import WallClock, stopwatch
 from gateway.core.robot import BusSettings
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -108,7 +107,7 @@ def until_first_frame(robot: str, stay: Nanos) -> tuple[Nanos, int]:
     """How long `gateway run` takes until its first CAN frame comes out, and the most memory [B] that it has
     held when it has run for `stay` beyond that. Raises NotMeasured if no frame comes."""
     clock = WallClock()
-    with _frames(robot, clock) as frames:
+    with _frames(robot) as frames:
         buses = [word for frame in frames for word in ("--bus", f"{frame.name}={_address(frame)}")]
         with _process(("-m", "gateway", "run", robot, *buses)) as process:
             first: Nanos | None = None
@@ -159,20 +158,20 @@ def _process(arguments: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def _frames(robot: str, clock: WallClock) -> Iterator[list[Frame]]:
+def _frames(robot: str) -> Iterator[list[Frame]]:
     """The far ends of a robot's buses."""
-    buses = config.load_robot(resources.find("robots", robot)).buses
+    buses = config.load_robot(robot).buses
     made: list[Frame] = []
     try:
-        made.extend(_frame(settings, clock) for settings in buses.values())
+        made.extend(_frame(settings) for settings in buses.values())
         yield made
     finally:
         for frame in made:
             frame.close()
 
 
-def _frame(settings: BusSettings, clock: WallClock) -> Frame:
-    return SerialPty(settings, clock) if settings.kind == "serial" else AdapterPty(settings, clock)
+def _frame(settings: BusSettings) -> Frame:
+    return SerialPty(settings) if settings.kind == "serial" else AdapterPty(settings)
 
 
 def _address(frame: Frame) -> str:

@@ -18,7 +18,6 @@ from benchmarks.rows import Row, Target, span
 from brain.bodies.joints import Joints
 from gateway import config
 from gateway.buses.virtual.bus import open_world
-from gateway.config import resources
 from gateway.core.clock import SimulatedClock, stopwatch
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway
@@ -38,7 +37,7 @@ Drive: TypeAlias = tuple[Robot, Sequence[Tick]]
 
 def steps(effort: Effort) -> list[Row]:
     """12 motors, and the first 2 of them."""
-    twelve = config.load_robot(resources.find("robots", "twelve"))
+    twelve = config.load_robot("twelve")
     seconds = effort.of(5, 1)
     drives = {
         "2 motors, velocity": drive(first(twelve, 2), lambda motor: Velocity(motor, 5.0), seconds),

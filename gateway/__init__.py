@@ -73,6 +73,8 @@ if TYPE_CHECKING:
     from protocols.messages import Torque as Torque
     from protocols.messages import Velocity as Velocity
 
+    __version__: str
+
 _MODULES = {
     "brain.belief": ("Belief", "Pose"),
     "gateway.config": ("describe", "load_robot", "parse_robot", "with_interfaces"),

@@ -51,8 +51,21 @@ class _Top:
     seed: Annotated[int, Bounds(least=0)] = 0
 
 
-def load_robot(path: Path, find: Find = plugin.load) -> Robot:
-    """Read a robot file. Raises ConfigError with every mistake in it, or with why it cannot be read."""
+def load_robot(robot: str | Path, find: Find = plugin.load) -> Robot:
+    """Read a robot file.
+
+    Args:
+        robot: its path, or the name of one that ships with the gateway ("diffbot").
+        find: returns a protocol plugin by its name; by default those that are installed.
+
+    Returns:
+        Robot: everything that the file describes; nothing is opened yet.
+
+    Raises:
+        ConfigError: the file is wrong or cannot be read; every mistake in it.
+        UserError: neither a file nor a shipped name.
+    """
+    path = resources.find("robots", robot) if isinstance(robot, str) else robot
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -67,8 +80,18 @@ def parse_robot(
 ) -> Robot:
     """Make a robot from the text of its file.
 
-    `name` is the file's in mistakes, `find` returns a protocol by its name. The world is only looked for
-    `with_world`: a replay needs none. Raises ConfigError with every mistake."""
+    Args:
+        text: TOML.
+        name: the file's name in mistakes.
+        find: returns a protocol plugin by its name.
+        with_world: whether its world must exist; a replay needs none.
+
+    Returns:
+        Robot: everything that the text describes.
+
+    Raises:
+        ConfigError: every mistake in the text.
+    """
     mistakes = Mistakes(name, text)
     table = read_toml(text, mistakes)
     defaults = _section(table, "defaults", mistakes, GROUPS)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from brain.belief import Belief, Pose
 from gateway import config
-from gateway.config import resources
+from gateway.buses import Bus, open_bus
 from gateway.core.clock import Clock, SimulatedClock, WallClock, date
 from gateway.core.joint import Joint
 from gateway.core.robot import TWIN, Robot
@@ -28,7 +28,6 @@ from gateway.runtime.process import quiet_collector, signals
 from protocols.messages import SECOND, Goal, Instruction, Release
 
 if TYPE_CHECKING:
-    from gateway.buses import Bus
     from gateway.buses.virtual.bus import TwinWorld
     from gateway.recording import Recorder
 
@@ -173,7 +172,7 @@ def open_session(
         UserError: the robot does not exist, `record` exists, or `simulated` with a real interface.
     """
     if not isinstance(robot, Robot):
-        robot = config.load_robot(resources.find("robots", str(robot)))
+        robot = config.load_robot(robot)
     real = [bus.name for bus in robot.buses.values() if bus.interface != TWIN]
     if simulated and real:
         raise UserError(f"simulated time needs a simulated world: {', '.join(real)} is on a real interface")
@@ -223,13 +222,7 @@ def _open_buses(
     for name, settings in robot.buses.items():
         if settings.interface == TWIN and twins is not None:
             buses[name] = twins.buses[name]
-        elif settings.kind == "serial":
-            from gateway.buses.serial import open_serial
-
-            buses[name] = open_serial(settings, clock)
         else:
-            from gateway.buses.can import open_can
-
-            buses[name] = open_can(settings, clock)
+            buses[name] = open_bus(settings, clock)
         stack.callback(buses[name].close)
     return buses, twins

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway import config
-from gateway.config import resources
+from gateway.buses import Bus, open_bus
 from gateway.core.clock import Clock, WallClock
 from gateway.core.robot import TWIN, BusSettings, Robot
 from gateway.errors import BusError
@@ -29,7 +29,6 @@ from protocols.frames import BusState
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
 if TYPE_CHECKING:
-    from gateway.buses import Bus
     from gateway.buses.virtual.bus import TwinWorld
 
 log = logging.getLogger("gateway")
@@ -102,7 +101,7 @@ _PTY_TEXTS = {
 
 def twin(options: Namespace) -> int:
     """Simulate the devices of a robot until a signal comes."""
-    robot = outer(config.load_robot(resources.find("robots", options.robot)), dict(options.bus))
+    robot = outer(config.load_robot(options.robot), dict(options.bus))
     if options.realtime is not None and (refused := request_realtime(options.realtime)):
         log.warning("%s", refused)
     adapters = (options.adapter or ["slcan"]) * options.ports
@@ -166,20 +165,14 @@ def _open(settings: BusSettings, clock: Clock, adapters: Sequence[str]) -> tuple
     if serial and offered:
         from gateway.buses.adapters.pty import SerialPty
 
-        line = SerialPty(settings, clock)
+        line = SerialPty(settings)
         return line, [f"serial:{line.pty.path}"]
-    if serial:
-        from gateway.buses.serial import open_serial
-
-        return open_serial(settings, clock), []
     if offered:
         from gateway.buses.adapters.adapter_pty import AdapterPty
 
-        ports = AdapterPty(settings, clock, adapters)
+        ports = AdapterPty(settings, adapters)
         return ports, [f"{kind}:{path}" for kind, path in zip(adapters, ports.paths, strict=True)]
-    from gateway.buses.can import open_can
-
-    return open_can(settings, clock), []
+    return open_bus(settings, clock), []
 
 
 def _linked(folder: Path, bus: str, ports: Sequence[str], stack: ExitStack) -> list[str]:

@@ -26,7 +26,6 @@ from brain.perception.grid import Grid, GridSettings
 from brain.perception.motion_model import V, W
 from brain.perception.mount import Mount, to_body, to_world
 from gateway import config
-from gateway.config import resources
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Feedback, Velocity
 
@@ -398,7 +397,7 @@ def test_our_way_is_as_long_as_that_over_the_graph(size: int) -> None:
 
 
 def test_the_steps_that_count_are_those_of_every_motor() -> None:
-    twelve = config.load_robot(resources.find("robots", "twelve"))
+    twelve = config.load_robot("twelve")
     robot = steps.first(twelve, 2)
     assert (len(twelve.motors), list(robot.motors), list(robot.buses)) == (
         12,
@@ -418,7 +417,7 @@ def test_the_steps_that_count_are_those_of_every_motor() -> None:
 
 def test_polling_costs_no_steps_of_its_own() -> None:
     """Else every poll would send every set-point once more: with twelve motors, nearly twice the bus load."""
-    twelve = config.load_robot(resources.find("robots", "twelve"))
+    twelve = config.load_robot("twelve")
     _, ticks = steps.drive(twelve, lambda motor: Velocity(motor, 5.0), 2)
     settled = [tick for tick in ticks if SECOND <= tick.now < 2 * SECOND]
     assert len(settled) == 200

@@ -375,8 +375,8 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
 def test_the_first_frame_goes_out_within_three_seconds_also_if_it_is_recorded(folder: Path) -> None:
     """Of the processor's time: what else the machine does is not ours to judge."""
     clock = WallClock()
-    adapters = AdapterPty(BusSettings("can0", "can", "twin", 1_000_000), clock)
-    line = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000), clock)
+    adapters = AdapterPty(BusSettings("can0", "can", "twin", 1_000_000))
+    line = SerialPty(BusSettings("sensors", "serial", "twin", baudrate=3_000_000))
     buses = ["--bus", f"can0=slcan:{adapters.paths[0]}", "--bus", f"sensors=serial:{line.pty.path}"]
     words = ["run", "diffbot", *buses, "--record", str(folder / "first.mcap")]
     with closing(adapters), closing(line), Process(folder / "run", *words) as robot:
@@ -425,10 +425,10 @@ def test_the_vendor_s_client_then_a_person_s_lines_then_the_twin_goes_and_comes_
         twin.until("left: ready", "can0: client disconnected")
         with Process(folder / "run", *words) as robot:
             robot.until("left: ready", "right: ready")
-            robot.say("position left 1.5")
+            robot.send_line("position left 1.5")
             robot.until("left: armed")
             for _ in range(200):
-                robot.say("status")
+                robot.send_line("status")
                 robot.until("ticks:")
                 if abs(float(re.findall(r"left: armed.* at (-?[\d.]+) rad", robot.text)[-1]) - 1.5) < 0.01:
                     break
@@ -453,7 +453,7 @@ def test_motors_of_a_host_that_was_killed_are_stopped_by_their_watchdog(tmp_path
     with Process(tmp_path, "twin", str(tmp_path / "rig.toml"), "-v") as twin:
         with Process(tmp_path, *invited(twin, "-v")) as robot:
             robot.until("left: ready")
-            robot.say("velocity left 5")
+            robot.send_line("velocity left 5")
             twin.until("left: armed")
             robot.end(signal.SIGKILL)
         twin.until(
