@@ -107,13 +107,10 @@ def missing(settings: BusSettings, channel: str, has_can: bool, net: Path = NET)
         if int((net / channel / "flags").read_text(), 16) & 1:  # IFF_UP
             return ""
         why = f"{channel} is down."
-    elif has_can:
-        why = f"there is no CAN interface {channel!r}. {_what_there_is(present)}"
     else:
-        why = (
-            "this machine's kernel has no CAN (errno 97: address family not supported by protocol). "
-            + _what_there_is(present)
-        )
+        no_can = "this machine's kernel has no CAN (errno 97: address family not supported by protocol)"
+        why = f"there is no CAN interface {channel!r}" if has_can else no_can
+        why += f". {_what_there_is(present)}"
     return f"{_head(settings)}: {why}\n{_commands(settings, channel)}"
 
 
