@@ -1,4 +1,4 @@
-"""`gateway bench [--json FILE] [--quick]`: what this program costs here, beside what else there is.
+"""`./go bench [--json FILE] [--quick]`: what this program costs here, beside what else there is.
 
 Rules. All of it is measured in one run. A target that is missed is told, and no failure; what is not
 installed is told by name; what does not do its work raises.

@@ -277,7 +277,7 @@ def test_nothing_but_read_only_frames_goes_out_before_the_first_key() -> None:
     assert jogged.turned() == 0.0
 
 
-def test_the_motor_turns_while_a_key_is_held_and_at_no_other_time() -> None:
+def test_the_motor_alone_turns_and_only_while_a_key_is_held() -> None:
     jogged = Jogged([*held(b"\x1b[C", 0.5, 2.0), (3.0, b"q")]).drive()
     sent = [(t, c.velocity / 8.0) for t, c in jogged.obeyed() if isinstance(c, Velocity)]
     assert max(velocity for _, velocity in sent) == pytest.approx(1.0)  # 5 % of 20 rad/s
@@ -285,17 +285,13 @@ def test_the_motor_turns_while_a_key_is_held_and_at_no_other_time() -> None:
     assert all(velocity > 0.0 for t, velocity in sent if 0.6 * SECOND < t < 2.0 * SECOND)
     assert jogged.turned() == pytest.approx(0.5 * CREEP_SHARE + 1.0 + REPEAT_HOLD / SECOND, abs=0.1)
     assert any(" → 1.00 rad/s | armed | " in text for text in jogged.shown)
+    assert {command.motor for _, command in jogged.obeyed()} == {"left"}
+    assert jogged.turned("right") == 0.0
 
 
 def test_a_tap_backwards_is_a_small_turn_back() -> None:
     jogged = Jogged([(0.5, b"-"), (3.0, b"q")], speed=2.0).drive()
     assert jogged.turned() == pytest.approx(-2.0 * CREEP_SHARE * FIRST_HOLD / SECOND, abs=0.05)
-
-
-def test_no_other_motor_is_commanded() -> None:
-    jogged = Jogged([*held(b"+", 0.2, 1.0), (1.5, b"q")]).drive()
-    assert {command.motor for _, command in jogged.obeyed()} == {"left"}
-    assert jogged.turned("right") == 0.0
 
 
 @contextmanager
