@@ -1,7 +1,7 @@
 """`./go bench [--json FILE] [--quick]`: what this program costs here, beside what else there is.
 
-Rules. All of it is measured in one run. A target that is missed is told, and no failure; what is not
-installed is told by name; what does not do its work raises.
+Rules. All of it is measured in one run. A target that is missed is reported, and no failure; what is not
+installed is reported by name; what does not do its work raises.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def bench(options: Namespace) -> int:
     from protocols.messages import SECOND
 
     if options.json is not None:
-        options.json.open("a").close()  # that it cannot be written is told now, not in two minutes
+        options.json.open("a").close()  # report now, not in two minutes, that it cannot be written
     effort = Effort(options.quick)
     began, before = stopwatch(), preemptions()
     rows = [row for name, part in parts().items() for row in _reported(name, part, effort)]
@@ -81,7 +81,7 @@ def head(facts: Mapping[str, str], *, quick: bool) -> str:
             f"Python {python}, {packages}, BLAS {facts['numpy blas']}",
             f"load average {load}; preempted {facts['preemptions']} times in {facts['seconds']} s",
             *(["--quick: these figures are rough"] if quick else []),
-            "ratio: theirs by ours. Above 1, ours is quicker or smaller, or fits so often into a tick.",
+            "ratio: theirs by ours. Above 1, ours is quicker or smaller, or fits that many times into a tick.",
             "",
         ]
     )

@@ -1,6 +1,6 @@
-"""How the bench measures: contestants take turns, and what is told is the median and the 99th percentile.
+"""How the benchmarks measure: contestants take turns; reported are the median and the 99th percentile.
 
-Rules. Whoever is compared is measured in the same process, in turn, round after round, so that what else the
+Rules. Contestants are measured in the same process, in turn, round after round, so that what else the
 machine does meets all of them alike. A call that is too short for the clock is repeated within a sample, and
 the sample is its mean. The garbage collector is kept as the live loop keeps it. Nothing here judges a time.
 """
@@ -22,14 +22,14 @@ from protocols.messages import Nanos
 
 Call: TypeAlias = Callable[[], object]
 LEAST_SAMPLE: Nanos = 10_000
-"""A sample lasts at least so long, so that reading the clock (some 50 ns) is no part of it; and not much
+"""Minimum duration of a sample, so that reading the clock (some 50 ns) is no part of it; and not much
 longer, so that few samples are cut in two by whatever else the machine does."""
 
 SLOW: Nanos = 20_000_000
 
 
 class NotMeasured(RuntimeError):
-    """What was to be measured did not do its work, so that its time would tell nothing: what it did."""
+    """What was to be measured did not do its work, so that its time is meaningless; the text is what it did."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def preemptions() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
 
 
-# -- what somebody else would use ------------------------------------------------------------------
+# -- alternatives ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """What the program costs as a process: until it answers, until its first frame is on the bus, its memory.
 
 Rules. The gateway runs as a user starts it, in a process of its own. To see its first frame come out at the
-far end of the wire, its CAN buses are put on adapters of ours (slcan on ptys) and its serial lines on ptys;
-nobody answers there, and no simulated world is part of it. The clock starts before Python does. Memory is the
+far end, its CAN buses are put on adapters of ours (slcan on ptys) and its serial lines on ptys; nothing
+answers there, and no simulated world is part of it. The clock starts before Python does. Memory is the
 kernel's own high-water mark of that process (VmHWM), read while it lives. Contestants take turns.
 """
 
@@ -30,17 +30,17 @@ START, MEMORY = "start-up, from nothing", "memory at the most"
 BARE, LIBRARIES = "python -c pass", 'python -c "import can, numpy, serial"'
 PASS, IMPORTS = ("-c", "pass"), ("-c", "import can, numpy, serial")
 HELP, WORLD = "gateway --help", "gateway run diffbot --fast --seconds 10"
-UNREPORTED, LEFT_OUT = "the kernel does not tell it (/proc/PID/status)", "left out by --quick"
+UNREPORTED, LEFT_OUT = "the kernel does not report it (/proc/PID/status)", "left out by --quick"
 ROBOTS = ("bench", "diffbot")
-PATIENCE: Nanos = 60 * SECOND
-GLANCE: Nanos = MILLISECOND
-"""How often it is looked whether a frame has come."""
+TIMEOUT: Nanos = 60 * SECOND
+POLL_PERIOD: Nanos = MILLISECOND
+"""Period of looking for a frame."""
 
-Frame: TypeAlias = AdapterPty | SerialPty
+FarEnd: TypeAlias = AdapterPty | SerialPty
 
 
 def processes(effort: Effort) -> list[Row]:
-    """Start-up and memory."""
+    """Measure start-up and memory."""
     took: dict[str, list[float]] = {}
     held: dict[str, list[float]] = {}
     for _ in range(effort.of(5, 1)):
@@ -82,7 +82,7 @@ def _memory(held: Mapping[str, Sequence[float]]) -> list[Row]:
 
 
 def until_done(arguments: Sequence[str]) -> Nanos:
-    """How long a Python process takes from its start to its end. Raises NotMeasured if it fails."""
+    """Return how long a Python process takes from start to end. Raises NotMeasured if it fails."""
     began = stopwatch()
     done = subprocess.run([sys.executable, *arguments], capture_output=True, check=False)
     took = stopwatch() - began
@@ -92,42 +92,40 @@ def until_done(arguments: Sequence[str]) -> Nanos:
 
 
 def peak_until_done(arguments: Sequence[str]) -> int:
-    """The most memory [B] that a Python process has held by its end; 0 where it is not told."""
+    """Return the peak memory [B] of a Python process; 0 where the kernel does not report it."""
     clock, most = WallClock(), 0
     with _process(arguments) as process:
-        while process.poll() is None and clock.now() < PATIENCE:
+        while process.poll() is None and clock.now() < TIMEOUT:
             most = max(most, peak(process.pid))
-            clock.wait(clock.now() + GLANCE)
+            clock.wait(clock.now() + POLL_PERIOD)
     if process.returncode:
         raise NotMeasured(f"{' '.join(arguments)} ended with {process.returncode}")
     return most
 
 
 def until_first_frame(robot: str, stay: Nanos) -> tuple[Nanos, int]:
-    """How long `gateway run` takes until its first CAN frame comes out, and the most memory [B] that it has
-    held when it has run for `stay` beyond that. Raises NotMeasured if no frame comes."""
+    """Return how long `gateway run` takes until its first CAN frame is out, and its peak memory [B] after
+    `stay` more. Raises NotMeasured if no frame comes."""
     clock = WallClock()
-    with _frames(robot) as frames:
-        buses = [word for frame in frames for word in ("--bus", f"{frame.name}={_address(frame)}")]
+    with _far_ends(robot) as ends:
+        buses = [part for end in ends for part in ("--bus", f"{end.name}={_address(end)}")]
         with _process(("-m", "gateway", "run", robot, *buses)) as process:
             first: Nanos | None = None
-            while clock.now() < (PATIENCE if first is None else first + stay) and process.poll() is None:
-                received = [
-                    frame for frame in frames if frame.read(clock.now())[1] and isinstance(frame, AdapterPty)
-                ]
+            while clock.now() < (TIMEOUT if first is None else first + stay) and process.poll() is None:
+                received = [end for end in ends if end.read(clock.now())[1] and isinstance(end, AdapterPty)]
                 if received and first is None:
                     first = clock.now()
-                clock.wait(clock.now() + GLANCE)
+                clock.wait(clock.now() + POLL_PERIOD)
             most = peak(process.pid)
             if first is None or process.poll() is not None:
                 process.terminate()
-                said = process.communicate()[1].decode(errors="replace").strip()
-                raise NotMeasured(f"gateway run {robot} put no frame on its bus: {said}")
+                output = process.communicate()[1].decode(errors="replace").strip()
+                raise NotMeasured(f"gateway run {robot} put no frame on its bus: {output}")
     return first, most
 
 
 def peak(process: int) -> int:
-    """The kernel's high-water mark of a living process's memory [B]; 0 where it is not told."""
+    """Return the kernel's high-water mark of a live process's memory [B]; 0 where it is not reported."""
     try:
         lines = Path(f"/proc/{process}/status").read_text().splitlines()
     except OSError:
@@ -137,7 +135,7 @@ def peak(process: int) -> int:
 
 @contextmanager
 def _process(arguments: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """A Python process, told to leave at the end. Its operator's socket is in nobody's way."""
+    """Run a Python process, terminated at the end, with a folder of its own for the operator's socket."""
     with TemporaryDirectory() as folder:
         process = subprocess.Popen(
             [sys.executable, *arguments],
@@ -158,21 +156,21 @@ def _process(arguments: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
 
 
 @contextmanager
-def _frames(robot: str) -> Iterator[list[Frame]]:
+def _far_ends(robot: str) -> Iterator[list[FarEnd]]:
     """The far ends of a robot's buses."""
     buses = config.load_robot(robot).buses
-    made: list[Frame] = []
+    made: list[FarEnd] = []
     try:
-        made.extend(_frame(settings) for settings in buses.values())
+        made.extend(_far_end(settings) for settings in buses.values())
         yield made
     finally:
-        for frame in made:
-            frame.close()
+        for end in made:
+            end.close()
 
 
-def _frame(settings: BusSettings) -> Frame:
+def _far_end(settings: BusSettings) -> FarEnd:
     return SerialPty(settings) if settings.kind == "serial" else AdapterPty(settings)
 
 
-def _address(frame: Frame) -> str:
-    return f"slcan:{frame.paths[0]}" if isinstance(frame, AdapterPty) else f"serial:{frame.pty.path}"
+def _address(end: FarEnd) -> str:
+    return f"slcan:{end.paths[0]}" if isinstance(end, AdapterPty) else f"serial:{end.pty.path}"

@@ -72,7 +72,7 @@ class BresenhamLoop:
             self.log_odds[end] = min(self._high, self.log_odds[end] + self._hit)
 
     def add_by(self, line: Any, start: tuple[int, int], ends: list[tuple[int, int]]) -> None:  # noqa: ANN401 -- skimage.draw.line
-        """The same with somebody else's line: (row, column, row, column) → (rows, columns)."""
+        """The same with another line function: (row, column, row, column) → (rows, columns)."""
         for end in ends:
             rows, columns = line(*start, *end)
             rows, columns = rows[:-1], columns[:-1]

@@ -1,8 +1,8 @@
 """The bench's table: a row is something of ours, and beside it what it is measured against.
 
 Rules. A ratio is always "theirs by ours": above 1, ours is the quicker or smaller one, whatever is compared;
-beside a span of time (a tick, real time) it says how often ours fits into it. What could not be measured
-stands in its row, by name and with the reason. Targets are the project's own; whether they are met is told,
+beside a span of time (a tick, real time) it is how many times ours fits into it. What could not be measured
+stands in its row, by name and with the reason. Targets are the project's own; whether they are met is reported,
 never raised.
 """
 
@@ -43,7 +43,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One thing that was measured. Either `ours` is there or `not_run` says why it is not."""
+    """One thing that was measured. Either `ours` is there or `not_run` has the reason."""
 
     group: str
     what: str

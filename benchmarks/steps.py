@@ -1,7 +1,7 @@
 """A step of the gateway in which every motor reports and every motor is commanded.
 
 Rules. The motors are twins; they arm, are given targets and turn, in simulated time. What came in is kept and
-given to fresh gateways, which alone are timed. Only those steps count in which each motor told its position
+given to fresh gateways, which alone are timed. Only those steps count in which each motor reported its position
 and a packet for each went out.
 """
 
@@ -29,7 +29,7 @@ from protocols.messages import MILLISECOND, SECOND, Feedback, Instruction, Nanos
 GROUP = "a step of the gateway (all motors report, all are commanded)"
 TICK = "a tick of 5 ms"
 SETTLED = 300 * MILLISECOND
-"""When targets are asked for: by then every motor has been heard."""
+"""When targets are asked for: by then every motor has reported."""
 WARM = 600 * MILLISECOND
 """From here on steps count."""
 Drive: TypeAlias = tuple[Robot, Sequence[Tick]]
@@ -112,6 +112,6 @@ def timed(robot: Robot, ticks: Sequence[Tick]) -> list[int]:
 
 
 def figures_by_step(runs: Sequence[Sequence[int]], which: Collection[int]) -> Figures:
-    """Over the chosen steps, each with the median of its runs: so the 99th percentile tells of steps that
+    """Over the chosen steps, each with the median of its runs: so the 99th percentile is of steps that
     take long, and not of moments in which the machine did something else."""
     return figures([figures([run[number] for run in runs]).median for number in sorted(which)])
