@@ -111,10 +111,8 @@ class Entry:
             ("output", self.computed.outputs, self.written.outputs),
         ):
             packets = [p for s, p in self.bad_packets if s == side]
-            damage += [
-                f"the recorded {side} on bus {p.bus}, {packet_text(p)}, does not match the digest written with it"
-                for p in packets
-            ]
+            proof = "does not match the digest written with it"
+            damage += [f"the recorded {side} on bus {p.bus}, {packet_text(p)}, {proof}" for p in packets]
             if computed != written and not packets:
                 damage.append(
                     f"the recorded {side}s do not match the digest written with them, although each packet "

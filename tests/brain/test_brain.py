@@ -165,8 +165,10 @@ def test_demand_sensor_noise() -> None:
     assert trip.office.touched == 0
 
 
-@pytest.mark.parametrize(("silent", "word"), [("lidar", "scan"), ("left", "feedback"), ("imu", "reading")])
-def test_demand_safe_mode_on_perception_failure(silent: str, word: str) -> None:
+@pytest.mark.parametrize(
+    ("silent", "measurement"), [("lidar", "scan"), ("left", "feedback"), ("imu", "reading")]
+)
+def test_demand_safe_mode_on_perception_failure(silent: str, measurement: str) -> None:
     """Slow, then standing, with the reason; and on again when it comes back in time."""
     trip = driving()
     trip.office.silent = {silent}
@@ -174,7 +176,7 @@ def test_demand_safe_mode_on_perception_failure(silent: str, word: str) -> None:
     stand = f"{0.9 * TIMEOUTS[silent] / MILLISECOND:g} ms"
     belief = trip.run(6.0, lambda b: "standing" in b.reason)
     assert belief.state is BrainState.DEGRADED
-    assert belief.reason == f"{silent}: no {word} for more than {stand}: standing"
+    assert belief.reason == f"{silent}: no {measurement} for more than {stand}: standing"
     trip.run(1.5)
     assert top_speed(trip, 20) < 1e-3
     assert any("slow" in text and level == "warning" for level, text in trip.notes)

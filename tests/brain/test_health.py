@@ -97,13 +97,13 @@ def test_a_better_level_takes_effect_only_after_a_while() -> None:
     health = healthy()
     late = 351 * MS
 
-    def judge(now: Nanos) -> HealthLevel:
+    def level(now: Nanos) -> HealthLevel:
         health.observe([event for source, event in all_at(now).items() if source != "lidar"])
         return health.assess(now, {}).level
 
-    assert judge(late) is HealthLevel.SLOW
+    assert level(late) is HealthLevel.SLOW
     health.observe([scan(late)])
-    levels = [judge(late + i * 10 * MILLISECOND) for i in range(36)]
+    levels = [level(late + i * 10 * MILLISECOND) for i in range(36)]
     assert levels[:30] == [HealthLevel.SLOW] * 30
     assert levels[30:] == [HealthLevel.OK] * 6
 

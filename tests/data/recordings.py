@@ -1,8 +1,8 @@
-"""Where recordings of others lie, and whether they are what the catalogue says: for the tests that need them.
+"""Public recordings for the tests that need them: their location, checked against the catalogue.
 
 Rules. A recording is used only if it has the catalogue's size and sha256: a wrong one fails, with a sentence.
-What is absent is not run, and told by name; where it is required it fails as well. It is required if CI is
-true, or MOTOR_GATEWAY_REQUIRE has the word "data" (words are parted by commas or spaces).
+Tests of an absent one are skipped by name; where it is required they fail as well. It is required if CI is
+true, or MOTOR_GATEWAY_REQUIRE contains "data" (entries are separated by commas or spaces).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ REQUIRE = "MOTOR_GATEWAY_REQUIRE"
 
 
 class Absent(Exception):
-    """The recording is not here: why, in words."""
+    """The recording is absent, with the reason."""
 
 
 class Wrong(Exception):

@@ -78,7 +78,7 @@ def test_telemetry_alone_moves_nothing(
 
 
 def test_a_simulated_drive(recording: Callable[[str], Path]) -> None:
-    """A TurtleBot3 in Gazebo (wheels of 0.033 m, 0.287 m apart): it goes where its odometry says."""
+    """A TurtleBot3 in Gazebo (wheels of 0.033 m, 0.287 m apart): its path agrees with its odometry."""
     text = ROBOT.replace('truth = "/fix"\n', "").replace('"/imu/data"', '"/imu"')
     text = text.replace("wheel_radius = 0.1", "wheel_radius = 0.033").replace("= 0.5\n", "= 0.287\n")
     robot = rover(text)

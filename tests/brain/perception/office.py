@@ -104,7 +104,7 @@ class Rover:
         self.delayed: list[tuple[Nanos, LaserScan]] = []
 
     def step(self, linear: float, angular: float) -> list[Event]:
-        """Go on for 5 ms at these speeds of the treads; what the sensors told meanwhile."""
+        """Drive for 5 ms at these tread speeds; return the sensors' events."""
         wheel = BODY.inverse(linear, angular)
         turned = [speed * 0.005 for speed in wheel]
         self.angles = [angle + more for angle, more in zip(self.angles, turned, strict=True)]
@@ -164,7 +164,7 @@ class Drive:
 
 
 SETTINGS = PerceptionSettings(odometry=OdometrySettings(resolution=2.0 * math.pi / 4096.0), gyro_sigma=0.006)
-"""What the rover's data sheets would say."""
+"""Settings by the rover's data sheets."""
 
 
 def drive(

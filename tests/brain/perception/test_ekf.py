@@ -171,7 +171,7 @@ def test_no_gate_locks_the_filter_out() -> None:
 
 
 def test_wheels_that_spin_on_the_spot_are_found_out() -> None:
-    """They say 0.3 m/s, the outside says that nothing moves: the slip is doubted, and learnt to be all."""
+    """The wheels measure 0.3 m/s, the pose does not change: the slip is inflated, and estimated as 1."""
     belief = fed(Ekf(EkfSettings()))
     for t in range(1000 * MS, 4000 * MS, 10 * MS):
         belief.observe(wheels("left", t, min(0.3, 1e-9 * (t - SECOND)), 0.0, WHEEL_NOISE))
@@ -404,7 +404,7 @@ MODEL = EkfSettings(
 
 
 def simulated(rng: np.random.Generator, runs: int = 30) -> tuple[Floats, Floats]:
-    """Robots that move as the model says, sensors as noisy as they say: NEES of each run at 8 times
+    """Robots that move by the model, sensors as noisy as assumed: NEES of each run at 8 times
     (runs × 8), and NIS over degrees of freedom of every measurement, by sensor (3 × number)."""
     nees = np.empty((runs, 8))
     nis: dict[int, list[float]] = {1: [], 2: [], 3: []}
@@ -508,7 +508,7 @@ def test_nis_counts_a_rejected_measurement_and_a_late_one_once() -> None:
     assert Nis().mean == 0.0
     assert before["imu"].count == 11
     assert before["imu"].mean > 1000
-    # put in its place before what came after it, which is applied again but not judged again
+    # inserted before the later ones, which are applied again but not gated again
     assert ekf.observe(wheels("left", 950 * MS, 0.0, 0.0, np.eye(2) * 1e-2)) is GateResult.ACCEPTED
     assert ekf.nis["imu"] == before["imu"]
     assert (ekf.nis["left"].count, ekf.nis["left"].freedom) == (1, 2)

@@ -120,7 +120,7 @@ def test_what_is_refused() -> None:
         assert odometry.observe(Feedback("left", 20 * MS, bad)) == ([], "not finite")
     assert odometry.observe(Feedback("left", 9 * MS, 1.0)) == ([], "out of order")
     assert odometry.observe(Feedback("left", 10 * MS, 1.1)) == ([], "out of order")
-    assert odometry.observe(Feedback("left", 10 * MS, 1.0)) == ([], "")  # the same, told twice
+    assert odometry.observe(Feedback("left", 10 * MS, 1.0)) == ([], "")  # repeated
 
 
 def test_reports_at_1_khz_are_joined() -> None:

@@ -56,8 +56,8 @@ def apart(perception: Perception, truth: Pose) -> float:
 
 
 def reports(t: Nanos, left: float = 0.0, right: float = 0.0, rate: float = 0.0) -> list[Event]:
-    said = Imu("imu", t, (0.0, 0.0, rate), (0.0, 0.0, 9.81))
-    return [Feedback("left", t, left), Feedback("right", t, right), said]
+    imu = Imu("imu", t, (0.0, 0.0, rate), (0.0, 0.0, 9.81))
+    return [Feedback("left", t, left), Feedback("right", t, right), imu]
 
 
 def rested(perception: Perception, until: Nanos = 1 * SECOND) -> Perception:
@@ -278,7 +278,7 @@ def test_a_second_at_rest_tells_the_bias() -> None:
 
 
 def test_a_robot_turned_by_hand_is_not_at_rest() -> None:
-    """The wheels rest, the gyro tells of a turn: that is no bias."""
+    """The wheels rest, the gyro reads a turn: that is no bias."""
     belief = rested(new())
     for t in range(1000 * MS, 1500 * MS, 10 * MS):
         belief.observe(t, reports(t, rate=0.5))
@@ -331,7 +331,7 @@ def test_a_scan_told_twice_counts_once() -> None:
 
 
 def test_a_match_that_is_refused_is_not_drawn_and_not_refused_for_ever() -> None:
-    """Somebody pushes the robot sideways by 10 cm: told, not drawn, and after the lockout believed."""
+    """Pushed sideways by 10 cm: reported, not added to the map, and accepted after the lockout."""
     rover, belief = Rover(9), new()
     run(rover, belief, 600)
     drawn, count = belief.map.version, belief.rejected["lidar"]

@@ -1,4 +1,4 @@
-"""The bytes made by hand are those of a general serialiser; that the fields are right: test_views."""
+"""The bytes encoded by `struct` equal those of a general serialiser; the fields are checked in test_views."""
 
 from __future__ import annotations
 

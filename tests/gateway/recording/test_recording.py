@@ -1,4 +1,4 @@
-"""Recordings on disk: what goes in comes out, also when the writing is cut short.
+"""Recordings on disk: what is written can be read, also when the writing is cut short.
 
 The two tests that end a process and the one that waits for an idle flush run on a wall clock, since that is
 what they are about.
@@ -113,7 +113,7 @@ def test_any_change_of_a_source_is_seen(tmp_path: Path) -> None:
     assert len({first, second, environment.sources(tmp_path)}) == 3
 
 
-def test_a_machine_without_cpuinfo_tells_its_processor(tmp_path: Path) -> None:
+def test_the_processor_is_known_without_cpuinfo(tmp_path: Path) -> None:
     reported = environment.facts(tmp_path / "none")
     assert reported["processor model name"]
 
@@ -234,7 +234,7 @@ def test_zeros_behind_the_cut_do_no_harm(tmp_path: Path) -> None:
 # -- trouble -----------------------------------------------------------------------------------
 
 
-def test_a_slow_writer_costs_ticks_and_says_so(tmp_path: Path) -> None:
+def test_a_slow_writer_costs_ticks_and_reports_it(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     moments = list(little.life(400))
     with Recorder(path, little.ROBOT, {}, little.MOUNTS, depth=1) as recorder:
@@ -248,7 +248,7 @@ def test_a_slow_writer_costs_ticks_and_says_so(tmp_path: Path) -> None:
     assert not any(step.damage for step in read(path).steps)
 
 
-def test_a_tick_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_tick_that_cannot_be_encoded_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     belief = little.bare_belief()
     with Recorder(path, little.ROBOT, {}) as recorder:
@@ -260,7 +260,7 @@ def test_a_tick_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     assert [tick.number for tick in read(path).ticks] == [0, 2]
 
 
-def test_after_closing_ticks_are_lost_and_told(tmp_path: Path) -> None:
+def test_after_closing_ticks_are_lost_and_reported(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "a.mcap", little.ROBOT, {})
     recorder.close()
     recorder.close()
@@ -304,7 +304,7 @@ DIGEST = hashlib.blake2b(b"x = 1\n", digest_size=16).hexdigest()
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "reason"),
     [
         (b"", "an empty file, not a recording"),
         (b"#ROSBAG V2.0\n" + bytes(50), "a ROS 1 bag, not a recording"),
@@ -315,15 +315,15 @@ DIGEST = hashlib.blake2b(b"x = 1\n", digest_size=16).hexdigest()
         (b"\x89MCAP0\r\n\x01" + struct.pack("<Q", 2**62), "cut off in its first bytes"),
     ],
 )
-def test_other_files_are_refused(tmp_path: Path, content: bytes, said: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, content: bytes, reason: str) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=reason):
         read(path)
 
 
 @pytest.mark.parametrize(
-    ("head", "robot", "said"),
+    ("head", "robot", "reason"),
     [
         (None, None, "an MCAP file of some program 1.0, not of this gateway"),
         (
@@ -340,11 +340,11 @@ def test_other_files_are_refused(tmp_path: Path, content: bytes, said: str) -> N
     ],
 )
 def test_other_mcap_files_are_refused(
-    tmp_path: Path, head: dict[str, str] | None, robot: bytes | None, said: str
+    tmp_path: Path, head: dict[str, str] | None, robot: bytes | None, reason: str
 ) -> None:
     path = tmp_path / "a.mcap"
     mcap(path, head, robot=robot)
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=reason):
         read(path)
 
 

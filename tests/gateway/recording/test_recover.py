@@ -118,7 +118,7 @@ def test_every_view_comes_back_too(recorded: Path, tmp_path: Path) -> None:
     assert read_by_rosbags(tmp_path / "out.mcap") == raw_ticks(recorded)
 
 
-def test_what_is_recovered_says_so(recorded: Path, tmp_path: Path) -> None:
+def test_a_recovered_file_names_its_source(recorded: Path, tmp_path: Path) -> None:
     recorded.write_bytes(recorded.read_bytes()[: chunks(recorded)[1][1] + 100])
     recover(recorded, tmp_path / "out.mcap")
     with (tmp_path / "out.mcap").open("rb") as file:
@@ -186,7 +186,7 @@ def test_any_flipped_bit_gives_the_truth_or_a_sentence(recorded: Path, tmp_path:
 
 
 @pytest.mark.parametrize("length", [2**62, 2**40, 2**31])
-def test_no_length_is_believed(recorded: Path, tmp_path: Path, length: int) -> None:
+def test_no_length_is_trusted(recorded: Path, tmp_path: Path, length: int) -> None:
     parts = chunks(recorded)
     data = bytearray(recorded.read_bytes())
     data[parts[1][0] + 1 : parts[1][0] + 9] = length.to_bytes(8, "little")
@@ -197,21 +197,21 @@ def test_no_length_is_believed(recorded: Path, tmp_path: Path, length: int) -> N
 # -- the command -------------------------------------------------------------------------------
 
 
-def test_the_command_gives_back_and_says_what_was_lost(
+def test_the_command_recovers_and_reports_what_was_lost(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     parts = chunks(recorded)
     data = recorded.read_bytes()[: parts[2][1] + 50]
     recorded.write_bytes(data)
     assert main(["recover", str(recorded)]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     ticks = [tick for _, _, ticks in parts[:3] for tick in ticks]
     last = seconds((len(ticks) - 1) * little.PERIOD)
     # Behind the chunk stand its message indexes, one of them cut.
-    assert f"to {len(data)} of {len(data)}: cut off" in said
-    assert f"{len(ticks)} ticks, 0 to {len(ticks) - 1}, over {last:.3f} s" in said
-    assert f"the last tick is {len(ticks) - 1}, at {last:.6f} s of its clock" in said
-    assert "the file was not closed" in said
+    assert f"to {len(data)} of {len(data)}: cut off" in output
+    assert f"{len(ticks)} ticks, 0 to {len(ticks) - 1}, over {last:.3f} s" in output
+    assert f"the last tick is {len(ticks) - 1}, at {last:.6f} s of its clock" in output
+    assert "the file was not closed" in output
     assert raw_ticks(tmp_path / "a.recovered.mcap") == ticks
     assert main(["recover", str(recorded)]) == 2
     assert "exists already; it is not overwritten" in capsys.readouterr().err
@@ -237,7 +237,7 @@ def test_nothing_recovered_is_no_success(
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "output"),
     [
         (b"", "an empty file"),
         (b"#ROSBAG V2.0\n" + bytes(40), "a ROS 1 bag"),
@@ -246,12 +246,12 @@ def test_nothing_recovered_is_no_success(
     ],
 )
 def test_what_is_no_recording_is_refused(
-    tmp_path: Path, content: bytes, said: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, content: bytes, output: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     assert main(["recover", str(path)]) == 2
-    assert said in capsys.readouterr().err
+    assert output in capsys.readouterr().err
     assert path.read_bytes() == content
 
 

@@ -1,4 +1,4 @@
-"""What is recorded survives, and what cannot be recorded is counted and told while the robot continues.
+"""Recorded data survive, and what cannot be recorded is counted and reported while the robot continues.
 
 The kills are real and in wall time (a kill in simulated time proves nothing); `./go prove` does 200 more.
 Disks that are full, slow or broken are streams that behave so, and a limit on the size of files."""
@@ -83,7 +83,7 @@ WATCHDOG = rig.BENCH.replace(
 
 @pytest.mark.parametrize(("text", "stops"), [(WATCHDOG, True), (rig.BENCH, False)])
 def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops: bool) -> None:
-    """A killed host is one that says no safe word, and nothing else."""
+    """A killed host sends no stop command, and nothing else."""
     robot = config.parse_robot(text)
     clock = SimulatedClock()
     twins = open_world(robot, robot.seed)
@@ -114,7 +114,7 @@ def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops:
         (WATCHDOG, False),
     ],
 )
-def test_a_watchdog_that_is_off_is_told_at_start(text: str, reported: bool) -> None:
+def test_a_watchdog_that_is_off_is_reported_at_start(text: str, reported: bool) -> None:
     cautions = [caution for caution in config.cautions(config.parse_robot(text)) if "watchdog" in caution]
     assert [caution.split(":")[0] for caution in cautions] == (["left", "right"] if reported else [])
 
@@ -183,7 +183,7 @@ def test_a_disk_that_takes_nothing_for_a_while(
     why = os.strerror(trouble)
     assert [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR] == [
         f"recording: nothing can be recorded in {path}: {why}; the robot continues",
-        f"recording: the recording {path} goes on; {gap} ticks are missing in it",
+        f"recording: the recording {path} continues; {gap} ticks are missing in it",
     ]
     steps = list(read(path).steps)
     assert is_whole(path)
@@ -263,10 +263,10 @@ def test_a_slow_disk_costs_ticks_and_never_the_loop(tmp_path: Path, caplog: pyte
     reported = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
     assert len(reported) == 2
     assert "the disk is too slow; the robot continues" in reported[0]
-    assert reported[1] == f"recording: {path} goes on with tick 400: {lost} ticks are missing"
+    assert reported[1] == f"recording: {path} continues with tick 400: {lost} ticks are missing"
 
 
-def test_a_robot_on_a_dead_disk_reaches_what_it_was_told(tmp_path: Path) -> None:
+def test_a_robot_on_a_dead_disk_reaches_its_target(tmp_path: Path) -> None:
     """The live loop itself, with the disk blocked from the first tick on."""
     made = rig.Rig()
     with Recorder(tmp_path / "a.mcap", made.robot.text, {}, depth=8) as recorder:
@@ -295,7 +295,7 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     tmp_path.chmod(0o555)
     code = """
 from gateway.recording.tick_writer import TickWriter
-from gateway.operator.status import status_text
+from gateway.errors import RecordingError
 from gateway.recording.ros_views import Views
 views = Views()
 views.prepare()
@@ -320,9 +320,7 @@ def test_a_file_that_cannot_be_begun_moves_nothing(tmp_path: Path) -> None:
 # -- power -------------------------------------------------------------------------------------
 
 
-def test_the_disk_is_asked_to_keep_it_by_a_thread_that_holds_up_nobody(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_syncing_to_disk_does_not_delay_the_writer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked, go_on = threading.Event(), threading.Event()
 
     def sync(_descriptor: int) -> None:
@@ -342,7 +340,7 @@ def test_the_disk_is_asked_to_keep_it_by_a_thread_that_holds_up_nobody(
 
 
 @pytest.mark.parametrize(("error", "reported"), [(errno.EIO, True), (errno.EINVAL, False)])
-def test_a_disk_that_loses_what_it_took_is_told(
+def test_a_disk_that_reports_lost_data_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int, reported: bool
 ) -> None:
     def sync(_descriptor: int) -> None:
@@ -356,7 +354,7 @@ def test_a_disk_that_loses_what_it_took_is_told(
     assert ("the disk reports lost data" in recorder.trouble) == reported
 
 
-def test_status_tells_where_it_is_recorded_and_what_is_lost(tmp_path: Path) -> None:
+def test_status_shows_the_recording_and_lost_ticks(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with open_session(config.parse_robot(rig.BENCH), simulated=True, record=path) as made:
         for _ in made.run(1.0):
@@ -365,7 +363,7 @@ def test_status_tells_where_it_is_recorded_and_what_is_lost(tmp_path: Path) -> N
         assert made.recorder is not None
         drained(made.recorder)
         on_a_disk(made.recorder).broken = errno.ENOSPC
-        for _ in made.ticks(2 * SECOND):
+        for _ in made.run(2.0):
             pass
         drained(made.recorder)
         lost = made.recorder.lost

@@ -1,4 +1,4 @@
-"""Ticks as bytes: exact both ways, as any ROS 2 tool reads them, sealed, cheap."""
+"""Ticks as bytes: exact both ways, readable by any ROS 2 tool, protected by digests, cheap."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def store() -> Typestore:
     return made
 
 
-seals = st.builds(DigestChain, st.binary(min_size=16, max_size=16), st.binary(min_size=16, max_size=16))
+chains = st.builds(DigestChain, st.binary(min_size=16, max_size=16), st.binary(min_size=16, max_size=16))
 
 
-@given(little.ticks, seals)
+@given(little.ticks, chains)
 @settings(max_examples=300, deadline=None)
 def test_a_tick_comes_back_exactly(tick: Tick, before: DigestChain) -> None:
     data, after = encode(tick, before)
     entry = decode(data, before)
-    # repr tells -0.0 from 0.0, which == does not
+    # repr distinguishes -0.0 from 0.0, == does not
     assert repr(entry.tick) == repr(tick)
     assert entry.written == entry.computed == after
     assert entry.damage() == ()

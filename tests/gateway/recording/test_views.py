@@ -136,11 +136,11 @@ def test_a_fix_without_and_with_variance() -> None:
     assert with_.position_covariance_type == 1
 
 
-def test_joint_states_gather_what_each_motor_told_last() -> None:
+def test_joint_states_hold_the_last_values_of_each_motor() -> None:
     views = Views()
     first = shown(tick(Feedback("left", T, position=1.0, velocity=2.0)), views=views)["/joint_states"]
     assert (first.name, first.position.tolist(), first.velocity.tolist()) == (["left"], [1.0], [2.0])
-    assert first.effort.tolist() == [], "nobody measures it"
+    assert first.effort.tolist() == [], "not measured"
     later = tick(Feedback("right", T, torque=0.5), Feedback("left", T, velocity=3.0), now=T + SECOND)
     second = shown(later, views=views)["/joint_states"]
     assert second.name == ["left", "right"]
@@ -250,7 +250,7 @@ def statuses(made: dict[str, Any]) -> dict[str, tuple[int, str]]:
     return {s.name: (s.level, s.message) for s in made["/diagnostics"].status}
 
 
-def test_diagnostics_tell_brain_motors_and_notes() -> None:
+def test_diagnostics_show_brain_motors_and_notes() -> None:
     views = Views()
     belief = replace(
         BELIEF, state=BrainState.DEGRADED, reason="no scan", rejected={"lidar": 3, "imu": 0}, reached=2
@@ -320,7 +320,7 @@ _VIEWS = Views()
 
 @given(little.ticks)
 @settings(max_examples=200, deadline=None)
-def test_no_tick_raises_and_rosbags_reads_what_is_shown(made: Tick) -> None:
+def test_no_tick_raises_and_rosbags_reads_every_view(made: Tick) -> None:
     for view in _VIEWS.messages(made, BELIEF):
         assert _VIEWS.deserialise(view) is not None
 

@@ -1,4 +1,4 @@
-"""Bags of somebody else's: what becomes of each message, in which order; what a wrong or damaged one gets."""
+"""Bags of other programs: conversion and order of messages; wrong and damaged bags."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_poses_of_the_bag_are_for_comparison_alone(tmp_path: Path) -> None:
     assert (t, pose.x, pose.y) == (at(100), 3.0, -2.0)
     assert pose.yaw == pytest.approx(2.5)
     moved = [e.position for e in bag.events if isinstance(e, Feedback) and e.t == at(100)]
-    assert moved == pytest.approx([0.25, 0.25])  # 0.05 / 2 m, whatever the pose says
+    assert moved == pytest.approx([0.25, 0.25])  # 0.05 / 2 m, whatever the pose is
 
 
 def test_an_imu_keeps_its_own_frame_and_its_stamp(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_an_orientation_that_was_not_measured_is_none(
     assert event.orientation == turned
 
 
-def test_a_fix_tells_its_horizontal_variance_if_it_knows_it(tmp_path: Path) -> None:
+def test_a_fix_has_its_horizontal_variance_if_known(tmp_path: Path) -> None:
     bag = bag_of(tmp_path, fix(at(5), 48.1, 11.5), fix(at(6), 48.1, 11.5, altitude=math.nan, known=0))
     assert bag.truth[1:] == (Fix("gps", at(5), 48.1, 11.5, 100.0, 1.0), Fix("gps", at(6), 48.1, 11.5))
 
@@ -200,7 +200,7 @@ def test_wheels_turn_in_the_order_of_stamps(tmp_path: Path) -> None:
 # -- what is not there ----------------------------------------------------------------------------
 
 
-def test_every_missing_topic_is_told_with_the_nearest_and_what_there_is(tmp_path: Path) -> None:
+def test_every_missing_topic_is_reported_with_the_nearest_and_all_topics(tmp_path: Path) -> None:
     path = write(tmp_path / "x", drive(1.0))
     message = refusal(path, BagTopics("/odm", {"imu": "/odom"}, "/gps"))
     assert message.splitlines() == [
@@ -214,7 +214,7 @@ def test_every_missing_topic_is_told_with_the_nearest_and_what_there_is(tmp_path
     ]
 
 
-def test_a_robot_without_topics_is_told_what_there_is(tmp_path: Path) -> None:
+def test_without_a_table_bag_the_topics_are_listed(tmp_path: Path) -> None:
     message = refusal(write(tmp_path / "x", drive(1.0)), None)
     assert "no table [bag]" in message
     assert "/odom: 10 of nav_msgs/msg/Odometry" in message

@@ -135,8 +135,8 @@ TURNS = [imu(START + n * SECOND, (0.0, 0.0, 0.0)) for n in range(5)]
     ],
     ids=["one fix", "no fix", "no motion", "no odometry"],
 )
-def test_what_cannot_be_judged_is_not_passed(
-    tmp_path: Path, messages: list[BagMessage], message: str
+def test_what_cannot_be_evaluated_does_not_pass(
+    tmp_path: Path, messages: list[BagMessage], objection: str
 ) -> None:
     evaluation = evaluate(converted(tmp_path, rover(), messages), rover())
     assert not evaluation.ok
@@ -217,7 +217,7 @@ def test_an_operator_mistake_is_a_sentence(
 
 
 @pytest.mark.parametrize("metres", ["-1", "nan", "inf", "three"])
-def test_an_error_is_asked_for_in_metres(bag: str, metres: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_allowed_error_is_in_metres(bag: str, metres: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
         replay(bag, "--robot", "husky", f"--at-most={metres}")
     assert left.value.code == 2
