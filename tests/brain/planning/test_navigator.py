@@ -32,6 +32,12 @@ class Run:
         for _ in range(round(span / 0.005)):
             self.tick()
 
+    def drive(self) -> Drive | None:
+        return self.navigator.drive
+
+    def busy(self) -> bool:
+        return self.navigator.busy
+
     def texts(self) -> str:
         return " | ".join(text for _, text in self.navigator.notes)
 
@@ -48,7 +54,7 @@ def test_goals_are_reached_in_order() -> None:
         run.here = (goal.x, goal.y)
         run.navigator.arrived(run.now)
     assert run.navigator.reached == 2
-    assert not run.navigator.busy
+    assert not run.busy()
     assert "goal 2 reached: (4.00, 1.00, yaw 1.50)" in run.texts()
 
 
@@ -99,11 +105,11 @@ def test_no_path_in_time_gives_the_goals_up_with_the_reason() -> None:
     run = Run(PlainMap(closed))
     run.tick(Goal(4.0, 0.0), Goal(1.0, 1.0))
     run.run(1.0)
-    assert run.navigator.busy
+    assert run.busy()
     assert run.navigator.path_version == 0
     assert "is closed" in run.navigator.no_path_reason
     run.run(7.5)
-    assert not run.navigator.busy
+    assert not run.busy()
     assert run.navigator.given_up.startswith("no path to goal 1 (4.00, 0.00) within 8 s: everything between")
     assert run.texts().endswith("2 goals dropped")
     assert run.texts().count("no path: ") == 1
@@ -138,12 +144,12 @@ def test_manual_driving_ends_without_repetition() -> None:
     run = Run(PlainMap(two_rooms()))
     run.tick(Drive(0.2, 0.1))
     run.run(0.4)
-    assert run.navigator.drive == Drive(0.2, 0.1)
+    assert run.drive() == Drive(0.2, 0.1)
     run.tick(Drive(0.3, 0.0))
     run.run(0.45)
-    assert run.navigator.drive == Drive(0.3, 0.0)
+    assert run.drive() == Drive(0.3, 0.0)
     run.run(0.06)
-    assert run.navigator.drive is None
+    assert run.drive() is None
     assert "manual driving ended: not repeated within 500 ms" in run.texts()
 
 
@@ -154,7 +160,7 @@ def test_manual_driving_drops_the_goals() -> None:
     run.tick(Drive(0.1, 0.0))
     assert run.navigator.path is None
     run.run(2.0)
-    assert not run.navigator.busy
+    assert not run.busy()
     assert "manual driving: 1 goal dropped" in run.texts()
 
 
@@ -200,7 +206,7 @@ def test_a_frontier_that_stays_unknown_is_excluded_and_exploring_ends() -> None:
         if isinstance(run.navigator.path, FrontierPath):
             run.here = run.navigator.path.points[-1]
             run.navigator.arrived(run.now)
-        if not run.navigator.busy:
+        if not run.busy():
             break
     assert run.navigator.reached == 0
     assert "is closed" in run.navigator.given_up
