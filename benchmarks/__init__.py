@@ -81,7 +81,7 @@ def head(facts: Mapping[str, str], *, quick: bool) -> str:
             f"Python {python}, {packages}, BLAS {facts['numpy blas']}",
             f"load average {load}; preempted {facts['preemptions']} times in {facts['seconds']} s",
             *(["--quick: these figures are rough"] if quick else []),
-            "ratio: theirs by ours. Above 1, ours is quicker or smaller, or fits that many times into a tick.",
+            "ratio: theirs by ours. Above 1, ours is quicker, smaller, or fits that many times into a tick.",
             "",
         ]
     )

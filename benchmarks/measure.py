@@ -29,7 +29,7 @@ SLOW: Nanos = 20_000_000
 
 
 class NotMeasured(RuntimeError):
-    """What was to be measured did not do its work, so that its time is meaningless; the text is what it did."""
+    """What was to be measured did not do its work, so its time is meaningless; the text is what it did."""
 
 
 @dataclass(frozen=True, slots=True)

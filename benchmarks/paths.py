@@ -1,7 +1,7 @@
 """The cheapest way across a house of rooms, from corner to corner: ours, scikit-image, SciPy.
 
 Rules. Everybody moves to eight neighbours and pays for the length. Ours and the graph for SciPy cut no
-corners; scikit-image does. SciPy's graph has to be made anew for each map, which is reported apart: on a map that
+corners; scikit-image does. SciPy's graph has to be made anew for each map, reported apart: on a map that
 changes with each scan it is part of the price.
 """
 

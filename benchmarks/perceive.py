@@ -1,6 +1,6 @@
 """What perception costs: one measurement of the filter, one scan of the map.
 
-Rules. The robot goes along a circle in a hall with pillars; its wheels and its lidar measure exactly that. Rivals
+Rules. The robot goes along a circle in a hall with pillars; wheels and lidar measure exactly that. Rivals
 get the same numbers. Ours does more (see `brain.perception`): it puts measurements in order of time, gates
 them and keeps what it takes to do so, knows how sure the map is of each cell and from which side it was seen.
 """

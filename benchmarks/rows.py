@@ -2,7 +2,7 @@
 
 Rules. A ratio is always "theirs by ours": above 1, ours is the quicker or smaller one, whatever is compared;
 beside a span of time (a tick, real time) it is how many times ours fits into it. What could not be measured
-stands in its row, by name and with the reason. Targets are the project's own; whether they are met is reported,
+stands in its row, by name and with the reason. Targets are the project's own; whether one is met is reported,
 never raised.
 """
 

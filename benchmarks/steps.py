@@ -1,7 +1,7 @@
 """A step of the gateway in which every motor reports and every motor is commanded.
 
 Rules. The motors are twins; they arm, are given targets and turn, in simulated time. What came in is kept and
-given to fresh gateways, which alone are timed. Only those steps count in which each motor reported its position
+given to fresh gateways, which alone are timed. Only steps count in which each motor reported its position
 and a packet for each went out.
 """
 

@@ -7,7 +7,7 @@ version = release = installed_version("motor-gateway")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["conf.py"]
 html_theme = "alabaster"
-html_theme_options = {"description": "One brain, any body, over real wires.", "page_width": "70em", "sidebar_width": "16em"}
+html_theme_options = {"description": "One brain, any body, over real wires.", "page_width": "70em"}
 html_sidebars = {"**": ["about.html", "navigation.html", "searchbox.html"]}
 myst_heading_anchors = 3
 suppress_warnings = ["myst.xref_missing"]  # links out of docs/, to files of the repository

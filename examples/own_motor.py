@@ -1,4 +1,4 @@
-"""A protocol plugin for a motor of your own: written from the template, checked, and driven by a robot file."""
+"""A protocol plugin for a motor of your own: written from the template, checked, driven by a robot file."""
 
 import sys
 from pathlib import Path
@@ -23,6 +23,7 @@ limits = { velocity = 5.0, acceleration = 10.0, torque = 1.0 }
 [brain]
 body = "joints"
 [brain.joints]
+motors = ["left"]
 """
 
 with TemporaryDirectory() as folder:

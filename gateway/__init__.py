@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from gateway.errors import UserError as UserError
     from gateway.operator import ask as ask
     from gateway.recording import Recording as Recording
-    from gateway.recording import read as read_recording
+    from gateway.recording import read_recording as read_recording
     from gateway.replay import Comparison as Comparison
     from gateway.replay import replay as replay
     from gateway.runtime import Session as Session
@@ -115,7 +115,7 @@ _MODULES = {
     ),
 }
 _OF = {name: module for module, names in _MODULES.items() for name in names}
-__all__ = [*sorted(_OF), "__version__"]
+__all__ = [*sorted(_OF), "__version__"]  # noqa: PLE0604 -- names, made from the table above
 
 
 def __getattr__(name: str) -> object:
@@ -125,7 +125,7 @@ def __getattr__(name: str) -> object:
 
         value: object = version("motor-gateway")
     elif name in _OF:
-        value = getattr(import_module(_OF[name]), "read" if name == "read_recording" else name)
+        value = getattr(import_module(_OF[name]), name)
     else:
         raise AttributeError(f"module 'gateway' has no attribute {name!r}")
     globals()[name] = value

@@ -1,4 +1,4 @@
-"""The house rules about imports, as data and one pure function, for tests/test_house.py.
+"""The rules about imports, as data and one pure function, for tests/test_house.py.
 
 import-linter holds the layers among our own rooms (pyproject.toml); here are the outside modules, each with
 the few places that may import it, and what a room may lean on at all.
@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterator
 
 RECORDINGS = ("gateway.recording", "gateway.rosbag")
-OWN_THREAD = ("gateway.recording", "gateway.operator")
 
 ONLY: dict[str, tuple[str, ...]] = {
     "asyncio": (),
@@ -23,14 +22,14 @@ ONLY: dict[str, tuple[str, ...]] = {
     "mcap": RECORDINGS,
     "mujoco": ("gateway.sim",),
     "multiprocessing": (),
-    "queue": OWN_THREAD,
+    "queue": (),
     "random": (),
     "rosbags": RECORDINGS,
     "secrets": (),
     "serial": ("gateway.buses",),
     "signal": ("gateway.runtime.process",),
     "socket": ("gateway.buses", "gateway.operator"),
-    "threading": OWN_THREAD,
+    "threading": ("gateway.recording.writer",),
     "time": ("gateway.core.clock",),
     "uuid": (),
 }
@@ -60,14 +59,14 @@ CONTRACT = (
     "protocols.message_codec",
     "protocols.suggest",
 )
-"""What a device language may import of ours, beside its own folder."""
+"""What a protocol may import of ours, beside its own folder."""
 
 SHARED = (*CONTRACT, "protocols.conformance")
-"""The modules of `protocols` that are no device language."""
+"""The modules of `protocols` that are no protocol."""
 
 
 def imports(module: str, source: str, *, package: bool = False) -> Iterator[tuple[int, str]]:
-    """Every import in a source as (line, dotted name), also one in a function or by a constant name.
+    """Yield every import in a source as (line, dotted name), also one in a function or by a constant name.
 
     `from a import b` gives `a.b`; a relative import is resolved from `module`."""
     for node in ast.walk(ast.parse(source)):
@@ -84,19 +83,19 @@ def imports(module: str, source: str, *, package: bool = False) -> Iterator[tupl
 
 
 def within(name: str, *places: str) -> bool:
-    """Whether a dotted name is one of the places, or lies in one."""
+    """True if a dotted name is one of the places, or lies in one."""
     return any(name == place or name.startswith(place + ".") for place in places)
 
 
-def language_of(module: str) -> str:
-    """The folder of the device language that a module belongs to, "" if to none."""
+def protocol_of(module: str) -> str:
+    """Return the protocol's folder that a module belongs to, "" if it belongs to none."""
     if not within(module, "protocols") or module == "protocols" or within(module, *SHARED):
         return ""
     return ".".join(module.split(".")[:2])
 
 
 def violations(module: str, source: str, *, package: bool = False) -> list[str]:
-    """What a source may not import, one line each: where, what, and the rule."""
+    """Return what a source may not import, one line each: where, what, and the rule."""
     return [
         f"{module}:{line}: {name}: {rule}"
         for line, name in imports(module, source, package=package)
@@ -118,19 +117,19 @@ def _broken(module: str, name: str) -> Iterator[str]:
     if (room in OUTSIDE or within(module, *STEP)) and top in INPUT_OUTPUT:
         yield "no clock, bus, thread or file below the loop"
     if room == "brain" and top == "protocols" and not within(name, "protocols.messages"):
-        yield "the brain knows the words alone"
-    yield from _broken_by_language(module, name)
+        yield "the brain knows the messages alone"
+    yield from _broken_by_protocol(module, name)
 
 
-def _broken_by_language(module: str, name: str) -> Iterator[str]:
-    language = language_of(module)
-    if not language:
-        if within(module, "protocols") and language_of(name):
-            yield "what all languages share knows none of them"
+def _broken_by_protocol(module: str, name: str) -> Iterator[str]:
+    protocol = protocol_of(module)
+    if not protocol:
+        if within(module, "protocols") and protocol_of(name):
+            yield "what all protocols share knows none of them"
         return
-    if within(name, "protocols") and not within(name, language, *CONTRACT):
-        yield "a language imports words, wire, plugin and its own folder"
+    if within(name, "protocols") and not within(name, protocol, *CONTRACT):
+        yield "a protocol imports the interface and its own folder"
     forbidden = {"driver": ("twin",), "twin": ("driver",), "codec": ("driver", "twin")}
-    for other in forbidden.get(module.removeprefix(language + "."), ()):
-        if within(name, f"{language}.{other}"):
+    for other in forbidden.get(module.removeprefix(protocol + "."), ()):
+        if within(name, f"{protocol}.{other}"):
             yield "driver and twin meet only in their codec"

@@ -1,4 +1,4 @@
-"""docs/adding-a-protocol.md is done from its first line to its last, in a clean folder."""
+"""docs/adding-a-protocol.md is executed from its first line to its last, in a clean folder."""
 
 from __future__ import annotations
 
@@ -9,50 +9,53 @@ from pathlib import Path
 
 import pytest
 
-from tests.guide import ROOT, Reader, Said, blocks, changed, commands
+from tests.guide import ROOT, CommandResult, GuideRunner, apply_diff, blocks, commands
 
 TEXT = (ROOT / "docs" / "adding-a-protocol.md").read_text()
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Reader, list[Said]]:
-    reader = Reader(tmp_path_factory.mktemp("guide"))
-    return reader, [said for block in blocks(TEXT) for said in reader.do(block)]
+def executed(tmp_path_factory: pytest.TempPathFactory) -> tuple[GuideRunner, list[CommandResult]]:
+    runner = GuideRunner(tmp_path_factory.mktemp("guide"))
+    return runner, [result for block in blocks(TEXT) for result in runner.execute(block)]
 
 
-def test_its_commands_say_what_it_says(done: tuple[Reader, list[Said]]) -> None:
-    assert len(done[1]) >= 12
-    for said in done[1]:
-        text = f"$ {said.command}\n{said.actual}-- but the guide says:\n{said.expected}"
-        assert said.agrees(), f"{text}-- `python -m tests.guide docs/adding-a-protocol.md` puts it right"
+def test_its_commands_print_what_it_shows(executed: tuple[GuideRunner, list[CommandResult]]) -> None:
+    _, results = executed
+    assert len(results) >= 12
+    for result in results:
+        text = f"$ {result.command}\n{result.actual}-- but the guide shows:\n{result.expected}"
+        assert result.matches(), f"{text}-- `python -m tests.guide docs/adding-a-protocol.md` updates it"
 
 
-def test_it_ends_with_a_plugin_that_is_whole(done: tuple[Reader, list[Said]]) -> None:
-    reader, said = done
-    checks = [each.actual for each in said if each.command.startswith("gateway protocols check")]
+def test_it_ends_with_a_plugin_that_is_complete(executed: tuple[GuideRunner, list[CommandResult]]) -> None:
+    runner, results = executed
+    checks = [each.actual for each in results if each.command.startswith("gateway protocols check")]
     assert ", 0 failed, " in checks[-1]
     assert any("failed  " in check for check in checks[:-1]), "it shows no mistake that the contract finds"
-    package = reader.root / "work" / "ddsm115"
-    marked = [path for path in package.rglob("*.*") if "egg-info" not in str(path) and path.is_file()]
-    assert not [path for path in marked if "FILL IN" in path.read_text(errors="replace")]
+    package = runner.root / "work" / "ddsm115"
+    files = [path for path in package.rglob("*.*") if "egg-info" not in str(path) and path.is_file()]
+    assert not [path for path in files if "FILL IN" in path.read_text(errors="replace")]
 
 
 @pytest.mark.parametrize("tool", [["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]], ids=" ".join)
-def test_what_it_builds_passes_lint_and_types(done: tuple[Reader, list[Said]], tool: list[str]) -> None:
-    reader, _ = done
+def test_what_it_builds_passes_lint_and_types(
+    executed: tuple[GuideRunner, list[CommandResult]], tool: list[str]
+) -> None:
+    runner, _ = executed
     more = ["--no-cache"] if tool[0] == "ruff" else ["--follow-imports=silent", "--cache-dir=/dev/null"]
-    found = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", *tool, *more],
-        cwd=reader.root / "work" / "ddsm115",
-        env=reader.environment(),
+        cwd=runner.root / "work" / "ddsm115",
+        env=runner.environment(),
         capture_output=True,
         text=True,
         check=False,
     )
-    assert found.returncode == 0, found.stdout + found.stderr
+    assert completed.returncode == 0, completed.stdout + completed.stderr
 
 
-def test_every_command_in_it_of_ours_is_one_that_is_run() -> None:
+def test_every_command_that_it_shows_is_run() -> None:
     shown = re.findall(r"^\$ (.+)$", TEXT, re.MULTILINE)
     run = [
         command for block in blocks(TEXT) if block.kind == "console" for command, _ in commands(block.body)
@@ -60,14 +63,14 @@ def test_every_command_in_it_of_ours_is_one_that_is_run() -> None:
     assert shown == run
 
 
-def test_the_files_that_it_points_to_are_there() -> None:
+def test_the_files_that_it_links_to_exist() -> None:
     for name in re.findall(r"\]\(([^)#:]+)\)", TEXT):
         assert (ROOT / "docs" / name).exists(), name
 
 
-# -- the reader itself ---------------------------------------------------------------------------------
+# -- the runner itself ---------------------------------------------------------------------------------
 
-LITTLE = """\
+EXAMPLE = """\
 **`a.txt`**
 
 ```text
@@ -75,7 +78,7 @@ one
 two
 ```
 
-**`a.txt`**, further down:
+**`a.txt`**, continued:
 
 ```text
 three
@@ -104,16 +107,16 @@ for the reader
 """
 
 
-def test_files_changes_and_commands_are_done_in_order(tmp_path: Path) -> None:
-    reader = Reader(tmp_path)
-    said = [each for block in blocks(LITTLE) for each in reader.do(block)]
+def test_files_diffs_and_commands_are_executed_in_order(tmp_path: Path) -> None:
+    runner = GuideRunner(tmp_path)
+    results = [each for block in blocks(EXAMPLE) for each in runner.execute(block)]
     assert (tmp_path / "work" / "a.txt").read_text() == "one\n2\n\n\nthree\n"
-    assert [each.command for each in said] == ["cat a.txt", "cd ..", "test -d work"]
-    assert all(each.agrees() for each in said)
+    assert [each.command for each in results] == ["cat a.txt", "cd ..", "test -d work"]
+    assert all(each.matches() for each in results)
 
 
 @pytest.mark.parametrize(
-    ("expected", "actual", "agrees"),
+    ("expected", "actual", "matches"),
     [
         ("a\n", "a\n", True),
         ("a\n", "b\n", False),
@@ -125,11 +128,11 @@ def test_files_changes_and_commands_are_done_in_order(tmp_path: Path) -> None:
         ("a.c\n", "abc\n", False),
     ],
 )
-def test_what_agrees(expected: str, actual: str, agrees: bool) -> None:
-    assert Said("", expected, actual).agrees() is agrees
+def test_what_matches(expected: str, actual: str, matches: bool) -> None:
+    assert CommandResult("", expected, actual).matches() is matches
 
 
-def test_a_change_that_does_not_fit_is_told() -> None:
-    assert changed("a\nb\n", " a\n-b\n+c\n") == "a\nc\n"
+def test_a_diff_that_does_not_fit_raises() -> None:
+    assert apply_diff("a\nb\n", " a\n-b\n+c\n") == "a\nc\n"
     with pytest.raises(ValueError, match="2 times"):
-        changed("b\nb\n", "-b\n+c\n")
+        apply_diff("b\nb\n", "-b\n+c\n")

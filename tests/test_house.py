@@ -1,10 +1,11 @@
-"""The house keeps its rules: who imports whom, what lies where, and what no text may name.
+"""The architecture's rules: who imports whom, what lies where, and what no text may name.
 
-Each rule is also shown something that breaks it, so that none of them can fall asleep.
+Each rule is also shown something that breaks it, so that none of them can pass by accident.
 """
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -17,16 +18,16 @@ from typing import Any
 
 import pytest
 
-from tests.house import ONLY, OUTSIDE, imports, language_of, violations
+from tests.house import ONLY, OUTSIDE, imports, protocol_of, violations
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("protocols", "brain", "gateway")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SOURCES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
-LANGUAGES = sorted(
+PROTOCOLS = sorted(
     path.parent
     for path in (ROOT / "protocols").glob("*/__init__.py")
-    if language_of(f"protocols.{path.parent.name}")
+    if protocol_of(f"protocols.{path.parent.name}")
 )
 
 
@@ -68,8 +69,8 @@ BREAKS = [
     ("brain.belief", "from pathlib import Path", "below the loop"),
     ("gateway.core.joint", "import logging", "below the loop"),
     ("gateway.core.step", "import os.path", "below the loop"),
-    ("brain.brain", "from protocols.plugin import Spec", "the words alone"),
-    ("brain.brain", "from protocols import wire", "the words alone"),
+    ("brain.brain", "from protocols.plugin import Spec", "the messages alone"),
+    ("brain.brain", "from protocols import frames", "the messages alone"),
     ("protocols.foo.driver", "from protocols.plain import codec", "and its own folder"),
     ("protocols.foo.driver", "from ..plain.codec import pack", "and its own folder"),
     ("protocols.foo", "from protocols.conformance import check", "and its own folder"),
@@ -138,7 +139,7 @@ def test_ruff_bans_the_same_and_says_why() -> None:
 LAYERS = [
     ("brain/belief.py", "import gateway.core.joint", "gateway over brain over protocols"),
     ("protocols/frames.py", "import brain.belief", "gateway over brain over protocols"),
-    ("brain/belief.py", "import protocols.plugin", "the brain knows the words"),
+    ("brain/belief.py", "import protocols.plugin", "the brain knows the messages"),
     ("protocols/plain/driver.py", "import protocols.plain.twin", "driver and twin meet only in their codec"),
     ("protocols/messages.py", "import protocols.plugin", "no import cycles"),
     ("gateway/core/joint.py", "import gateway.core.clock", "the step knows no clock, bus, world or file"),
@@ -179,8 +180,26 @@ def test_every_folder_with_code_is_a_package() -> None:
     assert not [str(folder) for folder in sorted(folders) if not (folder / "__init__.py").exists()]
 
 
+def test_the_gateway_shows_its_architecture_at_the_top_level() -> None:
+    """Packages, and beside them only what Python asks for and the errors."""
+    entries = {path for path in (ROOT / "gateway").iterdir() if path.name not in ("__pycache__", "py.typed")}
+    assert {path.name for path in entries if path.is_file()} == {"__init__.py", "__main__.py", "errors.py"}
+    layers = next(c for c in PROJECT["tool"]["importlinter"]["contracts"] if "rooms of the" in c["name"])
+    named = {name for layer in layers["layers"] for name in layer.split(" | ")} - {"errors"}
+    assert {path.name for path in entries if path.is_dir()} == named | {"fixtures"}
+
+
+@pytest.mark.parametrize("room", sorted(path.name for path in (ROOT / "gateway").iterdir() if path.is_dir()))
+def test_each_room_says_what_it_is_for_and_what_it_must_not_import(room: str) -> None:
+    if room in ("__pycache__", "fixtures"):
+        return
+    text = ast.get_docstring(ast.parse((ROOT / "gateway" / room / "__init__.py").read_text())) or ""
+    assert len(text.split()) >= 15, text
+    assert re.search(r"must\s+not\s+import|imports? no", text, re.IGNORECASE), text
+
+
 def test_every_package_has_tests() -> None:
-    """tests/a/b/test_*.py for the package a/b; what lies inside a room of the gateway is tested with its room."""
+    """tests/a/b/test_*.py for the package a/b; a package inside a room of the gateway is tested with it."""
     packages = {path.relative_to(ROOT).parent.parts[:2] for path in SOURCES if path.name != "__init__.py"}
     rooms = sorted(Path(*parts) for parts in packages if parts != ("gateway",))
     assert len(rooms) > 12
@@ -193,23 +212,23 @@ def test_every_package_has_tests() -> None:
     assert not [str(room) for room in rooms if not tested(room)]
 
 
-def test_a_device_language_is_a_whole_folder() -> None:
-    assert LANGUAGES
+def test_a_protocol_is_a_whole_folder() -> None:
+    assert PROTOCOLS
     declared = PROJECT["project"]["entry-points"]["motor_gateway.protocols"]
-    assert declared == {folder.name: f"protocols.{folder.name}:plugin" for folder in LANGUAGES}
-    for folder in LANGUAGES:
+    assert declared == {folder.name: f"protocols.{folder.name}:plugin" for folder in PROTOCOLS}
+    for folder in PROTOCOLS:
         missing = [n for n in ("codec.py", "driver.py", "twin.py", "README.md") if not (folder / n).is_file()]
         assert not missing, f"{folder.name} lacks {', '.join(missing)}"
 
 
 def test_no_vendor_is_named_outside_its_folder() -> None:
-    names = {folder.name.split("_")[0] for folder in LANGUAGES if "_" in folder.name}
+    names = {folder.name.split("_")[0] for folder in PROTOCOLS if "_" in folder.name}
     assert "odrive" in names
     pattern = re.compile("|".join(sorted(names)), re.IGNORECASE)
     named = [
         f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
         for path in SOURCES
-        if not any(path.is_relative_to(folder) for folder in LANGUAGES)
+        if not any(path.is_relative_to(folder) for folder in PROTOCOLS)
         for number, line in enumerate(path.read_text().splitlines(), 1)
         if pattern.search(line)
     ]
@@ -273,7 +292,7 @@ TEXT = {".py", ".toml", ".json", ".md", ".lock", ".typed", ".txt", ".yml", ""}
 
 def texts() -> list[Path]:
     """Every text file of the project: the rooms, fixtures, tests, docs, and what lies at the top."""
-    folders = [*ROOMS, "fixtures", "tests", "docs", ".ci"]
+    folders = [*ROOMS, "fixtures", "tests", "docs", "examples", "benchmarks", ".ci", ".github"]
     below = [path for folder in folders for path in (ROOT / folder).rglob("*")]
     at_top = [path for path in ROOT.iterdir() if path.name not in (".git", ".coverage")]
     files = {path for path in [*below, *at_top] if path.is_file() and path.suffix in TEXT}

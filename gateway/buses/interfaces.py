@@ -13,7 +13,7 @@ from can.typechecking import CanFilter
 
 from gateway.buses.adapters.fdcanusb_client import FdcanusbInterface
 from gateway.buses.adapters.slcan_client import SlcanInterface
-from gateway.buses.socketcan.link import Link
+from gateway.buses.netlink import Link
 from gateway.core.robot import TWIN, BusSettings
 from gateway.errors import BusError
 from protocols.suggest import did_you_mean

@@ -9,7 +9,7 @@ from gateway.cli import arguments
 from gateway.config import load_robot
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
-from gateway.recording import read
+from gateway.recording import read_recording
 from gateway.replay import replay
 from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
@@ -42,7 +42,7 @@ def run(options: Namespace) -> int:
         return 0 if evaluation.ok else 1
     if options.at_most is not None:
         raise UserError(f"{options.file} is a recording of this gateway: --at-most is for bags only")
-    recording = read(options.file)
+    recording = read_recording(options.file)
     robot = None if options.robot is None else load_robot(options.robot)
     began = stopwatch()
     comparison = replay(recording, robot)

@@ -26,7 +26,7 @@ from gateway.monitor.candidates import of_robot
 from gateway.monitor.decoder import BusMonitor
 from gateway.monitor.sources import WatchSession, open_all
 from gateway.monitor.state import DecodedPacket
-from gateway.recording import read
+from gateway.recording import read_recording
 from gateway.runtime.process import signals
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -144,7 +144,7 @@ def is_recording(what: str) -> bool:
 
 def _watch_recording(path: Path, *, lines: bool, seconds: float | None) -> None:
     """Print the lines or the last page of a recording, or of its first seconds."""
-    recording = read(path)
+    recording = read_recording(path)
     robot = config.parse_robot(recording.robot_text, f"{path}: robot.toml")
     monitor: BusMonitor | None = None
     began = now = 0

@@ -18,7 +18,14 @@ FD_BITS = 32, 100
 
 
 def describe(robot: Robot) -> str:
-    """Return buses, motors, sensors and brain as tables, and every caution."""
+    """Describe a robot in words, as `gateway check` prints it.
+
+    Args:
+        robot: what `load_robot` returned.
+
+    Returns:
+        str: buses, motors, sensors and brain as tables, and every caution.
+    """
     world = f"world {robot.world}, seed {robot.seed}" if robot.world else "no world"
     blocks = [
         f"{robot.name}: {SECOND / robot.period:g} steps per second, {world}",

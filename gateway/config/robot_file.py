@@ -131,9 +131,17 @@ def parse_robot(
 
 
 def with_interfaces(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
-    """Return the robot with some of its buses on other interfaces: {"can0": "socketcan:vcan0"}.
+    """Return the robot with some of its buses on other interfaces.
 
-    Raises ConfigError for buses that the robot does not have and for what is not INTERFACE:CHANNEL.
+    Args:
+        robot: whose buses.
+        interfaces: by name of the bus: {"can0": "socketcan:vcan0", "sensors": "serial:/dev/ttyUSB0"}.
+
+    Returns:
+        Robot: the same but for these interfaces.
+
+    Raises:
+        ConfigError: a bus that the robot does not have, or what is not INTERFACE:CHANNEL.
     """
     mistakes = Mistakes("--bus", "")
     buses = dict(robot.buses)

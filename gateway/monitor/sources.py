@@ -26,7 +26,7 @@ from protocols.messages import Nanos
 from protocols.plugin import Plugin, load_all
 
 if TYPE_CHECKING:
-    from gateway.buses.socketcan.link import Link
+    from gateway.buses.netlink import Link
 
 DEFAULT_BITRATE = 1_000_000
 """bit/s of a CAN bus whose bit rate neither the command line nor the kernel gives."""
@@ -141,7 +141,7 @@ def _settings(interface: str, options: Namespace) -> BusSettings:
 
 def _link(name: str) -> Link | None:
     """Return what the kernel knows of an interface."""
-    from gateway.buses.socketcan.link import Device
+    from gateway.buses.netlink import Device
 
     try:
         device = Device(name)

@@ -308,9 +308,19 @@ def _listen(path: Path) -> socket.socket:
 
 
 def ask(path: Path, line: str, timeout: float = 2.0) -> str:
-    """Send a line to a running robot and return its answer.
+    """Send a line to a running robot, as `gateway ask` does.
 
-    `timeout` is in s. Raises OperatorError if no robot runs there or it does not answer in time."""
+    Args:
+        path: its socket: `gateway.operator.socket_path(NAME)`.
+        line: "goal 2 1", "stop", "status", "help" …
+        timeout: how long to wait for the answer [s].
+
+    Returns:
+        str: the answer, one or more lines.
+
+    Raises:
+        OperatorError: no robot runs there, or it does not answer in time.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         connection.settimeout(timeout)
         answer = bytearray()

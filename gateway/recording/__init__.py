@@ -1,6 +1,6 @@
 """Recordings: every tick in an MCAP file, with ROS 2 views for other tools; and reading them back.
 
-Exports: `Recorder` (writes), `read`, `Recording` and `Step` (read); `recover.recover` repairs a damaged file.
+Exports: `Recorder` (writes), `read_recording`, `Recording`, `Step` (read); `recover.recover` repairs a file.
 Must not import: `gateway.core.step`, `gateway.runtime` or anything that moves a robot.
 
 Rules. Recording never delays the robot: the loop queues values, one thread writes them. The ticks in a file
@@ -13,7 +13,7 @@ views. A message's log time is the tick's `now`, its publish time the stamp of i
 number of the tick. Chunks are lz4; everything can be read with `rosbags` as a bare .mcap.
 """
 
-from gateway.recording.reader import Recording, Step, read
+from gateway.recording.reader import Recording, Step, read_recording
 from gateway.recording.writer import Recorder
 
-__all__ = ["Recorder", "Recording", "Step", "read"]
+__all__ = ["Recorder", "Recording", "Step", "read_recording"]

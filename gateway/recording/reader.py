@@ -72,8 +72,19 @@ class Recording:
         return _steps(self.path, self.whole)
 
 
-def read(path: Path) -> Recording:
-    """Open a recording. Raises RecordingError if it is not one, of an unknown format, or unreadable."""
+def read_recording(path: Path | str) -> Recording:
+    """Open a recording.
+
+    Args:
+        path: an MCAP file, whole, cut off or damaged.
+
+    Returns:
+        Recording: its robot file, where it was made, and its ticks, read as they are asked for.
+
+    Raises:
+        RecordingError: it is no recording, of an unknown format, or unreadable.
+    """
+    path = Path(path)
     whole = has_end(path)
     format_, robot_text, facts = head(path, whole)
     robot_text = robot_text if format_ == FORMAT else modernised(robot_text)

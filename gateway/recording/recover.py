@@ -19,7 +19,7 @@ from gateway.recording import tick_codec
 from gateway.recording.layout import MAGIC, Opcode
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.mcap_records import MESSAGE_HEAD, Damage, Record, records
-from gateway.recording.reader import has_end, head, parse, read
+from gateway.recording.reader import has_end, head, parse, read_recording
 from protocols.messages import Nanos, seconds
 
 RECOVERED = "recovered"
@@ -78,7 +78,7 @@ def is_whole(path: Path) -> bool:
     if not found.ended or found.damages or not _index_is_sound(path):
         return False
     try:
-        return read(path).indexed == found.ticks
+        return read_recording(path).indexed == found.ticks
     except RecordingError:  # of its index
         return False
 
@@ -126,7 +126,7 @@ def recover(path: Path, target: Path) -> Recovery:
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-    if found.ticks and read(target).indexed != found.ticks:
+    if found.ticks and read_recording(target).indexed != found.ticks:
         raise RecordingError(f"{target}: does not read back as it was written: do not use it")
     return found
 

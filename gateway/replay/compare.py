@@ -137,9 +137,18 @@ class Comparison:
 
 
 def replay(recording: Recording, robot: Robot | None = None) -> Comparison:
-    """Replay a recording with its own robot file, or with another robot.
+    """Run a recording's inputs through the code of today, and compare every output to the byte.
 
-    Raises ConfigError if the recorded robot file is no longer valid."""
+    Args:
+        recording: what `read_recording` returned.
+        robot: another robot than the recorded one.
+
+    Returns:
+        Comparison: `ok`, the first difference of each kind, and the likely causes; `text()` for a person.
+
+    Raises:
+        ConfigError: the recorded robot file is not valid any more.
+    """
     robot = robot or parse_robot(recording.robot_text, f"{recording.path}: robot.toml")
     gateway = Gateway(robot)
     return compare(

@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader
 from numpy.random import PCG64, Generator
 from rosbags.highlevel import AnyReader
 
-from gateway.recording import read, tick_codec
+from gateway.recording import read_recording, tick_codec
 from gateway.recording.recover import recover
 from gateway.replay import replay
 from protocols.messages import MILLISECOND, Nanos
@@ -52,7 +52,7 @@ def one_kill(runs: Runs, folder: Path, seed: int, number: int) -> Outcome:
         "not every flushed tick came back byte for byte"
     )
     assert (found.ticks, found.gaps) == (len(flushed), [])
-    last = [tick.now for tick in read(whole).ticks][-1]
+    last = [tick.now for tick in read_recording(whole).ticks][-1]
     _assert_replays(whole)
     file.unlink()
     whole.unlink()
@@ -99,7 +99,7 @@ def read_by_rosbags(path: Path, *, opened: bool = True) -> list[bytes]:
 
 def _assert_replays(path: Path) -> None:
     """Assert that a recording replays to the same bytes, as far as `gateway replay` can compare."""
-    comparison = replay(read(path))
+    comparison = replay(read_recording(path))
     assert not comparison.differences, comparison.text()
     assert not comparison.unread
     assert not comparison.left_over

@@ -24,8 +24,8 @@ from can.interfaces.socketcan import SocketcanBus as PythonCan
 
 from gateway.buses.error_frames import CanError, describe, kinds, state_of
 from gateway.buses.interfaces import check_fit, open_interface
+from gateway.buses.netlink import Device, Link, Status
 from gateway.buses.queues import FrameQueue
-from gateway.buses.socketcan.link import Device, Link, Status
 from gateway.buses.socketcan.raw_socket import OpenSocket, RawSocket
 from gateway.buses.states import StateTracker
 from gateway.buses.timestamps import TimestampMapper

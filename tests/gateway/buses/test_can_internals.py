@@ -16,8 +16,8 @@ from can.interfaces.socketcan.socketcan import build_can_frame
 
 from gateway.buses.error_frames import BUS_OFF, CanError, describe, kinds, state_of
 from gateway.buses.frame_time import LENGTHS
+from gateway.buses.netlink import Device, Link, parse, request
 from gateway.buses.queues import MOST_WAITING, FrameQueue
-from gateway.buses.socketcan.link import Device, Link, parse, request
 from gateway.buses.socketcan.raw_socket import pack, unpack
 from gateway.buses.states import CALM, StateTracker
 from gateway.buses.timestamps import OLDEST, TimestampMapper

@@ -16,7 +16,7 @@ from gateway.cli.main import main
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Inputs, Outputs
 from gateway.errors import ConfigError
-from gateway.recording import read
+from gateway.recording import read_recording
 from gateway.replay.compare import compare
 from protocols.frames import BusState, CanFrame
 from protocols.messages import SECOND, Command, Feedback, Idle, Mode, Nanos, Velocity
@@ -138,7 +138,7 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     ways = ("to_can_bus", "to_can_bus_fd", "from_can_bus", "from_can_bus_fd")
     assert {f"/can0/{way}" for way in ways} <= topics
 
-    reported = read(recording)
+    reported = read_recording(recording)
     recorded_robot = config.parse_robot(reported.robot_text)
     gateway = Gateway(recorded_robot)
     corrupted: list[CanFrame] = []

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from gateway.buses.interfaces import check_fit, filters
+from gateway.buses.netlink import Device, Link, Status
 from gateway.buses.socketcan import bus as socketcan
 from gateway.buses.socketcan.bus import FAST_POLL, MOST_READ, PATIENCE, SLOW_POLL, SocketcanBus
-from gateway.buses.socketcan.link import Device, Link, Status
 from gateway.buses.socketcan.raw_socket import pack
 from gateway.buses.states import CALM
 from gateway.core.clock import SimulatedClock, WallClock

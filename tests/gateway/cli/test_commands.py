@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.main import main
-from gateway.recording import read
+from gateway.recording import read_recording
 from protocols.messages import Velocity
 from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, Rig, sent_commands
@@ -153,7 +153,7 @@ def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
     robot, recording = tmp_path / "rig.toml", tmp_path / "run.mcap"
     robot.write_text(BENCH)
     assert main(["run", str(robot), "--fast", "--dry-run", "--seconds", "1", "--record", str(recording)]) == 0
-    received = [event for tick in read(recording).ticks for event in tick.outputs.events]
+    received = [event for tick in read_recording(recording).ticks for event in tick.outputs.events]
     assert received  # the twins report by themselves
     assert all(getattr(event, "velocity", None) in (None, 0.0) for event in received)
 
@@ -172,7 +172,7 @@ def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> Non
         robot.send_line("quit")
         status, text = robot.end()
     assert status == 0, text
-    commands = [command for _, command in sent_commands(Rig(), list(read(recording).ticks))]
+    commands = [command for _, command in sent_commands(Rig(), list(read_recording(recording).ticks))]
     assert {command.motor for command in commands if isinstance(command, Velocity)} == {"left", "right"}
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from gateway import config
 from gateway.core.tick import Tick
-from gateway.recording import Recording, Step, read
+from gateway.recording import Recording, Step, read_recording
 from gateway.replay import replay
 from protocols.frames import CanFrame, Packet
 from protocols.messages import Feedback, Imu, LaserScan, State
@@ -96,7 +96,7 @@ def test_the_picture_is_a_png(drive: Drive) -> None:
 
 def test_the_inputs_are_frames_and_bytes_without_a_pose(drive: Drive) -> None:
     """Every input of the run, decoded by the drivers, is a motor's or a sensor's own measurement."""
-    recording = read(drive.recording)
+    recording = read_recording(drive.recording)
     robot = config.parse_robot(recording.robot_text)
     ticks = list(recording.ticks)
     packets = [packet for tick in ticks for packet in tick.inputs.packets]
@@ -141,7 +141,7 @@ def excerpt(recording: Recording, steps: Iterable[Step]) -> Excerpt:
 @pytest.fixture(scope="module")
 def beginning(drive: Drive) -> Excerpt:
     """The first 1200 ticks."""
-    recording = read(drive.recording)
+    recording = read_recording(drive.recording)
     return excerpt(recording, islice(recording.steps, 1200))
 
 
@@ -158,7 +158,7 @@ def test_one_changed_gain_is_found_and_named(beginning: Excerpt) -> None:
 
 def test_the_same_file_by_command_with_one_gain_changed_exits_with_1(drive: Drive, tmp_path: Path) -> None:
     robot = tmp_path / "other.toml"
-    text = read(drive.recording).robot_text
+    text = read_recording(drive.recording).robot_text
     robot.write_text(text.replace("acceleration = 60.0", "acceleration = 30.0", 1))
     done = gateway("replay", str(drive.recording), "--robot", str(robot))
     assert done.returncode == 1

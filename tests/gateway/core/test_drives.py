@@ -9,7 +9,7 @@ import pytest
 
 from gateway import config
 from gateway.config import resources
-from gateway.recording import read
+from gateway.recording import read_recording
 from protocols.frames import CanFrame
 from protocols.messages import Goal, Mode, Position
 from tests.gateway.cli.test_demo import gateway
@@ -33,7 +33,7 @@ def test_the_goal_is_reached_and_the_recording_replays_to_the_same_bytes(name: s
     assert "by the true pose: 1 of 1" in text
     assert "touched: 0" in text
     recording = tmp_path / "demo.mcap"
-    frames = [packet.frame for tick in read(recording).ticks for packet in tick.outputs.packets]
+    frames = [packet.frame for tick in read_recording(recording).ticks for packet in tick.outputs.packets]
     fd = {frame.fd for frame in frames if isinstance(frame, CanFrame)}
     assert fd == {protocol == "moteus" for protocol in ROBOTS[name]}
     judged = gateway("replay", str(recording))

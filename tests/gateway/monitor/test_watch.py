@@ -26,7 +26,7 @@ from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError, UserError
 from gateway.monitor.sources import Source, WatchSession, open_all, open_source
-from gateway.recording import read
+from gateway.recording import read_recording
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Imu, Velocity
 from protocols.plain import codec as plain
@@ -275,7 +275,7 @@ def test_a_recording_gets_its_last_page(capsys: pytest.CaptureFixture[str], reco
 def test_a_recording_s_lines_are_all_its_frames(capsys: pytest.CaptureFixture[str], recording: Path) -> None:
     assert main(["watch", str(recording), "--lines"]) == 0
     printed = capsys.readouterr().out.splitlines()
-    ticks = list(read(recording).ticks)
+    ticks = list(read_recording(recording).ticks)
     frames = sum(len(tick.inputs.packets) + len(tick.outputs.packets) for tick in ticks)
     others = sum(len(tick.outputs.notes) + len(tick.inputs.instructions) for tick in ticks)
     assert len(printed) == frames + others

@@ -23,7 +23,7 @@ from rosbags.highlevel import AnyReader
 
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.errors import RecordingError
-from gateway.recording import Recorder, Recording, environment, read, tick_codec
+from gateway.recording import Recorder, Recording, environment, read_recording, tick_codec
 from gateway.recording.layout import FORMAT, METADATA, modernised
 from gateway.recording.mcap_file import McapFile
 from gateway.recording.ros_views import Views
@@ -74,7 +74,7 @@ def drained(recorder: Recorder) -> None:
 def test_what_goes_in_comes_out(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     ticks = little.record(path, 300, facts={"date": "2026-11-21T10:00:00+00:00"})
-    made = read(path)
+    made = read_recording(path)
     assert list(made.ticks) == ticks
     assert list(made.ticks) == ticks, "a second time"
     assert (made.whole, made.indexed, made.robot_text) == (True, 300, little.ROBOT)
@@ -86,7 +86,7 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
 def test_where_it_was_made_stands_in_it(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     little.record(path, 1)
-    facts, here = read(path).facts, environment.facts()
+    facts, here = read_recording(path).facts, environment.facts()
     # The sources may be edited while the tests run.
     assert len(facts.pop(environment.PROGRAM)) == len(here.pop(environment.PROGRAM)) == 32
     assert facts == here
@@ -142,7 +142,7 @@ def test_rosbags_reads_every_message(tmp_path: Path) -> None:
 def test_views_stand_behind_their_tick(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     little.record(path, 30)
-    for step in read(path).steps:
+    for step in read_recording(path).steps:
         topics = [view.topic for view in step.views]
         assert topics.count("/can0/from_can_bus") == 2
         assert topics.count("/can0/to_can_bus") == 1
@@ -156,7 +156,7 @@ def test_contents_do_not_depend_on_the_hash_seed(tmp_path: Path) -> None:
     for seed in ("0", "1", "4711"):
         path = tmp_path / f"{seed}.mcap"
         child(code, str(path), seed=seed)
-        digests.add(contents(read(path)))
+        digests.add(contents(read_recording(path)))
     assert len(digests) == 1
 
 
@@ -173,7 +173,7 @@ for tick, belief in little.life(500):
 os._exit(0)
 """
     child(code, str(path))
-    made = read(path)
+    made = read_recording(path)
     assert (made.whole, made.indexed, made.robot_text) == (False, None, little.ROBOT)
     steps = list(made.steps)
     assert [step.tick for step in steps] == [tick for tick, _ in little.life(len(steps))]
@@ -188,7 +188,7 @@ def test_an_idle_recorder_flushes(tmp_path: Path) -> None:
         (tick, belief), *_ = little.life(1)
         recorder.record(tick, belief)
         drained(recorder)
-        assert list(read(path).ticks) == [tick]
+        assert list(read_recording(path).ticks) == [tick]
 
 
 @pytest.mark.parametrize(("level", "flushed"), [("error", True), ("warning", True), ("info", False)])
@@ -197,9 +197,9 @@ def test_trouble_is_flushed_at_once(tmp_path: Path, level: Any, flushed: bool) -
     file = TickWriter(path, little.ROBOT, {}, Views())
     tick = Tick(0, 0, Inputs(), Outputs((), (), (Note(level, "left", "something"),)))
     assert file.add(tick, little.bare_belief()) == ""
-    assert [t.number for t in read(path).ticks] == ([0] if flushed else [])
+    assert [t.number for t in read_recording(path).ticks] == ([0] if flushed else [])
     assert file.finish() == ""
-    assert [t.number for t in read(path).ticks] == [0]
+    assert [t.number for t in read_recording(path).ticks] == [0]
 
 
 def test_a_cut_anywhere_leaves_the_ticks_before_it(tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_a_cut_anywhere_leaves_the_ticks_before_it(tmp_path: Path) -> None:
     for size in (*range(64), *range(64, len(whole), 293), len(whole) - 1):
         cut.write_bytes(whole[:size])
         try:
-            made = read(cut)
+            made = read_recording(cut)
         except RecordingError:
             continue
         left = list(made.ticks)
@@ -226,7 +226,7 @@ def test_zeros_behind_the_cut_do_no_harm(tmp_path: Path) -> None:
     ticks = little.record(path, 40)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 3 // 4] + bytes(5000))
-    left = list(read(path).ticks)
+    left = list(read_recording(path).ticks)
     assert left
     assert left == ticks[: len(left)]
 
@@ -240,12 +240,12 @@ def test_a_slow_writer_costs_ticks_and_reports_it(tmp_path: Path) -> None:
     with Recorder(path, little.ROBOT, {}, little.MOUNTS, depth=1) as recorder:
         for tick, belief in moments:
             recorder.record(tick, belief)
-    left = list(read(path).ticks)
+    left = list(read_recording(path).ticks)
     assert 0 < recorder.lost < 400
     assert len(left) == 400 - recorder.lost
     assert f"are missing in {path}: the disk is too slow; the robot continues" in recorder.trouble
     assert all(tick == moments[tick.number][0] for tick in left)
-    assert not any(step.damage for step in read(path).steps)
+    assert not any(step.damage for step in read_recording(path).steps)
 
 
 def test_a_tick_that_cannot_be_encoded_is_reported(tmp_path: Path) -> None:
@@ -257,7 +257,7 @@ def test_a_tick_that_cannot_be_encoded_is_reported(tmp_path: Path) -> None:
             recorder.record(tick, belief)
     assert recorder.lost == 1
     assert recorder.trouble.startswith("tick 1 is not in the recording: SetId")
-    assert [tick.number for tick in read(path).ticks] == [0, 2]
+    assert [tick.number for tick in read_recording(path).ticks] == [0, 2]
 
 
 def test_after_closing_ticks_are_lost_and_reported(tmp_path: Path) -> None:
@@ -270,7 +270,7 @@ def test_after_closing_ticks_are_lost_and_reported(tmp_path: Path) -> None:
     assert recorder.lost == 2
     assert "are missing" in recorder.trouble
     assert "it is closed" in recorder.trouble
-    assert list(read(recorder.path).ticks) == []
+    assert list(read_recording(recorder.path).ticks) == []
 
 
 @pytest.mark.parametrize(
@@ -319,7 +319,7 @@ def test_other_files_are_refused(tmp_path: Path, content: bytes, reason: str) ->
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=reason):
-        read(path)
+        read_recording(path)
 
 
 @pytest.mark.parametrize(
@@ -345,13 +345,13 @@ def test_other_mcap_files_are_refused(
     path = tmp_path / "a.mcap"
     mcap(path, head, robot=robot)
     with pytest.raises(RecordingError, match=reason):
-        read(path)
+        read_recording(path)
 
 
 @pytest.mark.parametrize(("path", "why"), [("none.mcap", "No such file"), (".", "Is a directory")])
 def test_what_cannot_be_opened(tmp_path: Path, path: str, why: str) -> None:
     with pytest.raises(RecordingError, match=why):
-        read(tmp_path / path)
+        read_recording(tmp_path / path)
 
 
 def test_a_damaged_file_gives_a_sentence_or_the_truth(tmp_path: Path) -> None:
@@ -366,7 +366,7 @@ def test_a_damaged_file_gives_a_sentence_or_the_truth(tmp_path: Path) -> None:
         data[at] ^= 1 << bit
         damaged.write_bytes(data)
         try:
-            steps = list(read(damaged).steps)
+            steps = list(read_recording(damaged).steps)
         except RecordingError:
             reported += 1
             continue

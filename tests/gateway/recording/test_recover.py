@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from gateway.cli.main import main
 from gateway.errors import RecordingError
-from gateway.recording import read, tick_codec
+from gateway.recording import read_recording, tick_codec
 from gateway.recording.recover import RECOVERED, is_whole, recover
 from protocols.messages import seconds
 from tests.gateway import little
@@ -65,7 +65,7 @@ def recovered_ticks(path: Path, target: Path) -> list[bytes]:
     if not found.ticks:
         assert not target.exists()
         return []
-    made = read(target)
+    made = read_recording(target)
     assert made.whole
     assert made.indexed == found.ticks
     assert is_whole(target)
@@ -105,9 +105,9 @@ def test_all_whole_ticks_before_a_cut_come_back(recorded: Path, tmp_path: Path) 
 def test_every_view_comes_back_too(recorded: Path, tmp_path: Path) -> None:
     data = recorded.read_bytes()
     recorded.write_bytes(data[: chunks(recorded)[2][1]])
-    steps = list(read(recorded).steps)
+    steps = list(read_recording(recorded).steps)
     recover(recorded, tmp_path / "out.mcap")
-    again = list(read(tmp_path / "out.mcap").steps)
+    again = list(read_recording(tmp_path / "out.mcap").steps)
     assert [(s.tick, s.views) for s in again] == [(s.tick, s.views) for s in steps]
     with AnyReader([tmp_path / "out.mcap"]) as reader:
         topics = {c.topic: c.msgcount for c in reader.connections}
@@ -125,7 +125,7 @@ def test_a_recovered_file_names_its_source(recorded: Path, tmp_path: Path) -> No
         reported = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
     assert reported[RECOVERED]["from"] == "a.mcap"
     assert "the file was not closed" in reported[RECOVERED]["summary"]
-    assert read(tmp_path / "out.mcap").facts == read(recorded).facts
+    assert read_recording(tmp_path / "out.mcap").facts == read_recording(recorded).facts
 
 
 # -- damaged -----------------------------------------------------------------------------------

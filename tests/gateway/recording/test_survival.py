@@ -26,7 +26,7 @@ from gateway.core.clock import SimulatedClock
 from gateway.core.step import Gateway
 from gateway.errors import RecordingError
 from gateway.operator.status import status_text
-from gateway.recording import Recorder, read, writer
+from gateway.recording import Recorder, read_recording, writer
 from gateway.recording.recover import is_whole
 from gateway.runtime.loop import live
 from gateway.runtime.session import open_session
@@ -176,7 +176,7 @@ def test_a_disk_that_takes_nothing_for_a_while(
         assert recorder.lost == 700
         disk.broken = None
         hand_over(recorder, moments, 1000)
-    left = [tick.number for tick in read(path).ticks]
+    left = [tick.number for tick in read_recording(path).ticks]
     gap = recorder.lost
     assert left == [*range(300), *range(300 + gap, 2000)]
     assert 700 <= gap <= 700 + 200, "it is tried again every second, which are 200 ticks"
@@ -185,7 +185,7 @@ def test_a_disk_that_takes_nothing_for_a_while(
         f"recording: nothing can be recorded in {path}: {why}; the robot continues",
         f"recording: the recording {path} continues; {gap} ticks are missing in it",
     ]
-    steps = list(read(path).steps)
+    steps = list(read_recording(path).steps)
     assert is_whole(path)
     assert not any(step.damage for step in steps)
     after = {view.topic for view in steps[300].views}
@@ -207,7 +207,7 @@ print(recorder.lost)
 print(recorder.trouble)
 """
     lost, trouble = child(code, str(path)).splitlines()
-    made = read(path)
+    made = read_recording(path)
     left = list(made.ticks)
     assert not made.whole
     assert left == [tick for tick, _ in little.life(len(left))]
@@ -235,7 +235,7 @@ def test_a_write_that_cannot_be_taken_back_ends_the_recording(tmp_path: Path) ->
         f"the recording ends here: {path}: {os.strerror(errno.EIO)}; the robot continues"
     )
     # Of the chunk that broke off, some may be readable: it is counted as lost.
-    left = [tick.number for tick in read(path).ticks]
+    left = [tick.number for tick in read_recording(path).ticks]
     assert left == list(range(len(left)))
     assert 300 <= len(left) <= 320
 
@@ -256,7 +256,7 @@ def test_a_slow_disk_costs_ticks_and_never_the_loop(tmp_path: Path, caplog: pyte
         drained(recorder)
         hand_over(recorder, moments, 200)
     assert recorder.lost == lost
-    numbers = [tick.number for tick in read(path).ticks]
+    numbers = [tick.number for tick in read_recording(path).ticks]
     assert len(numbers) == 600 - lost
     jumps = [b - a - 1 for a, b in pairwise(numbers) if b != a + 1]
     assert jumps == [lost], "one gap"
@@ -332,8 +332,8 @@ def test_syncing_to_disk_does_not_delay_the_writer(tmp_path: Path, monkeypatch: 
     with Recorder(tmp_path / "a.mcap", little.ROBOT, {}, little.MOUNTS) as recorder:
         assert asked.wait(60)
         hand_over(recorder, little.life(200), 200)
-        assert len(list(read(recorder.path).ticks)) == 200
-    assert read(recorder.path).whole
+        assert len(list(read_recording(recorder.path).ticks)) == 200
+    assert read_recording(recorder.path).whole
     assert recorder.trouble == ""
     go_on.set()
     recorder._syncer._thread.join(10)

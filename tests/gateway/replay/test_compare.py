@@ -19,7 +19,7 @@ from brain.belief import Belief
 from gateway.config import parse_robot
 from gateway.core.message_text import message_text
 from gateway.core.tick import Inputs, Note, Outputs, Tick
-from gateway.recording import Recorder, environment, read, tick_codec
+from gateway.recording import Recorder, environment, read_recording, tick_codec
 from gateway.replay import Comparison, compare, diff, replay
 from protocols import messages as msg
 from protocols.frames import CanFrame, Packet
@@ -44,7 +44,7 @@ def always(outputs: Outputs) -> Callable[[Nanos, Inputs], Outputs]:
 def compared(path: Path, robot: Little | None = None, **more: Any) -> Comparison:
     robot = robot or Little()
     options = {"mounts": little.MOUNTS, "robot_text": little.ROBOT, **more}
-    return compare(read(path), robot.step, robot.belief, decoder, **options)
+    return compare(read_recording(path), robot.step, robot.belief, decoder, **options)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_the_same_is_the_same(recorded: Path) -> None:
     result = compared(recorded)
     assert result.ok, result.text()
     assert (result.ticks, result.packets, result.bytes) == (300, 300, 2400)
-    assert result.views == sum(len(step.views) for step in read(recorded).steps) > 900
+    assert result.views == sum(len(step.views) for step in read_recording(recorded).steps) > 900
     assert (result.given, result.left_over, result.unread) == (900, 0, 0)
     assert result.first is None
     assert result.causes == ()
@@ -124,7 +124,7 @@ def test_no_packet_proves_nothing(tmp_path: Path) -> None:
     with Recorder(path, little.ROBOT, {}) as recorder:
         for number in range(5):
             recorder.record(Tick(number, number, Inputs(), Outputs()), little.bare_belief(), patient=True)
-    result = compare(read(path), always(Outputs()), little.bare_belief, decoder)
+    result = compare(read_recording(path), always(Outputs()), little.bare_belief, decoder)
     assert (result.ticks, result.ok) == (5, False)
     assert "no packet was sent in the recording" in result.text()
 
@@ -210,7 +210,7 @@ def test_the_decoder_has_decoded_all_frames_before(recorded: Path) -> None:
             return replace(outputs, packets=()) if now == 100 * little.PERIOD else outputs
 
     robot = Late()
-    result = compare(read(recorded), robot.step, robot.belief, lambda _: Counting(), mounts=little.MOUNTS)
+    result = compare(read_recording(recorded), robot.step, robot.belief, lambda _: Counting(), mounts=little.MOUNTS)
     assert result.first is not None
     assert result.first.tick == 100
     assert "left: Velocity 101 rad/s\n  now:      nothing more" in result.first.text
@@ -269,7 +269,7 @@ def test_order_and_bus_of_packets_matter(tmp_path: Path) -> None:
         recorder.record(Tick(0, 0, Inputs(), Outputs((a, b))), little.bare_belief(), patient=True)
     for sent in ((b, a), (a, replace(b, bus="can1")), (a,), (a, b, b), (a, Packet(0, "can0", b"b"))):
         result = compare(
-            read(path),
+            read_recording(path),
             always(Outputs(sent)),
             little.bare_belief,
             lambda _: little.LittleDecoder(),
@@ -282,11 +282,11 @@ def test_order_and_bus_of_packets_matter(tmp_path: Path) -> None:
 def test_another_machine_is_named_as_a_cause(recorded: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     little.record(path, 20, facts={"package numpy": "1.0", "date": "today"})
-    facts = {**read(recorded).facts, "package numpy": "2.0"}
+    facts = {**read_recording(recorded).facts, "package numpy": "2.0"}
     assert compared(path, facts=facts).causes == ()
     causes = compared(path, Little(gain=1.0), facts=facts).causes
     assert causes == ("it was recorded elsewhere: package numpy: '1.0' recorded, '2.0' now",)
-    facts = {**read(path).facts, environment.PROGRAM: "another"}
+    facts = {**read_recording(path).facts, environment.PROGRAM: "another"}
     causes = compared(path, Little(gain=1.0), facts=facts).causes
     assert causes == ("the program: its sources have changed since",)
 
@@ -350,7 +350,7 @@ def test_a_flipped_bit_that_changes_nothing_is_found_too(recorded: Path, tmp_pat
 
 
 def test_a_flipped_bit_in_what_was_sent_is_found(recorded: Path, tmp_path: Path) -> None:
-    sent = next(t for t in read(recorded).ticks if t.number == 77).outputs.packets[0].frame
+    sent = next(t for t in read_recording(recorded).ticks if t.number == 77).outputs.packets[0].frame
     assert isinstance(sent, CanFrame)
     result = compared(rewritten(recorded, tmp_path / "b.mcap", flip(77, sent.data, 0)))
     assert [d.kind for d in result.differences] == ["recording", "packets"]
@@ -383,7 +383,7 @@ FORMAT_1 = Path(__file__).parents[3] / "fixtures" / "recordings" / "format1.mcap
 
 
 def test_a_recording_of_format_1_replays_but_for_its_texts() -> None:
-    recording = read(FORMAT_1)
+    recording = read_recording(FORMAT_1)
     assert recording.format == "1"
     assert 'on_command_timeout = "hold"' in recording.robot_text
     result = replay(recording)
@@ -422,7 +422,7 @@ def test_in_format_1_only_texts_are_left_out(
     )
     with Recorder(tmp_path / "a.mcap", little.ROBOT, {}) as recorder:
         recorder.record(Tick(0, 0, Inputs(), old_outputs), little.bare_belief(), patient=True)
-    new = read(tmp_path / "a.mcap")
+    new = read_recording(tmp_path / "a.mcap")
     step = always(new_outputs)
     results = [compare(one, step, little.bare_belief, decoder) for one in (replace(new, format="1"), new)]
     assert [result.ok for result in results] == [same, False]

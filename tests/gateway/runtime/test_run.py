@@ -184,7 +184,7 @@ def test_a_signal_says_the_safe_word_and_ends_the_run(name: str, tmp_path: objec
     """On the wall clock, in a process of its own: only so a signal is a signal."""
     from pathlib import Path
 
-    from gateway.recording import read
+    from gateway.recording import read_recording
     from tests.gateway.rig import BENCH
 
     folder = Path(str(tmp_path))
@@ -219,7 +219,7 @@ def test_a_signal_says_the_safe_word_and_ends_the_run(name: str, tmp_path: objec
     assert f"leaving: {name}" in text
     assert "Traceback" not in text
     rig = Rig()
-    ticks = list(read(recording).ticks)
+    ticks = list(read_recording(recording).ticks)
     words = [word for _, word in sent_commands(rig, ticks)]
     assert any(isinstance(word, Velocity) for word in words)
     assert isinstance(words[-1], Idle)

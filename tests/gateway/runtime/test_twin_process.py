@@ -28,7 +28,7 @@ from gateway.cli.main import main
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.robot import BusSettings, Robot
 from gateway.errors import BusError, ConfigError
-from gateway.recording import read
+from gateway.recording import read_recording
 from gateway.runtime import loop
 from gateway.runtime.device_log import DeviceLog
 from gateway.runtime.serve import ServeStats, ServeTick, serve
@@ -45,7 +45,7 @@ WATCHED = BENCH.replace(
 
 
 class Script:
-    """A bus that hears what stands in a script, and keeps what is said."""
+    """A bus that receives from a script and keeps what is sent."""
 
     name = "can0"
 
@@ -365,7 +365,7 @@ def test_two_processes_reach_a_goal_and_the_recording_replays(
         assert "Traceback" not in reported
         assert "stays armed" not in reported  # the safe word went out first
         assert re.findall(r"left: (\w+)", reported)[:2] == ["armed", "ready"]
-    ticks = list(read(recording).ticks)
+    ticks = list(read_recording(recording).ticks)
     assert {packet.bus for tick in ticks for packet in tick.inputs.packets} == {"can0", "sensors"}
     assert main(["replay", str(recording)]) == 0
     assert "the same, byte for byte" in capsys.readouterr().out
