@@ -11,15 +11,14 @@ commands, and the frames and events expected in it, in this order:
     < Fault 2310 *              an event; "*" stands for anything
 
 The same value sent again to the same object (or by the same RPDO) is one line, at its first time. These have
-no place in the order: SYNC and the host's heartbeat ("sync ?": any); and, compared only where they are given,
-an RPDO that goes on as before the chapter ("still rpdo1 …"), uploads ("reads"; "asks" for polled feedback),
-and the last measurements ("measures").
+no place in the order: SYNC and the host's heartbeat ("sync /10, beat ?"; "?": any); and, compared only where
+they are given, an RPDO that goes on as before the chapter ("still rpdo1 …"), uploads ("reads"; "asks" for
+polled feedback), and the last measurements ("measures").
 """
 
 from __future__ import annotations
 
 import re
-import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -32,7 +31,7 @@ from canopen.sdo import constants as sdo
 from protocols.cia402 import plugin
 from protocols.cia402.options import Options, Settings
 from protocols.frames import BusState, CanFrame
-from protocols.messages import MILLISECOND, Command, Event, Feedback, Found, Request
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Found, Hold, Request
 from protocols.plugin import Device, Driver
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import dictionary
@@ -113,7 +112,7 @@ def configured(index: int, cob: int, kind: int, *entries: int, timer: int = 0) -
     lines.append(f"write {mapped:04X} = 0")
     lines += [f"write {mapped:04X}:{sub:02X} = {entry:08X}" for sub, entry in enumerate(entries, 1)]
     lines += [f"write {mapped:04X} = {len(entries)}", f"write {index:04X}:01 = {cob:08X}"]
-    return "\n        ".join(lines)
+    return "\n".join(lines)
 
 
 # -- the transcript ---------------------------------------------------------------------------------------
@@ -152,6 +151,11 @@ _LINE = re.compile(
 
 
 _READ = re.compile(r"(?P<own>(?:\d+:)?) ?read (?P<name>\S+)")
+
+
+def _periodic(line: str) -> list[str]:
+    """Split "sync /10, beat ?"."""
+    return line.split(", ") if line.startswith("sync ") else [line]
 
 
 def _within(value: int, low: str | None, high: str | None) -> bool:
@@ -222,7 +226,8 @@ class Talk:
         for at in range(ms):
             self._millisecond([*requests, *commands] if at == 0 else commands, at == 0)
         if expected is not None:
-            self._compare(textwrap.dedent(expected).strip("\n").split("\n"), ms)
+            lines = [line.strip() for line in expected.splitlines()]
+            self._compare([part for line in lines for part in _periodic(line)], ms)
 
     def bus(self, state: BusState) -> None:
         """Let the bus change."""
@@ -336,6 +341,81 @@ class Talk:
             for part in rest_of.split() if name == "measures" else ():
                 field_, _, value = part.partition("=")
                 assert self._measured.get(field_) == value, f"{part}\n{got}"
+
+
+# -- what many conversations share --------------------------------------------------------------------------
+
+RPDO1 = (0x60400010, 0x60600008, 0x607A0020)
+RPDO2 = (0x60FF0020, 0x60710010, 0x60B20010)
+RPDO3 = (0x60B10020,)
+TPDO1 = (0x60410010, 0x60610008, 0x60640020)
+TPDO2 = (0x606C0020, 0x60770010, 0x603F0010)
+TPDO3 = (0x60780010, 0x60790020)
+"""The mappings that the driver writes, by the README: index, subindex, bits."""
+WRITTEN_FOR_SYNC = "\n".join(
+    (
+        configured(0x1800, 0x40000182, 1, *TPDO1),
+        configured(0x1801, 0x40000282, 1, *TPDO2),
+        configured(0x1802, 0x40000382, 10, *TPDO3),
+    )
+)
+"""The feedback: with SYNC, the last with every tenth."""
+CONFIGURED = "\n".join(
+    (
+        configured(0x1400, 0x202, 1, *RPDO1),
+        configured(0x1401, 0x302, 1, *RPDO2),
+        configured(0x1402, 0x402, 1, *RPDO3),
+        WRITTEN_FOR_SYNC,
+        "write 1016:01 = 007F01F4",
+    )
+)
+"""All of them; 1016: node 127 (7F), 500 ms (1F4)."""
+STARTED = "nmt OPERATIONAL 2\nrpdo2 60FF=0 6071=0 60B2=0 …\nrpdo3 60B1=0 …"
+CLEARED = """write 6040 = 0000
+write 6040 = 0080
+< State ready SWITCH ON DISABLED
+< Done ClearFault m"""
+HOMING = """rpdo1 6040=000F 6060=6 607A=4096 …
+< State armed OPERATION ENABLED, homing
+rpdo1 6040=001F 6060=6 607A=4096 …"""
+ARMED_BY_SDO = """write 607A = 4096 …
+write 6060 = 8
+write 6040 = 0006
+< State ready READY TO SWITCH ON
+write 6040 = 0007
+< State ready SWITCHED ON
+write 6040 = 000F
+< State armed OPERATION ENABLED, cyclic synchronous position"""
+MODES = {1: "profile position", 8: "cyclic synchronous position", 9: "cyclic synchronous velocity"}
+
+
+def held_at(position: int, mode: int = 8, last: str = "…") -> str:
+    """Return the lines of a drive that is enabled in a mode, at a position."""
+    armed = f"< State armed OPERATION ENABLED, {MODES[mode]}"
+    return f"rpdo1 6040=000F 6060={mode} 607A={position} {last}\n{armed}"
+
+
+def arming(position: int = 4096, mode: int = 8, last: str = "…") -> str:
+    """Return the lines of arming by RPDO1, whose other RPDOs go on as before."""
+    ready = f"rpdo1 6040=0006 6060={mode} 607A={position} …\n< State ready READY TO SWITCH ON"
+    switched_on = f"rpdo1 6040=0007 6060={mode} 607A={position} …\n< State ready SWITCHED ON"
+    return f"{ready}\n{switched_on}\n{held_at(position, mode, last)}"
+
+
+ARMED = arming()
+
+
+def up(talk: Talk, ms: int = 100) -> Talk:
+    """Let the drives start, and the driver read them."""
+    talk.chapter(ms)
+    return talk
+
+
+def armed(talk: Talk, *commands: Command) -> Talk:
+    """Let it start, and arm it by these commands."""
+    up(talk).chapter(300, *(commands or (Hold("m"),)))
+    assert talk.drive.state == "OPERATION ENABLED", talk.transcript(300)
+    return talk
 
 
 def _event(event: Event, several: bool) -> str:

@@ -7,38 +7,8 @@ an increment is τ/16384 rad, a per mille of torque 1 mN·m. It stands at 4096: 
 from __future__ import annotations
 
 from protocols.messages import ClearFault, Fault, Hold, Idle, Position, Stop, Torque, Velocity
-from tests.protocols.cia402.conversation import Talk, configured
+from tests.protocols.cia402.conversation import CONFIGURED, STARTED, Talk, armed, arming, up
 from tests.protocols.cia402.firmware import Drive
-
-RPDO1 = (0x60400010, 0x60600008, 0x607A0020)
-RPDO2 = (0x60FF0020, 0x60710010, 0x60B20010)
-RPDO3 = (0x60B10020,)
-TPDO1 = (0x60410010, 0x60610008, 0x60640020)
-TPDO2 = (0x606C0020, 0x60770010, 0x603F0010)
-TPDO3 = (0x60780010, 0x60790020)
-"""The mappings that the driver writes, by the README: index, subindex, bits."""
-CONFIGURED = "\n        ".join(
-    (
-        "",
-        configured(0x1400, 0x202, 1, *RPDO1),
-        configured(0x1401, 0x302, 1, *RPDO2),
-        configured(0x1402, 0x402, 1, *RPDO3),
-        configured(0x1800, 0x40000182, 1, *TPDO1),
-        configured(0x1801, 0x40000282, 1, *TPDO2),
-        configured(0x1802, 0x40000382, 10, *TPDO3),
-        "write 1016:01 = 007F01F4",
-    )
-)
-"""All of them with SYNC, the last with every tenth; 1016: node 127 (7F), 500 ms (1F4)."""
-
-AGAIN = """
-        rpdo1 6040=0006 6060=8 607A=4096 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=4096 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=4096 …
-        < State armed OPERATION ENABLED, cyclic synchronous position"""
-"""The arming of a drive at position 4096, whose other RPDOs go on as before."""
 
 
 def test_vectors_of_a_drive_that_comes_up_and_is_only_polled() -> None:
@@ -70,35 +40,19 @@ def test_vectors_of_a_drive_that_comes_up_and_is_only_polled() -> None:
 
 
 def test_vectors_of_the_first_command_configure_start_and_arm_where_the_shaft_stands() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.chapter(
         300,
         Hold("m"),
-        expected=f"""{CONFIGURED}
-        nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 60B2=0 …
-        rpdo3 60B1=0 …
-        rpdo1 6040=0006 6060=8 607A=4096 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=4096 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=4096 /10
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat 127 OPERATIONAL /125..130
+        expected=f"""
+        {CONFIGURED}
+        {STARTED}
+        {arming(last="/10")}
+        sync /10, beat 127 OPERATIONAL /125..130
         measures position=1.5708 velocity=0 torque=0 current=0 voltage=48
         """,
     )
     assert [talk.drive.get(0x1600), talk.drive.get(0x1A00, 3)] == [3, 0x60640020]
-
-
-def armed(talk: Talk, *words: Hold | Velocity | Torque | Position) -> Talk:
-    """Boot it, and arm it by these commands."""
-    talk.chapter(100)
-    talk.chapter(300, *(words or (Hold("m"),)))
-    assert talk.drive.state == "OPERATION ENABLED", talk.transcript(300)
-    return talk
 
 
 def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
@@ -111,8 +65,7 @@ def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
         rpdo2 60FF=0 6071=0 60B2=125 …
         rpdo3 60B1=652 …
         rpdo1 6040=000F 6060=8 607A=-1304 /10
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -123,8 +76,7 @@ def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
         rpdo3 60B1=0 …
         rpdo1 6040=000F 6060=9 607A=* …
         < State armed OPERATION ENABLED, cyclic synchronous velocity
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -135,8 +87,7 @@ def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
         rpdo1 6040=000F 6060=10 607A=* …
         < State armed OPERATION ENABLED, cyclic synchronous torque
         still rpdo3 60B1=0 …
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.drive.put(0x6064, 5000)  # it has turned meanwhile, and is to stay there
@@ -148,8 +99,7 @@ def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
         rpdo2 60FF=0 6071=0 60B2=0 …
         rpdo1 6040=000F 6060=8 607A=5000 /10
         < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.drive.put(0x6064, 5100)  # pushed away: it holds where it was told to
@@ -158,8 +108,7 @@ def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
         Hold("m"),
         expected="""
         still rpdo1 6040=000F 6060=8 607A=5000 /10
-        sync /10
-        beat ?
+        sync /10, beat ?
         measures position=1.9558 velocity=0 torque=0
         """,
     )
@@ -170,8 +119,7 @@ def test_vectors_of_each_cyclic_mode_and_of_disarming() -> None:
         0 rpdo1 6040=0006 6060=8 607A=5100
         < State ready READY TO SWITCH ON
         15..27 write 1016:01 = 00000000
-        sync /10 until 10..50
-        beat ?
+        sync /10 until 10..50, beat ?
         """,
     )
     talk.chapter(400, Idle("m"), expected="asks 6041 6061 6064 606C 6077 6078 6079")
@@ -186,8 +134,7 @@ def test_vectors_of_arming_by_the_state_that_is_shown() -> None:
     ):
         drive = Drive()
         drive.stand(state, 1)  # in another mode till now
-        talk = Talk(drive)
-        talk.chapter(100)
+        talk = up(Talk(drive))
         before = len(talk.frames)
         talk.chapter(300, Hold("m"))
         said = [frame.data for _, frame in talk.frames[before:] if frame.id == 0x202]
@@ -199,8 +146,7 @@ def test_vectors_of_arming_by_the_state_that_is_shown() -> None:
 
 def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
     drive = Drive()
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     drive.modes_late = True
     talk.chapter(250, Velocity("m", 1.0))
     talk.chapter(
@@ -210,8 +156,7 @@ def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
         still rpdo1 6040=0007 6060=9 607A=4096 /100
         still rpdo2 60FF=0 6071=0 60B2=0 /10
         still rpdo3 60B1=0 /100
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     drive.modes_late = False
@@ -222,8 +167,7 @@ def test_vectors_of_a_mode_that_is_shown_late_no_enable_before_it() -> None:
         rpdo1 6040=000F 6060=9 607A=4096 …
         < State armed OPERATION ENABLED, cyclic synchronous velocity
         rpdo2 60FF=2608 6071=0 60B2=0 /10
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -257,8 +201,7 @@ def test_vectors_of_a_running_drive_that_is_taken_over_and_one_that_is_stopped()
     )
     again = Drive()
     again.stand("OPERATION ENABLED", 9)
-    talk = Talk(again)
-    talk.chapter(100)
+    talk = up(Talk(again))
     talk.chapter(
         100,
         Stop(),  # an operator's stop reaches what another host has armed
@@ -281,8 +224,7 @@ def test_vectors_of_a_drive_that_does_not_disarm() -> None:
         50 write 6040 = 0006 /50 until 450..500
         500 rpdo1 6040=0000 6060=8 607A=4096 /50
         500 write 6040 = 0000 /50
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.drive.deaf = False
@@ -293,8 +235,7 @@ def test_vectors_of_a_drive_that_does_not_disarm() -> None:
         write 6040 = 0000 …
         < State ready SWITCH ON DISABLED
         write 1016:01 = 00000000
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
@@ -302,8 +243,7 @@ def test_vectors_of_a_drive_that_does_not_disarm() -> None:
 def test_vectors_of_a_drive_that_does_not_arm() -> None:
     drive = Drive()
     drive.deaf = True
-    talk = Talk(drive, state_timeout_ms=150)
-    talk.chapter(100)
+    talk = up(Talk(drive, state_timeout_ms=150))
     talk.chapter(100, Hold("m"))
     talk.chapter(
         300,
@@ -311,8 +251,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
         expected="""
         still rpdo1 6040=0006 6060=8 607A=4096 /10 until 80..160
         80..170 < Fault 10001 operation not enabled
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
     (fault,) = [event for event in talk.events if isinstance(event, Fault)]
@@ -324,8 +263,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
         Hold("m"),
         expected="""
         < State ready READY TO SWITCH ON
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
     talk.chapter(
@@ -338,8 +276,7 @@ def test_vectors_of_a_drive_that_does_not_arm() -> None:
         < State ready SWITCHED ON
         rpdo1 6040=000F 6060=8 607A=4096 /10
         < State armed OPERATION ENABLED, cyclic synchronous position
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
@@ -355,7 +292,6 @@ def test_vectors_of_disarming_a_drive_that_receives_no_pdos() -> None:
         0 write 6040 = 0006
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )

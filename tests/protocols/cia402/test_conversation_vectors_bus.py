@@ -11,9 +11,8 @@ from protocols.cia402.options import Options, Settings
 from protocols.frames import BusState, CanFrame
 from protocols.messages import Event, Found, Hold, Home, Idle, ReadParameter, Scan, Velocity
 from protocols.plugin import Device
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import armed
 
 
 @pytest.mark.parametrize("state", [BusState.GONE, BusState.OFF])
@@ -49,8 +48,7 @@ def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_writ
         expected="""
         < State initialising *
         < State initialising *
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
     talk.chapter(
@@ -61,8 +59,7 @@ def test_vectors_of_a_bus_that_is_back_the_drive_is_read_before_anything_is_writ
         write 1016:01 = 007F01F4
         rpdo1 6040=000F 6060=9 607A=5000 …
         still rpdo2 60FF=2608 6071=0 60B2=0 /10
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
@@ -80,7 +77,7 @@ def test_vectors_of_a_full_queue_what_may_be_lost_is_sent_again() -> None:
 def test_vectors_of_a_bus_that_goes_on(state: BusState) -> None:
     talk = armed(Talk())
     talk.bus(state)
-    talk.chapter(50, Hold("m"), expected="still rpdo1 6040=000F 6060=8 607A=4096 /10\nsync /10\nbeat ?")
+    talk.chapter(50, Hold("m"), expected="still rpdo1 6040=000F 6060=8 607A=4096 /10\nsync /10, beat ?")
 
 
 # -- looking for devices --------------------------------------------------------------------------------
@@ -95,8 +92,7 @@ def _found(events: Sequence[Event]) -> list[tuple[int, int | None, bool, str]]:
 
 
 def test_vectors_of_a_scan_of_an_empty_bus() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     mark = len(talk.frames)
     talk.chapter(900, Scan("can0"))
     assert _asked(talk, mark) == [(node, "001000") for node in range(1, 128) if node != 2], "1000, of each"
@@ -138,8 +134,7 @@ def test_vectors_of_a_scan_that_finds_strangers() -> None:
     one, two, silent, poor = Stranger(5, 77), Stranger(7, 78, copies=2), Stranger(9, 79), Stranger(126, 80)
     silent.dead = True
     poor.lack(0x1018)
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     mark = len(talk.frames)
     with_strangers(talk, (one, two, silent, poor), 900, Scan("can0"))
     known = "device profile 402, vendor 0x29c, product 0x1234"
@@ -157,8 +152,7 @@ def test_vectors_of_a_scan_that_finds_strangers() -> None:
 
 
 def test_vectors_of_two_scans_at_once() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.chapter(50, Scan("can0"))
     talk.chapter(1, Scan("can0"))
     assert any(str(run.text) == "< Refused Scan can0 a scan is under way" for run in talk.runs())
@@ -168,8 +162,7 @@ def test_vectors_of_two_scans_at_once() -> None:
 
 
 def test_vectors_of_a_scan_that_reports_a_duplicate_of_its_own_drive() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.drive.copies = 2
     talk.chapter(100)
     talk.drive.copies = 1
@@ -188,8 +181,7 @@ def test_vectors_of_a_scan_that_reports_a_duplicate_of_its_own_drive() -> None:
 def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
     left, right = Drive(2), Drive(3)
     right.put(0x6064, -4096)
-    talk = Talk(left, right)
-    talk.chapter(100)
+    talk = up(Talk(left, right))
     talk.chapter(400, Velocity("m", 1.0), Velocity("n", -1.0))
     assert [left.state, right.state] == ["OPERATION ENABLED"] * 2
     talk.chapter(
@@ -200,8 +192,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         3: rpdo2 60FF=-5215 6071=0 60B2=0 /10
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
         still 3: rpdo1 6040=000F 6060=9 607A=-4096 …
-        sync /10
-        beat 127 OPERATIONAL /125..130
+        sync /10, beat 127 OPERATIONAL /125..130
         measures m.position=1.5708 n.position=-1.5708
         """,
     )
@@ -222,11 +213,10 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         3: rpdo1 6040=0006 6060=9 607A=-4096
         < State n ready READY TO SWITCH ON
         3: write 1016:01 = 00000000
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
-    talk.chapter(200, Velocity("m", 1.0), expected="sync /10\nbeat 127 OPERATIONAL /125..130")
+    talk.chapter(200, Velocity("m", 1.0), expected="sync /10, beat 127 OPERATIONAL /125..130")
     right.trip(0x2310)
     talk.chapter(
         50,
@@ -236,8 +226,7 @@ def test_vectors_of_two_drives_one_sync_one_heartbeat() -> None:
         0 < Fault n 2310 continuous over current on the output
         < State n fault FAULT
         still 2: rpdo2 60FF=2608 6071=0 60B2=0 /10
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -252,13 +241,12 @@ def test_vectors_of_drives_with_different_watchdogs_share_the_faster_heartbeat()
     talk.driver = plugin.driver(devices)
     talk.chapter(100)
     talk.chapter(300, Hold("m"), Hold("n"))
-    talk.chapter(300, Hold("m"), Hold("n"), expected="sync /10\nbeat 127 OPERATIONAL /50..60")
+    talk.chapter(300, Hold("m"), Hold("n"), expected="sync /10, beat 127 OPERATIONAL /50..60")
     assert [left.get(0x1016, 1), right.get(0x1016, 1)] == [0x7F0190, 0x7F00C8]
 
 
 def test_vectors_of_a_bus_whose_sync_has_another_producer() -> None:
-    talk = Talk(sync_ms=0)
-    talk.chapter(100)
+    talk = up(Talk(sync_ms=0))
     talk.chapter(150, Hold("m"), expected=None)
     assert not [frame for _, frame in talk.frames if frame.id == 0x80]
     sync = CanFrame(0x80)

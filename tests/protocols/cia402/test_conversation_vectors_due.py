@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from protocols.messages import ClearFault, Estop, Hold, Idle, ReadParameter, Reboot, Scan, Velocity
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import CONFIGURED, STARTED, Talk, arming, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import CONFIGURED
 
 NEVER = 10**12
 
@@ -42,23 +41,15 @@ def test_vectors_of_coming_up_and_going_offline_when_due() -> None:
 
 
 def test_vectors_of_arming_when_due() -> None:
-    talk = lazy()
-    talk.chapter(100)
+    talk = up(lazy())
     talk.chapter(
         300,
         Hold("m"),
-        expected=f"""{CONFIGURED}
-        nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 60B2=0 …
-        rpdo3 60B1=0 …
-        rpdo1 6040=0006 6060=8 607A=4096 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=4096 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=4096 /10
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat 127 OPERATIONAL /125..135
+        expected=f"""
+        {CONFIGURED}
+        {STARTED}
+        {arming(last="/10")}
+        sync /10, beat 127 OPERATIONAL /125..135
         """,
     )
     talk.chapter(
@@ -68,15 +59,13 @@ def test_vectors_of_arming_when_due() -> None:
         0 rpdo1 6040=0006 6060=8 607A=4096
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
 
 def test_vectors_of_a_drive_that_does_not_disarm_when_due() -> None:
-    talk = lazy(feedback="sdo", mapping="keep", watchdog_ms=0)
-    talk.chapter(100)
+    talk = up(lazy(feedback="sdo", mapping="keep", watchdog_ms=0))
     talk.chapter(300, Velocity("m", 1.0))
     assert talk.drive.state == "OPERATION ENABLED"
     talk.drive.deaf = True
@@ -93,8 +82,7 @@ def test_vectors_of_a_drive_that_does_not_disarm_when_due() -> None:
 def test_vectors_of_a_drive_that_does_not_arm_when_due() -> None:
     drive = Drive()
     drive.deaf = True
-    talk = lazy(drive, state_timeout_ms=200, feedback="sdo", mapping="keep", watchdog_ms=0)
-    talk.chapter(100)
+    talk = up(lazy(drive, state_timeout_ms=200, feedback="sdo", mapping="keep", watchdog_ms=0))
     talk.chapter(
         300,
         Hold("m"),
@@ -109,8 +97,7 @@ def test_vectors_of_a_drive_that_does_not_arm_when_due() -> None:
 
 
 def test_vectors_of_requests_when_due() -> None:
-    talk = lazy()
-    talk.chapter(100)
+    talk = up(lazy())
     talk.chapter(20, ReadParameter("m", "6502"), expected="< Parameter 6502 941\n< Done ReadParameter m")
     talk.chapter(900, Scan("can0"))
     (done,) = [run for run in talk.runs() if run.text.startswith("< Done Scan")]
@@ -130,8 +117,7 @@ def test_vectors_of_requests_when_due() -> None:
 
 
 def test_vectors_of_a_reboot_that_is_not_seen_when_due() -> None:
-    talk = lazy()
-    talk.chapter(100)
+    talk = up(lazy())
     talk.drive.starts = 99
     talk.chapter(
         8100,

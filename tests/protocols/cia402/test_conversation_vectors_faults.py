@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from protocols.messages import ClearFault, Hold, Idle, Velocity
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import ARMED, CLEARED, RPDO1, Talk, armed, arming
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import AGAIN, RPDO1, armed
 
 
 def test_vectors_of_a_fault_reported_by_emcy_and_cleared() -> None:
@@ -20,26 +19,22 @@ def test_vectors_of_a_fault_reported_by_emcy_and_cleared() -> None:
         0..1 < Fault 2310 continuous over current on the output
         0..20 < State fault FAULT
         still rpdo1 6040=000F 6060=8 607A=4096 …
-        sync /10
-        beat 127 OPERATIONAL …
+        sync /10, beat 127 OPERATIONAL …
         """,
     )
-    talk.chapter(50, Hold("m"), expected="sync ?\nbeat ?")
+    talk.chapter(50, Hold("m"), expected="sync ?, beat ?")
     talk.chapter(
         200,
         ClearFault("m"),
         Hold("m"),
         expected=f"""
-        write 6040 = 0000
-        write 6040 = 0080
-        < State ready SWITCH ON DISABLED
-        < Done ClearFault m{AGAIN}
-        sync /10
-        beat ?
+        {CLEARED}
+        {ARMED}
+        sync /10, beat ?
         """,
     )
     talk.drive.trip(0x2310)  # again is another one
-    talk.chapter(50, Hold("m"), expected="< Fault 2310 *\n< State fault FAULT\nsync ?\nbeat ?")
+    talk.chapter(50, Hold("m"), expected="< Fault 2310 *\n< State fault FAULT\nsync ?, beat ?")
 
 
 def test_vectors_of_a_fault_without_emcy() -> None:
@@ -51,8 +46,7 @@ def test_vectors_of_a_fault_without_emcy() -> None:
         expected="""
         < State fault FAULT
         < Fault 7305 incremental sensor 1
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -74,18 +68,10 @@ def test_vectors_of_a_fault_that_is_polled() -> None:
         200,
         ClearFault("m"),
         Velocity("m", 1.0),
-        expected="""
-        write 6040 = 0000
-        write 6040 = 0080
-        < State ready SWITCH ON DISABLED
-        < Done ClearFault m
+        expected=f"""
+        {CLEARED}
         rpdo2 60FF=0 6071=0 60B2=0 …
-        rpdo1 6040=0006 6060=9 607A=4096 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=9 607A=4096 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=9 607A=4096 …
-        < State armed OPERATION ENABLED, cyclic synchronous velocity
+        {arming(4096, 9)}
         rpdo2 60FF=2608 6071=0 60B2=0 …
         beat ?
         """,
@@ -110,11 +96,8 @@ def test_vectors_of_a_fault_found_at_the_start() -> None:
         100,
         ClearFault("m"),
         Idle("m"),
-        expected="""
-        write 6040 = 0000
-        write 6040 = 0080
-        < State ready SWITCH ON DISABLED
-        < Done ClearFault m
+        expected=f"""
+        {CLEARED}
         """,
     )
 
@@ -159,12 +142,9 @@ def test_vectors_of_a_fault_cleared_before_its_statusword_shows_it() -> None:
         expected=f"""
         0..1 < Fault 2320 short circuit or earth leakage on the output
         < State fault FAULT
-        write 6040 = 0000
-        write 6040 = 0080
-        < State ready SWITCH ON DISABLED
-        < Done ClearFault m{AGAIN}
-        sync /10
-        beat ?
+        {CLEARED}
+        {ARMED}
+        sync /10, beat ?
         """,
     )
 
@@ -179,14 +159,13 @@ def test_vectors_of_a_warning_that_comes_goes_and_comes_again() -> None:
             expected="""
             0 < Fault 4210 excess temperature device
             still rpdo1 6040=000F 6060=8 607A=4096 /10
-            sync /10
-            beat ?
+            sync /10, beat ?
             """,
         )
         talk.drive.say_emcy(0x4210)
-        talk.chapter(50, Hold("m"), expected="sync /10\nbeat ?")
+        talk.chapter(50, Hold("m"), expected="sync /10, beat ?")
         talk.drive.say_emcy(0)
-        talk.chapter(50, Hold("m"), expected="sync /10\nbeat ?")
+        talk.chapter(50, Hold("m"), expected="sync /10, beat ?")
 
 
 def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
@@ -201,8 +180,7 @@ def test_vectors_of_a_fault_while_it_is_disarmed() -> None:
             < Fault 3210 DC link over voltage
             < State fault FAULT
             write 1016:01 = 00000000
-            sync ?
-            beat ?
+            sync ?, beat ?
             """,
         )
 
@@ -224,8 +202,7 @@ def test_vectors_of_a_drive_that_is_disarmed_after_a_fault() -> None:
         < State ready READY TO SWITCH ON
         < Done ClearFault m
         write 1016:01 = 00000000
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
@@ -255,6 +232,6 @@ def test_vectors_of_a_fault_whose_code_comes_with_the_statusword() -> None:
     drive.map(0x1800, 0x40000182, 1, 0x60410010, 0x603F0010, 0x60640020)
     talk = armed(Talk(drive))
     drive.trip(0, emcy=False)
-    talk.chapter(30, Hold("m"), expected="< State fault FAULT\nsync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), expected="< State fault FAULT\nsync /10, beat ?")
     drive.put(0x603F, 0x7305)  # a bit later it knows why
-    talk.chapter(30, Hold("m"), expected="< Fault 7305 incremental sensor 1\nsync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), expected="< Fault 7305 incremental sensor 1\nsync /10, beat ?")

@@ -5,9 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 from protocols.messages import Hold, Idle
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import CONFIGURED, Talk, armed, arming, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import CONFIGURED, armed
 
 
 def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
@@ -21,16 +20,10 @@ def test_vectors_of_a_restart_read_anew_and_armed_by_a_fresh_sequence() -> None:
         0 < State initialising restarted
         < State initialising SWITCH ON DISABLED*
         < State ready SWITCH ON DISABLED
-        {CONFIGURED.strip()}
+        {CONFIGURED}
         nmt OPERATIONAL 2
-        rpdo1 6040=0006 6060=8 607A=5000 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=5000 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=5000 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync ?
-        beat ?
+        {arming(5000)}
+        sync ?, beat ?
         """,
     )
 
@@ -44,8 +37,7 @@ def test_vectors_of_a_drive_that_goes_offline_and_comes_back() -> None:
         expected="""
         280..310 < State offline no frames received
         still rpdo1 6040=000F 6060=8 607A=4096 /10 until 280..310
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
     talk.chapter(500, Hold("m"), expected="reads 1000")
@@ -81,15 +73,13 @@ def test_vectors_of_an_nmt_state_that_another_host_changes() -> None:
             expected="""
             0..110 nmt OPERATIONAL 2
             still rpdo1 6040=000F 6060=8 607A=4096 …
-            sync /10
-            beat 127 OPERATIONAL …
+            sync /10, beat 127 OPERATIONAL …
             """,
         )
 
 
 def test_vectors_of_a_start_that_is_not_obeyed() -> None:
-    talk = Talk(feedback="sdo", watchdog_ms=0)
-    talk.chapter(100)
+    talk = up(Talk(feedback="sdo", watchdog_ms=0))
     talk.drive.starts = 4
     talk.chapter(400, Hold("m"))
     starts = [at for at, frame in talk.frames if frame.id == 0]
@@ -108,8 +98,7 @@ def test_vectors_of_disarming_where_the_position_is_zero() -> None:
         rpdo1 6040=0006 6060=8 607A=0
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
@@ -121,17 +110,11 @@ def test_vectors_of_a_drive_that_another_host_disarms_and_that_is_armed_at_its_n
     talk.chapter(
         150,
         Hold("m"),
-        expected="""
+        expected=f"""
         < State ready SWITCH ON DISABLED
-        rpdo1 6040=0006 6060=8 607A=5000 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=5000 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=5000 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
+        {arming(5000)}
         still rpdo2 60FF=0 6071=0 60B2=0 …
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -146,7 +129,6 @@ def test_vectors_of_a_brain_that_stops_commanding() -> None:
         Hold("m"),
         expected="""
         still rpdo1 6040=000F 6060=8 607A=4096 …
-        sync /10
-        beat 127 OPERATIONAL …
+        sync /10, beat 127 OPERATIONAL …
         """,
     )

@@ -9,23 +9,26 @@ from __future__ import annotations
 import pytest
 
 from protocols.messages import ClearFault, Fault, Hold, Idle, Position, Torque, Velocity
-from tests.protocols.cia402.conversation import Talk, configured
+from tests.protocols.cia402.conversation import (
+    ARMED,
+    ARMED_BY_SDO,
+    RPDO1,
+    RPDO2,
+    RPDO3,
+    STARTED,
+    TPDO1,
+    TPDO2,
+    TPDO3,
+    WRITTEN_FOR_SYNC,
+    Talk,
+    armed,
+    configured,
+    up,
+)
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import RPDO1, RPDO2, RPDO3, TPDO1, TPDO2, TPDO3, armed
 
 SHORT = (0x60FF0020, 0x60710010)
 """RPDO2 without the torque offset."""
-ARMED = """
-        rpdo1 6040=0006 6060=8 607A=4096 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=8 607A=4096 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=8 607A=4096 …
-        < State armed OPERATION ENABLED, cyclic synchronous position"""
-WRITTEN_FOR_SYNC = f"""
-        {configured(0x1800, 0x40000182, 1, *TPDO1)}
-        {configured(0x1801, 0x40000282, 1, *TPDO2)}
-        {configured(0x1802, 0x40000382, 10, *TPDO3)}"""
 
 
 def with_pdos(kind: int, timer: int = 0) -> Drive:
@@ -40,8 +43,7 @@ def with_pdos(kind: int, timer: int = 0) -> Drive:
 def test_vectors_of_feedback_by_an_event_timer() -> None:
     drive = Drive()
     drive.put(0x1017, 0)  # it has no heartbeat
-    talk = Talk(drive, feedback="event", feedback_ms=20, heartbeat_ms=50, watchdog_ms=400, host_id=99)
-    talk.chapter(100)
+    talk = up(Talk(drive, feedback="event", feedback_ms=20, heartbeat_ms=50, watchdog_ms=400, host_id=99))
     talk.chapter(
         300,
         Hold("m"),
@@ -54,9 +56,8 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
         {configured(0x1801, 0x40000282, 255, *TPDO2, timer=20)}
         {configured(0x1802, 0x40000382, 255, *TPDO3, timer=200)}
         write 1016:01 = 00630190
-        nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 60B2=0 …
-        rpdo3 60B1=0 …{ARMED}
+        {STARTED}
+        {ARMED}
         beat 99 OPERATIONAL /100..110
         """,
     )
@@ -74,8 +75,7 @@ def test_vectors_of_feedback_by_an_event_timer() -> None:
 
 
 def test_vectors_of_feedback_that_is_polled() -> None:
-    talk = Talk(feedback="sdo")
-    talk.chapter(100)
+    talk = up(Talk(feedback="sdo"))
     before = len(talk.frames)
     talk.chapter(
         1000,
@@ -97,30 +97,21 @@ def test_vectors_of_feedback_that_is_polled() -> None:
         {configured(0x1401, 0x302, 255, *RPDO2)}
         {configured(0x1402, 0x402, 255, *RPDO3)}
         write 1016:01 = 007F01F4
-        nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 60B2=0 …
-        rpdo3 60B1=0 …{ARMED}
+        {STARTED}
+        {ARMED}
         beat 127 OPERATIONAL …
         """,
     )
 
 
 def test_vectors_of_a_drive_whose_mapping_is_kept_and_has_none() -> None:
-    talk = Talk(feedback="sdo", mapping="keep", watchdog_ms=0)
-    talk.chapter(100)
+    talk = up(Talk(feedback="sdo", mapping="keep", watchdog_ms=0))
     talk.chapter(
         200,
         Hold("m"),
-        expected="""
+        expected=f"""
         nmt OPERATIONAL 2
-        write 607A = 4096 …
-        write 6060 = 8
-        write 6040 = 0006
-        < State ready READY TO SWITCH ON
-        write 6040 = 0007
-        < State ready SWITCHED ON
-        write 6040 = 000F
-        < State armed OPERATION ENABLED, cyclic synchronous position
+        {ARMED_BY_SDO}
         """,
     )
     talk.chapter(
@@ -184,7 +175,8 @@ def test_vectors_of_pdos_that_fit_and_stay(kind: int, options: dict[str, str]) -
         expected=f"""
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 …{ARMED}
+        rpdo2 60FF=0 6071=0 …
+        {ARMED}
         {synced}
         beat 127 OPERATIONAL …
         """,
@@ -212,17 +204,17 @@ def test_vectors_of_pdos_that_wait_for_a_sync_without_a_producer() -> None:
 
 
 def test_vectors_of_pdos_that_report_too_seldom() -> None:
-    talk = Talk(with_pdos(255, 5000))
-    talk.chapter(150)
+    talk = up(Talk(with_pdos(255, 5000)), 150)
     talk.chapter(
         250,
         Hold("m"),  # what steers stays as it is
-        expected=f"""{WRITTEN_FOR_SYNC}
+        expected=f"""
+        {WRITTEN_FOR_SYNC}
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 …{ARMED}
-        sync /10
-        beat 127 OPERATIONAL …
+        rpdo2 60FF=0 6071=0 …
+        {ARMED}
+        sync /10, beat 127 OPERATIONAL …
         """,
     )
 
@@ -230,8 +222,7 @@ def test_vectors_of_pdos_that_report_too_seldom() -> None:
 def test_vectors_of_pdos_that_lack_a_set_point() -> None:
     drive = with_pdos(1)
     drive.map(0x1401, 0x302, 1, 0x60FF0020)  # no torque
-    talk = Talk(drive)
-    talk.chapter(150)
+    talk = up(Talk(drive), 150)
     talk.chapter(
         250,
         Hold("m"),  # RPDO1 and what tells stay as they are
@@ -239,11 +230,9 @@ def test_vectors_of_pdos_that_lack_a_set_point() -> None:
         {configured(0x1401, 0x302, 1, *RPDO2)}
         {configured(0x1402, 0x402, 1, *RPDO3)}
         write 1016:01 = 007F01F4
-        nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 60B2=0 …
-        rpdo3 60B1=0 …{ARMED}
-        sync /10
-        beat 127 OPERATIONAL …
+        {STARTED}
+        {ARMED}
+        sync /10, beat 127 OPERATIONAL …
         """,
     )
 
@@ -275,8 +264,7 @@ def test_vectors_of_odd_pdos_that_do_well(index: int, kind: int, entries: tuple[
     drive.map(index, 0x202 if index == 0x1400 else 0x40000182, kind, *entries)
     if entries[-1] >> 16 == 0x2000:
         drive.own(0x2000, 1)
-    talk = Talk(drive)
-    talk.chapter(150)
+    talk = up(Talk(drive), 150)
     before = len(talk.frames)
     talk.chapter(300, Hold("m"))
     said = [frame.data for _, frame in talk.frames[before:] if frame.id == 0x602 and frame.data[0] != 0x40]
@@ -284,14 +272,13 @@ def test_vectors_of_odd_pdos_that_do_well(index: int, kind: int, entries: tuple[
     assert drive.state == "OPERATION ENABLED"
     drive.put(0x6064, -8192)
     dummy = "202#0F00080010000000 /10\n" if len(entries) == 4 and index == 0x1400 else ""
-    talk.chapter(100, Hold("m"), expected=f"{dummy}sync /10\nbeat ?\nmeasures position=-3.1416")
+    talk.chapter(100, Hold("m"), expected=f"{dummy}sync /10, beat ?\nmeasures position=-3.1416")
 
 
 def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
     drive = Drive()
     drive.lack(0x60B1, 0x60B2, 0x6079)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     talk.chapter(250, Hold("m"))
     assert [drive.get(0x1601), drive.get(0x1602), drive.get(0x1A02)] == [2, 0, 1]
     talk.chapter(
@@ -299,8 +286,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
         Position("m", 1.0, 0.5),
         expected="""
         0 < Refused Position m it has no object 60B1 *
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -308,8 +294,7 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
         Velocity("m", 1.0, 0.5),
         expected="""
         0 < Refused Velocity m it has no object 60B2 *
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -317,27 +302,18 @@ def test_vectors_of_a_drive_without_offsets_and_supply() -> None:
         Position("m", 1.0),
         expected="""
         rpdo1 6040=000F 6060=8 607A=2608 /2..10
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     drive = Drive()
     drive.lack(0x60B1, 0x60B2)
-    talk = Talk(drive, feedback="sdo", mapping="keep", watchdog_ms=0)
-    talk.chapter(100)
+    talk = up(Talk(drive, feedback="sdo", mapping="keep", watchdog_ms=0))
     talk.chapter(
         200,
         Hold("m"),
-        expected="""
+        expected=f"""
         nmt OPERATIONAL 2
-        write 607A = 4096 …
-        write 6060 = 8
-        write 6040 = 0006
-        < State ready READY TO SWITCH ON
-        write 6040 = 0007
-        < State ready SWITCHED ON
-        write 6040 = 000F
-        < State armed OPERATION ENABLED, cyclic synchronous position
+        {ARMED_BY_SDO}
         """,
     )
 
@@ -346,8 +322,7 @@ def test_vectors_of_pdos_that_may_not_be_written() -> None:
     drive = Drive()
     for index in (0x1400, 0x1801):
         drive.refuse(index, 0x06010002)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     talk.chapter(
         350,
         Hold("m"),
@@ -359,19 +334,9 @@ def test_vectors_of_pdos_that_may_not_be_written() -> None:
         write 1801:01 = C0000282
         {configured(0x1802, 0x40000382, 10, *TPDO3)}
         write 1016:01 = 007F01F4
-        nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 60B2=0 …
-        rpdo3 60B1=0 …
-        write 607A = 4096 …
-        write 6060 = 8
-        write 6040 = 0006
-        < State ready READY TO SWITCH ON
-        write 6040 = 0007
-        < State ready SWITCHED ON
-        write 6040 = 000F
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat 127 OPERATIONAL …
+        {STARTED}
+        {ARMED_BY_SDO}
+        sync /10, beat 127 OPERATIONAL …
         """,
     )
 
@@ -379,8 +344,7 @@ def test_vectors_of_pdos_that_may_not_be_written() -> None:
 def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
     drive = with_pdos(1)
     drive.refuse(0x1016, 0x06010002)
-    talk = Talk(drive)
-    talk.chapter(150)
+    talk = up(Talk(drive), 150)
     talk.chapter(
         200,
         Hold("m"),
@@ -400,9 +364,9 @@ def test_vectors_of_a_watchdog_that_may_not_be_written() -> None:
         < Done ClearFault m
         write 1016:01 = 007F01F4
         nmt OPERATIONAL 2
-        rpdo2 60FF=0 6071=0 …{ARMED}
-        sync /10
-        beat 127 OPERATIONAL …
+        rpdo2 60FF=0 6071=0 …
+        {ARMED}
+        sync /10, beat 127 OPERATIONAL …
         """,
     )
     assert armed(Talk(Drive(5), watchdog_ms=0)).drive.get(0x1016, 1) == 0

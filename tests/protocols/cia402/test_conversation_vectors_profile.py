@@ -9,14 +9,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 from protocols.messages import ClearFault, Hold, Home, Idle, Position, Torque, Velocity, Zero
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import HOMING, Talk, armed, arming, held_at, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import armed
 
 
 def test_vectors_of_profile_position_and_its_handshake() -> None:
-    talk = Talk(modes="profile")
-    talk.chapter(100)
+    talk = up(Talk(modes="profile"))
     talk.chapter(70, Hold("m"))
     assert talk.drive.get(0x1400, 2) == 255, "what shakes hands does not wait for SYNC"
     assert talk.drive.get(0x1800, 2) == 1
@@ -26,8 +24,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
         Position("m", 1.0, 5.0),  # a profile has no feed-forward
         expected="""
         0 < Refused Position m * no velocity for Position
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -38,8 +35,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
         rpdo1 6040=002F 6060=1 607A=2608 …
         still rpdo2 60FF=0 6071=0 60B2=0 …
         still rpdo3 60B1=0 …
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -47,8 +43,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
         Position("m", 1.0),
         expected="""
         still rpdo1 6040=002F 6060=1 607A=2608 …
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -57,8 +52,7 @@ def test_vectors_of_profile_position_and_its_handshake() -> None:
         expected="""
         0..10 rpdo1 6040=003F 6060=1 607A=5215 …
         rpdo1 6040=002F 6060=1 607A=5215 …
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -68,20 +62,14 @@ def test_vectors_of_the_first_set_point_of_profile_position() -> None:
     drive.map(0x1400, 0x202, 255, 0x60400010, 0x60600008, 0x607A0020)
     drive.map(0x1401, 0x302, 255, 0x60FF0020, 0x60710010)
     drive.map(0x1800, 0x40000182, 1, 0x60410010, 0x60610008, 0x60640020)
-    talk = Talk(drive, modes="profile", watchdog_ms=0)
-    talk.chapter(100)
+    talk = up(Talk(drive, modes="profile", watchdog_ms=0))
     talk.chapter(
         200,
         Position("m", 1.0),
-        expected="""
+        expected=f"""
         0..10 nmt OPERATIONAL 2
         rpdo2 60FF=0 6071=0 …
-        rpdo1 6040=0006 6060=1 607A=4096 …
-        < State ready READY TO SWITCH ON
-        rpdo1 6040=0007 6060=1 607A=4096 …
-        < State ready SWITCHED ON
-        rpdo1 6040=000F 6060=1 607A=4096 …
-        < State armed OPERATION ENABLED, profile position
+        {arming(4096, 1)}
         rpdo1 6040=003F 6060=1 607A=2608 …
         rpdo1 6040=002F 6060=1 607A=2608 …
         sync /10
@@ -92,14 +80,13 @@ def test_vectors_of_the_first_set_point_of_profile_position() -> None:
 def test_vectors_of_a_set_point_that_is_not_acknowledged_yet() -> None:
     talk = armed(Talk(modes="profile"), Position("m", 0.0))
     talk.drive.acknowledges = False
-    talk.chapter(50, Position("m", 1.0), expected="0..10 rpdo1 6040=003F 6060=1 607A=2608 …\nsync ?\nbeat ?")
+    talk.chapter(50, Position("m", 1.0), expected="0..10 rpdo1 6040=003F 6060=1 607A=2608 …\nsync ?, beat ?")
     talk.chapter(
         100,
         Position("m", 2.0),  # the target stays while it is handed over
         expected="""
         still rpdo1 6040=003F 6060=1 607A=2608 …
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
     talk.drive.acknowledges = True
@@ -111,8 +98,7 @@ def test_vectors_of_a_set_point_that_is_not_acknowledged_yet() -> None:
         rpdo1 6040=002F 6060=1 607A=* …
         rpdo1 6040=003F 6060=1 607A=5215 …
         rpdo1 6040=002F 6060=1 607A=5215 …
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
@@ -139,8 +125,7 @@ def test_vectors_of_profile_velocity_and_torque() -> None:
         expected="""
         rpdo2 60FF=-5215 6071=0 60B2=0 …
         still rpdo1 6040=000F 6060=3 607A=4096 …
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -150,8 +135,7 @@ def test_vectors_of_profile_velocity_and_torque() -> None:
         rpdo2 60FF=0 6071=-250 60B2=0 …
         rpdo1 6040=000F 6060=4 607A=4096 …
         < State armed OPERATION ENABLED, profile torque
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -162,15 +146,11 @@ def test_vectors_of_homing() -> None:
         150,
         Home("m"),
         Hold("m"),
-        expected="""
-        rpdo1 6040=000F 6060=6 607A=4096 …
-        < State armed OPERATION ENABLED, homing
-        rpdo1 6040=001F 6060=6 607A=4096 …
+        expected=f"""
+        {HOMING}
         50..110 < Done Home m *
-        rpdo1 6040=000F 6060=8 607A=0 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
+        {held_at(0)}
+        sync /10, beat ?
         measures position=0 velocity=0 torque=0
         """,
     )
@@ -204,15 +184,11 @@ def test_vectors_of_homing_that_fails_or_never_ends() -> None:
         150,
         Home("m"),
         Hold("m"),
-        expected="""
-        rpdo1 6040=000F 6060=6 607A=4096 …
-        < State armed OPERATION ENABLED, homing
-        rpdo1 6040=001F 6060=6 607A=4096 …
+        expected=f"""
+        {HOMING}
         50..110 < Refused Home m it reports a homing error*
-        rpdo1 6040=000F 6060=8 607A=4096 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
+        {held_at(4096)}
+        sync /10, beat ?
         """,
     )
     drive.homes = "never"
@@ -220,16 +196,12 @@ def test_vectors_of_homing_that_fails_or_never_ends() -> None:
         300,
         Home("m"),
         Hold("m"),
-        expected="""
-        rpdo1 6040=000F 6060=6 607A=4096 …
-        < State armed OPERATION ENABLED, homing
-        rpdo1 6040=001F 6060=6 607A=4096 …
+        expected=f"""
+        {HOMING}
         200..210 < Fault 10006 homing did not end
         < Refused Home m it did not end in time
-        rpdo1 6040=000F 6060=8 607A=4096 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
+        {held_at(4096)}
+        sync /10, beat ?
         """,
     )
 
@@ -246,8 +218,7 @@ def test_vectors_of_homing_that_is_left() -> None:
         expected="""
         0 < Refused Home m homing is under way
         still rpdo1 6040=001F 6060=6 607A=4096 …
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
     talk.chapter(
@@ -258,8 +229,7 @@ def test_vectors_of_homing_that_is_left() -> None:
         rpdo1 6040=0006 6060=6 607A=4096 …
         < State ready READY TO SWITCH ON
         write 1016:01 = 00000000
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
     talk.chapter(
@@ -288,15 +258,11 @@ def test_vectors_of_setting_the_present_position_to_zero() -> None:
             Hold("m"),
             expected=f"""
         {tried}
-        rpdo1 6040=000F 6060=6 607A=4096 …
-        < State armed OPERATION ENABLED, homing
-        rpdo1 6040=001F 6060=6 607A=4096 …
+        {HOMING}
         < Done Zero m *
         write 6098 = -3
-        rpdo1 6040=000F 6060=8 607A=0 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
+        {held_at(0)}
+        sync /10, beat ?
         reads 6098
         """,
         )
@@ -316,8 +282,7 @@ def test_vectors_of_drives_that_cannot_home() -> None:
         Hold("m"),
         expected="""
         < Refused Zero m it cannot take its present position as zero: the device has no such object*
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     drive = Drive()
@@ -331,8 +296,7 @@ def test_vectors_of_drives_that_cannot_home() -> None:
         expected="""
         0 < Refused Home m it has no homing mode*
         < Done ClearFault m
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -379,17 +343,13 @@ def test_vectors_of_a_zero_that_fails_leaves_the_homing_method_as_it_was() -> No
         150,
         Zero("m"),
         Hold("m"),
-        expected="""
+        expected=f"""
         write 6098 = 37
-        rpdo1 6040=000F 6060=6 607A=4096 …
-        < State armed OPERATION ENABLED, homing
-        rpdo1 6040=001F 6060=6 607A=4096 …
+        {HOMING}
         < Refused Zero m it reports a homing error*
         write 6098 = 33
-        rpdo1 6040=000F 6060=8 607A=4096 …
-        < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
+        {held_at(4096)}
+        sync /10, beat ?
         """,
     )
 
@@ -409,7 +369,6 @@ def test_vectors_of_a_restart_in_the_middle_of_homing() -> None:
         0 < Refused Home m it was disarmed*
         write 6040 = 0006 …
         < State initialising *
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )

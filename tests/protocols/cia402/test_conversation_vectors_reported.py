@@ -10,10 +10,9 @@ from protocols.cia402 import sdo
 from protocols.cia402.transfer import Transfer
 from protocols.frames import CanFrame
 from protocols.messages import Found, Hold, Position, Scan, State, Torque, Velocity
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import Slave
-from tests.protocols.cia402.test_conversation_vectors import armed
 
 MODES = {
     "NOT READY TO SWITCH ON": "initialising",
@@ -64,8 +63,7 @@ NAMES = {
 def test_vectors_of_every_mode_that_is_shown(mode: int) -> None:
     drive = Drive()
     drive.stand("OPERATION ENABLED", mode)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     last = [event for event in talk.events if isinstance(event, State)][-1]
     assert last.detail == f"OPERATION ENABLED, {NAMES[mode]}"
 
@@ -97,14 +95,12 @@ def test_vectors_of_a_drive_that_shortens_its_answers() -> None:
     assert "torque=0.125" in talk.transcript(300)[-1]
     drive = Drive()
     drive.put_bytes(0x6064, b"\x00\x10")  # signed: who knows what it means
-    talk = Talk(drive)
-    talk.chapter(150)
+    talk = up(Talk(drive), 150)
     assert "position" not in talk.transcript(150)[-1]
 
 
 def test_vectors_of_a_statusword_of_a_wrong_length_it_is_ignored() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.drive._show = lambda: None  # type: ignore[method-assign]  # as above
     talk.drive.put_bytes(0x6041, b"\x37")
     talk.chapter(100, expected="asks 6041 6061 6064 606C 6077")
@@ -124,16 +120,14 @@ def test_vectors_of_a_name(name: bytes | None, reported: str) -> None:
         drive.lack(0x1008)
     else:
         drive.put_bytes(0x1008, name)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     talk.chapter(900, Scan("can0"))
     (found,) = [event for event in talk.events if isinstance(event, Found)]
     assert found.detail.startswith(reported)
 
 
 def test_vectors_of_a_faster_sync() -> None:
-    talk = Talk(sync_ms=5, watchdog_ms=0)
-    talk.chapter(100)
+    talk = up(Talk(sync_ms=5, watchdog_ms=0))
     talk.chapter(200, Hold("m"))
     assert talk.drive.get(0x1802, 2) == 10
     talk.chapter(
@@ -159,8 +153,7 @@ def test_vectors_of_a_tpdo_that_stops_its_objects_are_polled_again() -> None:
         Hold("m"),
         expected="""
         still rpdo1 6040=000F 6060=8 607A=4096 /10
-        sync /10
-        beat ?
+        sync /10, beat ?
         asks 6041 6061 6064
         measures position=1.534 velocity=0 torque=0
         """,

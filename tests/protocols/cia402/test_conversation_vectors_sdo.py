@@ -11,9 +11,8 @@ import pytest
 from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.messages import Request
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import armed
 from tests.protocols.cia402.vectors import VECTORS
 
 
@@ -34,8 +33,7 @@ def test_vectors_of_answers_that_are_lost() -> None:
 
 
 def test_vectors_of_a_write_that_is_not_answered_all_of_it_again() -> None:
-    talk = Talk(sdo_timeout_ms=30)
-    talk.chapter(100)
+    talk = up(Talk(sdo_timeout_ms=30))
     talk.chapter(10, msg.Hold("m"))
     talk.drive.mute = True
     talk.chapter(250, msg.Hold("m"))  # three times 30 ms, for a question and for a write
@@ -76,8 +74,7 @@ def test_vectors_of_answers_that_come_after_the_request_was_repeated() -> None:
 
 
 def test_vectors_of_every_request_answered_twice() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.drive.copies = 2
     talk.chapter(
         100,
@@ -176,16 +173,14 @@ ASKED: list[tuple[Request, Sequence[str]]] = [
 
 @pytest.mark.parametrize(("request_", "reported"), ASKED)
 def test_vectors_of_parameters(request_: Request, reported: Sequence[str]) -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.chapter(30, request_, expected="\n".join(reported))
 
 
 def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
     drive = Drive()
     drive.own(0x2000, 1)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     drive.local.data_store[0x2000] = {1: b"\xfe"}
     talk.chapter(
         30,
@@ -207,8 +202,7 @@ def test_vectors_of_answers_without_their_size() -> None:
 
 
 def test_vectors_of_parameters_below_zero() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.drive.put(0x607C, -5)
     talk.chapter(
         30, msg.ReadParameter("m", "607C"), expected="< Parameter 607C -5\n< Done ReadParameter m position"
@@ -216,8 +210,7 @@ def test_vectors_of_parameters_below_zero() -> None:
 
 
 def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.chapter(
         100,
         msg.WriteParameter("m", "608F:01", 8192.0),
@@ -244,8 +237,7 @@ def test_vectors_of_parameters_of_an_armed_drive_and_without_a_response() -> Non
         < Done ReadParameter m
         write 6083 = 7
         < Done WriteParameter m
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.drive.mute = True
@@ -256,23 +248,20 @@ def test_vectors_of_parameters_of_an_armed_drive_and_without_a_response() -> Non
         expected="""
         100..310 < Refused ReadParameter m no response from the device
         still rpdo1 6040=000F 6060=8 607A=4096 /10
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
 
 def test_vectors_of_too_many_requests() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.chapter(100, *[msg.ReadParameter("m", "6064") for _ in range(40)])
     names = [type(event).__name__ for event in talk.events]
     assert (names.count("Parameter"), names.count("Done"), names.count("Refused")) == (32, 32, 8)
 
 
 def test_vectors_of_a_reboot() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.chapter(
         150,
         msg.Reboot("m"),
@@ -287,7 +276,7 @@ def test_vectors_of_a_reboot() -> None:
     )
     talk = armed(Talk())
     talk.chapter(
-        20, msg.Reboot("m"), msg.Hold("m"), expected="0 < Refused Reboot m it is armed*\nsync ?\nbeat ?"
+        20, msg.Reboot("m"), msg.Hold("m"), expected="0 < Refused Reboot m it is armed*\nsync ?, beat ?"
     )
     talk.chapter(200, msg.Idle("m"))
     talk.drive.starts = 99  # NMT is lost
@@ -302,14 +291,12 @@ def test_vectors_of_a_reboot() -> None:
     )
     drive = Drive()
     drive.stand("OPERATION ENABLED", 8)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     talk.chapter(20, msg.Reboot("m"), msg.Idle("m"), expected="0 < Refused Reboot m it is armed*")
 
 
 def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
-    talk = Talk()
-    talk.chapter(100)
+    talk = up(Talk())
     talk.drive.dead = True
     talk.chapter(600, expected="400..510 < State offline no frames received")
     talk.chapter(
@@ -325,8 +312,7 @@ def test_vectors_of_requests_to_a_drive_that_is_gone() -> None:
 
 
 def test_vectors_of_segments_that_come_twice() -> None:
-    talk = Talk(feedback_ms=1000)
-    talk.chapter(100)
+    talk = up(Talk(feedback_ms=1000))
     talk.drive.copies = 2
     talk.chapter(20, msg.ReadParameter("m", "1008"))
     assert [event for event in talk.events if "twin402" in str(event)]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from protocols.messages import ClearFault, Estop, Hold, Idle, Stop
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import ARMED, Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import AGAIN, armed
 
 
 def test_vectors_of_an_emergency_stop_and_its_end() -> None:
@@ -23,20 +22,19 @@ def test_vectors_of_an_emergency_stop_and_its_end() -> None:
         < State fault QUICK STOP ACTIVE
         < Done Estop m *
         20..50 < State fault SWITCH ON DISABLED
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
-    talk.chapter(100, Hold("m"), expected="sync /10\nbeat ?")
+    talk.chapter(100, Hold("m"), expected="sync /10, beat ?")
     talk.chapter(
         150,
         ClearFault("m"),
         Hold("m"),
         expected=f"""
         < State ready SWITCH ON DISABLED
-        < Done ClearFault m{AGAIN}
-        sync /10
-        beat ?
+        < Done ClearFault m
+        {ARMED}
+        sync /10, beat ?
         """,
     )
 
@@ -48,7 +46,7 @@ def test_vectors_of_an_emergency_stop_that_holds_is_left_without_dropping_the_lo
     talk.chapter(100, Estop("m"), Hold("m"))
     assert drive.state == "QUICK STOP ACTIVE"
     drive.put(0x6064, 4000)
-    talk.chapter(30, Hold("m"), expected="sync /10\nbeat ?")
+    talk.chapter(30, Hold("m"), expected="sync /10, beat ?")
     talk.chapter(
         150,
         ClearFault("m"),
@@ -59,8 +57,7 @@ def test_vectors_of_an_emergency_stop_that_holds_is_left_without_dropping_the_lo
         rpdo1 6040=0002 6060=8 607A=4000 …
         rpdo1 6040=000F 6060=8 607A=4000 /10
         < State armed OPERATION ENABLED, cyclic synchronous position
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -111,8 +108,7 @@ def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
     drive = Drive()
     drive.put(0x605A, 6)
     drive.stand("QUICK STOP ACTIVE", 8)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     talk.chapter(
         700,
         Stop(),
@@ -128,8 +124,7 @@ def test_vectors_of_a_stop_reaches_a_drive_in_a_quick_stop_too() -> None:
 def test_vectors_of_an_emergency_stop_of_a_drive_that_another_host_runs() -> None:
     drive = Drive()
     drive.stand("OPERATION ENABLED", 9)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     talk.chapter(
         100,
         Estop("m"),

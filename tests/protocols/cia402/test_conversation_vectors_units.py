@@ -10,9 +10,8 @@ import pytest
 
 from protocols import messages as msg
 from protocols.messages import Command
-from tests.protocols.cia402.conversation import Talk
+from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.test_conversation_vectors import armed
 
 
 def _encoder(drive: Drive) -> None:
@@ -84,7 +83,7 @@ def test_vectors_of_units(
     talk.chapter(
         50,
         msg.Hold("m"),
-        expected="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10\nbeat ?\nmeasures position=-3.1416",
+        expected="rpdo2 *\nrpdo1 * /10\n< State *\nsync /10, beat ?\nmeasures position=-3.1416",
     )
 
 
@@ -98,8 +97,7 @@ def test_vectors_of_a_drive_without_rated_current_and_torque() -> None:
         msg.Torque("m", 0.25),
         expected="""
         0 < Refused Torque m *
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(400, msg.Hold("m"))
@@ -126,8 +124,7 @@ UNFIT: list[tuple[Callable[[Drive], None], str]] = [
 def test_vectors_of_what_cannot_be_commanded(kind: Callable[[Drive], None], why: str) -> None:
     drive = Drive()
     kind(drive)
-    talk = Talk(drive)
-    talk.chapter(100)
+    talk = up(Talk(drive))
     talk.chapter(100, msg.Hold("m"))
     reported = [event for event in talk.events if isinstance(event, msg.Fault)]
     assert [(fault.code, why in fault.cause) for fault in reported] == [(0x10003, True)]
@@ -147,8 +144,7 @@ def test_vectors_of_a_drive_with_position_alone() -> None:
             word,
             expected=f"""
             0 < Refused {type(word).__name__} m its object 6502 (0x80) has no mode *
-            sync /10
-            beat ?
+            sync /10, beat ?
             """,
         )
 
@@ -164,8 +160,7 @@ def test_vectors_of_a_drive_without_position_modes_that_holds_by_velocity() -> N
         expected="""
         rpdo2 60FF=0 6071=0 60B2=0 /10
         still rpdo1 6040=000F 6060=9 607A=4096 …
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
     talk.chapter(
@@ -173,8 +168,7 @@ def test_vectors_of_a_drive_without_position_modes_that_holds_by_velocity() -> N
         msg.Position("m", 1.0),
         expected="""
         0 < Refused Position m *
-        sync /10
-        beat ?
+        sync /10, beat ?
         """,
     )
 
@@ -199,11 +193,11 @@ REFUSED: list[tuple[Command, str]] = [
 def test_vectors_of_commands_that_are_never_sent(word: Command, why: str) -> None:
     talk = armed(Talk())
     reported = f"0 < Refused {type(word).__name__} {word.motor} {why}"
-    talk.chapter(60, word, expected=f"{reported}\nsync /10\nbeat ?")  # told once, as long as it stands
+    talk.chapter(60, word, expected=f"{reported}\nsync /10, beat ?")  # told once, as long as it stands
     assert not [frame for _, frame in talk.frames[-3:] if frame.id == 0x202]
-    talk.chapter(20, msg.Hold("m"), expected="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?\nbeat ?")
+    talk.chapter(20, msg.Hold("m"), expected="still rpdo1 6040=000F 6060=8 607A=4096 …\nsync ?, beat ?")
     if word.motor == "m":
-        talk.chapter(20, word, expected=f"{reported}\nsync ?\nbeat ?")
+        talk.chapter(20, word, expected=f"{reported}\nsync ?, beat ?")
     talk.chapter(
         20,
         msg.SetId("can0", 4711, 3),
@@ -212,8 +206,7 @@ def test_vectors_of_commands_that_are_never_sent(word: Command, why: str) -> Non
         expected="""
         < Refused SetId *
         < Refused ClearFault nobody *
-        sync ?
-        beat ?
+        sync ?, beat ?
         """,
     )
 
