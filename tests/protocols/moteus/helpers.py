@@ -59,6 +59,13 @@ class Bench(CanBench[MoteusDriver, MoteusTwin]):
         return [w for w in (written(parse(f.data)[0]) for f in frames) if w]
 
 
+def frame(data: str, identifier: int = 0x500) -> CanFrame:
+    """A CAN FD frame of these bytes, padded as by the vendor; by default a reply of device 5."""
+    plain = bytes.fromhex(data)
+    size = min(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= len(plain))
+    return CanFrame(identifier, plain.ljust(size, b"\x50"), identifier > 0x7FF, False, True, True)
+
+
 def subframes(frame: CanFrame) -> list[Subframe]:
     """Of a sound frame."""
     found, sound = parse(frame.data)

@@ -16,16 +16,10 @@ from protocols.moteus.messages import names
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.twin import MoteusTwin
 from tests.protocols.moteus.from_package import UUID
-from tests.protocols.moteus.helpers import device
+from tests.protocols.moteus.helpers import device, frame
 
 KT = 8.27 / 304
 SERIAL = serial_of(UUID)
-
-
-def frame(data: str, identifier: int = 5) -> CanFrame:
-    plain = bytes.fromhex(data)
-    size = min(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= len(plain))
-    return CanFrame(identifier, plain.ljust(size, b"\x50"), identifier > 0x7FF, False, True, True)
 
 
 def parameter(name: str, value: float) -> msg.WriteParameter:
@@ -207,7 +201,7 @@ def test_who_obeys() -> None:
 def test_pieces_of_a_console_line() -> None:
     whole = b"x" * 300 + b"\nconf write\r\nconf set id.id 7\n"
     decoder = MoteusDecoder([device("m", 5, Settings(uuid=UUID.hex()))])
-    received = [w for byte in whole for w in decoder.decode(0, frame(f"400101{byte:02x}"))]
+    received = [w for byte in whole for w in decoder.decode(0, frame(f"400101{byte:02x}", 5))]
     assert received == [parameter("conf_write", 1.0), msg.SetId("", SERIAL, 7)]
     assert decoder.decode(0, frame("010000", 5)) == []
     assert decoder.decode(0, frame("010000", 7)) == [msg.Idle("m")]
@@ -271,6 +265,7 @@ def test_an_id_set_by_uuid_where_no_uuid_is_known(data: str, messages: list[Comm
     [
         # what is written to a device, and its write error: register, and 1 unknown, 2 read only, 3 bad value
         ("010001", "300003"),
+        ("010002", "300003"),
         ("01000b", "300003"),
         ("010010", "300003"),
         ("010080", "300003"),

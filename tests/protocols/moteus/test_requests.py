@@ -1,4 +1,4 @@
-"""Requests: each ends in Done or Refused, and nothing is sent to a running device that drops or moves it."""
+"""Parameters at the twin; which reply is the one to a write."""
 
 from __future__ import annotations
 
@@ -16,72 +16,9 @@ from protocols.moteus.codec import (
     encode,
     make_frame,
 )
-from protocols.moteus.messages import DISCOVER
-from protocols.moteus.options import Settings, serial_of
 from protocols.moteus.registers import Register
-from protocols.moteus.twin import MoteusTwin
 from tests.protocols.helpers import of
-from tests.protocols.moteus.helpers import Bench, device, free_shaft, ready, rev
-
-UUID = "0123456789abcdeffedcba9876543210"
-
-
-def with_stranger(address: int = 9, settings: Settings | None = None) -> Bench:
-    """Two devices on the bus, of which the driver knows one."""
-    bench = ready()
-    other = device("stranger", address, settings)
-    bench.devices = [*bench.devices, other]
-    bench.twins.append(MoteusTwin(other, 5))
-    bench.shafts.append(free_shaft())
-    bench.run(10)
-    return bench
-
-
-# -- scan ------------------------------------------------------------------------------------------
-
-
-def test_a_scan_finds_known_and_unknown_devices_by_one_query() -> None:
-    bench = with_stranger()
-    since = bench.now
-    reported = bench.ask(msg.Scan("can0"), 1000)
-    found = {f.address: f for f in of(msg.Found, reported)}
-    assert set(found) == {1, 9}
-    assert found[1].detail.startswith("left, model 030404, firmware 1.3.4; UUID ")
-    assert found[9].detail.startswith("UUID ")
-    assert [found[a].serial for a in (1, 9)] == [serial_of(twin.uuid) for twin in bench.twins]
-    assert not any(f.duplicate_address for f in found.values())
-    assert of(msg.Done, reported)[0].detail == "2 devices"
-    queries = [f for t, f in bench.sent if t >= since and f.id == 0x807F]
-    assert {f.data.rstrip(b"\x50") for f in queries} == {DISCOVER}
-    assert all(f.data.startswith(DISCOVER) for f in queries)
-
-
-# -- ids -------------------------------------------------------------------------------------------
-
-
-def test_an_id_is_given_by_serial_number_and_confirmed_by_the_device() -> None:
-    bench = with_stranger()
-    serial = serial_of(bench.twins[1].uuid)
-    reported = bench.ask(msg.SetId("can0", serial, 12), 300)
-    assert [d.request for d in of(msg.Done, reported)] == ["SetId"]
-    assert "conf_write" in of(msg.Done, reported)[0].detail
-    assert [twin.state.address for twin in bench.twins] == [1, 12]
-
-
-# -- zero ------------------------------------------------------------------------------------------
-
-
-def test_zero_is_confirmed_by_the_position() -> None:
-    bench = ready()
-    bench.shaft.position = rev(2.3)  # replies on their way still hold 0
-    reported = bench.ask(msg.Zero("left"), 100)
-    assert [d.request for d in of(msg.Done, reported)] == ["Zero"]
-    assert bench.twin.servo.position == pytest.approx(0.0, abs=1e-3)
-    bench.run(500, msg.Hold("left"))
-    assert bench.shaft.position == pytest.approx(rev(2.3), abs=0.01)
-
-
-# -- parameters ------------------------------------------------------------------------------------
+from tests.protocols.moteus.helpers import Bench, ready
 
 
 @pytest.mark.parametrize(
@@ -117,14 +54,6 @@ def test_what_the_device_cannot_do_is_refused_with_the_reason(request_: Request,
     reported = of(msg.Refused, bench.ask(request_, 100))
     assert len(reported) == 1
     assert reason in reported[0].reason
-
-
-def test_an_output_is_set_and_the_configuration_saved() -> None:
-    bench = ready()
-    assert len(of(msg.Done, bench.ask(msg.WriteParameter("left", "set_output_exact", 1.5), 50))) == 1
-    assert bench.twin.servo.position == pytest.approx(1.5, abs=1e-3)
-    assert len(of(msg.Done, bench.ask(msg.WriteParameter("left", "conf_write", 1.0), 50))) == 1
-    assert "console: conf write" in bench.sent_messages()
 
 
 # Which reply is the one to a write: a frame of its register alone. The others may have been on their way.
@@ -164,13 +93,6 @@ def test_a_reply_that_was_on_its_way_does_not_end_a_write() -> None:
     assert of(msg.Refused, reported[2])[0].reason == "the device does not accept it (read only)"
 
 
-def test_a_reply_that_was_on_its_way_does_not_end_a_write_to_the_twin() -> None:
-    bench = ready(device(settings=Settings(reply_delay_us=15_000)))
-    reported = bench.ask(msg.WriteParameter("left", "position", 0.0), 60)
-    assert of(msg.Done, reported) == []
-    assert [r.reason for r in of(msg.Refused, reported)] == ["the device does not accept it (read only)"]
-
-
 def test_a_write_is_done_when_the_device_holds_what_was_written() -> None:
     bench = writing(hex(GPIO), 5.0)
     reported = answered(bench, ORDINARY, reads(GPIO, 4.0), reads(GPIO, 5.0), reads(GPIO, 5.0))
@@ -201,25 +123,3 @@ def test_the_configuration_is_saved_whatever_id_the_device_reports() -> None:
     bench = writing("conf_write", 1.0)
     reported = answered(bench, ORDINARY, reads(Register.MULTIPLEX_ID, 5.0))
     assert [len(of(msg.Done, each)) for each in reported] == [0, 1]
-
-
-# -- a device that does not answer -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("request_", "within"),
-    [
-        (msg.ClearFault("left"), 600),
-        (msg.Zero("left"), 600),
-        (msg.ReadParameter("left", "voltage"), 600),
-        (msg.WriteParameter("left", "set_output_exact", 0.0), 600),
-        (msg.SetId("can0", 5, 6), 1500),
-    ],
-    ids=str,
-)
-def test_every_request_ends(request_: Request, within: int) -> None:
-    bench = ready()
-    bench.to_device = lambda _: False
-    reported = of(msg.Refused, bench.ask(request_, within + 10))
-    assert [r.request for r in reported] == [type(request_).__name__]
-    assert list(bench.driver._queue) == []

@@ -147,14 +147,6 @@ def test_a_fault_that_it_does_not_have() -> None:
         Rig().twin.provoke(96)
 
 
-@pytest.mark.parametrize("value", [*(Mode.FAULT, Mode.ENABLING, Mode.TIMEOUT), 16, 99, -1])
-def test_a_mode_that_cannot_be_written_is_an_error(value: int) -> None:
-    rig = Rig()
-    (answer,) = rig.send(encode(Values(0, Register.MODE, INT8, (value,))))
-    assert subframes(answer) == [Error(0x30, Register.MODE, 3)]
-    assert rig.mode == Mode.STOPPED
-
-
 def test_what_a_frame_does_not_name_falls_back_to_its_default() -> None:
     rig = Rig()
     rig.shaft.position = rev(0.75)
@@ -173,19 +165,6 @@ def test_registers_without_a_mode_change_nothing() -> None:
     rig.send(position_command(0.0, 0.0, 0.0, LIMITS), milliseconds=20)
     rig.send(write(Register.COMMAND_POSITION, 5.0), milliseconds=100)
     assert rig.shaft.position == pytest.approx(0.0, abs=0.01)
-
-
-def test_position_velocity_and_torque() -> None:
-    rig = Rig()
-    rig.send(position_command(0.5, 0.0, 0.0, LIMITS), milliseconds=3000)
-    assert rig.shaft.position == pytest.approx(rev(0.5), abs=0.02)
-    rig.send(position_command(None, 1.5, 0.0, LIMITS), milliseconds=600)
-    assert rig.shaft.velocity == pytest.approx(rev(1.5), rel=0.02)
-    rig.shaft.velocity, rig.shaft.held = 0.0, True
-    rig.send(torque_command(0.0, 0.25, LIMITS), milliseconds=50)
-    assert rig.twin.servo.torque() == pytest.approx(0.25, rel=1e-3)
-    assert rig.value(Register.TORQUE) == pytest.approx(0.25, rel=1e-3)
-    assert rig.value(Register.Q_CURRENT) == pytest.approx(0.25 * 304 / 8.27, rel=1e-3)
 
 
 def test_a_repeated_position_command_begins_again() -> None:
@@ -209,42 +188,37 @@ def test_kd_is_scaled_no_higher_than_kp() -> None:
     assert rig.value(Register.POSITION_KD) == 0.0
 
 
-def test_the_commanded_torque_is_the_limit_and_is_reported() -> None:
+CURRENT_2A = mode(Mode.CURRENT, write(Register.COMMAND_Q_CURRENT, 2.0))
+KT = 8.27 / 304
+"""N·m/A"""
+
+
+@pytest.mark.parametrize(
+    ("data", "then", "torque", "current", "limit"),
+    [
+        # a command to a shaft that is held → N·m, A, and the limit that the fault register reports
+        (torque_command(0.0, 0.25, LIMITS), Mode.POSITION, 0.25, 0.25 / KT, 0),
+        (position_command(5.0, 0.0, 0.0, Limits(10.0, 0.125)), Mode.POSITION, 0.125, 0.125 / KT, 102),
+        (torque_command(0.0, 9.0, LIMITS), Mode.POSITION, 40.0 * KT, 40.0, 99),
+        (CURRENT_2A, Mode.CURRENT, 2.0 * KT, 2.0, 0),
+        (mode(Mode.VOLTAGE_DQ, write(Register.VOLTAGEDQ_Q, 0.25)), Mode.VOLTAGE_DQ, 5.0 * KT, 5.0, 0),
+        *(
+            (mode(field, write(Register.VFOC_VOLTAGE, 1.0)), field, 0.0, 0.0, 0)  # it turns the field only
+            for field in (Mode.PWM, Mode.VOLTAGE, Mode.VOLTAGE_FOC, Mode.MEASURE_IND)
+        ),
+    ],
+)
+def test_torque_and_current_of_a_command(
+    data: bytes, then: Mode, torque: float, current: float, limit: int
+) -> None:
     rig = Rig()
     rig.shaft.held = True
-    rig.send(position_command(5.0, 0.0, 0.0, Limits(10.0, 0.125)), milliseconds=50)
-    assert rig.twin.servo.torque() == pytest.approx(0.125, rel=1e-3)
-    assert rig.report(Register.FAULT, INT8) == 102
-
-
-def test_the_current_is_limited_and_reported() -> None:
-    rig = Rig()
-    rig.shaft.held = True
-    rig.send(torque_command(0.0, 9.0, LIMITS), milliseconds=50)
-    assert rig.value(Register.Q_CURRENT) == pytest.approx(40.0, rel=1e-3)
-    assert rig.report(Register.FAULT, INT16) == 99
-    assert rig.mode == Mode.POSITION
-
-
-def test_a_current_is_given() -> None:
-    rig = Rig()
-    rig.shaft.held = True
-    rig.send(mode(Mode.CURRENT, write(Register.COMMAND_Q_CURRENT, 2.0)), milliseconds=50)
-    assert rig.value(Register.Q_CURRENT) == pytest.approx(2.0, rel=1e-3)
-
-
-def test_a_voltage_drives_a_current_through_the_phases() -> None:
-    rig = Rig()
-    rig.shaft.held = True
-    rig.send(mode(Mode.VOLTAGE_DQ, write(Register.VOLTAGEDQ_Q, 0.25)), milliseconds=50)
-    assert rig.value(Register.Q_CURRENT) == pytest.approx(5.0, rel=1e-2)
-
-
-@pytest.mark.parametrize("value", [Mode.PWM, Mode.VOLTAGE, Mode.VOLTAGE_FOC, Mode.MEASURE_IND])
-def test_modes_that_turn_a_field_give_no_torque_here(value: Mode) -> None:
-    rig = Rig()
-    rig.send(mode(value, write(Register.VFOC_VOLTAGE, 1.0)), milliseconds=30)
-    assert (rig.mode, rig.twin.servo.torque()) == (value, 0.0)
+    rig.send(data, milliseconds=50)
+    assert rig.mode == then
+    assert rig.twin.servo.torque() == pytest.approx(torque, rel=1e-3)
+    assert rig.value(Register.TORQUE) == pytest.approx(torque, rel=1e-3)
+    assert rig.value(Register.Q_CURRENT) == pytest.approx(current, rel=1e-3)
+    assert rig.report(Register.FAULT, INT8) == limit
 
 
 @pytest.mark.parametrize("value", [Mode.BRAKE, Mode.ZERO_VELOCITY])
@@ -408,7 +382,7 @@ def test_without_one_the_configured_one_counts(commanded: float | None, default:
 def test_a_current_has_no_watchdog() -> None:
     rig = Rig()
     rig.shaft.held = True
-    rig.send(mode(Mode.CURRENT, write(Register.COMMAND_Q_CURRENT, 1.0)), milliseconds=500)
+    rig.send(CURRENT_2A, milliseconds=500)
     assert rig.mode == Mode.CURRENT
 
 
@@ -465,8 +439,6 @@ def test_unknown_registers_are_errors_and_their_neighbours_are_read() -> None:
         Error(0x31, 0x09, 1),
         Values(REPLY, 0x0A, INT8, (0,)),
     ]
-    (answer,) = rig.send(write(Register.POSITION, 1.0) + write(0x3FF, 1.0))
-    assert subframes(answer) == [Error(0x30, Register.POSITION, 2), Error(0x30, 0x3FF, 1)]
 
 
 def test_model_firmware_serial_and_uuid_are_int32_only() -> None:

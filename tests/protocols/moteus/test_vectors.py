@@ -40,10 +40,14 @@ class Talk:
         frame = make_frame(self.reply, bytes.fromhex(data)) if isinstance(data, str) else data
         return list(self.driver.receive(self.now, frame))
 
-    def send(self, *messages: Command | Request) -> list[CanFrame]:
+    def step(self, *messages: Command | Request) -> tuple[list[Event], list[CanFrame]]:
+        """What the driver reports and sends 5 ms on."""
         self.now += 5 * MILLISECOND
-        sent = self.driver.send(self.now, messages)[1]
-        return [frame for frame in sent if isinstance(frame, CanFrame)]
+        events, sent = self.driver.send(self.now, messages)
+        return list(events), [frame for frame in sent if isinstance(frame, CanFrame)]
+
+    def send(self, *messages: Command | Request) -> list[CanFrame]:
+        return self.step(*messages)[1]
 
     def running(self) -> Talk:
         """In position control, and its details known for now."""

@@ -20,8 +20,7 @@ UNKNOWN = f"give its number (0x058), or one of {', '.join(NAMES)}"
 
 def events_of(it: Talk, message: Command | Request) -> list[Event]:
     """The events of a message, at once."""
-    it.now += 5_000_000
-    return list(it.driver.send(it.now, [message])[0])
+    return it.step(message)[0]
 
 
 def write(parameter: str, value: float = 1.0) -> msg.WriteParameter:
@@ -94,12 +93,9 @@ def test_a_request_is_sent_ten_times_and_refused_after_600_ms(request_: Request,
     plain, times, events = bytes.fromhex(data), list[int](), list[Event]()
     another = VECTORS["reply_uuid" if data == "1d07" else "reply_power"]
     for at in range(130):
-        it.now += 5_000_000
-        own, frames = it.driver.send(it.now, [request_] if not at else [])
-        events += own
-        here = [frame for frame in frames if getattr(frame, "data", b"").startswith(plain)]
-        times += [it.now - start for _ in here]
-        events += it.handle(another)
+        own, frames = it.step(*[] if at else [request_])
+        times += [it.now - start for frame in frames if frame.data.startswith(plain)]
+        events += own + it.handle(another)
     assert times == [60_000_000 * i for i in range(10)]
     (refused,) = events
     assert isinstance(refused, msg.Refused)
@@ -204,17 +200,15 @@ def test_a_command_out_of_range_is_refused_once(message: Command, reason: str) -
 )
 def test_a_command_at_the_edge_of_its_range_is_sent(message: Command) -> None:
     it = Talk().running()
-    it.now += 5_000_000
-    events, frames = it.driver.send(it.now, [message])
+    events, frames = it.step(message)
     assert events == []
-    assert [frame for frame in frames if getattr(frame, "data", b"").startswith(b"\x01\x00\x0a")] != []
+    assert [frame for frame in frames if frame.data.startswith(b"\x01\x00\x0a")] != []
 
 
 def test_thirty_two_requests_are_pending_and_no_more() -> None:
     it = talk()
     reads: list[Request] = [msg.ReadParameter("left", "power")] * 33
-    it.now += 5_000_000
-    events = it.driver.send(it.now, reads)[0]
+    events, _ = it.step(*reads)
     reason = "too many requests are under way"
     assert events == [msg.Refused(it.now, "ReadParameter", "left", reason)]
     assert events_of(it, msg.Scan("can0")) == [msg.Refused(it.now, "Scan", "can0", reason)]

@@ -8,17 +8,11 @@ from math import tau
 import pytest
 
 from protocols import messages as msg
-from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, Event, Mode
+from protocols.messages import MILLISECOND, Mode
 from protocols.moteus.reply import decode
+from tests.protocols.moteus.helpers import frame
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_requests import reported, talk
-
-
-def frame(data: str, identifier: int = 0x500) -> CanFrame:
-    plain = bytes.fromhex(data)
-    size = min(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= len(plain))
-    return CanFrame(identifier, plain.ljust(size, b"\x50"), identifier > 0x7FF, False, True, True)
+from tests.protocols.moteus.test_vectors_requests import reported, talk, waits
 
 
 def plain(it: Talk, data: str) -> msg.Feedback:
@@ -174,12 +168,6 @@ def test_replies_of_another_layout() -> None:
     assert [(e.code, e.register, e.number) for e in errors.errors] == [(0x30, 15, 2), (0x31, 0x150, 1)]
 
 
-def later(it: Talk) -> list[Event]:
-    """Five milliseconds on."""
-    it.now += 5 * MILLISECOND
-    return list(it.driver.send(it.now, ())[0])
-
-
 # -- modes and faults --------------------------------------------------------------------------------
 
 NAMES = (
@@ -215,6 +203,7 @@ def test_the_state_of_each_mode(number: int) -> None:
     if number in (1, 11):
         stopped = f"{NAMES[0]}, not cleared yet"
         assert reported(it, "reply_stopped") == [msg.State("left", it.now, Mode.FAULT, stopped)]
+        assert [f for f in it.send(msg.Hold("left")) if f.data[:1] == b"\x01"] == []
 
 
 def test_an_unknown_fault_is_reported_by_its_number() -> None:
@@ -260,20 +249,14 @@ def test_clear_is_refused_with_the_fault_that_stays() -> None:
     it = talk()
     reported(it, "reply_fast_fault")
     it.send(msg.ClearFault("left"))
-    events: list[Event] = []
-    for _ in range(119):
-        it.now += 5 * MILLISECOND
-        events += it.driver.send(it.now, ())[0]
-        events += reported(it, "reply_fast_fault")
-    assert events == []
-    it.now += 5 * MILLISECOND
-    (refused,) = it.driver.send(it.now, ())[0]
+    assert waits(it, 595, "reply_fast_fault") == []
+    (refused,) = it.step()[0]
     assert refused == msg.Refused(it.now, "ClearFault", "left", "still in fault: over temperature")
     again = reported(it, "reply_fast_fault")
     assert [type(event) for event in again] == [msg.Fault, msg.State]
     it.send(msg.ClearFault("left"))
     start = it.now
-    mute = [e for _ in range(125) for e in later(it) if isinstance(e, msg.Refused)]
+    mute = [e for _ in range(125) for e in it.step()[0] if isinstance(e, msg.Refused)]
     assert mute == [msg.Refused(start + 600 * MILLISECOND, "ClearFault", "left", "no reply of the device")]
 
 
@@ -298,7 +281,5 @@ def test_a_zero_is_near_enough(place: str, near: bool) -> None:
 
 
 def test_release_is_refused() -> None:
-    it = Talk().running()
-    it.now += 5 * MILLISECOND
-    events, _ = it.driver.send(it.now, [msg.Release()])
+    events, _ = Talk().running().step(msg.Release())
     assert [type(event) for event in events] == [msg.Refused]

@@ -130,16 +130,11 @@ def reported(it: Talk, *frames: str) -> list[Event]:
     return [event for event in events if not isinstance(event, msg.Feedback)]
 
 
-def waits(it: Talk, milliseconds: int) -> list[Event]:
-    """The device sends other replies; the events of the driver."""
+def waits(it: Talk, milliseconds: int, reply: str = "reply_stopped", *commands: Command) -> list[Event]:
+    """The device sends this reply every 5 ms; the events of the driver, without measurements."""
     events: list[Event] = []
     for _ in range(milliseconds // 5):
-        it.now += 5_000_000
-        own, _frames = it.driver.send(it.now, ())
-        events += [
-            *own,
-            *(e for e in it.handle(VECTORS["reply_stopped"]) if not isinstance(e, msg.Feedback)),
-        ]
+        events += it.step(*commands)[0] + reported(it, reply)
     return events
 
 
@@ -236,22 +231,14 @@ def test_clearing_a_fault() -> None:
     timeout = msg.Fault("left", it.now, 11, text.name, text.cause, text.remedy)
     assert reported(it, "reply_timeout") == [timeout, msg.State("left", it.now, Mode.FAULT, "timeout")]
     it.send(msg.ClearFault("left"))
-    events: list[Event] = []
-    for _ in range(120):
-        it.now += 5_000_000
-        events += it.driver.send(it.now, ())[0]
-        events += reported(it, "reply_timeout")
+    events = waits(it, 600, "reply_timeout")
     assert msg.Refused(it.now, "ClearFault", "left", "still in fault: timeout") in events
     assert len([e for e in events if isinstance(e, msg.Fault)]) <= 1
 
 
 def test_a_device_that_does_not_arm() -> None:
     it = talk()
-    events: list[Event] = []
-    for _ in range(220):
-        it.now += 5_000_000
-        events += it.driver.send(it.now, [msg.Hold("left")])[0]
-        events += reported(it, "reply_enabling")
+    events = waits(it, 1100, "reply_enabling", msg.Hold("left"))
     (fault,) = (e for e in events if isinstance(e, msg.Fault))
     assert (fault.motor, fault.code, fault.name) == ("left", 0x101, "did not arm")
     assert fault.cause == "it stayed in mode enabling for 1000 ms"
@@ -283,9 +270,6 @@ def test_an_id_is_set() -> None:
     assert reported(it, "reply_uuid") == []
     detail = "not saved yet: write conf_write 1 to keep it after power-off"
     assert reported(it, "reply_uuid_id_9") == [msg.Done(it.now, "SetId", "can0", detail)]
-    it.send(msg.SetId("can0", serial_of(UUID), 9))
-    reason = "no device with serial number 0123456789ABCDEF took the id"
-    assert waits(it, 1500) == [msg.Refused(it.now, "SetId", "can0", reason)]
 
 
 def test_a_duplicate_id_is_reported_once() -> None:
@@ -315,6 +299,19 @@ def test_a_device_is_identified_again_every_five_seconds() -> None:
         after += VECTORS["identify"] in it.send()
         it.handle(VECTORS["reply_stopped"])
     assert after == 3
+
+
+def test_a_device_without_a_uuid_is_not_asked_for_it_all_the_time() -> None:
+    it = Talk()
+    it.handle(VECTORS["reply_stopped"])
+    missing = "".join(f"31{register}01" for register in ("d002", "d102", "d202", "d302", "d802"))
+    it.handle("2b8002" + "04040300" + "04030100" + "05000000" + missing + "50" * 13)
+    count = 0
+    for _ in range(400):  # 2 s
+        count += VECTORS["identify"] in it.send()
+        it.handle(VECTORS["reply_stopped"])
+    assert count <= 1
+    assert it.driver.controllers[it.reply].firmware == 0x010304
 
 
 def test_a_duplicate_id_is_reported_again_after_clear() -> None:

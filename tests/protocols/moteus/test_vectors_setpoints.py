@@ -75,6 +75,8 @@ def test_a_velocity_starts_at_the_shaft_after_anything_else() -> None:
         assert command(it, msg.Velocity("left", tau)).startswith(free)
         it.send(other)
         it.handle(AT)
+        for _ in range(9):  # a start that may have been lost counts for nothing
+            assert command(it, msg.Velocity("left", tau)).startswith(placed)
         for _ in range(3):
             assert command(it, msg.Velocity("left", tau)).startswith(placed)
             it.handle(AT)

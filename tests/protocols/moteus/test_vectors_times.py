@@ -6,15 +6,14 @@ import pytest
 
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame
-from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
+from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos, Request
 from protocols.moteus import RANGES
 from protocols.moteus.codec import reply_id
 from protocols.moteus.driver import MoteusDriver
 from protocols.moteus.options import Options, serial_of
 from tests.protocols.moteus.from_package import UUID
-from tests.protocols.moteus.helpers import device
+from tests.protocols.moteus.helpers import device, frame
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
-from tests.protocols.moteus.test_vectors_replies import frame, later
 from tests.protocols.moteus.test_vectors_requests import reported, talk
 
 # -- silence and periodic ---------------------------------------------------------------------------
@@ -101,11 +100,12 @@ def test_requests_outlive_a_bus_that_comes_back_or_is_full() -> None:
         it.send(msg.ReadParameter("left", "power"))
         it.driver.bus(it.now, state)
         assert [type(event).__name__ for event in reported(it, "reply_power")] == ["Parameter"]
-    it = talk()
-    it.send(msg.ReadParameter("left", "power"))
-    it.driver.bus(it.now, BusState.OFF)
-    at = it.now
-    assert it.driver.send(it.now + 1, ())[0] == [msg.Refused(at, "ReadParameter", "left", "the bus is off")]
+    for state in (BusState.OFF, BusState.GONE):
+        it = talk()
+        it.send(msg.ReadParameter("left", "power"))
+        it.driver.bus(it.now, state)
+        refused = msg.Refused(it.now, "ReadParameter", "left", f"the bus is {state.value}")
+        assert it.step()[0] == [refused]
 
 
 # -- scan and ids ------------------------------------------------------------------------------------
@@ -154,7 +154,7 @@ def test_the_details_that_a_scan_reports_of_a_known_device() -> None:
         (found,) = reported(it, "reply_uuid")
         assert isinstance(found, msg.Found)
         assert found.detail == f"left, {title}; {uuid}"
-        while not any(isinstance(event, msg.Done) for event in later(it)):
+        while not any(isinstance(event, msg.Done) for event in it.step()[0]):
             it.handle(VECTORS["reply_stopped"])
     other = Talk()
     other.handle(frame("298102" + "04030100"))
@@ -164,34 +164,33 @@ def test_the_details_that_a_scan_reports_of_a_known_device() -> None:
     assert found.detail == f"left, model 000000, firmware 1.3.4; {uuid}"
 
 
+def queried(it: Talk, request: Request, vector: str, milliseconds: int) -> tuple[list[int], list[Event]]:
+    """When [ms] a frame goes out after a request, and the events."""
+    times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
+    for at in range(milliseconds // 5):
+        own, frames = it.step(*[] if at else [request])
+        events += own
+        times += [(it.now - start) // MILLISECOND for frame in frames if frame == VECTORS[vector]]
+        it.handle(VECTORS["reply_stopped"])
+    return times, events
+
+
 def test_the_times_of_a_scan() -> None:
     it = talk()
-    times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
-    for at in range(170):
-        it.now += 5 * MILLISECOND
-        own, frames = it.driver.send(it.now, [msg.Scan("can0")] if not at else [])
-        events += own
-        times += [
-            (it.now - start) // MILLISECOND for frame in frames if frame == VECTORS["discover_broadcast_0x7f"]
-        ]
-        it.handle(VECTORS["reply_stopped"])
+    start = it.now + 5 * MILLISECOND
+    times, events = queried(it, msg.Scan("can0"), "discover_broadcast_0x7f", 850)
     assert times == [0, 200, 400, 600]
     assert events == [msg.Done(start + 800 * MILLISECOND, "Scan", "can0", "0 devices")]
     it.send(msg.Scan("can0"))
     reported(it, "reply_uuid")
-    ends = [e for _ in range(170) for e in later(it) if isinstance(e, msg.Done)]
+    ends = [e for _ in range(170) for e in it.step()[0] if isinstance(e, msg.Done)]
     assert [e.detail for e in ends] == ["1 device"]
 
 
 def test_the_times_of_setting_an_id() -> None:
     it = talk()
-    times, events, start = list[int](), list[Event](), it.now + 5 * MILLISECOND
-    for at in range(320):
-        it.now += 5 * MILLISECOND
-        own, frames = it.driver.send(it.now, [msg.SetId("can0", serial_of(UUID), 9)] if not at else [])
-        events += own
-        times += [(it.now - start) // MILLISECOND for frame in frames if frame == VECTORS["discover_by_uuid"]]
-        it.handle(VECTORS["reply_stopped"])
+    start = it.now + 5 * MILLISECOND
+    times, events = queried(it, msg.SetId("can0", serial_of(UUID), 9), "discover_by_uuid", 1600)
     assert times == [150 * i for i in range(10)]
     reason = "no device with serial number 0123456789ABCDEF took the id"
     assert events == [msg.Refused(start + 1500 * MILLISECOND, "SetId", "can0", reason)]
