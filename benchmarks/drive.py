@@ -24,7 +24,7 @@ from gateway.core.robot import Robot
 from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.recording import Recorder, read_recording
-from gateway.replay import replay
+from gateway.replay import replay_recording
 from gateway.runtime.process import quiet_collector
 from gateway.runtime.session import open_session
 from protocols.messages import SECOND, Goal, Imu, LaserScan, Nanos
@@ -139,7 +139,7 @@ def _protocols(made: Drive) -> None:
 
 def _judged(made: Drive) -> None:
     """Replay as `gateway replay` does. Raises NotMeasured if the replay differs."""
-    comparison = replay(read_recording(made.file), made.robot)
+    comparison = replay_recording(read_recording(made.file), made.robot)
     if not comparison.ok:
         raise NotMeasured(f"the replay of the benchmark's own drive differs: {comparison.text()}")
 

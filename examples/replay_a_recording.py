@@ -6,7 +6,7 @@ from collections import Counter
 import gateway as gw
 
 recording = gw.read_recording(sys.argv[1])
-print(gw.replay(recording).text())
+print(gw.replay_recording(recording).text())
 
 events = Counter(type(event).__name__ for tick in recording.ticks for event in tick.outputs.events)
 print("events:", ", ".join(f"{count} {name}" for name, count in events.most_common()))

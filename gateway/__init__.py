@@ -1,5 +1,7 @@
 """Motor Gateway: one brain, any body, over real wires.
 
+To run a robot::
+
     import gateway as gw
 
     robot = gw.load_robot("diffbot")                      # a name, or the path of a robot file
@@ -10,7 +12,7 @@
                 print(f"{tick.seconds:.3f} {note.source}: {note.text}")
         print(session.pose, session.joints["left"].feedback.position)
 
-and for a program that has a loop of its own:
+and for a program that has a loop of its own::
 
     core = gw.Gateway(robot)
     outputs = core.step(now, gw.Inputs(packets=received))  # now: int nanoseconds; send outputs.packets
@@ -52,7 +54,7 @@ if TYPE_CHECKING:
     from gateway.recording import Recording as Recording
     from gateway.recording import read_recording as read_recording
     from gateway.replay import Comparison as Comparison
-    from gateway.replay import replay as replay
+    from gateway.replay import replay_recording as replay_recording
     from gateway.runtime import Session as Session
     from gateway.runtime import open_session as open_session
     from protocols.frames import BusState as BusState
@@ -94,7 +96,7 @@ _MODULES = {
     ),
     "gateway.operator": ("ask",),
     "gateway.recording": ("Recording", "read_recording"),
-    "gateway.replay": ("Comparison", "replay"),
+    "gateway.replay": ("Comparison", "replay_recording"),
     "gateway.runtime": ("Session", "open_session"),
     "protocols.frames": ("BusState", "CanFrame", "Packet"),
     "protocols.messages": (

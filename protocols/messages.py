@@ -342,7 +342,7 @@ class Imu:
     angular_velocity: tuple[float, float, float]
     """rad/s about x, y, z"""
     linear_acceleration: tuple[float, float, float]
-    """m/s² along x, y, z, gravity included (at rest, level: +9.81 along z)"""
+    """m/s² along the sensor's axes, gravity included: at rest and level (0, 0, +9.81)"""
     orientation: tuple[float, float, float, float] | None = None
     """Quaternion x, y, z, w from the sensor's frame to the world's, if the sensor estimates it."""
 

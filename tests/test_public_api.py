@@ -51,9 +51,15 @@ def test_every_error_of_ours_is_in_the_tree() -> None:
 
 
 def test_the_import_is_light() -> None:
-    code = "import sys, json; before = {*sys.modules}; import gateway; print(json.dumps([*{*sys.modules} - before]))"
+    code = "import sys, json; old = {*sys.modules}; import gateway; print(json.dumps([*{*sys.modules} - old]))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(json.loads(done.stdout))
     assert "gateway" in loaded
     assert not {name.split(".")[0] for name in loaded} & (HEAVY | {"protocols", "brain"})
     assert len(loaded) < 30, loaded
+
+
+def test_no_name_is_hidden_by_a_package_of_the_same_name() -> None:
+    """A package that is imported becomes an attribute of `gateway`, and the lazy name is never asked for."""
+    packages = {path.name for path in Path(gateway.__file__).parent.iterdir() if path.is_dir()}
+    assert not packages & set(NAMES)

@@ -10,7 +10,7 @@ from gateway.config import load_robot
 from gateway.core.clock import stopwatch
 from gateway.errors import UserError
 from gateway.recording import read_recording
-from gateway.replay import replay
+from gateway.replay import replay_recording
 from gateway.rosbag import is_bag
 from gateway.rosbag.evaluate import evaluate_file
 from protocols.messages import SECOND
@@ -45,7 +45,7 @@ def run(options: Namespace) -> int:
     recording = read_recording(options.file)
     robot = None if options.robot is None else load_robot(options.robot)
     began = stopwatch()
-    comparison = replay(recording, robot)
+    comparison = replay_recording(recording, robot)
     print(comparison.text())
     print(f"replayed in {(stopwatch() - began) / SECOND:.1f} s")
     return 0 if comparison.ok else 1

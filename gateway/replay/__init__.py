@@ -1,9 +1,9 @@
 """Replay: a recording's inputs through the present code, and every output compared with the recorded one.
 
-Exports: `replay` (a recording, with its own or another robot), `Comparison`, `Difference`, and `compare` for
+Exports: `replay_recording` (with the recorded or another robot), `Comparison`, `Difference`, and `compare` for
 another step function. Must not import: `gateway.runtime`, `gateway.buses`; there is neither clock nor bus.
 """
 
-from gateway.replay.compare import Comparison, Difference, compare, replay
+from gateway.replay.compare import Comparison, Difference, compare, replay_recording
 
-__all__ = ["Comparison", "Difference", "compare", "replay"]
+__all__ = ["Comparison", "Difference", "compare", "replay_recording"]

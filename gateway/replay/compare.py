@@ -136,7 +136,7 @@ class Comparison:
         return "\n".join([*lines, *compared])
 
 
-def replay(recording: Recording, robot: Robot | None = None) -> Comparison:
+def replay_recording(recording: Recording, robot: Robot | None = None) -> Comparison:
     """Run a recording's inputs through the code of today, and compare every output to the byte.
 
     Args:

@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from gateway.recording import read_recording, tick_codec
 from gateway.recording.recover import recover
-from gateway.replay import replay
+from gateway.replay import replay_recording
 from protocols.messages import MILLISECOND, Nanos
 from tests.gateway.witness import Runs
 
@@ -99,7 +99,7 @@ def read_by_rosbags(path: Path, *, opened: bool = True) -> list[bytes]:
 
 def _assert_replays(path: Path) -> None:
     """Assert that a recording replays to the same bytes, as far as `gateway replay` can compare."""
-    comparison = replay(read_recording(path))
+    comparison = replay_recording(read_recording(path))
     assert not comparison.differences, comparison.text()
     assert not comparison.unread
     assert not comparison.left_over

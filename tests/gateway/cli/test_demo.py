@@ -17,7 +17,7 @@ import pytest
 from gateway import config
 from gateway.core.tick import Tick
 from gateway.recording import Recording, Step, read_recording
-from gateway.replay import replay
+from gateway.replay import replay_recording
 from protocols.frames import CanFrame, Packet
 from protocols.messages import Feedback, Imu, LaserScan, State
 
@@ -148,7 +148,7 @@ def beginning(drive: Drive) -> Excerpt:
 def test_one_changed_gain_is_found_and_named(beginning: Excerpt) -> None:
     changed = beginning.robot_text.replace("max_linear = 0.6 ", "max_linear = 0.5 ")
     assert changed != beginning.robot_text
-    comparison = replay(beginning, config.parse_robot(changed))
+    comparison = replay_recording(beginning, config.parse_robot(changed))
     assert not comparison.ok
     text = comparison.text()
     assert "brain.differential.max_linear: 0.6 recorded, 0.5 now" in text
@@ -182,7 +182,7 @@ def test_one_flipped_bit_in_one_recorded_frame_is_found_and_named(beginning: Exc
     steps = list(beginning.steps)
     at, changed = next((i, t) for i in range(600, 1200) if (t := flipped(steps[i].tick)) is not None)
     steps[at] = replace(steps[at], tick=changed)
-    comparison = replay(excerpt(beginning, steps))
+    comparison = replay_recording(excerpt(beginning, steps))
     assert comparison.first is not None
     assert comparison.first.tick == at
     assert "velocity" in comparison.text()

@@ -20,7 +20,7 @@ from gateway.config import parse_robot
 from gateway.core.message_text import message_text
 from gateway.core.tick import Inputs, Note, Outputs, Tick
 from gateway.recording import Recorder, environment, read_recording, tick_codec
-from gateway.replay import Comparison, compare, diff, replay
+from gateway.replay import Comparison, compare, diff, replay_recording
 from protocols import messages as msg
 from protocols.frames import CanFrame, Packet
 from protocols.messages import Event, Nanos
@@ -386,13 +386,13 @@ def test_a_recording_of_format_1_replays_but_for_its_texts() -> None:
     recording = read_recording(FORMAT_1)
     assert recording.format == "1"
     assert 'on_command_timeout = "hold"' in recording.robot_text
-    result = replay(recording)
+    result = replay_recording(recording)
     assert result.ok, result.text()
     assert (result.ticks, result.packets, result.bytes) == (199, 67, 184)
     assert result.text().splitlines()[0] == "the same, byte for byte"
     assert "texts for people were left out: they were worded differently in format 1" in result.text()
     changed = parse_robot(recording.robot_text.replace("gear = 8.0", "gear = 4.0"), "changed")
-    assert "packets" in [d.kind for d in replay(recording, changed).differences]
+    assert "packets" in [d.kind for d in replay_recording(recording, changed).differences]
 
 
 @pytest.mark.parametrize(
