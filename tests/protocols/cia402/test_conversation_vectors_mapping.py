@@ -203,8 +203,9 @@ def test_vectors_of_pdos_that_wait_for_a_sync_without_a_producer() -> None:
     assert drive.state == "OPERATION ENABLED"
 
 
-def test_vectors_of_pdos_that_report_too_seldom() -> None:
-    talk = up(Talk(with_pdos(255, 5000)), 150)
+@pytest.mark.parametrize(("kind", "timer"), [(255, 5000), (255, 0), (240, 0), (0, 0)])
+def test_vectors_of_pdos_that_report_too_seldom(kind: int, timer: int) -> None:
+    talk = up(Talk(with_pdos(kind, timer)), 150)
     talk.chapter(
         250,
         Hold("m"),  # what steers stays as it is

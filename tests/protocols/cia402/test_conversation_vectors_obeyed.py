@@ -59,6 +59,9 @@ OBEYED: dict[str, Lines] = {
         ("6040 = 6",      ""), ("6040 = 7", ""),
         ("6040 = 2",      ""),  # 10
         ("6040 = 15",     ""),
+        ("6040 = 6",      ""),
+        ("6040 = 2",      ""),  # 7
+        ("6040 = 15",     ""),
     ],
     "profile velocity and torque": [
         ("6060 = 3", ""), ("60FF = 16384", ""), *UP,
@@ -112,6 +115,9 @@ OBEYED: dict[str, Lines] = {
         ("6040 = 6",      ""),
         ("6040 = 0",      "Idle"),  # 12
         ("605A = 4",      ""),  # reserved
+        *UP, ("6040 = 15", "Velocity 0.03835 0"),
+        ("6040 = 11",     "Estop"),  # bits 0 and 3 mean nothing without bit 2,
+        ("6040 = 13",     "Idle"),  # bits 0, 2, 3 nothing without bit 1
     ],
     "faults are reset by the rising edge of bit 7": [
         ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
@@ -153,6 +159,7 @@ OBEYED: dict[str, Lines] = {
         ("nmt 130",       "WriteParameter NMT state 127"),
         ("nmt 129",       "Reboot"),
         ("raw 000#0103",  ""),  # node 3
+        ("raw 000#0180",  ""),  # there is no node 128
         ("raw 000#0100",  "WriteParameter NMT state 5"),  # all nodes
         ("raw 000#01",    ""), ("raw 000#0902", ""),
     ],
@@ -170,7 +177,9 @@ OBEYED: dict[str, Lines] = {
     ],
     "PDOs": [
         ("nmt 1", "WriteParameter NMT state 5"),
-        ("map 1 1 6040 6060 607A", "*"), ("map 2 255 60FF 6071", "*"), ("map 3 0 60B1", "*"),
+        ("map 1 240 6040 6060 607A", "*"), ("map 2 255 60FF 6071", "*"), ("map 3 0 60B1", "*"),
+        ("map 4 254 6081", "*"), ("rpdo4 5", "WriteParameter 6081 5"),
+        ("rpdo4 0",       ""),  # what SDO would refuse is not taken
         ("rpdo1 6 8 0", ""), ("sync", ""), ("rpdo1 7 8 0", ""), ("sync", ""),
         ("rpdo1 15 8 4096", ""),  # with SYNC
         ("raw 080#0000",  ""),  # that is none
@@ -462,12 +471,14 @@ PIECES = {
     "upload": ["4008100000000000", "6000000000000000"],
     "upload, the toggle bit wrong": ["4008100000000000", "7000000000000000"],
     "upload, begun twice": ["4008100000000000", "4008100000000000", "6000000000000000"],
-    "download, 8 bytes into 4": ["2181600008000000", "0001020304050607", "1D08000000000000"],
+    "download, 8 bytes into 4": ["2181600008000000", "0001020304050607", "1D08000000000000", "4081600000000000"],
     "download, 4 bytes in segments": ["2181600004000000", "0701020304000000", "4081600000000000"],
     "download, no size told": ["2081600000000000", "0701020304000000", "4081600000000000"],
     "download, the toggle bit wrong": ["2181600008000000", "1001020304050607"],
     "download of a read only object": ["2F41600001000000"],
     "block download": ["C681600004000000"],
+    "upload, another object read meanwhile": ["4008100000000000", "4060600000000000"],
+    "upload, ended by an abort": ["4008100000000000", "8008100000000008"],
     "expedited, no size told": ["2281600039300000", "4081600000000000"],
 }
 

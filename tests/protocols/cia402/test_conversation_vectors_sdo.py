@@ -140,11 +140,13 @@ ASKED: list[tuple[Request, Sequence[str]]] = [
     (msg.ReadParameter("m", "0x608F:01"),         ["< Parameter 0x608F:01 16384", "< Done *"]),
     (msg.ReadParameter("m", "Profile velocity"),  ["< Parameter Profile velocity 100000", "< Done *"]),
     (msg.ReadParameter("m", "608Fsub1"),          ["< Parameter 608Fsub1 16384", "< Done *"]),
+    (msg.ReadParameter("m", " feed "),            ["< Parameter  feed  0", "< Done *"]),
     (msg.ReadParameter("m", "605a"),              ["< Parameter 605a 2", "< Done *"]),
     (msg.ReadParameter("m", "1008"),              ["< Done ReadParameter m twin402"]),  # 7 bytes: in segments
     (msg.ReadParameter("m", "5FFF"),              ["< Refused ReadParameter m * (SDO abort 0x06020000)"]),
     (msg.ReadParameter("m", "1018:09"),           ["< Refused ReadParameter m * (SDO abort 0x06090011)"]),
     (msg.ReadParameter("m", "nonsense"),          ["0 < Refused ReadParameter m 'nonsense' is no object*"]),
+    (msg.ReadParameter("m", "60"),                ["0 < Refused ReadParameter m '60' is no object*"]),
     (msg.ReadParameter("m", "608F:1234"),         ["0 < Refused ReadParameter m '608F:1234' is no object*"]),
     (msg.WriteParameter("m", "6081", 12345.0),    ["write 6081 = 12345", "< Done WriteParameter m"]),
     (msg.WriteParameter("m", "605A", -2.0),       ["write 605A = -2", "< Done *", "< State initialising *"]),

@@ -46,6 +46,11 @@ def _feed(drive: Drive) -> None:
     drive.put(0x6078, -200)
 
 
+def _feed_alone(drive: Drive) -> None:
+    _feed(drive)
+    drive.lack(0x608F)
+
+
 def _untold(drive: Drive) -> None:
     drive.lack(0x608F, 0x6091, 0x6092, 0x6076)
     drive.put(0x6064, 2500)
@@ -57,8 +62,15 @@ def _untold(drive: Drive) -> None:
 COUNTS: list[tuple[Callable[[Drive], None], dict[str, float], int, int, int]] = [
     # 1 rad in position units: per turn / τ; -2 rad/s; 0.25 N·m in ‰
     (_encoder, {}, 80, -159, 250),  # 500/τ = 79.6, -1000/τ = -159.2
-    (_gear, {}, 796, -1592, 25),  # 5000/τ = 795.8, -1591.5; 0.25/(2·5)
+    (
+        _gear,
+        {"rated_torque": 9.0},
+        796,
+        -1592,
+        25,
+    ),  # 5000/τ = 795.8, -1591.5; 0.25/(2·5)
     (_feed, {}, 57, -115, 250),  # 360/τ = 57.3, -114.6; 0.25/(0.2·5)
+    (_feed_alone, {}, 57, -115, 250),
     (_untold, {"counts_per_turn": 10_000.0, "rated_torque": 2.0}, 1592, -3183, 125),  # 1591.5, -3183.1
 ]
 

@@ -10,7 +10,7 @@ from protocols.cia402 import objects as o
 from protocols.cia402.faults import FOLLOWING_ERROR
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import HomingStatus, Mode, PowerState, Status, homing_of
-from protocols.cia402.ramps import Interpolation, Ramp, Timer
+from protocols.cia402.ramps import Ramp
 from tests.protocols.cia402.twin_bench import TwinBench
 
 NEW, IMMEDIATELY, RELATIVE = 0x10, 0x20, 0x40
@@ -32,15 +32,6 @@ def test_csp_goes_to_any_increment(target: int) -> None:
     assert bench.increments() == pytest.approx(target, abs=4)
     assert bench.status & Status.FOLLOWS_COMMAND
     assert not bench.status & Status.FOLLOWING_ERROR
-
-
-def test_enabling_where_the_set_point_is_the_position_does_not_move() -> None:
-    bench = TwinBench()
-    bench.position = 0.3217
-    bench.run(2)
-    bench.enable(Mode.CSP)
-    bench.run(200)
-    assert bench.position == pytest.approx(0.3217, abs=math.tau / 16384)
 
 
 def test_csp_obeys_its_offsets() -> None:
@@ -346,25 +337,3 @@ def test_a_trapezoidal_move_arrives_without_passing_its_goal(goal: float, dt: fl
     assert (ramp.position, ramp.velocity) == (goal, 0.0)
     fastest = abs(goal) / 2.0
     assert steps * dt >= fastest
-
-
-def test_interpolation_reaches_its_target_in_time() -> None:
-    way = Interpolation()
-    positions, position = [], 0.0
-    for _ in range(10):
-        position = way.follow(0.001, position, 1.0, 0.010)
-        positions.append(position)
-    assert positions == pytest.approx([0.1 * n for n in range(1, 11)])
-    assert way.follow(0.001, 1.0, 5.0, 0.0) == 5.0
-
-
-def test_a_timer_lasts_as_long_as_its_condition_holds() -> None:
-    timer = Timer()
-    assert not timer.lasts(0)
-    timer.run(0.01, holds=True)
-    assert timer.lasts(0)
-    assert not timer.lasts(10)
-    timer.run(0.01, holds=True)
-    assert timer.lasts(10)
-    timer.run(0.01, holds=False)
-    assert not timer.lasts(0)
