@@ -1,60 +1,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
 from protocols import messages as msg
-from protocols.conformance.bench import Bench
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, Command, Mode, Request
+from protocols.messages import MILLISECOND, Mode, Request
 from protocols.plain import codec, plugin
 from tests.protocols.plain.bench import ask, bench, reported
 
 T = 1_000_000_000
-
-
-def received(stage: Bench, *messages: bytes, t: int = T) -> list[Any]:
-    return [event for data in messages for event in stage.driver.receive(t, data)]
-
-
-# -- up ------------------------------------------------------------------------------------------------
-
-
-def test_each_address_has_its_own_name() -> None:
-    stage = bench(motors=["left", "right"])
-    messages = [codec.encode(address, msg.Feedback("", 0, float(address))) for address in (2, 1)]
-    assert received(stage, *messages) == [msg.Feedback("right", T, 2.0), msg.Feedback("left", T, 1.0)]
-
-
-# -- down ----------------------------------------------------------------------------------------------
-
-
-def sent(stage: Bench, *messages: Command | Request) -> list[Any]:
-    return list(stage.driver.send(T, messages)[1])
-
-
-REFUSED: list[tuple[Command | Request, str]] = [
-    (msg.Velocity("m", float("nan")), "not in"),
-    (msg.ClearFault("lidar"), "no motor 'lidar'"),
-    (msg.WriteParameter("m", "velocity_gain", float("inf")), "not finite"),
-    (msg.WriteParameter("m", "x" * 20_000, 1.0), "a body of"),
-]
-
-
-@pytest.mark.parametrize(
-    ("message", "reason"), REFUSED, ids=[type(message).__name__ for message, _ in REFUSED]
-)
-def test_refused_at_once_and_nothing_goes_out(message: Command | Request, reason: str) -> None:
-    stage = bench(sensors=["lidar"])
-    events, frames = stage.driver.send(T, [message])
-    (refused,) = events
-    assert isinstance(refused, msg.Refused)
-    assert refused.request == type(message).__name__
-    assert reason in refused.reason
-    assert frames == []
-    assert sent(stage, msg.Idle("m")) == []  # it is not owned either
 
 
 def test_a_repeated_refusal_is_reported_once_until_a_command_was_accepted() -> None:
@@ -64,38 +20,7 @@ def test_a_repeated_refusal_is_reported_once_until_a_command_was_accepted() -> N
     assert [len(stage.driver.send(T, [msg.Home("m")])[0]) for _ in range(2)] == [1, 1]
 
 
-REQUESTS: list[Request] = [
-    msg.ClearFault("m"),
-    msg.Estop("m"),
-    msg.Zero("m"),
-    msg.ReadParameter("m", "supply"),
-    msg.WriteParameter("m", "supply", 12.0),
-    msg.Reboot("m"),
-]
-
-
-@pytest.mark.parametrize("request_", REQUESTS, ids=lambda message: type(message).__name__)
-def test_a_request_is_answered_by_the_device_and_then_no_more(request_: Request) -> None:
-    stage = bench()
-    stage.steps(5)
-    steps = ask(stage, request_, steps=400)
-    (answer,) = reported(steps, (msg.Done, msg.Refused, msg.Parameter))
-    assert isinstance(answer, msg.Parameter if isinstance(request_, msg.ReadParameter) else msg.Done)
-
-
 # -- the whole line ------------------------------------------------------------------------------------
-
-
-def test_scan_finds_motors_and_sensors_and_ends() -> None:
-    stage = bench(sensors=["lidar"], motors=["left", "right"])
-    steps = ask(stage, msg.Scan("line"), steps=250)
-    assert [(f.address, f.serial, f.detail) for f in reported(steps, msg.Found)] == [
-        (1, 10, "motor"),
-        (2, 20, "motor"),
-        (101, 1010, "sensor"),
-    ]
-    assert [(d.request, d.name, d.detail) for d in reported(steps, msg.Done)] == [("Scan", "line", "3 found")]
-    assert {state.mode for state in reported(steps, msg.State)} == {Mode.READY}
 
 
 def test_set_id_moves_the_one_device_with_this_serial_number() -> None:

@@ -2,18 +2,17 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import pytest
 
 from protocols import messages as msg
-from protocols.conformance.bench import Bench, sensor_events
+from protocols.conformance.bench import Bench
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, Command, Event, Mode
+from protocols.messages import MILLISECOND, Command, Mode
 from protocols.plain import codec, plugin
-from protocols.plain.twin import BOOT, FAULTS, Settings
+from protocols.plain.twin import BOOT, Settings
 from tests.protocols.plain.bench import ask, bench, reported
 
 
@@ -26,70 +25,7 @@ def torque(stage: Bench, *messages: Command) -> float:
     return stage.step(messages).torques[0].torque
 
 
-# -- sensors -------------------------------------------------------------------------------------------
-
-
-def test_a_sensor_sends_what_it_is_shown_exactly_and_at_once() -> None:
-    stage = bench(sensors=["s", "other"], motors=[])
-    shown = sensor_events("s", stage.now + 1 * MILLISECOND - 250_000, 3)
-    for twin, spec in zip(stage.twins, stage.specs, strict=True):
-        assert spec.kind == "sensor"
-        frames = twin.step(stage.now + MILLISECOND, shown)[1]
-        events = [e for frame in frames for e in stage.driver.receive(stage.now + MILLISECOND, frame)]
-        assert events == (list(shown) if twin is stage.twins[0] else [])
-        assert twin.due() is None
-
-
-def test_a_sensor_does_not_send_what_is_not_finite() -> None:
-    stage = bench(sensors=["s"], motors=[])
-    imu, scan, fix = sensor_events("s", stage.now, 1)
-    shown: list[Event] = [
-        replace(imu, angular_velocity=(math.nan, 0.0, 0.0)),
-        replace(scan, range_max=math.inf),
-        fix,
-    ]
-    assert len(stage.twins[0].step(stage.now, shown)[1]) == 1
-
-
-# -- arming, watchdog, faults --------------------------------------------------------------------------
-
-ARMING: list[Command] = [
-    msg.Hold("m"),
-    msg.Position("m", 0.0),
-    msg.Velocity("m", 0.0),
-    msg.Torque("m", 0.0),
-    msg.Impedance("m", 0.0, 0.0, 0.0, 1.0, 0.1),
-]
-
-
-@pytest.mark.parametrize("command", ARMING, ids=lambda message: type(message).__name__)
-def test_any_command_but_idle_arms_and_idle_disarms(command: Command) -> None:
-    stage = bench()
-    stage.steps(5)
-    assert mode(stage) == Mode.READY
-    steps = ask(stage, command, steps=3)
-    assert mode(stage) == Mode.ARMED
-    assert [s.mode for s in reported(steps, msg.State)] == [Mode.ARMED]
-    steps = ask(stage, msg.Idle("m"), steps=3)
-    assert mode(stage) == Mode.READY
-    assert [s.mode for s in reported(steps, msg.State)] == [Mode.READY]
-
-
-def test_silence_of_the_host_trips_the_watchdog_which_only_clear_fault_undoes() -> None:
-    stage = bench()
-    stage.step([msg.Torque("m", 0.5)])
-    assert {torque(stage) for _ in range(99)} == {0.5}
-    steps = stage.steps(5)
-    assert [s.torques[0].torque for s in steps][1:] == [0.0] * 4
-    assert [(f.code, f.name) for f in reported(steps, msg.Fault)] == [(1, "watchdog expired")]
-    assert mode(stage) == Mode.FAULT
-    for message in (msg.Torque("m", 0.5), msg.Idle("m"), msg.Hold("m")):
-        assert torque(stage, message) == 0.0
-        assert mode(stage) == Mode.FAULT
-    steps = ask(stage, msg.ClearFault("m"), steps=3)
-    assert mode(stage) == Mode.READY
-    assert [d.request for d in reported(steps, msg.Done)] == ["ClearFault"]
-    assert torque(stage, msg.Torque("m", 0.5)) == 0.5
+# -- watchdog, faults --------------------------------------------------------------------------
 
 
 def test_the_watchdog_is_exact_and_expired_before_a_late_command() -> None:
@@ -98,14 +34,6 @@ def test_the_watchdog_is_exact_and_expired_before_a_late_command() -> None:
         stage.step([msg.Torque("m", 0.5)])
         stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, codec.encode(1, msg.Torque("", 0.5)))
         assert mode(stage) == expected
-
-
-def test_only_commands_feed_the_watchdog() -> None:
-    stage = bench()
-    stage.step([msg.Torque("m", 0.5)])
-    for _ in range(120):
-        stage.step([msg.ReadParameter("m", "supply")])
-    assert mode(stage) == Mode.FAULT
 
 
 def test_a_watchdog_of_zero_never_expires() -> None:
@@ -341,23 +269,6 @@ def test_settings_that_cannot_be_are_an_error_of_configuration(wrong: dict[str, 
 
 
 # -- what the contract asks of a twin and of names ---------------------------------------------------------
-
-
-@pytest.mark.parametrize("code", sorted(FAULTS))
-def test_a_provoked_fault_disarms_and_is_reported_as_the_contract_has_it(code: int) -> None:
-    stage = bench()
-    stage.steps(20, [msg.Velocity("m", 1.0)])
-    info = FAULTS[code]
-    stage.twins[0].provoke(code)
-    due = stage.twins[0].due()
-    assert due is not None
-    assert due <= stage.now
-    (fault,) = reported(stage.steps(5, [msg.Velocity("m", 1.0)]), msg.Fault)
-    assert (fault.code, fault.name, fault.cause, fault.remedy) == (code, info.name, info.cause, info.remedy)
-    assert torque(stage) == 0.0
-    assert stage.specs[0].faults == FAULTS
-    ask(stage, msg.ClearFault("m"))
-    assert mode(stage) == Mode.READY
 
 
 def test_what_is_no_fault_is_not_provoked() -> None:
