@@ -24,7 +24,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("protocols", "brain", "gateway", "fixtures")
+PACKAGES = ("protocols", "brain", "gateway")
 CARRIED = {".py", ".toml", ".json", ".md", ".eds", ".typed"}
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "*.egg-info")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -32,8 +32,8 @@ PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["
 
 def build(source: Path, out: Path) -> Path:
     """The wheel of a clean copy of the project: the checkout gets no build folder, and lends no old one."""
-    for package in PACKAGES:
-        shutil.copytree(ROOT / package, source / package, ignore=LEFT_OUT)
+    for package in (*PACKAGES, "fixtures"):
+        shutil.copytree(ROOT / package, source / package, ignore=LEFT_OUT, symlinks=True)
     for path in ROOT.iterdir():
         if path.suffix in (".toml", ".md") or path.name == "LICENSE":
             shutil.copy(path, source)
@@ -91,24 +91,33 @@ def metadata(wheel: Path) -> Message:
 def test_it_carries_what_a_user_needs_and_nothing_else(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
-    expected = {
+    code = {
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
-        if path.is_file() and path.suffix in CARRIED and "__pycache__" not in path.parts
+        if path.is_file() and path.suffix in CARRIED and not {"__pycache__", "fixtures"} & set(path.parts)
     }
-    assert names == expected
-    for one in ("gateway/py.typed", "fixtures/robots/diffbot.toml", "protocols/odrive_can/README.md"):
-        assert one in names
-    assert any(re.fullmatch(r"fixtures/worlds/\w+\.toml", name) for name in names)
-    assert any(re.fullmatch(r"fixtures/vectors/\w+\.json", name) for name in names)
+    data = {
+        f"gateway/fixtures/{path.relative_to(ROOT / 'fixtures').as_posix()}"
+        for pattern in ("__init__.py", "robots/*.toml", "worlds/*.toml", "vectors/*.json")
+        for path in (ROOT / "fixtures").glob(pattern)
+    }
+    assert names == code | data
+    assert {
+        "gateway/py.typed",
+        "protocols/odrive_can/README.md",
+        "gateway/fixtures/robots/diffbot.toml",
+    } <= names
+    assert {name.split("/")[0] for name in names} == set(PACKAGES)  # no other distribution's name is taken
 
 
 def test_its_data_is_the_checkouts(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
-        data = [name for name in archive.namelist() if name.startswith("fixtures/")]
+        data = [name for name in archive.namelist() if name.startswith("gateway/fixtures/")]
         assert data
-        assert not [name for name in data if archive.read(name) != (ROOT / name).read_bytes()]
+        assert not [
+            name for name in data if archive.read(name) != (ROOT / name.removeprefix("gateway/")).read_bytes()
+        ]
 
 
 def test_its_metadata(wheel: Path) -> None:
@@ -137,7 +146,9 @@ print(json.dumps([places, str(here.locate_file("gateway"))]))
 
 
 def test_nothing_of_the_checkout_is_seen_there(installed: Installed) -> None:
-    done = installed.run("python", "-c", WHERE, *PACKAGES, "protocols.odrive_can", "gateway.sim")
+    done = installed.run(
+        "python", "-c", WHERE, *PACKAGES, "protocols.odrive_can", "gateway.sim", "gateway.fixtures"
+    )
     assert done.returncode == 0, done.stderr
     places, distribution = json.loads(done.stdout)
     inside = installed.root / "lib"
@@ -145,6 +156,13 @@ def test_nothing_of_the_checkout_is_seen_there(installed: Installed) -> None:
     assert not strays
     assert Path(distribution).is_relative_to(inside)
     assert str(ROOT) not in done.stdout
+
+
+def test_pip_finds_no_conflict(installed: Installed) -> None:
+    command = [sys.executable, "-m", "pip", "--python", str(installed.root / "bin" / "python"), "check"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "No broken requirements found" in done.stdout
 
 
 def test_help(installed: Installed) -> None:

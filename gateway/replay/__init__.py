@@ -1,6 +1,6 @@
 """Replay: a recording's inputs through the present code, and every output compared with the recorded one.
 
-Exports: `replay_recording` (with the recorded or another robot), `Comparison`, `Difference`, and `compare` for
+Exports: `replay_recording` (with the recorded or another robot), `Comparison`, `Difference`; `compare` for
 another step function. Must not import: `gateway.runtime`, `gateway.buses`; there is neither clock nor bus.
 """
 
