@@ -6,7 +6,7 @@ their output; a line that is only "…" stands for any lines, or none. All else 
 
     python -m tests.guide docs/adding-a-protocol.md
 
-does what the text says in a folder of its own, and writes the outputs into it, except where there is a "…".
+executes the text in a folder of its own, and writes the outputs into it, except where there is a "…".
 """
 
 from __future__ import annotations
