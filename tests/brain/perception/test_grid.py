@@ -8,7 +8,7 @@ from brain.belief import Pose
 from brain.perception.grid import MAX_MEAN_HITS, Grid, GridSettings, _inflated
 from brain.perception.mount import BodyScan, Mount, to_body, to_world
 from protocols.messages import LaserScan
-from tests.brain.perception.office import MOUNTS, OFFICE, box, clearance, scan_at
+from tests.brain.perception.office import MOUNTS, OFFICE, box, scan_at
 
 SMALL = GridSettings(resolution=0.1, width=10.0, height=8.0)
 HERE = Pose(0.0, 0.0, 0.0)
@@ -76,22 +76,6 @@ def test_the_map_equals_the_slow_one(seed: int) -> None:
         grid.add(pose, swept)
     assert (grid.log_odds == slow(EXACT, scans)).all(), f"seed {seed}"
     assert np.count_nonzero(grid.log_odds) > 2000
-
-
-def test_rays_are_lines() -> None:
-    """Every cell of a ray lies within half a cell of the line, and they follow each other."""
-    grid = Grid(EXACT)
-    start = np.array([50, 40])
-    for end in [(99, 79), (99, 40), (50, 0), (0, 41), (3, 79), (49, 39), (50, 40)]:
-        cells = grid._rays(start, np.array([end]))
-        columns, rows = cells % grid.columns, cells // grid.columns
-        length = math.dist(start, end)
-        assert len(cells) == max(abs(end[0] - 50), abs(end[1] - 40))
-        if length:
-            off = np.abs((columns - 50) * (end[1] - 40) - (rows - 40) * (end[0] - 50)) / length
-            assert off.max() <= 0.5
-            steps = np.maximum(np.abs(np.diff(columns)), np.abs(np.diff(rows)))
-            assert (steps == 1).all()
 
 
 # -- the defects of the usual tutorial ---------------------------------------------------------
@@ -331,23 +315,6 @@ def test_inflation_equals_the_slow_one(radius: float) -> None:
 
 def test_inflation_of_nothing() -> None:
     assert not Grid(SMALL).blocked(0.3).any()
-
-
-def test_clearance() -> None:
-    grid = Grid(SMALL)
-    assert clearance(grid, 0.0, 0.0) == math.inf
-    grid.add(HERE, beam(2.05))
-    assert clearance(grid, 0.0, 0.05) == pytest.approx(2.0)
-    assert clearance(grid, 2.05, 1.1) == pytest.approx(1.0)
-    assert clearance(grid, 2.05, 0.05) == 0.0
-
-
-def test_clearance_agrees_with_blocked() -> None:
-    grid = seen(Grid(GridSettings()))
-    random = np.random.Generator(np.random.PCG64(1))
-    for _ in range(200):
-        row, column = (int(n) for n in random.integers(100, 380, 2))
-        assert grid.blocked(0.24)[row, column] == (clearance(grid, *grid.center(row, column)) < 0.24)
 
 
 def test_means_are_finer_than_cells() -> None:

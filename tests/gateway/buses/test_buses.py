@@ -17,7 +17,6 @@ import pytest
 from gateway.buses import Bus, open_bus
 from gateway.buses.can import MOST_READ, CanBus, open_can
 from gateway.buses.interfaces import can_interfaces, missing
-from gateway.buses.queues import MOST_WAITING
 from gateway.buses.serial import MOST_WAITING as MOST_BYTES
 from gateway.buses.serial import SerialBus, open_serial
 from gateway.buses.states import CALM
@@ -159,24 +158,6 @@ def test_a_full_queue_is_reported_once_and_the_newest_command_wins(
     assert bus.dropped == 2
     assert bus.read(CALM) == ([], [])
     assert bus.read(3 + CALM) == ([BusState.UP], [])
-
-
-def test_without_congestion_all_frames_of_one_id_are_sent(broken: tuple[CanBus, Frame]) -> None:
-    bus, frame = broken
-    frames = [CanFrame(1, bytes([n])) for n in range(4)]
-    bus.write(0, frames)
-    assert frame.sent == frames
-
-
-def test_the_queue_is_bounded(broken: tuple[CanBus, Frame]) -> None:
-    bus, frame = broken
-    frame.failure = can.CanOperationError("full", errno.ENOBUFS)
-    frames = [CanFrame(n) for n in range(MOST_WAITING + 3)]
-    bus.write(0, frames)
-    frame.failure = None
-    bus.read(1)
-    assert frame.sent == frames[3:]
-    assert bus.dropped == 3
 
 
 def test_an_interface_that_vanishes_is_reported_and_the_queue_is_dropped(

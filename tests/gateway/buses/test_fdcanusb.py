@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, closing
+from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 from hypothesis import given, settings
@@ -482,55 +482,6 @@ def test_an_adapter_of_another_bit_rate_is_logged_with_the_commands(
         f"fdcanusb {port.path} has a can.fd_bitrate of 2000000 bit/s, the robot file has 50"
     )
     assert text.endswith("send it: conf set can.fd_bitrate 5000000, conf write, can off, can on")
-
-
-# -- the vendor's own client -----------------------------------------------------------------------------
-
-
-@asynccontextmanager
-async def serving(
-    bus: AdapterPty, answer: Callable[[CanFrame], list[CanFrame]]
-) -> AsyncIterator[list[CanFrame]]:
-    """While inside, a device replies on the bus; yields what it has received."""
-    received: list[CanFrame] = []
-
-    async def serve() -> None:
-        while True:
-            for packet in bus.read(0)[1]:
-                assert isinstance(packet.frame, CanFrame)
-                received.append(packet.frame)
-                bus.write(0, answer(packet.frame))
-            await asyncio.sleep(0.001)
-
-    task = asyncio.get_running_loop().create_task(serve())
-    try:
-        yield received
-    finally:
-        task.cancel()
-
-
-def test_the_vendors_client_asks_and_is_answered_with_checksums(bus: AdapterPty) -> None:
-    asked = CanFrame(0x8005, bytes.fromhex("11001f01130d"), True, False, True, True)
-    reply = CanFrame(
-        0x500, bytes.fromhex("21000a2f01000000be0000c03f000040bf230d3129005050"), fd=True, brs=True
-    )
-
-    async def talk() -> tuple[list[CanFrame], list[bytes]]:
-        client = vendor.FdcanusbDevice(bus.paths[0])
-        async with serving(bus, lambda frame: [reply] if frame == asked else []) as received:
-            answers = []
-            for _ in range(3):
-                request = vendor.FdcanusbDevice.Request(
-                    theirs(asked), frame_filter=lambda frame: frame.arbitration_id == 0x500
-                )
-                await client.transaction([request])
-                answers += [bytes(frame.data) for frame in request.responses]
-            client.close()
-        return received, answers
-
-    received, answers = asyncio.run(talk())
-    assert received == [asked] * 3
-    assert answers == [reply.data] * 3
 
 
 def test_a_program_that_hangs_up_leaves_an_adapter_without_checksums_and_nothing_waiting(

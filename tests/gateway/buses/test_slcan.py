@@ -218,9 +218,6 @@ def test_any_bytes_cut_anywhere_raise_nothing_and_decode_alike(pieces: list[byte
     assert parted.open == whole.open
 
 
-# -- a pty -----------------------------------------------------------------------------------------
-
-
 # -- python-can's own client -----------------------------------------------------------------------
 
 

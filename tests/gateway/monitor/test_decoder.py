@@ -17,12 +17,13 @@ from gateway.monitor.candidates import choices, of_plugins, of_robot
 from gateway.monitor.decoder import MAX_IDS, MIN_EVENTS, WINDOW, BusMonitor, at_joint
 from gateway.monitor.state import DecodedPacket, DeviceRecord, ProtocolVariant, Rate
 from protocols import messages as msg
+from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import BusState, CanFrame, Frame, Packet
-from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
 from protocols.odrive_can.codec import encode
 from protocols.odrive_can.messages import GetEncoderEstimates, GetVersion, Heartbeat
 from protocols.plain import codec
-from protocols.plugin import Driver, load_all
+from protocols.plugin import load_all
 from tests.gateway.rig import BENCH, Rig, sent_commands
 
 CAN = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
@@ -33,22 +34,10 @@ MOTOR = codec.encode(3, msg.Feedback("", 0, position=1.5)) + codec.encode(3, msg
 Drive: TypeAlias = tuple[Rig, list[Packet]]
 
 
-class ReceiveOnly:
+class ReceiveOnly(DriverWrapper):
     """A driver that must not be asked to send."""
 
-    def __init__(self, driver: Driver) -> None:
-        self._driver = driver
-        self.counters = driver.counters
-
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        return self._driver.receive(t, frame)
-
-    def bus(self, t: Nanos, state: BusState) -> None:
-        self._driver.bus(t, state)
-
-    def send(
-        self, now: Nanos, messages: Sequence[Command | Request]
-    ) -> tuple[Sequence[Event], Sequence[Frame]]:
+    def send(self, now: Nanos, messages: Messages) -> tuple[Sequence[Event], Sequence[Frame]]:
         raise AssertionError("the monitor asked a driver to send")
 
     def due(self) -> Nanos | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 import subprocess
@@ -257,25 +256,6 @@ def test_imu_bias_and_noise_are_those_of_the_world_file() -> None:
 
 
 # -- determinism -------------------------------------------------------------------------------------
-
-
-def test_same_seed_same_world_bit_for_bit() -> None:
-    one, other = (Driver(world(OFFICE, 7)).run(1200, 8.0, 7.0) for _ in range(2))
-    assert one.readings == other.readings
-    assert one.truths == other.truths
-    another = Driver(world(OFFICE, 8)).run(1200, 8.0, 7.0)
-    assert another.scans() != one.scans()
-    assert another.truths != one.truths
-
-
-def test_a_copy_goes_on_alike() -> None:
-    driver = Driver(world(OFFICE)).run(600, 8.0, 6.0)
-    twin = copy.deepcopy(driver)
-    driver.run(600, 8.0, 6.0)
-    assert twin.world.truth() != driver.world.truth()
-    twin.run(600, 8.0, 6.0)
-    assert twin.readings == driver.readings
-    assert twin.truths == driver.truths
 
 
 def test_one_sensors_noise_does_not_depend_on_another() -> None:
