@@ -370,6 +370,11 @@ CONFIGURED = "\n".join(
     )
 )
 """All of them; 1016: node 127 (7F), 500 ms (1F4)."""
+READS = (
+    "reads 1000 1008 1017 1018:01 1018:02 1018:03 1018:04 603F 605A 6075 6076 608F:01 608F:02"
+    " 6091:01 6091:02 6092:01 6092:02 60B1 60B2 6502 on"
+)
+"""What is read at the start, without the PDOs; 1008 in segments: "on"."""
 STARTED = "nmt OPERATIONAL 2\nrpdo2 60FF=0 6071=0 60B2=0 …\nrpdo3 60B1=0 …"
 CLEARED = """write 6040 = 0000
 write 6040 = 0080
@@ -408,6 +413,16 @@ ARMED = arming()
 def up(talk: Talk, ms: int = 100) -> Talk:
     """Let the drives start, and the driver read them."""
     talk.chapter(ms)
+    return talk
+
+
+NEVER = 10**12
+
+
+def lazy(*drives: Drive, **options: Any) -> Talk:
+    """Return a talk whose host calls the driver only when it is due, and at the beginning of a chapter."""
+    talk = Talk(*drives, **options)
+    talk.every = NEVER
     return talk
 
 

@@ -16,10 +16,14 @@ from typing import Any
 import canopen
 
 import protocols.cia402
+from protocols.cia402 import plugin
 from protocols.frames import CanFrame
+from protocols.reference_vectors import vectors_of
 
 EDS = str(Path(protocols.cia402.__file__).parent / "twin.eds")
 PACKAGE = "canopen 2.4.1"
+VECTORS = vectors_of(plugin)
+"""The independent vectors, which it has made."""
 
 
 @cache

@@ -2,20 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from protocols.messages import ClearFault, Estop, Hold, Idle, ReadParameter, Reboot, Scan, Velocity
-from tests.protocols.cia402.conversation import CONFIGURED, STARTED, Talk, arming, up
+from tests.protocols.cia402.conversation import lazy, up
 from tests.protocols.cia402.firmware import Drive
-
-NEVER = 10**12
-
-
-def lazy(drive: Drive | None = None, **options: Any) -> Talk:
-    """Call the driver only when it is due, and at the beginning of a chapter."""
-    talk = Talk(drive or Drive(), **options)
-    talk.every = NEVER
-    return talk
 
 
 def test_vectors_of_coming_up_and_going_offline_when_due() -> None:
@@ -37,30 +26,6 @@ def test_vectors_of_coming_up_and_going_offline_when_due() -> None:
     talk.drive.dead = False
     talk.chapter(
         300, expected="< State initialising *\n< State initialising *\n< State ready SWITCH ON DISABLED"
-    )
-
-
-def test_vectors_of_arming_when_due() -> None:
-    talk = up(lazy())
-    talk.chapter(
-        300,
-        Hold("m"),
-        expected=f"""
-        {CONFIGURED}
-        {STARTED}
-        {arming(last="/10")}
-        sync /10, beat 127 OPERATIONAL /125..135
-        """,
-    )
-    talk.chapter(
-        100,
-        Idle("m"),
-        expected="""
-        0 rpdo1 6040=0006 6060=8 607A=4096
-        < State ready READY TO SWITCH ON
-        write 1016:01 = 00000000
-        sync ?, beat ?
-        """,
     )
 
 

@@ -235,3 +235,11 @@ def test_vectors_of_a_fault_whose_code_comes_with_the_statusword() -> None:
     talk.chapter(30, Hold("m"), expected="< State fault FAULT\nsync /10, beat ?")
     drive.put(0x603F, 0x7305)  # a bit later it knows why
     talk.chapter(30, Hold("m"), expected="< Fault 7305 incremental sensor 1\nsync /10, beat ?")
+
+
+def test_vectors_of_an_emergency_that_no_statusword_confirms_is_cleared_without_a_controlword() -> None:
+    talk = armed(Talk())
+    talk.drive.say_emcy(0x2310)
+    talk.chapter(1, ClearFault("m"), Hold("m"))
+    talk.chapter(20, ClearFault("m"), Hold("m"), expected="< Done *\n< Done ClearFault m\nsync ?, beat ?")
+    assert talk.drive.state == "OPERATION ENABLED"

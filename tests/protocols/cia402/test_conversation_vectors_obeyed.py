@@ -21,8 +21,7 @@ from protocols.cia402.options import Options, Settings
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Request
 from protocols.plugin import Device
-from tests.protocols.cia402.stack import Joined, Slave, dictionary
-from tests.protocols.cia402.vectors import VECTORS
+from tests.protocols.cia402.stack import VECTORS, Joined, Slave, dictionary
 
 NODE = 2
 DEVICE = Device("m", NODE, Options(), Settings())
@@ -471,7 +470,12 @@ PIECES = {
     "upload": ["4008100000000000", "6000000000000000"],
     "upload, the toggle bit wrong": ["4008100000000000", "7000000000000000"],
     "upload, begun twice": ["4008100000000000", "4008100000000000", "6000000000000000"],
-    "download, 8 bytes into 4": ["2181600008000000", "0001020304050607", "1D08000000000000", "4081600000000000"],
+    "download, 8 bytes into 4": [
+        "2181600008000000",
+        "0001020304050607",
+        "1D08000000000000",
+        "4081600000000000",
+    ],
     "download, 4 bytes in segments": ["2181600004000000", "0701020304000000", "4081600000000000"],
     "download, no size told": ["2081600000000000", "0701020304000000", "4081600000000000"],
     "download, the toggle bit wrong": ["2181600008000000", "1001020304050607"],

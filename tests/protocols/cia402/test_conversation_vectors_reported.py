@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from canopen.objectdictionary import ODVariable, datatypes
 from canopen.profiles.p402 import State402
@@ -9,7 +11,7 @@ from canopen.profiles.p402 import State402
 from protocols.cia402 import sdo
 from protocols.cia402.transfer import Transfer
 from protocols.frames import CanFrame
-from protocols.messages import Found, Hold, Position, Scan, State, Torque, Velocity
+from protocols.messages import MILLISECOND, Feedback, Found, Hold, Position, Scan, State, Torque, Velocity
 from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import Slave
@@ -214,3 +216,10 @@ def test_vectors_of_a_transfer_of_nothing_and_of_one_that_is_refused() -> None:
         _run(slave, transfer)
         assert (transfer.done, transfer.abort) == (True, code)
         assert f"{code:#010x}" in sdo.abort_text(code)
+
+
+def test_vectors_of_the_motion_is_reported_while_the_drive_is_configured_and_armed() -> None:
+    talk = armed(Talk())
+    times = [e.t for e in talk.events if isinstance(e, Feedback) and e.position is not None]
+    assert max(after - before for before, after in pairwise(times)) <= 25 * MILLISECOND
+    assert talk.drive.get(0x1A00), "it was configured"

@@ -13,7 +13,7 @@ from protocols.frames import CanFrame
 from protocols.messages import Request
 from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
-from tests.protocols.cia402.vectors import VECTORS
+from tests.protocols.cia402.stack import VECTORS
 
 
 def test_vectors_of_answers_that_are_lost() -> None:

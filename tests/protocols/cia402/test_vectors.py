@@ -20,8 +20,7 @@ from protocols.cia402.mapping import Pdo
 from protocols.frames import CanFrame
 from protocols.reference_vectors import Vector
 from tests.protocols.cia402 import driver_vectors
-from tests.protocols.cia402.stack import Joined, Slave, dictionary
-from tests.protocols.cia402.vectors import VECTORS
+from tests.protocols.cia402.stack import VECTORS, Joined, Slave, dictionary
 
 NODE = 2
 BOTH_ENDS = [v for v in VECTORS if "python-can virtual" in v.source]

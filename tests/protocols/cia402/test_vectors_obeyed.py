@@ -17,7 +17,7 @@ from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND
 from protocols.plugin import Device
-from tests.protocols.cia402.vectors import VECTORS
+from tests.protocols.cia402.stack import VECTORS
 
 BY_NAME = {vector.name: vector for vector in VECTORS}
 DEVICE = Device("m", 2, Options(), Settings())
