@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import logging
+import shlex
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from gateway.cli import arguments
-from gateway.runtime.twin_process import ADAPTERS, twin
+from gateway.config import load_robot, with_interfaces
+from gateway.core.clock import WallClock
+from gateway.core.robot import BusSettings
+from gateway.runtime.process import request_realtime
+from gateway.runtime.twin_process import Devices, devices, without_interfaces
+from protocols.messages import MILLISECOND, SECOND
+
+log = logging.getLogger("gateway")
+
+ADAPTERS = ("slcan", "fdcanusb")
+"""Adapter protocols of a CAN bus's port (gateway.buses.adapters)."""
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -40,5 +52,45 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Simulate the devices until a signal."""
-    return twin(options)
+    """Simulate the devices until a signal, on the interfaces that are named here alone."""
+    robot = with_interfaces(without_interfaces(load_robot(options.robot)), dict(options.bus))
+    if options.realtime is not None and (refused := request_realtime(options.realtime)):
+        log.warning("%s", refused)
+    adapters = (options.adapter or ["slcan"]) * options.ports
+    with devices(robot, WallClock(), options.seed, adapters, options.link) as made:
+        print("\n".join(invitation(made, options.robot)), flush=True)
+        made.serve(options.seconds)
+    stats = made.stats
+    stalled = f"; stood still for {stats.stalled / SECOND:.1f} s in all" if stats.stalled else ""
+    print(
+        f"{stats.received} packets received, {stats.sent} sent; "
+        f"at most {stats.late / MILLISECOND:.0f} ms behind the clock{stalled}"
+    )
+    return 0
+
+
+def invitation(made: Devices, robot: str) -> list[str]:
+    """Return what to type to drive these devices; `robot` is the robot file as it was given."""
+    command = ["gateway", "run", robot]
+    notes = []
+    for name, bus in made.robot.buses.items():
+        kind, _, channel = bus.interface.partition(":")
+        if kind in (*ADAPTERS, "serial") and name not in made.offered:  # a port is for one program alone
+            other = "another adapter on the bus of" if kind in ADAPTERS else "the other end of"
+            notes.append(f"PORT of {name}: {other} {channel}")
+            channel = "PORT"
+        command += ["--bus", f"{name}={kind}:{channel}"]
+    for name, ports in made.offered.items():
+        if ports[1:]:
+            notes.append(f"other programs can join {name} by {', '.join(ports[1:])}; for instance:")
+            notes.append(f"  {_listener(ports[1], made.robot.buses[name])}")
+    head = f"simulating the devices of {made.robot.name}; to run the robot:"
+    return [head, "  " + shlex.join(command), *notes]
+
+
+def _listener(port: str, bus: BusSettings) -> str:
+    """Return a command that can listen at a port."""
+    kind, _, path = port.partition(":")
+    if kind != "slcan":
+        return f"gateway watch {port}"
+    return f"python -m can.viewer -i slcan -c {path}{' --fd' if bus.kind == 'canfd' else ''}"

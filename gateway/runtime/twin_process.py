@@ -1,32 +1,29 @@
 """A robot without its brain (world, motors, sensors) as a process of its own, behind real buses or ptys.
 
-Rules. It sends only on interfaces that the command line names, never on those of the robot file: simulated
-devices must not answer where there may be real ones. A bus that is not named gets pseudo-terminals. The
-world runs in wall time and keeps pace with it, or logs that it does not; so are changes of the buses and of
-the motors' states.
+Rules. Simulated devices must not answer where there may be real ones: the robot given has no interface of
+its file any more (`without_interfaces`), only those that the command line names, and any other bus gets
+pseudo-terminals. The world runs in wall time and keeps pace with it, or logs that it does not; changes of the
+buses and of the motors' states are logged.
 """
 
 from __future__ import annotations
 
 import logging
-import shlex
-from argparse import Namespace
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway import config
 from gateway.buses import Bus, open_bus
-from gateway.core.clock import Clock, WallClock
+from gateway.core.clock import Clock
 from gateway.core.robot import TWIN, BusSettings, Robot
 from gateway.errors import BusError
 from gateway.runtime.device_log import DeviceLog
-from gateway.runtime.process import quiet_collector, request_realtime, signals
+from gateway.runtime.process import quiet_collector, signals
 from gateway.runtime.serve import ServeStats, ServeTick, serve
 from protocols.frames import BusState
-from protocols.messages import MILLISECOND, SECOND, Nanos
+from protocols.messages import SECOND, Nanos
 
 if TYPE_CHECKING:
     from gateway.buses.virtual.bus import TwinWorld
@@ -83,8 +80,6 @@ class Devices:
         return text
 
 
-ADAPTERS = ("slcan", "fdcanusb")
-"""Adapter protocols of a CAN bus's port (gateway.buses.adapters)."""
 _BUS_TEXTS = {
     BusState.PASSIVE: "is error-passive: check the wiring, the termination and the bit rate",
     BusState.OFF: "is bus-off: nothing is sent",
@@ -99,30 +94,8 @@ _PTY_TEXTS = {
 }
 
 
-def twin(options: Namespace) -> int:
-    """Simulate the devices of a robot until a signal comes."""
-    robot = outer(config.load_robot(options.robot), dict(options.bus))
-    if options.realtime is not None and (refused := request_realtime(options.realtime)):
-        log.warning("%s", refused)
-    adapters = (options.adapter or ["slcan"]) * options.ports
-    with devices(robot, WallClock(), options.seed, adapters, options.link) as made:
-        print("\n".join(invitation(made, options.robot)), flush=True)
-        made.serve(options.seconds)
-    stats = made.stats
-    print(f"{stats.received} packets received, {stats.sent} sent", end="")
-    print(f"; at most {stats.late / MILLISECOND:.0f} ms behind the clock", end="")
-    print(f"; stood still for {stats.stalled / SECOND:.1f} s in all" if stats.stalled else "")
-    return 0
-
-
-def outer(robot: Robot, interfaces: Mapping[str, str]) -> Robot:
-    """Return the robot with those interfaces, and with none ("twin") elsewhere, whatever its file has.
-
-    Raises ConfigError for unknown buses and for what is not INTERFACE:CHANNEL."""
-    return config.with_interfaces(_without_interfaces(robot), interfaces)
-
-
-def _without_interfaces(robot: Robot) -> Robot:
+def without_interfaces(robot: Robot) -> Robot:
+    """Return the robot with every bus simulated ("twin"), whatever its file has."""
     return replace(robot, buses={name: replace(b, interface=TWIN) for name, b in robot.buses.items()})
 
 
@@ -141,7 +114,7 @@ def devices(
     from gateway.buses.virtual.bus import open_world
 
     with ExitStack() as stack:
-        twins = open_world(_without_interfaces(robot), robot.seed if seed is None else seed)
+        twins = open_world(without_interfaces(robot), robot.seed if seed is None else seed)
         device_log = DeviceLog(robot)
         age = device_log.warm_up(twins.buses)
         buses: dict[str, Bus] = {}
@@ -191,30 +164,3 @@ def _linked(folder: Path, bus: str, ports: Sequence[str], stack: ExitStack) -> l
         stack.callback(link.unlink, missing_ok=True)
         links.append(f"{kind}:{link}")
     return links
-
-
-def invitation(made: Devices, robot: str) -> Sequence[str]:
-    """Return what to type to drive these devices; `robot` is the robot file as it was given."""
-    words = ["gateway", "run", robot]
-    notes = []
-    for name, bus in made.robot.buses.items():
-        kind, _, channel = bus.interface.partition(":")
-        if kind in (*ADAPTERS, "serial") and name not in made.offered:  # a port is for one program alone
-            other = "another adapter on the bus of" if kind in ADAPTERS else "the other end of"
-            notes.append(f"PORT of {name}: {other} {channel}")
-            channel = "PORT"
-        words += ["--bus", f"{name}={kind}:{channel}"]
-    for name, ports in made.offered.items():
-        if ports[1:]:
-            notes.append(f"other programs can join {name} by {', '.join(ports[1:])}; for instance:")
-            notes.append(f"  {_example(ports[1], made.robot.buses[name])}")
-    head = f"simulating the devices of {made.robot.name}; to run the robot:"
-    return [head, "  " + shlex.join(words), *notes]
-
-
-def _example(port: str, bus: BusSettings) -> str:
-    """Return a command that can listen at a port."""
-    kind, _, path = port.partition(":")
-    if kind != "slcan":
-        return f"gateway watch {port}"
-    return f"python -m can.viewer -i slcan -c {path}{' --fd' if bus.kind == 'canfd' else ''}"
