@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Request, State
 from protocols.plugin import Device, Driver, Twin
@@ -13,26 +14,6 @@ from protocols.plugin import Device, Driver, Twin
 DriverKind = TypeVar("DriverKind", bound=Driver)
 TwinKind = TypeVar("TwinKind", bound=Twin)
 EventKind = TypeVar("EventKind", bound=Event)
-
-
-@dataclass
-class Shaft:
-    """The shaft of a twin; `load` [N·m] is an external torque, `held` locks it. rad, rad/s."""
-
-    inertia: float
-    """kg·m² at the motor"""
-    friction: float
-    """N·m·s/rad"""
-    position: float = 0.0
-    velocity: float = 0.0
-    load: float = 0.0
-    held: bool = False
-
-    def step(self, torque: float) -> None:
-        """Advance one millisecond."""
-        pushed = self.velocity + (torque + self.load) / self.inertia * 1e-3
-        self.velocity = 0.0 if self.held else pushed / (1.0 + self.friction / self.inertia * 1e-3)
-        self.position += self.velocity * 1e-3
 
 
 @dataclass
@@ -88,7 +69,7 @@ class CanBench(Generic[DriverKind, TwinKind]):
         for item, twin, shaft in zip(self.devices, self.twins, self.shafts, strict=True):
             truth = Feedback(item.name, self.now, position=shaft.position, velocity=shaft.velocity)
             torques, frames = twin.step(self.now, [truth])
-            shaft.step(torques[0].torque)
+            shaft.turn(torques[0].torque, MILLISECOND)
             for frame in frames:
                 assert isinstance(frame, CanFrame)
                 self.received.append((self.now, frame))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import tau
 
+from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos
 from protocols.moteus import RANGES
@@ -15,7 +16,7 @@ from protocols.moteus.messages import names, written
 from protocols.moteus.options import Options, Settings
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device
-from tests.protocols.helpers import CanBench, Shaft
+from tests.protocols.helpers import CanBench
 
 
 def device(

@@ -40,7 +40,7 @@ def test_one_limit_alone_leaves_the_others_to_the_device(given: str) -> None:
 def test_a_velocity_begins_at_zero_where_the_shaft_is_at_zero() -> None:
     bench = ready()
     for command in (msg.Velocity("left", 1.0), msg.Torque("left", 0.0)):
-        bench.shaft.position, bench.shaft.held = 0.0, True
+        bench.shaft.position, bench.shaft.locked = 0.0, True
         since = bench.now
         bench.run(10, command)
         assert bench.commanded(since)[0][Register.COMMAND_POSITION] == 0.0
@@ -86,7 +86,7 @@ def test_a_fault_that_comes_back_is_reported_again() -> None:
 
 def test_what_limits_the_output_is_reported_once_with_the_state_and_taken_back() -> None:
     bench = ready(device(options=Options(max_torque=0.1)))
-    bench.shaft.held = True
+    bench.shaft.locked = True
     details = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 1.0)))]
     assert details[-2:] == ["position", "position, limited by the commanded maximum torque"]
     details = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 0.05)))]

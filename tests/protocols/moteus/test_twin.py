@@ -63,7 +63,7 @@ class Rig:
         for _ in range(milliseconds):
             truth = Feedback("left", self.now, self.shaft.position, self.shaft.velocity)
             torques, frames = self.twin.step(self.now, [truth])
-            self.shaft.step(torques[0].torque)
+            self.shaft.turn(torques[0].torque, MILLISECOND)
             out += [w for w in frames if isinstance(w, CanFrame)]
             self.now += MILLISECOND
         return out
@@ -183,7 +183,7 @@ def test_without_a_position_it_goes_on_from_its_set_point() -> None:
 
 def test_kd_is_scaled_no_higher_than_kp() -> None:
     rig = Rig()
-    rig.shaft.held, rig.shaft.velocity = True, 0.0
+    rig.shaft.locked, rig.shaft.velocity = True, 0.0
     rig.send(mode(Mode.POSITION, write(Register.COMMAND_POSITION, None, 1.0, 0.0, 0.0, 1.0)), milliseconds=30)
     assert rig.value(Register.POSITION_KD) == 0.0
 
@@ -212,7 +212,7 @@ def test_torque_and_current_of_a_command(
     data: bytes, then: Mode, torque: float, current: float, limit: int
 ) -> None:
     rig = Rig()
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(data, milliseconds=50)
     assert rig.mode == then
     assert rig.twin.servo.torque() == pytest.approx(torque, rel=1e-3)
@@ -234,7 +234,7 @@ def test_stay_within_pushes_back_at_its_bounds_only() -> None:
     bounds = write(Register.COMMAND_WITHIN_LOWER_BOUND, -0.1, 0.1)
     rig.send(mode(Mode.STAY_WITHIN, bounds, write(Register.COMMAND_WITHIN_TIMEOUT, 10.0)), milliseconds=50)
     assert (rig.mode, rig.twin.servo.torque()) == (Mode.STAY_WITHIN, 0.0)
-    rig.shaft.held, rig.shaft.position = True, rev(0.3)
+    rig.shaft.locked, rig.shaft.position = True, rev(0.3)
     rig.run(10)
     assert rig.twin.servo.torque() < -0.1
     rig.shaft.position = rev(-0.3)
@@ -304,7 +304,7 @@ def test_a_set_point_is_kept_within_the_bounds_and_torque_outwards_fades() -> No
     rig = Rig(Settings(position_max=0.5))
     rig.send(position_command(2.0, 0.0, 0.0, LIMITS), milliseconds=2000)
     assert rig.shaft.position == pytest.approx(rev(0.5), abs=0.05)
-    rig.shaft.position, rig.shaft.held = rev(0.53), True
+    rig.shaft.position, rig.shaft.locked = rev(0.53), True
     rig.send(torque_command(0.53, 0.5, LIMITS), milliseconds=20)
     assert rig.twin.servo.torque() == pytest.approx(0.0, abs=1e-3)
     assert rig.report(Register.FAULT, INT8) == 103
@@ -328,14 +328,14 @@ def test_bounds_that_it_cannot_count_are_a_fault() -> None:
 )
 def test_its_fault_monitors(settings: Settings, code: int) -> None:
     rig = Rig(settings)
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(position_command(1.0, 0.5, 0.0, LIMITS), milliseconds=30)
     assert (rig.mode, rig.report(Register.FAULT, INT8)) == (Mode.FAULT, code)
 
 
 def test_it_grows_warm_and_gives_less() -> None:
     rig = Rig(Settings(fault_temperature=40.0, temperature_margin=14.0))
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(torque_command(0.0, 9.0, LIMITS), milliseconds=9000)
     assert 26.0 < rig.twin.servo.temperature < 40.0
     assert rig.twin.servo.iq < 39.0
@@ -381,7 +381,7 @@ def test_without_one_the_configured_one_counts(commanded: float | None, default:
 
 def test_a_current_has_no_watchdog() -> None:
     rig = Rig()
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(CURRENT_2A, milliseconds=500)
     assert rig.mode == Mode.CURRENT
 
@@ -485,7 +485,7 @@ def test_the_output_is_set_and_the_home_state_follows() -> None:
 
 def test_recapturing_takes_the_set_point_to_the_shaft() -> None:
     rig = Rig()
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(position_command(3.0, 0.0, 0.0, LIMITS), milliseconds=20)
     rig.send(write(Register.RECAPTURE_POSITION_VELOCITY, 1.0, resolution=INT8))
     assert rig.value(Register.CONTROL_POSITION) == pytest.approx(rig.shaft.position / tau, abs=0.05)

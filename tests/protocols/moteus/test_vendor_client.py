@@ -91,7 +91,7 @@ class Bus:
         for twin, shaft in zip(self.twins, self.shafts, strict=True):
             truth = Feedback(twin.device.name, self.now, shaft.position, shaft.velocity)
             torques, frames = twin.step(self.now, [truth])
-            shaft.step(torques[0].torque)
+            shaft.turn(torques[0].torque, MILLISECOND)
             for raw in frames:
                 assert isinstance(raw, CanFrame)
                 self._send(raw)
@@ -181,7 +181,7 @@ def test_the_controller_drives_a_twin(bus: Bus) -> None:
         await c.set_position(position=0.3, velocity=0.0, query=True)
         c.position_resolution.position = mp.F32
         assert twin.state.command[Register.COMMAND_POSITION] == pytest.approx(0.3, abs=1e-4)  # it truncates
-        shaft.held, shaft.velocity = True, 0.0
+        shaft.locked, shaft.velocity = True, 0.0
         pushing: Callable[[], Awaitable[Any]] = lambda: c.set_position(  # noqa: E731
             position=math.nan,
             kp_scale=0.0,
@@ -195,7 +195,7 @@ def test_the_controller_drives_a_twin(bus: Bus) -> None:
         current: Callable[[], Awaitable[Any]] = lambda: c.set_current(q_A=2.0, d_A=0.0, query=True)  # noqa: E731
         await until(current, lambda v: v[Register.MODE] == Mode.CURRENT)
         assert twin.servo.command[Register.COMMAND_Q_CURRENT] == 2.0
-        shaft.held = False
+        shaft.locked = False
         calls: list[tuple[Callable[[], Awaitable[Any]], Mode]] = [
             (lambda: c.set_stay_within(lower_bound=-9.0, upper_bound=9.0, query=True), Mode.STAY_WITHIN),
             (lambda: c.set_vfoc(theta=0.0, voltage=0.5, query=True), Mode.VOLTAGE_FOC),

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.odrive_can import RANGES
@@ -25,7 +26,7 @@ from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
 from protocols.plugin import Device
-from tests.protocols.helpers import CanBench, Shaft
+from tests.protocols.helpers import CanBench
 
 V05 = Options(firmware="0.5")
 CLOSED, IDLE = SetAxisState(8), SetAxisState(1)
@@ -107,7 +108,7 @@ class TwinRig:
             truth = Feedback("left", self.now, position=self.shaft.position, velocity=self.shaft.velocity)
             torques, frames = self.twin.step(self.now, [truth])
             self.frames += [(self.now, frame) for frame in frames if isinstance(frame, CanFrame)]
-            self.shaft.step(torques[0].torque)
+            self.shaft.turn(torques[0].torque, MILLISECOND)
             self.now += MILLISECOND
 
     def armed(self, mode: int = ControlMode.VELOCITY, input_mode: int = InputMode.PASSTHROUGH) -> TwinRig:

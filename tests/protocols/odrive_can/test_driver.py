@@ -64,7 +64,7 @@ def test_velocity_position_and_torque_are_reached_and_idle_disarms(options: Opti
     assert bench.shaft.velocity == pytest.approx(50.0, abs=1.0)
     bench.run(1500, msg.Position("left", 30.0))
     assert bench.shaft.position == pytest.approx(30.0, abs=0.05)
-    bench.shaft.held = True
+    bench.shaft.locked = True
     bench.run(300, msg.Torque("left", 0.2))
     assert bench.twins[0].servo.torque() == pytest.approx(0.2, abs=1e-3)
     bench.run(300, msg.Idle("left"))

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from protocols.conformance.bench import Shaft
 from protocols.messages import MILLISECOND, ClearFault, Fault, Found, Nanos
 from protocols.odrive_can.duplicate_address import JUMPS, POSITION_TOLERANCE, PositionCheck
 from protocols.odrive_can.faults import DUPLICATE_NODE
@@ -13,7 +14,7 @@ from protocols.odrive_can.options import Options
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
-from tests.protocols.helpers import Shaft, of
+from tests.protocols.helpers import of
 from tests.protocols.odrive_can.helpers import device, ready
 
 Samples = list[tuple[Nanos, float, float]]

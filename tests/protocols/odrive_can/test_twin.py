@@ -187,7 +187,7 @@ def test_short_frames_are_obeyed() -> None:
     rig.receive(CanFrame(0x2B, bytes.fromhex("0100000001")))
     rig.receive(CanFrame(0x27, b"\x08"))
     rig.receive(CanFrame(0x2E, struct.pack("<f", 0.1)))
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.run(50)
     assert rig.twin.servo.torque() == pytest.approx(0.1, rel=1e-3)
 
@@ -195,7 +195,7 @@ def test_short_frames_are_obeyed() -> None:
 def test_estimates_are_rounded_to_binary32() -> None:
     rig = TwinRig()
     rig.shaft.position = radians(123456.789012345)
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.run(200)
     reported = [
         m for m in (decode_from_device(f) for _, f in rig.frames) if isinstance(m, GetEncoderEstimates)
@@ -344,7 +344,7 @@ def test_a_load_is_integrated_away() -> None:
 
 def test_torque_is_limited_by_the_current_limit_and_the_torque_constant() -> None:
     rig = TwinRig().armed(ControlMode.TORQUE)
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(SetInputTorque(5.0))
     rig.run(50)
     limit = 30.0 * 8.27 / 270
@@ -356,7 +356,7 @@ def test_torque_is_limited_by_the_current_limit_and_the_torque_constant() -> Non
 
 def test_a_stalled_motor_pulls_with_its_limit_and_the_integrator_does_not_wind_up() -> None:
     rig = TwinRig().armed()
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(SetInputVel(20.0, 0.0))
     rig.run(1000)
     assert rig.twin.servo.iq == pytest.approx(30.0, rel=1e-3)
@@ -420,7 +420,7 @@ def test_velocity_ramp_trapezoid_filter_and_torque_ramp() -> None:
     assert turns(rig.shaft.position) == pytest.approx(1.0, abs=0.01)
 
     rig = TwinRig().armed(ControlMode.TORQUE, InputMode.TORQUE_RAMP)
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(SetInputTorque(0.5))
     rig.run(200)
     assert rig.twin.servo.torque() == pytest.approx(0.2, abs=0.01)
@@ -509,7 +509,7 @@ def test_limits_of_the_supply_and_of_the_motor_trip(settings: Settings, load: fl
 def test_a_hot_motor_gets_less_current() -> None:
     rig = TwinRig(Settings(ambient=90.0, fet_temp_limit_lower=120.0, fet_temp_limit_upper=130.0))
     rig.armed(ControlMode.TORQUE)
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(SetInputTorque(5.0))
     rig.run(20)
     assert rig.twin.servo.iq == pytest.approx(15.0, rel=0.01)
@@ -517,7 +517,7 @@ def test_a_hot_motor_gets_less_current() -> None:
 
 def test_a_loaded_motor_warms_up() -> None:
     rig = TwinRig(Settings(motor_thermal_capacity=0.5)).armed(ControlMode.TORQUE)
-    rig.shaft.held = True
+    rig.shaft.locked = True
     rig.send(SetInputTorque(0.3))
     rig.run(8000)
     warm = rig.reply(cmd_of(GetTemperature))

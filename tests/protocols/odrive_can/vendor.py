@@ -55,7 +55,7 @@ class Bench(Generic[TwinKind]):
         while self.behind < now:
             truth = Feedback("left", self.behind, position=self.shaft.position, velocity=self.shaft.velocity)
             torques, frames = self.twin.step(self.behind, [truth])
-            self.shaft.step(torques[0].torque)
+            self.shaft.turn(torques[0].torque, 1_000_000)
             self.behind += 1_000_000
             for raw in frames:
                 assert isinstance(raw, CanFrame)
@@ -125,7 +125,7 @@ class Session(Generic[TwinKind]):
 
         await self.call("set_input_torque", 0.0)
         await self.call("set_controller_mode", "TORQUE_CONTROL", "PASSTHROUGH")
-        shaft.velocity, shaft.held = 0.0, True
+        shaft.velocity, shaft.locked = 0.0, True
         await self.call("set_input_torque", 0.1)
         await until(lambda: abs(servo.torque() - 0.1) < 1e-3, "torque is given")
         assert (await self.call("get_iq"))["Iq_Measured"] == pytest.approx(0.1 * 270 / 8.27, rel=0.01)
