@@ -191,7 +191,7 @@ def test_a_fault_is_reported_and_recovered_from(drive: Rig) -> None:
     assert drive.bench.torque == 0.0
     node.reset_from_fault()
     assert node.state == "OPERATION ENABLED"
-    assert node.sdo[0x603F].raw == 0
+    assert node.sdo[0x603F].raw == node.sdo[0x1001].raw == 0
     assert not node.emcy.active
 
 

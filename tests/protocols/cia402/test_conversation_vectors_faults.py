@@ -132,8 +132,11 @@ def test_vectors_of_a_fault_that_does_not_go(stubborn: int) -> None:
         assert low <= run.times[0] <= high, run
 
 
-def test_vectors_of_a_fault_cleared_before_its_statusword_shows_it() -> None:
-    talk = armed(Talk())
+@pytest.mark.parametrize(
+    ("feedback", "periodic"), [("sync", "sync /10, beat ?"), ("event", "beat ?"), ("sdo", "beat ?")]
+)
+def test_vectors_of_a_fault_cleared_before_its_statusword_shows_it(feedback: str, periodic: str) -> None:
+    talk = armed(Talk(feedback=feedback))
     talk.drive.trip(0x2320)
     talk.chapter(
         150,
@@ -144,7 +147,7 @@ def test_vectors_of_a_fault_cleared_before_its_statusword_shows_it() -> None:
         < State fault FAULT
         {CLEARED}
         {ARMED}
-        sync /10, beat ?
+        {periodic}
         """,
     )
 

@@ -238,6 +238,13 @@ def test_vectors_of_pdos_that_lack_a_set_point() -> None:
     )
 
 
+def test_vectors_of_pdos_that_lack_the_controlword() -> None:
+    drive = with_pdos(1)
+    drive.map(0x1400, 0x202, 1, *RPDO1[1:])
+    armed(Talk(drive))
+    assert drive.get(0x1600, 1) == RPDO1[0]
+
+
 def test_vectors_of_pdos_that_lack_a_set_point_of_the_other_family() -> None:
     drive = with_pdos(1)
     drive.put(0x6502, 0x005)  # PP and PV alone

@@ -16,16 +16,17 @@ from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import Slave
 
-MODES = {
-    "NOT READY TO SWITCH ON": "initialising",
-    "SWITCH ON DISABLED": "ready",
-    "READY TO SWITCH ON": "ready",
-    "SWITCHED ON": "ready",
-    "OPERATION ENABLED": "armed",
-    "QUICK STOP ACTIVE": "ready",
-    "FAULT REACTION ACTIVE": "fault",
-    "FAULT": "fault",
+STATES: dict[str, tuple[str, set[int]]] = {
+    "NOT READY TO SWITCH ON": ("initialising", set()),
+    "SWITCH ON DISABLED": ("ready", {0x06}),
+    "READY TO SWITCH ON": ("ready", {0x07}),
+    "SWITCHED ON": ("ready", {0x07}),
+    "OPERATION ENABLED": ("armed", {0x0F}),
+    "QUICK STOP ACTIVE": ("ready", {0x02}),
+    "FAULT REACTION ACTIVE": ("fault", set()),
+    "FAULT": ("fault", set()),
 }
+"""The mode that is reported, and the controlwords towards OPERATION ENABLED while no other mode is shown."""
 
 
 @pytest.mark.parametrize("state", sorted(State402.SW_MASK))
@@ -40,9 +41,15 @@ def test_vectors_of_every_state_whatever_its_other_bits(state: str) -> None:
         talk = Talk(drive)
         talk.chapter(120)
         last = [event for event in talk.events if isinstance(event, State)][-1]
-        assert (str(last.mode), last.detail.partition(",")[0]) == (MODES[state], state), (
+        assert (str(last.mode), last.detail.partition(",")[0]) == (STATES[state][0], state), (
             f"{value | others:#x}"
         )
+        before = len(talk.frames)
+        talk.chapter(200, Hold("m"))
+        sent = [frame for _, frame in talk.frames[before:]]
+        controlwords = {frame.data[0] for frame in sent if frame.id == 0x202}
+        controlwords |= {frame.data[4] for frame in sent if frame.data[:3] == b"\x2b\x40\x60"}
+        assert controlwords == STATES[state][1], hex(value | others)
 
 
 NAMES = {

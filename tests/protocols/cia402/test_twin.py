@@ -361,6 +361,14 @@ def test_another_request_or_an_abort_ends_a_segmented_transfer(other: sdo.Reques
     assert isinstance(bench.request(sdo.UploadSegment(False)), sdo.Abort)
 
 
+def test_a_download_of_less_than_announced_is_refused() -> None:
+    bench = TwinBench()
+    bench.request(sdo.DownloadStart(0x6083, 0, 9))
+    answer = bench.request(sdo.DownloadSegment(False, b"\x11\0\0\0", True))
+    assert answer == sdo.Abort(0x6083, 0, sdo.LENGTH_MISMATCH)
+    assert bench.read(o.PROFILE_ACCELERATION) != 0x11
+
+
 def test_a_response_is_delayed() -> None:
     bench = TwinBench(Settings(sdo_delay_ms=5))
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(sdo.Upload(0x1000, 0)))
