@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra as scipy_dijkstra
 
-from brain.belief import Belief, Floats, Pose
+from brain.belief import Belief, Pose
 from brain.bodies.differential import Differential, arc
 from brain.brain import Brain, BrainSettings
 from brain.perception.grid import GridSettings
@@ -19,6 +19,7 @@ from brain.perception.perception import PerceptionSettings
 from brain.planning.costmap import Costmap
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Nanos, seconds
+from tests.brain.perception.office import box, scan_at
 
 
 def dijkstra(costmap: Costmap, start: int, goal: int) -> float:
@@ -149,13 +150,9 @@ class Office:
 
     def scan(self) -> msg.LaserScan:
         """360 beams from the lidar, exact against the boxes, plus noise."""
-        mount = MOUNTS["lidar"]
-        at = arc(self.pose, mount.x, 0.0)
-        angles: Floats = np.linspace(-pi, pi, 360, endpoint=False)
-        ranges = beams(self.boxes, (at.x, at.y), np.asarray(angles + self.pose.yaw, np.float64))
-        noisy = np.maximum(ranges + self._rng.normal(0.0, self.noise.range, 360), 0.0)
-        reported = np.where(ranges < 10.0, np.minimum(noisy, 10.0), 10.0)
-        return msg.LaserScan("lidar", self.now, -pi, 2.0 * pi / 360.0, 0.1, 10.0, tuple(reported.tolist()))
+        walls = np.array([wall for each in self.boxes for wall in box(*each)])
+        noise = self._rng.normal(0.0, self.noise.range, 360)
+        return scan_at(walls, self.pose, MOUNTS["lidar"], self.now, noise)
 
     def _events(self) -> list[Event]:
         events: list[Event] = []
@@ -168,21 +165,6 @@ class Office:
         if self.now % (100 * MILLISECOND) == 0:
             events.append(self.scan())
         return [e for e in events if getattr(e, "motor", getattr(e, "sensor", "")) not in self.silent]
-
-
-def beams(boxes: Sequence[Box], origin: tuple[float, float], angles: Floats) -> Floats:
-    """Range [m] of each beam to the nearest box (slab method); infinite without a hit."""
-    dx, dy = np.cos(angles), np.sin(angles)
-    dx, dy = np.where(np.abs(dx) < 1e-12, 1e-12, dx), np.where(np.abs(dy) < 1e-12, 1e-12, dy)
-    best: Floats = np.full(len(angles), inf)
-    for x0, y0, x1, y1 in boxes:
-        xa, xb = (x0 - origin[0]) / dx, (x1 - origin[0]) / dx
-        ya, yb = (y0 - origin[1]) / dy, (y1 - origin[1]) / dy
-        near = np.maximum(np.minimum(xa, xb), np.minimum(ya, yb))
-        far = np.minimum(np.maximum(xa, xb), np.maximum(ya, yb))
-        met = (near <= far) & (near > 0.0)
-        best = np.where(met, np.minimum(best, near), best)
-    return best
 
 
 SMALL = PerceptionSettings(grid=GridSettings(width=9.0, height=7.0, center_x=2.0, center_y=1.0))

@@ -1,4 +1,3 @@
-import copy
 import math
 
 import numpy as np
@@ -333,12 +332,3 @@ def test_means_are_finer_than_cells() -> None:
     for _ in range(20):
         grid.add(HERE, beam(3.5))
     assert grid.hits[cell] == 0  # what has gone is forgotten
-
-
-def test_a_copy_goes_on_alike() -> None:
-    one = seen(Grid(GridSettings()))
-    other = copy.deepcopy(one)
-    seen(one, Pose(1.0, 0.0, 0.0))
-    assert other.version == 1
-    seen(other, Pose(1.0, 0.0, 0.0))
-    assert (one.log_odds == other.log_odds).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from math import inf, sqrt
 
 import numpy as np
@@ -132,13 +131,3 @@ def test_each_call_is_bounded_by_expansions_and_slicing_changes_nothing() -> Non
         total = outcome.expansions
     assert total > 100
     assert run(Search(there, start, goal), 10**9) == outcome == run(Search(there, start, goal), 1)
-
-
-def test_a_deep_copy_continues_alike() -> None:
-    rng = np.random.Generator(np.random.PCG64(5))
-    there = costmap_of(random_map(rng, 50, 0.2))
-    free = [cell for cell, level in enumerate(there.level) if level != BLOCKED]
-    search = Search(there, free[3], free[-3])
-    search.advance(100)
-    copied = copy.deepcopy(search)
-    assert run(search) == run(copied)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,13 +12,10 @@ from mcap.reader import make_reader
 from gateway import config
 from gateway.buses.frame_time import frame_time
 from gateway.cli.main import main
-from gateway.core.step import Gateway, decoder_of
-from gateway.core.tick import Inputs, Outputs
+from gateway.core.step import decoder_of
 from gateway.errors import ConfigError
-from gateway.recording import read_recording
-from gateway.replay.compare import compare
 from protocols.frames import BusState, CanFrame
-from protocols.messages import SECOND, Command, Feedback, Idle, Mode, Nanos, Velocity
+from protocols.messages import Command, Feedback, Idle, Mode, Velocity
 from tests.gateway.rig import Rig, notes_in
 
 MIXED = """
@@ -123,7 +119,7 @@ def test_a_bus_that_vanishes_and_comes_back_is_reported_to_all_drivers(rig: Rig)
     assert all(abs(rig.velocity(name)) < 0.05 for name in ("servo", "drive"))  # their watchdogs saw to that
 
 
-def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
+def test_a_recording_of_both_kinds_of_frames_replays_to_the_same_bytes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot, recording = tmp_path / "mixed.toml", tmp_path / "mixed.mcap"
@@ -137,29 +133,6 @@ def test_a_recording_replays_to_the_same_bytes_and_a_changed_fd_frame_is_found(
     topics = {channel.topic for channel in summary.channels.values()}
     ways = ("to_can_bus", "to_can_bus_fd", "from_can_bus", "from_can_bus_fd")
     assert {f"/can0/{way}" for way in ways} <= topics
-
-    reported = read_recording(recording)
-    recorded_robot = config.parse_robot(reported.robot_text)
-    gateway = Gateway(recorded_robot)
-    corrupted: list[CanFrame] = []
-
-    def step(now: Nanos, inputs: Inputs) -> Outputs:
-        """The gateway, with the last bit of one CAN FD frame that it sends inverted."""
-        outputs = gateway.step(now, inputs)
-        for at, packet in enumerate(outputs.packets):
-            frame = packet.frame
-            if isinstance(frame, CanFrame) and frame.fd and now > SECOND // 2 and not corrupted:
-                corrupted.append(frame)
-                wrong = replace(
-                    packet, frame=replace(frame, data=frame.data[:-1] + bytes([frame.data[-1] ^ 1]))
-                )
-                return replace(outputs, packets=(*outputs.packets[:at], wrong, *outputs.packets[at + 1 :]))
-        return outputs
-
-    result = compare(reported, step, gateway.belief, lambda bus: decoder_of(recorded_robot, bus))
-    assert (result.differing, result.ok) == (1, False)
-    assert result.first is not None
-    assert str(corrupted[0]) in result.first.text
 
 
 @pytest.mark.parametrize(

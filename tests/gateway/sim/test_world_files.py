@@ -8,16 +8,8 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.sim import WorldError, load_world, parse_world
-from gateway.sim.files import STEP, BenchFile, SceneFile
-from protocols.messages import MILLISECOND
+from gateway.sim.files import BenchFile, SceneFile
 from tests.gateway.world_helpers import ROOM
-
-
-def test_the_committed_worlds_are_found_and_right() -> None:
-    office, bench = load_world("office"), load_world("bench")
-    assert isinstance(office, SceneFile)
-    assert isinstance(bench, BenchFile)
-    assert STEP == MILLISECOND
 
 
 def test_the_office() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from math import tau
 from typing import Any
@@ -10,11 +9,10 @@ from typing import Any
 import pytest
 
 from protocols import messages as msg
-from protocols.frames import BusState, CanFrame, Frame
+from protocols.frames import BusState
 from protocols.moteus.codec import make_frame, reply_id
 from protocols.moteus.options import Options
 from protocols.moteus.registers import Mode, Register
-from protocols.moteus.reply import FAST
 from tests.protocols.helpers import of
 from tests.protocols.moteus.helpers import Bench, device, ready
 
@@ -147,23 +145,3 @@ def test_several_devices_one_frame_each_a_cycle() -> None:
             100, abs=2
         )
         assert bench.shafts[i - 1].velocity == pytest.approx(float(i), rel=0.02)
-
-
-def test_other_frames_are_counted_and_change_nothing() -> None:
-    bench = ready()
-    before = copy.deepcopy(bench.driver)
-    good = bench.received[-1][1]
-    ignored: list[Frame] = [
-        b"\x01\x02",
-        CanFrame(good.id, good.data[:8]),
-        CanFrame(good.id, good.data, extended=True, fd=True),
-        CanFrame(0x200, good.data, fd=True),
-        CanFrame(good.id, b"", remote=True),
-        bench.sent[-1][1],
-    ]
-    bad = [CanFrame(good.id, data, fd=True) for data in (b"\x21", b"\x60", good.data[:17], FAST, bytes(20))]
-    for frame in (*ignored, *bad):
-        assert bench.driver.receive(bench.now, frame) == []
-    assert bench.driver.counters.ignored == before.counters.ignored + len(ignored)
-    assert bench.driver.counters.malformed == before.counters.malformed + len(bad)
-    assert bench.driver.send(bench.now, [msg.Hold("left")]) == before.send(bench.now, [msg.Hold("left")])

@@ -361,14 +361,6 @@ def test_the_watchdog_timeout_is_that_of_each_command() -> None:
     assert rig.mode == Mode.TIMEOUT
 
 
-def test_queries_do_not_feed_the_watchdog() -> None:
-    rig = Rig()
-    rig.send(position_command(0.0, 0.0, 0.0, Limits(0.05)))
-    for _ in range(60):
-        rig.send(FAST)
-    assert rig.mode == Mode.TIMEOUT
-
-
 @pytest.mark.parametrize(
     ("commanded", "default", "trips"),
     [(0.0, 0.1, True), (0.0, nan, False), (None, 0.1, False), (0.1, nan, True)],

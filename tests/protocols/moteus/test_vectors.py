@@ -13,10 +13,9 @@ from protocols.messages import MILLISECOND, Command, Event, Mode, Request
 from protocols.moteus import RANGES, plugin
 from protocols.moteus.codec import make_frame, reply_id
 from protocols.moteus.driver import MoteusDriver
-from protocols.moteus.options import Options, serial_of
+from protocols.moteus.options import Options
 from protocols.reference_vectors import vectors_of
 from tests.protocols.helpers import of
-from tests.protocols.moteus.from_package import UUID
 from tests.protocols.moteus.helpers import device, rev
 
 VECTORS = {vector.name: vector.frame for vector in vectors_of(plugin)}
@@ -117,16 +116,6 @@ def test_queries_are_the_vectors() -> None:
     talk = Talk()
     sent = [frame for _ in range(60) for frame in talk.send()]
     assert set(sent) == {VECTORS["query_fast"], VECTORS["query_full"]}
-
-
-def test_a_scan_and_an_id_are_the_vectors() -> None:
-    talk = Talk().running()
-    assert VECTORS["discover_broadcast_0x7f"] in talk.send(msg.Scan("can0"))
-    sent = talk.send(msg.SetId("can0", serial_of(UUID), 9))
-    given = VECTORS["set_id_by_uuid"]
-    assert isinstance(given, CanFrame)
-    assert given.data in [frame.data for frame in sent]
-    assert VECTORS["discover_by_uuid"] in sent
 
 
 def test_vectors_of_replies_are_reported_in_si() -> None:

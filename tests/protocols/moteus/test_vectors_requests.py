@@ -267,6 +267,9 @@ def test_an_id_is_set() -> None:
     it = talk()
     sent = it.send(msg.SetId("can0", serial_of(UUID), 9))
     assert VECTORS["discover_by_uuid"] in sent
+    given = VECTORS["set_id_by_uuid"]
+    assert isinstance(given, CanFrame)
+    assert given.data in [frame.data for frame in sent]  # the vector's id has no reply bit
     assert reported(it, "reply_uuid") == []
     detail = "not saved yet: write conf_write 1 to keep it after power-off"
     assert reported(it, "reply_uuid_id_9") == [msg.Done(it.now, "SetId", "can0", detail)]
