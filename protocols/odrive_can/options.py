@@ -177,6 +177,8 @@ class Settings:
             wrong.append(f"firmware {self.firmware!r} must be like 0.5.6 or 0.6.10")
         if not -1 <= self.other_axis <= MAX_EXTENDED_NODE:
             wrong.append(f"other_axis must lie between -1 and {MAX_EXTENDED_NODE}")
+        if not 0 <= self.hw_line <= 0xFF:
+            wrong.append("hw_line must fit into 8 bits")
         if not 0 <= self.serial_number < 1 << 48:
             wrong.append("serial_number must fit into 48 bits")
         if self.enable_watchdog and not self.watchdog_timeout > 0:

@@ -24,8 +24,8 @@ from protocols.plugin import Device
 
 NEVER: Nanos = 1 << 62
 
-Reports = Mapping[int, Callable[[Any], m.Message]]
-"""By command: the message of a twin as it is now."""
+Reports = Mapping[int, Callable[[Any], m.Message | None]]
+"""By command: the message of a twin as it is now; None if there is none."""
 COMMON_REPORTS: Reports = {
     cmd_of(m.GetEncoderEstimates): lambda twin: m.GetEncoderEstimates(
         twin.servo.position, twin.servo.velocity

@@ -59,7 +59,7 @@ class Twin06(OdriveTwin):
         """See the base."""
         if isinstance(message, m.Address):
             if assign(self.axis, node, message):
-                self.reply(m.Address(self.axis.node, self.axis.serial, 0))
+                self.reply(self._address())
         elif addressed(self.axis, node, message):
             self._on_own_message(t, message)
 
@@ -150,6 +150,13 @@ class Twin06(OdriveTwin):
         state = AxisState.CLOSED_LOOP_CONTROL if self.axis.armed else AxisState.IDLE
         return m.Heartbeat(self.errors, state, self.result, int(self.servo.trajectory_done))
 
+    def _address(self) -> m.Address | None:
+        # The message has one byte for a node id of 6 bits. Extended identifiers, which this line does not
+        # have, make the node of an axis larger than that: then there is nothing that it could reply.
+        if self.axis.node > BROADCAST:
+            return None
+        return m.Address(self.axis.node, self.axis.serial, 0)
+
     def _temperature(self) -> m.GetTemperature:
         return m.GetTemperature(self.servo.fet_temperature, self.servo.motor_temperature)
 
@@ -158,7 +165,7 @@ class Twin06(OdriveTwin):
         cmd_of(m.GetVersion): _version,
         cmd_of(m.Heartbeat): _heartbeat,
         cmd_of(m.GetError): lambda twin: m.GetError(twin.errors, twin.disarm_reason),
-        cmd_of(m.Address): lambda twin: m.Address(twin.axis.node, twin.axis.serial, 0),
+        cmd_of(m.Address): _address,
         cmd_of(m.GetTemperature): _temperature,
         cmd_of(m.GetTorques): lambda twin: m.GetTorques(twin.servo.torque_target, twin.servo.torque()),
         cmd_of(m.GetPowers): lambda twin: m.GetPowers(twin.servo.electrical, twin.servo.mechanical),

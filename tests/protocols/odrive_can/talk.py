@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, fields
 from itertools import groupby
 from typing import Any
 
-from protocols.frames import BusState, CanFrame
+from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, ClearFault, Command, Event, Feedback, Idle, Request, Velocity
 from protocols.odrive_can import RANGES
 from protocols.odrive_can.driver import OdriveDriver
@@ -132,7 +132,7 @@ class Talk:
         """The firmware line of a node."""
         return self.others.get(node, self.line)
 
-    def handle(self, *frames: CanFrame) -> None:
+    def handle(self, *frames: Frame) -> None:
         """Let the driver receive frames."""
         for raw in frames:
             self._came += 1

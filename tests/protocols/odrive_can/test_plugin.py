@@ -50,9 +50,12 @@ def test_the_watchdog_note_is_there_until_it_is_acknowledged_or_enabled() -> Non
     assert not on.holds_unattended
 
 
-def test_commands_and_kind_of_the_spec() -> None:
+def test_commands_requests_and_kind_of_the_spec() -> None:
     contract = spec(device())
     assert contract.commands == {msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}
+    both = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Reboot}
+    assert contract.requests == both | {msg.SetId}
+    assert spec(device(options=V05)).requests == both
     assert (contract.bus, contract.kind, contract.stop_clears_faults) == ("can", "motor", False)
 
 
@@ -96,6 +99,7 @@ def test_options_are_checked(wrong: dict[str, Any], error: str) -> None:
         ({"pos_gain": -1.0}, "pos_gain must not be negative"),
         ({"iq_msg_rate_ms": -5}, "iq_msg_rate_ms must not be negative"),
         ({"serial_number": 1 << 48}, "48 bits"),
+        ({"hw_line": 256}, "hw_line must fit into 8 bits"),
         ({"enable_watchdog": True}, "watchdog_timeout must be above 0"),
         ({"vel_limit": 0.0, "bus_voltage": -1.0}, "vel_limit must be above 0; bus_voltage must be above 0"),
     ],

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import struct
 from itertools import pairwise
+from typing import Literal
 
 import pytest
 
@@ -21,7 +22,6 @@ from protocols.odrive_can.messages import (
     EnterDfuMode,
     Estop,
     GetBusVoltageCurrent,
-    GetEncoderEstimates,
     GetError,
     GetPowers,
     GetTemperature,
@@ -30,7 +30,6 @@ from protocols.odrive_can.messages import (
     InputMode,
     Message,
     Reboot,
-    SetAbsolutePosition,
     SetAxisState,
     SetControllerMode,
     SetInputPos,
@@ -40,10 +39,13 @@ from protocols.odrive_can.messages import (
     SetPosGain,
     SetTrajAccelLimits,
     SetTrajVelLimit,
-    SetVelGains,
 )
-from protocols.odrive_can.options import Settings
-from tests.protocols.odrive_can.helpers import CLOSED, IDLE, TwinRig
+from protocols.odrive_can.options import Options, Settings
+from protocols.odrive_can.twin06 import Twin06
+from tests.protocols.odrive_can.helpers import CLOSED, IDLE, V05, TwinRig, device
+
+TX_SDO = {"0.5": set[int](), "0.6": {0x05}}
+"""It replies to RxSdo only, which the twin does not know."""
 
 # -- states -------------------------------------------------------------------------------------------
 
@@ -131,8 +133,9 @@ def test_cyclic_messages_keep_their_rates() -> None:
     assert rig.sent(0x17) == []
 
 
-def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
-    rig = TwinRig()
+@pytest.mark.parametrize("options", [Options(), V05], ids=["0.6", "0.5"])
+def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms(options: Options) -> None:
+    rig = TwinRig(options=options)
     rig.run(1000)
     assert len(rig.sent(0x01)) == 10
     assert len(rig.sent(0x09)) == 100
@@ -140,16 +143,18 @@ def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
 
 
 @pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
-@pytest.mark.parametrize("cmd", sorted(TABLES["0.6"].requestable - {0x05}))
-def test_every_message_is_sent_on_request(cmd: int, remote: bool) -> None:
-    rig = TwinRig(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
+@pytest.mark.parametrize(
+    ("line", "cmd"),
+    [(line, cmd) for line in ("0.5", "0.6") for cmd in sorted(TABLES[line].requestable - TX_SDO[line])],
+)
+def test_every_message_is_sent_on_request(line: Literal["0.5", "0.6"], cmd: int, remote: bool) -> None:
+    silent = Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0)
+    rig = TwinRig(silent, Options(firmware=line))
     rig.run(5)
-    rig.receive(CanFrame(0x20 | cmd, remote=remote))
-    rig.run(1)
+    assert type(rig.reply(cmd, CanFrame(0x20 | cmd, remote=remote))) is TABLES[line].from_device[cmd].message
     ((_, frame),) = rig.frames
     assert frame.id == 0x20 | cmd
     assert len(frame.data) == 8
-    assert isinstance(decode_from_device(frame), TABLES["0.6"].from_device[cmd].message)
 
 
 def test_what_is_not_for_it_changes_nothing() -> None:
@@ -181,36 +186,6 @@ def test_what_is_not_for_it_changes_nothing() -> None:
     assert (repr(rig.twin.axis), repr(rig.twin.servo.gains)) == before
 
 
-def test_short_frames_are_obeyed() -> None:
-    rig = TwinRig()
-    rig.run(5)
-    rig.receive(CanFrame(0x2B, bytes.fromhex("0100000001")))
-    rig.receive(CanFrame(0x27, b"\x08"))
-    rig.receive(CanFrame(0x2E, struct.pack("<f", 0.1)))
-    rig.shaft.locked = True
-    rig.run(50)
-    assert rig.twin.servo.torque() == pytest.approx(0.1, rel=1e-3)
-
-
-def test_estimates_are_rounded_to_binary32() -> None:
-    rig = TwinRig()
-    rig.shaft.position = radians(123456.789012345)
-    rig.shaft.locked = True
-    rig.run(200)
-    reported = [
-        m for m in (decode_from_device(f) for _, f in rig.frames) if isinstance(m, GetEncoderEstimates)
-    ]
-    assert reported[-1].position == struct.unpack("<f", struct.pack("<f", rig.twin.servo.position))[0]
-    assert reported[-1].position == pytest.approx(123456.789, abs=0.01)
-
-
-def test_feed_forwards_arrive_in_thousandths() -> None:
-    rig = TwinRig().armed(ControlMode.POSITION)
-    rig.send(SetInputPos(0.0, 0.12345, -0.00049))
-    assert rig.twin.axis.velocity == pytest.approx(0.123)
-    assert rig.twin.axis.torque == 0.0
-
-
 # -- discovery ----------------------------------------------------------------------------------------
 
 
@@ -238,6 +213,19 @@ def test_a_node_id_is_taken_by_serial_number_and_vacated_for_another() -> None:
     rig.run(1)
     assert rig.frames[-1][1].id == 0x7E6
     assert rig.frames[-1][1].data[0] == BROADCAST
+
+
+@pytest.mark.parametrize("address", [1, 300])
+def test_an_axis_with_extended_identifiers_has_no_node_id_to_reply(address: int) -> None:
+    """No device of 0.6.x has them, but settings and options together can state one; it must not raise."""
+    far = Options(firmware="0.5", is_extended=True)
+    twin = Twin06(device(address=address, settings=Settings(firmware="0.6.10"), options=far), 0)
+    twin.step(0, [])
+    for frame in (CanFrame(0x7E6, remote=True), CanFrame(address << 5 | 0x06, remote=True, extended=True)):
+        twin.receive(1, frame)
+        assert twin.step(2, [])[1] == ()
+    twin.receive(3, encode(BROADCAST, Address(9, twin.axis.serial)))
+    assert twin.step(4, [])[1] == (encode(9, Address(9, twin.axis.serial, 0)),)
 
 
 # -- watchdog, reboot ---------------------------------------------------------------------------------
@@ -431,27 +419,6 @@ def test_an_inactive_input_is_not_followed() -> None:
     rig.send(SetInputVel(10.0, 0.0))
     rig.run(300)
     assert rig.shaft.velocity == pytest.approx(0.0, abs=0.01)
-
-
-def test_gains_are_taken_from_the_bus() -> None:
-    rig = TwinRig()
-    rig.send(SetPosGain(7.0), SetVelGains(0.1, 0.0))
-    gains = rig.twin.servo.gains
-    assert gains.pos_gain == 7.0
-    assert gains.vel_gain == pytest.approx(0.1)
-    assert gains.vel_integrator_gain == 0.0
-
-
-def test_absolute_position_moves_the_scale_and_not_the_shaft() -> None:
-    rig = TwinRig()
-    rig.shaft.position = radians(2.5)
-    rig.run(5)
-    rig.send(SetAbsolutePosition(100.0))
-    rig.run(5)
-    assert rig.twin.servo.position == pytest.approx(100.0, abs=1e-3)
-    rig.shaft.position = radians(3.0)
-    rig.run(5)
-    assert rig.twin.servo.position == pytest.approx(100.5, abs=1e-3)
 
 
 def test_the_encoder_counts() -> None:

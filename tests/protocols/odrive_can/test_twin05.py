@@ -8,11 +8,9 @@ from itertools import pairwise
 import pytest
 
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, ClearFault
-from protocols.messages import Reboot as RebootWord
+from protocols.messages import MILLISECOND
 from protocols.odrive_can import twin as make_twin
-from protocols.odrive_can.codec import EXTENDED, TABLES, encode, radians, turns
-from protocols.odrive_can.decoder import OdriveDecoder
+from protocols.odrive_can.codec import EXTENDED, encode, radians, turns
 from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import AxisError, ControllerError, MotorError
 from protocols.odrive_can.messages import (
@@ -32,7 +30,6 @@ from protocols.odrive_can.messages import (
     SetAxisState,
     SetInputPos,
     SetInputVel,
-    SetLimits,
     SetLinearCount,
     SetPosGain,
 )
@@ -156,14 +153,6 @@ def test_requesting_closed_loop_again_restarts_position_control() -> None:
 # -- messages -----------------------------------------------------------------------------------------
 
 
-def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms() -> None:
-    rig = rig05()
-    rig.run(1000)
-    assert len(rig.sent(0x01)) == 10
-    assert len(rig.sent(0x09)) == 100
-    assert {frame.id for _, frame in rig.frames} == {0x21, 0x29}
-
-
 def test_the_cyclic_messages_of_the_line_keep_their_rates() -> None:
     settings = Settings(
         heartbeat_msg_rate_ms=50,
@@ -187,17 +176,6 @@ def test_the_cyclic_messages_of_the_line_keep_their_rates() -> None:
         assert len(times) == 1000 // period, cmd
         assert {b - a for a, b in pairwise(times)} <= {period * MILLISECOND}
     assert rig.sent(0x00) == []
-
-
-@pytest.mark.parametrize("remote", [True, False], ids=["RTR", "DLC 0"])
-@pytest.mark.parametrize("cmd", sorted(TABLES["0.5"].requestable))
-def test_every_message_but_the_heartbeat_is_sent_on_request(cmd: int, remote: bool) -> None:
-    rig = rig05(Settings(heartbeat_msg_rate_ms=0, encoder_msg_rate_ms=0))
-    rig.run(5)
-    reported = rig.reply(cmd, CanFrame(0x20 | cmd, remote=remote))
-    assert type(reported) is TABLES["0.5"].from_device[cmd].message
-    assert len(rig.frames) == 1
-    assert len(rig.frames[0][1].data) == 8
 
 
 @pytest.mark.parametrize("cmd", [0x00, 0x01])
@@ -243,13 +221,6 @@ def test_counts_are_signed_and_wrap_and_are_set() -> None:
     rig.shaft.position = radians(-1.0)
     rig.run(5)
     assert rig.reply(0x0A) == GetEncoderCount(-(2**31) + 2047, 0)
-
-
-def test_gains_and_limits_are_taken_as_in_the_other_line() -> None:
-    rig = rig05()
-    rig.send(SetLimits(7.0, 12.0), SetPosGain(3.0))
-    gains = rig.twin.servo.gains
-    assert (gains.vel_limit, gains.current_soft_max, gains.pos_gain) == (7.0, 12.0, 3.0)
 
 
 # -- addresses and boards -----------------------------------------------------------------------------
@@ -312,18 +283,6 @@ def test_what_clears_or_restarts_a_board_reaches_both_axes_and_nothing_else_does
     rig.send(Reboot05(), node=30)
     assert rig.twin.axis.velocity == 0.0
     assert rig.now < rig.twin.silent_until
-
-
-def test_the_decoder_knows_the_board() -> None:
-    pair = [
-        device("left", 1, Settings(other_axis=2), V05),
-        device("right", 2, Settings(other_axis=1), V05),
-        device("other", 3, Settings(), V05),
-    ]
-    decoder = OdriveDecoder(pair)
-    assert list(decoder.decode(0, encode(1, ClearErrors05()))) == [ClearFault("left"), ClearFault("right")]
-    assert list(decoder.decode(0, encode(2, Reboot05()))) == [RebootWord("left"), RebootWord("right")]
-    assert list(decoder.decode(0, encode(3, ClearErrors05()))) == [ClearFault("other")]
 
 
 # -- watchdog, reboot ---------------------------------------------------------------------------------

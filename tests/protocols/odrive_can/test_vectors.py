@@ -1,7 +1,7 @@
 """Vectors are what their sources say: cantools encodes each anew from its meaning, with the vendor's DBC.
 
-(Those of the vendor's client are regenerated in `test_codec` and `test_codec05`; discovery and what the DBCs
-have wrong is from source code, which no package runs.)
+(Those of the vendor's client are regenerated in `test_codec`; discovery and what the DBCs have wrong is from
+source code, which no package runs.)
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import pytest
 
 from protocols.frames import CanFrame
 from protocols.odrive_can import plugin
+from protocols.odrive_can.codec import LINE05, TABLES
+from protocols.odrive_can.layout import Layout
 from protocols.reference_vectors import Vector, vectors_of
 from tests.protocols.odrive_can.conversation import DBCS
 
@@ -76,3 +78,17 @@ def test_every_vector_names_a_source_and_most_are_regenerated() -> None:
     assert len(OF_CANTOOLS) + len(client) + len(by_hand) == len(VECTORS)
     assert len(by_hand) == 5
     assert all("by hand" in vector.source or "get_address_msg" in vector.source for vector in by_hand)
+
+
+@pytest.mark.parametrize(("line", "rows"), [("0.5", LINE05), ("0.6", TABLES["0.6"].layouts)])
+def test_every_message_has_a_vector(line: str, rows: tuple[Layout, ...]) -> None:
+    """In both directions, where it has both."""
+    ways = {"both": ("to_device", "from_device")}
+    wanted = {(row.cmd, way) for row in rows for way in ways.get(row.direction, (row.direction,))}
+    covered = {
+        (vector.frame.id & 0x1F, vector.direction)
+        for vector in VECTORS
+        if isinstance(vector.frame, CanFrame) and not vector.frame.remote
+        if str(vector.entry.get("fw", "0.6.10")).startswith(line)
+    }
+    assert covered == wanted

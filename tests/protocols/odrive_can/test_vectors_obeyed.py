@@ -9,21 +9,16 @@ both twins.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 from typing import Any
 
 import pytest
 
 from protocols import messages as msg
-from protocols.frames import CanFrame
+from protocols.frames import CanFrame, Frame
 from protocols.messages import Message
-from protocols.odrive_can.codec import decode_from_device, decode_to_device
 from protocols.odrive_can.decoder import OdriveDecoder
-from protocols.odrive_can.messages import (
-    Address,
-    RemoteRequest,
-    RequestAdcVoltage,
-)
 from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
 from tests.protocols.odrive_can.conversation import frame
@@ -290,26 +285,19 @@ def test_vectors_of_short_frames_are_read_as_if_zeros_followed(frame: CanFrame, 
         (CanFrame(0x66, remote=True), "0.5", [msg.SetId("", SERIAL, 0)]),
         (CanFrame(0x7D, b"\1\0"), "0.5", []),
         (CanFrame(0x74), "0.6", []),
+        (CanFrame(0x69, remote=True), "0.6", []),
+        (CanFrame(0x7E6, remote=True), "0.6", []),
+        (CanFrame(0x69), "0.6", []),
+        (CanFrame(0x67, b"\1\0\0\0", extended=True), "0.6", []),
+        (CanFrame(0x6D, struct.pack("<ff", math.nan, 0.0)), "0.6", []),
+        (CanFrame(0x61, bytes(8)), "0.6", []),
+        (CanFrame(0xA7, b"\1\0\0\0"), "0.6", []),  # to node 5
+        (CanFrame(0x7E7, b"\1\0\0\0"), "0.6", []),  # a broadcast, as the next
+        (CanFrame(0x7E2), "0.6", []),
+        (b"serial", "0.6", []),
     ],
 )
-def test_vectors_of_frames_of_other_kinds(frame: CanFrame, line: str, words: list[Message]) -> None:
-    assert decoder(line).decode(0, frame) == words
-
-
-@pytest.mark.parametrize(("last", "connection"), [("", None), ("00", 0), ("07", 7)])
-def test_vectors_of_an_address_with_and_without_a_connection(last: str, connection: int | None) -> None:
-    """Firmware before 0.6.11 leaves the byte out (ODriveArduino@f52eef5 `src/can_simple_messages.hpp`)."""
-    reported = CanFrame(0x66, bytes.fromhex("03303373345f38" + last))
-    assert decode_from_device(reported) == Address(3, SERIAL, connection)
-    given_out = CanFrame(0x7E6, reported.data)
-    assert decode_to_device(given_out) == Address(3, SERIAL, connection)
-
-
-def test_vectors_of_remote_requests() -> None:
-    assert decode_to_device(CanFrame(0x77, remote=True)) == RemoteRequest(0x17)
-    assert decode_to_device(CanFrame(0x77)) == RemoteRequest(0x17)
-    assert decode_to_device(CanFrame(0x61, remote=True)) == RemoteRequest(0x01)
-    assert decode_to_device(CanFrame(0x61, remote=True), "0.5") is None
-    assert decode_to_device(CanFrame(0x7D, b"\1"), "0.5") == RemoteRequest(0x1D)
-    assert decode_to_device(CanFrame(0x7D, b"\1")) is None
-    assert decode_to_device(CanFrame(0x7C, remote=True), "0.5") == RequestAdcVoltage(0)
+def test_vectors_of_frames_of_other_kinds(frame: Frame, line: str, words: list[Message]) -> None:
+    listener = decoder(line)
+    obeyed(listener, line, [*DISARMS, *ARMS])
+    assert list(listener.decode(0, frame)) == words

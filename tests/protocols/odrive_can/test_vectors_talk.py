@@ -236,16 +236,27 @@ def test_vectors_of_a_stop_of_a_device_that_another_host_has_armed() -> None:
 def test_vectors_of_frames_that_are_not_for_us() -> None:
     talk = standing()
     estimates = frame("Get_Encoder_Estimates", Pos_Estimate=1.0)
-    for raw in (
+    talk.handle(
         replace(estimates, id=0x89),  # node 4
         replace(estimates, extended=True),
         replace(estimates, fd=True),
         CanFrame(estimates.id, remote=True),
-        CanFrame(estimates.id),  # a question, too
-        frame("Set_Input_Vel", Input_Vel=1.0),  # of another host
-    ):
-        talk.handle(raw)
-    talk.reports("", foreign=6)
+        CanFrame(estimates.id),  # a request, too
+        CanFrame(0x68, bytes(8)),  # no message
+        CanFrame(0x7E6, bytes.fromhex("04303373345f38")),  # a node id that another host assigns
+        b"serial",
+    )
+    others = (
+        "Set_Axis_State",
+        "Set_Controller_Mode",
+        "Set_Input_Pos",
+        "Set_Input_Vel",
+        "Estop",
+        "Clear_Errors",
+    )
+    talk.handle(*(frame(name) for name in others))  # of another host
+    talk.run(50)
+    talk.reports("", foreign=8 + len(others))
 
 
 @pytest.mark.parametrize(
