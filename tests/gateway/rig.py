@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 
+from brain.belief import Belief
 from gateway import config
 from gateway.buses.virtual.bus import TwinWorld, open_world
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
 from gateway.core.step import Gateway, decoder_of
 from gateway.core.tick import Note, Tick
-from gateway.runtime.loop import LoopStats, live
+from gateway.runtime.loop import LoopStats, Record, live
 from protocols.messages import SECOND, Command, Instruction, Nanos
 
 BENCH = """
@@ -38,6 +39,10 @@ body = "joints"
 [brain.joints]
 motors = ["left", "right"]
 """
+WATCHED = BENCH.replace(
+    'options = { watchdog = "acknowledged" }', "settings = { enable_watchdog = true, watchdog_timeout = 0.2 }"
+)
+"""The same, with the devices' watchdogs on."""
 
 
 class Rig:
@@ -50,15 +55,21 @@ class Rig:
         self.gateway = Gateway(self.robot)
         self.stats = LoopStats()
         self.ticks: list[Tick] = []
+        self.record: Record = lambda _tick, _belief: None
+        """Gets each tick, too."""
         self._queued: list[Instruction] = []
         self._live = live(
             self.gateway,
             self.world.buses,
             self.clock,
             poll=self._poll,
-            record=lambda tick, _belief: self.ticks.append(tick),
+            record=self._record,
             stats=self.stats,
         )
+
+    def _record(self, tick: Tick, belief: Belief) -> None:
+        self.ticks.append(tick)
+        self.record(tick, belief)
 
     def _poll(self) -> Sequence[Instruction]:
         instructions, self._queued = self._queued, []

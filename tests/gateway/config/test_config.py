@@ -24,6 +24,7 @@ from gateway.errors import ConfigError
 from protocols import plugin
 from protocols.messages import MILLISECOND, Idle, Nanos, Torque
 from protocols.plugin import Broken, Device, Plugin, Spec, UnknownProtocol
+from tests.gateway.rig import WATCHED
 
 ROBOTS = sorted(Path(resources.__file__).parent.parent.glob("fixtures/robots/*.toml"))
 BENCH = resources.find("robots", "bench").read_text()
@@ -525,6 +526,7 @@ def feedback_timeout(ms: int) -> str:
         (ROVER, []),
         (BENCH, []),
         (changed('watchdog = "acknowledged"', ""), ["left: the device's watchdog is off"]),
+        (WATCHED, []),
         (
             changed("velocity = 20.0", "velocity = 1e9", changed("torque = 2.0", "torque = 1e9")),
             [

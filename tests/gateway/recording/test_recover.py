@@ -236,25 +236,6 @@ def test_nothing_recovered_is_no_success(
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
-@pytest.mark.parametrize(
-    ("content", "output"),
-    [
-        (b"", "an empty file"),
-        (b"#ROSBAG V2.0\n" + bytes(40), "a ROS 1 bag"),
-        (bytes(1000), "no MCAP file"),
-        (b"\x89MCAP0\r\n" + bytes(100), "cut off in its first bytes"),
-    ],
-)
-def test_what_is_no_recording_is_refused(
-    tmp_path: Path, content: bytes, output: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "a.mcap"
-    path.write_bytes(content)
-    assert main(["recover", str(path)]) == 2
-    assert output in capsys.readouterr().err
-    assert path.read_bytes() == content
-
-
 def test_a_place_that_cannot_be_written(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["recover", str(recorded), "-o", "/proc/none/b.mcap"]) == 2
     assert "cannot be written: No such file or directory" in capsys.readouterr().err

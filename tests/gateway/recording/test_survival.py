@@ -21,18 +21,14 @@ from typing import Any
 import pytest
 
 from gateway import config
-from gateway.buses.virtual.bus import open_world
-from gateway.core.clock import SimulatedClock
-from gateway.core.step import Gateway
-from gateway.errors import RecordingError
 from gateway.operator.status import status_text
 from gateway.recording import Recorder, read_recording, writer
 from gateway.recording.recover import is_whole
-from gateway.runtime.loop import live
 from gateway.runtime.session import open_session
 from protocols.messages import SECOND, Velocity
-from tests.gateway import kills, little, rig
+from tests.gateway import kills, little
 from tests.gateway.recording.test_recording import child, drained
+from tests.gateway.rig import BENCH, WATCHED, Rig
 from tests.gateway.witness import Runs
 
 SEED = 20261121
@@ -76,47 +72,20 @@ def test_a_killed_command_its_recovery_and_its_replay(tmp_path: Path) -> None:
     assert "the same, byte for byte" in replayed.stdout
 
 
-WATCHDOG = rig.BENCH.replace(
-    'options = { watchdog = "acknowledged" }', "settings = { enable_watchdog = true, watchdog_timeout = 0.2 }"
-)
-
-
-@pytest.mark.parametrize(("text", "stops"), [(WATCHDOG, True), (rig.BENCH, False)])
+@pytest.mark.parametrize(("text", "stops"), [(WATCHED, True), (BENCH, False)])
 def test_when_the_host_falls_silent_a_watchdog_stops_the_motor(text: str, stops: bool) -> None:
     """A killed host sends no stop command, and nothing else."""
-    robot = config.parse_robot(text)
-    clock = SimulatedClock()
-    twins = open_world(robot, robot.seed)
-    assert twins.world is not None
-    ticks = live(
-        Gateway(robot),
-        twins.buses,
-        clock,
-        poll=lambda: [Velocity("left", 6.0)] if SECOND <= clock.now() < 1.005 * SECOND else [],
-    )
-    for tick in ticks:
-        if tick.now >= 3 * SECOND:
-            break
-    assert twins.world.shaft("left")[1] == pytest.approx(6.0, abs=0.5)
-    killed = clock.now()
-    twins.advance(killed + SECOND // 10)
-    assert twins.world.shaft("left")[1] > 5.0, "a watchdog waits its time"
-    twins.advance(killed + 5 * SECOND)
-    turning = twins.world.shaft("left")[1]
+    rig = Rig(text)
+    rig.run(1.0)
+    rig.run(2.0, Velocity("left", 6.0))
+    assert rig.velocity("left") == pytest.approx(6.0, abs=0.5)
+    killed = rig.clock.now()
+    rig.world.advance(killed + SECOND // 10)
+    assert rig.velocity("left") > 5.0, "a watchdog waits its time"
+    rig.world.advance(killed + 5 * SECOND)
+    turning = rig.velocity("left")
     assert abs(turning) < 0.5 if stops else turning > 5.0
-
-
-@pytest.mark.parametrize(
-    ("text", "reported"),
-    [
-        (rig.BENCH.replace('options = { watchdog = "acknowledged" }', ""), True),
-        (rig.BENCH, False),
-        (WATCHDOG, False),
-    ],
-)
-def test_a_watchdog_that_is_off_is_reported_at_start(text: str, reported: bool) -> None:
-    cautions = [caution for caution in config.cautions(config.parse_robot(text)) if "watchdog" in caution]
-    assert [caution.split(":")[0] for caution in cautions] == (["left", "right"] if reported else [])
+    rig.leave()
 
 
 # -- disks -------------------------------------------------------------------------------------
@@ -162,9 +131,8 @@ def hand_over(recorder: Recorder, moments: Iterator[Any], count: int) -> None:
 
 @pytest.mark.parametrize("trouble", [errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT])
 def test_a_disk_that_takes_nothing_for_a_while(
-    tmp_path: Path, trouble: int, caplog: pytest.LogCaptureFixture
+    path: Path, trouble: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    path = tmp_path / "a.mcap"
     moments = little.life(2000)
     with Recorder(path, little.ROBOT, {}, little.MOUNTS) as recorder:
         disk = on_a_disk(recorder)
@@ -193,9 +161,8 @@ def test_a_disk_that_takes_nothing_for_a_while(
     assert len(kills.read_by_rosbags(path)) == 2000 - gap
 
 
-def test_a_disk_that_never_comes_back(tmp_path: Path) -> None:
+def test_a_disk_that_never_comes_back(path: Path) -> None:
     """With a limit on the size of files, in a process of its own; what was written stays readable."""
-    path = tmp_path / "a.mcap"
     code = """
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
@@ -206,7 +173,7 @@ recorder.close()
 print(recorder.lost)
 print(recorder.trouble)
 """
-    lost, trouble = child(code, str(path)).splitlines()
+    lost, trouble = child(code, path).splitlines()
     made = read_recording(path)
     left = list(made.ticks)
     assert not made.whole
@@ -217,8 +184,7 @@ print(recorder.trouble)
     assert path.stat().st_size <= 60_000
 
 
-def test_a_write_that_cannot_be_taken_back_ends_the_recording(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
+def test_a_write_that_cannot_be_taken_back_ends_the_recording(path: Path) -> None:
     moments = little.life(1000)
 
     def refuse(_size: int) -> int:
@@ -240,8 +206,7 @@ def test_a_write_that_cannot_be_taken_back_ends_the_recording(tmp_path: Path) ->
     assert 300 <= len(left) <= 320
 
 
-def test_a_slow_disk_costs_ticks_and_never_the_loop(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "a.mcap"
+def test_a_slow_disk_costs_ticks_and_never_the_loop(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     moments = little.life(600)
     with Recorder(path, little.ROBOT, {}, little.MOUNTS, depth=64) as recorder:
         disk = on_a_disk(recorder)
@@ -256,8 +221,12 @@ def test_a_slow_disk_costs_ticks_and_never_the_loop(tmp_path: Path, caplog: pyte
         drained(recorder)
         hand_over(recorder, moments, 200)
     assert recorder.lost == lost
-    numbers = [tick.number for tick in read_recording(path).ticks]
+    steps = list(read_recording(path).steps)
+    assert not any(step.damage for step in steps)
+    numbers = [step.tick.number for step in steps]
     assert len(numbers) == 600 - lost
+    written = list(little.life(600))
+    assert [step.tick for step in steps] == [written[number][0] for number in numbers]
     jumps = [b - a - 1 for a, b in pairwise(numbers) if b != a + 1]
     assert jumps == [lost], "one gap"
     reported = [record.getMessage() for record in caplog.records if record.levelno == logging.ERROR]
@@ -268,34 +237,25 @@ def test_a_slow_disk_costs_ticks_and_never_the_loop(tmp_path: Path, caplog: pyte
 
 def test_a_robot_on_a_dead_disk_reaches_its_target(tmp_path: Path) -> None:
     """The live loop itself, with the disk blocked from the first tick on."""
-    made = rig.Rig()
-    with Recorder(tmp_path / "a.mcap", made.robot.text, {}, depth=8) as recorder:
+    rig = Rig()
+    with Recorder(tmp_path / "a.mcap", rig.robot.text, {}, depth=8) as recorder:
         disk = on_a_disk(recorder)
         disk.ready.clear()
-        ticks = live(
-            made.gateway,
-            made.world.buses,
-            made.clock,
-            poll=lambda: [Velocity("left", 6.0)] if SECOND <= made.clock.now() < 1.005 * SECOND else [],
-            record=recorder.record,
-        )
-        count = 0
-        for tick in ticks:
-            count += 1
-            if tick.now >= 3 * SECOND:
-                break
-        assert made.velocity("left") == pytest.approx(6.0, abs=0.5)
-        assert count - 40 <= recorder.lost < count
+        rig.record = recorder.record
+        rig.run(1.0)
+        rig.run(2.0, Velocity("left", 6.0))
+        assert rig.velocity("left") == pytest.approx(6.0, abs=0.5)
+        assert len(rig.ticks) - 40 <= recorder.lost < len(rig.ticks)
         disk.ready.set()
-        ticks.close()
+        rig.leave()
 
 
 def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     """As another user, if this one may do everything."""
     tmp_path.chmod(0o555)
     code = """
-from gateway.recording.tick_writer import TickWriter
 from gateway.errors import RecordingError
+from gateway.recording.tick_writer import TickWriter
 from gateway.recording.ros_views import Views
 views = Views()
 views.prepare()
@@ -307,14 +267,9 @@ except RecordingError as error:
     print(error)
 """
     try:
-        assert "cannot be written: Permission denied" in child(code, str(tmp_path / "a.mcap"))
+        assert "cannot be written: Permission denied" in child(code, tmp_path / "a.mcap")
     finally:
         tmp_path.chmod(0o755)
-
-
-def test_a_file_that_cannot_be_begun_moves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
-        Recorder(tmp_path / "none" / "a.mcap", little.ROBOT, {})
 
 
 # -- power -------------------------------------------------------------------------------------
@@ -354,9 +309,8 @@ def test_a_disk_that_reports_lost_data_is_reported(
     assert ("the disk reports lost data" in recorder.trouble) == reported
 
 
-def test_status_shows_the_recording_and_lost_ticks(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    with open_session(config.parse_robot(rig.BENCH), simulated=True, record=path) as made:
+def test_status_shows_the_recording_and_lost_ticks(path: Path) -> None:
+    with open_session(config.parse_robot(BENCH), simulated=True, record=path) as made:
         for _ in made.run(1.0):
             pass
         assert f"recording: {path}" in status_text(made).splitlines()

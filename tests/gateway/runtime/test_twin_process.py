@@ -37,12 +37,9 @@ from gateway.runtime.twin_process import devices, without_interfaces
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos, Velocity
 from tests.gateway.processes import Process
-from tests.gateway.rig import BENCH, Rig
+from tests.gateway.rig import BENCH, WATCHED, Rig
 
 MS = MILLISECOND
-WATCHED = BENCH.replace(
-    'options = { watchdog = "acknowledged" }', "settings = { enable_watchdog = true, watchdog_timeout = 0.2 }"
-)
 
 
 class Script:
