@@ -30,10 +30,6 @@ class CanBench(Generic[DriverKind, TwinKind]):
     events: list[Event] = field(default_factory=list)
     to_device: Callable[[CanFrame], bool] = lambda frame: True
     """True if a frame of the driver arrives."""
-    from_device: Callable[[CanFrame], bool] = lambda frame: True
-    """True if a frame of a device arrives, ..."""
-    arrives: Callable[[CanFrame], Sequence[CanFrame]] = lambda frame: (frame,)
-    """... and as what."""
     commands: Sequence[Command] = ()
 
     @property
@@ -48,11 +44,6 @@ class CanBench(Generic[DriverKind, TwinKind]):
         for _ in range(milliseconds):
             self.tick(self.commands)
         return self.events[before:]
-
-    def quiet(self, milliseconds: int) -> list[Event]:
-        """Run without commands; return the events."""
-        self.commands = ()
-        return self.run(milliseconds)
 
     def ask(self, request: Request, milliseconds: int = 0) -> list[Event]:
         """Make a request once, beside the commands; return the events."""
@@ -73,8 +64,7 @@ class CanBench(Generic[DriverKind, TwinKind]):
             for frame in frames:
                 assert isinstance(frame, CanFrame)
                 self.received.append((self.now, frame))
-                for arrived in self.arrives(frame) if self.from_device(frame) else ():
-                    self.events += self.driver.receive(self.now, arrived)
+                self.events += self.driver.receive(self.now, frame)
         self.now += MILLISECOND
 
     def _send(self, messages: Sequence[Command | Request]) -> None:

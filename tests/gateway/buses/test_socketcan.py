@@ -19,7 +19,7 @@ from gateway.buses.socketcan import bus as socketcan
 from gateway.buses.socketcan.bus import FAST_POLL, MOST_READ, PATIENCE, SLOW_POLL, SocketcanBus
 from gateway.buses.socketcan.raw_socket import pack
 from gateway.buses.states import CALM
-from gateway.core.clock import SimulatedClock, WallClock
+from gateway.core.clock import Clock, SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
 from protocols.frames import BusState, CanFrame, Packet
@@ -70,11 +70,16 @@ class Rig:
 
 
 @pytest.fixture
-def rig() -> Iterator[Rig]:
+def clock() -> Clock:
+    return SimulatedClock()
+
+
+@pytest.fixture
+def rig(clock: Clock) -> Iterator[Rig]:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     theirs.setblocking(False)
     kernel = Kernel()
-    bus = SocketcanBus(SETTINGS, SimulatedClock(), End(ours), kernel)
+    bus = SocketcanBus(SETTINGS, clock, End(ours), kernel)
     yield Rig(bus, ours, theirs, kernel)
     bus.close()
     bus.close()
@@ -104,23 +109,17 @@ def test_frames_go_both_ways_whole_and_in_order(rig: Rig) -> None:
     assert (rig.bus.bad, rig.bus.missed, rig.bus.dropped) == (1, 0, 0)
 
 
-def test_the_kernels_stamp_is_moved_onto_our_clock() -> None:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    clock = WallClock()
-    bus = SocketcanBus(SETTINGS, clock, End(ours), Kernel())
-    try:
-        moments = [clock.now()]
-        for frame in FRAMES:
-            theirs.send(pack(frame))
-            moments.append(clock.now())
-        packets = bus.read(clock.now() + MILLISECOND)[1]
-        assert len(packets) == len(FRAMES)
-        slack = MILLISECOND // 2  # the two clocks are read one after the other
-        for packet, before, after in zip(packets, moments, moments[1:], strict=False):
-            assert before - slack <= packet.t <= after + slack
-    finally:
-        bus.close()
-        theirs.close()
+@pytest.mark.parametrize("clock", [WallClock()])
+def test_the_kernels_stamp_is_moved_onto_our_clock(rig: Rig, clock: Clock) -> None:
+    moments = [clock.now()]
+    for frame in FRAMES:
+        rig.frame.send(pack(frame))
+        moments.append(clock.now())
+    packets = rig.bus.read(clock.now() + MILLISECOND)[1]
+    assert len(packets) == len(FRAMES)
+    slack = MILLISECOND // 2  # the two clocks are read one after the other
+    for packet, before, after in zip(packets, moments, moments[1:], strict=False):
+        assert before - slack <= packet.t <= after + slack
 
 
 def test_one_read_is_bounded(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -297,24 +296,18 @@ def test_an_invalid_frame_is_refused_and_logged_once(rig: Rig, caplog: pytest.Lo
     assert rig.bus.dropped == 2
 
 
-def test_the_stop_command_that_waits_is_sent_on_closing() -> None:
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    theirs.setblocking(False)
-    bus = SocketcanBus(SETTINGS, SimulatedClock(), End(ours), Kernel())
-    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)
-    bus.write(0, [CanFrame(number) for number in range(50)])
-    received: list[bytes] = []
-    while len(received) < 2:
-        received.append(theirs.recv(100))
-    bus.close()
+def test_the_stop_command_that_waits_is_sent_on_closing(rig: Rig) -> None:
+    rig.ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 0)
+    rig.bus.write(0, [CanFrame(number) for number in range(50)])
+    received = [rig.frame.recv(100) for _ in range(2)]
+    rig.bus.close()
     while True:
         try:
-            received.append(theirs.recv(100))
+            received.append(rig.frame.recv(100))
         except (BlockingIOError, ConnectionResetError):
             break
     assert len(received) > 2 + 2
     assert received == [pack(CanFrame(number)) for number in range(len(received))]
-    theirs.close()
 
 
 # -- what does not fit the robot file --------------------------------------------------------------------

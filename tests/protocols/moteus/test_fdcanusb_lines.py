@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from importlib.resources import files
 
-from gateway.buses.adapters.fdcanusb import OK, Adapter, decode_received, split_checksum, with_checksum
+from gateway.buses.adapters.fdcanusb import OK, Adapter, decode_received, split_checksum
 from protocols.moteus.codec import make_frame, parse
 from protocols.moteus.messages import names
 from protocols.moteus.reply import decode
@@ -33,7 +33,3 @@ def test_what_the_package_takes_is_a_frame_of_a_device() -> None:
     reported = decode(make_frame(frame.id, frame.data).data)
     assert reported is not None
     assert (frame.id, reported.values[1], reported.values[0x0D]) == (0x500, -0.125, 24.5)
-
-
-def test_checksums_are_the_package_s() -> None:
-    assert with_checksum(b"OK") + b"\n" == LINES["fdcanusb_line#1"] == LINES["fdcanusb_line#4"]

@@ -24,10 +24,6 @@ from protocols.plugin import Device
 from tests.protocols.moteus.helpers import device
 
 
-def changed(options: Any, name: str, value: Any) -> Any:
-    return replace(options, **{name: value})
-
-
 def test_specs_of_equal_devices_are_equal() -> None:
     assert spec(device()) == spec(device())
     assert spec(device()).commands == {Idle, Hold, Position, Velocity, Torque}
@@ -87,25 +83,36 @@ def test_the_watchdog_is_always_on_and_in_the_spec() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("values", "name", "value"),
     [
-        ("host_id", 127),
-        ("host_id", -1),
-        ("can_prefix", 0x2000),
-        ("timeout_ms", 9),
-        ("timeout_ms", 10_001),
-        ("feedback_ms", 0),
-        ("details_ms", 0),
-        ("offline_ms", 19),
-        ("max_torque", math.nan),
-        ("max_torque", -1.0),
-        ("velocity_limit", math.inf),
-        ("acceleration_limit", -0.1),
+        (Options(), "host_id", 127),
+        (Options(), "host_id", -1),
+        (Options(), "can_prefix", 0x2000),
+        (Options(), "timeout_ms", 9),
+        (Options(), "timeout_ms", 10_001),
+        (Options(), "feedback_ms", 0),
+        (Options(), "details_ms", 0),
+        (Options(), "offline_ms", 19),
+        (Options(), "max_torque", math.nan),
+        (Options(), "max_torque", -1.0),
+        (Options(), "velocity_limit", math.inf),
+        (Options(), "acceleration_limit", -0.1),
+        (Settings(), "uuid", "xyz"),
+        (Settings(), "firmware", "1.2"),
+        (Settings(), "timeout_mode", 3),
+        (Settings(), "kp", math.nan),
+        (Settings(), "kp", -1.0),
+        (Settings(), "ki", math.inf),
+        (Settings(), "motor_kv", 0.0),
+        (Settings(), "encoder_cpr", 0),
+        (Settings(), "enable_ms", -1),
+        (Settings(), "position_max", math.inf),
+        (Settings(), "max_current", 0.0),
     ],
 )
-def test_options_that_cannot_be(name: str, value: Any) -> None:
+def test_options_and_settings_that_cannot_be(values: Any, name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=name):
-        changed(Options(), name, value)
+        replace(values, **{name: value})
 
 
 def test_all_errors_in_options_are_reported_at_once() -> None:
@@ -119,31 +126,10 @@ def test_limits_are_in_the_device_s_units() -> None:
     assert limits_of(Options()) == Limits(0.1)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("uuid", "xyz"),
-        ("firmware", "1.2"),
-        ("timeout_mode", 3),
-        ("kp", math.nan),
-        ("kp", -1.0),
-        ("ki", math.inf),
-        ("motor_kv", 0.0),
-        ("encoder_cpr", 0),
-        ("enable_ms", -1),
-        ("position_max", math.inf),
-        ("max_current", 0.0),
-    ],
-)
-def test_settings_that_cannot_be(name: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=name):
-        changed(Settings(), name, value)
-
-
 def test_settings_may_be_nan_where_the_device_s_may() -> None:
     for field in fields(Settings):
         if field.name in ("position_min", "default_timeout_s", "fault_position_error"):
-            changed(Settings(), field.name, math.nan)
+            replace(Settings(), **{field.name: math.nan})
 
 
 def test_every_fault_has_name_cause_and_remedy() -> None:

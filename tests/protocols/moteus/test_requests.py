@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from protocols import messages as msg
-from protocols.messages import Event, Request
+from protocols.messages import Event
 from protocols.moteus.codec import (
     F32,
     INT16,
@@ -39,23 +39,6 @@ def test_registers_are_read_by_name_and_number(name: str, value: float) -> None:
     assert of(msg.Done, reported) == []  # the parameter is the answer
 
 
-@pytest.mark.parametrize(
-    ("request_", "reason"),
-    [
-        (msg.ReadParameter("left", "0x7ff"), "no such register"),
-        (msg.ReadParameter("left", "control_position"), "not given"),
-        (msg.WriteParameter("left", "voltage", 3.0), "read only"),
-        (msg.WriteParameter("left", "0x7ff", 3.0), "no such register"),
-    ],
-    ids=str,
-)
-def test_what_the_device_cannot_do_is_refused_with_the_reason(request_: Request, reason: str) -> None:
-    bench = ready()
-    reported = of(msg.Refused, bench.ask(request_, 100))
-    assert len(reported) == 1
-    assert reason in reported[0].reason
-
-
 # Which reply is the one to a write: a frame of its register alone. The others may have been on their way.
 
 ORDINARY = encode(Values(REPLY, Register.MODE, INT16, (0, 0, 0, 0))) + encode(
@@ -85,12 +68,13 @@ def writing(name: str, value: float) -> Bench:
     return bench
 
 
-def test_a_reply_that_was_on_its_way_does_not_end_a_write() -> None:
+@pytest.mark.parametrize(("number", "why"), [(2, "read only"), (1, "error 1: no such register?")])
+def test_a_reply_that_was_on_its_way_does_not_end_a_write(number: int, why: str) -> None:
     """It holds the register, and its value is from before; the device then refuses the write."""
     bench = writing("home_state", 2.0)
-    reported = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, 2)))
+    reported = answered(bench, ORDINARY, ORDINARY, encode(Error(WRITE_ERROR, Register.HOME_STATE, number)))
     assert [of(msg.Done, each) + of(msg.Refused, each) for each in reported[:2]] == [[], []]
-    assert of(msg.Refused, reported[2])[0].reason == "the device does not accept it (read only)"
+    assert of(msg.Refused, reported[2])[0].reason == f"the device does not accept it ({why})"
 
 
 def test_a_write_is_done_when_the_device_holds_what_was_written() -> None:
