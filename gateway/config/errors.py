@@ -106,8 +106,19 @@ def is_int64(value: int) -> bool:
     return -(2**63) <= value < 2**63
 
 
+RENAMED = {
+    "silent": "on_command_timeout",
+    "safe": "stop_action",
+    "hear": "receive_filter",
+    "mixed": "shared_bus",
+}
+"""Keys of robot files before 0.4, and what they are called now."""
+
+
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """Return the sentence for an unknown name: what there is, and the nearest valid name."""
+    """Return the sentence for an unknown name: what it is called now, or what there is and the nearest name."""
     names = list(known)
+    if RENAMED.get(name) in names:
+        return f"no {what} {name!r}: it is called {RENAMED[name]!r} now"
     there = f"there is {', '.join(names)}" if names else "there is none"
     return f"no {what} {name!r}: {there}{did_you_mean(name, names)}"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from hashlib import blake2b
 
+from gateway.config.errors import RENAMED
+
 FORMAT = "2"
 """Format of ticks and metadata that is written."""
 READABLE = ("1", FORMAT)
@@ -33,15 +35,9 @@ def digest(data: bytes) -> str:
     return blake2b(data, digest_size=16).hexdigest()
 
 
-_FORMAT_1_KEYS = {
-    "silent": "on_command_timeout",
-    "safe": "stop_action",
-    "hear": "receive_filter",
-    "mixed": "shared_bus",
-}
 _KEYS_OUTSIDE_STRINGS = re.compile(
     r'"{3}.*?"{3}|\'{3}.*?\'{3}|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*'
-    rf"|(?<![\w-])(?P<key>{'|'.join(_FORMAT_1_KEYS)})(?=[ \t]*=[ \t]*[^{{\s])",
+    rf"|(?<![\w-])(?P<key>{'|'.join(RENAMED)})(?=[ \t]*=[ \t]*[^{{\s])",
     re.DOTALL,
 )
 
@@ -51,5 +47,5 @@ def modernised(robot_text: str) -> str:
 
     A key followed by a table is a motor or bus of that name."""
     return _KEYS_OUTSIDE_STRINGS.sub(
-        lambda found: _FORMAT_1_KEYS[found["key"]] if found["key"] else found[0], robot_text
+        lambda found: RENAMED[found["key"]] if found["key"] else found[0], robot_text
     )

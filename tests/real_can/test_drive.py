@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.recording import read
+from gateway.recording import read_recording
 from protocols.frames import CanFrame, Packet
 from tests.real_can.candump import Seen, candump, in_order, parse
 from tests.real_can.conftest import bus_ends
@@ -105,7 +105,7 @@ def test_recording_is_replayed_to_the_same_bytes(drive: Drive, tmp_path: Path) -
 
 
 def test_candump_reads_what_we_sent(drive: Drive) -> None:
-    ticks = list(read(drive.recording).ticks)
+    ticks = list(read_recording(drive.recording).ticks)
     sent = [frame_of(p) for tick in ticks for p in tick.outputs.packets if p.bus == "can0"]
     received = [frame_of(p) for tick in ticks for p in tick.inputs.packets if p.bus == "can0"]
     seen = [one.frame for one in drive.seen]

@@ -10,8 +10,8 @@ from contextlib import ExitStack, contextmanager
 import pytest
 
 from gateway.buses import Bus, open_bus
+from gateway.buses.netlink import Device
 from gateway.buses.socketcan.bus import FAST_POLL, PATIENCE, SocketcanBus
-from gateway.buses.socketcan.link import Device
 from gateway.buses.states import CALM
 from gateway.core.clock import WallClock
 from gateway.core.robot import BusSettings

@@ -167,6 +167,8 @@ MISTAKES = [
     ("motors.left.geer", "gear = 8.0", "geer = 8.0", "did you mean 'gear'?"),
     ("motors.left.sign", "sign = 1 ", "sign = 0 ", "found 0, expected 1 or -1"),
     ("motors.left.sign", "sign = 1 ", "sign = true ", "found true, expected 1 or -1"),
+    ("motors.left.silent", 'on_command_timeout = "idle"', 'silent = "idle"',
+     "no key 'silent': it is called 'on_command_timeout' now"),
     ("motors.left.on_command_timeout", 'on_command_timeout = "idle"', 'on_command_timeout = "idel"',
      "found \"idel\", expected 'idle' or 'hold'; did you mean 'idle'?"),
     ("motors.left.on_fault", 'on_fault = "stop"', 'on_fault = "ignore"', "expected 'stop' or 'continue'"),
