@@ -116,7 +116,7 @@ RENAMED = {
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """Return the sentence for an unknown name: what it is called now, or what there is and the nearest name."""
+    """Return the sentence for an unknown name: its name now, or what there is and the nearest of it."""
     names = list(known)
     if RENAMED.get(name) in names:
         return f"no {what} {name!r}: it is called {RENAMED[name]!r} now"
