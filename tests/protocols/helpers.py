@@ -30,6 +30,8 @@ class CanBench(Generic[DriverKind, TwinKind]):
     events: list[Event] = field(default_factory=list)
     to_device: Callable[[CanFrame], bool] = lambda frame: True
     """True if a frame of the driver arrives."""
+    from_device: Callable[[CanFrame], bool] = lambda frame: True
+    """True if a frame of a device arrives."""
     commands: Sequence[Command] = ()
 
     @property
@@ -64,7 +66,8 @@ class CanBench(Generic[DriverKind, TwinKind]):
             for frame in frames:
                 assert isinstance(frame, CanFrame)
                 self.received.append((self.now, frame))
-                self.events += self.driver.receive(self.now, frame)
+                if self.from_device(frame):
+                    self.events += self.driver.receive(self.now, frame)
         self.now += MILLISECOND
 
     def _send(self, messages: Sequence[Command | Request]) -> None:

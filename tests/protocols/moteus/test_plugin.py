@@ -129,7 +129,8 @@ def test_limits_are_in_the_device_s_units() -> None:
 def test_settings_may_be_nan_where_the_device_s_may() -> None:
     for field in fields(Settings):
         if field.name in ("position_min", "default_timeout_s", "fault_position_error"):
-            replace(Settings(), **{field.name: math.nan})
+            nan: dict[str, Any] = {field.name: math.nan}
+            replace(Settings(), **nan)
 
 
 def test_every_fault_has_name_cause_and_remedy() -> None:
