@@ -75,8 +75,10 @@ def test_a_vector_by_hand_is_encoded_and_decoded(name: str) -> None:
     assert isinstance(vector.frame, CanFrame)
     node = node_of(vector.frame)
     assert decoded(vector.frame, vector.direction, line) == message
-    request = isinstance(message, RemoteRequest)
-    assert (remote_frame(node, message.cmd) if request else encode(node, message)) == vector.frame
+    if isinstance(message, RemoteRequest):
+        assert remote_frame(node, message.cmd) == vector.frame
+    else:
+        assert encode(node, message) == vector.frame
 
 
 class Recorder:
@@ -185,8 +187,9 @@ def theirs_of(line: str, kind: type[Any]) -> Any:
 
 
 def random_value(kind: type[Any], code: str, random: Generator) -> float | int:
-    if kind in SPANS_OF_BUGS or code in SPANS:
-        return int(random.integers(*SPANS_OF_BUGS.get(kind, SPANS.get(code)), endpoint=True))
+    span = SPANS_OF_BUGS.get(kind) or SPANS.get(code)
+    if span:
+        return int(random.integers(*span, endpoint=True))
     if code == "m":
         return int(random.integers(-32768, 32767, endpoint=True)) * 0.001
     exponent = float(random.uniform(-30, 30))

@@ -12,7 +12,6 @@ from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.odrive_can import plugin
 from protocols.odrive_can.dialect import LINE05
-from protocols.odrive_can.faults import Error
 from protocols.odrive_can.faults05 import (
     AxisError,
     ControllerError,
@@ -61,17 +60,6 @@ def test_an_extended_axis_is_driven_beside_a_standard_one_of_that_address() -> N
 
 
 # -- faults ---------------------------------------------------------------------------------------
-
-
-def test_an_error_word_that_is_never_sent_does_not_prevent_arming_for_ever() -> None:
-    bench = ready(device(options=V05))
-    bench.from_device = lambda frame: frame.id & 0x1F != 0x03
-    bench.twin05.trip(Error.CURRENT_LIMIT_VIOLATION)
-    bench.run(1500)
-    assert len([1 for _, frame in bench.sent if frame.id == 0x23]) == 5
-    bench.ask(msg.ClearFault("left"), 300)
-    bench.run(400, msg.Velocity("left", 5.0))
-    assert bench.twin05.axis.armed
 
 
 def test_the_faults_of_0_5_are_those_of_the_vendor_s_dbc_all_of_them() -> None:

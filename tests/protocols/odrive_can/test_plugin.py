@@ -6,6 +6,7 @@ import copy
 import math
 import re
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Literal
 
 import pytest
@@ -202,6 +203,7 @@ def test_one_address_may_be_a_standard_and_an_extended_one() -> None:
 # -- faults -------------------------------------------------------------------------------------------
 
 
+@cache
 def armed(options: Options) -> Bench:
     """A bench whose motor turns."""
     bench = ready(device(options=options))
@@ -209,7 +211,6 @@ def armed(options: Options) -> Bench:
     return bench
 
 
-ARMED = {options: armed(options) for options in (Options(), V05)}
 CODES = [(Options(), code) for code in FAULT_TABLE06] + [(V05, code) for code in FAULT_TABLE05]
 
 
@@ -217,7 +218,7 @@ CODES = [(Options(), code) for code in FAULT_TABLE06] + [(V05, code) for code in
 def test_a_provoked_fault_disarms_is_reported_as_in_the_spec_and_is_cleared(
     options: Options, code: int
 ) -> None:
-    bench = copy.deepcopy(ARMED[options])
+    bench = copy.deepcopy(armed(options))
     info = spec(bench.devices[0]).faults[code]
     assert [twin.axis.armed for twin in bench.twins] == [True]
     bench.twins[0].provoke(code)

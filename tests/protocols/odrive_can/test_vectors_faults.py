@@ -84,6 +84,28 @@ def test_vectors_of_an_axis_of_0_5_whose_components_fail() -> None:
     talk.reports(again)  # what stays is told again, with all its words
 
 
+def test_vectors_of_an_error_word_that_never_comes() -> None:
+    """It is requested five times, and does not prevent arming for ever."""
+    talk = standing05()
+    talk.beat(1, 0x40, Motor_Error_Flag=1)
+    talk.run(1500)
+    talk.reports("""
+        0 < Fault axis3 0x5000000000040 MOTOR_FAILED: *
+        0 < State axis3 fault: IDLE
+        0…400/100 > 3?Get_Motor_Error
+    """)
+    talk.ask(ClearFault("axis3"))
+    talk.beat()
+    talk.run(20, Velocity("axis3", 0.0))
+    talk.reports("""
+        0 > 3:Clear_Errors
+        0 < State axis3 ready: IDLE
+        0 < Done ClearFault axis3:*
+        0 > 3:Set_Controller_Mode 2 1 | 3:Set_Input_Vel 0 0 | 3:Set_Axis_State 8
+        10 > 3:Set_Input_Vel 0 0
+    """)
+
+
 def test_vectors_of_an_axis_of_0_5_whose_invalid_state_is_cleared() -> None:
     """The device takes it back at the next state request, such as that of Idle."""
     talk = standing05()
