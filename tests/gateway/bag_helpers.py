@@ -1,4 +1,4 @@
-"""Bags of somebody else's, small and known to the last digit: a base that drives, its IMU, its GPS.
+"""Bags of another program, small and with known values: a base that drives, its IMU, its GPS.
 
 `write` makes a ROS 1 bag, or a ROS 2 bag in MCAP or SQLite, with the same messages in the same order."""
 
@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from brain.belief import Pose
-from brain.bodies.differential import arc
+from brain.bodies.differential import Differential, arc
 from gateway.config import parse_robot
 from gateway.core.robot import Robot
 from protocols.messages import MILLISECOND, SECOND, Nanos
@@ -28,7 +28,7 @@ STORES = {"ros1": get_typestore(Stores.ROS1_NOETIC), "ros2": get_typestore(Store
 START: Nanos = 1_700_000_000 * SECOND
 ODOM, IMU, FIX = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 Make = Callable[[Any], Any]
-"""A message, from the types of a typestore."""
+"""Makes a message from the types of a typestore."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,23 +42,18 @@ class BagMessage:
 
 
 def write(path: Path, messages: Sequence[BagMessage], kind: Kind = "ros1") -> Path:
-    """The bag: a file called path.bag, or a folder of ROS 2. Returns where it is."""
+    """Write a bag, a file called path.bag or a folder of ROS 2; return where it is."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    topics = dict.fromkeys((s.topic, s.type) for s in messages)
-    if kind == "ros1":
-        path = path.with_suffix(".bag")
-        with Ros1Writer(path) as old:
-            made = {name: old.add_connection(name, type_, typestore=STORES["ros1"]) for name, type_ in topics}
-            for s in messages:
-                data = STORES["ros1"].serialize_ros1(s.make(STORES["ros1"].types), s.type)
-                old.write(made[s.topic], s.logged, data)
-        return path
+    path = path.with_suffix(".bag") if kind == "ros1" else path
+    store = STORES["ros1" if kind == "ros1" else "ros2"]
+    serialise = store.serialize_ros1 if kind == "ros1" else store.serialize_cdr
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
-    with Ros2Writer(path, version=9, storage_plugin=plugin) as new:
-        store = STORES["ros2"]
+    new: Any = Ros1Writer(path) if kind == "ros1" else Ros2Writer(path, version=9, storage_plugin=plugin)
+    with new:
+        topics = dict.fromkeys((one.topic, one.type) for one in messages)
         found = {name: new.add_connection(name, type_, typestore=store) for name, type_ in topics}
-        for s in messages:
-            new.write(found[s.topic], s.logged, store.serialize_cdr(s.make(store.types), s.type))
+        for one in messages:
+            new.write(found[one.topic], one.logged, serialise(one.make(store.types), one.type))
     return path
 
 
@@ -174,26 +169,28 @@ def drive(
     slip: float = 0.1,
     rate: Callable[[float], tuple[float, float, float]] = lambda w: (0.0, 0.0, w),
 ) -> list[BagMessage]:
-    """A base that drives a slalom at 1 m/s for `length` s near the equator, and turns by a share `slip`
-    less than its wheels say. Odometry at 10 Hz, IMU at 30 Hz (`rate`: what its axes show of a turn), GPS
-    (0.3 m) at 2.5 Hz, each with the stamp of its moment, and written down later, the IMU latest."""
+    """Return the messages of a base that drives a slalom at 1 m/s for `length` s near the equator, and turns
+    less than its wheels by a share `slip`. Odometry at 10 Hz, IMU at 30 Hz (`rate`: what its axes measure of
+    a turn), GPS (0.3 m) at 2.5 Hz, each stamped when it was measured, and logged later, the IMU last."""
     random = np.random.Generator(np.random.PCG64(seed))
     true = reported = Pose(0.0, 0.0, 0.5)
-    said: list[BagMessage] = []
+    messages: list[BagMessage] = []
     step = 10 * MILLISECOND
     for tick in range(round(length * 100.0)):
         t, now = START + tick * step, tick / 100.0
         turn = 0.4 * math.sin(now / 3.0) + 0.1
         if tick % 10 == 0:
-            said.append(odometry(t, 1.0, turn, reported, logged=t + MILLISECOND))
+            messages.append(odometry(t, 1.0, turn, reported, logged=t + MILLISECOND))
         if tick % 3 == 0:
             noise = float(random.normal(0.0, 0.01))
-            said.append(imu(t, rate(turn * (1.0 - slip) + noise), logged=t + 25 * MILLISECOND))
+            messages.append(imu(t, rate(turn * (1.0 - slip) + noise), logged=t + 25 * MILLISECOND))
         if tick % 40 == 0:
             east, north = true.x + random.normal(0.0, 0.3), true.y + random.normal(0.0, 0.3)
-            said.append(fix(t, float(north / METRES_NORTH), float(east / METRES), logged=t + 2 * MILLISECOND))
+            messages.append(
+                fix(t, float(north / METRES_NORTH), float(east / METRES), logged=t + 2 * MILLISECOND)
+            )
         true, reported = arc(true, 0.01, turn * (1.0 - slip) * 0.01), arc(reported, 0.01, turn * 0.01)
-    return sorted(said, key=lambda one: one.logged)
+    return sorted(messages, key=lambda one: one.logged)
 
 
 ROBOT = """\
@@ -249,3 +246,9 @@ truth = "/fix"
 
 def rover(text: str = ROBOT) -> Robot:
     return parse_robot(text, "rover.toml")
+
+
+def body_of(robot: Robot) -> Differential:
+    body = robot.brain.differential
+    assert body is not None
+    return body

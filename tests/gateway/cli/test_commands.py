@@ -25,7 +25,7 @@ def own_sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Return what a command that cannot begin prints on standard error; its exit status is 2."""
+    """Return what a command that cannot begin prints, on standard error alone; its exit status is 2."""
     status: object
     try:
         status = main(list(arguments))
@@ -33,8 +33,13 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         status = exit_.code
     printed = capsys.readouterr()
     assert status == 2, printed
+    assert printed.out == ""
     assert "Traceback" not in printed.err
     return printed.err
+
+
+METRES = ("-1", "nan", "inf", "three")
+SEEDS = ("-1", "x", str(2**63), "1.5")
 
 
 @pytest.mark.parametrize(
@@ -65,13 +70,14 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("twin bench --ports 17", "'17' is not a number from 1 to 16"),
         ("twin bench --ports 1.5", "'1.5' is not a number from 1 to 16"),
         ("replay no.mcap", "no.mcap"),
-        ("replay no.mcap --at-most -1", "'-1' is not a number of metres"),
+        *((f"replay no.mcap --at-most={m}", f"'{m}' is not a number of metres") for m in METRES),
         ("replay pyproject.toml", "not a recording of this gateway"),
         ("demo --robot bench --out {tmp}", "has no tour"),
         ("demo --out /proc/no", "--out /proc/no"),
         ("protocols chek plain", "invalid choice: 'chek'"),
         ("protocols check plane", "did you mean 'plain'?"),
-        ("protocols check --seed -1", "'-1' is not a number from 0 to 2**63 - 1"),
+        ("protocols check plain plane", "did you mean 'plain'?"),
+        *((f"protocols check --seed={n}", f"'{n}' is not a number from 0 to 2**63 - 1") for n in SEEDS),
         ("ask absent status", "no robot runs"),
         ("watch difbot", "did you mean 'diffbot'?"),
         ("watch diffbot", "bus 'can0' is simulated inside the process"),

@@ -216,17 +216,3 @@ def test_check_without_a_name_is_all_of_them_and_names_what_is_broken(
     assert re.search(r"^a1_one: \d\d passed", captured.out, re.MULTILINE)
     assert re.search(r"^[01] of 2 protocols keep the contract$", captured.out, re.MULTILINE)
     assert captured.err == "a1_two: left out: acme is broken: no\n"
-
-
-def test_check_does_not_begin_if_one_name_is_wrong(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["protocols", "check", "plain", "plane"]) == 2
-    captured = capsys.readouterr()
-    assert "did you mean 'plain'?" in captured.err
-    assert captured.out == ""
-
-
-@pytest.mark.parametrize("seed", ["-1", "x", str(2**63), "1.5"])
-def test_a_seed_is_a_number(seed: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["protocols", "check", "plain", "--seed", seed])
-    assert "is not a number from 0 to" in capsys.readouterr().err

@@ -25,6 +25,7 @@ from tests.gateway.bag_helpers import (
     START,
     BagMessage,
     Kind,
+    body_of,
     drive,
     fix,
     imu,
@@ -35,14 +36,12 @@ from tests.gateway.bag_helpers import (
 )
 
 ROVER = rover()
-BODY = ROVER.brain.differential
-assert BODY is not None
+BODY = body_of(ROVER)
 TOPICS = BagTopics("/odom", {"imu": "/imu/data"}, "/fix")
 
 
 def bag_of(path: Path, *messages: BagMessage, topics: BagTopics = TOPICS, kind: Kind = "ros1") -> Bag:
     """A bag with these messages and one of each topic, which count as the first of all."""
-    assert BODY is not None
     first = (odometry(START, 0.0, 0.0), imu(START, (0.0, 0.0, 0.0)), fix(START, 0.0, 0.0))
     return read(write(path / kind, [*first, *messages], kind), topics, BODY)
 
@@ -52,7 +51,6 @@ def at(ms: float) -> int:
 
 
 def refusal(path: Path, topics: BagTopics | None = TOPICS) -> str:
-    assert BODY is not None
     with pytest.raises(BagError) as reported:
         read(path, topics, BODY)
     return str(reported.value)
@@ -62,7 +60,6 @@ def refusal(path: Path, topics: BagTopics | None = TOPICS) -> str:
 
 
 def test_every_kind_of_bag_gives_the_same(tmp_path: Path) -> None:
-    assert BODY is not None
     bags = [read(write(tmp_path / kind, drive(8.0), kind), TOPICS, BODY) for kind in KINDS]
     for bag in bags:
         assert (bag.events, bag.truth, bag.odometry) == (bags[0].events, bags[0].truth, bags[0].odometry)
@@ -256,7 +253,6 @@ def test_what_is_no_bag_is_not_foreign(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
 def test_the_file_of_a_bag_can_be_read_without_its_folder(tmp_path: Path, kind: Kind) -> None:
-    assert BODY is not None
     folder = write(tmp_path / "x", drive(1.0), kind)
     (inside,) = (p for p in folder.iterdir() if p.suffix != ".yaml")
     assert read(inside, TOPICS, BODY).events == read(folder, TOPICS, BODY).events
@@ -304,7 +300,6 @@ def test_without_asserts_no_bag_is_read(tmp_path: Path) -> None:
 def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: Kind) -> None:
     """Cut anywhere, and with bits flipped anywhere: nothing but BagError comes out, and what is read can
     be evaluation."""
-    assert BODY is not None
     seed, read_after_all, refused = 7, 0, 0
     random = np.random.Generator(np.random.PCG64(seed))
     path = write(tmp_path / "x", drive(1.0), kind)
