@@ -1,4 +1,4 @@
-"""Messages and bytes: independent vectors both ways, properties of SDO and PDO, units, objects."""
+"""Messages and bytes: properties of SDO and PDO, types, statuswords, faults, options."""
 
 from __future__ import annotations
 

@@ -238,11 +238,14 @@ def test_vectors_of_pdos_that_lack_a_set_point() -> None:
     )
 
 
-def test_vectors_of_pdos_that_lack_the_controlword() -> None:
+@pytest.mark.parametrize(("index", "cob", "entries"), [(0x1400, 0x202, RPDO1), (0x1800, 0x40000182, TPDO1)])
+def test_vectors_of_pdos_that_lack_the_controlword_or_the_statusword(
+    index: int, cob: int, entries: tuple[int, ...]
+) -> None:
     drive = with_pdos(1)
-    drive.map(0x1400, 0x202, 1, *RPDO1[1:])
+    drive.map(index, cob, 1, *entries[1:])
     armed(Talk(drive))
-    assert drive.get(0x1600, 1) == RPDO1[0]
+    assert drive.get(index + 0x200, 1) == entries[0]
 
 
 def test_vectors_of_pdos_that_lack_a_set_point_of_the_other_family() -> None:

@@ -1,10 +1,10 @@
-"""Parts of the driver by themselves: state machine, PDOs that fit, set-points, SDO client, startup, scan."""
+"""Parts of the driver by themselves: the handshake of PP, usable PDOs, SDO client, scan."""
 
 from __future__ import annotations
 
 import pytest
 
-from protocols.cia402 import mapping
+from protocols.cia402 import mapping, state_machine
 from protocols.cia402 import objects as o
 from protocols.cia402.client import DUPLICATES, TRIES, Job, Purpose, SdoClient
 from protocols.cia402.mapping import Pdo
@@ -21,7 +21,26 @@ from protocols.cia402.sdo import (
     UploadSegment,
     UploadStart,
 )
+from protocols.cia402.startup import value_of
 from protocols.messages import MILLISECOND
+
+
+@pytest.mark.parametrize(
+    ("acknowledged", "new_setpoint", "target", "given", "after"),
+    [
+        (False, False, 5, None, (0x3F, 5, True)),
+        (False, True, 7, 5, (0x3F, 5, True)),
+        (True, True, 7, 5, (0x2F, 5, False)),
+        (True, False, 7, 5, (0x2F, 5, False)),
+        (False, False, 7, 5, (0x3F, 7, True)),
+        (False, False, 5, 5, (0x2F, 5, False)),
+    ],
+)
+def test_the_handshake_of_pp(
+    acknowledged: bool, new_setpoint: bool, target: int, given: int | None, after: tuple[int, int, bool]
+) -> None:
+    assert state_machine.pp_handshake(acknowledged, new_setpoint, target, given) == after
+
 
 # -- PDOs -----------------------------------------------------------------------------------------------
 
@@ -106,6 +125,22 @@ def test_responses_that_come_twice_are_counted_in_a_row() -> None:
     client.begin(Job(Purpose.POLL, o.POSITION))
     client.handle(Uploaded(*o.POSITION, bytes(4)))
     assert client.duplicates == 0
+
+
+def test_two_serial_numbers_are_two_devices_at_once() -> None:
+    client = SdoClient(100)
+    client.begin(Job(Purpose.IDENTITY_CHECK, o.SERIAL_NUMBER))
+    client.handle(Uploaded(*o.SERIAL_NUMBER, b"\1\0\0\0"))
+    client.handle(Uploaded(*o.SERIAL_NUMBER, b"\2\0\0\0"))
+    assert client.duplicates == DUPLICATES
+
+
+@pytest.mark.parametrize(
+    ("key", "data"),
+    [(o.STATUSWORD, b"\x50\x02\0"), (o.POSITION, b"\xc0\x1d"), ((0x2000, 1), b""), (o.DEVICE_NAME, bytes(9))],
+)
+def test_an_upload_of_a_wrong_length_is_no_number(key: o.Key, data: bytes) -> None:
+    assert value_of(key, data) is None
 
 
 # -- reading, scanning ----------------------------------------------------------------------------------
