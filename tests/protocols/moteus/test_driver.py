@@ -85,29 +85,35 @@ def test_a_fault_that_comes_back_is_reported_again() -> None:
 def test_what_limits_the_output_is_reported_once_with_the_state_and_taken_back() -> None:
     bench = ready(device(options=Options(max_torque=0.1)))
     bench.shaft.locked = True
-    details = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 1.0)))]
-    assert details[-2:] == ["position", "position, limited by the commanded maximum torque"]
-    details = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 0.05)))]
-    assert details == ["position"]
+    limited = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 1.0)))]
+    assert limited[-2:] == ["position", "position, limited by the commanded maximum torque"]
+    free = [state.detail for state in of(msg.State, bench.run(2000, msg.Torque("left", 0.05)))]
+    assert free == ["position"]
     bench.run(50, msg.Torque("left", 1.0))
     assert of(msg.State, bench.run(100, msg.Idle("left")))[-1].detail == "stopped"
+
+
+def replied(bench: Bench, at: int, mode: int, limit: int) -> list[msg.Event]:
+    """The events, but feedback, of a reply of the device at rest, so many cycles of 5 ms from now."""
+    frame = f"2100{mode:02x}2f01{'00000000' * 3}210f{limit:02x}"
+    events = bench.driver.receive(bench.now + at * 5_000_000, make_frame(reply_id(1), bytes.fromhex(frame)))
+    return [event for event in events if not isinstance(event, msg.Feedback)]
+
+
+def details(events: list[msg.Event]) -> list[str]:
+    assert len(of(msg.State, events)) == len(events)  # and no fault
+    return [state.detail for state in of(msg.State, events)]
 
 
 def test_limits_that_come_and_go_with_every_reply_are_reported_once() -> None:
     bench = ready()
     bench.run(100, msg.Hold("left"))
-    reported = list[msg.Event]()
-    for i in range(500):  # at 200 Hz: none, the current, none, the torque
-        frame = f"21000a2f01{'00000000' * 3}210f{(0, 99, 0, 102)[i % 4]:02x}"
-        events = bench.driver.receive(
-            bench.now + i * 5_000_000, make_frame(reply_id(1), bytes.fromhex(frame))
-        )
-        reported += [event for event in events if not isinstance(event, msg.Feedback)]
-    assert [state.detail for state in of(msg.State, reported)] == [
+    # none, the current, none, the torque, and so on
+    events = [event for i in range(500) for event in replied(bench, i, 10, (0, 99, 0, 102)[i % 4])]
+    assert details(events) == [
         "position, limited by servo.max_current_A",
         "position, limited by servo.max_current_A and the commanded maximum torque",
     ]
-    assert len(reported) == 2  # and no fault
 
 
 @pytest.mark.parametrize(
@@ -115,21 +121,15 @@ def test_limits_that_come_and_go_with_every_reply_are_reported_once() -> None:
 )
 def test_a_limit_is_reported_of_an_armed_device_only(mode: int, detail: str) -> None:
     bench = ready()
-    limited = "21000a2f01000000000000000000000000210f63"
-    bench.driver.receive(bench.now, make_frame(reply_id(1), bytes.fromhex(limited)))
-    frame = make_frame(reply_id(1), bytes.fromhex(limited.replace("0a", f"{mode:02x}", 1)))
-    assert of(msg.State, bench.driver.receive(bench.now + 1, frame))[-1].detail == detail
+    replied(bench, 0, 10, 99)
+    assert of(msg.State, replied(bench, 1, mode, 99))[-1].detail == detail
 
 
 def test_a_limit_from_before_the_bus_was_lost_is_not_reported() -> None:
     bench = ready()
-    armed = f"21000a2f01{'00000000' * 3}210f"
-    limited, free = (make_frame(reply_id(1), bytes.fromhex(armed + code)) for code in ("63", "00"))
-    (state,) = of(msg.State, bench.driver.receive(bench.now, limited))
-    assert state.detail == "position, limited by servo.max_current_A"
+    assert details(replied(bench, 0, 10, 99)) == ["position, limited by servo.max_current_A"]
     bench.driver.bus(bench.now + 1, BusState.BACK)
-    (state,) = of(msg.State, bench.driver.receive(bench.now + 2, free))
-    assert state.detail == "position"
+    assert details(replied(bench, 1, 10, 0)) == ["position"]
 
 
 # -- the bus ------------------------------------------------------------------------------------------
