@@ -181,7 +181,7 @@ def _tick_lines(tick: Tick, received: Sequence[DecodedPacket], sent: Sequence[De
     return [
         *(_state_line(tick.now, bus, state) for bus, state in tick.inputs.states),
         *(render.line(packet) for packet in received),
-        *(f"{time} asked: {message_text(message)}" for message in tick.inputs.instructions),
+        *(f"{time} instruction: {message_text(message)}" for message in tick.inputs.instructions),
         *(f"{time} {note.level}: {note.source}: {note.text}" for note in tick.outputs.notes),
         *(render.line(packet) for packet in sent),
     ]
