@@ -22,8 +22,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """Add the arguments of the command."""
     arguments.add_robot(parser)
     arguments.add_bus(
-        parser,
-        "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin",
+        parser, "put a bus on another interface: can0=socketcan:vcan0, sensors=serial:/dev/ttyUSB0, can0=twin"
     )
     arguments.add_goal(parser, "where to drive")
     parser.add_argument(

@@ -194,10 +194,7 @@ class Views:
     def _view(self, topic: str, t: Nanos, message: Message) -> View:
         type_ = message.__msgtype__
         return View(
-            topic,
-            type_,
-            _stamp(t),
-            bytes(self._store.serialize_cdr(message, type_, little_endian=True)),
+            topic, type_, _stamp(t), bytes(self._store.serialize_cdr(message, type_, little_endian=True))
         )
 
     # -- frames and events ------------------------------------------------------------------------

@@ -314,15 +314,5 @@ class _Reader:
             raise TickCodecError(f"a packet of kind {kind}")
         if kind == _SERIAL:
             return Packet(t, bus, data), good
-        return Packet(t, bus, _frame(id_, flags, data)), good
-
-
-def _frame(id_: int, flags: int, data: bytes) -> CanFrame:
-    return CanFrame(
-        id_,
-        data,
-        extended=bool(flags & _EXTENDED),
-        remote=bool(flags & _REMOTE),
-        fd=bool(flags & _FD),
-        brs=bool(flags & _BRS),
-    )
+        extended, remote, fd, brs = (bool(flags & bit) for bit in (_EXTENDED, _REMOTE, _FD, _BRS))
+        return Packet(t, bus, CanFrame(id_, data, extended, remote, fd, brs)), good

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
 
@@ -149,14 +149,18 @@ def evaluate(bag: Bag, robot: Robot, at_most: float | None = None) -> Evaluation
     body = _body(robot)
     mounts = {name: sensor.mount for name, sensor in robot.sensors.items()}
     perception = Perception(body, mounts, robot.brain.perception)
-    events, compared = _EventFeed(bag.events, perception), _ComparedPoses()
+    events = _EventFeed(bag.events, perception)
+    fixes: list[Fix] = []
+    poses: list[tuple[Pose, Pose, Pose]] = []  # at the time of each: estimated, by the wheels, the bag's own
     for fix in bag.truth:
         events.process_until(fix.t)
         if perception.estimate is not None:
-            odometry = bag.odometry[bisect_right(bag.odometry, fix.t, key=lambda one: one[0]) - 1][1]
-            compared.add(fix, extrapolated(perception.estimate, fix.t), perception.raw, odometry)
+            own = bag.odometry[bisect_right(bag.odometry, fix.t, key=lambda one: one[0]) - 1][1]
+            fixes.append(fix)
+            poses.append((extrapolated(perception.estimate, fix.t), perception.raw, own))
     events.process_until(None)
-    truth = east_north(compared.fixes) if compared.fixes else np.empty((0, 2))
+    truth = east_north(fixes) if fixes else np.empty((0, 2))
+    estimated, wheels, odometry = (_error_of([path[i] for path in poses], truth) for i in range(3))
     return Evaluation(
         bag=bag,
         duration=bag.events[-1].t - bag.events[0].t if bag.events else 0,
@@ -164,10 +168,10 @@ def evaluate(bag: Bag, robot: Robot, at_most: float | None = None) -> Evaluation
         end=perception.estimate.pose if perception.estimate is not None else None,
         fixes=len(bag.truth),
         early=len(bag.truth) - len(truth),
-        extent=spread(truth) if compared.fixes else 0.0,
-        estimated=_error_of(compared.estimated, truth),
-        wheels=_error_of(compared.wheels, truth),
-        odometry=_error_of(compared.odometry, truth),
+        extent=spread(truth) if fixes else 0.0,
+        estimated=estimated,
+        wheels=wheels,
+        odometry=odometry,
         nis={f"{body.left} and {body.right}" if n == body.left else n: v for n, v in perception.nis.items()},
         anomalies=perception.anomalies,
         at_most=at_most,
@@ -198,22 +202,6 @@ class _EventFeed:
             after = self._perception.estimate
             if before is not None and after is not None:
                 self.driven += abs(before.linear) * seconds(after.t - before.t)
-
-
-@dataclass(slots=True)
-class _ComparedPoses:
-    """Each fix that is compared, and the poses at its time."""
-
-    fixes: list[Fix] = field(default_factory=list)
-    estimated: list[Pose] = field(default_factory=list)
-    wheels: list[Pose] = field(default_factory=list)
-    odometry: list[Pose] = field(default_factory=list)
-
-    def add(self, fix: Fix, estimated: Pose, wheels: Pose, odometry: Pose) -> None:
-        self.fixes.append(fix)
-        self.estimated.append(estimated)
-        self.wheels.append(wheels)
-        self.odometry.append(odometry)
 
 
 def _error_of(poses: Sequence[Pose], truth: Floats) -> PathError | None:

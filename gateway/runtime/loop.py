@@ -78,7 +78,8 @@ def live(
     leaving = False
 
     def tick(now: Nanos, instructions: Sequence[Instruction]) -> Tick:
-        inputs = _gather(buses, now, instructions)
+        states, packets = read(buses, now)
+        inputs = Inputs(tuple(states), tuple(packets), tuple(instructions))
         outputs = gateway.step(now, inputs)
         if not dry_run:
             write(buses, now, outputs.packets)
@@ -161,11 +162,6 @@ def write(buses: Mapping[str, Bus], now: Nanos, packets: Sequence[Packet]) -> No
         frames = [p.frame for p in packets if p.bus == name]
         if frames:
             bus.write(now, frames)
-
-
-def _gather(buses: Mapping[str, Bus], now: Nanos, instructions: Sequence[Instruction]) -> Inputs:
-    states, packets = read(buses, now)
-    return Inputs(tuple(states), tuple(packets), tuple(instructions))
 
 
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}

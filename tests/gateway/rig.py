@@ -59,12 +59,7 @@ class Rig:
         """Gets each tick, too."""
         self._queued: list[Instruction] = []
         self._live = live(
-            self.gateway,
-            self.world.buses,
-            self.clock,
-            poll=self._poll,
-            record=self._record,
-            stats=self.stats,
+            self.gateway, self.world.buses, self.clock, poll=self._poll, record=self._record, stats=self.stats
         )
 
     def _record(self, tick: Tick, belief: Belief) -> None:

@@ -45,10 +45,7 @@ BROKEN = {
         "from protocols.plugin import Plugin\nplugin = Plugin('g7_older', wires=3)",
         "got an unexpected keyword argument 'wires' (it requires motor-gateway>=9)",
     ),
-    "unspecified": (
-        COLOURED,
-        "AttributeError: 'Device' object has no attribute 'color'",
-    ),
+    "unspecified": (COLOURED, "AttributeError: 'Device' object has no attribute 'color'"),
 }
 
 

@@ -305,9 +305,7 @@ def hangup(handler: signal.Handlers) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("end", [b"q", None, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_however_it_ends_in_motion_the_stop_command_is_sent(
-    end: bytes | signal.Signals | None,
-) -> None:
+def test_however_it_ends_in_motion_the_stop_command_is_sent(end: bytes | signal.Signals | None) -> None:
     keys = held(b"+", 0.2, 1.0)
     if end is None or isinstance(end, bytes):
         jogged = Jogged([*keys, *([(1.0, end)] if end else [])])

@@ -80,9 +80,7 @@ def test_stop_latches_above_every_joint_until_release(driven: Rig) -> None:
     assert driven.velocity("left") == pytest.approx(5.0, abs=0.1)
 
 
-def test_lost_feedback_is_a_fault_and_the_rest_goes_on_with_on_fault_continue(
-    driven: Rig,
-) -> None:
+def test_lost_feedback_is_a_fault_and_the_rest_goes_on_with_on_fault_continue(driven: Rig) -> None:
     driven.world.disconnect("right")  # on_fault = "continue"
     ticks = driven.run(1.0)
     (fault,) = [n for n in notes_in(ticks, "right") if n.level == "error"]

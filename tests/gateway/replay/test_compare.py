@@ -241,10 +241,7 @@ def test_order_and_bus_of_packets_matter(tmp_path: Path) -> None:
         recorder.record(Tick(0, 0, Inputs(), Outputs((a, b))), little.bare_belief(), patient=True)
     for sent in ((b, a), (a, replace(b, bus="can1")), (a,), (a, b, b), (a, Packet(0, "can0", b"b"))):
         result = compare(
-            read_recording(path),
-            always(Outputs(sent)),
-            little.bare_belief,
-            lambda _: little.LittleDecoder(),
+            read_recording(path), always(Outputs(sent)), little.bare_belief, lambda _: little.LittleDecoder()
         )
         assert not result.ok
         assert result.differing == 1

@@ -58,12 +58,7 @@ def moved(points: Floats, turn: float, x: float, y: float) -> Floats:
     return there
 
 
-@given(
-    st.integers(0, 1000),
-    st.floats(-math.pi, math.pi),
-    st.floats(-1e4, 1e4),
-    st.floats(-1e4, 1e4),
-)
+@given(st.integers(0, 1000), st.floats(-math.pi, math.pi), st.floats(-1e4, 1e4), st.floats(-1e4, 1e4))
 def test_where_a_path_begins_and_in_which_direction_is_no_error(
     seed: int, turn: float, x: float, y: float
 ) -> None:
