@@ -16,6 +16,8 @@ from protocols.cia402.options import Options, Settings, units_of_settings
 from protocols.cia402.pdo import Entry, decode_entry, encode_entry, mapping, packing
 from protocols.cia402.profile import (
     STATE_BITS,
+    HomingStatus,
+    homing_of,
     state_of,
 )
 from protocols.cia402.transfer import Transfer
@@ -159,6 +161,15 @@ def test_every_statusword_as_the_package_has_them() -> None:
         theirs = [name for name, (mask, value) in State402.SW_MASK.items() if status & mask == value]
         ours = state_of(status)
         assert theirs == ([ours.value] if ours else [])
+
+
+def test_homing_bits_as_the_package_has_them() -> None:
+    from canopen.profiles.p402 import Homing as Theirs
+
+    assert {mask for mask, _ in Theirs.STATES.values()} == {0x3400}
+    assert {value for _, value in Theirs.STATES.values()} == {h.value for h in HomingStatus}
+    assert homing_of(0x1637) is HomingStatus.DONE
+    assert homing_of(0x3000) is None
 
 
 # -- faults, options ---------------------------------------------------------------------------------------

@@ -160,7 +160,7 @@ OBEYED: dict[str, Lines] = {
         ("raw 000#0103",  ""),  # node 3
         ("raw 000#0180",  ""),  # there is no node 128
         ("raw 000#0100",  "WriteParameter NMT state 5"),  # all nodes
-        ("raw 000#01",    ""), ("raw 000#010200", ""), ("raw 000#0902", ""),
+        ("raw 000#02",    ""), ("raw 000#020200", ""), ("raw 000#0902", ""),
     ],
     "a reset forgets": [
         ("608F:01 = 8192", "WriteParameter 608F:01 8192"), ("6060 = 8", ""), ("607A = 4096", ""), *UP,

@@ -15,6 +15,7 @@ from tests.protocols.cia402.firmware import Drive
 
 
 def _encoder(drive: Drive) -> None:
+    drive.lack(0x6091)  # no gear: 1:1
     drive.put(0x608F, 2000, 1)  # increments in
     drive.put(0x608F, 4, 2)  # four turns of the motor: 500 a turn
     drive.put(0x6064, 125)  # a quarter turn

@@ -359,6 +359,7 @@ def test_another_request_or_an_abort_ends_a_segmented_transfer(other: sdo.Reques
     bench.request(sdo.Upload(0x1008, 0))
     bench.request(other)
     assert isinstance(bench.request(sdo.UploadSegment(False)), sdo.Abort)
+    assert isinstance(bench.request(sdo.DownloadSegment(False, b"1", True)), sdo.Abort)
 
 
 def test_a_download_of_less_than_announced_is_refused() -> None:
