@@ -93,56 +93,44 @@ def _cmds(*kinds: type[Any]) -> tuple[int, ...]:
     return tuple(cmd_of(kind) for kind in kinds)
 
 
-READABLE_COMMON: Readable = {
-    "Pos_Estimate": (m.GetEncoderEstimates, "position"),
-    "Vel_Estimate": (m.GetEncoderEstimates, "velocity"),
-    "Iq_Setpoint": (m.GetIq, "setpoint"),
-    "Iq_Measured": (m.GetIq, "measured"),
-    "Bus_Voltage": (m.GetBusVoltageCurrent, "voltage"),
-    "Bus_Current": (m.GetBusVoltageCurrent, "current"),
+Signals = dict[type[Any], tuple[str, ...]]
+"""The messages that devices send, with the vendor's names of their fields in order."""
+COMMON_SIGNALS: Signals = {
+    m.GetEncoderEstimates: ("Pos_Estimate", "Vel_Estimate"),
+    m.GetIq: ("Iq_Setpoint", "Iq_Measured"),
+    m.GetBusVoltageCurrent: ("Bus_Voltage", "Bus_Current"),
 }
-READABLE06: Readable = {
-    **READABLE_COMMON,
-    "Protocol_Version": (m.GetVersion, "protocol"),
-    "Hw_Version_Major": (m.GetVersion, "hw_line"),
-    "Hw_Version_Minor": (m.GetVersion, "hw_version"),
-    "Hw_Version_Variant": (m.GetVersion, "hw_variant"),
-    "Fw_Version_Major": (m.GetVersion, "fw_major"),
-    "Fw_Version_Minor": (m.GetVersion, "fw_minor"),
-    "Fw_Version_Revision": (m.GetVersion, "fw_revision"),
-    "Fw_Version_Unreleased": (m.GetVersion, "fw_unreleased"),
-    "Axis_Error": (m.Heartbeat, "error"),
-    "Axis_State": (m.Heartbeat, "state"),
-    "Procedure_Result": (m.Heartbeat, "result"),
-    "Trajectory_Done_Flag": (m.Heartbeat, "trajectory_done"),
-    "Active_Errors": (m.GetError, "active"),
-    "Disarm_Reason": (m.GetError, "disarm_reason"),
-    "FET_Temperature": (m.GetTemperature, "fet"),
-    "Motor_Temperature": (m.GetTemperature, "motor"),
-    "Torque_Target": (m.GetTorques, "target"),
-    "Torque_Estimate": (m.GetTorques, "estimate"),
-    "Electrical_Power": (m.GetPowers, "electrical"),
-    "Mechanical_Power": (m.GetPowers, "mechanical"),
+SIGNALS06: Signals = COMMON_SIGNALS | {
+    m.GetVersion: (
+        *("Protocol_Version", "Hw_Version_Major", "Hw_Version_Minor", "Hw_Version_Variant"),
+        *("Fw_Version_Major", "Fw_Version_Minor", "Fw_Version_Revision", "Fw_Version_Unreleased"),
+    ),
+    m.Heartbeat: ("Axis_Error", "Axis_State", "Procedure_Result", "Trajectory_Done_Flag"),
+    m.GetError: ("Active_Errors", "Disarm_Reason"),
+    m.GetTemperature: ("FET_Temperature", "Motor_Temperature"),
+    m.GetTorques: ("Torque_Target", "Torque_Estimate"),
+    m.GetPowers: ("Electrical_Power", "Mechanical_Power"),
 }
-READABLE05: Readable = {
-    **READABLE_COMMON,
-    "Axis_Error": (m.Heartbeat05, "error"),
-    "Axis_State": (m.Heartbeat05, "state"),
-    "Motor_Error_Flag": (m.Heartbeat05, "motor"),
-    "Encoder_Error_Flag": (m.Heartbeat05, "encoder"),
-    "Controller_Error_Flag": (m.Heartbeat05, "controller"),
-    "Trajectory_Done_Flag": (m.Heartbeat05, "trajectory_done"),
-    "Motor_Error": (m.GetMotorError, "errors"),
-    "Encoder_Error": (m.GetEncoderError, "errors"),
-    "Controller_Error": (m.GetControllerError, "errors"),
-    "Sensorless_Error": (m.GetSensorlessError, "errors"),
-    "Shadow_Count": (m.GetEncoderCount, "shadow"),
-    "Count_in_CPR": (m.GetEncoderCount, "in_cpr"),
-    "Sensorless_Pos_Estimate": (m.GetSensorlessEstimates, "position"),
-    "Sensorless_Vel_Estimate": (m.GetSensorlessEstimates, "velocity"),
+SIGNALS05: Signals = COMMON_SIGNALS | {
+    m.Heartbeat05: (
+        *("Axis_Error", "Axis_State", "Motor_Error_Flag", "Encoder_Error_Flag"),
+        *("Controller_Error_Flag", "Trajectory_Done_Flag"),
+    ),
+    m.GetMotorError: ("Motor_Error",),
+    m.GetEncoderError: ("Encoder_Error",),
+    m.GetControllerError: ("Controller_Error",),
+    m.GetSensorlessError: ("Sensorless_Error",),
+    m.GetEncoderCount: ("Shadow_Count", "Count_in_CPR"),
+    m.GetSensorlessEstimates: ("Sensorless_Pos_Estimate", "Sensorless_Vel_Estimate"),
 }
 
-UNIDENTIFIED = Dialect(line="", readable=READABLE_COMMON)
+
+def _readable(signals: Signals) -> Readable:
+    rows = [(kind, zip(names, kind.__slots__, strict=True)) for kind, names in signals.items()]
+    return {name: (kind, attribute) for kind, pairs in rows for name, attribute in pairs}
+
+
+UNIDENTIFIED = Dialect(line="", readable=_readable(COMMON_SIGNALS))
 LINE06 = Dialect(
     line="0.6",
     polled=_cmds(m.GetIq, m.GetBusVoltageCurrent, m.GetTemperature, m.GetTorques),
@@ -154,7 +142,7 @@ LINE06 = Dialect(
     reboot=m.Reboot(m.RebootAction.REBOOT),
     save=m.Reboot(m.RebootAction.SAVE),
     zero=m.SetAbsolutePosition(0.0),
-    readable=READABLE06,
+    readable=_readable(SIGNALS06),
 )
 LINE05 = Dialect(
     line="0.5",
@@ -173,6 +161,6 @@ LINE05 = Dialect(
     reboot=m.Reboot05(),
     zero=m.SetLinearCount(0),
     boards=True,
-    readable=READABLE05,
+    readable=_readable(SIGNALS05),
 )
 DIALECTS: dict[str, Dialect] = {dialect.line: dialect for dialect in (UNIDENTIFIED, LINE05, LINE06)}

@@ -11,19 +11,17 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import twin as make_twin
-from protocols.odrive_can.codec import decode_from_device, decode_to_device, encode, node_of
+from protocols.odrive_can.codec import decode_from_device, encode
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.messages import (
     ControlMode,
     InputMode,
     Message,
-    RemoteRequest,
     SetAxisState,
     SetControllerMode,
 )
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.twin import OdriveTwin
-from protocols.odrive_can.twin05 import Twin05
 from protocols.odrive_can.twin06 import Twin06
 from protocols.plugin import Device
 from tests.protocols.helpers import CanBench
@@ -57,19 +55,6 @@ class Bench(CanBench[OdriveDriver, OdriveTwin]):
         (first, *_) = self.twins
         assert isinstance(first, Twin06)
         return first
-
-    @property
-    def twin05(self) -> Twin05:
-        """The first one, of firmware 0.5.x."""
-        (first, *_) = self.twins
-        assert isinstance(first, Twin05)
-        return first
-
-    def sent_to(self, node: int = 1, since: Nanos = 0, line: str = "0.6") -> list[Message]:
-        """The driver's messages to a node (remote requests left out), as its firmware line decodes them."""
-        frames = [f for t, f in self.sent if t >= since and node_of(f) == node and not f.remote]
-        messages = [decode_to_device(frame, line) for frame in frames]
-        return [m for m in messages if m is not None and not isinstance(m, RemoteRequest)]
 
 
 def ready(*devices: Device) -> Bench:

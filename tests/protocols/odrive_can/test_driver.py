@@ -21,7 +21,7 @@ from protocols.odrive_can.faults05 import (
 )
 from protocols.odrive_can.options import Options, Settings
 from tests.protocols.helpers import modes, of
-from tests.protocols.odrive_can.conversation import DBCS
+from tests.protocols.odrive_can.conversation import names_of
 from tests.protocols.odrive_can.helpers import V05, Bench, device, ready
 
 
@@ -59,9 +59,6 @@ def test_an_extended_axis_is_driven_beside_a_standard_one_of_that_address() -> N
     assert spec.read_only(CanFrame(0xFEDCBA << 5 | 0x09, remote=True, extended=True))
 
 
-# -- faults ---------------------------------------------------------------------------------------
-
-
 def test_the_faults_of_0_5_are_those_of_the_vendor_s_dbc_all_of_them() -> None:
     tables = [LINE05.axis_faults, *(table for _, table in LINE05.component_faults.values())]
     signals = [
@@ -72,13 +69,9 @@ def test_the_faults_of_0_5_are_those_of_the_vendor_s_dbc_all_of_them() -> None:
         ("Sensorless_Error", "Get_Sensorless_Error", SensorlessError),
     ]
     for table, (name, message, bits) in zip(tables, signals, strict=True):
-        signal = DBCS["0.5"].get_message_by_name(f"Axis3_{message}").get_signal_by_name(name)
-        theirs = {int(value): str(choice) for value, choice in signal.choices.items() if value}
+        theirs = {bit: word for bit, word in names_of("0.5", message, name).items() if bit}
         assert theirs == {int(bit): bit.name for bit in bits}, name
         assert {bit: info.name.split()[-1] for bit, info in table.items()} == theirs, name
-
-
-# -- restarts, silence, polling -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("settings", [Settings(encoder_msg_rate_ms=0), Settings(heartbeat_msg_rate_ms=0)])
@@ -88,9 +81,6 @@ def test_a_device_without_cyclic_estimates_or_heartbeats_is_polled_and_driven(se
     assert bench.twin.axis.armed
     assert "armed" in modes(bench.events)
     assert len([e for e in of(msg.Feedback, bench.run(1000)) if e.position is not None]) >= 80
-
-
-# -- received frames ------------------------------------------------------------------------------
 
 
 def test_saving_keeps_what_was_written_through_a_reboot() -> None:
