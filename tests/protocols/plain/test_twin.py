@@ -25,7 +25,46 @@ def torque(stage: Bench, *messages: Command) -> float:
     return stage.step(messages).torques[0].torque
 
 
-# -- watchdog, faults --------------------------------------------------------------------------
+# -- arming, watchdog, faults --------------------------------------------------------------------------
+
+
+ARMING: list[Command] = [
+    msg.Hold("m"),
+    msg.Position("m", 0.0),
+    msg.Velocity("m", 0.0),
+    msg.Torque("m", 0.0),
+    msg.Impedance("m", 0.0, 0.0, 0.0, 1.0, 0.1),
+]
+
+
+@pytest.mark.parametrize("command", ARMING, ids=lambda message: type(message).__name__)
+def test_any_command_but_idle_arms_and_idle_disarms(command: Command) -> None:
+    stage = bench()
+    stage.steps(5)
+    assert mode(stage) == Mode.READY
+    steps = ask(stage, command, steps=3)
+    assert mode(stage) == Mode.ARMED
+    assert [s.mode for s in reported(steps, msg.State)] == [Mode.ARMED]
+    steps = ask(stage, msg.Idle("m"), steps=3)
+    assert mode(stage) == Mode.READY
+    assert [s.mode for s in reported(steps, msg.State)] == [Mode.READY]
+
+
+def test_silence_of_the_host_trips_the_watchdog_which_only_clear_fault_undoes() -> None:
+    stage = bench()
+    stage.step([msg.Torque("m", 0.5)])
+    assert {torque(stage) for _ in range(99)} == {0.5}
+    steps = stage.steps(5)
+    assert [s.torques[0].torque for s in steps][1:] == [0.0] * 4
+    assert [(f.code, f.name) for f in reported(steps, msg.Fault)] == [(1, "watchdog expired")]
+    assert mode(stage) == Mode.FAULT
+    for message in (msg.Torque("m", 0.5), msg.Idle("m"), msg.Hold("m")):
+        assert torque(stage, message) == 0.0
+        assert mode(stage) == Mode.FAULT
+    steps = ask(stage, msg.ClearFault("m"), steps=3)
+    assert mode(stage) == Mode.READY
+    assert [d.request for d in reported(steps, msg.Done)] == ["ClearFault"]
+    assert torque(stage, msg.Torque("m", 0.5)) == 0.5
 
 
 def test_the_watchdog_is_exact_and_expired_before_a_late_command() -> None:
@@ -34,6 +73,14 @@ def test_the_watchdog_is_exact_and_expired_before_a_late_command() -> None:
         stage.step([msg.Torque("m", 0.5)])
         stage.twins[0].receive(stage.now + 100 * MILLISECOND + late, codec.encode(1, msg.Torque("", 0.5)))
         assert mode(stage) == expected
+
+
+def test_only_commands_feed_the_watchdog() -> None:
+    stage = bench()
+    stage.step([msg.Torque("m", 0.5)])
+    for _ in range(120):
+        stage.step([msg.ReadParameter("m", "supply")])
+    assert mode(stage) == Mode.FAULT
 
 
 def test_a_watchdog_of_zero_never_expires() -> None:
