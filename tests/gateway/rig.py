@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 
 from brain.belief import Belief
@@ -102,9 +102,9 @@ def notes_in(ticks: Sequence[Tick], *sources: str) -> list[Note]:
     return [note for tick in ticks for note in tick.outputs.notes if not sources or note.source in sources]
 
 
-def sent_commands(rig: Rig, ticks: Sequence[Tick], bus: str = "can0") -> list[tuple[Nanos, Command]]:
-    """Return what the devices of a bus would obey of what was sent, with the times."""
-    decoder = decoder_of(rig.robot, bus)
+def sent_commands(robot: Robot, ticks: Iterable[Tick], bus: str = "can0") -> list[tuple[Nanos, Command]]:
+    """Return what a robot's devices on a bus would obey of what was sent, with the times."""
+    decoder = decoder_of(robot, bus)
     return [
         (tick.now, message)
         for tick in ticks

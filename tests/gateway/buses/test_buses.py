@@ -40,6 +40,14 @@ def poll(look: Callable[[], T]) -> T:
     pytest.fail("nothing came")
 
 
+def raw_pty() -> tuple[int, int]:
+    """The device's end of a terminal line, and the host's."""
+    ends = os.openpty()
+    for end in ends:
+        tty.setraw(end)
+    return ends
+
+
 # -- CAN ---------------------------------------------------------------------------------------
 
 
@@ -223,9 +231,7 @@ def test_closing_again_and_using_a_closed_bus_is_harmless(pair: tuple[Bus, Bus])
 
 def test_an_adapters_acknowledgements_and_bad_lines_are_skipped() -> None:
     """Lawicel's protocol: t = 11-bit frame, r = remote frame, z and bare returns are acknowledgements."""
-    device, host = os.openpty()
-    tty.setraw(device)
-    tty.setraw(host)
+    device, host = raw_pty()
     bus = open_can(
         BusSettings("can0", "can", f"slcan:{os.ttyname(host)}", bitrate=1_000_000), SimulatedClock()
     )
@@ -318,9 +324,7 @@ def test_an_unknown_interface_is_reported_with_the_nearest(interface: str, neare
 @pytest.fixture
 def line() -> Iterator[tuple[int, SerialBus, BusSettings]]:
     """The device's end of a line, and the bus at the other one."""
-    device, host = os.openpty()
-    tty.setraw(device)
-    tty.setraw(host)
+    device, host = raw_pty()
     os.set_blocking(device, False)
     settings = BusSettings("line", "serial", f"serial:{os.ttyname(host)}", baudrate=1_000_000)
     bus = open_serial(settings)
@@ -388,9 +392,7 @@ def test_a_hang_up_is_reported_once_and_raises_nothing(line: tuple[int, SerialBu
 
 
 def test_a_port_that_comes_back_is_reported(tmp_path: Path) -> None:
-    first, second = os.openpty(), os.openpty()
-    for end in (*first, *second):
-        tty.setraw(end)
+    first, second = raw_pty(), raw_pty()
     port = tmp_path / "port"
     port.symlink_to(os.ttyname(first[1]))
     bus = open_serial(BusSettings("line", "serial", f"serial:{port}", baudrate=9600))

@@ -25,6 +25,7 @@ from gateway.buses.adapters.fdcanusb import (
     split_checksum,
     with_checksum,
 )
+from gateway.buses.adapters.pty import Pty
 from gateway.buses.can import CanBus, open_can
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import BusSettings
@@ -369,33 +370,23 @@ def test_a_frame_without_data_is_refused_and_logged_once(
     assert caplog.messages == [f"fdcanusb {bus.paths[0]} replies: ERR insufficient options"]
 
 
-class Port:
-    """A pty whose other end is the test itself."""
-
-    def __init__(self) -> None:
-        self.adapter = AdapterPty(FD, ("fdcanusb",))
-        self.pty = self.adapter._ports[0].pty
-        self.path = self.pty.path
-
-    def received(self) -> bytes:
-        return self.pty.read()
-
-    def send(self, ours: CanBus, data: bytes, now: int = 0) -> tuple[list[BusState], list[Packet]]:
-        self.pty.write(data)
-        states, packets = ours.read(now)
-        return list(states), list(packets)
-
-
 @pytest.fixture
-def port() -> Iterator[Port]:
-    made = Port()
-    yield made
-    made.adapter.close()
+def port() -> Iterator[Pty]:
+    """A port whose other end is the test itself."""
+    with closing(Pty()) as made:
+        yield made
 
 
-def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_reading(port: Port) -> None:
+def send(port: Pty, ours: CanBus, data: bytes, now: int = 0) -> tuple[list[BusState], list[Packet]]:
+    """What the host reads of these bytes."""
+    port.write(data)
+    states, packets = ours.read(now)
+    return list(states), list(packets)
+
+
+def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_reading(port: Pty) -> None:
     with closing(opened(port.path)) as ours:
-        port.received()
+        port.read()
         good = with_checksum(encode_received(FRAME).encode()) + b"\r\n"
         wrong = good.replace(b"123", b"124")
         lines = [
@@ -405,8 +396,8 @@ def test_bad_lines_are_counted_and_the_good_ones_behind_them_come_in_the_same_re
             b"\xff" * 300 + b"\n",
             with_checksum(b"rcv 1") + b"\n",
         ]
-        states, packets = port.send(
-            ours, b"".join([*lines, with_checksum(b"hello") + b"\n", b"\r\n", good]), 7
+        states, packets = send(
+            port, ours, b"".join([*lines, with_checksum(b"hello") + b"\n", b"\r\n", good]), 7
         )
         assert states == []
         assert packets == [Packet(7, "can0", FRAME), Packet(7, "can0", FRAME)]
@@ -419,26 +410,25 @@ def test_the_client_raises_nothing_on_any_bytes_cut_anywhere(pieces: list[bytes]
     data = b"".join(piece.replace(b"can send", b"rcv") for piece in pieces)
     counts = []
     for parts in ([data], list(cut(data, sizes))):
-        port = Port()
-        with closing(port.adapter), closing(opened(port.path)) as ours:
-            port.received()
-            received = [packet.frame for part in parts for packet in port.send(ours, part)[1]]
+        with closing(Pty()) as port, closing(opened(port.path)) as ours:
+            port.read()
+            received = [packet.frame for part in parts for packet in send(port, ours, part)[1]]
             counts.append((received, ours.bad))
     assert counts[0] == counts[1]
 
 
-def test_checksums_follow_the_errors_of_the_adapter(port: Port) -> None:
+def test_checksums_follow_the_errors_of_the_adapter(port: Pty) -> None:
     with closing(opened(port.path)) as ours:
-        port.received()
+        port.read()
         ours.write(0, [FRAME])
-        assert port.received() == with_checksum(SEND) + b"\n"
-        port.send(ours, b"ERR unknown flag\r\n")  # as one that knows no checksums takes it
+        assert port.read() == with_checksum(SEND) + b"\n"
+        send(port, ours, b"ERR unknown flag\r\n")  # as one that knows no checksums takes it
         ours.write(0, [FRAME])
-        assert port.received() == SEND + b"\n"
-        assert port.send(ours, encode_received(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
-        port.send(ours, b"ERR checksum required\r\n")
+        assert port.read() == SEND + b"\n"
+        assert send(port, ours, encode_received(FRAME).encode() + b"\r\n")[1] == [Packet(0, "can0", FRAME)]
+        send(port, ours, b"ERR checksum required\r\n")
         ours.write(0, [FRAME])
-        assert port.received() == with_checksum(SEND) + b"\n"
+        assert port.read() == with_checksum(SEND) + b"\n"
 
 
 def test_a_listener_receives_from_an_adapter_without_checksums(bus: AdapterPty) -> None:
@@ -453,23 +443,23 @@ def test_a_listener_receives_from_an_adapter_without_checksums(bus: AdapterPty) 
 
 
 @pytest.mark.usefixtures("known")
-def test_an_adapter_that_is_off_the_bus_is_put_on_it(port: Port) -> None:
+def test_an_adapter_that_is_off_the_bus_is_put_on_it(port: Pty) -> None:
     with closing(opened(port.path)) as ours:
         ours.read(0)
-        assert port.received() == b"conf get can.bitrate\nconf get can.fd_bitrate\n"
+        assert port.read() == b"conf get can.bitrate\nconf get can.fd_bitrate\n"
         ours.write(0, [FRAME])
-        port.send(ours, b"ERR not in BusOn state\r\n")
-        assert port.received() == SEND + b"\ncan on\n"
+        send(port, ours, b"ERR not in BusOn state\r\n")
+        assert port.read() == SEND + b"\ncan on\n"
 
 
 @pytest.mark.usefixtures("known")
 def test_an_adapter_of_another_bit_rate_is_logged_with_the_commands(
-    port: Port, caplog: pytest.LogCaptureFixture
+    port: Pty, caplog: pytest.LogCaptureFixture
 ) -> None:
     with closing(opened(port.path)) as ours, caplog.at_level(logging.ERROR):
         ours.read(0)
-        port.received()
-        port.send(ours, b"1000000\r\n2000000\r\n")
+        port.read()
+        send(port, ours, b"1000000\r\n2000000\r\n")
         assert ours.bad == 0
     (text,) = caplog.messages
     assert text.startswith(

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.main import main
+from gateway.config import parse_robot
 from gateway.recording import read_recording
 from protocols.messages import Velocity
 from tests.gateway.processes import Process
-from tests.gateway.rig import BENCH, Rig, sent_commands
+from tests.gateway.rig import BENCH, sent_commands
 
 HEAVY = {"numpy", "can", "serial", "mcap", "rosbags", "filterpy", "mujoco", "matplotlib"}
 
@@ -184,7 +185,7 @@ def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> Non
         robot.send_line("quit")
         status, text = robot.end()
     assert status == 0, text
-    commands = [command for _, command in sent_commands(Rig(), list(read_recording(recording).ticks))]
+    commands = [command for _, command in sent_commands(parse_robot(BENCH), read_recording(recording).ticks)]
     assert {command.motor for command in commands if isinstance(command, Velocity)} == {"left", "right"}
 
 

@@ -148,8 +148,8 @@ def test_it_drives_a_motor_beside_a_built_in_one() -> None:
     ticks = rig.run(2.0, Velocity("left", 3.0), Velocity("right", 2.0))
     assert rig.velocity("left") == pytest.approx(3.0, abs=0.2)
     assert rig.velocity("right") == pytest.approx(2.0, abs=0.2)
-    assert any(c.motor == "left" for _, c in sent_commands(rig, ticks) if isinstance(c, Velocity))
-    last = sent_commands(rig, rig.leave())
+    assert any(c.motor == "left" for _, c in sent_commands(rig.robot, ticks) if isinstance(c, Velocity))
+    last = sent_commands(rig.robot, rig.leave())
     assert Idle("left") in [command for _, command in last]
 
 

@@ -38,14 +38,14 @@ from gateway.cli.terminal.keys import (
 from gateway.cli.terminal.screen import Line
 from gateway.core.clock import SimulatedClock
 from gateway.core.robot import Robot
-from gateway.core.step import Gateway, decoder_of
+from gateway.core.step import Gateway
 from gateway.core.tick import Tick
 from gateway.errors import UserError
 from gateway.runtime.process import signals
 from gateway.runtime.session import Session
 from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Idle, Instruction, Nanos, Velocity
 from tests.gateway.processes import Process, TerminalProcess
-from tests.gateway.rig import BENCH
+from tests.gateway.rig import BENCH, sent_commands
 
 MS = MILLISECOND
 
@@ -245,15 +245,8 @@ class Jogged:
         return self
 
     def obeyed(self) -> list[tuple[Nanos, Command]]:
-        """What any device of the whole robot would obey of what was sent."""
-        decoder = decoder_of(self.whole, "can0")
-        return [
-            (packet.t, command)
-            for tick in self.ticks
-            for packet in tick.outputs.packets
-            for command in decoder.decode(packet.t, packet.frame)
-            if isinstance(command, Command)
-        ]
+        """Return what any device of the whole robot would obey of what was sent."""
+        return sent_commands(self.whole, self.ticks)
 
     def turned(self, motor: str = "left") -> float:
         assert self.twins.world is not None

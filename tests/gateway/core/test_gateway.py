@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from gateway.core.step import Gateway, decoder_of
+from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs, Tick
 from protocols import messages as msg
 from protocols.frames import CanFrame, Packet
@@ -37,7 +37,7 @@ def driven(rig: Rig) -> Rig:
 
 def only_idle(rig: Rig, ticks: Sequence[Tick], *motors: str) -> bool:
     """True if nothing but Idle was commanded, to these motors or to any."""
-    commands = [command for _, command in sent_commands(rig, ticks)]
+    commands = [command for _, command in sent_commands(rig.robot, ticks)]
     return all(isinstance(one, msg.Idle) for one in commands if not motors or one.motor in motors)
 
 
@@ -69,7 +69,7 @@ def test_a_motor_mounted_the_other_way_round_turns_the_same_way() -> None:
 
 def test_stop_latches_above_every_joint_until_release(driven: Rig) -> None:
     ticks = driven.run(0.5, msg.Stop("a hand in the way"))
-    assert sent_commands(driven, ticks[:1]) == [
+    assert sent_commands(driven.robot, ticks[:1]) == [
         (ticks[0].now, msg.Idle("left")),
         (ticks[0].now, msg.Idle("right")),
     ]
@@ -233,7 +233,7 @@ def test_the_same_inputs_give_the_same_outputs(driven: Rig) -> None:
 def test_a_brain_without_commands_times_out(driven: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(driven.gateway.brain, "step", lambda *_: [])
     ticks = driven.run(0.5)
-    assert sent_commands(driven, ticks)[-1][1] in (msg.Idle("left"), msg.Idle("right"))
+    assert sent_commands(driven.robot, ticks)[-1][1] in (msg.Idle("left"), msg.Idle("right"))
     assert not any(joint.mode is Mode.ARMED for joint in driven.gateway.joints.values())
 
 
@@ -264,6 +264,5 @@ def test_leaving_sends_nothing_to_a_motor_that_another_host_has_armed(driven: Ri
 
 def _idles(rig: Rig, outputs: Outputs) -> list[str]:
     """Return the motors that would obey an Idle in these outputs."""
-    decoder = decoder_of(rig.robot, "can0")
-    messages = [one for p in outputs.packets for one in decoder.decode(p.t, p.frame)]
-    return [one.motor for one in messages if isinstance(one, msg.Idle)]
+    commands = sent_commands(rig.robot, [Tick(0, 0, Inputs(), outputs)])
+    return [command.motor for _, command in commands if isinstance(command, msg.Idle)]

@@ -7,7 +7,7 @@ import io
 import os
 import pty
 import signal
-import termios
+import tty
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -103,7 +103,7 @@ def test_an_adapter_on_a_serial_port_is_opened_listen_only_and_sent_no_frame() -
     adapter, port = pty.openpty()
     settings = BusSettings("can0", "can", f"slcan:{os.ttyname(port)}", bitrate=500_000)
     try:
-        termios.tcsetattr(adapter, termios.TCSANOW, _raw(adapter))
+        tty.setraw(adapter)
         source = open_source(settings, SimulatedClock())
         os.write(adapter, b"t0213010203\r\r\a")
         result = source.read(SECOND)
@@ -114,12 +114,6 @@ def test_an_adapter_on_a_serial_port_is_opened_listen_only_and_sent_no_frame() -
         os.close(port)
     assert result == ([], [Packet(SECOND, "can0", CanFrame(0x021, b"\x01\x02\x03"))])
     assert set(commands) == {b"C", b"S6", b"L", b""}
-
-
-def _raw(terminal: int) -> list[int | list[bytes | int]]:
-    mode = termios.tcgetattr(terminal)
-    mode[0] = mode[1] = mode[3] = 0
-    return mode
 
 
 def test_on_a_serial_bus_not_a_single_byte_is_sent() -> None:

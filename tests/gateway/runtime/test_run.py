@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.config import parse_robot
 from gateway.core.clock import SimulatedClock, WallClock
 from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs, Tick
@@ -83,7 +84,7 @@ def test_at_the_end_the_stop_command_goes_out_first_and_the_devices_report_that_
     driven: Rig,
 ) -> None:
     last = driven.leave()
-    commands = [command for _, command in sent_commands(driven, last)]
+    commands = [command for _, command in sent_commands(driven.robot, last)]
     assert commands[:2] == [Idle("left"), Idle("right")]
     assert {joint.mode for joint in driven.gateway.joints.values()} == {Mode.READY}
     assert last[-1].now - last[0].now <= loop.DISARM_TIMEOUT
@@ -135,6 +136,6 @@ def test_a_signal_sends_the_stop_command_and_ends_the_run(name: str, tmp_path: P
     assert status == 0, text
     assert f"leaving: {name}" in text
     assert "Traceback" not in text
-    commands = [command for _, command in sent_commands(Rig(), list(read_recording(recording).ticks))]
+    commands = [command for _, command in sent_commands(parse_robot(BENCH), read_recording(recording).ticks)]
     assert any(isinstance(command, Velocity) for command in commands)
     assert isinstance(commands[-1], Idle)
