@@ -16,16 +16,8 @@ def feedback(t: Nanos, motor: str = "left") -> Feedback:
     return Feedback(motor, t, 1.0, 0.0)
 
 
-def imu(t: Nanos) -> Imu:
-    return Imu("imu", t, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81))
-
-
 def scan(t: Nanos) -> LaserScan:
     return LaserScan("lidar", t, 0.0, 1.0, 0.1, 10.0, (1.0, 1.0))
-
-
-def fix(t: Nanos) -> Fix:
-    return Fix("gps", t, 48.0, 11.0)
 
 
 def all_at(t: Nanos) -> dict[str, Event]:
@@ -33,9 +25,9 @@ def all_at(t: Nanos) -> dict[str, Event]:
     return {
         "left": feedback(t),
         "right": feedback(t, "right"),
-        "imu": imu(t),
+        "imu": Imu("imu", t, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)),
         "lidar": scan(t),
-        "gps": fix(t),
+        "gps": Fix("gps", t, 48.0, 11.0),
     }
 
 

@@ -61,22 +61,6 @@ def test_an_empty_map_costs_the_octile_distance() -> None:
     assert (outcome.cells[0], outcome.cells[-1]) == (start, goal)
 
 
-def test_no_corner_is_cut() -> None:
-    blocked, unknown = picture(
-        "..#..",
-        "..#..",
-        ".....",
-        "..#..",
-    )
-    there = costmap_of(blocked, unknown)
-    outcome = run(Search(there, 2 * 7 + 2, 2 * 7 + 5))
-    assert isinstance(outcome, CellPath)
-    for a, b in zip(outcome.cells, outcome.cells[1:], strict=False):
-        (row, column), (next_row, next_column) = divmod(a, 7), divmod(b, 7)
-        assert there.level[row * 7 + next_column] != BLOCKED
-        assert there.level[next_row * 7 + column] != BLOCKED
-
-
 def test_a_diagonal_gap_between_two_corners_is_closed() -> None:
     blocked, unknown = picture(
         "..#",
