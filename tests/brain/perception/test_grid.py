@@ -157,27 +157,23 @@ def test_obstacles_are_inflated() -> None:
 # -- the rest ----------------------------------------------------------------------------------
 
 
-def test_a_beam_clears_its_way_and_marks_its_end() -> None:
+@pytest.mark.parametrize(
+    ("distance", "range_max", "cleared", "hits"),
+    [
+        (2.05, 4.0, 20, 1),
+        (99.0, 3.0, 30, 0),  # it meets nothing: cleared as far as it sees
+        (0.05, 4.0, 0, 0),  # no reading
+    ],
+)
+def test_a_beam_clears_its_way_and_marks_its_end(
+    distance: float, range_max: float, cleared: int, hits: int
+) -> None:
     grid = Grid(EXACT)
-    grid.add(HERE, beam(2.05))
+    grid.add(HERE, beam(distance, range_max=range_max))
     row, column = grid.cell(0.0, 0.0)
-    assert (grid.log_odds[row, column : column + 20] == np.float32(-0.4)).all()
-    assert grid.log_odds[row, column + 20] == np.float32(0.85)
-    assert np.count_nonzero(grid.log_odds) == 21
-
-
-def test_a_beam_that_meets_nothing_clears_as_far_as_it_sees() -> None:
-    grid = Grid(EXACT)
-    grid.add(HERE, beam(99.0, range_max=3.0))
-    row, column = grid.cell(0.0, 0.0)
-    assert (grid.log_odds[row, column : column + 30] < 0.0).all()
-    assert not grid.occupied.any()
-
-
-def test_a_beam_without_a_reading_says_nothing() -> None:
-    grid = Grid(EXACT)
-    grid.add(HERE, beam(0.05))
-    assert not grid.log_odds.any()
+    assert (grid.log_odds[row, column : column + cleared] == np.float32(-0.4)).all()
+    assert (grid.log_odds[row, column + cleared : column + cleared + hits] == np.float32(0.85)).all()
+    assert np.count_nonzero(grid.log_odds) == cleared + hits
 
 
 def test_a_cell_counts_once_per_scan() -> None:

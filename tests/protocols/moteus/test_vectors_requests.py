@@ -147,12 +147,7 @@ NO_REGISTER = "the device has no such register, or cannot read it so"
 @pytest.mark.parametrize(
     ("request_", "vector", "answer", "expected"),
     [
-        (
-            READ,
-            "read_power",
-            "reply_power",
-            [msg.Parameter("left", 0, "power", 12.5)],
-        ),
+        (READ, "read_power", "reply_power", [msg.Parameter("left", 0, "power", 12.5)]),
         (READ, "read_power", "reply_power_unknown", [msg.Refused(0, "ReadParameter", "left", NO_REGISTER)]),
         (
             READ,

@@ -109,10 +109,7 @@ TALKS: dict[str, list[Turn]] = {
         ),
         Turn(
             5,
-            up=[
-                encoded(LEFT, "Done", 0, "Zero", "", ""),
-                encoded(LEFT, "Parameter", "", 0, "supply", 24.0),
-            ],
+            up=[encoded(LEFT, "Done", 0, "Zero", "", ""), encoded(LEFT, "Parameter", "", 0, "supply", 24.0)],
             reported=[msg.Done(at(5), "Zero", "left"), msg.Parameter("left", at(5), "supply", 24.0)],
         ),
         Turn(6, messages=[WRITES], down=[encoded(LEFT, "WriteParameter", "", "supply", 12.0)]),
@@ -165,7 +162,7 @@ TALKS: dict[str, list[Turn]] = {
             0,
             messages=[msg.Stop(), msg.Idle("left"), msg.Idle("right")],
             down=[encoded(LEFT, "Idle", ""), encoded(RIGHT, "Idle", "")],
-        ),
+        )
     ],
     "commands, each to its own": [
         Turn(
@@ -310,10 +307,7 @@ TALKS: dict[str, list[Turn]] = {
             up=[encoded(9, "Found", 0, "plain", 9, 5, "", False)],
             reported=[msg.Found(at(1), "plain", 9, 5), msg.Done(at(1), "SetId", "one", "5 is now at 9")],
         ),
-        Turn(
-            200,
-            reported=[msg.Refused(at(200), "SetId", "two", "no device has serial number 5")],
-        ),
+        Turn(200, reported=[msg.Refused(at(200), "SetId", "two", "no device has serial number 5")]),
     ],
     "measurements of a sensor": [
         Turn(
@@ -371,10 +365,7 @@ COUNTED: dict[str, tuple[Frame, tuple[int, int, int]]] = {
     "an echo of a scan": (encoded(0, "Scan", ""), (0, 0, 1)),
     "a stranger found": (encoded(77, "Found", 0, "plain", 77, 5, "", False), (1, 0, 0)),
     "a stranger with the address of another": (encoded(77, "Found", 0, "plain", 78, 5, "", False), (0, 0, 1)),
-    "our motor with another address": (
-        encoded(LEFT, "Found", 0, "plain", 78, 5, "", False),
-        (0, 1, 0),
-    ),
+    "our motor with another address": (encoded(LEFT, "Found", 0, "plain", 78, 5, "", False), (0, 1, 0)),
     "another language found": (encoded(LEFT, "Found", 0, "odrive_can", 1, 5, "", False), (0, 1, 0)),
     "a wrong CRC": (PLACE[:-1] + bytes((PLACE[-1] ^ 1,)), (0, 1, 0)),
     "noise": (b"noise", (0, 0, 1)),
