@@ -107,12 +107,6 @@ def test_encoders_count() -> None:
     assert max(abs(value - round(value)) for value in counts) < 1e-6
 
 
-def test_motors_without_commands_stay_still() -> None:
-    silent = rig().run(200)
-    assert silent.truth() < 1e-3
-    assert {e.motor for e in silent.events if isinstance(e, msg.Feedback)} == {"left", "right"}
-
-
 # -- overload -------------------------------------------------------------------------------------------
 
 
