@@ -106,12 +106,8 @@ class _MotorStatus:
     mode: Mode = Mode.INITIALISING
     detail: str = ""
     faults: dict[int, str] = field(default_factory=dict)
-    position: float | None = None
-    velocity: float | None = None
-    torque: float | None = None
-    current: float | None = None
-    voltage: float | None = None
-    temperature: float | None = None
+    measured: dict[str, float] = field(default_factory=dict)
+    """Last value by field of `Feedback`."""
 
 
 class Views:
@@ -191,6 +187,11 @@ class Views:
         self._shown[topic] = shown
         return True
 
+    def _new_and_due(self, topic: str, shown: object, now: Nanos, period: Nanos) -> bool:
+        return (
+            self._shown.get(topic) != shown and self._due(topic, now, period) and self._is_new(topic, shown)
+        )
+
     def _view(self, topic: str, t: Nanos, message: Message) -> View:
         type_ = message.__msgtype__
         return View(
@@ -233,7 +234,7 @@ class Views:
                 status = self._motor(event.motor)
                 for name in _MEASURED:
                     if (value := getattr(event, name)) is not None:
-                        setattr(status, name, value)
+                        status.measured[name] = value
                 self._moved = True
             case msg.State(motor, _, mode, detail):
                 status = self._motor(motor)
@@ -258,12 +259,7 @@ class Views:
     def _estimate_and_map(self, now: Nanos, belief: Belief) -> list[View]:
         views: list[View] = []
         estimate = belief.estimate
-        if (
-            estimate is not None
-            and self._shown.get("/odom") != estimate.t
-            and self._due("/odom", now, BELIEF_PERIOD)
-        ):
-            self._shown["/odom"] = estimate.t
+        if estimate is not None and self._new_and_due("/odom", estimate.t, now, BELIEF_PERIOD):
             t, layouts = _stamp(estimate.t), self._layouts
             views.append(View("/odom", ODOMETRY, t, ros_cdr.odometry(layouts, estimate)))
             views.append(View("/tf", TRANSFORMS, t, ros_cdr.base_transform(layouts, estimate)))
@@ -271,12 +267,7 @@ class Views:
                 raw = ros_cdr.dead_reckoning(layouts, estimate.t, belief.raw)
                 views.append(View("/wheel_odom", ODOMETRY, t, raw))
         grid = belief.map
-        if (
-            grid is not None
-            and self._shown.get("/map") != grid.version
-            and self._due("/map", now, MAP_PERIOD)
-        ):
-            self._shown["/map"] = grid.version
+        if grid is not None and self._new_and_due("/map", grid.version, now, MAP_PERIOD):
             views.append(self._view("/map", now, ros_messages.occupancy(self._types, now, grid)))
         return views
 
@@ -297,7 +288,10 @@ class Views:
         if not self._moved or not self._due("/joint_states", now, BELIEF_PERIOD):
             return []
         self._moved = False
-        measured = {name: (m.position, m.velocity, m.torque) for name, m in self._motors.items()}
+        measured = {
+            name: (m.measured.get("position"), m.measured.get("velocity"), m.measured.get("torque"))
+            for name, m in self._motors.items()
+        }
         return [View("/joint_states", JOINT_STATE, _stamp(now), ros_cdr.joint_state(now, measured))]
 
     # -- diagnostics ------------------------------------------------------------------------------
@@ -332,7 +326,7 @@ class Views:
         values = {
             f"{quantity} [{unit}]": repr(value)
             for quantity, unit in _REPORTED.items()
-            if (value := getattr(status, quantity)) is not None
+            if (value := status.measured.get(quantity)) is not None
         }
         return ros_messages.diagnostic_status(self._types, level, f"/gateway/motors/{name}", message, values)
 

@@ -103,11 +103,12 @@ class TickWriter:
         """Write all ticks so far to the file."""
         if not self.pending:
             return ""
-        pending, self.pending = self.pending, 0
         try:
             self._file.flush()
         except OSError as error:
-            return self._write_failed(error, pending)
+            return self._write_failed(error)
+        finally:
+            self.pending = 0
         self._written = self._chain
         if self._retry_at is None:
             return ""
@@ -131,10 +132,10 @@ class TickWriter:
         self._missing += count
         return ""
 
-    def _write_failed(self, error: OSError, pending: int) -> str:
+    def _write_failed(self, error: OSError) -> str:
         """Handle a chunk that was not written: its ticks are lost, the next one continues the file."""
         repeated = self._retry_at is not None
-        self._count_lost(pending)
+        self._count_lost(self.pending)
         self._chain = self._written
         self._views.reset()
         self._retry_at = self._since + RETRY_PERIOD

@@ -13,10 +13,11 @@ from __future__ import annotations
 import mmap
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -29,24 +30,10 @@ PATIENCE = 60.0
 """s that a process may take to its first tick, on a machine that has other things to do"""
 
 
-class Board:
-    """The times of the first and the newest tick that were handed over, seen by both processes."""
-
-    def __init__(self, path: Path) -> None:
-        with path.open("r+b") as file:
-            self._map = mmap.mmap(file.fileno(), 16)
-        self.cells = memoryview(self._map).cast("q")
-
-    @classmethod
-    def new(cls, path: Path) -> Board:
-        """Make an empty board."""
-        path.write_bytes(2 * NOTHING.to_bytes(8, sys.byteorder, signed=True))
-        return cls(path)
-
-    def close(self) -> None:
-        """Release the memory."""
-        self.cells.release()
-        self._map.close()
+def board(path: Path) -> memoryview:
+    """Return the times of the first and the newest tick handed over, seen by both processes."""
+    with path.open("r+b") as file:
+        return memoryview(mmap.mmap(file.fileno(), 16)).cast("q")
 
 
 # -- the program -------------------------------------------------------------------------------
@@ -63,12 +50,12 @@ def _serve() -> None:
     environment.facts()
     print("ready", flush=True)
     for line in sys.stdin:
-        robot, file, board, typed = line.rstrip("\n").split("\t")
+        robot, file, at, typed = line.rstrip("\n").split("\t")
         read_end, write_end = os.pipe()
         pid = os.fork()
         if pid == 0:
             os.dup2(read_end, 0)
-            _become_run(robot, file, Path(board), write_end, typed)
+            _become_run(robot, file, at, write_end, typed)
         os.close(read_end)
         print(pid, flush=True)
         _, status = os.waitpid(pid, 0)
@@ -76,13 +63,13 @@ def _serve() -> None:
         print(os.waitstatus_to_exitcode(status), flush=True)
 
 
-def _become_run(robot: str, file: str, board: Path, terminal: int, typed: str) -> None:
+def _become_run(robot: str, file: str, at: str, terminal: int, typed: str) -> None:
     """Become `gateway run`, never to return; at tick 20 a line is typed on its terminal."""
     from gateway.cli.main import main
     from gateway.recording import Recorder
 
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    cells = Board(board).cells
+    cells = board(Path(at))
     record = Recorder.record
 
     def witnessed(self: Recorder, tick: Any, belief: Any, *, patient: bool = False) -> None:
@@ -162,19 +149,20 @@ class Runs:
 
         In wall time, because a kill in simulated time proves nothing."""
         path = file.with_suffix(".board")
-        with closing(Board.new(path)) as board:
+        path.write_bytes(struct.pack("qq", NOTHING, NOTHING))
+        with board(path) as cells:
             assert self._server.stdin
             self._server.stdin.write(f"{robot}\t{file}\t{path}\t{typed}\n")
             self._server.stdin.flush()
             pid = int(self._received())
             for _ in range(round(PATIENCE / 0.001)):
-                if board.cells[1] != NOTHING:
+                if cells[1] != NOTHING:
                     break
                 time.sleep(0.001)
             queued = _watch(pid, after)
             os.kill(pid, signal.SIGKILL)
             assert self._received() == str(-signal.SIGKILL), "it did not live until it was killed"
-            first, last = board.cells
+            first, last = cells
         path.unlink()
         assert last != NOTHING
         return Killed(first, last, queued)

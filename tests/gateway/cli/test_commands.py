@@ -154,14 +154,6 @@ def test_a_missing_watchdog_is_a_warning_at_every_start_until_it_is_acknowledged
     assert "watchdog" in capsys.readouterr().out
 
 
-def test_a_run_is_recorded_and_replayed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    robot, recording = tmp_path / "rig.toml", tmp_path / "run.mcap"
-    robot.write_text(BENCH)
-    assert main(["run", str(robot), "--fast", "--seconds", "1", "--record", str(recording)]) == 0
-    assert main(["replay", str(recording)]) == 0
-    assert "the same, byte for byte" in capsys.readouterr().out
-
-
 def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
     robot, recording = tmp_path / "rig.toml", tmp_path / "run.mcap"
     robot.write_text(BENCH)

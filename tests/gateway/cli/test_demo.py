@@ -6,19 +6,13 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from gateway import config
-from gateway.core.tick import Tick
-from gateway.recording import Recording, Step, read_recording
-from gateway.replay import replay_recording
-from protocols.frames import CanFrame, Packet
+from gateway.recording import read_recording
 from protocols.messages import Feedback, Imu, LaserScan, State
 
 ROOT = Path(__file__).parents[3]
@@ -121,42 +115,7 @@ def test_a_replay_gives_the_same_bytes_whatever_the_hash_seed(drive: Drive, seed
     assert "0 left over" in done.stdout
 
 
-@dataclass(frozen=True)
-class Excerpt(Recording):
-    """Some steps of a recording, whole as far as they go."""
-
-    kept: tuple[Step, ...] = ()
-
-    @property
-    def steps(self) -> Iterator[Step]:
-        return iter(self.kept)
-
-
-def excerpt(recording: Recording, steps: Iterable[Step]) -> Excerpt:
-    kept = tuple(steps)
-    values = {field.name: getattr(recording, field.name) for field in fields(Recording)}
-    return Excerpt(**values | {"whole": True, "indexed": len(kept)}, kept=kept)
-
-
-@pytest.fixture(scope="module")
-def beginning(drive: Drive) -> Excerpt:
-    """The first 1200 ticks."""
-    recording = read_recording(drive.recording)
-    return excerpt(recording, islice(recording.steps, 1200))
-
-
-def test_one_changed_gain_is_found_and_named(beginning: Excerpt) -> None:
-    changed = beginning.robot_text.replace("max_linear = 0.6 ", "max_linear = 0.5 ")
-    assert changed != beginning.robot_text
-    comparison = replay_recording(beginning, config.parse_robot(changed))
-    assert not comparison.ok
-    text = comparison.text()
-    assert "brain.differential.max_linear: 0.6 recorded, 0.5 now" in text
-    assert re.search(r"(left|right): Velocity -?[\d.]+ rad/s", text)
-    assert comparison.packets > 100
-
-
-def test_the_same_file_by_command_with_one_gain_changed_exits_with_1(drive: Drive, tmp_path: Path) -> None:
+def test_one_changed_limit_is_found_and_named_and_the_exit_status_is_1(drive: Drive, tmp_path: Path) -> None:
     robot = tmp_path / "other.toml"
     text = read_recording(drive.recording).robot_text
     robot.write_text(text.replace("acceleration = 60.0", "acceleration = 30.0", 1))
@@ -164,25 +123,7 @@ def test_the_same_file_by_command_with_one_gain_changed_exits_with_1(drive: Driv
     assert done.returncode == 1
     assert "NOT the same" in done.stdout
     assert "motors.left.limits.acceleration: 60.0 recorded, 30.0 now" in done.stdout
-
-
-def flipped(tick: Tick) -> Tick | None:
-    """Return the tick with one bit of its first encoder frame flipped: the sign of the velocity."""
-    packets = list(tick.inputs.packets)
-    for i, packet in enumerate(packets):
-        frame = packet.frame
-        if isinstance(frame, CanFrame) and frame.id & 0x1F == 0x09 and len(frame.data) == 8:
-            data = bytes([*frame.data[:7], frame.data[7] ^ 0x80])
-            packets[i] = Packet(packet.t, packet.bus, replace(frame, data=data))
-            return replace(tick, inputs=replace(tick.inputs, packets=tuple(packets)))
-    return None
-
-
-def test_one_flipped_bit_in_one_recorded_frame_is_found_and_named(beginning: Excerpt) -> None:
-    steps = list(beginning.steps)
-    at, changed = next((i, t) for i in range(600, 1200) if (t := flipped(steps[i].tick)) is not None)
-    steps[at] = replace(steps[at], tick=changed)
-    comparison = replay_recording(excerpt(beginning, steps))
-    assert comparison.first is not None
-    assert comparison.first.tick == at
-    assert "velocity" in comparison.text()
+    assert re.search(r"(left|right): Velocity -?[\d.]+ rad/s", done.stdout)
+    compared = re.search(r"(\d+) packets with", done.stdout)
+    assert compared
+    assert int(compared[1]) > 100

@@ -23,7 +23,7 @@ from gateway.core.robot import Robot
 from gateway.errors import ConfigError
 from protocols import plugin
 from protocols.messages import MILLISECOND, Idle, Nanos, Torque
-from protocols.plugin import Broken, Device, Plugin, Spec, UnknownProtocol
+from protocols.plugin import Device, Plugin, Spec
 from tests.gateway.rig import WATCHED
 
 ROBOTS = sorted(Path(resources.__file__).parent.parent.glob("fixtures/robots/*.toml"))
@@ -485,17 +485,6 @@ def test_the_data_phase_of_can_fd_is_not_the_slower_one() -> None:
     (found,) = mistakes_in(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 500_000'))
     assert "buses.can0.data_bitrate: found 500000, expected at least the bitrate of 1000000" in found
     assert mistakes_in(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 1_000_000')) == []
-
-
-def test_a_broken_protocol_is_named_with_its_distribution() -> None:
-    def find(name: str) -> Plugin:
-        if name == "odrive_can":
-            raise UnknownProtocol(name, [name], Broken(name, "their-package", "ImportError: no module"))
-        return plugin.load(name)
-
-    found = mistakes_in(ROVER, find)
-    assert len(found) == 2
-    assert "protocol 'odrive_can' of their-package is broken: ImportError: no module" in found[0]
 
 
 # -- cautions ------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from gateway.core.step import Gateway
 from gateway.core.tick import Inputs, Outputs, Tick
 from protocols import messages as msg
 from protocols.frames import CanFrame, Packet
-from protocols.messages import Command, Mode, Task
+from protocols.messages import Mode
 from tests.gateway.rig import BENCH, Rig, notes_in, sent_commands
 
 DRIVEN = (msg.Velocity("left", 5.0), msg.Velocity("right", -5.0))
@@ -184,28 +184,12 @@ def test_a_lost_bus_and_its_return_are_reported_and_nothing_starts_by_itself(dri
     assert only_idle(driven, ticks)
 
 
-class NonFiniteBrain:
-    """A brain whose commands are not finite."""
-
-    def __init__(self, bad: float) -> None:
-        self.bad = bad
-
-    def step(
-        self, _now: int, _events: object, _tasks: Sequence[Task | Command], _stopped: str
-    ) -> list[Command]:
-        return [msg.Velocity("left", self.bad), msg.Torque("right", self.bad)]
-
-    def take_notes(self) -> list[tuple[str, str]]:
-        return []
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_command_that_is_not_finite_moves_nothing_and_is_reported(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, bad: float
 ) -> None:
-    belief = rig.gateway.belief()
-    monkeypatch.setattr(rig.gateway, "brain", NonFiniteBrain(bad))
-    monkeypatch.setattr(rig.gateway, "belief", lambda: belief)
+    commands = [msg.Velocity("left", bad), msg.Torque("right", bad)]
+    monkeypatch.setattr(rig.gateway.brain, "step", lambda *_: commands)
     ticks = rig.run(0.3)
     assert any("not finite" in n.text and n.level == "error" for n in notes_in(ticks, "left"))
     assert all(rig.robot.motors["left"].spec.read_only(p.frame) for t in ticks for p in t.outputs.packets)

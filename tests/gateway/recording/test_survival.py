@@ -9,10 +9,7 @@ import errno
 import logging
 import os
 import signal
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +24,7 @@ from gateway.recording.recover import is_whole
 from gateway.runtime.session import open_session
 from protocols.messages import SECOND, Velocity
 from tests.gateway import kills, little
+from tests.gateway.processes import Process, eventually
 from tests.gateway.recording.test_recording import child, drained
 from tests.gateway.rig import BENCH, WATCHED, Rig
 from tests.gateway.witness import Runs
@@ -45,31 +43,25 @@ def test_twenty_kills_lose_at_most_100_ms(tmp_path: Path) -> None:
     assert sum(outcome.lost > kills.PROMISE for outcome in outcomes) <= 1
 
 
-def test_a_killed_command_its_recovery_and_its_replay(tmp_path: Path) -> None:
+def test_a_killed_command_its_recovery_and_its_replay(path: Path, tmp_path: Path) -> None:
     """As a person does it: three commands."""
-    file, whole = tmp_path / "a.mcap", tmp_path / "a.recovered.mcap"
-    gateway = [sys.executable, "-m", "gateway"]
-    with subprocess.Popen(
-        [*gateway, "run", "bench", "--record", str(file)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    ) as run:
-        assert run.stdin
-        run.stdin.write(b"velocity left 6\n")
-        run.stdin.flush()
-        for _ in range(6000):
-            if file.exists() and file.stat().st_size > 30_000:
-                break
-            time.sleep(0.01)
-        run.send_signal(signal.SIGKILL)
-    assert run.returncode == -signal.SIGKILL
-    recovered = subprocess.run([*gateway, "recover", str(file)], capture_output=True, text=True, check=False)
-    assert (recovered.returncode, recovered.stderr) == (0, "")
-    assert "the file was not closed" in recovered.stdout
-    replayed = subprocess.run([*gateway, "replay", str(whole)], capture_output=True, text=True, check=False)
-    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
-    assert "the same, byte for byte" in replayed.stdout
+    with Process(tmp_path, "run", "bench", "--record", str(path)) as run:
+        run.send_line("velocity left 6")
+
+        def written() -> bool:
+            run.look()
+            return path.exists() and path.stat().st_size > 30_000
+
+        assert eventually(written)
+        assert run.end(signal.SIGKILL)[0] == -signal.SIGKILL
+    for command, name, expected in (
+        ("recover", "a.mcap", "the file was not closed"),
+        ("replay", "a.recovered.mcap", "the same, byte for byte"),
+    ):
+        with Process(tmp_path, command, str(tmp_path / name)) as process:
+            status, text = process.end()
+            assert status == 0, text
+            assert expected in text
 
 
 @pytest.mark.parametrize(("text", "stops"), [(WATCHED, True), (BENCH, False)])
