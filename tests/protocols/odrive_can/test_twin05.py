@@ -266,7 +266,7 @@ def test_a_standard_axis_ignores_extended_identifiers() -> None:
 
 def test_what_clears_or_restarts_a_board_reaches_both_axes_and_nothing_else_does() -> None:
     rig = rig05(Settings(other_axis=2)).armed()
-    rig.send(IDLE, SetInputVel(9.0, 0.0), node=2)
+    rig.send(IDLE, Estop(), SetInputVel(9.0, 0.0), node=2)
     assert rig.twin.axis.armed
     rig.twin.trip(Error.ESTOP_REQUESTED)
     rig.send(ClearErrors05(), node=3)
