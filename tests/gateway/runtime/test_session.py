@@ -1,0 +1,89 @@
+"""A session as a program uses it: instructions in, ticks out; every way out leaves the motors disarmed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import gateway as gw
+from gateway.runtime import Session
+
+
+def turning(session: Session) -> None:
+    """Command the left motor as soon as it is ready."""
+    if session.joints["left"].mode is gw.Mode.READY:
+        session.submit(gw.Velocity("left", 5.0))
+
+
+def disarmed(session: Session) -> bool:
+    """True if every motor reports that it is."""
+    return all(joint.mode is gw.Mode.READY for joint in session.joints.values())
+
+
+def test_leaving_the_loop_disarms() -> None:
+    with gw.open_session("bench", simulated=True) as session:
+        for _ in session.run():
+            turning(session)
+            if session.joints["left"].mode is gw.Mode.ARMED and session.stats.ticks > 300:
+                break
+        session.close()
+        assert disarmed(session)
+        assert session.joints["left"].feedback.position > 1.0
+
+
+def test_an_error_in_the_caller_disarms() -> None:
+    sessions = []
+
+    def fail() -> None:
+        with gw.open_session("bench", simulated=True) as session:
+            sessions.append(session)
+            for tick in session.run():
+                turning(session)
+                if tick.seconds > 1.0:
+                    raise RuntimeError("of the caller")
+
+    with pytest.raises(RuntimeError, match="of the caller"):
+        fail()
+    assert disarmed(sessions[0])
+
+
+def test_a_second_run_goes_on_and_the_recording_of_both_replays(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    with gw.open_session("bench", simulated=True, record=path) as session:
+        for _ in session.run(1.0):
+            turning(session)
+        first = session.joints["left"].feedback.position
+        assert disarmed(session)
+        for _ in session.run(1.0):
+            turning(session)
+        assert session.joints["left"].feedback.position > first + 2.0
+    ticks = list(gw.read_recording(path).ticks)
+    assert [tick.number for tick in ticks] == list(range(len(ticks)))
+    assert gw.replay_recording(gw.read_recording(path)).ok
+
+
+def test_a_stop_of_the_operator_outlasts_the_run() -> None:
+    with gw.open_session("bench", simulated=True) as session:
+        session.submit(gw.Stop("enough"))
+        list(session.run(0.3))
+        for _ in session.run(0.5):
+            turning(session)
+        assert session.gateway.why_stopped() == "enough"
+        assert session.joints["left"].feedback.position == pytest.approx(0.0, abs=1e-6)
+        session.submit(gw.Release())
+        for _ in session.run(0.5):
+            turning(session)
+        assert session.joints["left"].feedback.position > 0.5
+
+
+def test_what_cannot_be_opened_is_an_error_in_words(tmp_path: Path) -> None:
+    (tmp_path / "there.mcap").touch()
+    robot = gw.with_interfaces(gw.load_robot("bench"), {"can0": "virtual:x"})
+    for options, text in (
+        ({"robot": "bench", "record": tmp_path / "there.mcap"}, "exists already"),
+        ({"robot": robot, "simulated": True}, "can0 is on a real interface"),
+        ({"robot": "bnech"}, "did you mean 'bench'"),
+    ):
+        with pytest.raises(gw.UserError, match=text), gw.open_session(**options):  # type: ignore[arg-type]
+            pass
