@@ -58,8 +58,8 @@ class WallClock:
 class SimulatedClock:
     """A clock that advances only by `wait`. Never reads the machine's."""
 
-    def __init__(self, start: Nanos = 0) -> None:
-        self._now = start
+    def __init__(self) -> None:
+        self._now: Nanos = 0
 
     def now(self) -> Nanos:
         """Return the time up to which the clock has advanced."""

@@ -44,8 +44,6 @@ class LoopStats:
     missed: int = 0
     """Deadlines that passed while a step was still running."""
     longest_step: Nanos = 0
-    first_frame: Nanos | None = None
-    """When the first frame was sent."""
     sent: int = 0
     """Packets"""
     received: int = 0
@@ -178,8 +176,6 @@ def _count(stats: LoopStats, robot: Robot, tick: Tick, took: Nanos) -> None:
     stats.longest_step = max(stats.longest_step, took)
     stats.sent += len(tick.outputs.packets)
     stats.received += len(tick.inputs.packets)
-    if stats.first_frame is None and tick.outputs.packets:
-        stats.first_frame = tick.now
     for packet in (*tick.inputs.packets, *tick.outputs.packets):
         bus = robot.buses[packet.bus]
         time = frame_time(packet.frame, bus.baudrate or bus.bitrate, bus.data_bitrate)

@@ -16,7 +16,8 @@ from gateway.runtime.loop import LoopStats, moments, read, write
 from protocols.frames import BusState, Packet
 from protocols.messages import MILLISECOND, SECOND, Nanos
 
-STALL = SECOND // 2
+PERIOD: Nanos = MILLISECOND
+STALL: Nanos = SECOND // 2
 """A serving loop that did not run for longer than this does not make up for it."""
 
 
@@ -53,7 +54,6 @@ def serve(
     world_buses: Mapping[str, Bus],
     buses: Mapping[str, Bus],
     clock: Clock,
-    period: Nanos = MILLISECOND,
     *,
     until: Nanos | None = None,
     stats: ServeStats | None = None,
@@ -67,7 +67,7 @@ def serve(
     stats = stats if stats is not None else ServeStats()
     last = clock.now()
     behind = 0 if age is None else last - age
-    for now in moments(clock, period, lambda: None, LoopStats()):
+    for now in moments(clock, PERIOD, lambda: None, LoopStats()):
         if until is not None and now >= until:
             return
         states, packets = read(buses, now)

@@ -11,8 +11,8 @@ import pytest
 from gateway.cli import templates
 from gateway.cli.templates import codec, framing, framing_serial
 from protocols import messages as msg
-from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, SECOND, Command, Mode, Request
+from protocols.frames import CanFrame
+from protocols.messages import Command, Mode, Request
 from protocols.plugin import Device, Driver, RxCounters
 
 # -- bytes, made here by struct alone ------------------------------------------------------------------
@@ -61,13 +61,6 @@ def test_a_status_that_no_device_sends_is_malformed(payload: tuple[int, int, int
     assert codec.decode_status(struct.pack("<BBhf", *payload)) is None
 
 
-def status_frame(mode: codec.DeviceMode, *rest: float) -> Frame:
-    fault, velocity, position = rest
-    return framing.make_frame(
-        framing.STATUS, 1, codec.encode_status(codec.Status(mode, int(fault), velocity, position))
-    )
-
-
 # -- what the driver reports --------------------------------------------------------------------------
 
 
@@ -75,60 +68,33 @@ def make_driver() -> Driver:
     return templates.plugin.driver([Device("m", 1, templates.plugin.options(), templates.plugin.settings())])
 
 
-def reported(*frames: Frame) -> list[object]:
-    driver = make_driver()
-    return [
-        event for at, frame in enumerate(frames) for event in driver.receive(at * 10 * MILLISECOND, frame)
-    ]
-
-
 def test_the_events_of_a_status() -> None:
-    tripped = status_frame(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
-    state, fault, feedback = reported(tripped)
+    status = codec.Status(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
+    frame = framing.make_frame(framing.STATUS, 1, codec.encode_status(status))
+    state, fault, feedback = make_driver().receive(0, frame)
     assert state == msg.State("m", 0, Mode.FAULT, "fault")
     assert isinstance(fault, msg.Fault)
     assert (fault.code, fault.name) == (codec.WATCHDOG, "watchdog")
     assert feedback == msg.Feedback("m", 0, 2.0, 1.0)
 
 
-@pytest.mark.parametrize(("devices", "found"), [(1, 0), (2, 1)])
-def test_a_duplicate_address_is_detected_by_too_many_messages(devices: int, found: int) -> None:
-    frame = status_frame(codec.DeviceMode.READY, 0, 0.0, 0.0)
-    driver = make_driver()
-    times = range(0, SECOND + 1, codec.STATUS_PERIOD)
-    events = [e for t in times for _ in range(devices) for e in driver.receive(t, frame)]
-    duplicates = [event for event in events if isinstance(event, msg.Found) and event.duplicate_address]
-    assert len(duplicates) == found
-
-
-@pytest.mark.parametrize(
-    ("value", "reason"),
-    [
-        (math.nan, "velocity is nan"),
-        (math.inf, "velocity is inf"),
-        (100.0001, "velocity 100 lies outside -100 … 100"),
-    ],
-)
-def test_a_command_out_of_range_is_refused_once_with_the_reason(value: float, reason: str) -> None:
-    driver = make_driver()
-    (refused,), frames = driver.send(0, [msg.Velocity("m", value)])
-    assert getattr(refused, "reason", "") == reason
-    assert not frames
-    assert driver.send(1, [msg.Velocity("m", value)]) == ([], [])
-
-
 @pytest.mark.parametrize(
     ("message", "reason"),
     [
+        (msg.Velocity("m", math.nan), "velocity is nan"),
+        (msg.Velocity("m", math.inf), "velocity is inf"),
+        (msg.Velocity("m", 100.0001), "velocity 100 lies outside -100 … 100"),
+        (msg.Velocity("m", 1.0, 0.5), "the device has no torque for Velocity"),
         (msg.Velocity("x", 1.0), "no such device here"),
         (msg.Scan("bus"), "no such device here"),
         (msg.Hold("m"), "the device cannot do that"),
         (msg.Zero("m"), "the device cannot do that"),
-        (msg.Velocity("m", 1.0, 0.5), "the device has no torque for Velocity"),
     ],
 )
-def test_what_it_cannot_do_is_refused(message: Command | Request, reason: str) -> None:
+def test_what_it_cannot_do_is_refused_and_a_command_once(message: Command | Request, reason: str) -> None:
     driver = make_driver()
     (refused,), frames = driver.send(0, [message])
     assert getattr(refused, "reason", "") == reason
     assert not frames
+    if isinstance(message, Command):
+        assert driver.send(1, [message]) == ([], [])

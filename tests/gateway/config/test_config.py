@@ -19,11 +19,12 @@ from gateway.config.schema import build
 from gateway.config.sections import Find
 from gateway.config.validate import id_conflict
 from gateway.core.bounds import Bounds
-from gateway.core.robot import Robot
+from gateway.core.robot import BagTopics, Robot
 from gateway.errors import ConfigError
 from protocols import plugin
 from protocols.messages import MILLISECOND, Idle, Nanos, Torque
 from protocols.plugin import Device, Plugin, Spec
+from tests.gateway.bag_helpers import ROBOT as WITH_BAG
 from tests.gateway.rig import WATCHED
 
 ROBOTS = sorted(Path(resources.__file__).parent.parent.glob("fixtures/robots/*.toml"))
@@ -147,6 +148,8 @@ MISTAKES = [
      "found 0, expected an integer greater than 0"),
     ("buses.can0.baudrate", "bitrate = 1_000_000", "bitrate = 1\nbaudrate = 1",
      "a bus of kind 'can' has no baudrate; expected bitrate"),
+    ("buses.can0.data_bitrate", 'kind = "can" ', 'kind = "canfd"\ndata_bitrate = 500_000',
+     "found 500000, expected at least the bitrate of 1000000"),
     ("buses.can0.interface", 'interface = "twin"  ', 'interface = "can0"',
      'expected "twin" or INTERFACE:CHANNEL'),
     ("motors.left.protocol", 'protocol = "odrive_can"', 'protocol = "odrive-can"',
@@ -474,17 +477,11 @@ def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
 
 
 def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -> None:
-    fd = changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 5_000_000')
+    fd = changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 1_000_000')
     assert mistakes_in(fd) == []
     assert with_foreign(fd, **NO_IDS, bus="canfd") == []
     (found,) = with_foreign(ROVER, **NO_IDS, bus="canfd")
     assert "motors.left.bus: foreign needs a bus of kind canfd, and 'can0' is can" in found
-
-
-def test_the_data_phase_of_can_fd_is_not_the_slower_one() -> None:
-    (found,) = mistakes_in(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 500_000'))
-    assert "buses.can0.data_bitrate: found 500000, expected at least the bitrate of 1000000" in found
-    assert mistakes_in(changed('kind = "can" ', 'kind = "canfd"\ndata_bitrate = 1_000_000')) == []
 
 
 # -- cautions ------------------------------------------------------------------------------------
@@ -597,6 +594,90 @@ def test_the_description_has_the_cautions_and_the_bus_load() -> None:
     assert "cautions:\n  left: the device's watchdog is off" in found
     # two motors, a command every 5 ms and a report every 10 ms each: 600 frames of 125 bits in 1 Mbit
     assert "at least 8 %" in found
+
+
+# -- the topics of a bag ---------------------------------------------------------------------------
+
+TABLE = WITH_BAG[WITH_BAG.index("[bag]") :]
+FIRST = WITH_BAG[: WITH_BAG.index("[bag]")].count("\n") + 2
+"""The line of the table's first key."""
+
+
+def test_a_complete_table_of_topics() -> None:
+    bag = parse_robot(WITH_BAG).bag
+    assert bag == BagTopics("/odom", {"imu": "/imu/data"}, "/fix")
+    assert list(bag.parts()) == [("/odom", "odometry"), ("/imu/data", "sensors.imu"), ("/fix", "truth")]
+
+
+def test_a_minimal_table_of_topics() -> None:
+    bag = parse_robot(WITH_BAG.replace(TABLE, '[bag]\nodometry = "/o"\n')).bag
+    assert bag == BagTopics("/o")
+    assert list(bag.parts()) == [("/o", "odometry")]
+
+
+def test_without_a_table_there_are_no_topics() -> None:
+    assert parse_robot(WITH_BAG.replace(TABLE, "")).bag is None
+    assert load_robot("diffbot").bag is None
+
+
+BAG_MISTAKES = [
+    ("[bag]\n", ["r.toml:{}: bag.odometry: missing; expected a string"]),
+    ("[bag]\nodometry = 3\n", ["r.toml:{1}: bag.odometry: found 3, expected a string"]),
+    (
+        '[bag]\nodometry = "/o"\nimu = "/i"\n',
+        ["r.toml:{2}: bag.imu: no key 'imu': there is odometry, sensors, truth"],
+    ),
+    (
+        '[bag]\nodometry = "odom"\ntruth = ""\n',
+        ['r.toml:{1}: bag.odometry: found "odom", expected a topic: it begins with "/"'],
+    ),
+    (
+        '[bag]\nodometry = "/o"\nsensors = { imo = "/i" }\n',
+        ["r.toml:{2}: bag.sensors.imo: no sensor 'imo': there is imu; did you mean 'imu'?"],
+    ),
+    (
+        '[bag]\nodometry = "/o"\nsensors = { imu = "/o" }\ntruth = "/o"\n',
+        [
+            'r.toml:{2}: bag.sensors.imu: found "/o", which is odometry too; expected another topic',
+            'r.toml:{3}: bag.truth: found "/o", which is odometry too; expected another topic',
+        ],
+    ),
+    (
+        '[bag]\nodometry = "o"\nsensors = { left = "i" }\ntruth = "f"\n',
+        [
+            'r.toml:{1}: bag.odometry: found "o", expected a topic: it begins with "/"',
+            "r.toml:{2}: bag.sensors.left: no sensor 'left': there is imu",
+            'r.toml:{2}: bag.sensors.left: found "i", expected a topic: it begins with "/"',
+            'r.toml:{3}: bag.truth: found "f", expected a topic: it begins with "/"',
+        ],
+    ),
+]
+
+
+@pytest.mark.parametrize(("table", "mistakes"), BAG_MISTAKES)
+def test_every_mistake_in_topics_is_reported_at_its_place(table: str, mistakes: list[str]) -> None:
+    lines = [FIRST - 1 + number for number in range(5)]
+    expected = [text.replace("{}", str(lines[0])).format(*lines) for text in mistakes]
+    assert mistakes_in(WITH_BAG.replace(TABLE, table)) == expected
+
+
+def test_a_value_instead_of_the_table_of_topics() -> None:
+    found = mistakes_in("bag = 3\n" + WITH_BAG.replace(TABLE, ""))
+    assert found == ["r.toml:1: bag: found 3, expected a table"]
+
+
+def test_the_description_has_the_topics_and_the_mounting_of_the_imu() -> None:
+    found = describe(load_robot("husky"))
+    assert "0, -0.3, 0.52 m  -1.5708 rad, pitch 0, roll 1.5708  500 ms" in found
+    assert "odometry     /husky_velocity_controller/odom\nsensors.imu  /imu/data\ntruth        /fix" in found
+    assert "/odom" not in describe(load_robot("diffbot"))
+
+
+def test_bare_joints_need_no_bag() -> None:
+    (found,) = mistakes_in(BENCH + '\n[bag]\nodometry = "/o"\n')
+    assert found.endswith(
+        "bag: a bag moves a base on wheels, and the body is 'joints'; expected no such table"
+    )
 
 
 # -- lines of keys, and dataclasses from tables ----------------------------------------------------
