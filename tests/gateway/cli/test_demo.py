@@ -48,7 +48,7 @@ def gateway(*arguments: str, **environment: str) -> subprocess.CompletedProcess[
         text=True,
         env=clean,
         cwd=ROOT,
-        timeout=280,
+        timeout=1500,
         check=False,
     )
 

@@ -283,7 +283,7 @@ def test_syncing_to_disk_does_not_delay_the_writer(tmp_path: Path, monkeypatch: 
     assert read_recording(recorder.path).whole
     assert recorder.trouble == ""
     go_on.set()
-    recorder._syncer._thread.join(10)
+    recorder._syncer._thread.join(60)
 
 
 @pytest.mark.parametrize(("error", "reported"), [(errno.EIO, True), (errno.EINVAL, False)])
@@ -296,7 +296,7 @@ def test_a_disk_that_reports_lost_data_is_reported(
     monkeypatch.setattr(writer, "SYNC_PERIOD", 0.001)
     monkeypatch.setattr(os, "fdatasync", sync)
     with Recorder(tmp_path / "a.mcap", little.ROBOT, {}) as recorder:
-        recorder._syncer._thread.join(10)
+        recorder._syncer._thread.join(60)
         assert not recorder._syncer._thread.is_alive()
     assert ("the disk reports lost data" in recorder.trouble) == reported
 
