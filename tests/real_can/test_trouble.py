@@ -85,7 +85,7 @@ def flood(interface: str) -> Iterator[None]:
 
 def test_a_flood_of_other_frames_disturbs_nothing(tmp_path: Path) -> None:
     with bus_ends(0) as ends, rover(tmp_path, 0, ends, "--goal", "0.4,0") as (run, twin):
-        run.until("rover runs")
+        run.until("rover is running")
         with flood(ends[0]):
             run.until("goal 1 reached")
             reply = run.ask("rover", "status")
