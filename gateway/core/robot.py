@@ -70,7 +70,7 @@ BusDevice: TypeAlias = Motor | Sensor
 
 
 def by_protocol(devices: Iterable[BusDevice]) -> list[tuple[Plugin, list[BusDevice]]]:
-    """Group devices by protocol; one driver speaks for each group of a bus. Keeps the order."""
+    """Group devices by protocol; one driver serves each group of a bus. Keeps the order."""
     groups: dict[str, list[BusDevice]] = {}
     for device in devices:
         groups.setdefault(device.plugin.name, []).append(device)

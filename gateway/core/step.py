@@ -35,7 +35,7 @@ MotorRequest: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class _BusDriver:
-    """One driver: it speaks for all devices of its protocol on a bus."""
+    """One driver, of all devices of its protocol on a bus."""
 
     bus: str
     protocol: str

@@ -139,7 +139,7 @@ class Driver:
         self.truths.append((pose.x, pose.y, pose.yaw))
 
     def run(self, steps: int, left: float, right: float, limit: float = 2.0, ramp: int = 300) -> Driver:
-        """So many steps of 1 ms; the wheels speed up to these rad/s over `ramp` steps."""
+        """Take steps of 1 ms; the wheels speed up to these rad/s over `ramp` steps."""
         start = {name: self.world.shaft(name)[1] for name in ("left", "right")}
         for step in range(steps):
             part = min(1.0, (step + 1) / ramp)

@@ -11,7 +11,7 @@ import pytest
 from gateway.cli.main import main
 from gateway.config import parse_robot
 from gateway.recording import read_recording
-from protocols.messages import Velocity
+from protocols.messages import Feedback, Velocity
 from tests.gateway.processes import Process
 from tests.gateway.rig import BENCH, sent_commands
 
@@ -154,13 +154,18 @@ def test_a_missing_watchdog_is_a_warning_at_every_start_until_it_is_acknowledged
     assert "watchdog" in capsys.readouterr().out
 
 
-def test_a_dry_run_moves_nothing(tmp_path: Path) -> None:
-    robot, recording = tmp_path / "rig.toml", tmp_path / "run.mcap"
-    robot.write_text(BENCH)
-    assert main(["run", str(robot), "--fast", "--dry-run", "--seconds", "1", "--record", str(recording)]) == 0
-    received = [event for tick in read_recording(recording).ticks for event in tick.outputs.events]
+def test_a_dry_run_does_everything_but_write_to_the_buses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = tmp_path / "run.mcap"
+    options = ["--fast", "--dry-run", "--goal", "1,0", "--seconds", "2", "--record", str(recording)]
+    assert main(["run", "diffbot", *options]) == 1  # the goal is not reached
+    ticks = list(read_recording(recording).ticks)
+    assert any(tick.outputs.packets for tick in ticks)
+    received = [event for tick in ticks for event in tick.outputs.events if isinstance(event, Feedback)]
     assert received  # the twins report by themselves
-    assert all(getattr(event, "velocity", None) in (None, 0.0) for event in received)
+    assert all(event.velocity in (None, 0.0) for event in received)
+    assert "firmware unknown" in capsys.readouterr().err  # no device has received the driver's query
 
 
 def test_lines_on_the_terminal_and_by_ask_drive_the_bench(tmp_path: Path) -> None:

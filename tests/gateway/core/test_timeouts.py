@@ -61,9 +61,9 @@ def pulled(text: str, name: str, seconds: float) -> Seen:
     ticks = rig.run(seconds, at=look)
     last = max(event.t for tick in rig.ticks for event in tick.outputs.events if _is_of(event, name))
 
-    def first(word: str) -> Nanos:
+    def first(reason: str) -> Nanos:
         ends = [
-            now - last for now, state, why in beliefs if state is BrainState.DEGRADED and why.endswith(word)
+            now - last for now, state, why in beliefs if state is BrainState.DEGRADED and why.endswith(reason)
         ]
         return min(ends, default=-1)
 

@@ -299,7 +299,7 @@ def test_without_asserts_no_bag_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_damaged_bag_is_read_or_refused_with_a_sentence(tmp_path: Path, kind: Kind) -> None:
     """Cut anywhere, and with bits flipped anywhere: nothing but BagError comes out, and what is read can
-    be evaluation."""
+    be evaluated."""
     seed, read_after_all, refused = 7, 0, 0
     random = np.random.Generator(np.random.PCG64(seed))
     path = write(tmp_path / "x", drive(1.0), kind)
