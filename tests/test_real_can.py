@@ -157,7 +157,7 @@ def test_left_out_of_a_plain_run_and_never_passed_over() -> None:
         [*collect, "-m", "real_can"], cwd=machine.ROOT, capture_output=True, text=True, check=False
     )
     assert asked.returncode == 0, asked.stdout
-    for name in ("test_goal_is_reached[diffbot-vcan0]", "test_goal_is_reached[rover-1000k]", "test_flood"):
+    for name in ("test_goal_is_reached[diffbot-vcan0]", "test_goal_is_reached[rover-1000k]", "test_a_flood"):
         assert name in asked.stdout
 
 
