@@ -196,7 +196,11 @@ def test_a_cut_anywhere_leaves_the_ticks_before_it(path: Path, tmp_path: Path) -
             made = read_recording(cut)
         except RecordingError:
             continue
-        left = list(made.ticks)
+        left: list[Tick] = []
+        try:
+            left.extend(made.ticks)
+        except RecordingError:  # zeros within the record of a channel are no cut, but damage
+            assert behind
         assert left == ticks[: len(left)]
         assert not made.whole
         lengths.add(len(left))
