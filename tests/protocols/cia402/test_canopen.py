@@ -62,7 +62,7 @@ class Rig:
             "OP_MODE",
             "STATE_FINAL",
             "STATE_SINGLE",
-        ):  # that of a fault's reset is always waited out
+        ):  # a fault's reset waits its time out
             setattr(self.node, f"TIMEOUT_SWITCH_{name}", 60.0)
         self.node.TIMEOUT_CHECK_TPDO = 60.0
         self._thread.start()
