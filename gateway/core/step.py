@@ -44,7 +44,11 @@ class _BusDriver:
 
 
 class Gateway:
-    """One robot: its drivers, its joints, its brain, and the operator's stop."""
+    """One robot: its drivers, its joints, its brain, and the operator's stop.
+
+    Args:
+        robot: what `load_robot` returned. Nothing is opened: the caller reads and writes the buses.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -74,7 +78,15 @@ class Gateway:
     # -- the step -----------------------------------------------------------------------------
 
     def step(self, now: Nanos, inputs: Inputs) -> Outputs:
-        """Process one tick's inputs; return the frames to send, the events and the notes."""
+        """Process one tick's inputs.
+
+        Args:
+            now: the time of the step [ns]; never less than in the step before.
+            inputs: changes of buses, received packets and instructions since the step before.
+
+        Returns:
+            Outputs: the packets to send, in order; the events that the brain saw; notes for a person.
+        """
         self._on_bus_states(now, inputs.states)
         events = self._receive(inputs.packets)
         tasks = self._on_instructions(now, inputs.instructions)
@@ -87,7 +99,14 @@ class Gateway:
         return Outputs(tuple(packets), tuple(events), self._take_notes())
 
     def leave(self, now: Nanos) -> tuple[Packet, ...]:
-        """Return the stop command for every motor, without the brain: the last frames after an error."""
+        """Return the frames of every commanded motor's stop action, without the brain: after an error.
+
+        Args:
+            now: the time of the last frames [ns].
+
+        Returns:
+            tuple[Packet, ...]: to be sent at once, whatever else fails.
+        """
         commands = {
             name: joint.command(now, None, stopped=True, last=True) for name, joint in self.joints.items()
         }
