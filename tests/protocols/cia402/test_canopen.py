@@ -194,7 +194,7 @@ def test_a_fault_is_reported_and_recovered_from(drive: Rig) -> None:
     assert drive.wait(lambda: bool(node.emcy.active))
     assert node.emcy.active[0].code == OVERCURRENT
     assert node.emcy.active[0].get_desc() == "Current"
-    assert node.is_faulted()
+    assert drive.wait(node.is_faulted)
     assert node.sdo[0x603F].raw == OVERCURRENT
     assert drive.bench.torque == 0.0
     node.reset_from_fault()
@@ -279,4 +279,4 @@ def test_the_package_notices_a_guarded_device(drive: Rig) -> None:
     node.state = "OPERATION ENABLED"
     assert drive.wait(lambda: bool(node.emcy.active), 1000)
     assert node.emcy.active[0].code == 0x8130
-    assert node.is_faulted()
+    assert drive.wait(node.is_faulted)
