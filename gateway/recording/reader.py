@@ -200,12 +200,18 @@ def _steps(path: Path, whole: bool) -> Iterator[Step]:
     entry: tick_codec.Entry | None = None
     views: list[View] = []
     for record in _records(path, whole):
-        if record.opcode == Opcode.SCHEMA:
-            schema = parse(path, Schema, record)
-            schemas[schema.id] = schema.name
-        elif record.opcode == Opcode.CHANNEL:
-            channel = parse(path, Channel, record)
-            channels[channel.id] = (channel.topic, schemas.get(channel.schema_id, ""))
+        if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            try:
+                if record.opcode == Opcode.SCHEMA:
+                    schema = parse(path, Schema, record)
+                    schemas[schema.id] = schema.name
+                else:
+                    channel = parse(path, Channel, record)
+                    channels[channel.id] = (channel.topic, schemas.get(channel.schema_id, ""))
+            except RecordingError:
+                if whole:
+                    raise
+                break  # cut off within it, with zeros behind: like any damage, the end of an unclosed file
         elif record.opcode == Opcode.MESSAGE:
             number, _sequence, _log, published = MESSAGE_HEAD.unpack_from(record.content)
             topic, type_ = channels.get(number, ("", ""))

@@ -53,6 +53,8 @@ class Session:
     """Why the run is to end before its time (a signal, an operator's quit); "" if it is not."""
     _submitted: list[Instruction] = field(default_factory=list)
     _ticks: Generator[Tick] | None = None
+    _stopped: bool = False
+    """Whether a stop of the operator was in force at the last tick of a run."""
 
     def submit(self, *instructions: Instruction) -> None:
         """Ask for something at the next step.
@@ -83,7 +85,7 @@ class Session:
         """
         if self._ticks is not None:
             self._ticks.close()
-        if self.gateway.stopped == loop.LEFT:  # by the run before this one, not by an operator
+        if self.gateway.stopped == loop.LEFT and not self._stopped:  # by the end of the run before this one
             self._submitted.insert(0, Release())
         self._ticks = self._run(seconds, poll, dry_run)
         return self._ticks
@@ -110,6 +112,7 @@ class Session:
         )
         with closing(ticks):
             for tick in ticks:
+                self._stopped = bool(self.gateway.stopped)
                 yield tick
                 if self.leaving:
                     log.warning("leaving: %s", self.leaving)
@@ -194,8 +197,8 @@ def open_session(
         stack.enter_context(quiet_collector())
         _discard_stale(robot, buses, clock)
         session = Session(robot, gateway, clock, buses, twins, recorder)
-        stack.callback(session.close)
         stack.enter_context(signals(lambda name: setattr(session, "leaving", name)))
+        stack.callback(session.close)  # while signals are handled: none interrupts the stop
         yield session
 
 

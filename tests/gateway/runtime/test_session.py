@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -68,13 +69,34 @@ def test_a_second_run_goes_on_and_the_recording_of_both_replays(tmp_path: Path) 
     assert gw.replay_recording(gw.read_recording(path)).ok
 
 
-def test_a_stop_of_the_operator_outlasts_the_run() -> None:
+def test_a_signal_does_not_interrupt_the_stop_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the loop was left by an error, and it is the session that ends the run."""
+    default, handlers = signal.getsignal(signal.SIGINT), []
     with gw.open_session("bench", simulated=True) as session:
-        session.submit(gw.Stop("enough"))
+        ticks = session.run()
+        for _ in range(400):
+            next(ticks)
+            turning(session)
+        step = session.gateway.step
+
+        def observed(now: int, inputs: gw.Inputs) -> gw.Outputs:
+            handlers.append(signal.getsignal(signal.SIGINT))
+            return step(now, inputs)
+
+        monkeypatch.setattr(session.gateway, "step", observed)
+    assert handlers
+    assert default not in handlers
+    assert disarmed(session)
+
+
+@pytest.mark.parametrize("reason", ["enough", "the run ends"])
+def test_a_stop_of_the_operator_outlasts_the_run(reason: str) -> None:
+    with gw.open_session("bench", simulated=True) as session:
+        session.submit(gw.Stop(reason))
         list(session.run(0.3))
         for _ in session.run(0.5):
             turning(session)
-        assert session.gateway.why_stopped() == "enough"
+        assert session.gateway.why_stopped() == reason
         assert position(session) == pytest.approx(0.0, abs=1e-6)
         session.submit(gw.Release())
         for _ in session.run(0.5):
