@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
@@ -27,6 +28,41 @@ class CanFrame:
         if self.remote:
             return f"{head}#R"
         return f"{head}{f'##{int(self.brs)}' if self.fd else '#'}{self.data.hex().upper()}"
+
+
+EXTENDED_BIT = 1 << 31
+"""The bit of an id's number that gives its format, as in the kernel's filters (1: 29 bits)."""
+ID_BITS = EXTENDED_BIT | 0x1FFF_FFFF
+"""The mask of one id alone."""
+IdMask: TypeAlias = tuple[int, int]
+"""CAN ids as (id, mask), both with `EXTENDED_BIT`: all whose masked bits equal those of the first number."""
+
+
+def id_number(frame: CanFrame) -> int:
+    """Return the id of a frame with the bit of its format."""
+    return frame.id | EXTENDED_BIT if frame.extended else frame.id
+
+
+def exact(number: int, extended: bool = False) -> IdMask:
+    """Return one id alone."""
+    return (number | EXTENDED_BIT if extended else number), ID_BITS
+
+
+def id_matches(ids: IdMask, frame: CanFrame | int) -> bool:
+    """True if a frame, or a number with the bit of its format, is among these ids."""
+    number = frame if isinstance(frame, int) else id_number(frame)
+    return (number ^ ids[0]) & ids[1] == 0
+
+
+def any_matches(choices: Iterable[IdMask], frame: CanFrame | int) -> bool:
+    """True if a frame, or a number with the bit of its format, is among any of these ids."""
+    number = frame if isinstance(frame, int) else id_number(frame)
+    return any((number ^ ids) & mask == 0 for ids, mask in choices)
+
+
+def overlap(one: IdMask, other: IdMask) -> bool:
+    """True if there is an id that both contain."""
+    return (one[0] ^ other[0]) & one[1] & other[1] == 0
 
 
 Frame: TypeAlias = CanFrame | bytes

@@ -22,7 +22,7 @@ from importlib.metadata import EntryPoint, distributions, entry_points
 from itertools import groupby
 from typing import Any, Literal, Protocol
 
-from protocols.frames import BusState, Frame
+from protocols.frames import BusState, Frame, IdMask
 from protocols.messages import Command, Event, Nanos, Request, Torque
 from protocols.suggest import did_you_mean
 
@@ -118,9 +118,10 @@ class Spec:
 
     bus: Literal["can", "canfd", "serial"]
     kind: Literal["motor", "sensor"]
-    sends: frozenset[int]
-    """CAN ids that the driver may send for this device (empty on serial)."""
-    expects: frozenset[int]
+    sends: tuple[IdMask, ...]
+    """CAN ids that the driver may send for this device (empty on serial). Where the mask leaves bits open,
+    these carry data (a torque, a fault), and are the message's own matter."""
+    expects: tuple[IdMask, ...]
     """CAN ids that the device sends (empty on serial)."""
     read_only: Callable[[Frame], bool]
     """True if a frame neither moves, arms, clears nor configures anything."""
@@ -144,19 +145,12 @@ class Spec:
     unprotected: frozenset[str] = frozenset()
     """Names of messages (`Plugin.messages`) that the device accepts though no checksum protects them.
     Conformance does not test damage to them, and a driver must not rely on them."""
-    receives_also: tuple[tuple[int, int], ...] = ()
+    receives_also: tuple[IdMask, ...] = ()
     """What the driver understands of any device, in the robot file or not (answers to a scan, devices
-    with a duplicate address), or of a second host: CAN ids as (id, mask); an id matches if its masked bits
-    equal the first number."""
-    extended: frozenset[int] | None = None
-    """Those of its ids that are 29-bit ones. None: those above 0x7FF, which can be nothing else."""
-    obeys_also: tuple[tuple[int, int], ...] = ()
-    """Ids that the device obeys beside `sends`, from any sender: as (id, mask), with bit 31 for the format
-    (1: 29 bits), as the kernel's filters have them. Other protocols on its bus must not use them."""
-
-    def is_extended(self, number: int) -> bool:
-        """True if an id of `sends` or `expects` is a 29-bit one."""
-        return number > 0x7FF if self.extended is None else number in self.extended
+    with a duplicate address), or of a second host."""
+    obeys_also: tuple[IdMask, ...] = ()
+    """Ids that the device obeys beside `sends`, from any sender. Other protocols on its bus must not use
+    them."""
 
 
 # -- what a plugin implements --------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from gateway.buses.adapters.slcan_client import SlcanInterface
 from gateway.buses.netlink import Link
 from gateway.core.robot import TWIN, BusSettings
 from gateway.errors import BusError
+from protocols.frames import EXTENDED_BIT, IdMask
 from protocols.suggest import did_you_mean
 
 NET = Path("/sys/class/net")
@@ -70,10 +71,15 @@ def open_interface(settings: BusSettings, *, listen_only: bool = False) -> can.B
     return bus
 
 
-def filters(accepted: Sequence[tuple[int, int]]) -> list[CanFilter]:
-    """Return (id, mask) pairs, of either id format, as python-can's filters; SocketCAN's kernel applies
-    them."""
-    return [{"can_id": number, "can_mask": mask} for number, mask in accepted]
+def filters(accepted: Sequence[IdMask]) -> list[CanFilter]:
+    """Return ids to receive as python-can's filters; SocketCAN's kernel applies them."""
+    made: list[CanFilter] = []
+    for number, mask in accepted:
+        one: CanFilter = {"can_id": number & ~EXTENDED_BIT, "can_mask": mask & ~EXTENDED_BIT}
+        if mask & EXTENDED_BIT:
+            one["extended"] = bool(number & EXTENDED_BIT)
+        made.append(one)
+    return made
 
 
 def _reason(settings: BusSettings, kind: str, error: Exception) -> str:

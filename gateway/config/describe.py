@@ -8,9 +8,12 @@ from math import inf
 
 from gateway.config.validate import cautions
 from gateway.core.robot import BusDevice, BusSettings, Motor, Robot, Sensor
+from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import FeedbackKind
 
+ALL_NUMBERS = 0x1FFF_FFFF
+"""The bits of an id without that of its format."""
 FRAME_BITS = 125
 """Bits of a classic CAN frame with 8 data bytes and an 11-bit id: 111 with its gap, and some stuffing."""
 FD_BITS = 32, 100
@@ -125,11 +128,20 @@ def _connection(device: BusDevice) -> list[str]:
     return [device.name, device.plugin.name, device.bus, str(device.device.address)]
 
 
-def _ids(ids: frozenset[int]) -> str:
+def _ids(ids: Sequence[IdMask]) -> str:
+    """Return the ids from the lowest to the highest, and their number; of 11 bits, if the format is open."""
     if not ids:
         return "-"
-    low, high = min(ids), max(ids)
-    return f"0x{low:X}" if low == high else f"{len(ids)} of 0x{low:X}…0x{high:X}"
+    low = min(number & ALL_NUMBERS for number, _ in ids)
+    high = max((number | _open(number, mask)) & ALL_NUMBERS for number, mask in ids)
+    count = sum(1 << _open(number, mask).bit_count() for number, mask in ids)
+    return f"0x{low:X}" if low == high else f"{count} of 0x{low:X}…0x{high:X}"
+
+
+def _open(number: int, mask: int) -> int:
+    """Return the bits of an id that its mask leaves open."""
+    most = 0x7FF if number <= 0x7FF else ALL_NUMBERS
+    return most & ~mask
 
 
 def _brain(robot: Robot) -> str:

@@ -17,6 +17,7 @@ from gateway.core.bounds import Bounds, PositiveInt, PositiveNanos
 from gateway.core.joint import JointSettings
 from gateway.core.limits import Limits
 from gateway.core.robot import TWIN, BusSettings, Motor, Sensor
+from protocols.frames import IdMask
 from protocols.messages import MILLISECOND, SECOND
 from protocols.plugin import Device, Plugin, Spec, UnknownProtocol
 
@@ -60,8 +61,6 @@ _STAND_IN = JointSettings(
     Limits(1.0, 1.0, 1.0), command_timeout=3600 * SECOND, feedback_timeout=3600 * SECOND
 )
 """Instead of invalid settings of a joint, so that its device is still checked against the others."""
-ALL_BITS = 0x1FFF_FFFF
-"""Mask of a complete CAN id."""
 _RATES = {"can": ("bitrate",), "canfd": ("bitrate", "data_bitrate"), "serial": ("baudrate",)}
 
 
@@ -93,11 +92,10 @@ def read_bus(name: str, table: Table, mistakes: Mistakes) -> BusSettings | None:
     return BusSettings(name, made.kind, made.interface, *rates, acknowledged=acknowledged)
 
 
-def own_ids(specs: Collection[Spec]) -> tuple[tuple[int, int], ...]:
+def own_ids(specs: Collection[Spec]) -> tuple[IdMask, ...]:
     """Return the receive filter "own": what the devices of a bus send, and what their drivers understand of
     others. Empty if nothing is expected: then everything is received."""
-    expected = {(number, ALL_BITS) for spec in specs for number in spec.expects}
-    return tuple(sorted(expected | {choice for spec in specs for choice in spec.receives_also}))
+    return tuple(sorted({ids for spec in specs for ids in (*spec.expects, *spec.receives_also)}))
 
 
 def check_interface(interface: str, kind: str, at: Key, mistakes: Mistakes) -> None:

@@ -15,11 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations, permutations
-from typing import Literal, TypeAlias
+from typing import Literal
 
 from brain.settings import BrainSettings
 from gateway.config.errors import Key, Mistakes, shown, unknown
 from gateway.core.robot import BagTopics, BusDevice, BusSettings, Motor, Robot, Sensor, by_protocol
+from protocols.frames import IdMask, id_matches, overlap
 from protocols.messages import MILLISECOND, Nanos, Velocity
 from protocols.plugin import FeedbackKind, Spec
 
@@ -216,8 +217,6 @@ def _out_of_range(motor: Motor) -> list[str]:
 
 # -- several protocols on one bus --------------------------------------------------------------
 
-Id: TypeAlias = tuple[int, bool]
-"""A CAN id, and whether it is a 29-bit one."""
 MAX_LISTED = 4
 """Ids of one kind that a sentence lists."""
 
@@ -226,21 +225,21 @@ def id_conflict(first: BusDevice, second: BusDevice) -> str:
     """Return what is wrong with two devices of different protocols on one bus, from the side of the second;
     "" if nothing is."""
     ours, theirs, name = second.spec, first.spec, repr(first.name)
-    obeyed, obeyed_there = _obeyed(ours, _sent(theirs)), _obeyed(theirs, _sent(ours))
+    obeyed, obeyed_there = _shared(_obeyed(ours), theirs.sends), _shared(_obeyed(theirs), ours.sends)
     kinds = (
-        (_obeyed(ours, _reports(theirs)), f"it would obey what {name} reports there"),
-        (_obeyed(theirs, _reports(ours)), f"{name} would obey what it reports there"),
-        (obeyed & obeyed_there, "each would obey what the other is sent"),
+        (_shared(_obeyed(ours), theirs.expects), f"it would obey what {name} reports there"),
+        (_shared(_obeyed(theirs), ours.expects), f"{name} would obey what it reports there"),
+        (_shared(obeyed, obeyed_there), "each would obey what the other is sent"),
         (obeyed, f"it would obey what {name} is sent"),
         (obeyed_there, f"{name} would obey what it is sent"),
-        (_reports(ours) & _reports(theirs), "both report there"),
+        (_shared(ours.expects, theirs.expects), "both report there"),
     )
     conflicts: list[str] = []
-    seen: set[Id] = set()
+    seen: list[IdMask] = []
     for shared, why in kinds:
-        if new := shared - seen:
+        if new := [ids for ids in shared if not any(_contains(known, ids) for known in seen)]:
             conflicts.append(f"{_list(new)} ({why})")
-            seen |= new
+            seen += new
     if not conflicts:
         return ""
     return f"uses CAN ids of {name} ({first.plugin.name}) on bus {first.bus!r}: {'; '.join(conflicts)}"
@@ -264,33 +263,34 @@ def _mistakable_reports(devices: Sequence[BusDevice]) -> list[str]:
         key = listener.plugin.name, sender.name
         if listener.plugin.name == sender.plugin.name or key in notes:
             continue
-        taken = {one for one in _reports(sender.spec) if _matches(listener.spec.receives_also, one[0])}
-        if taken:
+        if taken := _shared(listener.spec.receives_also, sender.spec.expects):
             text = f"{listener.plugin.name} takes its frames on {_list(taken)} for messages of its own kind"
             remedy = f'an address of its own, or shared_bus = "acknowledged" under [buses.{sender.bus}]'
             notes[key] = f"{sender.name}: {text}, and a scan may find what is not there; {remedy}"
     return list(notes.values())
 
 
-def _sent(spec: Spec) -> frozenset[Id]:
-    """Return the ids that a device's driver sends, with their format."""
-    return frozenset((number, spec.is_extended(number)) for number in spec.sends)
+def _obeyed(spec: Spec) -> tuple[IdMask, ...]:
+    """Return the ids that a device obeys."""
+    return (*spec.sends, *spec.obeys_also)
 
 
-def _reports(spec: Spec) -> frozenset[Id]:
-    """Return the ids that a device sends, with their format."""
-    return frozenset((number, spec.is_extended(number)) for number in spec.expects)
+def _shared(some: Iterable[IdMask], others: Sequence[IdMask]) -> list[IdMask]:
+    """Return the ids that both contain, each once."""
+    both = {(a[0] | b[0], a[1] | b[1]) for a in some for b in others if overlap(a, b)}
+    return sorted(ids for ids in both if not any(ids != wider and _contains(wider, ids) for wider in both))
 
 
-def _obeyed(spec: Spec, ids: frozenset[Id]) -> frozenset[Id]:
-    """Return those of the ids that a device would obey."""
-    return (_sent(spec) & ids) | {one for one in ids if _matches(spec.obeys_also, one[0] | one[1] << 31)}
+def _contains(wider: IdMask, ids: IdMask) -> bool:
+    return wider[1] & ~ids[1] == 0 and id_matches(wider, ids[0])
 
 
-def _matches(choices: Iterable[tuple[int, int]], number: int) -> bool:
-    return any(number & mask == bits for bits, mask in choices)
-
-
-def _list(ids: Iterable[Id]) -> str:
-    texts = [f"0x{number:08X}" if extended else f"0x{number:03X}" for number, extended in sorted(ids)]
-    return ", ".join(texts[:MAX_LISTED]) + (", …" if len(texts) > MAX_LISTED else "")
+def _list(choices: Sequence[IdMask]) -> str:
+    """Return ids as a text, those with open bits by their first and last."""
+    texts: list[str] = []
+    for number, mask in choices[:MAX_LISTED]:
+        digits, most = (8, 0x1FFF_FFFF) if number > 0x7FF else (3, 0x7FF)
+        low = number & most
+        high = low | most & ~mask
+        texts.append(f"0x{low:0{digits}X}" + (f"…0x{high:0{digits}X}" if high != low else ""))
+    return ", ".join(texts) + (", …" if len(choices) > MAX_LISTED else "")

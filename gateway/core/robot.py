@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from gateway.core.joint import JointSettings
+from protocols.frames import IdMask
 from protocols.messages import Nanos
 from protocols.plugin import Device, Plugin, Spec
 
@@ -32,8 +33,8 @@ class BusSettings:
     """bit/s in the data phase of CAN FD; 0 elsewhere."""
     baudrate: int = 0
     """bit/s of a serial line; 0 on a CAN bus."""
-    receive_filter: tuple[tuple[int, int], ...] = ()
-    """CAN ids to receive, as (id, mask): those that equal `id` in the bits of `mask`. (): all."""
+    receive_filter: tuple[IdMask, ...] = ()
+    """CAN ids to receive. (): all."""
     acknowledged: bool = False
     """Whether the robot file acknowledges what it means for several protocols to share this bus."""
 

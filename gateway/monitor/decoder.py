@@ -28,7 +28,7 @@ from gateway.monitor.state import (
     ToDevice,
 )
 from protocols import messages as msg
-from protocols.frames import BusState, CanFrame, Packet
+from protocols.frames import EXTENDED_BIT, BusState, CanFrame, Packet, any_matches
 from protocols.messages import SECOND, Command, Event, Mode, Nanos
 
 WINDOW: Nanos = 2 * SECOND
@@ -64,7 +64,8 @@ class BusMonitor:
         self._variants = {bus: [variant for variant in variants if variant.bus == bus] for bus in buses}
         self._best: dict[Place, DeviceRecord] = {}
         """By the variant that has decoded most of a device."""
-        self._owners: dict[tuple[str, int], list[DeviceRecord]] = {}
+        self._owners_by_id: dict[CanId, list[DeviceRecord]] = {}
+        """As far as they have been looked for."""
         if known:
             for variant in variants:
                 for device in variant.devices.values():
@@ -99,12 +100,12 @@ class BusMonitor:
         elif decoded.events or (accepted and (owners or self.known)):
             decoded.direction = "from"
         elif owners and isinstance(packet.frame, CanFrame):
-            decoded.direction = "to" if packet.frame.id in owners[0].spec.sends else "from"
+            decoded.direction = "to" if any_matches(owners[0].spec.sends, packet.frame) else "from"
         return decoded
 
     def unknown(self, now: Nanos) -> list[tuple[CanId, IdRecord]]:
         """Return the ids that belong to no device, the busiest first."""
-        unknown = [(key, record) for key, record in self.ids.items() if not self._owned(key)]
+        unknown = [(key, record) for key, record in self.ids.items() if not self._owners(key)]
         return sorted(unknown, key=lambda one: (-one[1].rate.per_second(now), one[0]))
 
     def not_understood(self, bus: str) -> int:
@@ -114,19 +115,20 @@ class BusMonitor:
         if self.buses[bus].settings.kind == "serial":
             return min((count.malformed + count.ignored for count in counters), default=0)
         ids = (
-            record.rate.total for key, record in self.ids.items() if key[0] == bus and not self._owned(key)
+            record.rate.total for key, record in self.ids.items() if key[0] == bus and not self._owners(key)
         )
         return sum(ids) + sum(count.malformed for count in counters if self.known)
 
     def message_rates(self, record: DeviceRecord, now: Nanos) -> list[tuple[str, float]]:
         """Return what a device sends per second: on CAN by id, with the kinds of events decoded from it."""
         bus, rates = record.variant.bus, []
-        for number in sorted(record.spec.expects):
-            for extended in (False, True):
-                one = self.ids.get((bus, extended, False, number))
-                if one is not None and len(self._owners.get((bus, number), ())) == 1:
-                    head = f"{number:08X}" if extended else f"{number:03X}"
-                    rates.append((" ".join([head, *one.kinds]), one.rate.per_second(now)))
+        for key, one in sorted(self.ids.items(), key=lambda item: item[0]):
+            _, extended, remote, number = key
+            if key[0] != bus or remote or not any_matches(record.spec.expects, one.last):
+                continue
+            if self._owners(key) == [record]:
+                head = f"{number:08X}" if extended else f"{number:03X}"
+                rates.append((" ".join([head, *one.kinds]), one.rate.per_second(now)))
         return rates or [(kind, rate.per_second(now)) for kind, rate in record.kinds.items()]
 
     # -- counting -----------------------------------------------------------------------------
@@ -163,7 +165,6 @@ class BusMonitor:
                 continue
             one = None
             if isinstance(packet.frame, CanFrame):
-                record.extended = packet.frame.extended
                 one = self.ids.get(_can_id(packet.bus, packet.frame))
             believed = self._learn(record, packet.t, event)
             if believed is None or not self._is_best(record):
@@ -232,20 +233,27 @@ class BusMonitor:
 
     def _own(self, record: DeviceRecord) -> None:
         """Add a device: its ids are no longer unknown."""
-        former = self.found.get(record.place)
         self.found[record.place] = record
-        for number in sorted(record.spec.sends | record.spec.expects):
-            owners = self._owners.setdefault((record.variant.bus, number), [])
-            owners[:] = [owner for owner in owners if owner is not former] + [record]
+        self._owners_by_id.clear()
 
-    def _owned(self, key: CanId) -> bool:
-        bus, extended, _, number = key
-        return any(owner.extended in (None, extended) for owner in self._owners.get((bus, number), ()))
+    def _owners(self, key: CanId) -> list[DeviceRecord]:
+        """Return the devices that were found and send or receive an id."""
+        owners = self._owners_by_id.get(key)
+        if owners is None:
+            bus, extended, _, number = key
+            number |= EXTENDED_BIT * extended
+            owners = [
+                record
+                for record in self.found.values()
+                if record.variant.bus == bus
+                and any_matches((*record.spec.sends, *record.spec.expects), number)
+            ]
+            if len(self._owners_by_id) < MAX_IDS:
+                self._owners_by_id[key] = owners
+        return owners
 
     def _owners_of(self, packet: Packet) -> list[DeviceRecord]:
-        if not isinstance(packet.frame, CanFrame) or not self._owned(_can_id(packet.bus, packet.frame)):
-            return []
-        return self._owners[packet.bus, packet.frame.id]
+        return self._owners(_can_id(packet.bus, packet.frame)) if isinstance(packet.frame, CanFrame) else []
 
     def _is_first(self, variant: ProtocolVariant) -> bool:
         """True for one variant of each protocol on a bus."""

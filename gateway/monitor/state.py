@@ -99,8 +99,6 @@ class DeviceRecord:
     """The last one that it was sent and would obey."""
     commanded_at: Nanos | None = None
     commands: Rate | None = None
-    extended: bool | None = None
-    """Whether its ids are extended; None: not known, or not on CAN."""
 
     @property
     def place(self) -> Place:

@@ -35,7 +35,7 @@ from protocols.cia402.objects import PDO_NUMBERS, Type
 from protocols.cia402.options import Options, Settings, units_of_settings
 from protocols.cia402.profile import Mode, supports
 from protocols.cia402.twin import Cia402Twin
-from protocols.frames import CanFrame, Frame
+from protocols.frames import EXTENDED_BIT, CanFrame, Frame, IdMask, exact
 from protocols.messages import MILLISECOND, Command
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 
@@ -115,12 +115,14 @@ def spec(device: Device) -> Spec:
     # A scan uploads from every node, so SDO requests may be sent to all of them.
     sends = {NMT_ID, SYNC_ID, codec.heartbeat_id(options.host_id)}
     sends |= {codec.sdo_rx_id(n) for n in range(1, MAX_NODE + 1)}
+    sends |= {codec.rpdo_id(number, node) for number in PDO_NUMBERS}
     expects = {codec.emcy_id(node), codec.sdo_tx_id(node), codec.heartbeat_id(node)}
+    expects |= {codec.tpdo_id(number, node) for number in PDO_NUMBERS}
     return Spec(
         bus="can",
         kind="motor",
-        sends=frozenset(sends | {codec.rpdo_id(number, node) for number in PDO_NUMBERS}),
-        expects=frozenset(expects | {codec.tpdo_id(number, node) for number in PDO_NUMBERS}),
+        sends=tuple(exact(number) for number in sorted(sends)),
+        expects=tuple(exact(number) for number in sorted(expects)),
         read_only=read_only,
         feedback=FeedbackKind.POLLED if options.feedback == "sdo" else FeedbackKind.CYCLIC,
         feedback_period=_feedback_ms(options) * MILLISECOND,
@@ -147,10 +149,12 @@ def spec(device: Device) -> Spec:
     )
 
 
-def _receives_also(options: Options) -> tuple[tuple[int, int], ...]:
+def _receives_also(options: Options) -> tuple[IdMask, ...]:
     """Responses to a scan, heartbeats; and, if this host produces SYNC, that of another producer."""
     own_sync = options.feedback == "sync" and options.sync_ms
-    return ((SDO_TX_BASE, 0x780), (HEARTBEAT_BASE, 0x780), *([(SYNC_ID, 0x1FFF_FFFF)] if own_sync else []))
+    any_node = 0x780 | EXTENDED_BIT
+    scanned = ((SDO_TX_BASE, any_node), (HEARTBEAT_BASE, any_node))
+    return (*scanned, exact(SYNC_ID)) if own_sync else scanned
 
 
 def _feedback_ms(options: Options) -> int:

@@ -12,7 +12,7 @@ from zlib import crc32
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Bench, StepResult
 from protocols.conformance.random import Random
-from protocols.frames import Frame
+from protocols.frames import CanFrame, Frame, IdMask, any_matches
 from protocols.messages import Command, Idle, Message
 from protocols.plugin import Device, Plugin, RxCounters, Spec
 
@@ -100,15 +100,15 @@ class Case:
         first = crc32(f"{self.seed} {self.options}".encode()) % SAMPLE
         return list(items[first::SAMPLE]) or list(items[:1])
 
-    @property
-    def sends(self) -> frozenset[int]:
+    @cached_property
+    def sends(self) -> tuple[IdMask, ...]:
         """The ids that the driver may send to alpha or beta."""
-        return frozenset(i for spec in self.specs for i in spec.sends)
+        return tuple(dict.fromkeys(ids for spec in self.specs for ids in spec.sends))
 
-    @property
-    def expects(self) -> frozenset[int]:
+    @cached_property
+    def expects(self) -> tuple[IdMask, ...]:
         """The ids that alpha or beta may send."""
-        return frozenset(i for spec in self.specs for i in spec.expects)
+        return tuple(dict.fromkeys(ids for spec in self.specs for ids in spec.expects))
 
     def random(self) -> Random:
         """Return a new generator; each clause starts from the same seed."""
@@ -150,6 +150,11 @@ def all_devices(case: Case, options: object) -> Iterator[tuple[Device, Spec]]:
             yield device, case.plugin.spec(device)
         except ValueError:
             continue
+
+
+def among(choices: Sequence[IdMask], frame: Frame) -> bool:
+    """True if a frame is among these ids, or of a bus that has none."""
+    return not isinstance(frame, CanFrame) or any_matches(choices, frame)
 
 
 def by_name(kinds: Iterable[type[T]]) -> list[type[T]]:

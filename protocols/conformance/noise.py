@@ -8,7 +8,7 @@ from dataclasses import replace
 from protocols.conformance import bench as tools
 from protocols.conformance.case import Case
 from protocols.conformance.random import Random
-from protocols.frames import CanFrame, Frame
+from protocols.frames import EXTENDED_BIT, CanFrame, Frame, IdMask, any_matches
 from protocols.plugin import Spec
 
 STRANGE = tuple(
@@ -33,7 +33,7 @@ def frames(case: Case, count: int) -> list[Frame]:
     """Return this many frames, most of them like those of alpha, beta and their driver."""
     random, spec = case.random(), case.spec
     valid = [frame for frame in valid_frames(case) if protected(case, frame)]
-    ids = sorted(case.sends | case.expects)
+    ids = sorted({*case.sends, *case.expects})
     return [_frame(spec, valid, ids, random) for _ in range(count)]
 
 
@@ -51,9 +51,9 @@ def protected(case: Case, frame: Frame) -> bool:
 def other_format(case: Case) -> list[Frame]:
     """Return valid frames with the same numbers as ids, in the other id format (11 or 29 bits)."""
     valid = [frame for frame in valid_frames(case) if isinstance(frame, CanFrame)]
-    known = {(frame.id, frame.extended) for frame in valid}
+    known = (*case.sends, *case.expects)
     turned = [replace(frame, extended=not frame.extended) for frame in valid]
-    return [f for f in turned if (f.id, f.extended) not in known and (f.extended or f.id <= 0x7FF)]
+    return [f for f in turned if (f.extended or f.id <= 0x7FF) and not any_matches(known, f)]
 
 
 def patched(frame: Frame, numbers: Sequence[bytes]) -> Iterator[Frame]:
@@ -64,7 +64,7 @@ def patched(frame: Frame, numbers: Sequence[bytes]) -> Iterator[Frame]:
             yield tools.with_data(frame, data[:at] + number + data[at + len(number) :])
 
 
-def _frame(spec: Spec, valid: list[Frame], ids: list[int], random: Random) -> Frame:
+def _frame(spec: Spec, valid: list[Frame], ids: list[IdMask], random: Random) -> Frame:
     kind = random.uniform()
     if valid and kind < 0.6:
         frame = random.choice(valid)
@@ -75,15 +75,22 @@ def _frame(spec: Spec, valid: list[Frame], ids: list[int], random: Random) -> Fr
     return _can_frame(spec, ids, data, random)
 
 
-def _can_frame(spec: Spec, ids: list[int], data: bytes, random: Random) -> CanFrame:
+def _can_frame(spec: Spec, ids: list[IdMask], data: bytes, random: Random) -> CanFrame:
     """Return a CAN frame, most often with an id of the spec."""
     known = bool(ids) and random.uniform() < 0.8
-    id_ = random.choice(ids) if known else random.bits(11)
-    extended = id_ > 0x7FF or random.uniform() < 0.2
+    number = _one_of(*random.choice(ids), random) if known else random.bits(11)
+    id_ = number & ~EXTENDED_BIT
+    extended = number > 0x7FF or random.uniform() < 0.2
     fd = random.uniform() < (0.8 if spec.bus == "canfd" else 0.1)
     remote = not fd and random.uniform() < 0.1
     size = 0 if remote else 64 if fd else 8
     return CanFrame(id_, data[:size], extended, remote, fd, brs=fd)
+
+
+def _one_of(number: int, mask: int, random: Random) -> int:
+    """Return one of these ids, with the bit of its format; those with an open format have 11 bits."""
+    most = 0x1FFF_FFFF if number > 0x7FF else 0x7FF
+    return number | random.bits(29) & most & ~mask
 
 
 def damaged(data: bytes, random: Random) -> bytes:

@@ -18,8 +18,8 @@ from typing import Any
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, DriverWrapper, Messages
-from protocols.conformance.case import Case, Failure, by_name
-from protocols.frames import BusState, CanFrame, Frame
+from protocols.conformance.case import Case, Failure, among, by_name
+from protocols.frames import BusState, Frame
 from protocols.messages import Command, Event, Feedback, Message, Nanos, Request
 from protocols.plugin import Driver, Spec
 
@@ -120,7 +120,7 @@ def only_normal_numbers(case: Case) -> None:
     for before, step in pairwise(case.baseline):
         _check_normal(step.events, before.up)
     bench = case.armed() or case.start()
-    expected = [f for f in noise.valid_frames(case) if not isinstance(f, CanFrame) or f.id in case.expects]
+    expected = [frame for frame in noise.valid_frames(case) if among(case.expects, frame)]
     for frame in case.random().shuffled(expected)[: case.share(60)]:
         for patched in noise.patched(frame, PATCHES):
             _check_normal(bench.driver.receive(bench.now, patched), (patched,))

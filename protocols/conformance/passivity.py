@@ -9,8 +9,8 @@ from typing import Any
 from protocols.conformance import bench as tools
 from protocols.conformance import noise
 from protocols.conformance.bench import NAMES, STRANGER, Bench, Messages
-from protocols.conformance.case import Case, Failure, counts, difference
-from protocols.frames import CanFrame, Frame
+from protocols.conformance.case import Case, Failure, among, counts, difference
+from protocols.frames import CanFrame, Frame, IdMask, any_matches
 from protocols.messages import Command, Estop, Idle, Request
 from protocols.plugin import Spec
 
@@ -28,11 +28,9 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
     foreign, count = _foreign(case), 0
     for at, messages in enumerate(tools.script(spec, NAMES)):
         theirs = stranger.step(_theirs(messages))
-        host = [frame for frame in theirs.down if not _received_also(spec, frame)]
-        can = [*host, *theirs.up] if spec.bus != "serial" else []
+        can = [*_without(theirs.down, spec.receives_also), *theirs.up] if spec.bus != "serial" else []
         extra = [foreign[at % len(foreign)]] if at % 5 == 0 else []
-        up = [f for f in can or theirs.up if not (isinstance(f, CanFrame) and f.id in expects)]
-        down = [f for f in can or theirs.down if not (isinstance(f, CanFrame) and f.id in sends)]
+        up, down = _without(can or theirs.up, expects), _without(can or theirs.down, sends)
         one, other = alone.step(messages), crowded.step(messages, [*up, *extra], down)
         if one != other:
             raise difference(one, other, "alone", "among strangers", (*up, *extra, *down)[:4])
@@ -48,8 +46,9 @@ def foreign_traffic_changes_nothing(case: Case) -> None:
         raise Failure(text, foreign[:2])
 
 
-def _received_also(spec: Spec, frame: Frame) -> bool:
-    return isinstance(frame, CanFrame) and any(frame.id & mask == bits for bits, mask in spec.receives_also)
+def _without(frames: Sequence[Frame], ids: Sequence[IdMask]) -> list[Frame]:
+    """Return the frames that are not CAN frames of these ids."""
+    return [frame for frame in frames if not (isinstance(frame, CanFrame) and any_matches(ids, frame))]
 
 
 def _theirs(messages: Messages) -> list[Command | Request]:
@@ -62,8 +61,8 @@ def _foreign(case: Case) -> list[Frame]:
     """Return frames of no device: of another kind, of unknown ids, and of known ids in the other format."""
     if case.spec.bus == "serial":
         return [CanFrame(1, b"\1\2"), CanFrame(0x12345678, b"", extended=True)]
-    random, known = case.random(), case.sends | case.expects
-    free = [i for i in (random.bits(11) for _ in range(200)) if i not in known][:8]
+    random, known = case.random(), (*case.sends, *case.expects)
+    free = [i for i in (random.bits(11) for _ in range(200)) if not any_matches(known, i)][:8]
     turned = random.shuffled(noise.other_format(case))[:8]
     return [b"\1\2\3", *(CanFrame(i, random.bytes(8)) for i in free), *turned]
 
@@ -101,7 +100,7 @@ def _benches(case: Case) -> Iterator[tuple[str, Bench]]:
 
 def read_only(specs: Sequence[Spec], frame: Frame) -> bool:
     """True if each device that a frame is for calls it read-only."""
-    concerned = [spec for spec in specs if not isinstance(frame, CanFrame) or frame.id in spec.sends]
+    concerned = [spec for spec in specs if among(spec.sends, frame)]
     return bool(concerned) and all(spec.read_only(frame) for spec in concerned)
 
 
@@ -115,7 +114,7 @@ def only_declared_frames(case: Case) -> None:
                     raise Failure(f"the {sender} sends {wrong}", (frame,), messages)
 
 
-def _undeclared(spec: Spec, frame: Frame, ids: frozenset[int]) -> str:
+def _undeclared(spec: Spec, frame: Frame, ids: Sequence[IdMask]) -> str:
     """Return what is wrong with a frame that was sent, "" if nothing."""
     if spec.bus == "serial":
         return "" if isinstance(frame, bytes) and frame else "something other than bytes"
@@ -127,4 +126,4 @@ def _undeclared(spec: Spec, frame: Frame, ids: frozenset[int]) -> str:
         return "an impossible frame"
     if not frame.extended and frame.id > 0x7FF:
         return "an id that is too long for its format"
-    return "" if frame.id in ids else f"an id that the spec does not list: {frame.id:#x}"
+    return "" if any_matches(ids, frame) else f"an id that the spec does not list: {frame.id:#x}"

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, variants
-from protocols.frames import CanFrame, Frame
+from protocols.frames import CanFrame, Frame, any_matches
 from protocols.messages import Command, Request
 from protocols.plugin import Plugin, Spec
 from protocols.reference_vectors import Vector, vectors_of
@@ -80,7 +80,7 @@ def _receivers(case: Case, frame: Frame) -> Sequence[Spec]:
     """Return the specs of the devices that a frame may be for; all, where the frame has no id."""
     if not isinstance(frame, CanFrame):
         return case.specs
-    return [spec for spec in case.specs if frame.id in spec.sends] or case.specs
+    return [spec for spec in case.specs if any_matches(spec.sends, frame)] or case.specs
 
 
 def _mistakes_are_not_sent(case: Case, vectors: Sequence[Vector]) -> None:
@@ -166,4 +166,4 @@ def _senders(case: Case, frame: Frame, options: object) -> tuple[int, ...]:
     devices = all_devices(case, options)
     if not isinstance(frame, CanFrame):
         return tuple(device.address for device, _ in devices)[:10]
-    return tuple(device.address for device, spec in devices if frame.id in spec.expects)[:1]
+    return tuple(device.address for device, spec in devices if any_matches(spec.expects, frame))[:1]

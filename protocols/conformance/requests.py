@@ -19,7 +19,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from protocols import messages as msg
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import ALPHA, NAMES, START, Bench, StepResult
-from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, by_name
+from protocols.conformance.case import Case, Failure, Inapplicable, all_devices, among, by_name
 from protocols.conformance.fault_injection import make_rig
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Message, Nanos, Request
@@ -115,7 +115,7 @@ def _parameters(case: Case) -> list[str]:
         if vector.direction != "to_device" or vector.wrong:
             continue
         can = isinstance(frame, CanFrame)
-        receivers = [d for d, spec in devices if not isinstance(frame, CanFrame) or frame.id in spec.sends]
+        receivers = [d for d, spec in devices if among(spec.sends, frame)]
         for device in receivers[: 1 if can else 16]:
             for message in case.plugin.decoder([device]).decode(START, frame):
                 if isinstance(message, msg.ReadParameter | msg.WriteParameter):

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from protocols import messages as msg
-from protocols.frames import CanFrame, Frame
+from protocols.frames import CanFrame, Frame, IdMask, exact
 from protocols.messages import MILLISECOND
-from protocols.moteus.codec import BROADCAST, REPLY_BIT, Query, command_id, parse, reply_id
+from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, Query, command_id, parse, reply_id
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusDriver
 from protocols.moteus.faults import FAULTS
@@ -72,6 +72,11 @@ class ReadOnly:
         return well_formed and all(isinstance(subframe, Query) for subframe in subframes)
 
 
+def _exact(number: int) -> IdMask:
+    """Return one id: of 29 bits if it needs more than 11."""
+    return exact(number, number > STANDARD_MAX)
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one moteus. Raises ValueError if its address cannot be one."""
     options, settings = device.options, device.settings
@@ -86,8 +91,8 @@ def spec(device: Device) -> Spec:
     return Spec(
         bus="canfd",
         kind="motor",
-        sends=sends,
-        expects=frozenset({reply_id(device.address, host, prefix)}),
+        sends=tuple(_exact(number) for number in sorted(sends)),
+        expects=(_exact(reply_id(device.address, host, prefix)),),
         read_only=ReadOnly(sends),
         feedback=FeedbackKind.POLLED,
         feedback_period=options.feedback_ms * MILLISECOND,

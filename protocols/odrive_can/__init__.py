@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from protocols import messages as msg
-from protocols.frames import CanFrame, Frame
+from protocols.frames import EXTENDED_BIT, CanFrame, Frame, exact
 from protocols.messages import MILLISECOND, SECOND
 from protocols.odrive_can import messages as m
 from protocols.odrive_can.codec import BROADCAST, MAX_EXTENDED_NODE, MAX_NODE, TABLES, cmd_of, frame_id
@@ -94,13 +94,14 @@ class ReadOnly:
 
     cmds: frozenset[int]
     extended: bool
-    discovery: frozenset[int]
+    discovery: bool
+    """The request for addresses is one."""
 
     def __call__(self, frame: Frame) -> bool:
         """True for a remote frame of a message that devices send."""
         if not isinstance(frame, CanFrame) or not frame.remote:
             return False
-        if frame.id in self.discovery and not frame.extended:
+        if self.discovery and frame.id == DISCOVERY_ID and not frame.extended:
             return True
         return frame.extended == self.extended and frame.id & CMD_MASK in self.cmds
 
@@ -116,7 +117,7 @@ def spec(device: Device) -> Spec:
     rows = [row for line in LINES[options.firmware] for row in TABLES[line].layouts]
     received = {row.cmd for row in rows if row.direction != "to_device"}
     sent = {row.cmd for row in rows if row.direction != "from_device" and row.message not in NOT_SENT}
-    discovery = frozenset({DISCOVERY_ID} if options.firmware != "0.5" else ())
+    discovery = (exact(DISCOVERY_ID),) if options.firmware != "0.5" else ()
     requests = {
         msg.ClearFault,
         msg.Estop,
@@ -135,9 +136,9 @@ def spec(device: Device) -> Spec:
     return Spec(
         bus="can",
         kind="motor",
-        sends=sends | discovery,
-        expects=expects | discovery,
-        read_only=ReadOnly(requestable(options), options.is_extended, discovery),
+        sends=tuple(exact(number, options.is_extended) for number in sorted(sends)) + discovery,
+        expects=tuple(exact(number, options.is_extended) for number in sorted(expects)) + discovery,
+        read_only=ReadOnly(requestable(options), options.is_extended, bool(discovery)),
         feedback=FeedbackKind.CYCLIC,
         feedback_period=options.feedback_ms * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
@@ -154,8 +155,7 @@ def spec(device: Device) -> Spec:
         stop_clears_faults=False,
         faults=FAULT_TABLE05 if line_of(device) == "0.5" else FAULT_TABLE06,
         receives_also=((cmd_of(m.Address), CMD_MASK), (cmd_of(m.Heartbeat), CMD_MASK)),
-        extended=sends | expects if options.is_extended else frozenset(),
-        obeys_also=((frame_id(device.address, 0) | options.is_extended << 31, NODE_MASK),),
+        obeys_also=((frame_id(device.address, 0) | options.is_extended * EXTENDED_BIT, NODE_MASK),),
     )
 
 

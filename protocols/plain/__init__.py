@@ -57,8 +57,8 @@ def spec(device: Device) -> Spec:
     return Spec(
         bus="serial",
         kind="motor" if motor else "sensor",
-        sends=frozenset(),
-        expects=frozenset(),
+        sends=(),
+        expects=(),
         read_only=read_only,
         feedback=FeedbackKind.CYCLIC,
         feedback_period=round(settings.feedback_ms * MILLISECOND) if motor else SENSOR_PERIOD,

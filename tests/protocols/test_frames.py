@@ -5,7 +5,19 @@ from typing import Any
 
 import pytest
 
-from protocols.frames import BusState, CanFrame, Frame, Packet
+from protocols.frames import (
+    EXTENDED_BIT,
+    BusState,
+    CanFrame,
+    Frame,
+    IdMask,
+    Packet,
+    any_matches,
+    exact,
+    id_matches,
+    id_number,
+    overlap,
+)
 
 # candump's own notation: id in three or eight digits, # or ##flags, data in upper case, R for a remote frame
 # (linux-can/can-utils `lib.h`, sprint_canframe and parse_canframe).
@@ -54,3 +66,34 @@ def test_frames_and_packets_are_frozen(value: Any) -> None:
 
 def test_bus_states_are_their_own_text() -> None:
     assert [f"{state}" for state in BusState] == ["up", "passive", "off", "full", "gone", "back"]
+
+
+def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
+    short, long = CanFrame(0x123), CanFrame(0x123, extended=True)
+    assert id_number(long) == 0x123 | EXTENDED_BIT
+    assert (id_matches(exact(0x123), short), id_matches(exact(0x123), long)) == (True, False)
+    assert any_matches([exact(0x124), exact(0x123, extended=True)], long)
+    assert not any_matches([exact(0x124), exact(0x123, extended=True)], short)
+    assert not any_matches([], short)
+
+
+# As of a CyberGear: message type, 16 bits of torque, device (29 bits).
+TORQUE_IN_ID: IdMask = (EXTENDED_BIT | 1 << 24 | 5, EXTENDED_BIT | 0x1F00_00FF)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "both"),
+    [
+        (exact(0x41), exact(0x41), True),
+        (exact(0x41), exact(0x41, extended=True), False),
+        (exact(0x41), (0x40, 0x7F0), True),
+        (exact(0x41), (0x40, 0x7F2), True),
+        (exact(0x41), (0x42, 0x7F2), False),
+        (TORQUE_IN_ID, exact(0x0180_0005, extended=True), True),
+        (TORQUE_IN_ID, exact(0x0180_0006, extended=True), False),
+        (TORQUE_IN_ID, (EXTENDED_BIT | 0x0080_0000, EXTENDED_BIT | 0x0080_0000), True),
+    ],
+)
+def test_ids_with_open_bits_overlap_where_fixed_bits_agree(one: IdMask, other: IdMask, both: bool) -> None:
+    assert overlap(one, other) is overlap(other, one) is both
+    assert all(id_matches(TORQUE_IN_ID, 1 << 24 | torque << 8 | 5 | EXTENDED_BIT) for torque in (0, 0xFFFF))

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Literal
 
-from protocols.frames import CanFrame, Frame
+from protocols.frames import CanFrame, Frame, IdMask, exact
 from protocols.plugin import RxCounters
 
 from .codec import SIZE
@@ -25,9 +25,9 @@ COMMAND, STATUS = 0x100, 0x200
 MAX_ADDRESS = 0x3F
 
 
-def ids(kind: int, address: int) -> frozenset[int]:
+def ids(kind: int, address: int) -> tuple[IdMask, ...]:
     """Return the CAN ids of this kind (COMMAND or STATUS) at this address."""
-    return frozenset({kind + address})
+    return (exact(kind + address),)
 
 
 def make_frame(kind: int, address: int, payload: bytes) -> Frame:

@@ -19,7 +19,7 @@ import struct
 from collections.abc import Collection
 from typing import Literal
 
-from protocols.frames import Frame
+from protocols.frames import Frame, IdMask
 from protocols.plugin import RxCounters
 
 from . import codec
@@ -36,9 +36,9 @@ SIZE = _HEAD.size + codec.SIZE + _CRC.size
 """Bytes in a message, of either kind."""
 
 
-def ids(_kind: int, _address: int) -> frozenset[int]:
+def ids(_kind: int, _address: int) -> tuple[IdMask, ...]:
     """Return no CAN ids: a serial line has none."""
-    return frozenset()
+    return ()
 
 
 def make_frame(kind: int, address: int, payload: bytes) -> Frame:

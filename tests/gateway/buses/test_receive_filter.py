@@ -10,7 +10,7 @@ from gateway import config
 from gateway.config import resources
 from gateway.core.robot import Robot
 from gateway.errors import ConfigError
-from protocols.frames import CanFrame
+from protocols.frames import CanFrame, IdMask, id_number
 from protocols.messages import MILLISECOND, Event, Scan
 from protocols.plugin import Device, Plugin
 
@@ -21,9 +21,9 @@ def own(text: str = TEXT) -> Robot:
     return config.parse_robot(text.replace("[buses.can0]", '[buses.can0]\nreceive_filter = "own"', 1))
 
 
-def accepted_by(received: tuple[tuple[int, int], ...], frame: CanFrame) -> bool:
+def accepted_by(received: tuple[IdMask, ...], frame: CanFrame) -> bool:
     """As the kernel filters (linux/can.h): one filter that matches is enough."""
-    return not received or any(frame.id & mask == number & mask for number, mask in received)
+    return not received or any(id_number(frame) & mask == number & mask for number, mask in received)
 
 
 def test_every_id_is_received_unless_the_file_has_a_filter() -> None:
@@ -37,7 +37,7 @@ def test_own_accepts_what_the_specs_expect() -> None:
     received = robot.buses["can0"].receive_filter
     assert robot.buses["sensors"].receive_filter == ()
     specs = [motor.spec for motor in robot.motors.values()]
-    assert all(accepted_by(received, CanFrame(number)) for spec in specs for number in spec.expects)
+    assert all(accepted_by(received, CanFrame(number)) for spec in specs for number, _ in spec.expects)
     assert not accepted_by(received, CanFrame(0x7F0))
     assert 0 < sum(accepted_by(received, CanFrame(number)) for number in range(0x800)) < 0x800 // 4
 

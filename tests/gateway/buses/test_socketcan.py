@@ -22,7 +22,7 @@ from gateway.buses.states import CALM
 from gateway.core.clock import Clock, SimulatedClock, WallClock
 from gateway.core.robot import BusSettings
 from gateway.errors import BusError
-from protocols.frames import BusState, CanFrame, Packet
+from protocols.frames import BusState, CanFrame, Packet, exact
 from protocols.messages import MILLISECOND, SECOND
 
 SETTINGS = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
@@ -350,8 +350,9 @@ def test_an_interface_that_fits_is_accepted(settings: BusSettings, link: Link) -
 
 
 def test_filters_are_python_cans() -> None:
-    assert filters(((0x21, 0x1FFFFFFF), (6, 0x1F))) == [
-        {"can_id": 0x21, "can_mask": 0x1FFFFFFF},
+    assert filters((exact(0x21), exact(0x21, extended=True), (6, 0x1F))) == [
+        {"can_id": 0x21, "can_mask": 0x1FFFFFFF, "extended": False},
+        {"can_id": 0x21, "can_mask": 0x1FFFFFFF, "extended": True},
         {"can_id": 6, "can_mask": 0x1F},
     ]
 

@@ -22,6 +22,7 @@ from gateway.core.bounds import Bounds
 from gateway.core.robot import BagTopics, Robot
 from gateway.errors import ConfigError
 from protocols import plugin
+from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Idle, Nanos, Torque
 from protocols.plugin import Device, Plugin, Spec
 from tests.gateway.bag_helpers import ROBOT as WITH_BAG
@@ -396,7 +397,7 @@ def with_foreign(text: str, **changes: Any) -> list[str]:
     return mistakes_in(*foreign_left(text, **changes))
 
 
-NO_IDS: dict[str, Any] = {"sends": frozenset(), "expects": frozenset(), "obeys_also": ()}
+NO_IDS: dict[str, Any] = {"sends": (), "expects": (), "obeys_also": ()}
 
 
 @pytest.mark.parametrize(
@@ -427,21 +428,30 @@ SEVERAL = (
     "; 0x042, 0x047 (each would obey what the other is sent)"
 )
 
+SEVERAL_OF_A_MASK = (
+    "0x040, 0x041, 0x043, 0x044, … ('left' would obey what it reports there)"
+    "; 0x042, 0x047, 0x04B, 0x04C, … (each would obey what the other is sent)"
+    "; 0x040…0x04F (it would obey what 'left' is sent)"
+)
+
 
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
         # `right` is node 2: it is commanded on 0x42, 0x43 …, and reports on 0x41, 0x43 … when asked there
-        ({"sends": {0x41}}, "0x041 ('left' would obey what it reports there)"),
-        ({"sends": {0x5F}}, "0x05F (it would obey what 'left' is sent)"),  # of its node, not its protocol
+        ({"sends": (exact(0x41),)}, "0x041 ('left' would obey what it reports there)"),
+        # of its node, not its protocol
+        ({"sends": (exact(0x5F),)}, "0x05F (it would obey what 'left' is sent)"),
         ({"obeys_also": ((0x42, 0x7FF),)}, "0x042 ('left' would obey what it is sent)"),
-        ({"sends": {0x42}}, "0x042 (each would obey what the other is sent)"),
-        ({"expects": {0x42}}, "0x042 (it would obey what 'left' reports there)"),
-        ({"sends": set(range(0x41, 0x48)), "expects": {0x55}}, SEVERAL),
+        ({"sends": (exact(0x42),)}, "0x042 (each would obey what the other is sent)"),
+        ({"expects": (exact(0x42),)}, "0x042 (it would obey what 'left' reports there)"),
+        ({"sends": tuple(map(exact, range(0x41, 0x48))), "expects": (exact(0x55),)}, SEVERAL),
+        # a command in the upper bits, the node in the lower ones, and a torque between them
+        ({"sends": ((0x40, 0x7F0),)}, SEVERAL_OF_A_MASK),
     ],
 )
 def test_two_protocols_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: str) -> None:
-    ids: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "obeys_also": ()}
+    ids: dict[str, Any] = {"sends": (exact(0x701),), "expects": (exact(0x700),), "obeys_also": ()}
     assert with_foreign(ROVER, **ids) == []
     (found,) = with_foreign(ROVER, **ids | changes)
     found = found.partition(": ")[2]
@@ -453,9 +463,9 @@ def test_two_protocols_do_not_share_ids_on_a_bus(changes: dict[str, Any], why: s
 
 def test_two_protocols_do_not_report_on_one_id() -> None:
     motors = parse_robot(ROVER).motors
-    ids: dict[str, Any] = {"expects": frozenset({0x41}), "obeys_also": ()}
+    ids: dict[str, Any] = {"expects": (exact(0x41),), "obeys_also": ()}
     left, right = (
-        dataclasses.replace(motor, spec=dataclasses.replace(motor.spec, sends=frozenset({number}), **ids))
+        dataclasses.replace(motor, spec=dataclasses.replace(motor.spec, sends=(exact(number),), **ids))
         for number, motor in enumerate(motors.values())
     )
     conflict = "uses CAN ids of 'left' (odrive_can) on bus 'can0': 0x041 (both report there)"
@@ -464,16 +474,15 @@ def test_two_protocols_do_not_report_on_one_id() -> None:
 
 def test_an_id_of_29_bits_is_another_one_than_the_same_number_in_11() -> None:
     """As of an ODrive with is_extended."""
-    ids: dict[str, Any] = {"sends": frozenset({0x41, 0x1041}), "expects": frozenset({0x47}), "obeys_also": ()}
-    assert len(with_foreign(ROVER, **ids, extended=frozenset({0x1041}))) == 1
-    assert len(with_foreign(ROVER, **ids, extended=None)) == 1
-    assert with_foreign(ROVER, **ids, extended=frozenset({0x41, 0x1041, 0x47})) == []
+    ids: dict[str, Any] = {"expects": (exact(0x47, extended=True),), "obeys_also": ()}
+    assert len(with_foreign(ROVER, **ids, sends=(exact(0x41), exact(0x1041, extended=True)))) == 1
+    assert with_foreign(ROVER, **ids, sends=(exact(0x41, extended=True), exact(0x1041, extended=True))) == []
     options = 'watchdog = "acknowledged"'
     extended = changed(options, f'{options}\nfirmware = "0.5"\nis_extended = true')
     old = parse_robot(extended).motors["left"].spec
-    assert all(old.is_extended(number) for number in old.sends | old.expects)
+    assert all(number & EXTENDED_BIT for number, _ in old.sends + old.expects)
     new = parse_robot(ROVER).motors["left"].spec
-    assert not any(new.is_extended(number) for number in new.sends | new.expects)
+    assert not any(number & EXTENDED_BIT for number, _ in new.sends + new.expects)
 
 
 def test_a_classic_device_may_stand_on_an_fd_bus_and_not_the_other_way_round() -> None:
@@ -544,7 +553,7 @@ def test_cautions(text: str, starts: list[str]) -> None:
 
 def mixed_cautions(text: str, **changes: Any) -> list[str]:
     """Return the cautions of a robot whose left motor has a foreign protocol, with ids of its own."""
-    own: dict[str, Any] = {"sends": frozenset({0x701}), "expects": frozenset({0x700}), "receives_also": ()}
+    own: dict[str, Any] = {"sends": (exact(0x701),), "expects": (exact(0x700),), "receives_also": ()}
     own["obeys_also"] = ()
     text, find = foreign_left(text, **own | changes)
     return [found for found in cautions(parse_robot(text, find=find)) if "watchdog" not in found]
@@ -566,8 +575,8 @@ def test_classic_can_beside_can_fd_is_a_caution_until_acknowledged() -> None:
 
 def test_reports_that_another_driver_mistakes_are_a_caution_until_acknowledged() -> None:
     """ODrive's driver decodes every heartbeat, 0x01 in the low five bits, of any node."""
-    expects = frozenset({0x181, 0x701, 0x582})
-    (found,) = mixed_cautions(ROVER, expects=expects, sends=frozenset({0x202}))
+    expects = (exact(0x181), exact(0x582), exact(0x701))
+    (found,) = mixed_cautions(ROVER, expects=expects, sends=(exact(0x202),))
     assert found.startswith("left: odrive_can takes its frames on 0x181, 0x701 for messages of its own kind")
     acknowledged = changed('kind = "can" ', 'kind = "can"\nshared_bus = "acknowledged"')
     assert mixed_cautions(acknowledged, expects=expects) == []

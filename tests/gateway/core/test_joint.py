@@ -27,8 +27,8 @@ def spec(*commands: type[Command]) -> Spec:
     return Spec(
         bus="can",
         kind="motor",
-        sends=frozenset(),
-        expects=frozenset(),
+        sends=(),
+        expects=(),
         read_only=lambda _frame: False,
         feedback=FeedbackKind.CYCLIC,
         feedback_period=10 * MS,

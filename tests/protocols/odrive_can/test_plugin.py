@@ -13,7 +13,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table, variants
-from protocols.frames import CanFrame
+from protocols.frames import EXTENDED_BIT, CanFrame, exact
 from protocols.odrive_can import WATCHDOG_NOTE, plugin, spec
 from protocols.odrive_can.codec import BROADCAST, TABLES, encode
 from protocols.odrive_can.dialect import DIALECTS
@@ -159,16 +159,16 @@ def test_specs_of_each_option(firmware: Literal["auto", "0.5", "0.6"]) -> None:
     }
     lines = {"auto": ("0.5", "0.6"), "0.5": ("0.5",), "0.6": ("0.6",)}[firmware]
     for line in lines:
-        assert {0x20 | cmd for cmd in TABLES[line].requestable - {0x06}} <= contract.sends
-        assert {0x20 | cmd for cmd in TABLES[line].requestable - {0x06}} <= contract.expects
+        assert {exact(0x20 | cmd) for cmd in TABLES[line].requestable - {0x06}} <= set(contract.sends)
+        assert {exact(0x20 | cmd) for cmd in TABLES[line].requestable - {0x06}} <= set(contract.expects)
         dialect = DIALECTS[line]
         assert {*dialect.polled, *dialect.disarm_reasons, *dialect.component_faults} <= requestable
         sent = {row.cmd for row in TABLES[line].to_device.values() if row.cmd not in (0x04, 0x1F, 0x10, 0x1C)}
-        assert {0x20 | cmd for cmd in sent - {0x06}} <= contract.sends
+        assert {exact(0x20 | cmd) for cmd in sent - {0x06}} <= set(contract.sends)
     obeyed = {0x02, 0x07, 0x0C, 0x0D, 0x0E, 0x16, 0x18}
     assert not requestable & obeyed
     assert (0x06 in requestable) == (firmware == "0.6")
-    assert (0x7E6 in contract.sends) == (msg.SetId in contract.requests) == (firmware != "0.5")
+    assert (exact(0x7E6) in contract.sends) == (msg.SetId in contract.requests) == (firmware != "0.5")
     assert contract == spec(device(options=Options(firmware=firmware)))
 
 
@@ -189,7 +189,7 @@ def test_settings_name_a_firmware_that_there_is_and_options_an_extended_axis_of_
 def test_an_extended_address_has_24_bits(address: int, fits: bool) -> None:
     extended = device(address=address, options=Options(firmware="0.5", is_extended=True))
     if fits:
-        assert all(0 <= frame < 1 << 29 for frame in spec(extended).sends)
+        assert all(EXTENDED_BIT <= number < EXTENDED_BIT + (1 << 29) for number, _ in spec(extended).sends)
     else:
         with pytest.raises(ValueError, match="node id is 0 to 16777215"):
             spec(extended)
