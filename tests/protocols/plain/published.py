@@ -9,6 +9,8 @@ import struct
 
 from msgpack.fallback import Packer
 
+from tests.protocols.transcript_notation import tokens
+
 # fmt: off
 CODES: dict[str, int] = {
     "Idle": 1, "Hold": 2, "Position": 3, "Velocity": 4, "Torque": 5, "Impedance": 6, "ClearFault": 22,
@@ -34,6 +36,40 @@ def framed(body: bytes) -> bytes:
     """A body between sync bytes, length and CRC."""
     head = b"\xa5\x57" + struct.pack("<HH", len(body), len(body) ^ 0xFFFF)
     return head + body + struct.pack("<I", bitwise_crc(body))
+
+
+def notation(text: str) -> bytes:
+    """Messages as transcripts have them: `1 Velocity "" 1.0 0.5 + 2 Idle ""`.
+
+    `[:9]` before it are its first 9 bytes, `[9:]` the others; `bad` makes its CRC wrong; a body may be a text
+    (`1 body "rubbish"`) or hexadecimal digits (`1 body x921ba0`)."""
+    frames = b""
+    for part in text.split(" + "):
+        first, *rest = tokens(part)
+        start, colon, stop = first.strip("[]").partition(":")
+        if colon:
+            frames += notation(" ".join(rest))[int(start or 0) : int(stop) if stop else None]
+        elif first == "bad":
+            frames += notation(" ".join(rest))[:-1] + b"\0"
+        elif rest[0] == "body":
+            data = rest[1] if len(rest) > 1 else ""
+            raw = bytes.fromhex(data[1:]) if data.startswith("x") else data.strip('"').encode()
+            frames += framed(bytes((int(first),)) + raw)
+        else:
+            frames += encoded(int(first), rest[0], *map(_value, rest[1:]))
+    return frames
+
+
+def _value(text: str) -> object:
+    """A value: none, yes, no, a text, an integer, a number, numbers in brackets, ranges in parentheses."""
+    if text[0] in "[(":
+        numbers = [float(each) for each in text[1:-1].split(",") if each]
+        return numbers if text[0] == "[" else ranges(*numbers)
+    if text.startswith('"'):
+        return text.strip('"')
+    if text in ("none", "yes", "no"):
+        return None if text == "none" else text == "yes"
+    return float(text) if "." in text or "e" in text else int(text)
 
 
 def ranges(*values: float) -> bytes:

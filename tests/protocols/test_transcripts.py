@@ -1,0 +1,102 @@
+"""Transcripts fail where they should: each line here is wrong, and the failure says which and why."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from protocols.plain import plugin
+from tests.protocols.plain.published import notation
+from tests.protocols.transcripts import read, run
+
+HEAD = """
+protocol plain
+device left 1 options kind=motor settings watchdog_ms=50
+"""
+DRIVER = "tests driver\n== Title\n"
+CYCLE = DRIVER + "cycle 10\n"
+TWIN = "tests twin\n== Title\nbackground rx A557???????? 019946 *\n"
+BOTH = "tests both\ncycle 10\nbackground tx *\nbackground rx *\nbackground event Feedback ...\n== Title\n"
+DECODER = "tests decoder\n== Title\n"
+HOLD = '1 Hold ""'
+READY = '1 State "" 0 "ready" ""'
+
+
+def check(folder: Path, text: str) -> None:
+    """Run the blocks of a file with this text."""
+    file = folder / "file.txt"
+    file.write_text(HEAD + text, "utf-8")
+    for block in read(file):
+        run(block, plugin, notation)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        DRIVER + f"0 host Hold left\n0 tx {HOLD}",
+        DRIVER + f"0 host Hold left => {HOLD}",
+        DRIVER + f"0..5 tx {HOLD} -- some time\n3 host Hold left",
+        DRIVER + f'0 host Hold left ; Zero left\n0 tx {HOLD} | 1 Zero ""',
+        DRIVER + '0 host Hold left\n+2 host Zero left => 1 Zero ""\n' + f"0..1 tx {HOLD}",
+        CYCLE + f"0 host Hold left\n0..50 every 10 tx {HOLD}",
+        CYCLE + f"0 host Hold left\n0..50 every 5..12 tx {HOLD}",
+        CYCLE + f"background tx {HOLD}\n0 host Hold left\n50 end",
+        CYCLE + f"0 host Hold left\n5 host nothing\n0 tx {HOLD}\n50 end",
+        DRIVER + f"cyclic 100 {READY}\n0..300 every 100 event State left ready\n300 end",
+        DRIVER + f"0..300 every 100 rx {READY}\n0..300 every 100 event State left ready",
+        DRIVER + f"reply {HOLD} => {READY}\n0 host Hold left => {HOLD}\n1 event State left ready",
+        DRIVER + f"name ready {READY}\n0 rx ready => State left ready ; accepted",
+        DRIVER + f"1 end\n== Second\nafter Title\n0 rx {READY} => State left ready",
+        DRIVER + f"each line by itself\nrx {READY} => State left ready\nhost Idle left => nothing",
+        DECODER + '0 tx 1 Velocity "" 2.0 0.0 => Arm left ; Velocity left 2 ; named Velocity',
+        TWIN + '0 rx 1 State "" 0 "ready" "ready"\n0 shaft left position=1 locked=yes\n'
+        '5 tx 1 Torque "" 0.5\n5 rx 1 State "" 0 "armed" "armed"\n9 measure left torque=0.5 position=1±0.1',
+        BOTH + "1 event State left ready *\n10 host Hold left\n11 event State left armed *\n"
+        "50 host nothing\n90..95 event Fault left 1 *  ...\n90..95 event State left fault *\n"
+        '120 host ClearFault left\n121 event Done ClearFault left\n121 event State left ready "ready"',
+    ],
+)
+def test_what_is_written_and_comes_passes(tmp_path: Path, text: str) -> None:
+    check(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (DRIVER + "0 host Hold left", "not written, and not in the background: 0 +tx +A557"),
+        (DRIVER + f"0 rx {READY}", "not written.*event +State left ready"),
+        (DRIVER + f"0 host Hold left => {HOLD}\n1..5 tx {HOLD}", "txt:7: 1..5 tx.*\n.*did not come"),
+        (DRIVER + f'0 host Hold left ; Zero left\n0 tx 1 Zero "" | {HOLD}', "did not come"),
+        (DRIVER + f"0 host Hold left ; Hold left => {HOLD}", "not written"),
+        (DRIVER + "0 host Velocity left 1 => 1 Velocity \"\" 1.5 0.0", "did not come"),
+        (CYCLE + f"0 host Hold left\n0..60 every 10 tx {HOLD}\n50 host nothing", "did not come"),
+        (CYCLE + f"0 host Hold left\n0..50 every 20 tx {HOLD}", "not written.*10 "),
+        (CYCLE + f"0 host Hold left\n0..50 every 2..8 tx {HOLD}", "not written.*10 "),
+        (CYCLE + f"without background\nbackground tx {HOLD}\n0 host Hold left", "not written"),
+        (DRIVER + f"0 rx {READY} => State left armed", "did not come"),
+        (DRIVER + f"0 rx {READY} => State left ready ; malformed", r"counted .*\[1, 0, 0\], not \[0, 1, 0\]"),
+        (DRIVER + "0 rx 1 body => nothing", "counted as .*: \\[0, 1, 0\\], not \\[0, 0, 0\\]"),
+        (DRIVER + "0 rx 001#01 => nothing", "counted as"),
+        (DRIVER + '0 rx 1 Done 5 "Zero" "" "" => Done Zero left', "did not come"),
+        (DRIVER + "250 end", "not written.*State left offline detail=\"no message for 250 ms\""),
+        (DRIVER + f"each line by itself\nrx {READY} => nothing\nhost Idle left => {HOLD}", ":8: host Idle"),
+        (DECODER + '0 tx 1 Velocity "" 2.0 0.0 => nothing', "not written.*obeys +Velocity left 2"),
+        (DECODER + '0 tx 1 Velocity "" 2.0 0.0 => Arm left ; Velocity left 3', "did not come"),
+        (DECODER + f"0 tx {HOLD} => Arm left ; Hold left ; named Idle", "messages are named \\['Hold'\\]"),
+        (TWIN + "5 end", "not written.*0 +rx"),
+        (BOTH + "1 event State left ready *\n5 measure left position=0.1", "the position is 0"),
+    ],
+)  # fmt: skip
+def test_what_is_not_written_or_does_not_come_fails(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(AssertionError, match=reason):
+        check(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [DRIVER + "0 sends Hold left", DRIVER + "== Title", "== One\nafter Other", DRIVER + "0 host Hld left"],
+)
+def test_what_cannot_be_read_fails(tmp_path: Path, text: str) -> None:
+    with pytest.raises((ValueError, KeyError)):
+        check(tmp_path, text)

@@ -1,0 +1,142 @@
+"""Transcripts as files: their blocks and lines (docs/transcripts.md)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from protocols.messages import MILLISECOND, Nanos
+
+FOLDER = Path(__file__).resolve().parents[2] / "fixtures" / "transcripts"
+_NUMBER = r"(\d+(?:\.\d+)?)"
+TIME = re.compile(rf"(\+?){_NUMBER}(?:\.\.{_NUMBER})?(?: every {_NUMBER}(?:\.\.{_NUMBER})?)?\s+(\S.*)")
+FLAGS = ("each line by itself", "without background")
+HEAD = ("protocol", "source", "tests", "device", "name", "cycle", "cyclic", "reply", "background")
+STIMULI = ("host", "bus", "cyclic", "reply", "silence", "shaft", "fault", "measure", "end")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line. Times are from the beginning of its block."""
+
+    place: str
+    text: str
+    kind: str
+    body: str
+    results: tuple[str, ...] = ()
+    """What follows `=>`."""
+    start: Nanos = 0
+    stop: Nanos = 0
+    gap: tuple[Nanos, Nanos] | None = None
+    """Shortest and longest time to the next repetition."""
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.text}"
+
+    def next(self, after: Nanos) -> Nanos | None:
+        """Return when it next happens; None: never again."""
+        if self.gap is None or self.start > after:
+            return self.start if self.start > after else None
+        t = after + self.gap[0] - (after - self.start) % self.gap[0]
+        return t if t <= self.stop else None
+
+
+@dataclass(frozen=True, repr=False)
+class Block:
+    """One test."""
+
+    file: Path
+    title: str
+    head: tuple[Line, ...]
+    """Of the file, then of the block."""
+    lines: tuple[Line, ...] = ()
+    flags: frozenset[str] = frozenset()
+    after: Block | None = None
+
+    def __str__(self) -> str:
+        return f"{self.file.stem}: {self.title}"
+
+    def runs(self) -> list[tuple[Line, ...]]:
+        """Return the lines of each run: all of them, or each of its own after those of the blocks before."""
+        if "each line by itself" not in self.flags:
+            return [self.timeline()[0]]
+        before, end = self.after.timeline() if self.after else ((), 0)
+        return [(*before, _moved(line, end)) for line in self.lines]
+
+    def timeline(self) -> tuple[tuple[Line, ...], Nanos]:
+        """Return the lines of the blocks before it and its own, and when the last one ends."""
+        before, end = self.after.timeline() if self.after else ((), 0)
+        lines = (*before, *(_moved(line, end) for line in self.lines))
+        return lines, max((line.stop for line in lines), default=0)
+
+
+def _moved(line: Line, by: Nanos) -> Line:
+    return replace(line, start=line.start + by, stop=line.stop + by)
+
+
+# -- reading a file ------------------------------------------------------------------------------------
+
+
+def blocks(protocol: str) -> list[Block]:
+    """Return the blocks of a protocol's transcripts, file by file."""
+    return [block for file in sorted((FOLDER / protocol).glob("*.txt")) for block in read(file)]
+
+
+def read(file: Path) -> list[Block]:
+    """Return the blocks of a file. Raises ValueError for a line that cannot be read."""
+    head: tuple[Line, ...] = ()
+    found: dict[str, Block] = {}
+    for place, text in _logical_lines(file):
+        title = text.removeprefix("== ")
+        if title in found:
+            raise ValueError(f"{place}: there is a block of this title")
+        if title != text:
+            found[title] = Block(file, title, head)
+        elif found:
+            last = next(reversed(found))
+            found[last] = _with(found[last], place, text, found)
+        else:
+            head = (*head, _line(place, text, ()))
+    return list(found.values())
+
+
+def _logical_lines(file: Path) -> Iterator[tuple[str, str]]:
+    """Yield places and lines, without remarks; what ends with a backslash goes on in the next line."""
+    begun = ""
+    for at, text in enumerate(file.read_text("utf-8").splitlines(), 1):
+        text = begun + text.partition(" -- ")[0].strip()
+        begun = text.removesuffix("\\") if text.endswith("\\") else ""
+        if text and not begun and not text.startswith("#"):
+            yield f"{file.parent.name}/{file.name}:{at}", text
+
+
+def _with(block: Block, place: str, text: str, found: dict[str, Block]) -> Block:
+    """Return a block with one more line."""
+    if text in FLAGS:
+        return replace(block, flags=block.flags | {text})
+    if text.startswith("after "):
+        return replace(block, after=found[text.removeprefix("after ")])
+    line = _line(place, text, block.lines)
+    if line.kind in HEAD and not TIME.match(text):
+        return replace(block, head=(*block.head, line))
+    return replace(block, lines=(*block.lines, line))
+
+
+def _line(place: str, text: str, before: Sequence[Line]) -> Line:
+    found = TIME.fullmatch(text)
+    plus, start, stop, low, high, rest = found.groups() if found else ("", "0", None, None, None, text)
+    kind, _, rest = rest.partition(" ")
+    if kind not in (*HEAD, *STIMULI, "tx", "rx", "event", "obeys"):
+        raise ValueError(f"{place}: {text}: a line begins with a time and what happens")
+    body, arrow, results = rest.partition("=> ")
+    zero = before[-1].start if plus else 0
+    gap = (nanos(low), nanos(high or low)) if low else None
+    parts = tuple(part.strip() for part in results.split(" ; ")) if arrow else ()
+    times = (zero + nanos(start), zero + nanos(stop or start))
+    return Line(place, text, kind, body.strip(), parts, *times, gap)
+
+
+def nanos(milliseconds: str) -> Nanos:
+    return round(float(milliseconds) * MILLISECOND)
