@@ -203,6 +203,20 @@ Request: TypeAlias = (
 )
 
 
+# -- what a device obeys ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """The device is armed by this frame, if it is not armed already. Only ever decoded, never sent."""
+
+    motor: str
+
+
+Obeyed: TypeAlias = Command | Request | Arm
+"""What a command decoder makes of a frame: if it arms, Arm first, then what the device obeys from then on."""
+
+
 # -- tasks: what a person wants the brain to do --------------------------------------------------------
 
 
@@ -379,4 +393,4 @@ class Fix:
 
 
 Event: TypeAlias = Feedback | State | Fault | Found | Done | Refused | Parameter | Imu | LaserScan | Fix
-Message: TypeAlias = Command | Request | Task | Event
+Message: TypeAlias = Obeyed | Task | Event

@@ -23,7 +23,7 @@ from itertools import groupby
 from typing import Any, Literal, Protocol
 
 from protocols.frames import BusState, Frame, IdMask
-from protocols.messages import Command, Event, Nanos, Request, Torque
+from protocols.messages import Command, Event, Nanos, Obeyed, Request, Torque
 from protocols.suggest import did_you_mean
 
 GROUP = "motor_gateway.protocols"
@@ -187,8 +187,10 @@ class Driver(Protocol):
 class CommandDecoder(Protocol):
     """What the devices would obey. Keeps what earlier frames have set up (mode, mapping), nothing else."""
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
-        """Decode what a device would obey on receiving this frame; [] if nothing. Never raises."""
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        """Decode what a device would obey on receiving this frame; [] if nothing. Never raises.
+
+        A frame that arms a device gives Arm first; no other frame makes it give torque."""
         ...
 
 

@@ -18,7 +18,7 @@ from gateway.core.joint import Joint
 from gateway.core.tick import Inputs, Note, Outputs
 from protocols import messages as msg
 from protocols.frames import BusState, Frame, Packet
-from protocols.messages import Command, Event, Instruction, Mode, Nanos, Request, Task
+from protocols.messages import Command, Event, Instruction, Mode, Nanos, Obeyed, Request, Task
 from protocols.plugin import CommandDecoder, Driver, RxCounters
 
 if TYPE_CHECKING:
@@ -299,7 +299,7 @@ class _BusDecoder:
     def __init__(self, decoders: Sequence[CommandDecoder]) -> None:
         self._decoders = decoders
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Decode what any device on the bus would obey."""
         return [message for decoder in self._decoders for message in decoder.decode(t, frame)]
 

@@ -25,11 +25,10 @@ from gateway.monitor.state import (
     Place,
     ProtocolVariant,
     Rate,
-    ToDevice,
 )
 from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT, BusState, CanFrame, Packet, any_matches
-from protocols.messages import SECOND, Command, Event, Mode, Nanos
+from protocols.messages import SECOND, Command, Event, Mode, Nanos, Obeyed
 
 WINDOW: Nanos = 2 * SECOND
 MIN_EVENTS = 3
@@ -194,7 +193,7 @@ class BusMonitor:
     # -- what devices are sent ----------------------------------------------------------------
 
     def _on_commands(
-        self, variant: ProtocolVariant, commands: Sequence[ToDevice], decoded: DecodedPacket
+        self, variant: ProtocolVariant, commands: Sequence[Obeyed], decoded: DecodedPacket
     ) -> None:
         for command in commands:
             device = variant.devices.get(_name_in(command))
@@ -203,6 +202,8 @@ class BusMonitor:
                     decoded.commands.append(command)
                 continue
             best = self._best.get(device.place)
+            if isinstance(command, msg.Arm) and best and best.joint and best.joint.mode is Mode.ARMED:
+                continue
             at_output = at_joint(command, device.ratio)
             if best is device or (best is None and self._is_first(variant)):
                 decoded.commands.append(at_output)
@@ -260,7 +261,7 @@ class BusMonitor:
         return variant is next(v for v in self._variants[variant.bus] if v.protocol == variant.protocol)
 
 
-def at_joint(command: ToDevice, ratio: float) -> ToDevice:
+def at_joint(command: Obeyed, ratio: float) -> Obeyed:
     """Return a command at the joint's output shaft; the device's shaft turns `ratio` times as far."""
     factors = {
         "position": 1.0 / ratio,
@@ -273,7 +274,7 @@ def at_joint(command: ToDevice, ratio: float) -> ToDevice:
     return replace(command, **changes) if changes and isinstance(command, Command) else command
 
 
-def _name_in(message: Event | ToDevice) -> str:
+def _name_in(message: Event | Obeyed) -> str:
     """Return the device that a message names; "" if it names none."""
     name = getattr(message, "motor", "") or getattr(message, "sensor", "") or getattr(message, "name", "")
     return str(name)

@@ -12,11 +12,10 @@ from typing import Literal, TypeAlias
 from gateway.core.joint import Joint
 from gateway.core.robot import BusSettings
 from protocols.frames import BusState, CanFrame, Packet
-from protocols.messages import SECOND, Command, Event, Fault, Fix, Imu, LaserScan, Nanos, Request
+from protocols.messages import SECOND, Command, Event, Fault, Fix, Imu, LaserScan, Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Driver, Spec
 
 Measurement: TypeAlias = Imu | LaserScan | Fix
-ToDevice: TypeAlias = Command | Request
 CanId: TypeAlias = tuple[str, bool, bool, int]
 """Bus, whether extended, whether a remote frame, and the id."""
 Place: TypeAlias = tuple[str, str, int]
@@ -159,7 +158,7 @@ class DecodedPacket:
     direction: Literal["from", "to", ""] = ""
     """Whether a device sent or receives it; "" if that is not known."""
     events: list[Event] = field(default_factory=list)
-    commands: list[ToDevice] = field(default_factory=list)
+    commands: list[Obeyed] = field(default_factory=list)
     """Commands and requests that devices would obey."""
     guesses: list[Event] = field(default_factory=list)
     """Events, if it was sent by a device that has not been found yet."""

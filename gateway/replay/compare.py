@@ -32,7 +32,7 @@ from gateway.recording.tick_codec import packet_text
 from gateway.replay import diff
 from protocols import messages as msg
 from protocols.frames import Packet
-from protocols.messages import Command, Event, Nanos, Request, seconds
+from protocols.messages import Event, Nanos, Obeyed, seconds
 from protocols.plugin import CommandDecoder
 
 T = TypeVar("T")
@@ -303,9 +303,7 @@ class _Comparer:
             lines.append(f"  {side} {frame}{f'   {text}' if text else ''}")
         return "\n".join(lines)
 
-    def _decode(
-        self, decoders: dict[str, CommandDecoder | None], packet: Packet | None
-    ) -> Sequence[Command | Request]:
+    def _decode(self, decoders: dict[str, CommandDecoder | None], packet: Packet | None) -> Sequence[Obeyed]:
         if packet is None:
             return ()
         if packet.bus not in decoders:

@@ -29,10 +29,9 @@ from protocols.cia402.server import SdoServer
 from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, next_state
 from protocols.cia402.units import READ, Units, units_of
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Command, Nanos, Request
+from protocols.messages import Command, Nanos, Obeyed
 from protocols.plugin import Device
 
-Obeyed = Sequence[Command | Request]
 MODES = {int(mode): mode for mode in Mode}
 NMT_STATE = "NMT state"
 """The parameter that an NMT command changes."""
@@ -114,7 +113,7 @@ class Axis:
 
     # -- receiving ----------------------------------------------------------------------------
 
-    def receive(self, t: Nanos, frame: Frame) -> Obeyed:
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Handle a frame; return what the drive obeys."""
         if not isinstance(frame, CanFrame) or not codec.is_classic(frame):
             return ()
@@ -135,12 +134,12 @@ class Axis:
                 self.host_beat = t
         return ()
 
-    def _on_nmt(self, command: NmtCommand) -> Obeyed:
+    def _on_nmt(self, command: NmtCommand) -> Sequence[Obeyed]:
         if command is NmtCommand.RESET_NODE:
             self.signals.append(Signal.RESET_NODE)
             self.start()
             return (msg.Reboot(self.motor),)
-        obeyed: list[Command | Request] = []
+        obeyed: list[Obeyed] = []
         if command in (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION):
             obeyed += self.lose_connection()
         if command is NmtCommand.RESET_COMMUNICATION:
@@ -161,7 +160,7 @@ class Axis:
         self.dictionary, self.server, self.host_beat = fresh, SdoServer(), None
         self._ids = self._rpdo_ids()
 
-    def lose_connection(self) -> Obeyed:
+    def lose_connection(self) -> Sequence[Obeyed]:
         """React to a lost host as object 6007 demands."""
         option = self.dictionary.values[o.ABORT_CONNECTION]
         if self.state not in _TORQUE or not option:
@@ -175,7 +174,7 @@ class Axis:
             self.state = PowerState.FAULT
         return (msg.Idle(self.motor),)
 
-    def _on_sdo(self, data: bytes) -> Obeyed:
+    def _on_sdo(self, data: bytes) -> Sequence[Obeyed]:
         request = sdo.decode_request(data)
         if request is None or self.nmt is NmtState.STOPPED:
             return ()
@@ -184,7 +183,7 @@ class Axis:
             self.responses.append(response)
         return self._on_written(self.server.written)
 
-    def _on_rpdo(self, t: Nanos, index: int, data: bytes) -> Obeyed:
+    def _on_rpdo(self, t: Nanos, index: int, data: bytes) -> Sequence[Obeyed]:
         packing = self.dictionary.active(index)
         if packing is None or self.nmt is not NmtState.OPERATIONAL:
             return ()
@@ -197,7 +196,7 @@ class Axis:
             return ()
         return self._on_written(self._take(index, values))
 
-    def _on_sync(self) -> Obeyed:
+    def _on_sync(self) -> Sequence[Obeyed]:
         if self.nmt is not NmtState.OPERATIONAL:
             return ()
         self.signals.append(Signal.SYNC)
@@ -227,14 +226,14 @@ class Axis:
         """True in OPERATION ENABLED."""
         return self.state is PowerState.OPERATION_ENABLED
 
-    def _on_written(self, keys: Sequence[Key]) -> Obeyed:
+    def _on_written(self, keys: Sequence[Key]) -> Sequence[Obeyed]:
         """React to objects that were written at the same time."""
         if self.mode is not self.mode_before:
             self.mode_before = self.mode
             self._drop_setpoints()
         values = self.dictionary.values
         parameters = [key for key in keys if key not in TARGETS and key not in (o.CONTROLWORD, o.MODE)]
-        obeyed: list[Command | Request] = [
+        obeyed: list[Obeyed] = [
             msg.WriteParameter(self.motor, title(key), float(values[key])) for key in parameters
         ]
         if any(key[0] < COMMUNICATION_END for key in keys):
@@ -249,7 +248,7 @@ class Axis:
             obeyed += self.command()
         return obeyed
 
-    def _on_controlword(self) -> Obeyed:
+    def _on_controlword(self) -> Sequence[Obeyed]:
         control = self.dictionary.values[o.CONTROLWORD]
         before, self.control = self.control, control
         obeyed = list(self._demand(demand_of(control, before)))
@@ -262,7 +261,7 @@ class Axis:
                 obeyed.append(msg.Home(self.motor))
         return obeyed
 
-    def _demand(self, demand: Demand | None) -> Obeyed:
+    def _demand(self, demand: Demand | None) -> Sequence[Obeyed]:
         if demand is Demand.FAULT_RESET and self.fault_persists:
             return ()
         option = self.dictionary.values[o.QUICK_STOP_OPTION]
@@ -276,6 +275,8 @@ class Axis:
             if self.instant and option not in HOLDING_QUICK_STOPS:
                 self.state = PowerState.SWITCH_ON_DISABLED
             return (msg.Estop(self.motor),)
+        if self.enabled:
+            return (msg.Arm(self.motor),)
         return (msg.Idle(self.motor),) if before in _TORQUE and self.state not in _TORQUE else ()
 
     def _drop_setpoints(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from protocols.cia402.axis import Axis
 from protocols.frames import Frame
-from protocols.messages import Command, Nanos, Request
+from protocols.messages import Nanos, Obeyed
 from protocols.plugin import Device
 
 
@@ -21,7 +21,7 @@ class Cia402Decoder:
     def __init__(self, devices: Sequence[Device]) -> None:
         self.axes = [Axis(device, instant=True) for device in devices]
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return the commands and requests that the devices would obey; [] if none would do anything."""
         obeyed = [each for axis in self.axes for each in axis.receive(t, frame)]
         for axis in self.axes:

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, TypeVar
 from protocols import messages as msg
 from protocols.conformance.random import Random
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request, seconds
+from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Obeyed, Request, seconds
 from protocols.plugin import CommandDecoder, Device, Driver, Plugin, Range, RxCounters, Spec, Twin
 
 T = TypeVar("T")
@@ -68,7 +68,7 @@ class StepResult:
     """Reported by the driver, from received frames and by itself."""
     down: tuple[Frame, ...]
     """Sent by the driver."""
-    received: tuple[Command | Request, ...]
+    received: tuple[Obeyed, ...]
     """`down` as decoded by the command decoder."""
     up: tuple[Frame, ...]
     """Sent by the devices."""
@@ -94,6 +94,8 @@ class Bench:
     """Frames of the devices that the driver has not received yet."""
     modes: dict[str, Mode] = field(default_factory=dict)
     """The mode of each device that the driver reported last."""
+    armed: set[str] = field(default_factory=set)
+    """The motors for which Arm was decoded."""
     splitting: Random | None = None
     """On a serial bus: splits messages, so that their ends arrive a step later. None: all arrive whole."""
     split_off: dict[str, bytes] = field(default_factory=dict)
@@ -118,6 +120,7 @@ class Bench:
             if isinstance(event, msg.State):
                 self.modes[event.motor] = event.mode
         received = [m for frame in (*extra_down, *down) for m in self.decoder.decode(self.now, frame)]
+        self.armed |= {message.motor for message in received if isinstance(message, msg.Arm)}
         up: list[Frame] = []
         torques: list[msg.Torque] = []
         for at, twin in enumerate(self.twins):

@@ -23,7 +23,7 @@ from protocols.conformance.bench import NAMES, STEP, Messages
 from protocols.conformance.case import Case, Failure, Inapplicable, shown
 from protocols.conformance.fault_injection import liveliest, resting
 from protocols.frames import Frame
-from protocols.messages import Command, Mode, Nanos, Request
+from protocols.messages import Command, Event, Mode, Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Driver, Twin
 
 PLACE = 0.75
@@ -113,6 +113,9 @@ def _states(case: Case) -> Iterator[_State]:
     commands = {name: resting(kind, case.spec, name, PLACE) for name in NAMES}
     if not bench.arm(lambda name: commands[name]):
         return
+    for name in NAMES:
+        if name not in bench.armed:
+            raise Failure(f"{name} is armed, and Arm was decoded of no frame", (), [commands[name]])
     bench.steps(10, list(commands.values()))
     yield _copied("armed", bench, list(commands.values()))
     if case.spec.faults:
@@ -241,18 +244,18 @@ def _reports_equal(state: _State, one: _Run, other: _Run) -> bool:
 
 def _reported(driver: Driver, state: _State, run: _Run) -> tuple[list[object], list[float]]:
     """Return the last mode with the faults, and the positions, as a driver reports them."""
+    events = _events(driver, state, run)
+    modes = [event.mode for event in events if isinstance(event, msg.State)]
+    faults = [event.code for event in events if isinstance(event, msg.Fault)]
+    measured = [event.position for event in events if isinstance(event, msg.Feedback)]
+    return [*modes[-1:], *faults], [position for position in measured if position is not None]
+
+
+def _events(driver: Driver, state: _State, run: _Run) -> list[Event]:
+    """Return what a copy of a driver reports of what a device sent."""
     driver, now = copy.deepcopy(driver), state.now
-    mode, faults, positions = None, list[object](), list[float]()
-    for frames in run.up:
-        now += STEP
-        for event in (event for frame in frames for event in driver.receive(now, frame)):
-            if isinstance(event, msg.State):
-                mode = event.mode
-            elif isinstance(event, msg.Fault):
-                faults.append(event.code)
-            elif isinstance(event, msg.Feedback) and event.position is not None:
-                positions.append(event.position)
-    return [mode, *faults], positions
+    steps = enumerate(run.up, 1)
+    return [e for at, frames in steps for frame in frames for e in driver.receive(now + at * STEP, frame)]
 
 
 # -- frames with a decoded message -------------------------------------------------------------------------
@@ -264,11 +267,12 @@ def _decoded_frames_are_obeyed(case: Case, state: _State, frames: Sequence[Frame
         for at, name in enumerate(NAMES):
             about = [message for message in messages if getattr(message, "motor", "") == name]
             wrong = _disobeyed(case, state, about[-1], frame, at) if about else ""
+            wrong = wrong or _armed_otherwise(state, about, frame, at)
             if wrong:
                 raise Failure(f"{name}, {state.title}: {wrong}", (frame,), messages)
 
 
-def _disobeyed(case: Case, state: _State, message: Command | Request, frame: Frame, at: int) -> str:
+def _disobeyed(case: Case, state: _State, message: Obeyed, frame: Frame, at: int) -> str:
     """Return what a device did not do of a decoded message, "" if it did."""
     clears = isinstance(message, msg.ClearFault) and state.faulty
     if clears or (isinstance(message, msg.Zero) and not state.armed and not state.faulty):
@@ -283,6 +287,19 @@ def _disobeyed(case: Case, state: _State, message: Command | Request, frame: Fra
     if wanted and torque * wanted <= 0.0:
         return f"it receives the command, and applies {torque:.6g} N·m"
     return ""
+
+
+def _armed_otherwise(state: _State, messages: Sequence[Obeyed], frame: Frame, at: int) -> str:
+    """Return how a frame arms a ready device that should not, or the other way round, "" if it is right."""
+    if state.armed or state.faulty or any(isinstance(message, msg.Home) for message in messages):
+        return ""
+    run = _run(state, [[frame]], at, len(state.down), hosted=True)
+    if any(isinstance(message, msg.Arm) for message in messages):
+        events = _events(state.driver, state, run) if state.driver else []
+        modes = [event.mode for event in events if isinstance(event, msg.State)]
+        return "Arm is decoded, and it is never reported armed" if modes and Mode.ARMED not in modes else ""
+    torque = next((torque for torque in run.torques if abs(torque) > NONE), 0.0)
+    return f"Arm is not decoded, and it applies {torque:.6g} N·m" if torque else ""
 
 
 def push(command: Command) -> float:

@@ -134,6 +134,8 @@ def _must_answer(bench: Bench, requests: tuple[Request, ...], found: list[msg.Fo
         step = bench.step(requests if count == 0 else ())
         frames += [*step.down, *step.up] if len(frames) < 4 else []
         received += step.received
+        if arming := [message for message in step.received if isinstance(message, msg.Arm)]:
+            raise Failure("a request arms", step.down, (*requests, *arming))
         found += [event for event in step.events if isinstance(event, msg.Found)]
         _take_answers(step, pending, requests, case)
         _check_done(step, requests, received)

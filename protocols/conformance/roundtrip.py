@@ -16,7 +16,7 @@ from protocols.conformance.bench import NAMES, STEP, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.random import Random
 from protocols.frames import Frame
-from protocols.messages import Command, Event, Message, Nanos, Request
+from protocols.messages import Command, Event, Message, Nanos, Obeyed
 from protocols.plugin import Range, Spec
 
 SANE = 1e5
@@ -80,7 +80,7 @@ def _not_received(bench: Bench, spec: Spec, commands: Sequence[Command]) -> Fail
     return Failure(f"given {missing[0]}, decoded {decoded}", frames[-4:], (missing[0], *last))
 
 
-def obeyed(bench: Bench, spec: Spec, given: Command, received: Command | Request) -> bool:
+def obeyed(bench: Bench, spec: Spec, given: Command, received: Obeyed) -> bool:
     """True if a device that obeys `received` does what was given."""
     if isinstance(given, msg.Hold) and isinstance(received, msg.Position) and received.motor == given.motor:
         # Many devices have no Hold: the driver then sends the position at which the shaft was measured.

@@ -26,7 +26,7 @@ from protocols.conformance.fault_injection import (
     takeover,
     torque_of,
 )
-from protocols.messages import Command, Mode, Request
+from protocols.messages import Command, Mode, Obeyed
 from protocols.plugin import Spec
 
 Trial: TypeAlias = Callable[[Case], None]
@@ -117,7 +117,7 @@ def _arms_still(rig: Rig, spec: Spec, kind: type[Command], when: str) -> None:
     raise rig.failure(text, result.down, received)
 
 
-def leads_away(message: Command | Request, place: float, room: float) -> bool:
+def leads_away(message: Obeyed, place: float, room: float) -> bool:
     """True if obeying this moves a shaft that stands at `place` by more than `room`, or redefines zero."""
     match message:
         case msg.Position(_, position, velocity, torque):
@@ -248,6 +248,8 @@ def _must_disarm(rig: Rig, messages: Messages, what: str) -> None:
 
     def done(result: StepResult) -> bool:
         nonlocal disarmed
+        if arming := [m for m in named(result.received) if isinstance(m, msg.Arm)]:
+            raise rig.failure(f"{what}: the device is armed once more", result.down, arming)
         disarmed = disarmed + 1 if _disarmed(rig, result) else 0
         return disarmed >= 20
 

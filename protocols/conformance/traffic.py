@@ -11,7 +11,7 @@ from protocols.conformance.bench import NAMES, START, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable, counts, difference
 from protocols.conformance.random import Random
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Command, Event, Feedback, Request
+from protocols.messages import Event, Feedback, Obeyed
 
 Feed = Callable[[Bench, Frame], object]
 Received = tuple[list[Event], tuple[int, int, int]]
@@ -227,13 +227,13 @@ def _may_be_cut(case: Case, stream: bytes, random: Random) -> None:
         raise Failure(f"whole: {_brief(whole)}; in pieces of up to {longest}: {_brief(cut)}", (short,))
 
 
-def _both(case: Case, frames: Sequence[Frame]) -> tuple[Received, list[Command | Request]]:
+def _both(case: Case, frames: Sequence[Frame]) -> tuple[Received, list[Obeyed]]:
     """Return what driver and decoder make of the same bytes."""
     decoder = case.start().decoder
     return _received(case, frames), [m for frame in frames for m in decoder.decode(START, frame)]
 
 
-def _brief(both: tuple[Received, list[Command | Request]]) -> str:
+def _brief(both: tuple[Received, list[Obeyed]]) -> str:
     (events, counters), messages = both
     return f"{len(events)} events, {COUNTED} {counters}, {len(messages)} decoded messages"
 

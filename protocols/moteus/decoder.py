@@ -18,7 +18,7 @@ from math import isfinite, isnan, nan, tau
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Command, Nanos, Request
+from protocols.messages import Command, Nanos, Obeyed, Request
 from protocols.moteus.codec import (
     BROADCAST,
     INT32,
@@ -224,7 +224,7 @@ class MoteusDecoder:
     def __init__(self, devices: Sequence[Device]) -> None:
         self.states = [command_state(device, _known_uuid(device)) for device in devices]
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:  # noqa: ARG002 -- the interface's
         """Return the messages that the devices would obey; [] if none would do anything."""
         if not isinstance(frame, CanFrame):
             return []
@@ -236,9 +236,9 @@ def _known_uuid(device: Device) -> bytes | None:
     return bytes.fromhex(settings.uuid) if settings.uuid else None
 
 
-def obey(state: CommandState, data: bytes) -> list[Command | Request]:
+def obey(state: CommandState, data: bytes) -> list[Obeyed]:
     """Apply a frame's data to a device. Returns what that makes it do."""
-    messages: list[Command | Request] = []
+    messages: list[Obeyed] = []
     commanded, mask = False, bytearray()
     for subframe in effective(state, data)[0]:
         if isinstance(subframe, Values):
@@ -252,7 +252,10 @@ def obey(state: CommandState, data: bytes) -> list[Command | Request]:
                 messages += _action(state.motor, register, value) if taken else ()
         elif isinstance(subframe, Console) and subframe.code == TO_DEVICE and subframe.channel == 1:
             messages += _console(state, subframe.data, bytes(mask))
-    return [*((state.message(),) if commanded else ()), *messages]
+    if not commanded:
+        return messages
+    command = state.message()
+    return [*(() if isinstance(command, msg.Idle) else (msg.Arm(state.motor),)), command, *messages]
 
 
 def _action(motor: str, register: int, value: float | None) -> Sequence[Request]:

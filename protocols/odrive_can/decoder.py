@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Command, Nanos, Request
+from protocols.messages import Command, Nanos, Obeyed, Request
 from protocols.odrive_can import messages as m
 from protocols.odrive_can.codec import (
     BROADCAST,
@@ -85,7 +85,7 @@ def axis_of(device: Device) -> Axis:
     )
 
 
-def obey(axis: Axis, message: m.Message) -> Sequence[Command | Request]:
+def obey(axis: Axis, message: m.Message) -> Sequence[Obeyed]:
     """Apply a message to an axis' own node; return what it then does."""
     match message:
         case m.SetInputPos(position, velocity, torque):
@@ -122,7 +122,7 @@ def _set_mode(axis: Axis, control_mode: int, input_mode: int) -> Sequence[Comman
     return axis.command()
 
 
-def _set_state(axis: Axis, state: int) -> Sequence[Command | Request]:
+def _set_state(axis: Axis, state: int) -> Sequence[Obeyed]:
     if state == AxisState.UNDEFINED:  # no request at all (ODrive@f9b5419 `MotorControl/axis.cpp`)
         return ()
     if state != AxisState.CLOSED_LOOP_CONTROL:
@@ -133,7 +133,7 @@ def _set_state(axis: Axis, state: int) -> Sequence[Command | Request]:
         # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
         axis.position = None
         axis.armed = True
-    return axis.command()
+    return (msg.Arm(axis.motor), *axis.command())
 
 
 def _configure(motor: str, message: m.Message) -> Sequence[Request]:
@@ -160,12 +160,12 @@ class OdriveDecoder:
         self.axes = [axis_of(device) for device in devices]
         self._lines = sorted({axis.line for axis in self.axes})
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:  # noqa: ARG002 -- the interface's
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:  # noqa: ARG002 -- the interface's
         """Decode what the devices would obey; [] if no device would do anything."""
         if not isinstance(frame, CanFrame):
             return []
         node = node_of(frame)
-        obeyed: list[Command | Request] = []
+        obeyed: list[Obeyed] = []
         for line in self._lines:
             message = decode_to_device(frame, line)
             if message is not None and not isinstance(message, m.RemoteRequest):
@@ -173,7 +173,7 @@ class OdriveDecoder:
         return obeyed
 
 
-def receive(axis: Axis, node: int, message: m.Message) -> Sequence[Command | Request]:
+def receive(axis: Axis, node: int, message: m.Message) -> Sequence[Obeyed]:
     """Apply a message to any node to an axis; return what it then does."""
     if isinstance(message, m.SetAxisNodeId) and node == axis.other:
         axis.other = _with_node_id(node, message.node)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from protocols.frames import Frame
-from protocols.messages import Command, Nanos, Request
+from protocols.messages import Arm, Command, Idle, Nanos, Obeyed
 from protocols.plain import codec
 from protocols.plugin import Device
 
@@ -28,18 +28,18 @@ class PlainDecoder:
         self._names = {a: name for a, name in self._names.items() if name != device.name}
         self._names[device.address] = device.name
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return the commands and requests in the messages that this frame completes."""
         if not isinstance(frame, bytes):
             return []
-        decoded = [self._decode(t, body) for body in self._stream.feed(frame)]
-        return [message for message in decoded if message is not None]
+        return [obeyed for body in self._stream.feed(frame) for obeyed in self._decode(t, body)]
 
-    def _decode(self, t: Nanos, body: bytes) -> Command | Request | None:
+    def _decode(self, t: Nanos, body: bytes) -> Sequence[Obeyed]:
         name = self._names.get(body[0], "")
         message = codec.decode(body, t, name)
         if isinstance(message, codec.BroadcastRequest):
-            return message if body[0] == codec.BROADCAST else None
-        if name in self._motors and isinstance(message, Command | codec.MotorRequest):
-            return message
-        return None
+            return (message,) if body[0] == codec.BROADCAST else ()
+        if name not in self._motors or not isinstance(message, Command | codec.MotorRequest):
+            return ()
+        arms = isinstance(message, Command) and not isinstance(message, Idle)
+        return (Arm(name), message) if arms else (message,)

@@ -16,7 +16,7 @@ from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request, seconds
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Obeyed, seconds
 from protocols.plain import codec
 from protocols.plain.decoder import PlainDecoder
 from protocols.plugin import Device, FaultInfo, Twin
@@ -78,7 +78,7 @@ def twin(device: Device, _seed: int = 0) -> Twin:
     return PlainMotor(device) if device.options.kind == "motor" else PlainSensor(device)
 
 
-def answer_broadcast(device: Device, request: Command | Request, t: Nanos, answers: list[Event]) -> Device:
+def answer_broadcast(device: Device, request: Obeyed, t: Nanos, answers: list[Event]) -> Device:
     """Append the answer to a request to all devices. Returns the device, with its new address if any."""
     serial = device.settings.serial
     if isinstance(request, msg.SetId) and request.serial == serial and 1 <= request.address <= 0xFF:
@@ -169,7 +169,7 @@ class PlainMotor:
                 self._obey(t, message)
             elif isinstance(message, codec.MotorRequest):
                 self._answers.append(self._answer(t, message))
-            else:
+            elif isinstance(message, codec.BroadcastRequest):
                 self._device = answer_broadcast(self._device, message, t, self._answers)
                 self._decoder.follow(self._device)
 

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar
 from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Event, Message, Nanos
+from protocols.messages import Event, Message, Nanos, Obeyed
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
@@ -197,7 +197,7 @@ class Raises(PlainDriver):
 class DecoderRaises(PlainDecoder):
     """The decoder expects bytes and gets a frame."""
 
-    def decode(self, t: Nanos, frame: Frame) -> Messages:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         if isinstance(frame, CanFrame):
             raise TypeError("bytes expected")
         return super().decode(t, frame)
@@ -211,7 +211,7 @@ class DecoderFillsUp(PlainDecoder):
         super().__init__(devices)
         self._kept: list[CanFrame] = []
 
-    def decode(self, t: Nanos, frame: Frame) -> Messages:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         if isinstance(frame, CanFrame):
             self._kept.append(frame)
             if len(self._kept) > 20:
@@ -282,7 +282,7 @@ class NeedsWholeMessages(PlainDriver):
 class DecoderNeedsWholeMessages(PlainDecoder):
     """The same, in the decoder."""
 
-    def decode(self, t: Nanos, frame: Frame) -> Messages:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         messages = super().decode(t, frame)
         self._stream.drop()
         return messages

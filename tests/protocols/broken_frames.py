@@ -11,7 +11,7 @@ from protocols import messages as msg
 from protocols.conformance.bench import Messages
 from protocols.frames import CanFrame, Frame
 from protocols.message_codec import LAYOUTS, pack_fields
-from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos
+from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Obeyed
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.codec import cmd_of
 from protocols.odrive_can.driver import OdriveDriver
@@ -109,8 +109,26 @@ class DecoderForgivesABit(PlainDecoder):
 class DecoderMissesClear(PlainDecoder):
     """The decoder does not know a message that the device obeys."""
 
-    def decode(self, t: Nanos, frame: Frame) -> Messages:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         return [m for m in super().decode(t, frame) if not isinstance(m, msg.ClearFault)]
+
+
+@found_by("obeyed")
+class DecoderMissesArm(PlainDecoder):
+    """The decoder gives the command alone, of a frame that arms too."""
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        return [m for m in super().decode(t, frame) if not isinstance(m, msg.Arm)]
+
+
+@found_by("disarm", "obeyed")
+class DecoderArmsByIdle(PlainDecoder):
+    """The decoder gives Arm of every command."""
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        decoded = super().decode(t, frame)
+        idle = [m for m in decoded if isinstance(m, msg.Idle)]
+        return [*(msg.Arm(m.motor) for m in idle), *decoded]
 
 
 @found_by("obeyed")
@@ -278,7 +296,7 @@ def offline_without_time(event: Message) -> Message:
 class NoParameterName(PlainDecoder):
     """The decoder leaves out the name of a parameter."""
 
-    def decode(self, t: Nanos, frame: Frame) -> Messages:
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         missing: str = None  # type: ignore[assignment]  # as above
         decoded = super().decode(t, frame)
         return [replace(m, parameter=missing) if isinstance(m, msg.WriteParameter) else m for m in decoded]

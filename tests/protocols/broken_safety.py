@@ -106,6 +106,17 @@ class IdlesOnlyReportedArmed(Knowing):
         return super().send(now, [m for m in messages if not isinstance(m, msg.Idle) or m.motor in armed])
 
 
+@found_by("disarm")
+class HoldsToDisarm(Knowing):
+    """Idle begins with Hold, so that the shaft comes to rest first."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        events, frames = super().send(now, messages)
+        idle = [m.motor for m in messages if isinstance(m, msg.Idle) and self.owned(m.motor)]
+        armed = [name for name in idle if self.modes.get(name) is Mode.ARMED]
+        return events, [*(self.encoded(msg.Hold(name)) for name in armed), *frames]
+
+
 @alters("disarm")
 def stops_only_its_own(message: Message) -> Message | None:
     """An operator's stop does not reach what another host has armed."""

@@ -13,7 +13,7 @@ from protocols.messages import COMMANDS, SECOND, Command, Feedback, Message, Mod
 from tests.protocols.plain.samples import VECTORS, message_of
 
 KINDS: tuple[Any, ...] = get_args(Message)
-SAMPLES: list[Message] = [message_of(row) for row in VECTORS["packed"]]
+SAMPLES: list[Message] = [*(message_of(row) for row in VECTORS["packed"]), messages.Arm("m")]
 
 
 def test_there_is_a_sample_of_every_message() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from protocols.frames import Frame
-from protocols.messages import ClearFault, Command, Idle, Nanos, Request, Velocity
+from protocols.messages import Arm, ClearFault, Idle, Nanos, Obeyed, Velocity
 from protocols.plugin import Device
 
 from . import codec
@@ -26,13 +26,13 @@ class MotorDecoder:
         self._names = {device.address: device.name for device in devices}
         self._reader = Reader(COMMAND, tuple(self._names))
 
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Command | Request]:  # noqa: ARG002 -- nothing here ages
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:  # noqa: ARG002 -- nothing here ages
         """Return the commands and requests that this frame completes."""
-        messages: list[Command | Request] = []
+        messages: list[Obeyed] = []
         for address, payload in self._reader.read(frame):
             decoded = codec.decode_command(payload)
             if decoded is not None:
-                messages.append(_message(self._names[address], *decoded))
+                messages += _messages(self._names[address], *decoded)
         return messages
 
 
@@ -43,11 +43,11 @@ def message_names(frame: Frame) -> Sequence[str]:
     return [each[0].name.lower() for each in decoded if each]
 
 
-def _message(name: str, order: Order, velocity: float) -> Command | Request:
+def _messages(name: str, order: Order, velocity: float) -> Sequence[Obeyed]:
     match order:
         case Order.STOP:
-            return Idle(name)
+            return (Idle(name),)
         case Order.RUN:
-            return Velocity(name, velocity)
+            return Arm(name), Velocity(name, velocity)
         case Order.CLEAR:
-            return ClearFault(name)
+            return (ClearFault(name),)

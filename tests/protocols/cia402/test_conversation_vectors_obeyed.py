@@ -19,7 +19,7 @@ from protocols.cia402 import plugin, sdo
 from protocols.cia402.axis import Axis
 from protocols.cia402.options import Options, Settings
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, Command, Request
+from protocols.messages import MILLISECOND, Command, Obeyed
 from protocols.plugin import Device
 from tests.protocols.cia402.stack import VECTORS, Joined, Slave, dictionary
 
@@ -31,7 +31,7 @@ UP: Lines = (("6040 = 6", ""), ("6040 = 7", ""))
 OBEYED: dict[str, Lines] = {
     "cyclic modes": [
         ("6060 = 8", ""), ("607A = 4096", ""), *UP,
-        ("6040 = 15",     "Position 1.5708 0 0"),
+        ("6040 = 15",     "Arm; Position 1.5708 0 0"),
         ("607A = -8192",  "Position -3.1416 0 0"),
         ("60B1 = -16384", "Position -3.1416 -6.2832 0"),
         ("60B2 = 500",    "Position -3.1416 -6.2832 0.5"),
@@ -45,9 +45,9 @@ OBEYED: dict[str, Lines] = {
         ("6040 = 15",     "Torque 0.75"),
         ("6040 = 7",      "Idle"),  # transition 5
         ("6071 = 100",    ""),
-        ("6040 = 15",     "Torque 0.6"),
+        ("6040 = 15",     "Arm; Torque 0.6"),
         ("6040 = 6",      "Idle"),  # 8
-        ("6040 = 15",     "Torque 0.6"),  # 3 and 4 at once
+        ("6040 = 15",     "Arm; Torque 0.6"),  # 3 and 4 at once
         ("6040 = 0",      "Idle"),  # 9
         ("6040 = 15",     ""),  # not from SWITCH ON DISABLED
         ("6040 = 7",      ""),
@@ -64,7 +64,7 @@ OBEYED: dict[str, Lines] = {
     ],
     "profile velocity and torque": [
         ("6060 = 3", ""), ("60FF = 16384", ""), *UP,
-        ("6040 = 15",     "Velocity 6.2832 0"),
+        ("6040 = 15",     "Arm; Velocity 6.2832 0"),
         ("60B2 = 500",    ""),  # a profile makes its own
         ("60FF = -8192",  "Velocity -3.1416 0"),
         ("6071 = -250",   ""),
@@ -75,7 +75,7 @@ OBEYED: dict[str, Lines] = {
     ],
     "profile position": [
         ("6060 = 1", ""), ("607A = 4096", ""), *UP,
-        ("6040 = 15",     ""),  # no set-point was handed over yet
+        ("6040 = 15",     "Arm"),  # no set-point was handed over yet
         ("607A = 2048",   ""),
         ("6040 = 31",     "Position 0.7854 0 0"),
         ("607A = 8192",   ""),
@@ -91,10 +91,10 @@ OBEYED: dict[str, Lines] = {
         ("6060 = 1",      ""),  # the set-point was left with the mode
         ("6040 = 31",     "Position -1.5708 0 0"),
         ("6040 = 6",      "Idle"),
-        ("6040 = 15",     ""),
+        ("6040 = 15",     "Arm"),
     ],
     "homing": [
-        ("6060 = 6", ""), *UP, ("6040 = 15", ""),
+        ("6060 = 6", ""), *UP, ("6040 = 15", "Arm"),
         ("6040 = 31",     "Home"),
         ("6040 = 31",     ""),
         ("6040 = 15",     ""),
@@ -102,24 +102,24 @@ OBEYED: dict[str, Lines] = {
         ("6060 = 8",      "Position 0 0 0"),
     ],
     "quick stop": [
-        ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
+        ("6060 = 9", ""), *UP, ("6040 = 15", "Arm; Velocity 0 0"),
         ("6040 = 2",      "Estop"),
         ("6040 = 15",     ""),  # over, and disabled
-        *UP, ("6040 = 15", "Velocity 0 0"),
+        *UP, ("6040 = 15", "Arm; Velocity 0 0"),
         ("605A = 6",      "WriteParameter 605A 6"),
         ("6040 = 2",      "Estop"),
         ("60FF = 100",    ""),
-        ("6040 = 15",     "Velocity 0.03835 0"),  # 16; 100 increments/s
+        ("6040 = 15",     "Arm; Velocity 0.03835 0"),  # 16; 100 increments/s
         ("6040 = 2",      "Estop"),
         ("6040 = 6",      ""),
         ("6040 = 0",      "Idle"),  # 12
         ("605A = 4",      ""),  # reserved
-        *UP, ("6040 = 15", "Velocity 0.03835 0"),
+        *UP, ("6040 = 15", "Arm; Velocity 0.03835 0"),
         ("6040 = 11",     "Estop"),  # bits 0 and 3 mean nothing without bit 2,
         ("6040 = 13",     "Idle"),  # bits 0, 2, 3 nothing without bit 1
     ],
     "faults are reset by the rising edge of bit 7": [
-        ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
+        ("6060 = 9", ""), *UP, ("6040 = 15", "Arm; Velocity 0 0"),
         ("nmt 2",         "Idle; WriteParameter NMT state 4"),  # 6007 = 1: a fault
         ("6040 = 128",    ""),  # SDO is not received in stopped
         ("nmt 1",         "WriteParameter NMT state 5"),
@@ -128,26 +128,26 @@ OBEYED: dict[str, Lines] = {
         ("6040 = 143",    ""),  # bit 7 stands
         ("6040 = 15",     ""),
         ("6040 = 143",    "ClearFault"),  # without a fault, too
-        *UP, ("6040 = 15", "Velocity 0 0"),
+        *UP, ("6040 = 15", "Arm; Velocity 0 0"),
     ],
     "a lost connection: nothing": [
-        ("6007 = 0", "WriteParameter 6007 0"), ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
+        ("6007 = 0", "WriteParameter 6007 0"), ("6060 = 9", ""), *UP, ("6040 = 15", "Arm; Velocity 0 0"),
         ("nmt 2",         "WriteParameter NMT state 4"),
         ("nmt 1",         "WriteParameter NMT state 5"),
         ("60FF = 16384",  "Velocity 6.2832 0"),
     ],
     "a lost connection: disable voltage": [
-        ("6007 = 2", "WriteParameter 6007 2"), ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
+        ("6007 = 2", "WriteParameter 6007 2"), ("6060 = 9", ""), *UP, ("6040 = 15", "Arm; Velocity 0 0"),
         ("nmt 130",       "Idle; WriteParameter NMT state 127"),
         ("6040 = 15",     ""),
-        *UP, ("6040 = 15", "Velocity 0 0"),  # no fault: SWITCH ON DISABLED
+        *UP, ("6040 = 15", "Arm; Velocity 0 0"),  # no fault: SWITCH ON DISABLED
     ],
     "a lost connection: quick stop": [
         ("6007 = 3", "WriteParameter 6007 3"), ("605A = 5", "WriteParameter 605A 5"),
-        ("6060 = 9", ""), *UP, ("6040 = 15", "Velocity 0 0"),
+        ("6060 = 9", ""), *UP, ("6040 = 15", "Arm; Velocity 0 0"),
         ("nmt 2",         "Estop; WriteParameter NMT state 4"),
         ("nmt 128",       "WriteParameter NMT state 127"),
-        ("6040 = 15",     "Velocity 0 0"),
+        ("6040 = 15",     "Arm; Velocity 0 0"),
     ],
     "NMT": [
         ("nmt 128", ""), ("nmt 1", "WriteParameter NMT state 5"), ("nmt 1", ""),
@@ -164,15 +164,15 @@ OBEYED: dict[str, Lines] = {
     ],
     "a reset forgets": [
         ("608F:01 = 8192", "WriteParameter 608F:01 8192"), ("6060 = 8", ""), ("607A = 4096", ""), *UP,
-        ("6040 = 15",     "Position 3.1416 0 0"),
+        ("6040 = 15",     "Arm; Position 3.1416 0 0"),
         ("nmt 129",       "Reboot"),
         ("6040 = 15",     ""),
-        ("6060 = 8",      ""), *UP, ("6040 = 15", "Position 0 0 0"),
+        ("6060 = 8",      ""), *UP, ("6040 = 15", "Arm; Position 0 0 0"),
         ("607A = 4096",   "Position 1.5708 0 0"),
         ("1017 = 50",     "WriteParameter 1017 50"),
         ("nmt 130",       "Idle; WriteParameter NMT state 127"),
         ("6040 = 0", ""), ("6040 = 128", "ClearFault"), *UP,
-        ("6040 = 15",     "Position 1.5708 0 0"),  # 607A lies above 1FFF
+        ("6040 = 15",     "Arm; Position 1.5708 0 0"),  # 607A lies above 1FFF
     ],
     "PDOs": [
         ("nmt 1", "WriteParameter NMT state 5"),
@@ -182,7 +182,7 @@ OBEYED: dict[str, Lines] = {
         ("rpdo1 6 8 0", ""), ("sync", ""), ("rpdo1 7 8 0", ""), ("sync", ""),
         ("rpdo1 15 8 4096", ""),  # with SYNC
         ("raw 080#0000",  ""),  # that is none
-        ("sync",          "Position 1.5708 0 0"),
+        ("sync",          "Arm; Position 1.5708 0 0"),
         ("sync",          ""),
         ("rpdo1 15 8 100", ""), ("rpdo1 15 8 8192", ""),  # the last one counts
         ("sync",          "Position 3.1416 0 0"),
@@ -209,7 +209,7 @@ OBEYED: dict[str, Lines] = {
         ("sync",          "Idle"),
         ("map 2 253 60FF", "*"),  # no such transmission type: the one before
         ("map 2 255", "*"), ("rpdo1 6 9 0", ""), ("sync", ""), ("rpdo1 15 9 0", ""),
-        ("sync",          "Velocity -6.2832 0"),
+        ("sync",          "Arm; Velocity -6.2832 0"),
         ("raw 302#0000000000000000", ""),  # nothing is mapped any longer
     ],
     "PDOs are configured while they are disabled": [
@@ -242,7 +242,7 @@ OBEYED: dict[str, Lines] = {
     ],
     "units, and what may be written": [
         ("nmt 1", "WriteParameter NMT state 5"), ("6060 = 8", ""), ("607A = 1000", ""), *UP,
-        ("6040 = 15",        "Position 0.3835 0 0"),
+        ("6040 = 15",        "Arm; Position 0.3835 0 0"),
         ("608F:01 = 1000",   "WriteParameter 608F:01 1000"),
         ("607A = 250",       "Position 1.5708 0 0"),
         ("6091:01 = 5",      "WriteParameter 6091:01 5"),
@@ -284,7 +284,7 @@ class Host:
         self.node: Any = canopen.RemoteNode(NODE, dictionary(NODE))
         self.network.add_node(self.node)
         self.now = 0
-        self.obeyed: list[Command | Request] = []
+        self.obeyed: list[Obeyed] = []
         self.compared: list[tuple[CanFrame, list[str], list[str]]] = []
         """(request, LocalNode's responses, the axis's responses)"""
         self.last = ""
@@ -358,7 +358,7 @@ class Host:
         self.node.sdo.download(index, sub, self.variable(index, sub).encode_raw(value))
 
 
-def _short(each: Command | Request) -> str:
+def _short(each: Obeyed) -> str:
     values = [getattr(each, f.name) for f in fields(each) if f.name != "motor"]
     reported = [_number(value) if isinstance(value, float) else str(value) for value in values]
     return " ".join([type(each).__name__, *reported])
@@ -388,7 +388,7 @@ def test_vectors_of_a_mapping_that_is_usual() -> None:
         "",
         "",
     ]
-    assert [host.send(line) for line in ("rpdo1 15 8 4096", "sync")] == ["", "Position 1.5708 0 0"]
+    assert [host.send(line) for line in ("rpdo1 15 8 4096", "sync")] == ["", "Arm; Position 1.5708 0 0"]
     assert [host.send(line) for line in ("rpdo2 16384 0", "sync")] == ["", ""]
     assert [host.send(line) for line in ("rpdo1 15 9 0", "sync")] == ["", "Velocity 6.2832 0"]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import tau
 
+from protocols import messages as msg
 from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame
-from protocols.messages import MILLISECOND, Nanos
+from protocols.messages import MILLISECOND, Command, Nanos, Obeyed
 from protocols.moteus import RANGES
 from protocols.moteus.codec import Subframe, parse
 from protocols.moteus.controller import ControllerState
@@ -84,3 +85,9 @@ def ready(*devices: Device) -> Bench:
 def rev(revolutions: float) -> float:
     """In radians."""
     return revolutions * tau
+
+
+def obeyed(messages: Sequence[Obeyed]) -> list[Obeyed]:
+    """Return these with Arm before the command or mode: every mode but stopped arms."""
+    modes = [m for m in messages if isinstance(m, Command) or getattr(m, "parameter", "") == "mode"]
+    return [*(msg.Arm("m") for m in modes if not isinstance(m, msg.Idle)), *messages]

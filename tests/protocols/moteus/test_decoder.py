@@ -9,14 +9,14 @@ import pytest
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Request
+from protocols.messages import MILLISECOND, Command, Obeyed, Request
 from protocols.moteus.codec import write
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.messages import names
 from protocols.moteus.options import Options, Settings, serial_of
 from protocols.moteus.twin import MoteusTwin
 from tests.protocols.moteus.from_package import UUID
-from tests.protocols.moteus.helpers import device, frame
+from tests.protocols.moteus.helpers import device, frame, obeyed
 
 KT = 8.27 / 304
 SERIAL = serial_of(UUID)
@@ -32,7 +32,7 @@ def line(text: str) -> str:
 
 
 OBEYED: list[tuple[str, list[Command | Request], tuple[str, ...]]] = [
-    # data → what a device would do, and the names of its messages
+    # data → what a device would do (but for Arm: see `obeyed`), and the names of its messages
     ("010000", [msg.Idle("m")], ("stop",)),
     ("0d0000000000", [msg.Idle("m")], ("stop",)),
     ("05000a00", [msg.Position("m", 0.0)], ("position",)),
@@ -154,22 +154,22 @@ def test_what_a_device_obeys(data: str, messages: list[Command | Request], named
     for identifier in (5, 0x8005, 0x8305, 0x7F):
         decoder = MoteusDecoder([device("m", 5, Settings(uuid=UUID.hex()))])
         received = decoder.decode(0, frame(data, identifier))
-        assert [_texts(message) for message in received] == [_texts(message) for message in messages]
+        assert [_texts(message) for message in received] == [_texts(message) for message in obeyed(messages)]
         expected = [number for message in messages for number in _numbers(message)]
         reported = [number for message in received for number in _numbers(message)]
         assert reported == pytest.approx(expected, rel=1e-6, abs=1e-12)
         assert names(frame(data, identifier)) == named
 
 
-def _values(message: Command | Request) -> list[str | float]:
+def _values(message: Obeyed) -> list[str | float]:
     return [getattr(message, name) for name in message.__slots__]
 
 
-def _texts(message: Command | Request) -> list[str]:
+def _texts(message: Obeyed) -> list[str]:
     return [type(message).__name__, *(value for value in _values(message) if isinstance(value, str))]
 
 
-def _numbers(message: Command | Request) -> list[float]:
+def _numbers(message: Obeyed) -> list[float]:
     return [value for value in _values(message) if not isinstance(value, str)]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.frames import CanFrame
-from protocols.messages import Command, Event, Mode, Nanos, Request
+from protocols.messages import Command, Event, Mode, Nanos, Obeyed, Request
 from protocols.moteus import plugin
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.faults import FAULTS
@@ -16,7 +16,7 @@ from protocols.moteus.messages import names
 from protocols.moteus.options import Settings, serial_of
 from protocols.reference_vectors import vectors_of
 from tests.protocols.moteus.from_package import UUID
-from tests.protocols.moteus.helpers import device
+from tests.protocols.moteus.helpers import device, obeyed
 from tests.protocols.moteus.test_vectors import AT, VECTORS, Talk
 
 KT = 8.27 / 304
@@ -79,7 +79,8 @@ WORDS: dict[str, tuple[str, list[Command | Request]]] = {
 
 @pytest.mark.parametrize("name", WORDS)
 def test_what_a_device_obeys_of_a_vector(name: str) -> None:
-    named, messages = WORDS[name]
+    named, given = WORDS[name]
+    messages = obeyed(given)
     assert ", ".join(names(VECTORS[name])) == named
     for uuid in ("", UUID.hex()):
         received = MoteusDecoder([device("m", 5, Settings(uuid=uuid))]).decode(0, VECTORS[name])
@@ -92,7 +93,7 @@ def test_what_a_device_obeys_of_a_vector(name: str) -> None:
         assert MoteusDecoder([device("m", 5, Settings(uuid=uuid))]).decode(0, VECTORS[name]) == []
 
 
-def _plain(message: Command | Request) -> dict[str, str | float]:
+def _plain(message: Obeyed) -> dict[str, str | float]:
     return {name: getattr(message, name) for name in message.__slots__}
 
 

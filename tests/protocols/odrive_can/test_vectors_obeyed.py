@@ -25,6 +25,7 @@ from tests.protocols.odrive_can.conversation import frame
 
 SERIAL = 0x385F34733330
 ROUND = math.tau
+ARM = msg.Arm("left")
 Line = tuple[str, dict[str, Any], list[Message]]
 
 
@@ -71,7 +72,7 @@ COMMON: list[Line] = [
     # Disarmed it remembers, and says nothing.
     ("Set_Input_Vel", {"Input_Vel": 1.5, "Input_Torque_FF": 0.5}, []),
     ("Set_Axis_State", {"Axis_Requested_State": 0}, []),
-    ("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Velocity("left", 1.5 * ROUND, 0.5)]),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [ARM, msg.Velocity("left", 1.5 * ROUND, 0.5)]),
     ("Set_Axis_State", {"Axis_Requested_State": 0}, []),
     (
         "Set_Input_Vel",
@@ -97,10 +98,10 @@ COMMON: list[Line] = [
     ("Set_Input_Pos", {"Input_Pos": 1}, [msg.Position("left", ROUND)]),
     ("Set_Axis_State", {"Axis_Requested_State": 1}, [msg.Idle("left")]),
     ("Set_Input_Pos", {"Input_Pos": 2}, []),
-    ("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Hold("left")]),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [ARM, msg.Hold("left")]),
     ("Set_Axis_State", {"Axis_Requested_State": 11}, [msg.Home("left")]),
     ("Set_Input_Pos", {"Input_Pos": 2}, []),
-    ("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Hold("left")]),
+    ("Set_Axis_State", {"Axis_Requested_State": 8}, [ARM, msg.Hold("left")]),
 ]
 """A day of both lines; it ends holding."""
 
@@ -115,13 +116,13 @@ def test_vectors_of_a_day_of_either_line(line: str) -> None:
         line,
         [
             ("Set_Input_Pos", {"Input_Pos": 3}, [msg.Position("left", 3 * ROUND)]),
-            ("Set_Axis_State", {"Axis_Requested_State": 8}, again),
+            ("Set_Axis_State", {"Axis_Requested_State": 8}, [ARM, *again]),
         ],
     )
 
 
 DISARMS: list[Line] = [("Set_Input_Vel", {"Input_Vel": 1}, [])]
-ARMS: list[Line] = [("Set_Axis_State", {"Axis_Requested_State": 8}, [msg.Velocity("left", ROUND)])]
+ARMS: list[Line] = [("Set_Axis_State", {"Axis_Requested_State": 8}, [ARM, msg.Velocity("left", ROUND)])]
 
 
 @pytest.mark.parametrize(

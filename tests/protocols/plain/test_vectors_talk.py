@@ -13,7 +13,7 @@ import pytest
 
 from protocols import messages as msg
 from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import Command, Event, Mode, Request
+from protocols.messages import Command, Event, Mode, Obeyed, Request
 from protocols.plain.decoder import PlainDecoder
 from protocols.plain.driver import Options, PlainDriver
 from protocols.plain.twin import Settings
@@ -383,8 +383,11 @@ def test_how_a_message_is_counted(frame: Frame, counters: tuple[int, int, int]) 
 
 
 # What stands on the line, and what the devices would obey of it.
-OBEYED: dict[str, tuple[Frame, list[Command | Request]]] = {
-    "a command": (encoded(LEFT, "Velocity", "", 1.0, 0.5), [msg.Velocity("left", 1.0, 0.5)]),
+OBEYED: dict[str, tuple[Frame, list[Obeyed]]] = {
+    "a command": (
+        encoded(LEFT, "Velocity", "", 1.0, 0.5),
+        [msg.Arm("left"), msg.Velocity("left", 1.0, 0.5)],
+    ),
     "a request": (encoded(RIGHT, "Zero", ""), [msg.Zero("right")]),
     "two at once": (
         encoded(RIGHT, "Idle", "") + encoded(LEFT, "Estop", ""),
@@ -405,7 +408,7 @@ OBEYED: dict[str, tuple[Frame, list[Command | Request]]] = {
 
 
 @pytest.mark.parametrize(("frame", "messages"), OBEYED.values(), ids=OBEYED)
-def test_what_devices_obey(frame: Frame, messages: list[Command | Request]) -> None:
+def test_what_devices_obey(frame: Frame, messages: list[Obeyed]) -> None:
     assert list(PlainDecoder(devices()).decode(T, frame)) == messages
 
 
