@@ -6,7 +6,7 @@ import pytest
 
 from protocols.messages import Command, Done, Hold, Position, Refused, Request, Scan, Velocity, Zero
 from protocols.plugin import Range
-from protocols.request_queue import (
+from protocols.toolkit.requests import (
     SMALLEST,
     PendingRequest,
     RejectionFilter,

@@ -92,6 +92,10 @@ class RequestQueue(Generic[Pending]):
         """Iterate over those that are pending now; they may end meanwhile."""
         return iter(tuple(self._all))
 
+    def __len__(self) -> int:
+        """Return how many are pending."""
+        return len(self._all)
+
     def full(self) -> str:
         """Return why no other request can be begun, "" if one can."""
         return "too many requests are under way" if len(self._all) >= self.CAPACITY else ""

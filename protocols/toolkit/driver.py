@@ -1,0 +1,379 @@
+"""The driver of all devices of one protocol on one bus: receiving, commands, requests, polling, silence.
+
+Rules. A protocol gives an `Adapter`, which translates between its frames and `Report`s, and knows what is
+sent in each phase; all else that a driver needs is here and in `host`. A command is sent in the step in which it is
+given, or never. Every request has exactly one answer, at its deadline at the latest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Generic, TypeVar
+
+from protocols import messages as msg
+from protocols.frames import BusState, Frame
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
+from protocols.plugin import Device, FaultInfo, Range, RxCounters
+from protocols.toolkit.duplicates import SerialNumbers
+from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.requests import (
+    PendingRequest,
+    RejectionFilter,
+    RequestQueue,
+    out_of_range,
+    refusal,
+    subject,
+)
+
+Own = TypeVar("Own")
+NEVER: Nanos = 1 << 62
+
+
+class Rx(Enum):
+    """A frame, or a message of a stream, that reports nothing."""
+
+    IGNORED = "of another device or protocol"
+    MALFORMED = "of one of our devices, but with wrong content"
+
+
+@dataclass(slots=True)
+class Pending(PendingRequest, Generic[Own]):
+    """A request that waits for a device. `next`: when its frames are sent next."""
+
+    host: Host[Own] | None
+    """None: it is for all devices on the bus."""
+    frames: tuple[Frame, ...] = ()
+    period: Nanos = 100 * MILLISECOND
+    """Period in which the frames are sent again."""
+    notes: dict[str, Any] = field(default_factory=dict)
+    """What the protocol keeps about it."""
+    sent: int = 0
+    found: dict[tuple[int, int | None], str] = field(default_factory=dict)
+    """Devices found by a scan: their details, by address and serial number."""
+
+
+class Adapter(Generic[Own]):
+    """What a protocol adds to `MotorDriver`. One object for each driver; plain data."""
+
+    name: str
+    faults: Mapping[int, FaultInfo] = {}
+    not_armed: int = 0
+    """Code of the fault of a device that does not arm in time; 0: it has none."""
+    duplicate: int = 0
+    """Code of the fault of a device whose address another one has too."""
+    latch: bool = False
+    """A fault stays until ClearFault, whatever the device reports."""
+    needs_idle: tuple[type[Request], ...] = (msg.Zero, msg.Reboot, msg.WriteParameter)
+    """Requests that are refused while a device is, or may be, armed."""
+    zero_tolerance: float = 0.01
+    """rad within which the position is zero after Zero"""
+
+    # -- devices and received frames ------------------------------------------------------------------
+
+    def own(self, device: Device) -> Own:
+        """Return what the protocol itself records of a device."""
+        raise NotImplementedError
+
+    def timing(self, options: Any) -> Timing:  # noqa: ANN401 -- the protocol's own type
+        """Return the periods and timeouts of a device."""
+        raise NotImplementedError
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
+        """Return what a frame (on a stream: each message that it completes) reports."""
+        raise NotImplementedError
+
+    # -- commands -------------------------------------------------------------------------------------
+
+    def refuse(self, host: Host[Own], command: Command) -> str:
+        """Return why a device cannot take a command at all, "" if it can. (Ranges were checked.)"""
+        return ""
+
+    def ready(self, host: Host[Own]) -> bool:
+        """True if enough is known of a device to command it."""
+        return True
+
+    def arm(self, now: Nanos, host: Host[Own], command: Command) -> Sequence[Frame]:
+        """Return what brings a device nearer to being armed for this command, without moving it."""
+        raise NotImplementedError
+
+    def command(self, now: Nanos, host: Host[Own], command: Command) -> Sequence[Frame]:
+        """Return the set-point of a command to an armed device (of Hold: at `host.held`)."""
+        raise NotImplementedError
+
+    def release(self, now: Nanos, host: Host[Own]) -> Sequence[Frame]:
+        """Return what disarms a device; [] where that would clear its fault."""
+        raise NotImplementedError
+
+    # -- by itself ------------------------------------------------------------------------------------
+
+    def poll(self, now: Nanos, host: Host[Own]) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Return the read-only frames that are due to one device, and events of its own timeouts."""
+        return (), ()
+
+    def poll_due(self, host: Host[Own]) -> Nanos:
+        """Return when `poll` next has something to do that cannot wait for a step."""
+        return NEVER
+
+    def poll_bus(self, now: Nanos) -> Sequence[Frame]:
+        """Return the read-only frames that are due to all devices."""
+        return ()
+
+    def poll_bus_due(self) -> Nanos:
+        """Return when `poll_bus` next has something to send."""
+        return NEVER
+
+    def forget(self, now: Nanos, host: Host[Own]) -> None:
+        """Forget what is in `host.own` of a device that may have restarted."""
+
+    def resend(self, host: Host[Own]) -> None:
+        """Note that frames to a device may have been lost on our side."""
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Own] | None, driver: MotorDriver[Own]
+    ) -> Pending[Own] | str:
+        """Begin a request (`host` None: for the bus), or return why it is refused."""
+        raise NotImplementedError
+
+    def frames(self, now: Nanos, pending: Pending[Own]) -> Sequence[Frame]:
+        """Return what is sent for a request now."""
+        return pending.frames
+
+    def answer(self, t: Nanos, pending: Pending[Own], report: Report[Own]) -> Event | None:
+        """Return the answer to a request, if this report of its device is one."""
+        return self.usual_answer(t, pending, report)
+
+    def usual_answer(self, t: Nanos, pending: Pending[Own], report: Report[Own]) -> Event | None:
+        """Return the answer where the device reports what was asked for."""
+        feedback = report.feedback
+        position = feedback.position if feedback is not None else None
+        match pending.request:
+            case msg.ClearFault() if report.mode not in (None, Mode.FAULT):
+                return pending.done(t)
+            case msg.Estop() if report.mode is Mode.FAULT:
+                return pending.done(t, "it stays in fault until cleared")
+            case msg.Zero() if position is not None and abs(position) < self.zero_tolerance:
+                return pending.done(t)
+            case msg.ReadParameter(_, name) if name in report.parameters and report.written != name:
+                return msg.Parameter(pending.name, t, name, float(report.parameters[name]))
+            case msg.WriteParameter(_, name) if report.written == name:
+                return pending.done(t)
+        return None
+
+    def give_up(self, now: Nanos, pending: Pending[Own]) -> str:
+        """Return why a request was not carried out by its deadline."""
+        host = pending.host
+        if isinstance(pending.request, msg.SetId):
+            return f"no device with serial number {pending.request.serial} took the address"
+        if host is None or host.received_at is None or host.received_at < pending.began:
+            return "no reply of the device"
+        if isinstance(pending.request, msg.ClearFault):
+            names = [self.faults[code].name for code in sorted(host.active)]
+            host.report_again()
+            return f"still in fault: {', '.join(names)}"
+        if isinstance(pending.request, msg.Zero):
+            return "its position did not become zero: is it turning?"
+        return "no reply to this request"
+
+
+class MotorDriver(Generic[Own]):
+    """All devices of a protocol on one bus."""
+
+    def __init__(
+        self, adapter: Adapter[Own], devices: Sequence[Device], ranges: Mapping[str, Mapping[str, Range]]
+    ) -> None:
+        """`ranges`: by device, as in its `Spec`."""
+        self.counters = RxCounters()
+        self.adapter = adapter
+        self.hosts = {
+            device.name: Host(
+                device,
+                adapter.own(device),
+                adapter.timing(device.options),
+                adapter.faults,
+                latch=adapter.latch,
+            )
+            for device in devices
+        }
+        self.queue: RequestQueue[Pending[Own]] = RequestQueue()
+        self.serials = SerialNumbers(adapter.name)
+        self._ranges = ranges
+        self._rejections = RejectionFilter()
+        self._events: list[Event] = []
+        """Events from outside `send`, to be returned by the next one."""
+
+    # -- receiving ------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        """Decode a frame; [] for foreign ones."""
+        events: list[Event] = []
+        for report in self.adapter.receive(t, frame, self):
+            if report is Rx.IGNORED:
+                self.counters.ignored += 1
+            elif report is Rx.MALFORMED:
+                self.counters.malformed += 1
+            elif isinstance(report, Report):
+                events += self._on_report(t, report)
+        return events
+
+    def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
+        host = report.host
+        if host is None:
+            self.counters.ignored += 1
+            events: list[Event] = []
+        else:
+            self.counters.accepted += 1
+            events = host.on_report(t, report)
+        if report.serial is not None:
+            holders = self.serials.add(t, report.address, report.serial)
+            events += self._on_duplicate(t, report.address, holders) if holders else []
+        if report.duplicate:
+            events += self._on_duplicate(t, report.address, report.duplicate)
+        for pending in self.queue if len(self.queue) else ():
+            if pending.host is None:
+                events += self._on_found(t, pending, report)
+            elif pending.host is host and pending.sent:
+                answer = self.adapter.answer(t, pending, report)
+                events += self._end(t, pending, answer) if answer is not None else []
+        return events
+
+    def _end(self, t: Nanos, pending: Pending[Own], answer: Event) -> list[Event]:
+        self.queue.end(pending)
+        cleared = isinstance(pending.request, msg.ClearFault) and isinstance(answer, msg.Done)
+        return [*(pending.host.cleared(t) if cleared and pending.host is not None else ()), answer]
+
+    def _on_duplicate(self, t: Nanos, address: int, cause: str) -> list[Event]:
+        events = self.serials.report(t, address, cause)
+        if events and self.adapter.duplicate:
+            remedy = "take one off the bus, or give it another address (SetId with its serial number)"
+            events += [
+                msg.Fault(host.name, t, self.adapter.duplicate, f"duplicate address {address}", cause, remedy)
+                for host in self.hosts.values()
+                if host.address == address
+            ]
+        return events
+
+    def _on_found(self, t: Nanos, pending: Pending[Own], report: Report[Own]) -> list[Event]:
+        """Report a device that a scan has not found yet, or that took the address that it was given."""
+        request, address, serial = pending.request, report.address, report.serial
+        if isinstance(request, msg.SetId):
+            if (request.serial, request.address) != (serial, address):
+                return []
+            self.queue.end(pending)
+            return [pending.done(t, report.note)]
+        if (serial is None and not report.note) or (address, serial) in pending.found:
+            return []
+        duplicate = any(other == address for other, _ in pending.found)
+        detail = ", ".join(filter(None, (report.host.name if report.host else "", report.note)))
+        pending.found[address, serial] = detail
+        return [msg.Found(t, self.adapter.name, address, serial, detail, duplicate)]
+
+    # -- the bus --------------------------------------------------------------------------------------
+
+    def bus(self, t: Nanos, state: BusState) -> None:
+        """Send anew what may have been lost; forget devices that may have restarted."""
+        for host in self.hosts.values():
+            if state in (BusState.GONE, BusState.OFF, BusState.BACK):
+                host.forget(t)
+                self.adapter.forget(t, host)
+            elif state is BusState.FULL:
+                host.resend(t)
+                self.adapter.resend(host)
+        if state in (BusState.GONE, BusState.OFF):
+            self._events += self.queue.refuse_all(t, f"the bus is {state}")
+
+    # -- sending --------------------------------------------------------------------------------------
+
+    def send(
+        self, now: Nanos, messages: Sequence[Command | Request]
+    ) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Send requests, then commands, then what disarms, then what is polled."""
+        events, self._events = self._events, []
+        frames: list[Frame] = []
+        for message in messages:
+            if isinstance(message, msg.Stop):
+                for host in self.hosts.values():
+                    host.own_unasked()
+            elif not isinstance(message, Command):
+                events += self.queue.add(self._begin(now, message))
+        if len(self.queue):
+            self._send_requests(now, events, frames)
+        for message in messages:
+            if isinstance(message, Command):
+                frames += self._command(now, message, events)
+        for host in self.hosts.values():
+            silent = host.check_silence(now)
+            if silent:
+                self.adapter.forget(now, host)
+                events += silent
+            if host.release_due(now):
+                frames += self.adapter.release(now, host)
+            reported, polls = self.adapter.poll(now, host)
+            events += reported
+            frames += polls
+        frames += self.adapter.poll_bus(now)
+        return events, frames
+
+    def _command(self, now: Nanos, command: Command, events: list[Event]) -> Sequence[Frame]:
+        host = self.hosts.get(command.motor)
+        if host is None:
+            events += self._rejections.filter(now, command, "no such motor on this bus")
+            return ()
+        if isinstance(command, msg.Idle):
+            host.on_idle(now)
+            return ()
+        reason = self.adapter.refuse(host, command) or out_of_range(command, self._ranges[host.name])
+        events += self._rejections.filter(now, command, reason)
+        if reason or not self.adapter.ready(host):
+            return ()
+        phase = host.on_command(now, hold=isinstance(command, msg.Hold))
+        if phase is Phase.ARMED:
+            return self.adapter.command(now, host, command)
+        if phase is not Phase.ARMING:
+            return ()
+        if self.adapter.not_armed and host.overdue(now):
+            events += host.trip(now, self.adapter.not_armed)
+            return ()
+        return self.adapter.arm(now, host, command)
+
+    def _begin(self, now: Nanos, request: Request) -> Pending[Own] | msg.Refused:
+        if full := self.queue.full():
+            return refusal(now, request, full)
+        host = self.hosts.get(subject(request))
+        if host is None and not isinstance(request, msg.Scan | msg.SetId):
+            return refusal(now, request, f"{self.adapter.name} cannot do this, or knows no such motor")
+        if host is not None and host.running and isinstance(request, self.adapter.needs_idle):
+            return refusal(now, request, "it is armed: command Idle first")
+        begun = self.adapter.begin(now, request, host, self)
+        if isinstance(begun, str):
+            return refusal(now, request, begun)
+        if host is not None and isinstance(request, msg.ClearFault):
+            self.serials.clear(host.address)
+        return begun
+
+    def _send_requests(self, now: Nanos, events: list[Event], frames: list[Frame]) -> None:
+        for pending in self.queue.expired(now):
+            if isinstance(pending.request, msg.Scan):
+                count = len(pending.found)
+                events.append(pending.done(now, f"{count} device{'' if count == 1 else 's'}"))
+            else:
+                events.append(pending.refuse(now, self.adapter.give_up(now, pending)))
+        for pending in self.queue:
+            if now >= pending.next:
+                pending.next = now + pending.period
+                outgoing = self.adapter.frames(now, pending)
+                pending.sent += len(outgoing)
+                frames += outgoing
+
+    def due(self) -> Nanos | None:
+        """Return when `send` next has something to do without a message."""
+        times = self.queue.due()
+        for host in self.hosts.values():
+            times += host.due()
+            times.append(self.adapter.poll_due(host))
+        times.append(self.adapter.poll_bus_due())
+        first = min(times)
+        return first if first < NEVER else None

@@ -1,0 +1,182 @@
+"""The device's side of a protocol: the base of twins. The shaft belongs to the world.
+
+Rules. A protocol gives a subclass with `on_frame` (what it obeys), `cycle` (the torque that it applies) and
+`report` (what it sends). Here are: what the world shows of the shaft, the watchdog, faults, replies, which go
+out with the next step, and what is sent by the clock. Time is an argument; a seed gives the phases.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, Event, Feedback, Mode, Nanos, Torque, seconds
+from protocols.plugin import Device, FaultInfo
+
+NEVER: Nanos = 1 << 62
+
+
+class Firmware:
+    """One device. Plain data. The phases of `Mode` are those of its power stage."""
+
+    faults: Mapping[int, FaultInfo]
+    lost: int = 0
+    """Code of the fault that the watchdog trips; 0: it disarms without one."""
+    reply_delay: Nanos = 0
+
+    def __init__(self, device: Device, seed: int) -> None:
+        self.device = device
+        self.settings: Any = device.settings
+        self.mode = Mode.READY
+        self.fault = 0
+        """Code of the fault that it is in."""
+        self.torque = 0.0
+        """N·m on the shaft"""
+        self.shaft = (0.0, 0.0)
+        """True position [rad] and velocity [rad/s]."""
+        self.now: Nanos | None = None
+        self.silent_until: Nanos = 0
+        """It restarts until then: it neither receives nor sends."""
+        self.fed: Nanos = 0
+        """When the watchdog was last fed."""
+        self._phase = seed * 7919 % 1000
+        self._replies: list[tuple[Nanos, Frame]] = []
+        self._next: dict[str, Nanos] = {}
+        """When each cyclic report is due."""
+
+    # -- the protocol's own ---------------------------------------------------------------------------
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        """Obey a received frame; a foreign one changes nothing."""
+        raise NotImplementedError
+
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        """Run the control loop on the true shaft [rad, rad/s]; return the torque [N·m]. dt is 0 at first."""
+        raise NotImplementedError
+
+    def report(self, name: str) -> Frame | None:
+        """Return a cyclic report as it is now."""
+        raise NotImplementedError
+
+    def cyclic(self) -> Mapping[str, Nanos]:
+        """Return the period of each cyclic report."""
+        return {}
+
+    def timeout(self) -> Nanos:
+        """Return the timeout of the watchdog; 0: it is off, or does not run now."""
+        return 0
+
+    def on_restart(self, now: Nanos) -> None:
+        """Run what belongs to the end of a restart."""
+
+    # -- arming ---------------------------------------------------------------------------------------
+
+    def arm(self, t: Nanos) -> bool:
+        """Arm, from ready only. Returns whether it did."""
+        if self.mode is not Mode.READY:
+            return False
+        self.mode, self.fed = Mode.ARMED, t
+        return True
+
+    def disarm(self) -> None:
+        """Disarm; a fault stays."""
+        if self.mode is Mode.ARMED:
+            self.mode = Mode.READY
+
+    def trip(self, code: int) -> None:
+        """Enter fault."""
+        self.mode, self.fault = Mode.FAULT, code
+
+    def clear(self) -> None:
+        """Leave fault."""
+        if self.mode is Mode.FAULT:
+            self.mode, self.fault = Mode.READY, 0
+
+    def provoke(self, code: int) -> None:
+        """Trip a fault. Raises ValueError if the device has no such fault."""
+        if code not in self.faults:
+            raise ValueError(f"no fault {code}; there are {', '.join(map(str, sorted(self.faults)))}")
+        self.trip(code)
+
+    def feed(self, t: Nanos) -> None:
+        """Feed the watchdog."""
+        self.fed = t
+
+    # -- the twin -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        """Obey a frame at once; before its first step the device has not started."""
+        if self.now is not None and t >= self.silent_until:
+            self._watch(t)
+            self.on_frame(t, frame)
+
+    def reply(self, t: Nanos, *frames: Frame) -> None:
+        """Send frames with the next step, `reply_delay` after t at the earliest."""
+        self._replies += [(t + self.reply_delay, frame) for frame in frames]
+
+    def restart(self, t: Nanos, silent: Nanos) -> None:
+        """Restart: disarmed, without a fault, and silent for a time."""
+        self.mode, self.fault, self.torque, self.silent_until = Mode.READY, 0, 0.0, t + silent
+        self._replies.clear()
+        self._next.clear()
+
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
+        """Read the shaft, run the loops, send what is due."""
+        for event in truth:
+            if isinstance(event, Feedback) and event.motor == self.device.name:
+                position = self.shaft[0] if event.position is None else event.position
+                velocity = self.shaft[1] if event.velocity is None else event.velocity
+                if math.isfinite(position) and math.isfinite(velocity):
+                    self.shaft = (position, velocity)
+        dt = 0.0 if self.now is None else seconds(max(0, now - self.now))
+        restarting = self.now is not None and self.now < self.silent_until
+        self.fed = now if self.now is None or now < self.silent_until else self.fed
+        self.now = now
+        if now < self.silent_until:
+            return [Torque(self.device.name, 0.0)], []
+        if restarting:
+            self.on_restart(now)
+        self._watch(now)
+        self.torque = self.cycle(now, dt, *self.shaft)
+        due = [frame for at, frame in self._replies if at <= now]
+        self._replies = [each for each in self._replies if each[0] > now]
+        return [Torque(self.device.name, self.torque)], due + self._reports(now)
+
+    def _watch(self, now: Nanos) -> None:
+        timeout = self.timeout()
+        if timeout and now - self.fed > timeout:
+            self.on_timeout()
+
+    def on_timeout(self) -> None:
+        """Do what the watchdog does: trip `lost`, or disarm."""
+        if self.lost:
+            self.trip(self.lost)
+        else:
+            self.disarm()
+
+    def _reports(self, now: Nanos) -> list[Frame]:
+        frames = []
+        for name, period in self.cyclic().items():
+            at = self._next.setdefault(name, now + period * self._phase // 1000)
+            if now >= at:
+                self._next[name] = at + period * (1 + (now - at) // period)
+                frame = self.report(name)
+                frames += [] if frame is None else [frame]
+        return frames
+
+    def due(self) -> Nanos | None:
+        """Return when it next sends a report or reply, trips its watchdog, or has restarted."""
+        if self.now is not None and self.now < self.silent_until < NEVER:
+            return self.silent_until
+        times = [*self._next.values(), *(at for at, _ in self._replies)]
+        timeout = self.timeout()
+        if timeout:
+            times.append(self.fed + timeout + 1)
+        return min(times, default=None)
+
+
+def milliseconds(value: float) -> Nanos:
+    """Return a setting in ms as time."""
+    return round(value * MILLISECOND)
