@@ -55,7 +55,7 @@ CONTRACT = (
     "protocols.frames",
     "protocols.plugin",
     "protocols.reference_vectors",
-    "protocols.request_queue",
+    "protocols.toolkit.requests",
     "protocols.message_codec",
     "protocols.suggest",
 )

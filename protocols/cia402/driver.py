@@ -24,7 +24,7 @@ from protocols.cia402.sync import SECOND_PRODUCER, HostProducer, check_agreement
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plugin import Device, Range, RxCounters
-from protocols.request_queue import RejectionFilter, RequestQueue, out_of_range, refusal
+from protocols.toolkit.requests import RejectionFilter, RequestQueue, out_of_range, refusal
 
 PDO_IDS = range(0x180, SDO_TX_BASE)
 OFFLINE = "no frames received"

@@ -22,7 +22,7 @@ from protocols.cia402.profile import Demand, Mode, PowerState, supports
 from protocols.cia402.sdo import NO_OBJECT, abort_text
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Event, Nanos, Request
-from protocols.request_queue import PendingRequest, refusal
+from protocols.toolkit.requests import PendingRequest, refusal
 
 TIMEOUT = 2000 * MILLISECOND
 CLEAR_TIMEOUT = 3000 * MILLISECOND

@@ -24,7 +24,7 @@ from protocols.moteus.registers import Register
 from protocols.moteus.reply import Reply, decode
 from protocols.moteus.requests import Pending
 from protocols.plugin import Device, Range, RxCounters
-from protocols.request_queue import RejectionFilter, RequestQueue, out_of_range, refusal, subject
+from protocols.toolkit.requests import RejectionFilter, RequestQueue, out_of_range, refusal, subject
 
 PROTOCOL = "moteus"
 NO_IMPEDANCE = "the device's gains are scaled, not set: it has no impedance in N·m/rad"

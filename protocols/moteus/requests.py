@@ -23,7 +23,7 @@ from protocols.moteus.messages import DISCOVER, console, masked
 from protocols.moteus.options import ADDRESS_MAX, SERIAL_BYTES, serial_of
 from protocols.moteus.registers import LATCHED, NAMES, SCALES, Mode, Register
 from protocols.moteus.reply import Reply
-from protocols.request_queue import PendingRequest, refusal
+from protocols.toolkit.requests import PendingRequest, refusal
 
 ANSWER = 600 * MILLISECOND
 """Timeout of a request to one device, ..."""

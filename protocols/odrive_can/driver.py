@@ -31,7 +31,7 @@ from protocols.odrive_can.duplicate_address import duplicate_events
 from protocols.odrive_can.host_axis import HostAxis
 from protocols.odrive_can.requests import DISCOVERY, OdriveRequest
 from protocols.plugin import Device, Range, RxCounters
-from protocols.request_queue import RejectionFilter, RequestQueue, out_of_range, refusal, subject
+from protocols.toolkit.requests import RejectionFilter, RequestQueue, out_of_range, refusal, subject
 
 PROTOCOL = "odrive_can"
 NO_IMPEDANCE = "the device has no impedance control"

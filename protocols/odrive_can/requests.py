@@ -18,7 +18,7 @@ from protocols.odrive_can.codec import BROADCAST, MAX_NODE, TABLES, WRITABLE, cm
 from protocols.odrive_can.dialect import status_of
 from protocols.odrive_can.faults import names
 from protocols.odrive_can.host_axis import HostAxis
-from protocols.request_queue import PendingRequest, refusal
+from protocols.toolkit.requests import PendingRequest, refusal
 
 TIMEOUT = 600 * MILLISECOND
 RETRY_PERIOD = 120 * MILLISECOND

@@ -18,7 +18,7 @@ from protocols.frames import BusState, Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plain import codec
 from protocols.plugin import Device, RxCounters
-from protocols.request_queue import RejectionFilter
+from protocols.toolkit.requests import RejectionFilter
 
 ANSWER: Nanos = 200 * MILLISECOND
 """Timeout of a request, and how long a scan collects answers."""

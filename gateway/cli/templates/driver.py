@@ -17,7 +17,7 @@ from protocols import messages as msg
 from protocols.frames import BusState, Frame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
 from protocols.plugin import Device, Range, RxCounters
-from protocols.request_queue import RejectionFilter, out_of_range, subject
+from protocols.toolkit.requests import RejectionFilter, out_of_range, subject
 
 from . import codec
 from .codec import NAME, DeviceMode, Order
