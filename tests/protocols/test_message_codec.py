@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from protocols import messages
 from protocols.message_codec import CODES, pack, unpack
 from protocols.messages import Feedback, LaserScan, Message, Mode, SetId, State, Torque, Velocity
+from tests.protocols.message_samples import ANY_MESSAGE, VECTORS, message_of
 from tests.protocols.plain.published import packed, ranges
-from tests.protocols.plain.samples import ANY_MESSAGE, VECTORS, message_of
 
 PACKED = VECTORS["packed"]
 

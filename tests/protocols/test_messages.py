@@ -10,7 +10,7 @@ import pytest
 
 from protocols import messages
 from protocols.messages import COMMANDS, SECOND, Command, Feedback, Message, Mode, Velocity, seconds
-from tests.protocols.plain.samples import VECTORS, message_of
+from tests.protocols.message_samples import VECTORS, message_of
 
 KINDS: tuple[Any, ...] = get_args(Message)
 SAMPLES: list[Message] = [*(message_of(row) for row in VECTORS["packed"]), messages.Arm("m")]

@@ -12,7 +12,6 @@ from protocols.messages import MILLISECOND, Nanos
 FOLDER = Path(__file__).resolve().parents[2] / "fixtures" / "transcripts"
 _NUMBER = r"(\d+(?:\.\d+)?)"
 TIME = re.compile(rf"(\+?){_NUMBER}(?:\.\.{_NUMBER})?(?: every {_NUMBER}(?:\.\.{_NUMBER})?)?\s+(\S.*)")
-FLAGS = ("each line by itself", "without background")
 HEAD = ("protocol", "source", "tests", "device", "name", "cycle", "cyclic", "reply", "background")
 STIMULI = ("host", "bus", "cyclic", "reply", "silence", "shaft", "fault", "measure", "end")
 
@@ -52,7 +51,8 @@ class Block:
     head: tuple[Line, ...]
     """Of the file, then of the block."""
     lines: tuple[Line, ...] = ()
-    flags: frozenset[str] = frozenset()
+    table: bool = False
+    """Each line is run by itself."""
     after: Block | None = None
 
     def __str__(self) -> str:
@@ -60,7 +60,7 @@ class Block:
 
     def runs(self) -> list[tuple[Line, ...]]:
         """Return the lines of each run: all of them, or each of its own after those of the blocks before."""
-        if "each line by itself" not in self.flags:
+        if not self.table:
             return [self.timeline()[0]]
         before, end = self.after.timeline() if self.after else ((), 0)
         return [(*before, _moved(line, end)) for line in self.lines]
@@ -114,10 +114,12 @@ def _logical_lines(file: Path) -> Iterator[tuple[str, str]]:
 
 def _with(block: Block, place: str, text: str, found: dict[str, Block]) -> Block:
     """Return a block with one more line."""
-    if text in FLAGS:
-        return replace(block, flags=block.flags | {text})
+    if text == "each line by itself":
+        return replace(block, table=True)
+    if text == "without background":
+        return replace(block, head=tuple(line for line in block.head if line.kind != "background"))
     if text.startswith("after "):
-        return replace(block, after=found[text.removeprefix("after ")])
+        return replace(block, after=found[text.split(None, 1)[1]])
     line = _line(place, text, block.lines)
     if line.kind in HEAD and not TIME.match(text):
         return replace(block, head=(*block.head, line))

@@ -104,7 +104,7 @@ class Pattern:
         if written is None:
             return self.rest or actual == default
         if isinstance(actual, tuple):
-            parts = written.strip("[]").split(",")
+            parts = [part for part in written.strip("[]").split(",") if part]
             return len(parts) == len(actual) and all(map(close, parts, actual))
         if isinstance(actual, bool) or not isinstance(actual, int | float):
             return is_text(written, _text(actual))

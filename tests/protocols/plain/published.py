@@ -41,8 +41,8 @@ def framed(body: bytes) -> bytes:
 def notation(text: str) -> bytes:
     """Messages as transcripts have them: `1 Velocity "" 1.0 0.5 + 2 Idle ""`.
 
-    `[:9]` before it are its first 9 bytes, `[9:]` the others; `bad` makes its CRC wrong; a body may be a text
-    (`1 body "rubbish"`) or hexadecimal digits (`1 body x921ba0`)."""
+    `[:9]` before it are its first 9 bytes, `[9:]` the others; `bad` makes its CRC wrong; `1 body`
+    has any bytes as its body; bytes are a text ("noise") or hexadecimal digits (xa557)."""
     frames = b""
     for part in text.split(" + "):
         first, *rest = tokens(part)
@@ -51,10 +51,10 @@ def notation(text: str) -> bytes:
             frames += notation(" ".join(rest))[int(start or 0) : int(stop) if stop else None]
         elif first == "bad":
             frames += notation(" ".join(rest))[:-1] + b"\0"
+        elif first[0] in 'x"':
+            frames += bytes.fromhex(first[1:]) if first[0] == "x" else first.strip('"').encode()
         elif rest[0] == "body":
-            data = rest[1] if len(rest) > 1 else ""
-            raw = bytes.fromhex(data[1:]) if data.startswith("x") else data.strip('"').encode()
-            frames += framed(bytes((int(first),)) + raw)
+            frames += framed(bytes((int(first),)) + (notation(" ".join(rest[1:])) if rest[1:] else b""))
         else:
             frames += encoded(int(first), rest[0], *map(_value, rest[1:]))
     return frames

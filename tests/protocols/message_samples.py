@@ -1,4 +1,4 @@
-"""Any message there is, and the vectors from outside, for the tests of this folder."""
+"""Any message there is, and vectors of packed messages from an independent source."""
 
 from __future__ import annotations
 
