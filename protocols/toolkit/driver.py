@@ -1,7 +1,7 @@
 """The driver of all devices of one protocol on one bus: receiving, commands, requests, polling, silence.
 
-Rules. A protocol gives an `Adapter`, which translates between its frames and `Report`s, and knows what is
-sent in each phase; all else that a driver needs is here and in `host`. A command is sent in the step in which it is
+Rules. A protocol gives an `Adapter`, which translates frames into `Report`s, and knows what is sent in each
+phase; all else that a driver needs is here and in `host`. A command is sent in the step in which it is
 given, or never. Every request has exactly one answer, at its deadline at the latest.
 """
 
@@ -65,6 +65,8 @@ class Adapter(Generic[Own]):
     """Code of the fault of a device whose address another one has too."""
     latch: bool = False
     """A fault stays until ClearFault, whatever the device reports."""
+    blind: bool = False
+    """A device is commanded before its mode and position are known: it holds by itself where it is."""
     needs_idle: tuple[type[Request], ...] = (msg.Zero, msg.Reboot, msg.WriteParameter)
     """Requests that are refused while a device is, or may be, armed."""
     zero_tolerance: float = 0.01
@@ -126,6 +128,9 @@ class Adapter(Generic[Own]):
 
     def forget(self, now: Nanos, host: Host[Own]) -> None:
         """Forget what is in `host.own` of a device that may have restarted."""
+
+    def interrupted(self) -> None:
+        """Note that what the line was carrying is lost (on a stream: the rest of a message)."""
 
     def resend(self, host: Host[Own]) -> None:
         """Note that frames to a device may have been lost on our side."""
@@ -198,6 +203,8 @@ class MotorDriver(Generic[Own]):
             )
             for device in devices
         }
+        self.at = {host.address: host for host in self.hosts.values()}
+        """The devices by address."""
         self.queue: RequestQueue[Pending[Own]] = RequestQueue()
         self.serials = SerialNumbers(adapter.name)
         self._ranges = ranges
@@ -271,10 +278,16 @@ class MotorDriver(Generic[Own]):
         pending.found[address, serial] = detail
         return [msg.Found(t, self.adapter.name, address, serial, detail, duplicate)]
 
+    def scanning(self) -> bool:
+        """True while a scan is under way."""
+        return any(isinstance(pending.request, msg.Scan) for pending in self.queue)
+
     # -- the bus --------------------------------------------------------------------------------------
 
     def bus(self, t: Nanos, state: BusState) -> None:
         """Send anew what may have been lost; forget devices that may have restarted."""
+        if state in (BusState.GONE, BusState.OFF, BusState.BACK):
+            self.adapter.interrupted()
         for host in self.hosts.values():
             if state in (BusState.GONE, BusState.OFF, BusState.BACK):
                 host.forget(t)
@@ -327,7 +340,8 @@ class MotorDriver(Generic[Own]):
             return ()
         reason = self.adapter.refuse(host, command) or out_of_range(command, self._ranges[host.name])
         events += self._rejections.filter(now, command, reason)
-        if reason or not self.adapter.ready(host):
+        known = self.adapter.blind or (host.mode is not None and host.position is not None)
+        if reason or not known or not self.adapter.ready(host):
             return ()
         phase = host.on_command(now, hold=isinstance(command, msg.Hold))
         if phase is Phase.ARMED:
@@ -342,8 +356,9 @@ class MotorDriver(Generic[Own]):
     def _begin(self, now: Nanos, request: Request) -> Pending[Own] | msg.Refused:
         if full := self.queue.full():
             return refusal(now, request, full)
-        host = self.hosts.get(subject(request))
-        if host is None and not isinstance(request, msg.Scan | msg.SetId):
+        for_all = isinstance(request, msg.Scan | msg.SetId)
+        host = None if for_all else self.hosts.get(subject(request))
+        if host is None and not for_all:
             return refusal(now, request, f"{self.adapter.name} cannot do this, or knows no such motor")
         if host is not None and host.running and isinstance(request, self.adapter.needs_idle):
             return refusal(now, request, "it is armed: command Idle first")

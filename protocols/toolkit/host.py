@@ -8,7 +8,7 @@ stays `owned` through silence and bus trouble, until two reports have confirmed 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Generic, TypeVar
@@ -106,6 +106,8 @@ class Report(Generic[Own]):
     faults: Collection[int] | None = None
     """Codes of all faults that are active."""
     feedback: Feedback | None = None
+    events: Sequence[Event] = ()
+    """Others that are reported as they are: measurements of a sensor."""
     parameters: Mapping[str, float] = field(default_factory=dict)
     """By the vendor's names."""
     written: str = ""
@@ -176,8 +178,8 @@ class Host(Generic[Own]):
         if feedback is not None and feedback.position is not None:
             self.position = feedback.position
         if report.mode is None and report.faults is None:
-            return [] if feedback is None else [feedback]
-        events = self._on_faults(t, report)
+            return [*report.events] if feedback is None else [*report.events, feedback]
+        events = [*self._on_faults(t, report), *report.events]
         if report.mode is not None:
             self._on_mode(t, report.mode)
             self._detail = report.detail
@@ -236,13 +238,7 @@ class Host(Generic[Own]):
 
     def on_command(self, now: Nanos, *, hold: bool) -> Phase:
         """Record a command other than Idle. Returns the phase: what is to be done about it."""
-        if (
-            self.offline
-            or self.mode is None
-            or self.position is None
-            or self.phase is Phase.FAULT
-            or self.tripped
-        ):
+        if self.offline or self.phase is Phase.FAULT or self.tripped:
             return self.phase
         self.owned = self.once_commanded = True
         self._fire(now, Trigger.COMMAND)

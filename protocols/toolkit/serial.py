@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from functools import cache, reduce
 from typing import Literal, TypeAlias
 
+from protocols.toolkit.driver import Rx
+
 Checksum: TypeAlias = Callable[[bytes], int]
 
 
@@ -87,69 +89,60 @@ class Framing:
     covers: int = 0
     """The checksum covers the message from this byte on."""
 
-    def frame(self, head: bytes, body: bytes) -> bytes:
-        """Return a message."""
-        message = head + body
+    def frame(self, message: bytes) -> bytes:
+        """Return a message, head and body, with its checksum."""
         return message + self.checksum(message[self.covers :]).to_bytes(self.checksum_size, self.order)
+
+    def end(self, held: bytes, at: int) -> int | None:
+        """Return where the checksum of the message that begins here begins, as far as can be known: at
+        the end of the head at least. None: none begins here."""
+        head = held[at : at + self.head]
+        if not head.startswith(self.sync[: len(head)]):
+            return None
+        size = self.body(head) if len(head) == self.head else 0
+        return None if size is None else at + self.head + size
 
 
 @dataclass(slots=True)
 class Stream:
-    """Splits a byte stream into messages.
+    """Splits a byte stream into messages. Holds at most one message's bytes.
 
-    What is not a message is skipped and counted: `bad` once for each message whose checksum is wrong, `noise`
+    What is not a message is skipped: MALFORMED stands once for each message whose checksum is wrong, IGNORED
     once for each run of other bytes between two messages. A message behind either is found, since after a
     wrong checksum the search goes on right behind the sync bytes."""
 
     framing: Framing
-    bad: int = 0
-    noise: int = 0
     _held: bytes = b""
     _skipping: bool = False
-    """The run of bytes that is being skipped has been counted."""
+    """The run of bytes that is being skipped has been reported."""
 
-    def feed(self, data: bytes) -> list[tuple[bytes, bytes]]:
-        """Return head and body of the messages that these bytes complete."""
-        held, at, found = self._held + data, 0, list[tuple[bytes, bytes]]()
-        framing = self.framing
-        while True:
-            start = self._find(held, at)
-            head = held[start : start + framing.head]
-            size = framing.body(head) if len(head) == framing.head else None
-            end = start + framing.head + (size or 0)
-            if size is None or len(held) < end + framing.checksum_size:
+    def feed(self, data: bytes) -> list[bytes | Rx]:
+        """Return the messages that these bytes complete: head and body."""
+        framing, held, at, found = self.framing, self._held + data, 0, list[bytes | Rx]()
+        while at < len(held):
+            end = framing.end(held, at)
+            if end is None:
+                found += () if self._skipping else (Rx.IGNORED,)
+                self._skipping = True
+                at = held.find(framing.sync[0], at + 1)
+                at = at if at >= 0 else len(held)
+            elif len(held) < end + framing.checksum_size:
                 break
-            given = int.from_bytes(held[end : end + framing.checksum_size], framing.order)
-            if given == framing.checksum(held[start + framing.covers : end]):
-                found.append((head, held[start + framing.head : end]))
+            elif framing.frame(held[at:end]) == held[at : end + framing.checksum_size]:
+                found.append(held[at:end])
                 self._skipping = False
                 at = end + framing.checksum_size
             else:
-                self.bad += 1
+                found.append(Rx.MALFORMED)
                 self._skipping = True
-                at = start + len(framing.sync)
-        self._held = held[start:]
+                at += len(framing.sync)
+        self._held = held[at:]
         return found
+
+    def messages(self, data: bytes) -> list[bytes]:
+        """Return only the messages that these bytes complete."""
+        return [each for each in self.feed(data) if isinstance(each, bytes)]
 
     def drop(self) -> None:
         """Discard a partial message: the line was interrupted, its rest will not come."""
         self._held, self._skipping = b"", False
-
-    def _find(self, held: bytes, at: int) -> int:
-        """Return where the next message may begin; whatever lies before is noise."""
-        sync, start = self.framing.sync, at
-        while True:
-            start = held.find(sync[0], start)
-            if start < 0:
-                start = len(held)
-                break
-            head = held[start : start + self.framing.head]
-            whole = len(head) == self.framing.head
-            begins = head.startswith(sync) if len(head) >= len(sync) else sync.startswith(head)
-            if begins and (not whole or self.framing.body(head) is not None):
-                break
-            start += 1
-        if start > at and not self._skipping:
-            self.noise += 1
-            self._skipping = True
-        return start
