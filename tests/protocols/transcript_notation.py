@@ -43,7 +43,7 @@ def close(written: str, actual: float | None) -> bool:
     middle, _, slack = written.partition("±")
     if slack:
         return abs(number(middle) - actual) <= number(slack)
-    return math.isclose(number(middle), actual, rel_tol=RELATIVE, abs_tol=1e-12)
+    return math.isclose(number(middle), actual, rel_tol=RELATIVE)
 
 
 def is_text(written: str, actual: str) -> bool:
@@ -181,10 +181,10 @@ class Frames:
         if can := CAN.match(written):
             identifier, mark, remote = can.groups()
             identifier = identifier if len(identifier) == 3 else identifier.zfill(8)
-            return f"{identifier.upper()}{mark}{remote}{''.join(map(_digits, tokens(written[can.end() :])))}"
+            return f"{identifier.upper()}{mark}{remote}{''.join(map(digits, tokens(written[can.end() :])))}"
         if self.notation is not None and not all(map(LITERAL.fullmatch, (first, *rest))):
             return candump(self.notation(written))
-        return "".join(map(_digits, (first, *rest)))
+        return "".join(map(digits, (first, *rest)))
 
     def frame(self, written: str) -> Frame:
         """Return the frame that is written."""
@@ -204,7 +204,7 @@ class Frames:
         return bool(re.fullmatch(pattern, candump(actual)))
 
 
-def _digits(token: str) -> str:
+def digits(token: str) -> str:
     """Return hexadecimal digits, of a number (`0.25f`, `-3i16`), a text (`"conf"`) or repetition (`50x9`)."""
     if found := NUMBER.fullmatch(token):
         code = PACKED[found[2].lstrip("iu")]

@@ -168,7 +168,8 @@ class Run:
 
     def _is_background(self, kind: str, actual: Any, body: str) -> bool:
         way, _, text = body.partition(" ")
-        return kind == way and self._matcher(kind, text.strip())(START + self.now, actual)
+        matchers = (self._matcher(kind, each.strip()) for each in text.split(" ; "))
+        return kind == way and any(matches(START + self.now, actual) for matches in matchers)
 
     # -- one moment after the other --------------------------------------------------------------
 
