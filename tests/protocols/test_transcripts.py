@@ -41,7 +41,7 @@ def check(folder: Path, text: str) -> None:
         DRIVER + '0 host Hold left\n+2 host Zero left => 1 Zero ""\n' + f"0..1 tx {HOLD}",
         CYCLE + f"0 host Hold left\n0..50 every 10 tx {HOLD}",
         CYCLE + f"0 host Hold left\n0..50 every 5..12 tx {HOLD}",
-        CYCLE + f"background tx {HOLD}\n0 host Hold left\n50 end",
+        CYCLE + f"background tx 1 ; {HOLD}\n0 host Hold left\n50 end",
         CYCLE + f"0 host Hold left\n5 host nothing\n0 tx {HOLD}\n50 end",
         DRIVER + f"cyclic 100 {READY}\n0..300 every 100 event State left ready\n300 end",
         DRIVER + f"0..300 every 100 rx {READY}\n0..300 every 100 event State left ready",
