@@ -66,6 +66,8 @@ class FeedbackKind(StrEnum):
     NONE = "none"
     POLLED = "polled"
     CYCLIC = "cyclic"
+    REPLY = "reply"
+    """Only in replies to its commands: nothing read-only makes it report."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +114,11 @@ class FaultInfo:
     such as the result of a request that the next request replaces; the joint latches it all the same."""
 
 
+def unchanged(command: Command) -> Command:
+    """Return the command: to the device, no two commands are the same."""
+    return command
+
+
 @dataclass(frozen=True, slots=True)
 class Spec:
     """The properties of one device: the one source for joint, guard, doctor and conformance tests."""
@@ -127,7 +134,8 @@ class Spec:
     """True if a frame neither moves, arms, clears nor configures anything."""
     feedback: FeedbackKind
     feedback_period: Nanos
-    """The period at which the device reports its motion or, if polled, at which the driver polls it."""
+    """The period at which the device reports its motion or, if polled, at which the driver polls it; if it
+    only replies, that of a device commanded at every step."""
     offline_after: Nanos
     """The timeout after which a silent device is offline, and its joint has lost its feedback."""
     commands: frozenset[type[Command]]
@@ -142,6 +150,10 @@ class Spec:
     """True if disarming clears the device's own faults (then a joint must latch them)."""
     faults: Mapping[int, FaultInfo] = field(default_factory=dict)
     """By `Fault.code`: every fault that the device can report, as its driver reports it."""
+    canonical: Callable[[Command], Command] = unchanged
+    """Commands of which it returns the same are the same to the device, such as Torque and an Impedance
+    without gains. It returns one of `commands`, with ranges of its own. A function of a module or a frozen
+    dataclass with `__call__`, so that equal specs are equal and can be copied."""
     unprotected: frozenset[str] = frozenset()
     """Names of messages (`Plugin.messages`) that the device accepts though no checksum protects them.
     Conformance does not test damage to them, and a driver must not rely on them."""

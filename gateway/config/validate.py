@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import combinations, permutations
+from math import inf
 from typing import Literal
 
 from brain.settings import BrainSettings
@@ -24,6 +25,8 @@ from protocols.frames import IdMask, id_matches, overlap
 from protocols.messages import MILLISECOND, Nanos, Velocity
 from protocols.plugin import FeedbackKind, Spec
 
+HOUR = 3600.0
+"""s: a joint that gets to the end of its device's positions later, at full speed, is not warned of."""
 _CARRIES = {"can": ("can", "canfd"), "canfd": ("canfd",), "serial": ("serial",)}
 """Kinds of bus that carry a device's frames: a classic CAN device also works on a CAN FD bus."""
 
@@ -152,6 +155,7 @@ def cautions(robot: Robot) -> list[str]:
     """Return what the user must be warned of at every start, until the robot file acknowledges it."""
     notes = [f"{one.name}: {one.spec.watchdog.note}" for one in robot.devices() if one.spec.watchdog.note]
     notes += [text for motor in robot.motors.values() for text in _out_of_range(motor)]
+    notes += [text for motor in robot.motors.values() for text in _past_feedback(motor)]
     for bus in robot.buses.values():
         if bus.kind != "serial" and not bus.acknowledged:
             here = robot.devices_on(bus.name)
@@ -213,6 +217,27 @@ def _out_of_range(motor: Motor) -> list[str]:
                 f"device can be commanded at most {able.high:g}; commands beyond that are refused"
             )
     return notes
+
+
+def _past_feedback(motor: Motor) -> list[str]:
+    """A joint that can turn past the positions that its device can report: there it has none."""
+    joint, able = motor.joint, motor.spec.ranges.get("Feedback.position")
+    most = min(-able.low, able.high) if able else inf
+    limits, speed = joint.limits.position, joint.limits.velocity * joint.gear
+    if limits is not None:
+        farthest = max(map(abs, limits)) * joint.gear
+        where, passes = f"its limits of position reach {farthest:g} rad", farthest > most
+        remedy = "narrow its limits of position"
+    else:
+        where, passes = (
+            f"without limits of position it gets there in {most / speed:.3g} s",
+            most < HOUR * speed,
+        )
+        remedy = "give it limits of position"
+    if not passes:
+        return []
+    reports = f"its device reports at most {most:g} rad at its own shaft, and no position beyond"
+    return [f"{motor.name}: {reports}; {where}: {remedy}, or widen the range on the device"]
 
 
 # -- several protocols on one bus --------------------------------------------------------------

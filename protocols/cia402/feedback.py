@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from protocols.cia402 import objects as o
-from protocols.cia402.objects import Key
+from protocols.cia402.objects import Key, Type
 from protocols.cia402.units import Units
 from protocols.messages import MILLISECOND, Feedback, Nanos
 
@@ -133,10 +133,12 @@ class PollSchedule:
 
 
 def feedback(motor: str, t: Nanos, values: Mapping[Key, int], units: Units) -> Feedback | None:
-    """Convert these objects to Feedback in SI; None if none of them is a measurement."""
-    get = values.get
-    position, velocity, torque = get(o.POSITION), get(o.VELOCITY), get(o.TORQUE)
-    current, voltage = get(o.CURRENT), get(o.DC_VOLTAGE)
+    """Convert these objects to Feedback in SI; None if none of them is a measurement.
+
+    A value at the end of its type may as well be beyond it, and is no measurement."""
+    position, velocity = _inside(Type.I32, values.get(o.POSITION)), _inside(Type.I32, values.get(o.VELOCITY))
+    torque, current = _inside(Type.I16, values.get(o.TORQUE)), _inside(Type.I16, values.get(o.CURRENT))
+    voltage = values.get(o.DC_VOLTAGE)
     torque_rated, current_rated = units.rated_torque > 0.0, units.rated_current > 0.0
     made = Feedback(
         motor,
@@ -149,3 +151,7 @@ def feedback(motor: str, t: Nanos, values: Mapping[Key, int], units: Units) -> F
     )
     measured = (made.position, made.velocity, made.torque, made.current, made.voltage)
     return made if any(value is not None for value in measured) else None
+
+
+def _inside(kind: Type, value: int | None) -> int | None:
+    return value if value is not None and kind.low < value < kind.high else None

@@ -59,6 +59,8 @@ CLAUSES: tuple[Clause, ...] = (
     Clause("commands", "commands arrive within the declared resolution", roundtrip.commands_arrive),
     Clause("measurements", "measurements arrive within the declared resolution, of the right device and time",
            roundtrip.measurements_arrive),
+    Clause("saturated", "a value beyond its range is not reported as measured",
+           roundtrip.beyond_its_range_is_not_measured),
     Clause("bytes", "no bytes raise an exception, at either end", traffic.no_bytes_raise),
     Clause("counts", "every frame is counted once; what is not accepted changes nothing",
            traffic.frames_are_counted),

@@ -13,8 +13,8 @@ from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Bench, StepResult
 from protocols.conformance.random import Random
 from protocols.frames import CanFrame, Frame, IdMask, any_matches
-from protocols.messages import Command, Idle, Message
-from protocols.plugin import Device, Plugin, RxCounters, Spec
+from protocols.messages import Command, Idle, Message, Torque
+from protocols.plugin import Device, FeedbackKind, Plugin, RxCounters, Spec
 
 T = TypeVar("T")
 SAMPLE = 3
@@ -56,6 +56,21 @@ class Case:
         bench = self.start()
         kinds = self.kinds
         return None if kinds and not bench.arm(tools.gentle(kinds[0], self.spec.ranges)) else bench
+
+    def reporting(self) -> Bench:
+        """Set up alpha and beta so that they report, with `prompt`: armed, if they only reply to commands."""
+        bench = self.start()
+        if self.prompt and not bench.arm(tools.gentle(type(self.prompt[0]), self.spec.ranges)):
+            raise Failure("does not arm, and reports only in replies to commands")
+        return bench
+
+    @property
+    def prompt(self) -> list[Command]:
+        """The commands that make the devices report: none, but for those that only reply to commands."""
+        if self.spec.feedback is not FeedbackKind.REPLY or not self.kinds:
+            return []
+        gentlest = Torque if Torque in self.kinds else self.kinds[0]
+        return [tools.build(gentlest, name, self.spec.ranges) for name in NAMES]
 
     @cached_property
     def specs(self) -> tuple[Spec, ...]:

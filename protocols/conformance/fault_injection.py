@@ -18,7 +18,7 @@ from protocols.conformance.bench import ALPHA, ARMING, NAMES, STEP, Bench, Messa
 from protocols.conformance.case import Case, Failure, by_name
 from protocols.frames import Frame
 from protocols.messages import Command, Event, Message, Mode, Nanos, Request
-from protocols.plugin import Driver, Range, Spec
+from protocols.plugin import Driver, FeedbackKind, Range, Spec
 
 Giving: TypeAlias = Callable[[int], Messages]
 """The messages to give, by the number of the step."""
@@ -26,6 +26,8 @@ SPEED = 2.0
 """rad/s at which shafts are turned."""
 SLACK = 0.01
 """rad that a shaft may give way beside the declared resolution: half a degree."""
+UNREPORTED = 100
+"""Steps after which a device that reports nothing is ready."""
 STILL = 1e-9
 """N·m that count as zero."""
 
@@ -164,10 +166,24 @@ class Rig:
         """Step until a condition holds; False if it does not within this many steps."""
         return any(holds(self.step(messages(at) if callable(messages) else messages)) for at in range(most))
 
+    @property
+    def only_replies(self) -> bool:
+        """True if the devices report nothing without a command."""
+        return self.spec.feedback is FeedbackKind.REPLY
+
+    @property
+    def prompt(self) -> Messages:
+        """What makes the devices report: nothing, but commands at rest to those that only reply."""
+        return self.at_rest(liveliest(self.spec), *self.names) if self.only_replies else ()
+
     def get_ready(self) -> None:
-        """Step until every device is reported ready (one that reports no state: a tenth of the bound).
+        """Step until every device is reported ready (one that reports no state: a tenth of the bound; one
+        that reports nothing without a command: a few steps).
 
         Raises Failure."""
+        if self.only_replies:
+            self.wait(UNREPORTED)
+            return
         measuring = set(self.names) if "Feedback.position" in self.spec.ranges else set()
         for count in range(ARMING):
             self.step()
@@ -198,7 +214,12 @@ class Rig:
 
     def at_rest(self, kind: type[Command], *names: str) -> list[Command]:
         """Return commands of this kind that keep these shafts where they are measured to be."""
-        return [resting(kind, self.spec, name, self.measured.get(name, 0.0)) for name in names or (ALPHA,)]
+        return [resting(kind, self.spec, name, self.place(name)) for name in names or (ALPHA,)]
+
+    def place(self, name: str = ALPHA) -> float:
+        """Return where a shaft was measured last; where it is, if nothing is measured without a command."""
+        there = self.bench.shafts[name].position
+        return there if self.only_replies else self.measured.get(name, there)
 
     def disarm(self, most: int = 2000) -> bool:
         """Give Idle until every device is reported disarmed, and for a few steps more."""
@@ -278,10 +299,11 @@ def liveliest(spec: Spec) -> type[Command]:
     return first or by_name(spec.commands - {msg.Idle})[0]
 
 
-def slack(spec: Spec, position: float) -> float:
-    """Return by how much [rad] a set-point may miss the shaft: the declared resolutions, and SLACK."""
+def slack(spec: Spec, position: float, kind: type[Command] = msg.Position) -> float:
+    """Return by how much [rad] a set-point of a command may miss the shaft: the declared resolutions, and
+    SLACK."""
     none = Range(0.0, 0.0, 0.0)
-    both = (spec.ranges.get("Feedback.position", none), spec.ranges.get("Position.position", none))
+    both = [spec.ranges.get(f"{name}.position", none) for name in ("Feedback", kind.__name__)]
     return SLACK + sum(b.resolution + b.relative * abs(position) for b in both)
 
 

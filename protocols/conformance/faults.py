@@ -61,6 +61,8 @@ def _each_is_reported(case: Case, spec: Spec, codes: list[int]) -> None:
         if rig is None:
             rig = make_rig(case)
             rig.get_ready()
+            if rig.only_replies:
+                rig.must_arm(rig.prompt)
         rig.faults.clear()
         rig.cables[ALPHA].provoke(code)
         _must_report(rig, spec, code, "at rest, ")
@@ -77,7 +79,7 @@ def _must_report(rig: Rig, spec: Spec, code: int, when: str) -> None:
     def reported(_: StepResult) -> bool:
         return rig.mode() is Mode.FAULT and any(event.code == code for event in named(rig.faults))
 
-    if rig.until(reported, REPORTED):
+    if rig.until(reported, REPORTED, rig.prompt):
         event: Fault = next(event for event in named(rig.faults) if event.code == code)
         wrong = ""
         if event.name != fault.name:
@@ -98,9 +100,9 @@ def _must_report(rig: Rig, spec: Spec, code: int, when: str) -> None:
 def _must_clear(rig: Rig, when: str) -> None:
     """An operator clears, once. Raises Failure."""
     rig.step([ClearFault(ALPHA)])
-    if not rig.until(lambda _: rig.mode() is not Mode.FAULT, CLEARED):
+    if not rig.until(lambda _: rig.mode() is not Mode.FAULT, CLEARED, rig.prompt):
         text = f"ClearFault does not clear in {CLEARED} ms"
-    elif rig.until(lambda _: rig.mode() is Mode.FAULT, REPORTED // 4):
+    elif rig.until(lambda _: rig.mode() is Mode.FAULT, REPORTED // 4, rig.prompt):
         text = "ClearFault clears, and a moment later the device is in fault again"
     else:
         return
@@ -119,7 +121,7 @@ class _InMotion:
         """Trip it, try everything that must not clear it, and at last a new driver. Raises Failure."""
         rig, kind = make_rig(self.case), liveliest(self.spec)
         rig.get_ready()
-        start = rig.measured.get(ALPHA, 0.0)
+        start = rig.place()
         rig.must_arm(rig.at_rest(kind))
         rig.until(lambda _: False, 80, lambda at: [moving(kind, self.spec, ALPHA, start, at)])
         rig.cables[ALPHA].provoke(self.code)
@@ -141,7 +143,7 @@ class _InMotion:
             if clearing:
                 text = f"fault {self.code}: during {what} the device is sent {clearing[0]} without a request"
                 raise rig.failure(text, step.down, clearing[:1])
-        rig.until(lambda _: rig.mode() is Mode.FAULT, REPORTED)
+        rig.until(lambda _: rig.mode() is Mode.FAULT, REPORTED, rig.prompt)
         if rig.mode() is not Mode.FAULT:
             raise rig.failure(f"{where} the driver reports {rig.mode()}")
         if abs(torque_of(rig.step())) > STILL:
@@ -149,7 +151,7 @@ class _InMotion:
 
     def _commands(self, rig: Rig) -> Iterator[Messages]:
         """Give each type of command for a while: every change may be a change of the device's mode."""
-        start = rig.measured.get(ALPHA, 0.0)
+        start = rig.place()
         for kind in self.case.kinds:
             for at in range(EACH):
                 yield [moving(kind, self.spec, ALPHA, start, at)]
@@ -160,7 +162,7 @@ class _InMotion:
         cable.up = cable.down = False
         for _ in range(REPORTED + self.spec.offline_after // STEP):
             if rig.mode() is not Mode.OFFLINE:
-                yield ()
+                yield rig.prompt
         cable.up = cable.down = True
 
     def _with_new_driver(self, rig: Rig) -> None:

@@ -14,7 +14,8 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from protocols import messages as msg
 from protocols.conformance import bench as tools
@@ -24,7 +25,7 @@ from protocols.conformance.case import Case, Failure, Inapplicable, shown
 from protocols.conformance.fault_injection import liveliest, resting
 from protocols.frames import Frame
 from protocols.messages import Command, Event, Mode, Nanos, Obeyed
-from protocols.plugin import CommandDecoder, Driver, Twin
+from protocols.plugin import CommandDecoder, Driver, Range, Twin
 
 PLACE = 0.75
 """rad where every shaft stands."""
@@ -283,7 +284,7 @@ def _disobeyed(case: Case, state: _State, message: Obeyed, frame: Frame, at: int
         return "" if abs(torque) <= NONE else f"it should disarm, and applies {torque:.6g} N·m"
     if not isinstance(message, Command) or state.faulty or not tools.within(message, case.spec.ranges):
         return ""
-    wanted = push(message)
+    wanted = push(message, case.spec.ranges)
     if wanted and torque * wanted <= 0.0:
         return f"it receives the command, and applies {torque:.6g} N·m"
     return ""
@@ -302,9 +303,15 @@ def _armed_otherwise(state: _State, messages: Sequence[Obeyed], frame: Frame, at
     return f"Arm is not decoded, and it applies {torque:.6g} N·m" if torque else ""
 
 
-def push(command: Command) -> float:
-    """Return a number with the sign in which a command pushes a shaft at rest at PLACE; 0.0: unclear."""
+def push(command: Command, ranges: dict[str, Range]) -> float:
+    """Return a number with the sign in which a command pushes a shaft at rest at PLACE; 0.0: unclear.
+
+    A velocity and a torque that are zero but for their resolutions push nowhere."""
     along: list[float] = []
+    for name, key in tools.numbers(type(command), ranges):
+        if name in ("velocity", "torque") and abs(getattr(command, name)) <= ranges[key].resolution:
+            change: dict[str, Any] = {name: 0.0}
+            command = replace(command, **change)
     if isinstance(command, msg.Torque):
         along = [command.torque if abs(command.torque) > 1e-3 else 0.0]
     elif isinstance(command, msg.Velocity):

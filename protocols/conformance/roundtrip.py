@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from protocols import messages as msg
 from protocols.conformance import bench as tools
-from protocols.conformance.bench import NAMES, STEP, Bench
+from protocols.conformance.bench import ALPHA, NAMES, STEP, Bench
 from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.random import Random
 from protocols.frames import Frame
@@ -21,6 +21,8 @@ from protocols.plugin import Range, Spec
 
 SANE = 1e5
 """rad, rad/s: no shaft is given more, whatever number a frame could carry."""
+UNREACHED = 1e30
+"""rad, rad/s: the ends of floating-point numbers are beyond it, and no shaft gets there."""
 STEPS = 30
 """Steps within which a command must arrive."""
 
@@ -31,7 +33,9 @@ def commands_arrive(case: Case) -> None:
     if not spec.commands:
         raise Inapplicable("the spec lists no commands")
     for kind in case.kinds:
-        _all_arrive(case, kind, list(_samples(kind, spec.ranges, random)))
+        samples = list(_samples(kind, spec.ranges, random))
+        _all_arrive(case, kind, samples)
+        _synonyms_are_the_same(case, kind, samples)
     if msg.Idle in spec.commands and case.kinds:
         bench = _armed(case, tools.gentle(case.kinds[0], spec.ranges))
         failure = bench and _not_received(bench, spec, [msg.Idle(name) for name in NAMES])
@@ -82,13 +86,43 @@ def _not_received(bench: Bench, spec: Spec, commands: Sequence[Command]) -> Fail
 
 def obeyed(bench: Bench, spec: Spec, given: Command, received: Obeyed) -> bool:
     """True if a device that obeys `received` does what was given."""
-    if isinstance(given, msg.Hold) and isinstance(received, msg.Position) and received.motor == given.motor:
+    if not isinstance(received, Command):
+        return False
+    ranges = spec.ranges
+    if isinstance(given, msg.Hold) and not isinstance(received, msg.Hold):
         # Many devices have no Hold: the driver then sends the position at which the shaft was measured.
-        measured = spec.ranges.get("Feedback.position", Range(0.0, 0.0, 0.0))
-        bounds = spec.ranges.get("Position.position", measured)
-        both = replace(bounds, resolution=bounds.resolution + measured.resolution)
-        return tools.close(bench.shafts[given.motor].position, received.position, both)
-    return tools.same(given, received, spec.ranges)
+        given = msg.Position(given.motor, bench.shafts[given.motor].position)
+        key = f"{type(spec.canonical(given)).__name__}.position"
+        measured = ranges.get("Feedback.position", Range(0.0, 0.0, 0.0))
+        bounds = ranges.get(key, measured)
+        ranges = {**ranges, key: replace(bounds, resolution=bounds.resolution + measured.resolution)}
+    return tools.same(spec.canonical(given), spec.canonical(received), ranges)
+
+
+def _synonyms_are_the_same(case: Case, kind: type[Command], samples: Sequence[dict[str, float]]) -> None:
+    """What has the same canonical form is decoded as the same, and that form is a command of the spec."""
+    spec = case.spec
+    for values in (samples[0], *samples[-2:]):
+        command = tools.exactly(kind, NAMES[0], values)
+        synonym = spec.canonical(command)
+        if synonym == command:
+            continue
+        if type(synonym) not in spec.commands or spec.canonical(synonym) != synonym:
+            text = "its canonical form is no command of the spec, or has another canonical form"
+            raise Failure(text, (), (command, synonym))
+        one, other = _last_received(case, command), _last_received(case, synonym)
+        if one is None or other is None or not tools.same(one, other, spec.ranges):
+            decoded = [message for message in (one, other) if message]
+            text = "the spec's canonical form makes synonyms of commands that are decoded differently"
+            raise Failure(text, (), (command, synonym, *decoded))
+
+
+def _last_received(case: Case, command: Command) -> Command | None:
+    """Return the last command decoded for an armed motor that gets this one."""
+    bench = _armed(case, tools.gentle(type(command), case.spec.ranges))
+    steps = bench.steps(STEPS, [command]) if bench else []
+    decoded = [m for step in steps for m in step.received if isinstance(m, Command)]
+    return next((each for each in reversed(decoded) if each.motor == command.motor), None)
 
 
 # -- samples -----------------------------------------------------------------------------------------------
@@ -150,26 +184,29 @@ def _sane(bounds: Range) -> Range:
 
 def _is_reported(case: Case, spec: Spec, name: str, values: dict[str, float]) -> None:
     """The driver reports each motor's position or velocity, as soon as its filters have settled."""
-    bench = case.start()
+    bench = case.reporting()
     for motor, value in values.items():
         bench.shafts[motor].locked = True
         setattr(bench.shafts[motor], name, value)
-    settled = _settled(bench, spec, name)
+    settled = _settled(case, bench, name)
     for motor, value in values.items():
-        event = settled.get(motor)
+        event, bounds = settled.get(motor), spec.ranges[f"Feedback.{name}"]
+        end = 3.0 * bounds.resolution
+        if event is None and not bounds.low + end < value < bounds.high - end:
+            continue  # it may as well be beyond its range
         if event is None:
             raise Failure(f"{name} of {motor} is {value!r}, and is not reported")
         reported = getattr(event, name)
-        if not tools.close(value, reported, spec.ranges[f"Feedback.{name}"]):
+        if not tools.close(value, reported, bounds):
             text = f"{name} of {motor} is {value!r}, reported {reported!r}"
             raise Failure(text, bench.in_flight, (event,))
 
 
-def _settled(bench: Bench, spec: Spec, name: str) -> dict[str, msg.Feedback]:
+def _settled(case: Case, bench: Bench, name: str) -> dict[str, msg.Feedback]:
     """Return the last Feedback of each motor after ten periods and a tenth of a second, for its filters."""
     last: dict[str, msg.Feedback] = {}
-    count = 100 + 10 * (spec.feedback_period // STEP)
-    for step in bench.steps(count):
+    count = 100 + 10 * (case.spec.feedback_period // STEP)
+    for step in bench.steps(count, case.prompt):
         for event in step.events:
             if not isinstance(event, msg.Feedback):
                 continue
@@ -178,6 +215,35 @@ def _settled(bench: Bench, spec: Spec, name: str) -> dict[str, msg.Feedback]:
             if getattr(event, name) is not None:
                 last[event.motor] = event
     return last
+
+
+def beyond_its_range_is_not_measured(case: Case) -> None:
+    """A position or velocity beyond its range is not reported, and is again when it is back inside.
+
+    A torque cannot be driven beyond its range from outside."""
+    quantities = [
+        (name, bounds)
+        for name in ("position", "velocity")
+        if (bounds := case.spec.ranges.get(f"Feedback.{name}")) and max(-bounds.low, bounds.high) < UNREACHED
+    ]
+    if not quantities:
+        raise Inapplicable("the spec has no range for position or velocity that a shaft can leave")
+    for name, bounds in case.sample(quantities):
+        bench, middle = case.reporting(), 0.5 * (bounds.low + bounds.high)
+        for shaft in bench.shafts.values():
+            shaft.locked = True
+        for end in case.sample([bounds.high, bounds.low]):
+            inside, outside = 0.5 * (end + middle), end + 0.6 * (end - middle)
+            for value in (inside, outside, end + 0.01 * (end - middle), inside):
+                setattr(bench.shafts[ALPHA], name, value)
+                _settled(case, bench, name)
+                event = _settled(case, bench, name).get(ALPHA)
+                reported = getattr(event, name) if event else None
+                if reported is None and value == inside:
+                    raise Failure(f"{name} is {value:.6g}, inside its range again, and is not reported")
+                if reported is not None and not tools.close(value, reported, bounds):
+                    text = f"{name} is {value:.6g}, beyond its range, and is reported as {reported:.6g}"
+                    raise Failure(text, bench.in_flight, [event] if event else [])
 
 
 def _sensors_arrive(case: Case, spec: Spec, random: Random) -> None:

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TypeAlias
 
 from protocols import messages as msg
-from protocols.conformance.bench import ALPHA, ARMING, STEP, Messages, StepResult
+from protocols.conformance.bench import ALPHA, ARMING, STEP, Messages, Shaft, StepResult, numbers
 from protocols.conformance.case import Case, Failure, Inapplicable
 from protocols.conformance.fault_injection import (
     STILL,
@@ -26,7 +26,7 @@ from protocols.conformance.fault_injection import (
     takeover,
     torque_of,
 )
-from protocols.messages import Command, Mode, Obeyed
+from protocols.messages import Command, Mode, Obeyed, seconds
 from protocols.plugin import Spec
 
 Trial: TypeAlias = Callable[[Case], None]
@@ -41,6 +41,8 @@ CUTS = (0, 1, 2, 3, 4, 5, 6, 8, 11, 15, 20, 28, 40, 55, 75, 100, 140, 200)
 """Steps of arming after which Idle is given: every second of them with each command, by the seed."""
 DISARMED = 1500
 """Steps within which Idle must have disarmed."""
+GAINS = {"position": "stiffness", "velocity": "damping"}
+"""What makes a set-point of a number of Impedance."""
 LOST = 60
 """Steps for which replies, or the first frames of Idle, are lost."""
 
@@ -81,12 +83,12 @@ def _arms_from(case: Case, spec: Spec, kind: type[Command], place: float) -> Non
     if not codes or msg.ClearFault not in spec.requests:
         return
     rig.cables[ALPHA].provoke(case.random().choice(codes))
-    if not rig.until(lambda _: rig.mode() is Mode.FAULT, DISARMED):
+    if not rig.until(lambda _: rig.mode() is Mode.FAULT, DISARMED, rig.prompt):
         raise rig.failure("a fault of the device is not reported by State FAULT")
     rig.wait(AFTER, [msg.Idle(ALPHA)] if msg.Idle in spec.commands else [])
     rig.turn(-2.0 * BY_HAND)
     rig.step([msg.ClearFault(ALPHA)])
-    if not rig.until(lambda _: rig.mode() is not Mode.FAULT, DISARMED):
+    if not rig.only_replies and not rig.until(lambda _: rig.mode() is not Mode.FAULT, DISARMED):
         raise rig.failure("ClearFault does not clear")
     _arms_still(rig, spec, kind, "after a fault, turned by hand")
 
@@ -95,15 +97,17 @@ def _arms_still(rig: Rig, spec: Spec, kind: type[Command], when: str) -> None:
     """Arm by a command at rest, at the measured position: nothing may move."""
     shaft = rig.bench.shafts[ALPHA]
     place = shaft.position
-    command = resting(kind, spec, ALPHA, rig.measured.get(ALPHA, place))
-    room = slack(spec, place)
+    command = resting(kind, spec, ALPHA, rig.place())
     jump: list[tuple[str, StepResult, Messages]] = []
+    pushed = 0
 
     def jumps(result: StepResult) -> bool:
-        away = [m for m in named(result.received) if leads_away(m, place, room)]
+        nonlocal pushed
+        pushed += torque_of(result) != 0.0
+        away = [m for m in named(result.received) if leads_away(m, spec, place)]
         if away:
             jump.append((f"the device is sent {away[0]}", result, away[:1]))
-        elif abs(shaft.position - place) > room:
+        elif abs(shaft.position - place) > slack(spec, place) + _drift(spec, kind, shaft, pushed):
             jump.append((f"the shaft moves to {shaft.position:.6g} rad", result, ()))
         return bool(jump)
 
@@ -117,22 +121,35 @@ def _arms_still(rig: Rig, spec: Spec, kind: type[Command], when: str) -> None:
     raise rig.failure(text, result.down, received)
 
 
-def leads_away(message: Obeyed, place: float, room: float) -> bool:
-    """True if obeying this moves a shaft that stands at `place` by more than `room`, or redefines zero."""
-    match message:
-        case msg.Position(_, position, velocity, torque):
-            asked = (position - place, velocity, torque)
-        case msg.Impedance():
-            # Without stiffness the position is no set-point, nor is the velocity without damping.
-            pull = message.position - place if message.stiffness else 0.0
-            asked = (pull, message.velocity if message.damping else 0.0, message.torque)
-        case msg.Velocity(_, velocity, torque):
-            asked = (0.0, velocity, torque)
-        case msg.Torque(_, torque):
-            asked = (0.0, 0.0, torque)
-        case _:
-            return isinstance(message, msg.Home | msg.Zero)
-    return any(abs(number) > room for number in asked)
+def _drift(spec: Spec, kind: type[Command], shaft: Shaft, steps: int) -> float:
+    """Return how far [rad] a shaft may be pushed by a velocity and a torque that are zero but for their
+    resolutions: in 12 bits there is no zero."""
+    span = seconds(steps * STEP)
+    fine = {name: spec.ranges[key].resolution for name, key in numbers(kind, spec.ranges)}
+    return fine.get("velocity", 0.0) * span + fine.get("torque", 0.0) / shaft.inertia * span**2 / 2.0
+
+
+def leads_away(message: Obeyed, spec: Spec, place: float) -> bool:
+    """True if obeying this moves a shaft that stands at `place`, or redefines zero.
+
+    Each number may miss by its own resolution; a position also by that with which it was measured."""
+    if not isinstance(message, Command):
+        return isinstance(message, msg.Home | msg.Zero)
+    # Without stiffness the position is no set-point, nor is the velocity without damping.
+    loose = isinstance(message, msg.Impedance)
+    unused = {name for name, gain in GAINS.items() if loose and _is_zero(message, gain, spec)}
+    position: float = getattr(message, "position", place)
+    far = abs(position - place) > slack(spec, place, type(message))
+    return (far and "position" not in unused) or not all(
+        name in unused or _is_zero(message, name, spec) for name in ("velocity", "torque")
+    )
+
+
+def _is_zero(message: Command, name: str, spec: Spec) -> bool:
+    """True if a message has no such number, or it is zero but for its resolution."""
+    bounds = spec.ranges.get(f"{type(message).__name__}.{name}")
+    number: float = getattr(message, name, 0.0)
+    return abs(number) <= (bounds.resolution if bounds else 0.0)
 
 
 # -- disarming -------------------------------------------------------------------------------------------

@@ -14,14 +14,13 @@ from protocols.conformance.fault_injection import (
     STILL,
     Rig,
     make_rig,
-    resting,
     slack,
     takeover,
     torque_of,
 )
 from protocols.conformance.passivity import read_only
 from protocols.messages import Command, Done, Found, Hold, Idle, Mode, Position, Reboot, Refused, Scan
-from protocols.plugin import Spec
+from protocols.plugin import FeedbackKind, Spec
 
 PLACE = 0.7
 """rad where the shafts stand."""
@@ -41,6 +40,8 @@ def load_is_held(case: Case) -> None:
     kinds = _holding(case.spec)
     if not kinds:
         raise Inapplicable("the spec lists neither Hold nor Position: the device holds no load")
+    if case.spec.feedback is FeedbackKind.REPLY:
+        raise Inapplicable("the spec's feedback is reply: without a command it is not known that it runs")
     _attach(case, case.random().choice(kinds), kinds[0])
 
 
@@ -55,7 +56,7 @@ def _loaded(case: Case, kind: type[Command], count: int = 1) -> tuple[Rig, list[
     Returns the rig, what that host is given, and how far the shaft gave way at most [rad]."""
     rig = make_rig(case, count, position=PLACE)
     rig.get_ready()
-    commands = [resting(kind, rig.spec, name, rig.measured.get(name, PLACE)) for name in rig.names]
+    commands = rig.at_rest(kind, *rig.names)
     rig.must_arm(commands)
     shaft = rig.bench.shafts[ALPHA]
     place, shaft.load = shaft.position, LOAD
@@ -94,7 +95,7 @@ def _take_over(rig: Rig, kind: type[Command], gave_way: float) -> None:
     shaft = rig.bench.shafts[ALPHA]
     place = shaft.position
     room = 1.2 * gave_way + slack(rig.spec, place)
-    command = resting(kind, rig.spec, ALPHA, rig.measured.get(ALPHA, place))
+    (command,) = rig.at_rest(kind)
     rig.host.other = None
     rig.obeyed.clear()
     rig.faults.clear()  # a driver may well report two hosts on one bus
@@ -123,7 +124,8 @@ def scan_is_read_only(case: Case) -> None:
     """Scan finds the devices by read-only frames; what runs goes on, what is in fault stays in fault."""
     if Scan not in case.spec.requests:
         raise Inapplicable("the spec lists no request Scan")
-    for scan in case.sample([_scan_new, *([_scan_running] if _holding(case.spec) else [])]):
+    known = _holding(case.spec) and case.spec.feedback is not FeedbackKind.REPLY
+    for scan in case.sample([_scan_new, *([_scan_running] if known else [])]):
         scan(case)
 
 

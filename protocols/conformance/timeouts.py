@@ -128,11 +128,14 @@ def _trip_steps(watchdog: Watchdog) -> int:
 
 
 def _must_have_tripped(rig: Rig, work: float, when: str, names: Sequence[str] = ()) -> None:
-    """The device no longer drives its shaft, and the driver reports it. Raises Failure."""
+    """The device no longer drives its shaft, and the driver reports it (but of one that only replies to
+    commands, which would arm it again). Raises Failure."""
     done = _move(rig, WINDOW, names) if names else sum(_work(rig, rig.step()) for _ in range(WINDOW))
     if done > SPARED * work:
         raise rig.failure(f"{when}: the device still drives its shaft")
     rig.host.alive = True
+    if rig.only_replies:
+        return
     rest = rig.at_rest(liveliest(rig.spec), *names) if names else []
     if not rig.until(lambda _: rig.mode() is not Mode.ARMED or bool(named(rig.faults)), REPORTED, rest):
         text = f"the device has stopped; in {REPORTED} ms the driver reports neither State nor Fault"
@@ -192,7 +195,8 @@ def silent_device_is_offline(case: Case) -> None:
         raise Inapplicable("the spec's kind is sensor: it has no joint that could lose its feedback")
     if spec.feedback is FeedbackKind.NONE:
         raise Inapplicable("the spec's feedback is none")
-    trials: list[Callable[[Case], None]] = [_never_there, partial(_falls_silent, None)]
+    trials: list[Callable[[Case], None]] = [_never_there]
+    trials += [partial(_falls_silent, None)] if spec.feedback is not FeedbackKind.REPLY else []
     trials += [partial(_falls_silent, kind) for kind in case.kinds[:1]]
     for trial in case.sample(trials):
         trial(case)
@@ -202,9 +206,10 @@ def _never_there(case: Case) -> None:
     """Alpha is not on the bus at all; the host calls its driver only when that is due."""
     rig = make_rig(case, 2)
     rig.cables[ALPHA].up = rig.cables[ALPHA].down = False
-    rig.step()
+    messages = rig.prompt
+    rig.step(messages)
     rig.host.lazy = True
-    _is_reported_offline(rig, rig.now, (), "a device that is not there")
+    _is_reported_offline(rig, rig.now, messages, "a device that is not there")
 
 
 def _falls_silent(kind: type[Command] | None, case: Case) -> None:

@@ -137,7 +137,7 @@ def _cut_frames_report_nothing(case: Case, bench: Bench) -> None:
     """A frame that lacks its end reports no number that the whole frame does not report."""
     for shaft, position in zip(bench.shafts.values(), (1.25, -2.75), strict=True):
         shaft.position, shaft.velocity, shaft.locked = position, 0.5 * position, True
-    for frame in dict.fromkeys(frame for step in bench.steps(300)[-100:] for frame in step.up):
+    for frame in dict.fromkeys(frame for step in bench.steps(300, case.prompt)[-100:] for frame in step.up):
         data = tools.data_of(frame)
         whole = _numbers(_received(case, [frame])[0])
         for size in range(len(data)):
@@ -185,7 +185,7 @@ def _is_counted_once(case: Case, messages: list[bytes], at: int, damaged: bytes,
 def _messages_of_devices(case: Case) -> list[bytes]:
     """Return what the devices send in a second, up to 200 messages."""
     bench = case.armed() or case.start()
-    frames = [frame for _ in range(1000) for frame in bench.step().up][:200]
+    frames = [frame for _ in range(1000) for frame in bench.step(case.prompt).up][:200]
     return [frame for frame in frames if isinstance(frame, bytes) and frame]
 
 

@@ -128,8 +128,14 @@ def test_within() -> None:
     ids=str,
 )
 def test_which_way_a_command_pushes(command: Command, sign: int) -> None:
-    way = push(command)
+    way = push(command, {})
     assert (way > 0) - (way < 0) == sign
+
+
+def test_what_is_zero_but_for_its_resolution_pushes_nowhere() -> None:
+    ranges = {"Velocity.velocity": Range(-45.0, 45.0, 0.011), "Velocity.torque": Range(-18.0, 18.0, 0.0044)}
+    assert push(msg.Velocity("m", 2.0, -0.0044), {}) == 0.0
+    assert push(msg.Velocity("m", 2.0, -0.0044), ranges) > 0.0
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from protocols.frames import BusState
 from protocols.messages import Command, Mode, Request
 from protocols.odrive_can import plugin as odrive
 from protocols.plain import plugin as plain
+from protocols.plugin import Range
 from tests.protocols.broken import motors
 
 
@@ -74,7 +75,7 @@ def test_what_is_dropped_reaches_no_device() -> None:
     assert (step.down, step.received) == ((), ())
     rig.host.dropping = False
     rig.host.bus(rig.now, BusState.UP)
-    assert rig.step([msg.Torque("alpha", 0.5)]).received == (msg.Torque("alpha", 0.5),)
+    assert rig.step([msg.Torque("alpha", 0.5)]).received == (msg.Arm("alpha"), msg.Torque("alpha", 0.5))
 
 
 def test_a_new_host_beside_another_reports_only_what_it_received() -> None:
@@ -83,7 +84,7 @@ def test_a_new_host_beside_another_reports_only_what_it_received() -> None:
     rig.host.other, rig.host.others_messages = before.host.driver, [msg.Velocity("alpha", 1.0)]
     assert rig.until(lambda _: rig.mode() is Mode.ARMED, 300)
     step = rig.step()
-    assert step.received == (msg.Velocity("alpha", 1.0),)
+    assert step.received == (msg.Arm("alpha"), msg.Velocity("alpha", 1.0))
     assert rig.host.sent == ()
 
 
@@ -134,13 +135,24 @@ def test_a_shaft_turned_by_hand_is_measured_where_it_was_released() -> None:
     ],
 )
 def test_what_leads_away_from_where_a_shaft_stands(message: Command | Request, jumps: bool) -> None:
-    assert leads_away(message, 0.7, 0.01) is jumps
+    assert leads_away(message, case().spec, 0.7) is jumps
+
+
+def test_each_number_may_miss_by_its_own_resolution() -> None:
+    """Half a step of 12 bits: ±45 rad/s, ±18 N·m, and 16 bits of ±12.5 rad."""
+    packed = {"position": 12.5 / 65535, "velocity": 45 / 4095, "torque": 18 / 4095}
+    ranges = {f"Position.{name}": Range(-50.0, 50.0, fine) for name, fine in packed.items()}
+    spec = replace(case().spec, ranges=ranges)
+    assert not leads_away(msg.Position("alpha", 0.7, 0.01098, -0.00439), spec, 0.7)
+    assert leads_away(msg.Position("alpha", 0.7, 0.0110, 0.0), spec, 0.7)
+    assert leads_away(msg.Position("alpha", 0.7, 0.0, 0.0044), spec, 0.7)
+    assert leads_away(msg.Velocity("alpha", 0.0, 1e-9), case().spec, 0.7)
 
 
 def test_a_command_at_rest_asks_for_nothing() -> None:
     spec = case().spec
     for kind in sorted(spec.commands, key=lambda kind: kind.__name__):
-        assert not leads_away(resting(kind, spec, "alpha", 0.7), 0.7, 1e-9)
+        assert not leads_away(resting(kind, spec, "alpha", 0.7), spec, 0.7)
 
 
 def test_a_watchdog_that_is_off_is_switched_on_by_settings() -> None:

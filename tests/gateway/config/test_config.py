@@ -24,7 +24,7 @@ from gateway.errors import ConfigError
 from protocols import plugin
 from protocols.frames import EXTENDED_BIT, exact
 from protocols.messages import MILLISECOND, Idle, Nanos, Torque
-from protocols.plugin import Device, Plugin, Spec
+from protocols.plugin import Device, Plugin, Range, Spec
 from tests.gateway.bag_helpers import ROBOT as WITH_BAG
 from tests.gateway.rig import WATCHED
 
@@ -557,6 +557,34 @@ def mixed_cautions(text: str, **changes: Any) -> list[str]:
     own["obeys_also"] = ()
     text, find = foreign_left(text, **own | changes)
     return [found for found in cautions(parse_robot(text, find=find)) if "watchdog" not in found]
+
+
+NARROW = "left: its device reports at most 12.5 rad at its own shaft, and no position beyond; "
+SOON = "without limits of position it gets there in 0.0781 s: give it limits of position"
+FAR = "its limits of position reach 12.8 rad: narrow its limits of position"
+
+
+@pytest.mark.parametrize(
+    ("limits", "most", "start"),
+    [
+        (None, 12.5, NARROW + SOON),
+        (None, 1e6, ""),  # in more than an hour
+        ((-1.5, 1.5), 12.5, ""),
+        ((-1.6, 1.5), 12.5, NARROW + FAR),
+        ((-1.6, 1.5), 3.4e38, ""),
+    ],
+)
+def test_a_joint_that_can_turn_past_what_its_device_reports(
+    limits: tuple[float, float] | None, most: float, start: str
+) -> None:
+    """At a gear of 8 and 20 rad/s."""
+    robot = parse_robot(ROVER)
+    left = robot.motors["left"]
+    ranges = left.spec.ranges | {"Feedback.position": Range(-most, most + 1.0, 2e-4)}
+    joint = dataclasses.replace(left.joint, limits=dataclasses.replace(left.joint.limits, position=limits))
+    left = dataclasses.replace(left, joint=joint, spec=dataclasses.replace(left.spec, ranges=ranges))
+    found = cautions(dataclasses.replace(robot, motors=robot.motors | {"left": left}))
+    assert [one.startswith(start) for one in found] == [True] * bool(start)
 
 
 FD = 'kind = "canfd"\ndata_bitrate = 5_000_000'
