@@ -3,37 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
+from typing import Protocol
 
 from protocols.frames import Frame
-from protocols.messages import Nanos, Obeyed
-from protocols.plugin import Device
+from protocols.messages import Command, Nanos, Obeyed
 from protocols.toolkit.table import Decoded, Table
 
-Memory = TypeVar("Memory")
+
+class Memory(Protocol):
+    """What a device keeps of the frames it received. The twin's firmware runs on the very same object, so
+    that decoder and twin cannot disagree."""
+
+    def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
+        """Apply a message to any address; return what the device then does."""
+        ...
 
 
-class TableDecoder(Generic[Memory]):
-    """The command decoder of the devices on one bus.
+class TableDecoder:
+    """The command decoder of the devices on one bus: of each its table, its memory as it is when switched on,
+    and the canonical form of its commands."""
 
-    `memory`: what a device keeps of earlier messages, as it is when switched on; `obey`: what it does with a
-    message to any address, given and updating its memory; `table`: that of a device."""
+    def __init__(self, devices: Sequence[tuple[Table, Memory, Callable[[Command], Command]]]) -> None:
+        self._devices = devices
 
-    def __init__(
-        self,
-        devices: Sequence[Device],
-        table: Callable[[Device], Table],
-        memory: Callable[[Device], Memory],
-        obey: Callable[[Memory, Decoded], Sequence[Obeyed]],
-    ) -> None:
-        self._memories = [(table(device), memory(device)) for device in devices]
-        self._obey = obey
-
-    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:  # noqa: ARG002 -- the interface's
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in this frame; [] if nothing."""
         obeyed: list[Obeyed] = []
-        for table, memory in self._memories:
+        for table, memory, canonical in self._devices:
             decoded = table.decode(frame, "to_device")
             if decoded is not None and decoded.name:
-                obeyed += self._obey(memory, decoded)
+                does = memory.obey(decoded)
+                obeyed += [canonical(each) if isinstance(each, Command) else each for each in does]
         return obeyed

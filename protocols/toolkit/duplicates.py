@@ -115,16 +115,16 @@ class AnswerCount:
     asked: int = 0
     answered: int = 0
 
-    def add(self, t: Nanos) -> bool:
-        """Count an answer. True if there were too many in the second that ends now."""
+    def add(self, t: Nanos) -> str:
+        """Count an answer. Returns why there must be two devices, "" if there need not be."""
         if self.since is None:
             self.since = t
         self.answered += 1
         if t - self.since < SECOND:
-            return False
+            return ""
         many = self.answered > 1.5 * max(self.asked, 4)
         self.since, self.asked, self.answered = t, 0, 0
-        return many
+        return "more answers than questions" if many else ""
 
     def ask(self, count: int = 1) -> None:
         """Count frames that are answered."""

@@ -11,9 +11,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Event, Feedback, Mode, Nanos, Torque, seconds
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Torque, seconds
 from protocols.plugin import Device, FaultInfo
+from protocols.toolkit.decoder import Memory
+from protocols.toolkit.servo import Encoder, Gains, Servo, clamp
+from protocols.toolkit.table import Decoded
 
 NEVER: Nanos = 1 << 62
 
@@ -180,3 +184,57 @@ class Firmware:
 def milliseconds(value: float) -> Nanos:
     """Return a setting in ms as time."""
     return round(value * MILLISECOND)
+
+
+class ServoFirmware(Firmware):
+    """A motor that does what its memory obeys with the loops of `Servo`: for devices whose firmware is known
+    by its messages only."""
+
+    memory: Memory
+
+    def __init__(self, device: Device, seed: int, memory: Memory, gains: Gains) -> None:
+        super().__init__(device, seed)
+        self.memory = memory
+        self.encoder = Encoder(counts=1e6, bandwidth=1000.0)
+        self.servo = Servo(gains)
+        self.goal: Command = msg.Idle(device.name)
+        self.fastest = math.inf
+        """rad/s on the way to a position"""
+        self.strongest = math.inf
+        """N·m"""
+
+    def obey(self, t: Nanos, decoded: Decoded) -> None:
+        """Do what a message means to this device."""
+        for obeyed in self.memory.obey(decoded):
+            match obeyed:
+                case msg.Arm() if self.arm(t):
+                    self.servo.reset()
+                case msg.Idle():
+                    self.disarm()
+                case msg.ClearFault():
+                    self.clear()
+                case msg.Zero() if self.mode is not Mode.ARMED:
+                    self.encoder.set_position(0.0)
+                case msg.Hold(motor):
+                    self.goal = msg.Position(motor, self.encoder.position)
+                case msg.Position() | msg.Velocity() | msg.Torque() | msg.Impedance():
+                    self.goal = obeyed
+
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        """Run the loops."""
+        encoder, servo = self.encoder, self.servo
+        encoder.measure(dt or 1.0, position, velocity)
+        if self.mode is not Mode.ARMED:
+            return 0.0
+        match self.goal:
+            case msg.Position(_, wanted, forward, torque):
+                torque += servo.move(dt, wanted, forward, self.fastest, encoder)
+            case msg.Velocity(_, wanted, torque):
+                torque += servo.turn(dt, wanted, encoder.velocity)
+            case msg.Impedance() as goal:
+                torque = servo.spring(goal, encoder)
+            case msg.Torque(_, torque):
+                pass
+            case _:
+                return 0.0
+        return clamp(torque, min(self.strongest, servo.gains.torque_limit))

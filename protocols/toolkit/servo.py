@@ -103,9 +103,9 @@ class Servo:
         self.integral = clamp(self.integral + gains.integral * error * dt, gains.torque_limit)
         return clamp(gains.velocity * error + self.integral, gains.torque_limit)
 
-    def move(self, dt: float, position: float, fastest: float, encoder: Encoder) -> float:
-        """Return the torque of the position loop, with a limit of velocity on the way."""
-        wanted = clamp(self.gains.position * (position - encoder.position), fastest)
+    def move(self, dt: float, position: float, velocity: float, fastest: float, encoder: Encoder) -> float:
+        """Return the torque of the position loop around `velocity`, which is limited on the way."""
+        wanted = clamp(self.gains.position * (position - encoder.position) + velocity, fastest)
         return self.turn(dt, wanted, encoder.velocity)
 
     def spring(self, goal: Impedance, encoder: Encoder) -> float:

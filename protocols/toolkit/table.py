@@ -66,6 +66,11 @@ class Field:
         low = -(top >> 1) - 1 if self.kind == "int" else 0
         return low * self.unit, (top >> 1 if self.kind == "int" else top) * self.unit
 
+    def is_end(self, value: float) -> bool:
+        """True if a value lies at an end of the range: it may stand for anything beyond."""
+        low, high = self.ends()
+        return not low + 0.5 * self.step < value < high - 0.5 * self.step
+
     def range(self, unit: float = 1.0, inside: int = 0) -> Range:
         """Return the range in other units (`unit`: SI per unit of the field); `inside`: without as many
         counts at either end, where a device that saturates cannot be told from one that measures."""

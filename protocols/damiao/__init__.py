@@ -1,0 +1,73 @@
+"""Damiao DM-J joint motors over CAN: modes MIT, POS_VEL, VEL and FORCE_POS (README.md). Exports `plugin`."""
+
+from __future__ import annotations
+
+from protocols import messages as msg
+from protocols.damiao.driver import DamiaoAdapter, Options
+from protocols.damiao.table import ADDRESSES, ANY, FAULTS, MODELS, REPLY_BASE
+from protocols.damiao.twin import DamiaoTwin, Settings, motor_of
+from protocols.frames import exact
+from protocols.messages import MILLISECOND, Command
+from protocols.plugin import Device, Plugin, Range, Spec, Watchdog
+from protocols.toolkit.assembly import can_motor, decoder_of, driver_of
+from protocols.toolkit.table import BINARY32
+
+__all__ = ["plugin"]
+
+COMMANDS: dict[str, frozenset[type[Command]]] = {
+    "mit": frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque, msg.Impedance}),
+    "pos_vel": frozenset({msg.Idle, msg.Hold, msg.Position}),
+    "vel": frozenset({msg.Idle, msg.Velocity}),
+    "force_pos": frozenset({msg.Idle, msg.Hold, msg.Position}),
+}
+
+REQUESTS = frozenset({msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Scan})
+
+
+def ranges(options: Options) -> dict[str, Range]:
+    """Return what commands and measurements can carry."""
+    p, v, _ = MODELS[options.model]
+    table, numbers = options.table, ("position", "velocity", "torque")
+    measured = {name: table.range("feedback", name, inside=2) for name in numbers}
+    measured["temperature"] = Range(0.0, 255.0, 0.501)
+    if options.position == "xout":
+        measured["position"] = Range(-1e5, 1e5, 1e-6, BINARY32)
+    commanded = {"Position.position": Range(-p, p, 1e-12, BINARY32)}
+    if options.mode == "mit":
+        commanded = options.gains.ranges()
+    elif options.mode == "vel":
+        commanded = {"Velocity.velocity": Range(-v, v, 1e-12, BINARY32)}
+    return commanded | {f"Feedback.{name}": value for name, value in measured.items()}
+
+
+def spec(device: Device) -> Spec:
+    """Return the contract of one motor. Raises ValueError if its address cannot be one."""
+    options: Options = device.options
+    return can_motor(
+        device,
+        options.table,
+        ADDRESSES,
+        expects=(exact(options.reply(device.address)),),
+        commands=COMMANDS[options.mode],
+        requests=REQUESTS,
+        ranges=ranges(options),
+        watchdog=Watchdog(round(options.timeout_ms * MILLISECOND), enabled=True),
+        faults=FAULTS,
+        receives_also=((REPLY_BASE, 0x7F0),),
+        canonical=options.gains.canonical,
+    )
+
+
+plugin = Plugin(
+    name="damiao",
+    title="Damiao DM-J joint motors over CAN (MIT, POS_VEL, VEL, FORCE_POS)",
+    trust="bytes of every message both ways, and the twin driven: damiao-motor 1.0.6. No hardware yet",
+    options=Options,
+    settings=Settings,
+    spec=spec,
+    driver=driver_of(DamiaoAdapter, ranges),
+    decoder=decoder_of(lambda options: options.table, motor_of, lambda options: options.gains.canonical),
+    twin=DamiaoTwin,
+    messages=ANY.names,
+    vectors=("gateway.fixtures", "vectors/damiao.json"),
+)

@@ -1,0 +1,166 @@
+"""The host's end: what a Damiao motor is sent in each phase, and what its answers report.
+
+Rules. A motor sends only answers, one to each frame. Registers answer with the id of the feedback, and a
+position near −PMAX looks the same: a frame counts as the answer of a register only if that register was
+asked for just before. Before a motor is enabled, the ranges in it must be those of the model in the robot
+file (every number would be scaled wrongly otherwise), its mode the option's and its watchdog on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from protocols import messages as msg
+from protocols.damiao import table as dm
+from protocols.frames import CanFrame, Frame
+from protocols.messages import Command, Feedback, Mode, Nanos, Request
+from protocols.toolkit.driver import MotorDriver, Rx
+from protocols.toolkit.host import Host, Report
+from protocols.toolkit.mit import NUMBERS, Gains
+from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.register_motor import Motor, RegisterAdapter
+from protocols.toolkit.table import Table
+
+STATES: dict[int, tuple[Mode, str]] = {
+    dm.DISABLED: (Mode.READY, "disabled"),
+    dm.ENABLED: (Mode.ARMED, "enabled"),
+    **{code: (Mode.FAULT, info.name) for code, info in dm.FAULTS.items()},
+}
+Model = Literal["4310", "4310P", "4340", "6006", "8006", "8009", "10010L", "10010", "H3510", "G6215", "H6220"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Configuration of the driver."""
+
+    model: Model = "4310"
+    """Decides the ranges of all numbers; the motor is asked for them before it is enabled."""
+    mode: Literal["mit", "pos_vel", "vel", "force_pos"] = "mit"
+    """CTRL_MODE, written before the motor is enabled."""
+    reply_id: int = bounded(0, 0, 0x7FE)
+    """MST_ID of the motor; 0: its address and 16."""
+    stiffness: float = bounded(20.0, 0.2, dm.KP_MAX)
+    """N·m/rad of Position and Hold (mode mit)"""
+    damping: float = bounded(1.0, 0.01, dm.KD_MAX)
+    """N·m·s/rad of Position, Hold and Velocity (mode mit)"""
+    max_velocity: float = bounded(5.0, 0.01, 300.0)
+    """rad/s on the way to a Position (modes pos_vel, force_pos)"""
+    max_force: float = bounded(0.5, 0.001, 1.0)
+    """Current on the way to a Position, as a share of the motor's largest (mode force_pos)"""
+    position: Literal["feedback", "xout"] = "feedback"
+    """Where the position is from: the feedback, which ends at ±PMAX, or register xout, which counts turns
+    (one more frame for each command)."""
+    timeout_ms: float = bounded(100.0, 10.0, 10_000.0)
+    """TIMEOUT of the motor's watchdog, written before it is enabled."""
+    feedback_ms: int = bounded(10, 1, 1000)
+    """Period of questions to a motor that is not commanded."""
+    offline_ms: int = bounded(100, 20, 10_000)
+    """Time without an answer after which the motor is offline."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def table(self) -> Table:
+        """The messages of the model."""
+        return dm.table_of(self.model)
+
+    @property
+    def gains(self) -> Gains:
+        """The gains of Position, Hold and Velocity."""
+        return Gains(self.stiffness, self.damping, self.table.row("MIT"))
+
+    def reply(self, address: int) -> int:
+        """Return the id of a motor's answers."""
+        return self.reply_id or dm.REPLY_BASE + address
+
+
+class DamiaoAdapter(RegisterAdapter):
+    """What Damiao motors are sent, and what they report."""
+
+    name = "damiao"
+    faults = dm.ALL_FAULTS
+    not_armed, duplicate = dm.NOT_ENABLED, dm.DUPLICATE
+    registers, addresses = dm.REGISTERS, dm.ADDRESSES
+    serial, save, turns = "SN", dm.SAVE, "xout"
+
+    def expected(self, options: Options) -> Mapping[str, float]:
+        return dm.ranges_of(options.model)
+
+    def written(self, options: Options) -> Mapping[str, float]:
+        return {
+            "CTRL_MODE": dm.MODES[options.mode],
+            "TIMEOUT": round(options.timeout_ms / dm.TIMEOUT_UNIT_MS),
+        }
+
+    def polled(self, options: Options) -> Sequence[str]:
+        return ("xout",) if options.position == "xout" else ()
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
+        if not isinstance(frame, CanFrame) or frame.extended or frame.remote or frame.fd:
+            return (Rx.IGNORED,)
+        ours = [host for host in driver.hosts.values() if host.options.reply(host.address) == frame.id]
+        name, value, written = dm.register_in(frame)
+        for host in ours:
+            about = value is not None and frame.data[0] == host.address
+            report = self.register_report(t, host, name, value or 0.0, written=written) if about else None
+            report = report or self._feedback(t, frame, host)
+            if report is not None:
+                return (report,)
+        if ours:
+            return (Rx.MALFORMED,)
+        if not driver.scanning() or name != "SN" or frame.id != dm.REPLY_BASE + frame.data[0]:
+            return (Rx.IGNORED,)
+        return (Report(None, frame.data[0], serial=int(value or 0), note=f"answers with {frame.id:03X}"),)
+
+    def _feedback(self, t: Nanos, frame: CanFrame, host: Host[Motor]) -> Report[Motor] | None:
+        values = host.options.table.read("feedback", frame.data)
+        if values is None or values["motor"] != host.address or values["status"] not in STATES:
+            return None
+        status, row = values["status"], host.options.table.row("feedback")
+        mode, detail = STATES[status]
+        # A number at the end of its range may be anything beyond.
+        measured = {n: None if row.field(n).is_end(values[n]) else values[n] for n in NUMBERS[:3]}
+        measured |= {"position": None} if host.options.position == "xout" else {}
+        feedback = Feedback(host.name, t, **measured, temperature=float(max(values["mos"], values["rotor"])))
+        faults = (status,) if mode is Mode.FAULT else ()
+        return Report(host, host.address, mode, detail, faults, feedback, duplicate=host.own.answers.add(t))
+
+    # -- sent -----------------------------------------------------------------------------------------
+
+    def about(self, operation: str, address: int, name: str = "", value: float = 0.0) -> Frame:
+        return dm.about_register(operation, address, name, value)
+
+    def ask(self, host: Host[Motor]) -> Frame:
+        return dm.ANY.encode("refresh", motor=host.address, number=0, value=0)
+
+    def enable(self, host: Host[Motor]) -> Frame:
+        return dm.ANY.encode("enable", host.address)
+
+    def disable(self, host: Host[Motor]) -> Frame:
+        return dm.ANY.encode("disable", host.address)
+
+    def action(self, host: Host[Motor], request: Request) -> Frame | None:
+        name = dm.REQUESTS.get(type(request))
+        return dm.ANY.encode(name, host.address) if name else None
+
+    def set_point(self, host: Host[Motor], command: Command) -> Frame:
+        options: Options = host.options
+        at, table, fastest = host.address, options.table, options.max_velocity
+        goal = host.held if isinstance(command, msg.Hold) else getattr(command, "position", 0.0)
+        match options.mode:
+            case "vel":
+                return table.encode("VEL", at, velocity=getattr(command, "velocity", 0.0))
+            case "pos_vel":
+                return table.encode("POS_VEL", at, position=goal, fastest=fastest)
+            case "force_pos":
+                return table.encode("FORCE_POS", at, position=goal, fastest=fastest, force=options.max_force)
+        numbers = options.gains.impedance(command, host.held)
+        frame = table.encode("MIT", at, **{name: getattr(numbers, name) for name in NUMBERS})
+        if frame.data in dm.SPECIAL_DATA:  # one step of position beside enable, disable …
+            return CanFrame(frame.id, b"\xff\xfe" + frame.data[2:])
+        return frame

@@ -1,0 +1,136 @@
+"""The messages, registers, models and faults of Damiao DM-J motors.
+
+Sources: damiao-motor 1.0.6 (`core/motor.py`, `core/controller.py`); cmjang/DM_Control_Python@7da9387
+`DM_CAN.py`. Numbers are scaled by the ends of the model's ranges, so each model has a table of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+from protocols.frames import CanFrame
+from protocols.messages import ClearFault, Request, Zero
+from protocols.plugin import FaultInfo
+from protocols.toolkit.registers import Register, Registers
+from protocols.toolkit.table import Field, Row, Table, const, f32, span, uint, unused
+
+ADDRESSES = range(1, 16)
+"""ESC_ID; a feedback carries its lower four bits only."""
+REPLY_BASE = 0x10
+"""Added to ESC_ID for the MST_ID that vendors' tools suggest."""
+KP_MAX, KD_MAX = 500.0, 5.0
+TIMEOUT_UNIT_MS = 0.05
+"""Of register TIMEOUT."""
+MODES: Mapping[str, int] = {"mit": 1, "pos_vel": 2, "vel": 3, "force_pos": 4}
+"""Values of register CTRL_MODE."""
+MODE_OF = {"MIT": 1, "POS_VEL": 2, "VEL": 3, "FORCE_POS": 4}
+"""The mode in which a motor obeys a message."""
+SPECIAL = {"clear": 0xFB, "enable": 0xFC, "disable": 0xFD, "zero": 0xFE}
+SPECIAL_DATA = frozenset(b"\xff" * 7 + bytes((last,)) for last in SPECIAL.values())
+REQUESTS: Mapping[type[Request], str] = {ClearFault: "clear", Zero: "zero"}
+OPERATIONS = {"read": 0x33, "write": 0x55, "save": 0xAA, "refresh": 0xCC}
+REPLIES = ("read", "write", "save")
+"""Operations that have an answer of their own; the others are answered by a feedback."""
+DISABLED, ENABLED, LOST = 0, 1, 0xD
+"""Values of the status in a feedback; the others are faults."""
+
+# fmt: off
+MODELS: Mapping[str, tuple[float, float, float]] = {
+    "4310": (12.5, 30.0, 10.0), "4310P": (12.5, 50.0, 10.0), "4340": (12.5, 10.0, 28.0),
+    "6006": (12.5, 45.0, 20.0), "8006": (12.5, 45.0, 40.0), "8009": (12.5, 45.0, 54.0),
+    "10010L": (12.5, 25.0, 200.0), "10010": (12.5, 20.0, 200.0), "H3510": (12.5, 280.0, 1.0),
+    "G6215": (12.5, 45.0, 10.0), "H6220": (12.5, 45.0, 10.0),
+}
+# fmt: on
+"""PMAX [rad], VMAX [rad/s] and TMAX [N·m] by model (registers 21 to 23)."""
+
+_FLOATS = ("UV", 0), ("KT", 1), ("OT", 2), ("OC", 3), ("ACC", 4), ("DEC", 5), ("MAX_SPD", 6)
+_RANGES = ("PMAX", 21), ("VMAX", 22), ("TMAX", 23)
+_MEASURED = ("Gr", 20), ("VBus", 60), ("Tpcb", 61), ("Tmtr", 62), ("p_m", 80), ("xout", 81)
+_FIXED = ("MST_ID", 7), ("ESC_ID", 8), ("sw_ver", 14), ("SN", 15), ("NPP", 16), ("can_br", 35)
+REGISTERS = Registers(
+    *(Register(name, number, "f32") for name, number in (*_FLOATS, *_RANGES)),
+    *(Register(name, number, "f32", writable=False) for name, number in _MEASURED),
+    *(Register(name, number, "u32") for name, number in (("TIMEOUT", 9), ("CTRL_MODE", 10))),
+    # Ids and bit rate are the vendor's tool's business: a mistake there ends all communication.
+    *(Register(name, number, "u32", writable=False) for name, number in _FIXED),
+)
+SAVE = "save_parameters"
+"""A parameter: written with 1, the motor saves its configuration."""
+
+_HOT = "too much torque for too long", "let it cool, then clear"
+FAULTS: Mapping[int, FaultInfo] = {
+    0x8: FaultInfo("over-voltage", "braking feeds back more than the supply takes", "brake more slowly"),
+    0x9: FaultInfo("under-voltage", "the supply sags or is off", "check supply and cables, then clear"),
+    0xA: FaultInfo("over-current", "the shaft is blocked, or the torque too large", "free it, then clear"),
+    0xB: FaultInfo("MOS over-temperature", *_HOT),
+    0xC: FaultInfo("rotor over-temperature", *_HOT),
+    LOST: FaultInfo("communication lost", "no frame within TIMEOUT while enabled", "find the reason, clear"),
+    0xE: FaultInfo("overload", "more load than the motor can turn", "take load off, then clear"),
+}
+"""By status."""
+NOT_ENABLED, DUPLICATE = 0x100, 0x101
+"""Faults that the driver finds."""
+ALL_FAULTS: Mapping[int, FaultInfo] = {
+    **FAULTS,
+    NOT_ENABLED: FaultInfo("did not enable", "it answers, but stays disabled", "check its supply, clear"),
+    DUPLICATE: FaultInfo("duplicate address", "two motors answer at one ESC_ID", "change one of them"),
+}
+
+
+def ranges_of(model: str) -> dict[str, float]:
+    """Return the registers that hold the ranges of a model."""
+    return dict(zip(("PMAX", "VMAX", "TMAX"), MODELS[model], strict=True))
+
+
+@cache
+def table_of(model: str) -> Table:
+    """Return the messages of a model."""
+    p, v, t = MODELS[model]
+    numbers = span("position", 16, -p, p), span("velocity", 12, -v, v), span("torque", 12, -t, t)
+    gains = span("stiffness", 12, 0.0, KP_MAX), span("damping", 12, 0.0, KD_MAX)
+    own, reply, all_motors = (const(0, 3), uint("address", 8)), (uint("address", 11),), (const(0x7FF, 11),)
+
+    def set_point(name: str, page: int, *fields: Field) -> Row:
+        return Row(name, (const(page, 3), uint("address", 8)), fields)
+
+    def register(operation: int) -> tuple[Field, ...]:
+        return uint("motor", 16), const(operation), uint("number"), uint("value", 32)
+
+    status = (uint("status", 4), uint("motor", 4), *numbers, uint("mos"), uint("rotor"))
+    return Table(
+        (
+            *(Row(n, own, (const((1 << 56) - 1, 56), const(b)), order="big") for n, b in SPECIAL.items()),
+            Row("MIT", own, (*numbers[:2], *gains, numbers[2]), order="big"),
+            set_point("POS_VEL", 1, f32("position"), f32("fastest")),
+            set_point("VEL", 2, f32("velocity"), unused(32)),
+            set_point("FORCE_POS", 3, f32("position"), uint("fastest", 16, 0.01), uint("force", 16, 1e-4)),
+            *(Row(n, all_motors, register(OPERATIONS[n]), read_only=True) for n in ("read", "refresh")),
+            *(Row(n, all_motors, register(OPERATIONS[n])) for n in ("write", "save")),
+            *(Row(f"{n} reply", reply, register(OPERATIONS[n]), "from_device") for n in REPLIES),
+            Row("feedback", reply, status, "from_device", order="big"),
+        )
+    )
+
+
+ANY = table_of("4310")
+"""For messages that are the same in all models."""
+
+
+def about_register(operation: str, address: int, name: str = "", value: float = 0.0) -> CanFrame:
+    """Return the frame that reads or writes a register, or saves all."""
+    number = REGISTERS.by_name[name].number if name else 1
+    raw = REGISTERS.raw(name, value) if name else 0
+    return ANY.encode(operation, motor=address, number=number, value=raw)
+
+
+def register_in(frame: CanFrame) -> tuple[str, float | None, bool]:
+    """Return name and value of the register that a frame may be the answer about, and whether it was written.
+    A save is answered as if its parameter were written."""
+    decoded = ANY.decode(frame, "from_device")
+    if decoded is None or not decoded.name.endswith(" reply"):
+        return "", None, False
+    if decoded.name == "save reply":
+        return SAVE, 1.0, True
+    return *REGISTERS.value(decoded.values["number"], decoded.values["value"]), decoded.name == "write reply"

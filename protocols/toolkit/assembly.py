@@ -1,0 +1,55 @@
+"""The parts of a plugin's description that all CAN motors with a table have alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from protocols.messages import MILLISECOND, Command
+from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Range, Spec
+from protocols.toolkit.decoder import TableDecoder
+from protocols.toolkit.driver import Adapter, MotorDriver
+from protocols.toolkit.table import Table
+
+TableOf = Callable[[Any], Table]
+"""From the options of a device."""
+
+
+def can_motor(device: Device, table: Table, addresses: range, **others: Any) -> Spec:  # noqa: ANN401 -- fields
+    """Return the spec of a motor that is polled every `feedback_ms` and offline after `offline_ms` of its
+    options; `others`: its other fields. Raises ValueError if it cannot have its address."""
+    if device.address not in addresses:
+        low, high = addresses.start, addresses.stop - 1
+        raise ValueError(f"address {device.address} of {device.name}: it must be {low} to {high}")
+    usual: dict[str, Any] = {
+        "bus": "can",
+        "kind": "motor",
+        "sends": table.ids("to_device", device.address),
+        "expects": table.ids("from_device", device.address),
+        "read_only": table.read_only,
+        "feedback": FeedbackKind.POLLED,
+        "feedback_period": device.options.feedback_ms * MILLISECOND,
+        "offline_after": device.options.offline_ms * MILLISECOND,
+        "holds_unattended": False,
+        "stop_clears_faults": False,
+    }
+    return Spec(**usual | others)
+
+
+def driver_of(
+    adapter: Callable[[], Adapter[Any]], ranges: Callable[[Any], dict[str, Range]]
+) -> Callable[[Sequence[Device]], Driver]:
+    """Return `Plugin.driver`; `ranges`: from the options of a device."""
+    return lambda devices: MotorDriver(
+        adapter(), devices, {each.name: ranges(each.options) for each in devices}
+    )
+
+
+def decoder_of(
+    table: TableOf, memory: Callable[[Device], Any], canonical: Callable[[Any], Callable[[Command], Command]]
+) -> Callable[[Sequence[Device]], CommandDecoder]:
+    """Return `Plugin.decoder`; `memory` is what a device keeps, and has `obey`; `table` and `canonical`: from
+    the options of a device."""
+    return lambda devices: TableDecoder(
+        [(table(each.options), memory(each), canonical(each.options)) for each in devices]
+    )

@@ -1,0 +1,202 @@
+"""The host's end of motors that answer every frame, send nothing else, and keep their setup in registers.
+
+Rules. A protocol's `RegisterAdapter` gives the frames; here is when they are sent. A frame counts as the
+answer about a register only if that register was asked for just before. Before a device is armed, registers
+that say what it is must be as expected, and those that decide how it behaves are written until they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from protocols import messages as msg
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Request
+from protocols.plugin import Device
+from protocols.toolkit.driver import Adapter, MotorDriver, Pending
+from protocols.toolkit.duplicates import AnswerCount
+from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.registers import RegisterCache, Registers
+
+ANSWER = 200 * MILLISECOND
+
+
+@dataclass(slots=True)
+class Motor:
+    """What is known of one device beyond its phase. Plain data."""
+
+    registers: RegisterCache = field(default_factory=RegisterCache)
+    answers: AnswerCount = field(default_factory=AnswerCount)
+    sent_at: Nanos = -(1 << 62)
+
+    def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Record frames, each of which is answered; return them."""
+        self.sent_at = now
+        self.answers.ask(len(frames))
+        return frames
+
+
+class RegisterAdapter(Adapter[Motor]):
+    """The options of a device have `feedback_ms` and `offline_ms`."""
+
+    registers: Registers
+    serial: str = ""
+    """Register that holds the serial number."""
+    save: str = ""
+    """Parameter that saves the configuration when 1 is written."""
+    turns: str = ""
+    """Register that holds the position beyond the range of the feedback."""
+    addresses: range
+    """Of all devices, for a scan."""
+
+    # -- the protocol's own ---------------------------------------------------------------------------
+
+    def expected(self, options: Any) -> Mapping[str, float]:  # noqa: ANN401 -- the protocol's own type
+        """Return the registers that must be so: else every number would be scaled wrongly."""
+        return {}
+
+    def written(self, options: Any) -> Mapping[str, float]:  # noqa: ANN401
+        """Return the registers that are written before the device is armed."""
+        return {}
+
+    def polled(self, options: Any) -> Sequence[str]:  # noqa: ANN401
+        """Return the registers that are read with every question and command."""
+        return ()
+
+    def about(self, operation: str, address: int, name: str = "", value: float = 0.0) -> Frame:
+        """Return the frame that reads or writes a register ("read", "write"), or saves all ("save")."""
+        raise NotImplementedError
+
+    def ask(self, host: Host[Motor]) -> Frame:
+        """Return the read-only frame that the device answers with its feedback."""
+        raise NotImplementedError
+
+    def enable(self, host: Host[Motor]) -> Frame:
+        """Return the frame that arms."""
+        raise NotImplementedError
+
+    def disable(self, host: Host[Motor]) -> Frame:
+        """Return the frame that disarms."""
+        raise NotImplementedError
+
+    def set_point(self, host: Host[Motor], command: Command) -> Frame:
+        """Return the frame of a command."""
+        raise NotImplementedError
+
+    def action(self, host: Host[Motor], request: Request) -> Frame | None:
+        """Return the frame of a request other than for a parameter; None if the device has none."""
+        raise NotImplementedError
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def register_report(
+        self, t: Nanos, host: Host[Motor], name: str, value: float, *, written: bool
+    ) -> Report[Motor] | None:
+        """Return what an answer about a register reports; None if it was not asked for."""
+        if not host.own.registers.is_asked(t, name):
+            return None
+        host.own.registers.put(name, value)
+        turned = name == self.turns and name in self.polled(host.options)
+        return Report(
+            host,
+            host.address,
+            parameters={name: value},
+            written=name if written else "",
+            serial=int(value) if name == self.serial else None,
+            feedback=Feedback(host.name, t, position=value) if turned else None,
+            duplicate=host.own.answers.add(t),
+        )
+
+    # -- sent -----------------------------------------------------------------------------------------
+
+    def own(self, device: Device) -> Motor:
+        return Motor()
+
+    def timing(self, options: Any) -> Timing:  # noqa: ANN401
+        return Timing(options.offline_ms * MILLISECOND)
+
+    def forget(self, now: Nanos, host: Host[Motor]) -> None:
+        host.own.registers.forget()
+
+    def refuse(self, host: Host[Motor], command: Command) -> str:
+        known, expected = host.own.registers.known, self.expected(host.options)
+        wrong = host.own.registers.different(expected)
+        differences = ", ".join(f"{name} is {known[name]:g}, not {expected[name]:g}" for name in wrong)
+        return f"it is another model than the robot file has: {differences}" if wrong else ""
+
+    def ready(self, host: Host[Motor]) -> bool:
+        known, options = host.own.registers.known.keys(), host.options
+        return self.expected(options).keys() | self.written(options).keys() <= known
+
+    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        wanted, registers = self.written(host.options), host.own.registers
+        if registers.different(wanted):
+            wrong = registers.to_write(now, wanted)
+            return host.own.sent(now, [self._about(now, host, "write", *each) for each in wrong])
+        return host.own.sent(now, [self.enable(host)])
+
+    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        reads = [self._about(now, host, "read", name) for name in self.polled(host.options)]
+        return host.own.sent(now, [self.set_point(host, command), *reads])
+
+    def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        return host.own.sent(now, [self.disable(host)])
+
+    def poll(self, now: Nanos, host: Host[Motor]) -> tuple[Sequence[Event], Sequence[Frame]]:
+        if now < self.poll_due(host):
+            return (), ()
+        options = host.options
+        needed = (*self.expected(options), *self.written(options))
+        names = (*host.own.registers.missing(now, needed), *self.polled(options))
+        return (), host.own.sent(now, [self.ask(host), *(self._about(now, host, "read", n) for n in names)])
+
+    def poll_due(self, host: Host[Motor]) -> Nanos:
+        at: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
+        return at
+
+    def _about(
+        self, now: Nanos, host: Host[Motor], operation: str, name: str = "", value: float = 0.0
+    ) -> Frame:
+        host.own.registers.ask(now, name or self.save)
+        return self.about(operation, host.address, name, value)
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
+    ) -> Pending[Motor] | str:
+        if isinstance(request, msg.Scan):
+            for each in driver.hosts.values():
+                each.own.registers.ask(now, self.serial)
+            questions = tuple(self.about("read", address, self.serial) for address in self.addresses)
+            return Pending(request, request.bus, now, now + ANSWER, now, None, questions)
+        wrong = "the device cannot do that on this bus"
+        match request:
+            case msg.ReadParameter(_, name):
+                wrong = self.registers.wrong(name)
+            case msg.WriteParameter(_, name, value) if name == self.save:
+                wrong = "" if value == 1 else f"{name} takes 1"
+            case msg.WriteParameter(_, name, value):
+                wrong = self.registers.wrong(name, value)
+            case _ if host is not None and self.action(host, request) is not None:
+                wrong = ""
+        if wrong or host is None:
+            return wrong
+        return Pending(request, host.name, now, now + ANSWER, now, host, (), ANSWER // 4)
+
+    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
+        host = pending.host
+        if host is None:
+            return pending.frames
+        frame: Frame | None
+        match pending.request:
+            case msg.ReadParameter(_, name):
+                frame = self._about(now, host, "read", name)
+            case msg.WriteParameter(_, name, value):
+                about = ("save",) if name == self.save else ("write", name, value)
+                frame = self._about(now, host, *about)
+            case request:
+                frame = self.action(host, request)
+        return host.own.sent(now, [frame] if frame is not None else [])
