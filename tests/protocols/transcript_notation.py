@@ -17,7 +17,7 @@ from protocols.messages import MILLISECOND, Nanos
 MESSAGES: dict[str, type[Any]] = {
     name: kind for name, kind in vars(messages).items() if isinstance(kind, type) and is_dataclass(kind)
 }
-CAN = re.compile(r"([0-9A-Fa-f]{3,8})(#|##[01])(R?)(?=[ 0-9A-Fa-f?*]|$)")
+CAN = re.compile(r"([0-9A-Fa-f?]{3,8})(#|##[01])(R?)(?=[ 0-9A-Fa-f?*]|$)")
 NUMBER = re.compile(r"(-?(?:\d+\.\d*(?:e-?\d+)?|nan|inf)|-?\d+(?=[iu]))(f|d|[iu](?:8|16|32|64))")
 PACKED = {"f": "f", "d": "d", "8": "b", "16": "h", "32": "i", "64": "q"}
 REPEATED = re.compile(r"([0-9A-Fa-f]{2})x(\d+)")
