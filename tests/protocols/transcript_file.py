@@ -121,7 +121,7 @@ def _with(block: Block, place: str, text: str, found: dict[str, Block]) -> Block
     if text.startswith("after "):
         return replace(block, after=found[text.split(None, 1)[1]])
     line = _line(place, text, block.lines)
-    if line.kind in HEAD and not TIME.match(text):
+    if line.kind in HEAD and line.kind not in STIMULI:
         return replace(block, head=(*block.head, line))
     return replace(block, lines=(*block.lines, line))
 

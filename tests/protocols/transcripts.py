@@ -298,6 +298,7 @@ class Run:
             self._came("tx", frame)
             for request, answers in self.replies.items():
                 if self.frames.matches(request, frame):
+                    answers = tuple(text for text in answers if text != "nothing")
                     self.arriving += [(self.now + DELAY, self.frames.frame(text)) for text in answers]
         return list(frames)
 
