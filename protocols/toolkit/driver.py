@@ -71,6 +71,8 @@ class Adapter(Generic[Own]):
     """Requests that are refused while a device is, or may be, armed."""
     zero_tolerance: float = 0.01
     """rad within which the position is zero after Zero"""
+    set_id_detail: str = ""
+    """What is still to be done when a device has taken its new address."""
 
     # -- devices and received frames ------------------------------------------------------------------
 
@@ -270,7 +272,7 @@ class MotorDriver(Generic[Own]):
             if (request.serial, request.address) != (serial, address):
                 return []
             self.queue.end(pending)
-            return [pending.done(t, report.note)]
+            return [pending.done(t, self.adapter.set_id_detail)]
         if (serial is None and not report.note) or (address, serial) in pending.found:
             return []
         duplicate = any(other == address for other, _ in pending.found)
