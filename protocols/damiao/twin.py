@@ -77,7 +77,7 @@ class Motor:
         if name == "VEL":
             return (msg.Velocity(motor, values["velocity"]),)
         self.fastest, self.force = abs(values["fastest"]), values.get("force", 1.0)
-        return (msg.Position(motor, values["position"]),)
+        return (msg.Position(motor, values["position"]) if self.fastest and self.force else msg.Hold(motor),)
 
     def _at_rest(self) -> Command:
         """Return what the motor does when it is enabled, before a set-point."""
@@ -118,12 +118,10 @@ class DamiaoTwin(ServoFirmware):
     """One motor."""
 
     faults, lost = dm.FAULTS, dm.LOST
-    memory: Motor
 
     def __init__(self, device: Device, seed: int) -> None:
-        super().__init__(
-            device, seed, motor_of(device), Gains(torque_limit=dm.MODELS[device.options.model][2])
-        )
+        super().__init__(device, seed, Gains(torque_limit=dm.MODELS[device.options.model][2]))
+        self.memory = motor_of(device)
         self.table = device.options.table
 
     def timeout(self) -> Nanos:
@@ -136,7 +134,8 @@ class DamiaoTwin(ServoFirmware):
             return
         if decoded.values.get("motor", decoded.address) != motor.address or motor.ignores(decoded.name):
             return
-        self.obey(t, decoded)
+        for obeyed in motor.obey(decoded):
+            self.obey(t, obeyed)
         self.fastest, self.strongest = motor.fastest, motor.force * self.servo.gains.torque_limit
         if decoded.name in dm.REPLIES:
             self._answer_register(t, decoded)

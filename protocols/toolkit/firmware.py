@@ -13,11 +13,9 @@ from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Torque, seconds
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Obeyed, Torque, seconds
 from protocols.plugin import Device, FaultInfo
-from protocols.toolkit.decoder import Memory
 from protocols.toolkit.servo import Encoder, Gains, Servo, clamp
-from protocols.toolkit.table import Decoded
 
 NEVER: Nanos = 1 << 62
 
@@ -187,14 +185,11 @@ def milliseconds(value: float) -> Nanos:
 
 
 class ServoFirmware(Firmware):
-    """A motor that does what its memory obeys with the loops of `Servo`: for devices whose firmware is known
-    by its messages only."""
+    """A motor that does what it obeys with the loops of `Servo`: for devices whose firmware is known by its
+    messages only."""
 
-    memory: Memory
-
-    def __init__(self, device: Device, seed: int, memory: Memory, gains: Gains) -> None:
+    def __init__(self, device: Device, seed: int, gains: Gains) -> None:
         super().__init__(device, seed)
-        self.memory = memory
         self.encoder = Encoder(counts=1e6, bandwidth=1000.0)
         self.servo = Servo(gains)
         self.goal: Command = msg.Idle(device.name)
@@ -203,22 +198,21 @@ class ServoFirmware(Firmware):
         self.strongest = math.inf
         """N·m"""
 
-    def obey(self, t: Nanos, decoded: Decoded) -> None:
-        """Do what a message means to this device."""
-        for obeyed in self.memory.obey(decoded):
-            match obeyed:
-                case msg.Arm() if self.arm(t):
-                    self.servo.reset()
-                case msg.Idle():
-                    self.disarm()
-                case msg.ClearFault():
-                    self.clear()
-                case msg.Zero() if self.mode is not Mode.ARMED:
-                    self.encoder.set_position(0.0)
-                case msg.Hold(motor):
-                    self.goal = msg.Position(motor, self.encoder.position)
-                case msg.Position() | msg.Velocity() | msg.Torque() | msg.Impedance():
-                    self.goal = obeyed
+    def obey(self, t: Nanos, obeyed: Obeyed) -> None:
+        """Do what a frame means to this device."""
+        match obeyed:
+            case msg.Arm() if self.arm(t):
+                self.servo.reset()
+            case msg.Idle():
+                self.disarm()
+            case msg.ClearFault():
+                self.clear()
+            case msg.Zero() if self.mode is not Mode.ARMED:
+                self.encoder.set_position(0.0)
+            case msg.Hold(motor):
+                self.goal = msg.Position(motor, self.encoder.position)
+            case msg.Position() | msg.Velocity() | msg.Torque() | msg.Impedance():
+                self.goal = obeyed
 
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         """Run the loops."""

@@ -26,9 +26,9 @@ def lag(dt: float, bandwidth: float) -> float:
 class Encoder:
     """The encoder of a shaft: position in whole counts, velocity with the lag of its filter."""
 
-    counts: float
-    """Per unit of position."""
-    bandwidth: float
+    counts: float = 0.0
+    """Per unit of position; 0: exact."""
+    bandwidth: float = math.inf
     """rad/s of the velocity estimate"""
     offset: float = 0.0
     """Position of the shaft minus reported position."""
@@ -39,8 +39,9 @@ class Encoder:
     def measure(self, dt: float, shaft: float, velocity: float) -> None:
         """Read the true shaft."""
         self.shaft = shaft
-        self.position = math.floor(shaft * self.counts + 0.5) / self.counts - self.offset
-        self.velocity += lag(dt, self.bandwidth) * (velocity - self.velocity)
+        counted = math.floor(shaft * self.counts + 0.5) / self.counts if self.counts else shaft
+        self.position = counted - self.offset
+        self.velocity = velocity + math.exp(-self.bandwidth * dt) * (self.velocity - velocity)
 
     def set_position(self, position: float) -> None:
         """Give the present position this value."""
