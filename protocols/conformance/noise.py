@@ -56,6 +56,17 @@ def other_format(case: Case) -> list[Frame]:
     return [f for f in turned if (f.extended or f.id <= 0x7FF) and not any_matches(known, f)]
 
 
+def other_ids(case: Case) -> list[Frame]:
+    """Return valid frames with ids of 29 bits in which one bit is wrong, so that they are of no device."""
+    spec = case.spec
+    known = (*case.sends, *case.expects, *spec.receives_also, *spec.obeys_also)
+    valid = [frame for frame in valid_frames(case) if isinstance(frame, CanFrame) and frame.extended]
+    up = [frame for frame in valid if any_matches(case.expects, frame)]
+    some = [*up[:1], *valid[:1]]
+    turned = [replace(frame, id=frame.id ^ 1 << bit) for frame in some for bit in range(29)]
+    return [frame for frame in turned if not any_matches(known, frame)]
+
+
 def patched(frame: Frame, numbers: Sequence[bytes]) -> Iterator[Frame]:
     """Yield a frame with each of these numbers at each place of its first 64 bytes."""
     data = tools.data_of(frame)

@@ -322,7 +322,9 @@ def push(command: Command, ranges: dict[str, Range]) -> float:
     elif isinstance(command, msg.Impedance):
         spring = command.stiffness * (command.position - PLACE)
         total = spring + command.damping * command.velocity + command.torque
-        along = [total if abs(total) > 1e-3 else 0.0]
+        steps = {name: ranges[key].resolution for name, key in tools.numbers(msg.Impedance, ranges)}
+        error = command.stiffness * steps["position"] + command.damping * steps["velocity"] + steps["torque"]
+        along = [total if abs(total) > 1e-3 + 2.0 * error else 0.0]
     if not along or not along[0]:
         return 0.0
     return along[0] if all(value * along[0] > 0.0 for value in along if value) else 0.0

@@ -58,13 +58,15 @@ def _theirs(messages: Messages) -> list[Command | Request]:
 
 
 def _foreign(case: Case) -> list[Frame]:
-    """Return frames of no device: of another kind, of unknown ids, and of known ids in the other format."""
+    """Return frames of no device: of another kind, of unknown ids, and of known ids in the other format or
+    of 29 bits with another bit."""
     if case.spec.bus == "serial":
         return [CanFrame(1, b"\1\2"), CanFrame(0x12345678, b"", extended=True)]
     random, known = case.random(), (*case.sends, *case.expects)
     free = [i for i in (random.bits(11) for _ in range(200)) if not any_matches(known, i)][:8]
     turned = random.shuffled(noise.other_format(case))[:8]
-    return [b"\1\2\3", *(CanFrame(i, random.bytes(8)) for i in free), *turned]
+    unknown = [CanFrame(i, random.bytes(8)) for i in free]
+    return [b"\1\2\3", *unknown, *turned, *noise.other_ids(case)]
 
 
 def uncommanded_is_read_only(case: Case) -> None:

@@ -82,6 +82,18 @@ class HoldsWhereItOnceWas(Knowing):
         return message
 
 
+@found_by("jump")
+class FirstTorqueIsNotZero(Knowing):
+    """The first set-point has the right position, and a little torque."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        positions = [m for m in messages if isinstance(m, msg.Position)]
+        fresh = [m for m in positions if self.modes.get(m.motor) != Mode.ARMED]
+        events, frames = super().send(now, messages)
+        pushes = [self.encoded(replace(m, torque=0.005)) for m in fresh if self.owned(m.motor)]
+        return events, [*pushes, *frames]
+
+
 # -- disarm --------------------------------------------------------------------------------------------
 
 

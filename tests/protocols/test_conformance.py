@@ -20,6 +20,7 @@ from protocols.plain import plugin as plain
 from protocols.plugin import Plugin, Range, load_all
 from tests.protocols.broken import HoldsAGenerator, motors, sensors
 from tests.protocols.broken_all import BROKEN
+from tests.protocols.sound import SOUND
 
 INSTALLED, UNLOADABLE = load_all()
 NAMES = [clause.name for clause in CLAUSES]
@@ -96,6 +97,12 @@ def test_for_each_clause_there_is_a_defect_that_only_it_finds(name: str) -> None
 @pytest.mark.parametrize("plugin", [motors, sensors], ids=["motors", "sensors"])
 def test_a_sound_plugin_passes_with_any_seed(plugin: Plugin, seed: int) -> None:
     results = check(plugin, seed)
+    assert not [result for result in results if result.outcome == "failed"], table(results)
+
+
+@pytest.mark.parametrize("plugin", SOUND, ids=lambda plugin: str(plugin.name))
+def test_a_sound_plugin_of_an_unusual_kind_passes(plugin: Plugin) -> None:
+    results = check(plugin)
     assert not [result for result in results if result.outcome == "failed"], table(results)
 
 

@@ -35,6 +35,8 @@ RANGES = {
 }
 """FILL IN the ranges and resolutions of commands and feedback. The clauses "commands" and "measurements"
 check them."""
+FASTEST = codec.MAX_MEASURED_SPEED - codec.VELOCITY_UNIT / 2
+"""rad/s: what is not below it is the end of the range."""
 MODES = {
     DeviceMode.READY: Mode.READY,
     DeviceMode.RUNNING: Mode.ARMED,
@@ -173,7 +175,10 @@ class MotorDriver:
             device.clear_deadline = None
             events.append(msg.Done(t, "ClearFault", device.name))
         events += _duplicate_address(t, device)
-        return [*events, msg.Feedback(device.name, t, status.position, status.velocity)]
+        # FILL IN (clause "saturated"): at the end of its range a value may as well be beyond it.
+        position = status.position if abs(status.position) < codec.MAX_POSITION else None
+        velocity = status.velocity if abs(status.velocity) < FASTEST else None
+        return [*events, msg.Feedback(device.name, t, position, velocity)]
 
 
 def _duplicate_address(t: Nanos, device: _DeviceState) -> list[Event]:
