@@ -212,4 +212,6 @@ def digits(token: str) -> str:
         return struct.pack("<" + (code.upper() if found[2][0] == "u" else code), value).hex().upper()
     if found := REPEATED.fullmatch(token):
         return found[1].upper() * int(found[2])
+    if not LITERAL.fullmatch(token):
+        raise ValueError(f"{token!r} is no bytes")
     return token.strip('"').encode().hex().upper() if token.startswith('"') else token.upper()
