@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
+from math import tau
+
+import pytest
 
 from gateway.buses.adapters.fdcanusb import OK, Adapter, decode_received, split_checksum
-from protocols.moteus.codec import make_frame, parse
-from protocols.moteus.messages import names
-from protocols.moteus.reply import decode
+from protocols.frames import CanFrame
+from protocols.messages import Feedback
+from protocols.moteus import plugin
+from protocols.plugin import Device
 
 LINES = {
     entry["name"]: bytes.fromhex(entry["data"])
@@ -19,8 +23,7 @@ LINES = {
 def test_what_the_package_sends_is_a_frame_to_a_device() -> None:
     frames, answer = Adapter(1_000_000, 5_000_000).feed(LINES["fdcanusb_line#3"])
     assert [(f.id, f.extended, f.fd, f.brs) for f in frames] == [(0x8005, True, True, True)]
-    assert names(frames[0]) == ("position 020 021", "read")
-    assert parse(frames[0].data)[1]
+    assert plugin.messages(frames[0]) == ("position 020 021", "read")
     assert split_checksum(answer.rstrip()) == (OK.encode(), True)
 
 
@@ -29,7 +32,8 @@ def test_what_the_package_takes_is_a_frame_of_a_device() -> None:
     assert right
     frame = decode_received(line.decode())
     assert frame is not None
-    assert decode(frame.data) is None  # 22 bytes, as the package took them: no CAN FD frame has so many
-    reported = decode(make_frame(frame.id, frame.data).data)
-    assert reported is not None
-    assert (frame.id, reported.values[1], reported.values[0x0D]) == (0x500, -0.125, 24.5)
+    driver = plugin.driver([Device("m", 5, plugin.options(), plugin.settings())])
+    assert driver.receive(0, frame) == []  # 22 bytes, as the package took them: no CAN FD frame has so many
+    whole = CanFrame(frame.id, frame.data + b"\x50" * 2, fd=True, brs=True)  # as a moteus sends it
+    (reported,) = (event for event in driver.receive(0, whole) if isinstance(event, Feedback))
+    assert (reported.position, reported.voltage) == (pytest.approx(-0.125 * tau), 24.5)

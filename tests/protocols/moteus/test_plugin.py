@@ -1,113 +1,86 @@
-"""The contract of the plugin: entry point, spec, ids, read-only frames, options, settings, the samples."""
+"""The contract of the plugin: spec, read-only frames, options and settings with their bounds."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import ModuleType
 from typing import Any
 
-import moteus
 import pytest
 
-from benchmarks.codec import theirs
-from benchmarks.samples import moteus as samples
-from protocols.messages import Estop, Hold, Idle, Impedance, Position, Reboot, Torque, Velocity
-from protocols.moteus import driver, spec
-from protocols.moteus.codec import Query, command_id, encode, make_frame
-from protocols.moteus.faults import FAULTS, LIMITS, fault_info_of
-from protocols.moteus.messages import DISCOVER, IDENTIFY, STOP, Limits, console, masked, position_command
-from protocols.moteus.options import Options, Settings, limits_of
-from protocols.moteus.registers import Register
-from protocols.moteus.reply import FAST, FULL
+from protocols.messages import Feedback
+from protocols.moteus import plugin
 from protocols.plugin import Device
-from tests.protocols.moteus.helpers import device
+from tests.protocols.moteus.test_transcripts import notation
+
+OPTIONS, SETTINGS = plugin.options(), plugin.settings()
+DEVICE = Device("left", 1, OPTIONS, SETTINGS)
 
 
 def test_specs_of_equal_devices_are_equal() -> None:
-    assert spec(device()) == spec(device())
-    assert spec(device()).commands == {Idle, Hold, Position, Velocity, Torque}
-    assert not {Impedance} & spec(device()).commands
-    assert not {Estop, Reboot} & spec(device()).requests
+    assert plugin.spec(DEVICE) == plugin.spec(replace(DEVICE))
 
 
 @pytest.mark.parametrize(
-    "data", [FAST, FULL, DISCOVER, IDENTIFY, encode(Query(Register.VOLTAGE, 3, 1)), b"", b"\x50"]
-)
-def test_queries_are_read_only(data: bytes) -> None:
-    read_only = spec(device()).read_only
-    assert read_only(make_frame(command_id(1), data))
-    assert read_only(make_frame(command_id(0x7F), data))
-    assert not read_only(make_frame(command_id(2), data))
-    assert not read_only(data)
-
-
-@pytest.mark.parametrize(
-    "data",
+    ("data", "harmless"),
     [
-        STOP,
-        position_command(0.0, 0.0, 0.0, Limits(0.1)) + FAST,
-        console("conf get id.id"),
-        masked(bytes(8), DISCOVER),
-        FAST + b"\x60",
-        FAST[:-1],
-        bytes.fromhex("420130"),
+        ("11001f01110f", True),
+        ("11001c040114060a", True),
+        ("1b80021804d00211d802", True),
+        ("1d0d", True),
+        ("", True),
+        ("50", True),
+        ("010000", False),
+        ("01000a0f20 0.0f 0.0f 0.0f 0d27 0.1f 11001f01110f", False),
+        ('40010f "conf get id.id" 0a', False),
+        ("0ad402 00000000 00000000 1804d00211d802", False),
+        ("11001f01110f 60", False),
+        ("11001f0111", False),
+        ("420130", False),
     ],
 )
-def test_all_else_is_not(data: bytes) -> None:
-    assert not spec(device()).read_only(make_frame(command_id(1), data))
+def test_only_queries_are_read_only(data: str, harmless: bool) -> None:
+    read_only = plugin.spec(DEVICE).read_only
+    assert read_only(notation(f"frame 8001 {data}")) is harmless
+    assert read_only(notation(f"frame 807f {data}")) is harmless
+    assert not read_only(notation(f"frame 8002 {data}"))
 
 
 @pytest.mark.parametrize("address", [0, -1, 127, 200])
 def test_an_address_that_is_no_id(address: int) -> None:
     with pytest.raises(ValueError, match="an id is 1 to 126"):
-        spec(device(address=address))
+        plugin.spec(replace(DEVICE, address=address))
 
 
 def test_a_duplicate_address_is_an_error() -> None:
     with pytest.raises(ValueError, match="duplicate address"):
-        driver([device("left", 1), device("right", 1)])
-    driver([device("left", 1), device("right", 1, options=Options(can_prefix=1))])
-
-
-def test_options_of_another_protocol_are_an_error() -> None:
-    with pytest.raises(TypeError, match="Options and Settings"):
-        spec(Device("left", 1, object(), Settings()))
+        plugin.driver([DEVICE, DEVICE])
+    plugin.driver([DEVICE, Device("right", 1, plugin.options(can_prefix=1), SETTINGS)])
 
 
 def test_the_watchdog_is_always_on_and_in_the_spec() -> None:
-    watchdog = spec(device(options=Options(timeout_ms=250))).watchdog
+    watchdog = plugin.spec(replace(DEVICE, options=plugin.options(timeout_ms=250))).watchdog
     assert (watchdog.timeout, watchdog.enabled, watchdog.note) == (250_000_000, True, "")
-    with pytest.raises(ValueError, match="timeout_ms is 0"):
-        Options(timeout_ms=0)
 
 
 @pytest.mark.parametrize(
     ("values", "name", "value"),
     [
-        (Options(), "host_id", 127),
-        (Options(), "host_id", -1),
-        (Options(), "can_prefix", 0x2000),
-        (Options(), "timeout_ms", 9),
-        (Options(), "timeout_ms", 10_001),
-        (Options(), "feedback_ms", 0),
-        (Options(), "details_ms", 0),
-        (Options(), "offline_ms", 19),
-        (Options(), "max_torque", math.nan),
-        (Options(), "max_torque", -1.0),
-        (Options(), "velocity_limit", math.inf),
-        (Options(), "acceleration_limit", -0.1),
-        (Settings(), "uuid", "xyz"),
-        (Settings(), "firmware", "1.2"),
-        (Settings(), "timeout_mode", 3),
-        (Settings(), "kp", math.nan),
-        (Settings(), "kp", -1.0),
-        (Settings(), "ki", math.inf),
-        (Settings(), "motor_kv", 0.0),
-        (Settings(), "encoder_cpr", 0),
-        (Settings(), "enable_ms", -1),
-        (Settings(), "position_max", math.inf),
-        (Settings(), "max_current", 0.0),
+        *((OPTIONS, "host_id", value) for value in (-1, 127)),
+        (OPTIONS, "can_prefix", 0x2000),
+        *((OPTIONS, "timeout_ms", value) for value in (0, 9, 10_001)),
+        (OPTIONS, "feedback_ms", 0),
+        (OPTIONS, "details_ms", 0),
+        (OPTIONS, "offline_ms", 19),
+        *((OPTIONS, "max_torque", value) for value in (math.nan, -1.0)),
+        (OPTIONS, "velocity_limit", math.inf),
+        (OPTIONS, "acceleration_limit", -0.1),
+        *((SETTINGS, name, value) for name, value in (("uuid", "xyz"), ("firmware", "1.2"))),
+        *((SETTINGS, "kp", value) for value in (math.nan, -1.0)),
+        *((SETTINGS, name, 0) for name in ("motor_kv", "encoder_cpr", "max_current")),
+        *((SETTINGS, name, math.inf) for name in ("ki", "position_max")),
+        (SETTINGS, "timeout_mode", 3),
+        (SETTINGS, "enable_ms", -1),
     ],
 )
 def test_options_and_settings_that_cannot_be(values: Any, name: str, value: Any) -> None:
@@ -116,30 +89,26 @@ def test_options_and_settings_that_cannot_be(values: Any, name: str, value: Any)
 
 
 def test_all_errors_in_options_are_reported_at_once() -> None:
-    with pytest.raises(ValueError, match=r"host_id.*max_torque.*offline_ms"):
-        Options(host_id=127, max_torque=-1.0, feedback_ms=1000, offline_ms=100)
+    with pytest.raises(ValueError, match=r"(?s)(?=.*host_id)(?=.*max_torque)(?=.*offline_ms)"):
+        plugin.options(host_id=127, max_torque=-1.0, feedback_ms=1000, offline_ms=100)
 
 
-def test_limits_are_in_the_device_s_units() -> None:
-    limits = limits_of(Options(max_torque=1.5, velocity_limit=math.tau, acceleration_limit=2 * math.tau))
-    assert limits == Limits(0.1, 1.5, 1.0, 2.0)
-    assert limits_of(Options()) == Limits(0.1)
+def test_every_fault_has_name_cause_and_remedy_and_no_other_is_provoked() -> None:
+    faults = plugin.spec(DEVICE).faults
+    assert all(info.name and info.cause and info.remedy for info in faults.values())
+    with pytest.raises(ValueError, match="no fault 96"):  # what limits the output is no fault
+        plugin.twin(DEVICE, 0).provoke(96)
 
 
-def test_settings_may_be_nan_where_the_device_s_may() -> None:
-    Settings(position_min=math.nan, default_timeout_s=math.nan, fault_position_error=math.nan)
-
-
-def test_every_fault_has_name_cause_and_remedy() -> None:
-    for code in (*FAULTS, 77):
-        text = fault_info_of(code)
-        assert text.name
-        assert text.cause
-        assert text.remedy
-    assert not set(FAULTS) & set(LIMITS)
-
-
-@pytest.mark.parametrize("sample", samples.SAMPLES, ids=lambda sample: sample.what)
-def test_both_sides_of_a_sample_come_to_the_same(sample: samples.Sample) -> None:
-    package: ModuleType = moteus
-    theirs(sample, samples.prepared(package))
+def test_uuids_come_from_address_and_seed_and_what_is_not_measured_is_not_taken() -> None:
+    replies = set()
+    for address, seed in ((1, 0), (1, 1), (2, 0), (2, 1), (2, 1)):
+        twin = plugin.twin(replace(DEVICE, address=address), seed)
+        twin.receive(0, notation(f"frame {0x8000 | address:x} 1d01"))  # before its first step: nothing
+        assert twin.step(0, [Feedback("left", 0, math.pi, 0.0)])[1] == []
+        twin.step(10**6, [Feedback("left", 10**6, math.nan, math.nan), Feedback("right", 10**6, 1.0, 1.0)])
+        twin.receive(10**6, notation(f"frame {0x8000 | address:x} 1d01 1804d002"))
+        (reply,) = twin.step(2 * 10**6, [])[1]
+        assert "2D010000003F" in str(reply)
+        replies.add(str(reply)[-40:])
+    assert len(replies) == 4
