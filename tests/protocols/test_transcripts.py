@@ -48,6 +48,8 @@ def check(folder: Path, text: str) -> None:
         DRIVER + f"reply {HOLD} => {READY}\n0 host Hold left => {HOLD}\n1 event State left ready",
         DRIVER + f"name ready {READY}\n0 rx ready => State left ready ; accepted",
         DRIVER + f"1 end\n== Second\nafter Title\n0 rx {READY} => State left ready",
+        DRIVER + "before all others\n9 end\n== Second\n241 event State left offline *"
+        "\n== Third\nafter nothing\n250 event State left offline *",
         DRIVER + f"each line by itself\nrx {READY} => State left ready\nhost Idle left => nothing",
         DECODER + '0 tx 1 Velocity "" 2.0 0.0 => Arm left ; Velocity left 2 ; named Velocity',
         TWIN + '0 rx 1 State "" 0 "ready" "ready"\n0 shaft left position=1 locked=yes\n'

@@ -88,12 +88,15 @@ def read(file: Path) -> list[Block]:
     """Return the blocks of a file. Raises ValueError for a line that cannot be read."""
     head: tuple[Line, ...] = ()
     found: dict[str, Block] = {}
+    first: str | None = None
     for place, text in _logical_lines(file):
         title = text.removeprefix("== ")
         if title in found:
             raise ValueError(f"{place}: there is a block of this title")
         if title != text:
-            found[title] = Block(file, title, head)
+            found[title] = Block(file, title, head, after=found[first] if first else None)
+        elif text == "before all others":
+            first = next(reversed(found))
         elif found:
             last = next(reversed(found))
             found[last] = _with(found[last], place, text, found)
@@ -119,7 +122,8 @@ def _with(block: Block, place: str, text: str, found: dict[str, Block]) -> Block
     if text == "without background":
         return replace(block, head=tuple(line for line in block.head if line.kind != "background"))
     if text.startswith("after "):
-        return replace(block, after=found[text.split(None, 1)[1]])
+        title = text.split(None, 1)[1]
+        return replace(block, after=None if title == "nothing" else found[title])
     line = _line(place, text, block.lines)
     if line.kind in HEAD and line.kind not in STIMULI:
         return replace(block, head=(*block.head, line))
