@@ -97,7 +97,13 @@ def test_what_is_not_written_or_does_not_come_fails(tmp_path: Path, text: str, r
 
 @pytest.mark.parametrize(
     "text",
-    [DRIVER + "0 sends Hold left", DRIVER + "== Title", "== One\nafter Other", DRIVER + "0 host Hld left"],
+    [
+        DRIVER + "0 sends Hold left",
+        DRIVER + "== Title",
+        "== One\nafter Other",
+        DRIVER + "0 host Hld left",
+        TWIN + "0 bus off",
+    ],
 )
 def test_what_cannot_be_read_fails(tmp_path: Path, text: str) -> None:
     with pytest.raises((ValueError, KeyError)):

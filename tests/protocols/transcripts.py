@@ -116,6 +116,9 @@ class Run:
         self.stimuli = [line for line in block.head if line.kind in ("cyclic", "reply")]
         self.stimuli += [line for line in lines if not self._is_expected(line)]
         self.expected = [each for line in lines for each in self._expectations(line)]
+        driving = [line for line in self.stimuli if line.kind in ("host", "bus", "cyclic", "reply")]
+        if driving and self.driver is None:
+            raise ValueError(f"{driving[0]}: there is no driver where a {self.tests} is tested")
         self.background = head["background"]
         self.came: list[str] = []
         self.wrong: list[str] = []
