@@ -28,7 +28,12 @@ STATES: dict[int, tuple[Mode, str]] = {
     dm.ENABLED: (Mode.ARMED, "enabled"),
     **{code: (Mode.FAULT, info.name) for code, info in dm.FAULTS.items()},
 }
-Model = Literal["4310", "4310P", "4340", "6006", "8006", "8009", "10010L", "10010", "H3510", "G6215", "H6220"]
+# fmt: off
+Model = Literal[
+    "4310", "4310P", "4340", "4340P", "3507", "6006", "6248P", "8006", "8009", "10010L", "10010", "H3510",
+    "G6215", "H6220", "JH11",
+]
+# fmt: on
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,21 +40,38 @@ MODELS: Mapping[str, tuple[float, float, float]] = {
     "4310": (12.5, 30.0, 10.0), "4310P": (12.5, 50.0, 10.0), "4340": (12.5, 10.0, 28.0),
     "6006": (12.5, 45.0, 20.0), "8006": (12.5, 45.0, 40.0), "8009": (12.5, 45.0, 54.0),
     "10010L": (12.5, 25.0, 200.0), "10010": (12.5, 20.0, 200.0), "H3510": (12.5, 280.0, 1.0),
-    "G6215": (12.5, 45.0, 10.0), "H6220": (12.5, 45.0, 10.0),
+    "G6215": (12.5, 45.0, 10.0), "H6220": (12.5, 45.0, 10.0), "3507": (12.566, 50.0, 5.0),
+    "4340P": (12.5, 10.0, 28.0), "JH11": (12.5, 10.0, 12.0), "6248P": (12.566, 20.0, 120.0),
 }
 # fmt: on
 """PMAX [rad], VMAX [rad/s] and TMAX [N·m] by model (registers 21 to 23)."""
 
-_FLOATS = ("UV", 0), ("KT", 1), ("OT", 2), ("OC", 3), ("ACC", 4), ("DEC", 5), ("MAX_SPD", 6)
-_RANGES = ("PMAX", 21), ("VMAX", 22), ("TMAX", 23)
-_MEASURED = ("Gr", 20), ("VBus", 60), ("Tpcb", 61), ("Tmtr", 62), ("p_m", 80), ("xout", 81)
-_FIXED = ("MST_ID", 7), ("ESC_ID", 8), ("sw_ver", 14), ("SN", 15), ("NPP", 16), ("can_br", 35)
+
+def _numbered(first: int, names: str) -> tuple[tuple[int, str], ...]:
+    return tuple(enumerate(names.split(), first))
+
+
+_FLOATS = (
+    *_numbered(0, "UV_Value KT_Value OT_Value OC_Value ACC DEC MAX_SPD"),
+    *_numbered(21, "PMAX VMAX TMAX I_BW KP_ASR KI_ASR KP_APR KI_APR OV_Value GREF Deta V_BW IQ_c1 VL_c1"),
+)
+_MEASURED = (
+    *_numbered(11, "Damp Inertia"),
+    *_numbered(17, "Rs Ls Flux Gr"),
+    *_numbered(59, "Imax VBus Tpcb Tmtr Iu_off Iv_off Iw_off"),
+    *_numbered(80, "p_m xout"),
+)
+# Ids and bit rate are the vendor's tool's business: a mistake there ends all communication.
+_FIXED = (
+    *_numbered(7, "MST_ID ESC_ID"),
+    *_numbered(13, "hw_ver sw_ver SN NPP"),
+    *_numbered(35, "can_br sub_ver"),
+)
 REGISTERS = Registers(
-    *(Register(name, number, "f32") for name, number in (*_FLOATS, *_RANGES)),
-    *(Register(name, number, "f32", writable=False) for name, number in _MEASURED),
-    *(Register(name, number, "u32") for name, number in (("TIMEOUT", 9), ("CTRL_MODE", 10))),
-    # Ids and bit rate are the vendor's tool's business: a mistake there ends all communication.
-    *(Register(name, number, "u32", writable=False) for name, number in _FIXED),
+    *(Register(name, number, "f32") for number, name in _FLOATS),
+    *(Register(name, number, "f32", writable=False) for number, name in _MEASURED),
+    *(Register(name, number, "u32") for number, name in _numbered(9, "TIMEOUT CTRL_MODE")),
+    *(Register(name, number, "u32", writable=False) for number, name in _FIXED),
 )
 SAVE = "save_parameters"
 """A parameter: written with 1, the motor saves its configuration."""

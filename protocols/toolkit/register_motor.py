@@ -33,7 +33,7 @@ class Motor:
 
     def sent(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Record frames, each of which is answered; return them."""
-        self.sent_at = now
+        self.sent_at = now if frames else self.sent_at
         self.answers.ask(len(frames))
         return frames
 
