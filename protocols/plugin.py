@@ -150,6 +150,8 @@ class Spec:
     """True if disarming clears the device's own faults (then a joint must latch them)."""
     faults: Mapping[int, FaultInfo] = field(default_factory=dict)
     """By `Fault.code`: every fault that the device can report, as its driver reports it."""
+    parameters: tuple[str, ...] = ()
+    """Parameters that ReadParameter reads, by the device's names for them: all, or some of each kind."""
     canonical: Callable[[Command], Command] = unchanged
     """Commands of which it returns the same are the same to the device, such as Torque and an Impedance
     without gains. It returns one of `commands`, with ranges of its own. A function of a module or a frozen

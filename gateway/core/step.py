@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from brain.belief import Belief
@@ -208,6 +209,10 @@ class Gateway:
             if isinstance(one, Task | Command):
                 tasks.append(one)
                 continue
+            if wrong := _not_finite(one):
+                name = getattr(one, "motor", getattr(one, "bus", ""))
+                self._late.append(msg.Refused(now, type(one).__name__, name, wrong))
+                continue
             match one:
                 case msg.Stop(reason):
                     self.stopped = reason or "an operator sent stop"
@@ -315,6 +320,13 @@ def _is_for(request: Request, driver: _BusDriver) -> bool:
     if isinstance(request, msg.Scan | msg.SetId):
         return request.bus == driver.bus
     return getattr(request, "motor", "") in driver.motors
+
+
+def _not_finite(request: Request) -> str:
+    """Return which number of a request is not finite, as a sentence; "" if all are."""
+    named = [(name, getattr(request, name)) for name in request.__slots__]
+    wrong = [(name, value) for name, value in named if isinstance(value, float) and not isfinite(value)]
+    return f"its {wrong[0][0]} is {wrong[0][1]}, and must be finite" if wrong else ""
 
 
 def _in_brackets(detail: str) -> str:

@@ -145,6 +145,7 @@ def spec(device: Device) -> Spec:
         holds_unattended=not timeout,
         stop_clears_faults=False,
         faults=FAULTS,
+        parameters=("6041", "6064"),
         receives_also=_receives_also(options),
     )
 

@@ -7,7 +7,6 @@ a rising edge of bit 7 of the controlword.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from protocols import messages as msg
@@ -111,7 +110,7 @@ def _write(now: Nanos, pending: Pending, parameter: str, value: float) -> Pendin
         return refusal(now, pending.request, f"the type of {o.title(key)} is not known: not written")
     if key in DRIVER_OBJECTS or key[0] in o.PDO_PARAMETERS:
         return refusal(now, pending.request, f"{known.name} is the driver's own: commands set it")
-    if not math.isfinite(value) or value != int(value):
+    if value != int(value):
         return refusal(now, pending.request, f"{value} is not a whole number")
     try:
         pending.transfer(key, to_bytes(known.type, int(value)))
@@ -161,8 +160,7 @@ def _parameter(pending: Pending, t: Nanos, request: msg.ReadParameter, outcome: 
     value = startup.value_of(key, outcome.value)
     if value is None:
         return [pending.refuse(t, f"{outcome.value.hex()} is no number of its type")]
-    unit = known.unit if known is not None else "of unknown type, read as unsigned"
-    return [msg.Parameter(pending.drive.name, t, request.parameter, float(value)), pending.done(t, unit)]
+    return [msg.Parameter(pending.drive.name, t, request.parameter, float(value))]
 
 
 def _on_zero(pending: Pending, t: Nanos, outcome: Outcome) -> list[Event]:

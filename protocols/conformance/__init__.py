@@ -82,6 +82,8 @@ CLAUSES: tuple[Clause, ...] = (
            timeouts.silent_host_trips_watchdog),
     Clause("offline", "a silent device is reported offline in time, without invented feedback",
            timeouts.silent_device_is_offline),
+    Clause("stale", "a command given to an absent device does not arm it when it comes back",
+           timeouts.absent_device_is_not_armed_later),
     Clause("faults", "faults are reported with their text, latch, and are cleared by ClearFault only",
            faults.faults_latch),
     Clause("attach", "a new driver takes over a running device without dropping its load",
@@ -98,8 +100,10 @@ CLAUSES: tuple[Clause, ...] = (
            losses.one_delays_no_other),
     Clause("vectors", "each message that moves a motor has an independent reference vector",
            reference_vectors.motion_is_in_reference_vectors),
-    Clause("answers", "each request has one answer; events and decoded messages are well-formed",
+    Clause("answers", "each request is answered; events and decoded messages are well-formed",
            requests.requests_are_answered),
+    Clause("once", "each request has exactly one answer: Done, Refused or Parameter",
+           requests.requests_are_answered_once),
 )
 # fmt: on
 

@@ -18,6 +18,7 @@ from protocols.conformance.bench import ALPHA, BETA, NAMES, STEP, Messages, Step
 from protocols.conformance.case import Case, Failure, Inapplicable, alternatives, valid
 from protocols.conformance.fault_injection import (
     SLACK,
+    STILL,
     Rig,
     liveliest,
     make_rig,
@@ -27,7 +28,7 @@ from protocols.conformance.fault_injection import (
     torque_of,
 )
 from protocols.conformance.requests import ill_formed
-from protocols.messages import MILLISECOND, SECOND, ClearFault, Command, Feedback, Idle, Mode, Nanos
+from protocols.messages import MILLISECOND, SECOND, Arm, ClearFault, Command, Feedback, Idle, Mode, Nanos
 from protocols.plugin import Device, FeedbackKind, Watchdog
 
 REPORTED = 1000
@@ -38,6 +39,8 @@ WINDOW = 100
 """Steps over which the work on a shaft is summed."""
 SPARED = 0.2
 """Part of the work of a motion that may still be done when the watchdog has ended it."""
+ABSENT = 500
+"""Steps for which a command is given to an absent device, and then none: it has aged."""
 RETURNED = 2000
 """Steps within which a device that sends again must be reported."""
 
@@ -276,6 +279,33 @@ def _comes_back(rig: Rig, what: str) -> None:
     if stale:
         text = f"{what} has been turned to {shaft.position:.6g} rad at {back}, and is reported where it was"
         raise rig.failure(text, (), stale[:1])
+
+
+def absent_device_is_not_armed_later(case: Case) -> None:
+    """A command given to an absent device does not arm it when it comes back, unless it is given again."""
+    if not case.kinds:
+        raise Inapplicable("the spec lists no commands that arm")
+    other = case.random().choice(case.kinds)
+    for kind, there in case.sample([(liveliest(case.spec), True), (other, False)]):
+        _comes_back_uncommanded(case, kind, there)
+
+
+def _comes_back_uncommanded(case: Case, kind: type[Command], there: bool) -> None:
+    """Cut alpha off, at once or when it is ready; command it; then command nothing, and connect it again."""
+    rig = make_rig(case)
+    if there:
+        rig.get_ready()
+    cable = rig.cables[ALPHA]
+    cable.up = cable.down = False
+    rig.wait(ABSENT + case.spec.offline_after // STEP, rig.at_rest(kind))
+    rig.wait(ABSENT)
+    cable.up = cable.down = True
+    for at in range(RETURNED):
+        step = rig.step()
+        arming = [message for message in named(step.received) if isinstance(message, Arm)]
+        if arming or abs(torque_of(step)) > STILL:
+            text = f"given {kind.__name__} while it was absent, and nothing for {ABSENT} ms"
+            raise rig.failure(f"{text}, the device is armed {at} ms after it came back", step.down, arming)
 
 
 def _ms(span: Nanos) -> str:

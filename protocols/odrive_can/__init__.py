@@ -154,6 +154,7 @@ def spec(device: Device) -> Spec:
         holds_unattended=not settings.enable_watchdog,
         stop_clears_faults=False,
         faults=FAULT_TABLE05 if line_of(device) == "0.5" else FAULT_TABLE06,
+        parameters=("Bus_Voltage", "Iq_Measured"),
         receives_also=((cmd_of(m.Address), CMD_MASK), (cmd_of(m.Heartbeat), CMD_MASK)),
         obeys_also=((frame_id(device.address, 0) | options.is_extended * EXTENDED_BIT, NODE_MASK),),
     )

@@ -7,7 +7,6 @@ shows that the device is alive, and its Done states that.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 from protocols import messages as msg
@@ -122,8 +121,8 @@ def _begin_writing(
     if row is None:
         known = ", ".join([name for pair in WRITABLE.values() for name in pair] + [SAVE])
         return refusal(now, request, f"CANSimple cannot set {parameter!r}; it can set {known}")
-    if not (math.isfinite(value) and value >= 0):
-        return refusal(now, request, f"{value} is not a finite number of at least 0")
+    if value < 0:
+        return refusal(now, request, f"{value} is not a number of at least 0")
     message, pair = row
     written[parameter] = value
     missing = [name for name in pair if name not in written]
@@ -223,7 +222,7 @@ def _on_parameter(
     value = getattr(message, attribute)
     if value is None:
         return [pending.refuse(t, "the device has no sensor for it")]
-    return [msg.Parameter(pending.name, t, parameter, float(value)), pending.done(t)]
+    return [msg.Parameter(pending.name, t, parameter, float(value))]
 
 
 def expire(pending: OdriveRequest, now: Nanos) -> msg.Refused:

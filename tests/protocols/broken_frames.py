@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -16,12 +15,15 @@ from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.codec import cmd_of
 from protocols.odrive_can.driver import OdriveDriver
 from protocols.odrive_can.messages import GetIq, SetAxisState
-from protocols.plain import codec
-from protocols.plain.decoder import PlainDecoder
-from protocols.plain.driver import PlainDriver
-from protocols.plain.twin import PlainMotor
+from protocols.plain import table
+from protocols.plain.twin import PlainDecoder, PlainTwin
 from protocols.plugin import Device
+from protocols.toolkit.driver import Rx
+from protocols.toolkit.serial import Stream
+from protocols.toolkit.table import TINY
 from tests.protocols.broken import BROKEN, Sent, alters, found_by, motors
+from tests.protocols.plain.parts import PlainDriver
+from tests.protocols.plain.published import framed
 
 # -- normal --------------------------------------------------------------------------------------------
 
@@ -34,11 +36,11 @@ class SendsMinusZero(PlainDriver):
         events, frames = super().send(now, messages)
         velocities = [m for m in messages if isinstance(m, msg.Velocity)]
         exact = [
-            bytes((self._addresses[m.motor],)) + pack_fields(LAYOUTS[4], ("", m.velocity, m.torque))
+            bytes((self.hosts[m.motor].address,)) + pack_fields(LAYOUTS[4], ("", m.velocity, m.torque))
             for m in velocities
-            if abs(m.velocity) < codec.TINY and m.torque == 0.0
+            if abs(m.velocity) < TINY and m.torque == 0.0
         ]
-        return events, [*frames, *map(codec.frame, exact)]
+        return events, [*frames, *map(framed, exact)]
 
 
 @alters("normal")
@@ -64,24 +66,21 @@ class ReportsDenormals(OdriveDriver):
 # -- checksums -----------------------------------------------------------------------------------------
 
 
-class _Lenient(codec.Stream):
+class _Lenient(Stream):
     """Does not check one bit of a checksum."""
 
     __slots__ = ()
 
-    def feed(self, data: bytes) -> list[bytes]:
-        bodies = []
+    def feed(self, data: bytes) -> list[bytes | Rx]:
+        found: list[bytes | Rx] = []
         for byte in data:
-            held, bad = self._held, self.bad
-            bodies += super().feed(bytes((byte,)))
-            if self.bad > bad:
-                whole = held + bytes((byte,))
-                corrected = whole[:-1] + bytes((byte ^ 0x02,))
-                crc = zlib.crc32(corrected[6:-4])
-                if corrected[:2] == codec.SYNC and corrected[-4:] == struct.pack("<I", crc):
-                    self.bad, self._held, self._skipping = bad, b"", False
-                    bodies.append(corrected[6:-4])
-        return bodies
+            corrected = self._held + bytes((byte ^ 0x02,))
+            received = super().feed(bytes((byte,)))
+            if Rx.MALFORMED in received and table.FRAMING.frame(corrected[:-4]) == corrected:
+                self.drop()
+                received = [corrected[:-4]]
+            found += received
+        return found
 
 
 @found_by("checksums")
@@ -90,7 +89,7 @@ class ForgivesABit(PlainDriver):
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
-        self._stream = _Lenient()
+        self.read_from(_Lenient(table.FRAMING))
 
 
 @found_by("checksums")
@@ -99,7 +98,7 @@ class DecoderForgivesABit(PlainDecoder):
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
-        self._stream = _Lenient()
+        self._stream = _Lenient(table.FRAMING)
 
 
 # -- obeyed --------------------------------------------------------------------------------------------
@@ -132,12 +131,12 @@ class DecoderArmsByIdle(PlainDecoder):
 
 
 @found_by("obeyed")
-class PushesTheOtherWay(PlainMotor):
+class PushesTheOtherWay(PlainTwin):
     """The device has the other sign of torque than the decoder."""
 
-    def _loop(self, dt: float) -> float:
-        torque = super()._loop(dt)
-        return -torque if isinstance(self._command, msg.Torque) else torque
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        torque = super().cycle(now, dt, position, velocity)
+        return -torque if isinstance(self.goal, msg.Torque) else torque
 
 
 # -- duplicates ----------------------------------------------------------------------------------------
@@ -169,7 +168,7 @@ class OneAfterTheOther(PlainDriver):
     """Sends no command while a reply is awaited: one silent device stops all."""
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
-        waiting = any(device.pending for device in self._devices.values())
+        waiting = len(self.queue)
         requests = [m for m in messages if not isinstance(m, Command)]
         late = [m for m in messages if isinstance(m, Command)]
         return super().send(now, requests if waiting else [*requests, *late])
@@ -184,11 +183,10 @@ class ArmsInTurn(PlainDriver):
         self.order = [device.name for device in devices]
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
-        devices = self._devices.values()
-        last = {d.name: d.received_at for d in devices}
+        last = {name: host.received_at for name, host in self.hosts.items()}
         silent = [name for name, at in last.items() if at is None or now - at > 40 * MILLISECOND]
         first = min((self.order.index(name) for name in silent), default=len(self.order))
-        held = self.order[first + 1 :] if any(device.owned for device in devices) else []
+        held = self.order[first + 1 :] if any(host.owned for host in self.hosts.values()) else []
         passed = [m for m in messages if isinstance(m, msg.Idle) or getattr(m, "motor", "") not in held]
         return super().send(now, passed)
 
@@ -225,7 +223,7 @@ BROKEN.append((replace(motors, name="WithoutMessageNames", messages=lambda _: ()
 # -- answers -------------------------------------------------------------------------------------------
 
 
-@found_by("answers")
+@found_by("once")
 class AnswersTwice(PlainDriver):
     """Reports the value of a parameter, and then that the request is done."""
 
@@ -273,7 +271,7 @@ class ReportsDoneUnsent(PlainDriver):
 @alters("answers")
 def never_gives_up(event: Message) -> Message | None:
     """Waits for ever for the answer of a silent device."""
-    return None if isinstance(event, msg.Refused) and "no answer" in event.reason else event
+    return None if isinstance(event, msg.Refused) and "no reply" in event.reason else event
 
 
 @found_by("answers")

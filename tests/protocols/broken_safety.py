@@ -10,11 +10,13 @@ from protocols.conformance.bench import Messages
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request
 from protocols.odrive_can.driver import OdriveDriver
-from protocols.plain import codec
-from protocols.plain.driver import PlainDriver
-from protocols.plain.twin import PlainMotor
+from protocols.plain import table
+from protocols.plain.driver import PlainAdapter
+from protocols.plain.twin import PlainTwin
 from protocols.plugin import Device
+from protocols.toolkit.host import Host
 from tests.protocols.broken import Sent, alters, found_by
+from tests.protocols.plain.parts import PlainDriver
 
 
 class Knowing(PlainDriver):
@@ -41,10 +43,10 @@ class Knowing(PlainDriver):
 
     def encoded(self, message: Command | Request) -> Frame:
         """Return a message to a device, past all that a driver should check."""
-        return codec.encode(self._addresses[getattr(message, "motor", "")], message)
+        return table.encode(self.hosts[getattr(message, "motor", "")].address, message)
 
     def owned(self, name: str) -> bool:
-        return self._devices[self._addresses[name]].owned
+        return self.hosts[name].owned
 
 
 # -- jump ----------------------------------------------------------------------------------------------
@@ -97,15 +99,16 @@ class FirstTorqueIsNotZero(Knowing):
 # -- disarm --------------------------------------------------------------------------------------------
 
 
+class _Trusting(PlainAdapter):
+    def release(self, now: Nanos, host: Host[set[int]]) -> Sequence[Frame]:
+        return super().release(now, host) if host.since == now else ()
+
+
 @found_by("disarm", "dropped")
 class SendsIdleOnce(Knowing):
     """Does not check that Idle has arrived."""
 
-    def send(self, now: Nanos, messages: Messages) -> Sent:
-        idle = [name for name, last in self.last.items() if isinstance(last, msg.Idle)]
-        given = [m for m in messages if not (isinstance(m, msg.Idle) and m.motor in idle)]
-        self.keep(messages)
-        return super().send(now, given)
+    adapted = _Trusting
 
 
 @found_by("commands", "disarm")
@@ -148,24 +151,24 @@ class FeedsByItself(Knowing):
 
 
 @found_by("watchdog")
-class NeverTrips(PlainMotor):
+class NeverTrips(PlainTwin):
     """The watchdog is promised, and forgotten."""
 
     def _watch(self, now: Nanos) -> None:
-        if self._mode == Mode.ARMED:
-            self._fed = now
+        if self.mode is Mode.ARMED:
+            self.feed(now)
         super()._watch(now)
 
 
 @found_by("watchdog")
-class TripsEarly(PlainMotor):
+class TripsEarly(PlainTwin):
     """The watchdog trips after half of the declared time."""
 
     def _watch(self, now: Nanos) -> None:
-        fed = self._fed
-        self._fed = fed - 47 * MILLISECOND
+        fed = self.fed
+        self.fed = fed - 47 * MILLISECOND
         super()._watch(now)
-        self._fed = fed
+        self.fed = fed
 
 
 # -- offline -------------------------------------------------------------------------------------------
@@ -176,8 +179,8 @@ class NeverReportsOffline(PlainDriver):
     """The time of silence is stored, and never checked."""
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
-        for device in self._devices.values():
-            device.received_at = now
+        for host in self.hosts.values():
+            host.received_at = now
         return super().send(now, messages)
 
 
@@ -196,7 +199,7 @@ class ReadsZeroAtFirst(Knowing):
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
         events, frames = super().send(now, messages)
-        zeros = [msg.Feedback(name, now, 0.0) for name in self._addresses if name not in self.positions]
+        zeros = [msg.Feedback(name, now, 0.0) for name in self.hosts if name not in self.positions]
         return [*zeros, *events], frames
 
 
@@ -210,7 +213,7 @@ class WaitsForEver(PlainDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        received = [device.received_at for device in self._devices.values()]
+        received = [host.received_at for host in self.hosts.values()]
         if not any(at is None or t - at > 100 * MILLISECOND for at in received):
             self.waits = None
         return events
@@ -231,6 +234,29 @@ class AcceptsItsOwnFrames(OdriveDriver):
         if isinstance(frame, CanFrame) and not frame.extended and frame.id >> 5 in self.axes:
             self.axes[frame.id >> 5].received_at = t
         return events
+
+
+@found_by("stale")
+class KeepsTheCommand(Knowing):
+    """What was commanded while the device was absent is sent when it is ready again."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.absent: set[str] = set()
+        self.back: list[str] = []
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        events = super().receive(t, frame)
+        self.back = [n for n, mode in self.modes.items() if mode is Mode.READY and n in self.absent]
+        self.absent -= set(self.back)
+        return events
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        self.keep(messages)
+        events, frames = super().send(now, messages)
+        self.absent |= {e.motor for e in events if isinstance(e, msg.State) and e.mode is Mode.OFFLINE}
+        back, self.back = self.back, []
+        return events, [*frames, *(self.encoded(self.last[name]) for name in back if name in self.last)]
 
 
 @found_by("counts", "foreign")
@@ -293,14 +319,12 @@ class PollsByClearing(Knowing):
 
 
 @found_by("faults")
-class ForgetsItsFault(PlainMotor):
+class ForgetsItsFault(PlainTwin):
     """The firmware takes Idle for the end of a fault."""
 
-    def _obey(self, t: Nanos, command: Command) -> None:
-        if isinstance(command, msg.Idle) and self._mode == Mode.FAULT:
-            self._fault = None
-            self._enter(t, Mode.READY)
-        super()._obey(t, command)
+    def disarm(self) -> None:
+        self.clear()
+        super().disarm()
 
 
 # -- passive, attach, scan -----------------------------------------------------------------------------
@@ -337,9 +361,9 @@ class DisarmsToArm(Knowing):
     """The first command to a device is Idle, to begin from a known state."""
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
-        before = [name for name in self._addresses if self.owned(name)]
+        before = [name for name in self.hosts if self.owned(name)]
         events, frames = super().send(now, messages)
-        fresh = [name for name in self._addresses if self.owned(name) and name not in before]
+        fresh = [name for name in self.hosts if self.owned(name) and name not in before]
         return events, [*(self.encoded(msg.Idle(name)) for name in fresh), *frames]
 
 
@@ -351,7 +375,7 @@ class ScansActively(Knowing):
     def send(self, now: Nanos, messages: Messages) -> Sent:
         events, frames = super().send(now, messages)
         scans = any(isinstance(message, msg.Scan) for message in messages)
-        return events, [*frames, *(self.encoded(self.scan(name)) for name in self._addresses if scans)]
+        return events, [*frames, *(self.encoded(self.scan(name)) for name in self.hosts if scans)]
 
 
 @found_by("scan")

@@ -15,9 +15,9 @@ from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages, TwinWrapper
 from protocols.frames import EXTENDED_BIT, ID_BITS, CanFrame, Frame, IdMask
 from protocols.messages import Command, Event, Nanos, Obeyed
-from protocols.plain import codec
 from protocols.plugin import CommandDecoder, Device, FeedbackKind, Plugin, Range, Spec
 from tests.protocols.broken import Sent, motors
+from tests.protocols.plain.parts import decoded
 
 
 def with_spec(plugin: Plugin, **changes: Any) -> Callable[[Device], Spec]:
@@ -50,6 +50,25 @@ synonyms = replace(
     name="synonyms",
     driver=lambda devices: SendsImpedance(motors.driver(devices)),
     spec=with_spec(motors, canonical=as_impedance),
+)
+
+
+# -- requests hold finite numbers --------------------------------------------------------------------------
+
+
+class TrustsRequests(DriverWrapper):
+    """A driver that relies on the step: it refuses requests with numbers that are not finite."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        """Raise ValueError for a number that is not finite."""
+        for message in messages:
+            if isinstance(message, msg.WriteParameter):
+                int(message.value)
+        return self.driver.send(now, messages)
+
+
+trusts_requests = replace(
+    motors, name="trusts_requests", driver=lambda devices: TrustsRequests(motors.driver(devices))
 )
 
 
@@ -126,8 +145,8 @@ class Replies(TwinWrapper):
     def receive(self, t: Nanos, frame: Frame) -> None:
         """Pass it on; note a command to this device."""
         self.twin.receive(t, frame)
-        for body in codec.Stream().feed(frame) if isinstance(frame, bytes) else ():
-            if body[0] == self.device.address and isinstance(codec.decode(body, t, ""), Command):
+        for address, message in decoded(frame):
+            if address == self.device.address and isinstance(message, Command):
                 self.commanded_at = t
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
@@ -137,9 +156,8 @@ class Replies(TwinWrapper):
 
 
 def _reports(frame: Frame) -> bool:
-    bodies = codec.Stream().feed(frame) if isinstance(frame, bytes) else ()
     reports = (msg.Feedback, msg.State, msg.Fault)
-    return any(isinstance(codec.decode(body, 0, ""), reports) for body in bodies)
+    return any(isinstance(message, reports) for _, message in decoded(frame))
 
 
 only_replies = replace(
@@ -230,4 +248,4 @@ data_in_ids = replace(
     vectors=("tests.protocols", "data_in_ids.json"),
 )
 
-SOUND = (synonyms, twelve_bits, only_replies, data_in_ids)
+SOUND = (synonyms, trusts_requests, twelve_bits, only_replies, data_in_ids)

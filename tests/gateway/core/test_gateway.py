@@ -164,7 +164,7 @@ def test_limits_and_gains_are_set_while_it_runs_or_refused_with_the_reason(drive
     ticks = driven.run(
         1.0,
         msg.Set("left.limits.velocity", 2.0),
-        msg.Set("left.limits.torque", math.nan),
+        msg.Set("left.limits.torque", -1.0),
         msg.Set("wing", 1.0),
     )
     assert driven.velocity("left") == pytest.approx(2.0, abs=0.1)
@@ -172,6 +172,18 @@ def test_limits_and_gains_are_set_while_it_runs_or_refused_with_the_reason(drive
     assert texts[0] == "left.limits.velocity = 2"
     assert "positive finite" in texts[1]
     assert "begins with none of brain, left, right" in texts[2]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_request_with_a_number_that_is_not_finite_is_refused_and_reaches_no_driver(
+    driven: Rig, bad: float
+) -> None:
+    requests = [msg.WriteParameter("left", "Pos_Gain", bad), msg.Set("left.limits.torque", bad)]
+    ticks = driven.run(0.5, *requests)
+    answers = [e for tick in ticks for e in tick.outputs.events if isinstance(e, msg.Refused | msg.Done)]
+    assert [(e.request, e.name) for e in answers] == [("WriteParameter", "left"), ("Set", "")]
+    wanted = f"its value is {bad}, and must be finite"
+    assert [e.reason for e in answers if isinstance(e, msg.Refused)] == [wanted, wanted]
 
 
 def test_a_lost_bus_and_its_return_are_reported_and_nothing_starts_by_itself(driven: Rig) -> None:

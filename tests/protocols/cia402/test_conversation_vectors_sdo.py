@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby, pairwise
-from math import nan
 
 import pytest
 
@@ -136,12 +135,12 @@ def test_vectors_of_heartbeats_that_alternate() -> None:
 
 # fmt: off
 ASKED: list[tuple[Request, Sequence[str]]] = [
-    (msg.ReadParameter("m", "6081"),              ["< Parameter 6081 100000", "< Done ReadParameter m *"]),
-    (msg.ReadParameter("m", "0x608F:01"),         ["< Parameter 0x608F:01 16384", "< Done *"]),
-    (msg.ReadParameter("m", "Profile velocity"),  ["< Parameter Profile velocity 100000", "< Done *"]),
-    (msg.ReadParameter("m", "608Fsub1"),          ["< Parameter 608Fsub1 16384", "< Done *"]),
-    (msg.ReadParameter("m", " feed "),            ["< Parameter  feed  0", "< Done *"]),
-    (msg.ReadParameter("m", "605a"),              ["< Parameter 605a 2", "< Done *"]),
+    (msg.ReadParameter("m", "6081"),              ["< Parameter 6081 100000"]),
+    (msg.ReadParameter("m", "0x608F:01"),         ["< Parameter 0x608F:01 16384"]),
+    (msg.ReadParameter("m", "Profile velocity"),  ["< Parameter Profile velocity 100000"]),
+    (msg.ReadParameter("m", "608Fsub1"),          ["< Parameter 608Fsub1 16384"]),
+    (msg.ReadParameter("m", " feed "),            ["< Parameter  feed  0"]),
+    (msg.ReadParameter("m", "605a"),              ["< Parameter 605a 2"]),
     (msg.ReadParameter("m", "1008"),              ["< Done ReadParameter m twin402"]),  # 7 bytes: in segments
     (msg.ReadParameter("m", "5FFF"),              ["< Refused ReadParameter m * (SDO abort 0x06020000)"]),
     (msg.ReadParameter("m", "1018:09"),           ["< Refused ReadParameter m * (SDO abort 0x06090011)"]),
@@ -155,7 +154,6 @@ ASKED: list[tuple[Request, Sequence[str]]] = [
     (msg.WriteParameter("m", "6041", 1.0),        ["write 6041 = 0001", "< Refused * (* 0x06010002)"]),
     (msg.WriteParameter("m", "nonsense", 1.0),    ["0 < Refused WriteParameter m 'nonsense' is no object*"]),
     (msg.WriteParameter("m", "6081", 0.5),        ["0 < Refused WriteParameter m 0.5 is not a whole number"]),
-    (msg.WriteParameter("m", "6081", nan),        ["0 < Refused WriteParameter m nan is not a whole number"]),
     (msg.WriteParameter("m", "6081", -1.0),       ["0 < Refused WriteParameter m -1 *"]),
     (msg.WriteParameter("m", "6098", 128.0),      ["0 < Refused WriteParameter m 128 *"]),
     (msg.WriteParameter("m", "2000", 1.0),        ["0 < Refused WriteParameter m * not known*"]),
@@ -187,7 +185,7 @@ def test_vectors_of_parameters_of_makers_are_read_as_unsigned_numbers() -> None:
     talk.chapter(
         30,
         msg.ReadParameter("m", "2000:01"),
-        expected="< Parameter 2000:01 254\n< Done ReadParameter m of unknown type*",
+        expected="< Parameter 2000:01 254",
     )
     drive.local.data_store[0x2000] = {1: bytes(9)}
     talk.chapter(
@@ -200,15 +198,13 @@ def test_vectors_of_answers_without_their_size() -> None:
     talk.drive.unsized = True
     talk.drive.put(0x6064, 70_000)  # 26.8447 rad
     talk.chapter(100, expected="< *\n< State ready *\nmeasures position=26.845 voltage=48")
-    talk.chapter(30, msg.ReadParameter("m", "6081"), expected="< Parameter 6081 100000\n< Done *")
+    talk.chapter(30, msg.ReadParameter("m", "6081"), expected="< Parameter 6081 100000")
 
 
 def test_vectors_of_parameters_below_zero() -> None:
     talk = up(Talk())
     talk.drive.put(0x607C, -5)
-    talk.chapter(
-        30, msg.ReadParameter("m", "607C"), expected="< Parameter 607C -5\n< Done ReadParameter m position"
-    )
+    talk.chapter(30, msg.ReadParameter("m", "607C"), expected="< Parameter 607C -5")
 
 
 def test_vectors_of_a_unit_that_is_written_is_read_anew() -> None:
@@ -236,7 +232,6 @@ def test_vectors_of_parameters_of_an_armed_drive_and_without_a_response() -> Non
         msg.Hold("m"),
         expected="""
         < Parameter 6502 941
-        < Done ReadParameter m
         write 6083 = 7
         < Done WriteParameter m
         sync /10, beat ?
@@ -259,7 +254,7 @@ def test_vectors_of_too_many_requests() -> None:
     talk = up(Talk())
     talk.chapter(100, *[msg.ReadParameter("m", "6064") for _ in range(40)])
     names = [type(event).__name__ for event in talk.events]
-    assert (names.count("Parameter"), names.count("Done"), names.count("Refused")) == (32, 32, 8)
+    assert (names.count("Parameter"), names.count("Done"), names.count("Refused")) == (32, 0, 8)
 
 
 def test_vectors_of_a_reboot() -> None:

@@ -105,7 +105,6 @@ def test_vectors_of_an_estop_and_a_parameter_of_0_5() -> None:
         0 < Fault axis3 0x5000000001000 MIN_ENDSTOP_PRESSED: *
         0 < State axis3 fault: IDLE
         0 < Parameter axis3 Axis_State 1
-        0 < Done ReadParameter axis3:*
         100 < Fault axis3 0x5000000004000 ESTOP_REQUESTED: *
         100 < Done Estop axis3: it stays in fault until cleared
     """)

