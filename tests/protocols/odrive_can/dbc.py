@@ -1,8 +1,8 @@
 """Frames by the vendor's DBCs, encoded by cantools: the odrive_can notation of transcripts.
 
 `3:Heartbeat 0 8` is a message of firmware 0.6.x at node 3: signals in the order of the DBC, or by name
-(`3:Heartbeat Axis_State=8`); what is not written is 0. `axis3:Heartbeat` is one of 0.5.x, `x3:Heartbeat` the same
-with an extended identifier; `3?Get_Error` is a remote frame. The codec under test has no part in it.
+(`3:Heartbeat Axis_State=8`); what is not written is 0. `axis3:Heartbeat` is one of 0.5.x, `x3:Heartbeat` the
+same with an extended identifier; `3?Get_Error` is a remote frame. The codec under test has no part in it.
 """
 
 from __future__ import annotations

@@ -1,15 +1,13 @@
-"""The transcripts of fixtures/transcripts/odrive_can, whose frames the vendor's DBCs give (`dbc`); the names there."""
+"""The transcripts of fixtures/transcripts/odrive_can, in frames of the vendor's DBCs; the names in these."""
 
 from __future__ import annotations
 
 import itertools
-from typing import Literal
 
 import pytest
 
 from protocols.messages import Fault
 from protocols.odrive_can import plugin
-from protocols.odrive_can.options import Options, Settings
 from protocols.plugin import Device
 from tests.protocols.odrive_can.dbc import MESSAGES, choices_of, notation
 from tests.protocols.transcripts import Block, blocks, run
@@ -20,8 +18,8 @@ def test_transcript(block: Block) -> None:
     run(block, plugin, notation)
 
 
-def device(firmware: Literal["auto", "0.5", "0.6"]) -> Device:
-    return Device("left", 3, Options(firmware=firmware), Settings())
+def device(firmware: str) -> Device:
+    return Device("left", 3, plugin.options(firmware=firmware), plugin.settings())
 
 
 @pytest.mark.parametrize(
@@ -36,13 +34,12 @@ def device(firmware: Literal["auto", "0.5", "0.6"]) -> Device:
     ],
 )
 def test_every_error_bit_has_the_vendor_s_name(
-    firmware: Literal["0.5", "0.6"], message: str, signal: str, base: int, part: str
+    firmware: str, message: str, signal: str, base: int, part: str
 ) -> None:
     faults = plugin.spec(device(firmware)).faults
-    bits = {bit: name for bit, name in choices_of(firmware, message, signal).items() if bit}
-    states = {"INITIALIZING"}
-    named = {bit: faults[base + bit].name for bit, name in bits.items() if name not in states}
-    assert named == {bit: part + name for bit, name in bits.items() if name not in states}
+    bits = choices_of(firmware, message, signal)
+    bits = {bit: name for bit, name in bits.items() if name not in ("NONE", "INITIALIZING")}
+    assert {bit: faults[base + bit].name for bit in bits} == {bit: part + bits[bit] for bit in bits}
 
 
 @pytest.mark.parametrize(("prefix", "line"), [("", "0.6"), ("axis", "0.5")])
