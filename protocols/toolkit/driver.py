@@ -63,6 +63,8 @@ class Adapter(Generic[Own]):
     """Code of the fault of a device that does not arm in time; 0: it has none."""
     duplicate: int = 0
     """Code of the fault of a device whose address another one has too."""
+    unaddressed: int | None = None
+    """The address that all devices share which have none yet."""
     latch: bool = False
     """A fault stays until ClearFault, whatever the device reports."""
     blind: bool = False
@@ -175,7 +177,7 @@ class Adapter(Generic[Own]):
         host = pending.host
         if isinstance(pending.request, msg.SetId):
             return f"no device with serial number {pending.request.serial} took the address"
-        if host is None or host.received_at is None or host.received_at < pending.began:
+        if host is None or host.received_at is None or host.received_at <= pending.began:
             return "no reply of the device"
         if isinstance(pending.request, msg.ClearFault):
             names = [self.faults[code].name for code in sorted(host.active)]
@@ -236,11 +238,10 @@ class MotorDriver(Generic[Own]):
         else:
             self.counters.accepted += 1
             events = host.on_report(t, report)
-        if report.serial is not None:
-            holders = self.serials.add(t, report.address, report.serial)
-            events += self._on_duplicate(t, report.address, holders) if holders else []
-        if report.duplicate:
-            events += self._on_duplicate(t, report.address, report.duplicate)
+        cause = report.duplicate
+        if report.serial is not None and report.address != self.adapter.unaddressed:
+            cause = self.serials.add(t, report.address, report.serial) or cause
+        events += self._on_duplicate(t, report, cause) if cause else []
         for pending in self.queue if len(self.queue) else ():
             if pending.host is None:
                 events += self._on_found(t, pending, report)
@@ -254,15 +255,12 @@ class MotorDriver(Generic[Own]):
         cleared = isinstance(pending.request, msg.ClearFault) and isinstance(answer, msg.Done)
         return [*(pending.host.cleared(t) if cleared and pending.host is not None else ()), answer]
 
-    def _on_duplicate(self, t: Nanos, address: int, cause: str) -> list[Event]:
-        events = self.serials.report(t, address, cause)
-        if events and self.adapter.duplicate:
+    def _on_duplicate(self, t: Nanos, report: Report[Own], cause: str) -> list[Event]:
+        events = self.serials.report(t, report.address, cause)
+        if events and self.adapter.duplicate and report.host is not None:
+            name = f"duplicate address {report.address}"
             remedy = "take one off the bus, or give it another address (SetId with its serial number)"
-            events += [
-                msg.Fault(host.name, t, self.adapter.duplicate, f"duplicate address {address}", cause, remedy)
-                for host in self.hosts.values()
-                if host.address == address
-            ]
+            events.append(msg.Fault(report.host.name, t, self.adapter.duplicate, name, cause, remedy))
         return events
 
     def _on_found(self, t: Nanos, pending: Pending[Own], report: Report[Own]) -> list[Event]:
@@ -273,9 +271,10 @@ class MotorDriver(Generic[Own]):
                 return []
             self.queue.end(pending)
             return [pending.done(t, self.adapter.set_id_detail)]
-        if (serial is None and not report.note) or (address, serial) in pending.found:
+        known = any(other == address for other, _ in pending.found)
+        if (serial is None and (known or not report.note)) or (address, serial) in pending.found:
             return []
-        duplicate = any(other == address for other, _ in pending.found)
+        duplicate = known and address != self.adapter.unaddressed
         detail = ", ".join(filter(None, (report.host.name if report.host else "", report.note)))
         pending.found[address, serial] = detail
         return [msg.Found(t, self.adapter.name, address, serial, detail, duplicate)]

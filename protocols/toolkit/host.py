@@ -163,8 +163,10 @@ class Host(Generic[Own]):
         if phase is None:
             return
         self.phase, self.since = phase, t
+        if phase in (Phase.ARMING, Phase.RELEASING):
+            self.held = None  # where it stops next may be elsewhere
         if phase is Phase.RELEASING:
-            self.release_at, self._confirmed, self.held, self.owned = t, 0, None, True
+            self.release_at, self._confirmed, self.owned = t, 0, True
 
     # -- received ------------------------------------------------------------------------------------
 
@@ -238,7 +240,7 @@ class Host(Generic[Own]):
 
     def on_command(self, now: Nanos, *, hold: bool) -> Phase:
         """Record a command other than Idle. Returns the phase: what is to be done about it."""
-        if self.offline or self.phase is Phase.FAULT or self.tripped:
+        if self.offline or self.tripped or self.phase is Phase.FAULT or self.mode is Mode.FAULT:
             return self.phase
         self.owned = self.once_commanded = True
         self._fire(now, Trigger.COMMAND)
