@@ -28,10 +28,11 @@ from protocols.odrive_can.codec import (
 from protocols.odrive_can.layout import FLOAT_MAX, Layout
 from protocols.odrive_can.messages import Message, RemoteRequest
 from protocols.reference_vectors import vectors_of
-from tests.protocols.odrive_can.conversation import DBCS, MESSAGES, SERIAL
+from tests.protocols.odrive_can.dbc import DBCS, MESSAGES
 
 VECTORS = {str(vector.name): vector for vector in vectors_of(plugin)}
 NODE = 3
+SERIAL = 0x385F34733330
 
 
 def each(rows: list[tuple[str, Layout]]) -> pytest.MarkDecorator:

@@ -17,7 +17,7 @@ from protocols.odrive_can import plugin
 from protocols.odrive_can.codec import LINE05, TABLES
 from protocols.odrive_can.layout import Layout
 from protocols.reference_vectors import Vector, vectors_of
-from tests.protocols.odrive_can.conversation import DBCS
+from tests.protocols.odrive_can.dbc import DBCS
 
 VECTORS = vectors_of(plugin)
 SOURCE = re.compile(
