@@ -1,32 +1,31 @@
-"""The host's end of a plain line: commands and requests out; feedback, states, faults and measurements in.
+"""The host's end of a plain line: what a motor is sent in each phase, and what devices report.
 
-Rules. A measurement is stamped with the packet's time less the age that it carries. A motor that was not
-commanded yet is sent nothing but requests; any command but Idle makes it owned, and it stays owned. A fault
-is reported once, until the device has left its fault state. Every request ends: with the device's answer, or
-refused after `ANSWER`. The driver sends nothing by itself, and reports by itself only timeouts: a motor
-without a message for `OFFLINE` is offline.
+Rules. Any command arms a motor, which needs no other message for it, and holds by itself where it is. Each
+request goes out once, and is answered by its device, or refused after `ANSWER`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from dataclasses import dataclass
+from typing import Literal
 
 from protocols import messages as msg
-from protocols.frames import BusState, Frame
+from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
-from protocols.plain import codec
-from protocols.plugin import Device, RxCounters
-from protocols.toolkit.requests import RejectionFilter
+from protocols.plain import table
+from protocols.plugin import Device
+from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.requests import subject
+from protocols.toolkit.serial import Stream
 
 ANSWER: Nanos = 200 * MILLISECOND
 """Timeout of a request, and how long a scan collects answers."""
 OFFLINE: Nanos = 250 * MILLISECOND
 """Time without a message after which a motor is offline."""
-SensorEvent: TypeAlias = msg.Imu | msg.LaserScan | msg.Fix
-MotorEvent: TypeAlias = msg.Feedback | msg.State | msg.Fault | msg.Done | msg.Refused | msg.Parameter
-"""What a motor may send, and a sensor above; Found comes from either."""
+Faults = set[int]
+"""Codes of the faults that a motor reported since it was not in fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,185 +36,95 @@ class Options:
     """What the device is: it decides which messages are sent to it and accepted from it."""
 
 
-@dataclass(slots=True)
-class _DeviceState:
-    """The host's record of one device."""
+class PlainAdapter(Adapter[Faults]):
+    """What plain devices are sent, and what they report."""
 
-    name: str
-    motor: bool
-    owned: bool = False
-    received_at: Nanos | None = None
-    """Time of its last message, or when we began to listen."""
-    offline: bool = False
-    faults: list[int] = field(default_factory=list)
-    """Codes already reported, until the device has left its fault state."""
-    pending: dict[str, Nanos] = field(default_factory=dict)
-    """Deadlines of the requests without an answer yet, by class name."""
+    name = table.NAME
+    blind = True
+    needs_idle = ()
 
+    def __init__(self) -> None:
+        self._stream = Stream(table.FRAMING)
 
-class PlainDriver:
-    """The driver of all plain devices on one serial line."""
+    def own(self, device: Device) -> Faults:
+        return set()
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self.counters = RxCounters()
-        self._stream = codec.Stream()
-        self._devices = {d.address: _DeviceState(d.name, d.options.kind == "motor") for d in devices}
-        self._addresses = {d.name: d.address for d in devices}
-        self._rejections = RejectionFilter()
-        self._broadcasts: list[tuple[Nanos, codec.BroadcastRequest]] = []
-        """Deadlines of the requests to all devices."""
-        self._serials: dict[int, int] = {}
-        """Serial numbers found since the last scan, by address."""
+    def timing(self, options: Options) -> Timing:
+        return Timing(OFFLINE if options.kind == "motor" else NEVER)
 
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """Return the events in the messages that these bytes complete."""
+    def interrupted(self) -> None:
+        self._stream.drop()
+
+    def forget(self, now: Nanos, host: Host[Faults]) -> None:
+        host.own.clear()
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Faults]) -> Sequence[Report[Faults] | Rx]:
         if not isinstance(frame, bytes):
-            self.counters.ignored += 1
-            return []
-        stream = self._stream
-        bad, noise = stream.bad, stream.noise
-        events = [event for body in stream.feed(frame) for event in self._handle(t, body)]
-        self.counters.malformed += stream.bad - bad
-        self.counters.ignored += stream.noise - noise
-        return events
+            return (Rx.IGNORED,)
+        received = self._stream.feed(frame)
+        return [self._report(t, each, driver) if isinstance(each, bytes) else each for each in received]
 
-    def bus(self, t: Nanos, state: BusState) -> None:  # noqa: ARG002 -- timeouts run from the last message
-        """Discard a partial message and report faults anew: devices may have restarted with the line."""
-        if state in (BusState.GONE, BusState.OFF, BusState.BACK):
-            self._stream.drop()
-            for device in self._devices.values():
-                device.faults.clear()
-
-    def send(
-        self, now: Nanos, messages: Sequence[Command | Request]
-    ) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Encode each command or request that its device takes; refuse the others."""
-        events: list[Event] = []
-        frames: list[Frame] = []
-        for message in messages:
-            if isinstance(message, msg.Stop):
-                for device in self._devices.values():
-                    device.owned = device.motor
-                continue
-            reason = ""
-            try:
-                address = self._address(message)
-                frame = codec.encode(address, message)
-            except ValueError as error:
-                reason = str(error)
-            else:
-                frames += [frame] if self._note(now, address, message) else []
-            events += self._rejections.filter(now, message, reason)
-        return events + self._expired(now), frames
-
-    def due(self) -> Nanos | None:
-        """Return when the next request times out, or the next motor is offline."""
-        times = [deadline for deadline, _ in self._broadcasts]
-        for device in self._devices.values():
-            times += device.pending.values()
-            if device.motor and device.received_at is not None and not device.offline:
-                times.append(device.received_at + OFFLINE)
-        return min(times, default=None)
-
-    # -- sending ---------------------------------------------------------------------------------------
-
-    def _address(self, message: Command | Request) -> int:
-        """Return the address that a message goes to. Raises ValueError if it can go to none."""
-        if isinstance(message, codec.BroadcastRequest):
-            return codec.BROADCAST
-        if not isinstance(message, Command | codec.MotorRequest):
-            raise ValueError("a plain device cannot do that")  # noqa: TRY004 -- a valid message, wrong device
-        address = self._addresses.get(message.motor)
-        if address is None or not self._devices[address].motor:
-            raise ValueError(f"no motor {message.motor!r} on this line")
-        return address
-
-    def _note(self, now: Nanos, address: int, message: Command | Request) -> bool:
-        """Record that a message goes out. Returns False for Idle to a motor that is not owned."""
-        if isinstance(message, codec.BroadcastRequest):
-            self._broadcasts.append((now + ANSWER, message))
-            self._serials = {} if isinstance(message, msg.Scan) else self._serials
-            return True
-        device = self._devices[address]
-        if isinstance(message, msg.Idle):
-            return device.owned
-        if isinstance(message, codec.MotorRequest):
-            device.pending[type(message).__name__] = now + ANSWER
-        else:
-            device.owned = True
-        return True
-
-    def _expired(self, now: Nanos) -> list[Event]:
-        """Return the events of timeouts: requests without an answer, motors offline, the end of a scan."""
-        events: list[Event] = []
-        for device in self._devices.values():
-            for kind in [kind for kind, deadline in device.pending.items() if deadline <= now]:
-                del device.pending[kind]
-                reason = f"no answer in {ANSWER // MILLISECOND} ms"
-                events.append(msg.Refused(now, kind, device.name, reason))
-            device.received_at = now if device.received_at is None else device.received_at
-            if device.motor and not device.offline and now - device.received_at >= OFFLINE:
-                device.offline = True
-                detail = f"no message for {OFFLINE // MILLISECOND} ms"
-                events.append(msg.State(device.name, now, Mode.OFFLINE, detail))
-        ended = [request for deadline, request in self._broadcasts if deadline <= now]
-        self._broadcasts = [each for each in self._broadcasts if each[0] > now]
-        for request in ended:
-            if isinstance(request, msg.Scan):
-                events.append(msg.Done(now, "Scan", request.bus, f"{len(self._serials)} found"))
-            else:
-                reason = f"no device has serial number {request.serial}"
-                events.append(msg.Refused(now, "SetId", request.bus, reason))
-        return events
-
-    # -- receiving -------------------------------------------------------------------------------------
-
-    def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
-        """Decode and count the body of one message."""
-        device = self._devices.get(body[0])
-        message = codec.decode(body, t, device.name if device else "")
-        if isinstance(message, msg.Found) and message.protocol == codec.NAME and message.address == body[0]:
-            self.counters.accepted += 1
-            return self._found(message)
+    def _report(self, t: Nanos, message: bytes, driver: MotorDriver[Faults]) -> Report[Faults] | Rx:
+        address = table.address_of(message)
+        host = driver.at.get(address)
+        event = table.decode(message, t, host.name if host else "")
+        if isinstance(event, msg.Found) and (event.protocol, event.address) == (table.NAME, address):
+            return Report(host, address, serial=event.serial, note=event.detail)
         # A command towards the host is an echo (RS-485); an unknown address is not ours.
-        if device is None or isinstance(message, Command | Request):
-            self.counters.ignored += 1
-            return []
-        if not isinstance(message, MotorEvent if device.motor else SensorEvent):
-            self.counters.malformed += 1
-            return []
-        self.counters.accepted += 1
-        device.received_at, device.offline = t, False
-        return [message] if self._is_new(device, message) else []
+        if host is None or isinstance(event, Command | Request):
+            return Rx.IGNORED
+        if host.options.kind == "sensor":
+            if isinstance(event, msg.Imu | msg.LaserScan | msg.Fix):
+                return Report(host, address, events=(event,))
+            return Rx.MALFORMED
+        match event:
+            case msg.Feedback():
+                return Report(host, address, feedback=event)
+            case msg.State(_, _, mode, detail):
+                if mode is not Mode.FAULT:
+                    host.own.clear()
+                return Report(host, address, mode, detail)
+            case msg.Fault(_, _, code):
+                known = code in host.own
+                host.own.add(code)
+                return Report(host, address, events=() if known else (event,))
+            case msg.Done() | msg.Refused() | msg.Parameter():
+                return Report(host, address, content=[event])
+        return Rx.MALFORMED
 
-    def _is_new(self, device: _DeviceState, event: Event) -> bool:
-        """Record what a device sent. Returns False for a fault that is reported already."""
-        if isinstance(event, msg.Done | msg.Refused):
-            device.pending.pop(event.request, None)
-        elif isinstance(event, msg.Parameter):
-            device.pending.pop("ReadParameter", None)
-        elif isinstance(event, msg.State) and event.mode != Mode.FAULT:
-            device.faults.clear()
-        elif isinstance(event, msg.Fault):
-            if event.code in device.faults:
-                return False
-            device.faults.append(event.code)
-        return True
+    # -- sent -----------------------------------------------------------------------------------------
 
-    def _found(self, found: msg.Found) -> Sequence[Event]:
-        """Report a device that answered Scan or SetId, and a second serial number at one address."""
-        before = self._serials.get(found.address, found.serial)
-        if before != found.serial:
-            detail = f"{found.detail}; address {found.address} is also held by {before}"
-            found = replace(found, detail=detail, duplicate_address=True)
-        if found.serial is not None:
-            self._serials[found.address] = found.serial
-        for deadline, request in self._broadcasts:
-            if isinstance(request, msg.SetId) and (request.serial, request.address) == (
-                found.serial,
-                found.address,
-            ):
-                self._broadcasts.remove((deadline, request))
-                detail = f"{request.serial} is now at {request.address}"
-                return [found, msg.Done(found.t, "SetId", request.bus, detail)]
-        return [found]
+    def refuse(self, host: Host[Faults], command: Command) -> str:
+        return "" if host.options.kind == "motor" else "a sensor takes no commands"
+
+    def command(self, now: Nanos, host: Host[Faults], command: Command) -> Sequence[Frame]:
+        return (table.encode(host.address, command),)
+
+    arm = command
+
+    def release(self, now: Nanos, host: Host[Faults]) -> Sequence[Frame]:
+        return self.command(now, host, msg.Idle(host.name)) if host.options.kind == "motor" else ()
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Faults] | None, driver: MotorDriver[Faults]
+    ) -> Pending[Faults] | str:
+        if host is not None and (host.options.kind != "motor" or not isinstance(request, table.TO_MOTOR)):
+            return "a plain device cannot do that"
+        try:
+            frame = table.encode(host.address if host else table.BROADCAST, request)
+        except ValueError as error:
+            return str(error)
+        return Pending(request, subject(request), now, now + ANSWER, now, host, (frame,), NEVER)
+
+    def answer(self, t: Nanos, pending: Pending[Faults], report: Report[Faults]) -> Event | None:
+        """Return what the device answered: one answer ends one request."""
+        answers: list[msg.Done | msg.Refused | msg.Parameter] = report.content or []
+        for each in answers:
+            asked = "ReadParameter" if isinstance(each, msg.Parameter) else each.request
+            if asked == type(pending.request).__name__:
+                return answers.pop()
+        return None

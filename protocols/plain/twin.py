@@ -1,350 +1,234 @@
-"""The device's end of a plain line: a sensor, and the firmware of a small motor controller.
+"""The device's end of a plain line: what it obeys, sensors, and the firmware of a small motor controller.
 
-Rules. A device obeys what `decoder` decodes: whole messages to its address, or to all (Scan, SetId). A sensor
+Rules. A device obeys whole messages to its address, or to all (Scan, SetId), with permitted numbers. A sensor
 sends what the world shows it at once. A motor is armed by any command but Idle, and its watchdog is fed by
 commands alone. A fault disarms, is sent with every State, and is cleared only by ClearFault or Reboot.
-README.md holds the table of behaviours.
 """
 
 from __future__ import annotations
 
 import contextlib
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Obeyed, seconds
-from protocols.plain import codec
-from protocols.plain.decoder import PlainDecoder
-from protocols.plugin import Device, FaultInfo, Twin
+from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Obeyed, Request
+from protocols.plain import table
+from protocols.plugin import Device
+from protocols.toolkit.firmware import ServoFirmware, milliseconds
+from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.serial import Stream
+from protocols.toolkit.servo import Encoder, Gains, Servo
 
 BOOT: Nanos = 50 * MILLISECOND
-"""Time from Reboot to ready."""
-WATCHDOG_EXPIRED, EMERGENCY_STOP = 1, 2
-FAULTS = {
-    WATCHDOG_EXPIRED: FaultInfo(
-        "watchdog expired", "no command came within watchdog_ms", "find why the host fell silent, then clear"
-    ),
-    EMERGENCY_STOP: FaultInfo("emergency stop", "requested by the host", "clear when it is safe"),
-}
-"""The faults of a motor, by code."""
+"""Time from Reboot to ready, without a message."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
     """Configuration of a plain device. All but `serial` can be read and written while it runs."""
 
-    serial: int = 0
+    serial: int = bounded(0, 0, 2**64 - 1)
     """Serial number, sent in answer to Scan."""
-    watchdog_ms: float = 100.0
+    watchdog_ms: float = bounded(100.0, 0.0, 1e6)
     """Time without a command after which an armed motor faults; 0 is never."""
-    feedback_ms: float = 5.0
+    feedback_ms: float = bounded(5.0, 1e-3, 1e6)
     """Period of Feedback."""
-    state_ms: float = 100.0
+    state_ms: float = bounded(100.0, 1e-3, 1e6)
     """Period of State, which is sent at every change too."""
-    position_gain: float = 1.0
+    position_gain: float = bounded(1.0, 0.0, 1e6)
     """N·m/rad"""
-    position_damping: float = 0.05
+    position_damping: float = bounded(0.05, 0.0, 1e5)
     """N·m·s/rad"""
-    velocity_gain: float = 0.05
+    velocity_gain: float = bounded(0.05, 0.0, 1e5)
     """N·m·s/rad"""
-    velocity_integral: float = 0.5
+    velocity_integral: float = bounded(0.5, 0.0, 1e6)
     """N·m/rad"""
-    torque_limit: float = 2.0
+    torque_limit: float = bounded(2.0, 0.0, 1e4)
     """N·m; every command is limited to it"""
-    torque_constant: float = 0.1
+    torque_constant: float = bounded(0.1, 1e-3, 1e3)
     """N·m/A"""
-    supply: float = 24.0
+    supply: float = bounded(24.0, 0.0, 1e4)
     """V"""
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not math.isfinite(value) or value < 0:
-                raise ValueError(f"{f.name} must be zero or more, not {value}")
-        for name in ("feedback_ms", "state_ms", "torque_constant"):
-            if getattr(self, name) < 1e-3:
-                raise ValueError(f"{name} must be more than zero, not {getattr(self, name)}")
+        check_bounds(self)
 
 
-WRITABLE = tuple(f.name for f in fields(Settings) if f.name != "serial")
+WRITABLE = tuple(name for name in Settings.__slots__ if name != "serial")
 
 
-def twin(device: Device, _seed: int = 0) -> Twin:
-    """Return the device at a plain address. Nothing in it is random: noise is the world's."""
-    return PlainMotor(device) if device.options.kind == "motor" else PlainSensor(device)
+class PlainDecoder:
+    """What plain devices would obey. A motor in fault receives a command too; its firmware ignores it."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self._stream = Stream(table.FRAMING)
+        self._names = {device.address: device.name for device in devices}
+        self._motors = [device.name for device in devices if device.options.kind == "motor"]
+
+    def follow(self, name: str, address: int) -> None:
+        """Use this device's new address."""
+        self._names = {at: other for at, other in self._names.items() if other != name} | {address: name}
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        """Return the commands and requests in the messages that this frame completes."""
+        messages = self._stream.messages(frame) if isinstance(frame, bytes) else ()
+        return [obeyed for message in messages for obeyed in self._obeyed(t, message)]
+
+    def _obeyed(self, t: Nanos, message: bytes) -> Sequence[Obeyed]:
+        address = table.address_of(message)
+        name = self._names.get(address, "")
+        decoded = table.decode(message, t, name)
+        if address == table.BROADCAST:
+            return (decoded,) if isinstance(decoded, table.TO_ALL) else ()
+        if name not in self._motors or not isinstance(decoded, Command | table.TO_MOTOR):
+            return ()
+        commands = isinstance(decoded, Command) and not isinstance(decoded, msg.Idle)
+        return (msg.Arm(name), decoded) if commands else (decoded,)
 
 
-def answer_broadcast(device: Device, request: Obeyed, t: Nanos, answers: list[Event]) -> Device:
-    """Append the answer to a request to all devices. Returns the device, with its new address if any."""
-    serial = device.settings.serial
-    if isinstance(request, msg.SetId) and request.serial == serial and 1 <= request.address <= 0xFF:
-        device = replace(device, address=request.address)
-    elif not isinstance(request, msg.Scan):
-        return device
-    answers.append(msg.Found(t, codec.NAME, device.address, serial, device.options.kind))
-    return device
+class PlainTwin(ServoFirmware):
+    """One device; the shaft that a motor turns is the world's."""
 
+    lost = table.WATCHDOG_EXPIRED
 
-def encoded(device: Device, now: Nanos, events: Sequence[Event]) -> list[bytes]:
-    """Encode a device's events. What no message can hold (not finite, too long) is not sent."""
-    frames = []
-    for event in events:
-        with contextlib.suppress(ValueError):
-            frames.append(codec.encode(device.address, event, now))
-    return frames
+    def __init__(self, device: Device, seed: int) -> None:
+        super().__init__(device, seed, Gains())
+        self.is_motor = device.options.kind == "motor"
+        self.faults = table.FAULTS if self.is_motor else {}
+        self.address = device.address
+        self.decoder = PlainDecoder([device])
+        self.encoder = Encoder()
+        self.taken: type[Command] = msg.Idle
+        """What the last command was."""
+        self.sent: Mode | None = None
+        """The mode in the last State."""
+        self.configure(device.settings)
 
+    def configure(self, settings: Settings) -> None:
+        """Use these settings."""
+        gains = Gains(0.0, settings.velocity_gain, settings.velocity_integral, settings.torque_limit)
+        self.settings, self.servo = settings, Servo(gains)
 
-class PlainSensor:
-    """A lidar, an inertial sensor or a satellite receiver."""
+    def timeout(self) -> Nanos:
+        return milliseconds(self.settings.watchdog_ms) if self.mode is Mode.ARMED else 0
 
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._decoder = PlainDecoder([device])
-        self._answers: list[Event] = []
+    def cyclic(self) -> Mapping[str, Nanos]:
+        periods = {"state": self.settings.state_ms, "feedback": self.settings.feedback_ms}
+        return {name: milliseconds(period) for name, period in periods.items() if self.is_motor}
 
-    def receive(self, t: Nanos, frame: Frame) -> None:
-        """Answer Scan and SetId."""
-        for request in self._decoder.decode(t, frame):
-            self._device = answer_broadcast(self._device, request, t, self._answers)
-            self._decoder.follow(self._device)
-
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
-        """Send what the world shows to this sensor, each measurement at once."""
-        own = [
-            event
-            for event in truth
-            if isinstance(event, msg.Imu | msg.LaserScan | msg.Fix) and event.sensor == self._device.name
-        ]
-        frames = encoded(self._device, now, [*self._answers, *own])
-        self._answers = []
-        return [], frames
-
-    def due(self) -> Nanos | None:
-        """Return None: a sensor sends when the world shows it something."""
-        return None
-
-    def provoke(self, code: int) -> None:
-        """Raise ValueError: a sensor has no faults."""
-        raise ValueError(f"a plain sensor has no fault {code}")
-
-
-class PlainMotor:
-    """The firmware of a plain motor. The shaft that it turns is the world's."""
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._settings: Settings = device.settings
-        self._decoder = PlainDecoder([device])
-        self._now: Nanos | None = None
-        self._mode = Mode.READY
-        self._ready_at: Nanos = 0
-        """When a restart is over."""
-        self._fault: msg.Fault | None = None
-        self._provoked: int | None = None
-        """Code of a fault that is to trip at the next chance."""
-        self._command: Command = msg.Idle(device.name)
-        self._fed: Nanos = 0
-        """Time of the last command."""
-        self._shaft: msg.Feedback | None = None
-        """The last measurement of the encoder, before the offset."""
-        self._offset = 0.0
-        self._held: float | None = None
-        """rad, position of the shaft at the first Hold; None: not yet measured."""
-        self._integral = 0.0
-        """N·m of the velocity loop's integrator"""
-        self._torque = 0.0
-        self._feedback_at: Nanos = 0
-        self._state_at: Nanos = 0
-        self._answers: list[Event] = []
+    # -- obeyed ---------------------------------------------------------------------------------------
 
     def receive(self, t: Nanos, frame: Frame) -> None:
-        """Obey what these bytes complete, at once; answers are sent with the next step."""
-        self._watch(t)
-        for message in self._decoder.decode(t, frame):
-            if isinstance(message, Command):
-                self._obey(t, message)
-            elif isinstance(message, codec.MotorRequest):
-                self._answers.append(self._answer(t, message))
-            elif isinstance(message, codec.BroadcastRequest):
-                self._device = answer_broadcast(self._device, message, t, self._answers)
-                self._decoder.follow(self._device)
+        if self.now is None:  # requests are answered before the shaft was ever measured
+            self.on_frame(t, frame)
+        super().receive(t, frame)
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
-        """Run the control loop on the measured shaft, and send what is due."""
-        for event in truth:
-            if isinstance(event, msg.Feedback) and event.motor == self._device.name and _is_measured(event):
-                self._shaft = event
-        self._watch(now)
-        if self._now is None:
-            self._now = self._state_at = self._feedback_at = now
-        dt = seconds(max(now - self._now, 0))
-        self._now = now
-        self._torque = self._loop(dt) if self._mode == Mode.ARMED else 0.0
-        frames = encoded(self._device, now, [*self._answers, *self._cyclic(now)])
-        self._answers = []
-        return [msg.Torque(self._device.name, self._torque)], frames
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        for obeyed in self.decoder.decode(t, frame):
+            if isinstance(obeyed, Request):
+                self.reply(t, *self._encoded(t, self._answer(t, obeyed)))
+            elif isinstance(obeyed, msg.Idle):
+                self.disarm()
+            elif isinstance(obeyed, Command) and self.now is not None:
+                self._take(t, obeyed)
 
-    def due(self) -> Nanos | None:
-        """Return when it next sends its state or feedback, trips its watchdog, or is ready again."""
-        times = [self._state_at]
-        if self._shaft is not None:
-            times.append(self._feedback_at)
-        if self._mode == Mode.ARMED and self._settings.watchdog_ms:
-            times.append(self._fed + round(self._settings.watchdog_ms * MILLISECOND) + 1)
-        if self._mode == Mode.INITIALISING:
-            times.append(self._ready_at)
-        if self._provoked:
-            times.append(self._now or 0)
-        return min(times)
+    def _take(self, t: Nanos, command: Command) -> None:
+        """Take a command: Position is a spring, and Hold one at the position of the first Hold."""
+        fresh = self.arm(t) or type(command) is not self.taken
+        self.taken = type(command)
+        self.feed(t)
+        if fresh:
+            self.servo.reset()
+        if isinstance(command, msg.Hold):
+            command = msg.Position(command.motor, self.encoder.position) if fresh else self.goal
+        if isinstance(command, msg.Position):
+            numbers = command.position, command.velocity, command.torque
+            gains = self.settings.position_gain, self.settings.position_damping
+            command = msg.Impedance(command.motor, *numbers, *gains)
+        self.goal = command
 
-    def provoke(self, code: int) -> None:
-        """Trip a fault the next time that the firmware runs. Raises ValueError for an unknown code."""
-        if code not in FAULTS:
-            raise ValueError(f"a plain motor has no fault {code}")
-        self._provoked = code
-
-    # -- modes -----------------------------------------------------------------------------------------
-
-    def _watch(self, now: Nanos) -> None:
-        """Change the mode where time demands it: end of a restart, watchdog expired, fault provoked."""
-        if self._mode == Mode.INITIALISING and now >= self._ready_at:
-            self._enter(self._ready_at, Mode.READY)
-        timeout = round(self._settings.watchdog_ms * MILLISECOND)
-        if self._mode == Mode.ARMED and timeout and now - self._fed > timeout:
-            self._trip(now, WATCHDOG_EXPIRED)
-        if self._provoked:
-            self._trip(now, self._provoked)
-            self._provoked = None
-
-    def _obey(self, t: Nanos, command: Command) -> None:
-        """Take a command: it arms and feeds the watchdog, except in fault or during a restart."""
-        if self._mode not in (Mode.READY, Mode.ARMED):
-            return
-        self._fed = t
-        if type(command) is not type(self._command):
-            self._integral, self._held = 0.0, None
-        self._command = command
-        self._enter(t, Mode.READY if isinstance(command, msg.Idle) else Mode.ARMED)
-
-    def _enter(self, t: Nanos, mode: Mode) -> None:
-        """Change the mode, and send State with the next step."""
-        if mode != self._mode:
-            self._mode, self._state_at, self._integral = mode, t, 0.0
-
-    def _trip(self, t: Nanos, code: int) -> None:
-        info = FAULTS[code]
-        self._fault = msg.Fault(self._device.name, t, code, info.name, info.cause, info.remedy)
-        self._command = msg.Idle(self._device.name)
-        self._enter(t, Mode.FAULT)
-
-    # -- requests --------------------------------------------------------------------------------------
-
-    def _answer(self, t: Nanos, request: codec.MotorRequest) -> msg.Done | msg.Refused | msg.Parameter:
-        """Carry out a request if that is possible."""
-        name, reason = self._device.name, ""
-        if self._mode == Mode.INITIALISING:
-            reason = "restarting"
-        elif isinstance(request, msg.ReadParameter):
-            value = getattr(self._settings, request.parameter, None)
-            if isinstance(value, int | float):
-                return msg.Parameter(name, t, request.parameter, float(value))
-            reason = f"no parameter {request.parameter!r}"
-        elif isinstance(request, msg.WriteParameter):
-            reason = self._write(request)
-        elif isinstance(request, msg.Zero):
-            reason = self._zero()
-        elif isinstance(request, msg.ClearFault):
-            self._fault = None
-            self._enter(t, Mode.READY if self._mode == Mode.FAULT else self._mode)
-        elif isinstance(request, msg.Estop):
-            self._trip(t, EMERGENCY_STOP)
-        else:
-            self._fault, self._command, self._ready_at = None, msg.Idle(name), t + BOOT
-            self._offset = 0.0
-            self._enter(t, Mode.INITIALISING)
+    def _answer(self, t: Nanos, request: Request) -> Event | None:
+        """Carry out a request if that is possible; None: it is another device's."""
+        name, settings, reason = self.device.name, self.settings, ""
+        match request:
+            case msg.Scan():
+                return self._found(t)
+            case msg.SetId(_, serial, address):
+                if serial != settings.serial or address not in table.ADDRESSES:
+                    return None
+                self.address = address
+                self.decoder.follow(name, address)
+                return self._found(t)
+            case msg.ReadParameter(_, parameter) if parameter in Settings.__slots__:
+                return msg.Parameter(name, t, parameter, float(getattr(settings, parameter)))
+            case msg.ReadParameter(_, parameter):
+                reason = f"no parameter {parameter!r}"
+            case msg.WriteParameter(_, parameter, value):
+                reason = self._write(parameter, value)
+            case msg.Zero() if self.mode is Mode.ARMED:
+                reason = "armed: the shaft would jump; send Idle first"
+            case msg.Estop():
+                self.trip(table.EMERGENCY_STOP)
+            case msg.Reboot():
+                self.restart(t, BOOT)
+                self.encoder, self.sent = Encoder(), None
+            case _:
+                self.obey(t, request)
         kind = type(request).__name__
         return msg.Refused(t, kind, name, reason) if reason else msg.Done(t, kind, name)
 
-    def _write(self, request: msg.WriteParameter) -> str:
+    def _write(self, parameter: str, value: float) -> str:
         """Write a setting. Returns why it is refused, or ""."""
-        if request.parameter not in WRITABLE:
-            return f"no parameter {request.parameter!r} that can be written"
-        change: dict[str, Any] = {request.parameter: request.value}
+        if parameter not in WRITABLE:
+            return f"no parameter {parameter!r} that can be written"
+        change: dict[str, Any] = {parameter: value}
         try:
-            self._settings = replace(self._settings, **change)
+            self.configure(replace(self.settings, **change))
         except ValueError as error:
             return str(error)
         return ""
 
-    def _zero(self) -> str:
-        """Make the present position zero. Returns why it is refused, or ""."""
-        if self._mode == Mode.ARMED:
-            return "armed: the shaft would jump; send Idle first"
-        if self._shaft is None or self._shaft.position is None:
-            return "the shaft has not been measured yet"
-        self._offset = self._shaft.position
-        return ""
+    # -- sent -----------------------------------------------------------------------------------------
 
-    # -- the shaft -------------------------------------------------------------------------------------
+    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
+        torques, frames = super().step(now, truth)
+        measured = [each for each in truth if getattr(each, "sensor", "") == self.device.name]
+        return torques if self.is_motor else (), [*frames, *self._encoded(now, *measured)]
 
-    def _position(self) -> float:
-        """Return the measured position less the offset of Zero [rad]."""
-        position = self._shaft.position if self._shaft else None
-        return (position or 0.0) - self._offset
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        torque = super().cycle(now, dt, position, velocity)
+        if self.is_motor and self.mode is not self.sent:
+            self.reply(now, *self._state(now))
+        return torque
 
-    def _loop(self, dt: float) -> float:
-        """Return the torque [N·m] of the command, limited; dt in s."""
-        if self._shaft is None:
-            return 0.0
-        s, command = self._settings, self._command
-        position, velocity = self._position(), self._shaft.velocity or 0.0
-        if isinstance(command, msg.Hold):
-            self._held = position if self._held is None else self._held
-            command = msg.Position(command.motor, self._held)
-        if isinstance(command, msg.Position):
-            spring = s.position_gain * (command.position - position)
-            torque = command.torque + spring + s.position_damping * (command.velocity - velocity)
-        elif isinstance(command, msg.Impedance):
-            spring = command.stiffness * (command.position - position)
-            torque = command.torque + spring + command.damping * (command.velocity - velocity)
-        elif isinstance(command, msg.Velocity):
-            error = command.velocity - velocity
-            self._integral = _clamp(self._integral + s.velocity_integral * error * dt, s.torque_limit)
-            torque = command.torque + s.velocity_gain * error + self._integral
-        else:
-            torque = command.torque if isinstance(command, msg.Torque) else 0.0
-        return _clamp(torque, s.torque_limit)
+    def report(self, name: str) -> Frame | None:
+        now, torque = self.now or 0, self.torque
+        if name == "state":
+            self.reply(now, *self._state(now))
+            return None
+        current = torque / self.settings.torque_constant
+        measured = self.encoder.position, self.encoder.velocity, torque, current, self.settings.supply
+        return next(iter(self._encoded(now, msg.Feedback(self.device.name, now, *measured))), None)
 
-    def _cyclic(self, now: Nanos) -> list[Event]:
-        """Return State with an active fault, and Feedback, where they are due."""
-        events: list[Event] = []
-        name, s = self._device.name, self._settings
-        if now >= self._state_at:
-            events.append(msg.State(name, now, self._mode, self._mode.value))
-            events += [self._fault] if self._fault else []
-            self._state_at = _next(self._state_at, s.state_ms, now)
-        if self._shaft is not None and now >= self._feedback_at:
-            t, current = min(self._shaft.t, now), self._torque / s.torque_constant
-            position, velocity = self._position(), self._shaft.velocity
-            events.append(msg.Feedback(name, t, position, velocity, self._torque, current, s.supply))
-            self._feedback_at = _next(self._feedback_at, s.feedback_ms, now)
-        return events
+    def _state(self, now: Nanos) -> list[bytes]:
+        """Return State, and the active fault."""
+        name, info = self.device.name, table.FAULTS.get(self.fault)
+        self.sent = self.mode
+        state = msg.State(name, now, self.mode, self.mode.value)
+        if info is None:
+            return self._encoded(now, state)
+        return self._encoded(now, state, msg.Fault(name, now, self.fault, info.name, info.cause, info.remedy))
 
+    def _found(self, t: Nanos) -> msg.Found:
+        return msg.Found(t, table.NAME, self.address, self.settings.serial, self.device.options.kind)
 
-def _is_measured(shaft: msg.Feedback) -> bool:
-    values = (shaft.position, shaft.velocity)
-    return all(value is not None and math.isfinite(value) for value in values)
-
-
-def _clamp(value: float, limit: float) -> float:
-    return max(-limit, min(limit, value))
-
-
-def _next(due: Nanos, period_ms: float, now: Nanos) -> Nanos:
-    """Return the first multiple of the period after `due` that lies after `now`; missed ones are skipped."""
-    period = max(round(period_ms * MILLISECOND), 1)
-    return due + period * ((now - due) // period + 1)
+    def _encoded(self, now: Nanos, *events: Event | None) -> list[bytes]:
+        """Return events as bytes; what no message can hold (not finite, too long) is not sent."""
+        encoded = []
+        for event in events:
+            with contextlib.suppress(ValueError):
+                encoded += [table.encode(self.address, event, now)] if event else []
+        return encoded

@@ -20,11 +20,14 @@ from protocols.messages import Event, Message, Nanos, Obeyed
 from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
 from protocols.odrive_can.driver import OdriveDriver
-from protocols.plain import codec, plugin
-from protocols.plain.decoder import PlainDecoder
-from protocols.plain.driver import PlainDriver
-from protocols.plain.twin import PlainMotor
+from protocols.plain import plugin, table
+from protocols.plain.driver import PlainAdapter
+from protocols.plain.twin import PlainDecoder, PlainTwin
 from protocols.plugin import Device, Plugin
+from protocols.toolkit.driver import MotorDriver, Rx
+from protocols.toolkit.host import Report
+from protocols.toolkit.serial import Stream
+from tests.protocols.plain.parts import PlainDriver, messages_in, readdressed
 
 Sent: TypeAlias = tuple[Sequence[Event], Sequence[Frame]]
 
@@ -51,7 +54,7 @@ sensors = replace(plugin, options=SensorOptions, vectors=None)
 
 BROKEN: list[tuple[Plugin, tuple[str, ...]]] = []
 """The broken plugins, each named after what is wrong, with all the clauses that find it."""
-Part = TypeVar("Part", bound=PlainDriver | PlainDecoder | PlainMotor | OdriveDriver)
+Part = TypeVar("Part", bound=PlainDriver | PlainDecoder | PlainTwin | OdriveDriver)
 Change: TypeAlias = Callable[[Any], Any]
 """Alters an event, a command or a request; None: drops it."""
 
@@ -68,7 +71,7 @@ def found_by(*clauses: str) -> Callable[[type[Part]], type[Part]]:
         elif issubclass(part, PlainDecoder):
             wrong = replace(motors, decoder=part)
         else:
-            wrong = replace(motors, twin=lambda device, _: part(device))
+            wrong = replace(motors, twin=part)
         BROKEN.append((replace(wrong, name=part.__name__), clauses))
         return part
 
@@ -129,8 +132,8 @@ class MixesUpMotors(PlainDriver):
     def send(self, now: Nanos, messages: Messages) -> Sent:
         events, frames = super().send(now, messages)
         if len(messages) == len(frames) == 2 and all(isinstance(m, msg.Velocity) for m in messages):
-            (one, other) = (codec.Stream().feed(each)[0] for each in frames if isinstance(each, bytes))
-            frames = [codec.frame(one[:1] + other[1:]), codec.frame(other[:1] + one[1:])]
+            (one, other) = (messages_in(each)[0] for each in frames)
+            frames = [readdressed(other, table.address_of(one)), readdressed(one, table.address_of(other))]
         return events, frames
 
 
@@ -144,7 +147,7 @@ def forgets_idle(message: Message) -> Message | None:
 
 
 @found_by("measurements")
-class WholeUnits(PlainMotor):
+class WholeUnits(PlainTwin):
     """The twin measures whole thousandths of a radian (an integer division in the field)."""
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
@@ -230,29 +233,21 @@ class CountsDouble(PlainDriver):
         return events
 
 
+class _Credulous(PlainAdapter):
+    def __init__(self) -> None:
+        sized = table.FRAMING.body
+        whole = replace(table.FRAMING, body=lambda head: (sized(head) or -4) + 4 or None, checksum_size=0)
+        self._stream = Stream(replace(whole, checksum=lambda _: 0))
+
+    def _report(self, t: Nanos, message: bytes, driver: MotorDriver[set[int]]) -> Report[set[int]] | Rx:
+        return super()._report(t, message[:-4], driver)
+
+
 @found_by("counts")
 class BelievesBadBytes(PlainDriver):
     """Does not check the CRC."""
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        super().__init__(devices)
-        self._stream = _Credulous()
-
-
-class _Credulous(codec.Stream):
-    __slots__ = ()
-
-    def feed(self, data: bytes) -> list[bytes]:
-        bodies: list[bytes] = []
-        self._held += data
-        while True:
-            start = self._find(self._held, 0)
-            self._held = self._held[start:]
-            size = 10 + int.from_bytes(self._held[2:4], "little")
-            if len(self._held) < 10 or len(self._held) < size:
-                return bodies
-            bodies.append(self._held[6 : size - 4])
-            self._held = self._held[size:]
+    adapted = _Credulous
 
 
 @found_by("counts", "streams")
@@ -263,7 +258,7 @@ class LosesTheNext(PlainDriver):
         before = self.counters.malformed
         events = super().receive(t, frame)
         if self.counters.malformed > before:
-            self._stream.drop()
+            self.adapter.interrupted()
             events = list(events)[: len(events) // 2]
         return events
 
@@ -274,7 +269,7 @@ class NeedsWholeMessages(PlainDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        self._stream.drop()
+        self.adapter.interrupted()
         return events
 
 
@@ -291,26 +286,29 @@ class DecoderNeedsWholeMessages(PlainDecoder):
 # -- passivity -----------------------------------------------------------------------------------------
 
 
+class _Hospitable(PlainAdapter):
+    def _report(self, t: Nanos, message: bytes, driver: MotorDriver[set[int]]) -> Report[set[int]] | Rx:
+        if table.address_of(message) not in driver.at and len(message) > 26:
+            message = readdressed(message, min(driver.at))[:-4]
+        return super()._report(t, message, driver)
+
+
 @found_by("foreign")
 class AcceptsForeignFeedback(PlainDriver):
     """Takes any device's feedback for its first motor's."""
 
-    def _handle(self, t: Nanos, body: bytes) -> Sequence[Event]:
-        if body[0] not in self._devices and len(body) > 20:
-            body = bytes((min(self._devices),)) + body[1:]
-        return super()._handle(t, body)
+    adapted = _Hospitable
 
 
 @found_by("foreign")
-class ObeysForeignCommands(PlainMotor):
+class ObeysForeignCommands(PlainTwin):
     """The device does not check the address."""
 
     def receive(self, t: Nanos, frame: Frame) -> None:
-        bodies = codec.Stream().feed(frame) if isinstance(frame, bytes) else []
         super().receive(t, frame)
-        for body in bodies:
-            if body[0] > 2:
-                super().receive(t, codec.frame(bytes((self._device.address,)) + body[1:]))
+        for message in messages_in(frame):
+            if table.address_of(message) > 2:
+                super().receive(t, readdressed(message, self.address))
 
 
 @found_by("passive", "faults", "scan")
@@ -323,7 +321,7 @@ class ClearsFaultsUnasked(PlainDriver):
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
         begun, self.begun = self.begun, True
-        clear = [] if begun else [msg.ClearFault(name) for name in self._addresses]
+        clear = [] if begun else [msg.ClearFault(name) for name in self.hosts]
         return super().send(now, [*clear, *messages])
 
 
@@ -332,8 +330,10 @@ class AlwaysIdles(PlainDriver):
     """Sends Idle to devices that it never armed: a running device drops its load."""
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
-        for device in self._devices.values():
-            device.owned = True
+        for host in self.hosts.values():
+            if not host.once_commanded:
+                host.own_unasked()
+                host.on_idle(now)
         return super().send(now, messages)
 
 
@@ -347,7 +347,7 @@ class SendsEmptyFrames(PlainDriver):
 
 
 @found_by("declared")
-class TwinSendsCan(PlainMotor):
+class TwinSendsCan(PlainTwin):
     """A device on a serial bus that also sends CAN frames."""
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
@@ -376,11 +376,11 @@ def reports_nan(event: Message) -> Message:
 class SharesState(PlainDriver):
     """Keeps its part of the stream in a place that all drivers share."""
 
-    shared = codec.Stream()
+    shared = Stream(table.FRAMING)
 
     def __init__(self, devices: Sequence[Device]) -> None:
         super().__init__(devices)
-        self._stream = type(self).shared
+        self.read_from(self.shared)
 
 
 @found_by("counts", "foreign", "repeatable", "copies")
@@ -434,18 +434,18 @@ class HidesState(PlainDriver):
 
 
 @found_by("copies")
-class TwinSharesState(PlainMotor):
+class TwinSharesState(PlainTwin):
     """All devices share one list of pending answers."""
 
-    shared: ClassVar[list[Event]] = []
+    shared: ClassVar[list[tuple[Nanos, Frame]]] = []
 
     def receive(self, t: Nanos, frame: Frame) -> None:
         super().receive(t, frame)
-        type(self).shared += self._answers
-        self._answers = []
+        type(self).shared += self._replies
+        self._replies = []
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
-        self._answers, type(self).shared = list(type(self).shared), []
+        self._replies, type(self).shared = list(type(self).shared), []
         return super().step(now, truth)
 
 

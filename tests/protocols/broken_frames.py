@@ -120,7 +120,7 @@ class DecoderMissesArm(PlainDecoder):
         return [m for m in super().decode(t, frame) if not isinstance(m, msg.Arm)]
 
 
-@found_by("disarm", "obeyed")
+@found_by("disarm")
 class DecoderArmsByIdle(PlainDecoder):
     """The decoder gives Arm of every command."""
 

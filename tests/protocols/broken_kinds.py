@@ -10,7 +10,7 @@ from protocols import messages as msg
 from protocols.conformance.bench import TwinWrapper
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Event, Message, Nanos
-from protocols.plain import codec
+from protocols.plain import table
 from tests.protocols.broken import BROKEN, alters, motors
 from tests.protocols.sound import MovedDriver, data_in_ids, only_replies, with_spec
 
@@ -60,7 +60,7 @@ class Saturates(TwinWrapper):
     """A device that counts no further than its frames can hold, and sends the end."""
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
-        low, high = codec.LIMITS["Feedback.position"]
+        low, high = table.LIMITS["position"]
         clamped = [
             replace(event, position=max(low, min(high, event.position)))
             if isinstance(event, msg.Feedback) and event.position is not None

@@ -22,14 +22,14 @@ from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
 from protocols.odrive_can.codec import encode
 from protocols.odrive_can.messages import GetEncoderEstimates, GetVersion, Heartbeat
-from protocols.plain import codec
+from protocols.plain import table
 from protocols.plugin import load_all
 from tests.gateway.rig import BENCH, Rig, sent_commands
 
 CAN = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
 TTY = BusSettings("tty", "serial", "serial:tty", baudrate=1_000_000)
 PLUGINS = load_all()[0]
-MOTOR = codec.encode(3, msg.Feedback("", 0, position=1.5)) + codec.encode(3, msg.State("", 0, Mode.ARMED))
+MOTOR = table.encode(3, msg.Feedback("", 0, position=1.5)) + table.encode(3, msg.State("", 0, Mode.ARMED))
 """What a motor at address 3 sends on a serial bus."""
 Drive: TypeAlias = tuple[Rig, list[Packet]]
 
@@ -248,8 +248,8 @@ def test_devices_on_a_serial_bus_are_found_whatever_their_options() -> None:
     monitor = bare(TTY)
     for i in range(10):
         t = i * 100 * MILLISECOND
-        scan = codec.encode(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 2.5, 11.0)))
-        imu = codec.encode(2, msg.Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
+        scan = table.encode(1, msg.LaserScan("", 0, 0.0, 0.1, 0.1, 10.0, (1.0, 2.5, 11.0)))
+        imu = table.encode(2, msg.Imu("", 0, (0.0, 0.0, 0.5), (0.0, 0.0, 9.81)))
         stream = scan + imu + MOTOR
         decode(monitor, (t, stream[:25]), (t + MILLISECOND, stream[25:]), bus="tty")
     found = {place[2]: record for place, record in monitor.found.items()}
@@ -265,7 +265,7 @@ def test_commands_of_the_host_on_a_serial_bus_are_decoded() -> None:
     monitor = bare(TTY)
     for i in range(MIN_EVENTS):
         decode(monitor, (i * MILLISECOND, MOTOR), bus="tty")
-    (packet,) = decode(monitor, (SECOND, codec.encode(3, msg.Velocity("", 2.0))), bus="tty")
+    (packet,) = decode(monitor, (SECOND, table.encode(3, msg.Velocity("", 2.0))), bus="tty")
     (record,) = monitor.found.values()
     assert record.command == msg.Velocity(record.name, 2.0)
     assert packet.direction == "to"

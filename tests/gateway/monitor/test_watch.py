@@ -29,7 +29,7 @@ from gateway.monitor.sources import Source, WatchSession, open_all, open_source
 from gateway.recording import read_recording
 from protocols.frames import BusState, CanFrame, Packet
 from protocols.messages import SECOND, Imu, Velocity
-from protocols.plain import codec as plain
+from protocols.plain import table as plain
 from tests.gateway.processes import TerminalProcess, eventually
 from tests.gateway.rig import BENCH, Rig
 
