@@ -14,13 +14,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from protocols.moteus.codec import command_id, make_frame
-from protocols.moteus.messages import STOP, Limits, position_command, torque_command
-from protocols.moteus.reply import FAST, Reply, decode
+from protocols.moteus.codec import Reply, command_id, decode, make_frame
+from protocols.moteus.messages import FAST, STOP, Setpoints
 
 RIVAL = ("moteus", "moteus", "the vendor's package")
 ADDRESS = 5
-LIMITS = Limits(0.1)
+SETPOINTS = Setpoints(0.1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +86,13 @@ _TO = command_id(ADDRESS)
 SAMPLES = (
     Sample(
         "encode position with a query",
-        lambda: make_frame(_TO, position_command(0.25, -1.5, 0.125, LIMITS) + FAST),
+        lambda: make_frame(_TO, SETPOINTS.position(0.25, -1.5, 0.125) + FAST),
         lambda: _MOVE.pack(b"\x01\x00\x0a\x0f\x20", 0.25, -1.5, 0.125, b"\x0d\x27", 0.1, FAST),
         {"position": 0.25, "velocity": -1.5, "feedforward_torque": 0.125, "watchdog_timeout": 0.1},
     ),
     Sample(
         "encode torque with a query",
-        lambda: make_frame(_TO, torque_command(0.25, 0.125, LIMITS) + FAST),
+        lambda: make_frame(_TO, SETPOINTS.torque(0.25, 0.125) + FAST),
         lambda: _PUSH.pack(
             b"\x01\x00\x0a\x0c\x05\x20", 0.25, 0, 0.125, 0, 0, b"\x0d\x27", 0.1, b"\x0d\x2b", 0, FAST
         ),

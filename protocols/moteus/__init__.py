@@ -7,26 +7,27 @@ nothing but `protocols`; driver and twin meet only in `codec`, `registers` and `
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import pi, tau
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame, IdMask, exact
 from protocols.messages import MILLISECOND
-from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, Query, command_id, parse, reply_id
+from protocols.moteus import codec
+from protocols.moteus.codec import ADDRESS_MAX, BROADCAST, reply_id
 from protocols.moteus.decoder import MoteusDecoder
-from protocols.moteus.driver import MoteusDriver
-from protocols.moteus.faults import FAULTS
+from protocols.moteus.driver import MoteusAdapter, Options
 from protocols.moteus.messages import names
-from protocols.moteus.options import ADDRESS_MAX, Options, Settings
+from protocols.moteus.settings import Settings
+from protocols.moteus.table import FAULTS
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.toolkit.driver import MotorDriver
+from protocols.toolkit.table import BINARY32
 
 __all__ = ["plugin"]
 
-BINARY32 = 2.0**-24
-"""Largest relative error of rounding to binary32."""
 MAX_REVOLUTIONS = 32768.0
 """The device counts no further (mjbots/moteus@1f4a195 `fw/bldc_servo_control.h`)."""
 MAX_SPEED = 1e3
@@ -36,14 +37,14 @@ MAX_TORQUE = 1e3
 
 
 def _binary32(most: float) -> Range:
-    return Range(-most, most, 1e-12, BINARY32 * 1.01)
+    return Range(-most, most, 1e-12, BINARY32)
 
 
 RANGES: dict[str, Range] = {
-    "Position.position": _binary32(MAX_REVOLUTIONS * math.tau),
-    "Position.velocity": _binary32(MAX_SPEED * math.tau),
+    "Position.position": _binary32(MAX_REVOLUTIONS * tau),
+    "Position.velocity": _binary32(MAX_SPEED * tau),
     "Position.torque": _binary32(MAX_TORQUE),
-    "Velocity.velocity": _binary32(MAX_SPEED * math.tau),
+    "Velocity.velocity": _binary32(MAX_SPEED * tau),
     "Velocity.torque": _binary32(MAX_TORQUE),
     "Torque.torque": _binary32(MAX_TORQUE),
     "Feedback.position": _binary32(3.4e38),
@@ -68,13 +69,13 @@ class ReadOnly:
     def __call__(self, frame: Frame) -> bool:
         if not isinstance(frame, CanFrame) or frame.remote or frame.id not in self.ids:
             return False
-        subframes, well_formed = parse(frame.data)
-        return well_formed and all(isinstance(subframe, Query) for subframe in subframes)
+        subframes, well_formed = codec.parse(frame.data)
+        return well_formed and all(subframe.code == codec.READ for subframe in subframes)
 
 
 def _exact(number: int) -> IdMask:
     """Return one id: of 29 bits if it needs more than 11."""
-    return exact(number, number > STANDARD_MAX)
+    return exact(number, number > codec.STANDARD_MAX)
 
 
 def spec(device: Device) -> Spec:
@@ -85,9 +86,9 @@ def spec(device: Device) -> Spec:
     if not 1 <= device.address <= ADDRESS_MAX:
         raise ValueError(f"address {device.address} of {device.name}: an id is 1 to {ADDRESS_MAX}")
     host, prefix = options.host_id, options.can_prefix
-    sends = frozenset(command_id(address, host, prefix) for address in (device.address, BROADCAST))
+    sends = frozenset(codec.command_id(address, host, prefix) for address in (device.address, BROADCAST))
     # Feedback of a position is rounded to half a count of the encoder, and to binary32.
-    position = replace(RANGES["Feedback.position"], resolution=math.pi / settings.encoder_cpr * 1.001)
+    position = replace(RANGES["Feedback.position"], resolution=pi / settings.encoder_cpr * 1.001)
     return Spec(
         bus="canfd",
         kind="motor",
@@ -106,18 +107,19 @@ def spec(device: Device) -> Spec:
         holds_unattended=False,
         stop_clears_faults=True,
         faults=FAULTS,
+        parameters=("mode", "voltage"),
         obeys_also=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
-        receives_also=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | REPLY_BIT | 0x80),),
+        receives_also=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | codec.REPLY_BIT | 0x80),),
     )
 
 
 def driver(devices: Sequence[Device]) -> Driver:
     """Return the driver of all moteus controllers of one bus. Raises ValueError for a duplicate address."""
-    addresses = [(device.address, device.options.can_prefix) for device in devices]
-    for device, address in zip(devices, addresses, strict=True):
-        if addresses.count(address) > 1:
+    addresses = [device.address for device in devices]
+    for device in devices:
+        if addresses.count(device.address) > 1:
             raise ValueError(f"duplicate address {device.address} on this bus ({device.name})")
-    return MoteusDriver(devices, RANGES)
+    return MotorDriver(MoteusAdapter(devices), devices, {device.name: RANGES for device in devices})
 
 
 plugin = Plugin(

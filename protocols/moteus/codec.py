@@ -1,25 +1,26 @@
-"""Subframes ↔ the bytes of a CAN FD frame, and the identifiers of frames.
+"""Subframes ↔ the bytes of a CAN FD frame, identifiers, and the replies of a device.
 
 Rules. Little-endian. The most negative value of an integer register, and NaN in a binary32, mean "not given":
 that is None here and stays in this folder; no number that is not finite is encoded (ValueError: our own
 mistake) or decoded. −0.0 and denormals become 0.0. What the firmware would obey of a malformed frame precedes
-the flaw, so `parse` returns that too, and whether the frame is well-formed. Source: mjbots/moteus@db1a762
-`docs/protocol/can.md`; the rule for extended identifiers and padding: moteus 1.1.1 `transport.py`,
-`transport_device.py`.
+the flaw, so `parse` returns that too, and whether the frame is well-formed; a malformed reply has no meaning.
+Source: mjbots/moteus@db1a762 `docs/protocol/can.md`; the rule for extended identifiers and padding: moteus
+1.1.1 `transport.py`, `transport_device.py`.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
-from typing import TypeAlias
+from collections.abc import Mapping
+from typing import NamedTuple, TypeAlias
 
 from protocols.frames import CanFrame
-from protocols.moteus.registers import scale_of
+from protocols.moteus.table import INTEGER, SCALES
+from protocols.toolkit.table import FLOAT_MAX, TINY, saturated
 
 INT8, INT16, INT32, F32 = range(4)
-_VALUE = tuple(struct.Struct(code) for code in ("<b", "<h", "<i", "<f"))
+_CODES, _SIZES = "bhif", (1, 2, 4, 4)
 NOT_GIVEN = (-0x80, -0x8000, -0x80000000)
 """By resolution; in a binary32 it is NaN."""
 LARGEST = (0x7F, 0x7FFF, 0x7FFFFFFF)
@@ -32,59 +33,33 @@ MAX_COUNT = 128
 """Most registers in a valid subframe: no reply could hold more."""
 
 BROADCAST = 0x7F
+ADDRESS_MAX = BROADCAST - 1
 REPLY_BIT = 0x8000
 STANDARD_MAX = 0x7FF
-LENGTHS = frozenset({0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64})
+LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Bytes that a CAN FD frame can hold."""
-PADDED = tuple(min(size for size in LENGTHS if size >= length) for length in range(65))
+_PADDED = tuple(min(size for size in LENGTHS if size >= length) for length in range(65))
+SERIAL_BYTES = 8
+"""A serial number is the first 8 bytes of a UUID, its first 16 digits as printed."""
 
-FLOAT_MAX = 3.4028234663852886e38
-FLOAT_TINY = 2.0**-126
 Raw: TypeAlias = int | float
 """A value as it is encoded: counts, or a binary32."""
 
 
-@dataclass(frozen=True, slots=True)
-class Values:
-    """Values of the registers from `start` on, written or replied."""
+class Subframe(NamedTuple):
+    """One subframe. What its kind does not have is 0 or empty."""
 
     code: int
-    """WRITE or REPLY."""
-    start: int
-    resolution: int
-    raw: tuple[Raw, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Query:
-    """A query for the registers from `start` on."""
-
-    start: int
-    resolution: int
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
-class Error:
-    """A register that could not be written (WRITE_ERROR) or read (READ_ERROR)."""
-
-    code: int
-    register: int
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
-class Console:
-    """A piece of the diagnostic console: to the device, from it, or a poll for its output."""
-
-    code: int
-    channel: int
+    """WRITE … POLL, without resolution and count."""
+    register: int = 0
+    """The first register; of the diagnostic console, the channel."""
+    resolution: int = 0
+    raw: tuple[Raw, ...] = ()
+    """Values of the registers from the first on, written or replied."""
+    number: int = 0
+    """READ: how many registers; POLL: how many bytes; of an error: its number."""
     data: bytes = b""
-    most: int = 0
-    """Bytes requested by a POLL."""
-
-
-Subframe: TypeAlias = Values | Query | Error | Console
+    """Of the console."""
 
 
 # -- frames ------------------------------------------------------------------------------------------
@@ -102,27 +77,25 @@ def reply_id(address: int, host: int = 0, prefix: int = 0) -> int:
 
 def make_frame(identifier: int, data: bytes) -> CanFrame:
     """Return a CAN FD frame, padded with NOP to a valid length."""
-    size = PADDED[len(data)]
+    size = _PADDED[len(data)]
     if size != len(data):
         data += b"\x50" * (size - len(data))
     return CanFrame(identifier, data, identifier > STANDARD_MAX, False, True, True)
 
 
+def serial_of(uuid: bytes) -> int:
+    """Return the serial number in messages."""
+    return int.from_bytes(uuid[:SERIAL_BYTES], "big")
+
+
 # -- numbers -----------------------------------------------------------------------------------------
-
-
-def normalise(value: float) -> float:
-    """Return 0.0 for a negative zero and denormals."""
-    return 0.0 if -FLOAT_TINY < value < FLOAT_TINY else value
 
 
 def to_single(value: float) -> float:
     """Saturate and normalise to the range of binary32. Raises ValueError if it is not finite."""
     if -FLOAT_MAX <= value <= FLOAT_MAX:
-        return normalise(value)
-    if not math.isfinite(value):
-        raise ValueError(f"{value} is not finite: it is never sent")
-    return math.copysign(FLOAT_MAX, value)
+        return 0.0 if -TINY < value < TINY else value
+    return saturated(value, -FLOAT_MAX, FLOAT_MAX)
 
 
 def to_raw(register: int, resolution: int, value: float | None) -> Raw:
@@ -131,15 +104,21 @@ def to_raw(register: int, resolution: int, value: float | None) -> Raw:
         return math.nan if value is None else to_single(value)
     if value is None:
         return NOT_GIVEN[resolution]
-    most = LARGEST[resolution]
-    return max(-most, min(most, round(to_single(value) / scale_of(register)[resolution])))
+    most, count = LARGEST[resolution], SCALES.get(register, INTEGER)[resolution]
+    return max(-most, min(most, round(to_single(value) / count)))
 
 
 def from_raw(register: int, resolution: int, raw: Raw) -> float | None:
     """Decode a quantity; None: not given. An infinity is not given either."""
     if resolution == F32:
         return to_single(raw) if math.isfinite(raw) else None
-    return None if raw == NOT_GIVEN[resolution] else raw * scale_of(register)[resolution]
+    return None if raw == NOT_GIVEN[resolution] else raw * SCALES.get(register, INTEGER)[resolution]
+
+
+def quantities(subframe: Subframe) -> list[tuple[int, float | None]]:
+    """Return the registers in a write or reply, and their quantities."""
+    resolution = subframe.resolution
+    return [(at, from_raw(at, resolution, raw)) for at, raw in enumerate(subframe.raw, subframe.register)]
 
 
 # -- encoding ----------------------------------------------------------------------------------------
@@ -151,112 +130,172 @@ def varuint(value: int) -> bytes:
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
         value >>= 7
-    out.append(value)
-    return bytes(out)
+    return bytes((*out, value))
 
 
-def header(code: int, start: int, resolution: int, count: int) -> bytes:
-    """Return the header of a subframe: its first byte counts up to three registers."""
+def header(code: int, register: int, resolution: int, count: int) -> bytes:
+    """Return the header of a subframe of registers: its first byte counts up to three."""
     first = code + (resolution << 2)
-    if count <= 3:
-        return bytes((first + count,)) + varuint(start)
-    return bytes((first,)) + varuint(count) + varuint(start)
+    head = bytes((first + count,)) if count <= 3 else bytes((first,)) + varuint(count)
+    return head + varuint(register)
 
 
 def encode(subframe: Subframe) -> bytes:
     """Return the bytes of one subframe."""
-    match subframe:
-        case Values(code, start, resolution, raw):
-            packed = b"".join(_VALUE[resolution].pack(value) for value in raw)
-            return header(code, start, resolution, len(raw)) + packed
-        case Query(start, resolution, count):
-            return header(READ, start, resolution, count)
-        case Error(code, register, number):
-            return bytes((code,)) + varuint(register) + varuint(number)
-        case Console(code, channel, data, most):
-            body = varuint(most) if code == POLL else varuint(len(data)) + data
-            return bytes((code,)) + varuint(channel) + body
+    code, register, resolution, raw, number, data = subframe
+    if code in (WRITE, REPLY):
+        return header(code, register, resolution, len(raw)) + struct.pack(
+            f"<{len(raw)}{_CODES[resolution]}", *raw
+        )
+    if code == READ:
+        return header(code, register, resolution, number)
+    return bytes((code,)) + varuint(register) + varuint(len(data) or number) + data
 
 
-def write(start: int, *values: float | None, resolution: int = F32) -> bytes:
-    """Return a subframe that writes quantities to the registers from `start` on."""
-    raw = tuple(to_raw(start + i, resolution, value) for i, value in enumerate(values))
-    return encode(Values(WRITE, start, resolution, raw))
+def write(register: int, *values: float | None, resolution: int = F32) -> bytes:
+    """Return a subframe that writes quantities to the registers from the first on."""
+    raw = tuple(to_raw(register + at, resolution, value) for at, value in enumerate(values))
+    return encode(Subframe(WRITE, register, resolution, raw))
+
+
+def read(register: int, resolution: int = F32, count: int = 1) -> bytes:
+    """Return a query for the registers from the first on."""
+    return header(READ, register, resolution, count)
 
 
 # -- decoding ----------------------------------------------------------------------------------------
 
 
-class _Malformed(Exception):
-    """The bytes end too soon, or are no subframe."""
-
-
-@dataclass(slots=True)
-class _Reader:
-    data: bytes
-    at: int = 0
-
-    def take(self, count: int) -> bytes:
-        if self.at + count > len(self.data):
-            raise _Malformed
-        self.at += count
-        return self.data[self.at - count : self.at]
-
-    def byte(self) -> int:
-        if self.at >= len(self.data):
-            raise _Malformed
-        self.at += 1
-        return self.data[self.at - 1]
-
-    def varuint(self) -> int:
-        value = 0
-        for shift in range(0, 35, 7):
-            byte = self.byte()
-            value |= (byte & 0x7F) << shift
-            if not byte & 0x80:
-                return value
-        raise _Malformed
-
-    def count(self, first: int) -> int:
-        count = first & 0x03 or self.varuint()
-        if count > MAX_COUNT:
-            raise _Malformed
-        return count
+def _varuint(data: bytes, at: int) -> tuple[int, int]:
+    """Return a number and where it ends. Raises IndexError if it does not end, or is too long."""
+    value = 0
+    for shift in range(0, 35, 7):
+        value |= (data[at] & 0x7F) << shift
+        at += 1
+        if not data[at - 1] & 0x80:
+            return value, at
+    raise IndexError
 
 
 def parse(data: bytes) -> tuple[list[Subframe], bool]:
     """Return the subframes up to the first flaw, and whether there is none."""
-    reader, out = _Reader(data), list[Subframe]()
+    out, at = list[Subframe](), 0
     try:
-        while reader.at < len(data):
-            _parse_next(reader, out)
-    except _Malformed:
+        while at < len(data):
+            at = _parse_next(data, at, out)
+    except IndexError:  # the data end too soon, or this is no subframe
         return out, False
     return out, True
 
 
-def _parse_next(reader: _Reader, out: list[Subframe]) -> None:
-    first = reader.byte()
+def _parse_next(data: bytes, at: int, out: list[Subframe]) -> int:
+    """Parse one subframe. Returns where it ends. Raises IndexError at a flaw."""
+    first, at = data[at], at + 1
     kind, resolution = first & 0xF0, first >> 2 & 0x03
-    if kind in (WRITE, REPLY):
-        _parse_values(reader, out, kind, resolution, reader.count(first))
-    elif kind == READ:
-        count = reader.count(first)
-        out.append(Query(reader.varuint(), resolution, count))
-    elif first in (WRITE_ERROR, READ_ERROR):
-        out.append(Error(first, reader.varuint(), reader.varuint()))
-    elif first in (TO_DEVICE, FROM_DEVICE):
-        out.append(Console(first, reader.varuint(), reader.take(reader.varuint())))
-    elif first == POLL:
-        out.append(Console(first, reader.varuint(), b"", reader.varuint()))
-    elif first != NOP:
-        raise _Malformed
+    if first == NOP:
+        return at
+    if kind in (WRITE, READ, REPLY):
+        count, at = (first & 0x03, at) if first & 0x03 else _varuint(data, at)
+        register, at = _varuint(data, at)
+        if count > MAX_COUNT:
+            raise IndexError
+        if kind == READ:
+            out.append(Subframe(READ, register, resolution, number=count))
+            return at
+        whole = min(count, (len(data) - at) // _SIZES[resolution])
+        if whole:  # what precedes a flaw is obeyed
+            raw = struct.unpack_from(f"<{whole}{_CODES[resolution]}", data, at)
+            out.append(Subframe(kind, register, resolution, raw))
+        end = at + count * _SIZES[resolution]
+    elif first in (WRITE_ERROR, READ_ERROR, TO_DEVICE, FROM_DEVICE, POLL):
+        register, at = _varuint(data, at)
+        number, end = _varuint(data, at)
+        if first in (TO_DEVICE, FROM_DEVICE):
+            at, end = end, end + number
+            if end <= len(data):
+                out.append(Subframe(first, register, data=data[at:end]))
+        else:
+            out.append(Subframe(first, register, number=number))
+    else:
+        raise IndexError
+    if end > len(data):
+        raise IndexError
+    return end
 
 
-def _parse_values(reader: _Reader, out: list[Subframe], code: int, resolution: int, count: int) -> None:
-    start, raw, value = reader.varuint(), list[Raw](), _VALUE[resolution]
-    try:
-        raw.extend(value.unpack(reader.take(value.size))[0] for _ in range(count))
-    finally:  # what precedes the flaw is obeyed
-        if raw:
-            out.append(Values(code, start, resolution, tuple(raw)))
+# -- replies -----------------------------------------------------------------------------------------
+
+
+class Reply(NamedTuple):
+    """One frame of a device: its registers, the registers that it could not read or write, console output."""
+
+    values: Mapping[int, float | None]
+    errors: tuple[Subframe, ...] = ()
+    console: bytes = b""
+
+
+def decode(data: bytes) -> Reply | None:
+    """Decode a device's frame; None if it is malformed or no reply.
+
+    The replies to the two queries that are sent all the time have known lengths and layouts, and are decoded
+    without a loop, to the same result."""
+    if len(data) == _FAST.size or len(data) == _FULL.size:
+        values = _fast(data) if len(data) == _FAST.size else _full(data)
+        if values is not None:
+            return Reply(values)
+    if len(data) not in LENGTHS:
+        return None
+    subframes, well_formed = parse(data)
+    return _reply(subframes) if well_formed else None
+
+
+def _reply(subframes: list[Subframe]) -> Reply | None:
+    values: dict[int, float | None] = {}
+    errors: list[Subframe] = []
+    console = b""
+    for subframe in subframes:
+        if subframe.code == REPLY:
+            if any(map(math.isinf, subframe.raw)):
+                return None
+            values.update(quantities(subframe))
+        elif subframe.code in (WRITE_ERROR, READ_ERROR):
+            errors.append(subframe)
+        elif subframe.code == FROM_DEVICE:
+            console += subframe.data
+        else:
+            return None
+    return Reply(values, tuple(errors), console)
+
+
+_FAST = struct.Struct("<2sb2sfff2sb")
+"""Mode as int8; position, velocity, torque as binary32; fault as int8."""
+_FULL = struct.Struct("<2sb3sffff3shhhhhh11s")
+"""Current as well; as int16 motor temperature, trajectory, home state, voltage, temperature, fault."""
+
+
+def _fast(data: bytes) -> dict[int, float | None] | None:
+    a, mode, b, position, velocity, torque, c, fault = _FAST.unpack(data)
+    if a != b"\x21\x00" or b != b"\x2f\x01" or c != b"\x21\x0f" or mode == -128 or fault == -128:
+        return None
+    if not math.isfinite(position + velocity + torque):
+        return None
+    return {
+        0: mode,
+        1: 0.0 if -TINY < position < TINY else position,
+        2: 0.0 if -TINY < velocity < TINY else velocity,
+        3: 0.0 if -TINY < torque < TINY else torque,
+        0x0F: fault,
+    }
+
+
+def _full(data: bytes) -> dict[int, float | None] | None:
+    a, mode, b, *floats, c, h0, h1, h2, h3, h4, h5, padding = _FULL.unpack(data)
+    if a != b"\x21\x00" or b != b"\x2c\x04\x01" or c != b"\x24\x06\x0a" or padding != b"\x50" * 11:
+        return None
+    if mode == -128 or not math.isfinite(sum(floats)):
+        return None
+    values: dict[int, float | None] = {0: mode}
+    values.update(enumerate(map(to_single, floats), 1))
+    for register, value in enumerate((h0, h1, h2, h3, h4, h5), 0x0A):
+        values[register] = from_raw(register, INT16, value)
+    return values

@@ -1,258 +1,505 @@
-"""The driver: the host's end of the multiplex protocol, for all moteus controllers of one bus.
+"""The host's end: what a moteus is sent in each phase, and what its replies report.
 
-Rules. No clock, no bus: time and frames are arguments, what is to be sent is returned. `receive` never raises
-and never takes anything from hosts' frames, ours or another's. A device gets one frame a cycle, which
-commands and queries at once; nothing waits for a reply, so that one that is lost, late, repeated or out of
-order delays nothing. `ControllerState` holds what is known of one device, `Pending` a request; here frames
-are distributed to them.
+Rules. A device gets one frame a cycle, which commands and queries at once. Arming is position control at the
+measured position until the device reports that mode. A velocity starts from the measured position too, until
+a reply came to that: the device's own set-point may be anywhere. Since a stop clears faults, a device in fault
+or timeout is sent none until ClearFault, not for Idle either: in fault it gives no torque, and in timeout it
+damps its shaft, as its owner configured. What is written is read back in the same frame: the reply to that
+holds this register alone, and must hold what was written. Nothing that drops a load or moves a running shaft
+is sent to a device that is armed. An id is set over the console of the device whose UUID begins with the
+serial number.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isclose, tau
 
 from protocols import messages as msg
-from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import Command, Event, Nanos, Request
-from protocols.moteus import requests
-from protocols.moteus.codec import BROADCAST, REPLY_BIT, STANDARD_MAX, command_id, make_frame
-from protocols.moteus.controller import IDENTIFY_PERIOD, ControllerState
-from protocols.moteus.faults import DUPLICATE_ID
-from protocols.moteus.options import serial_of
-from protocols.moteus.registers import Register
-from protocols.moteus.reply import Reply, decode
-from protocols.moteus.requests import Pending
-from protocols.plugin import Device, Range, RxCounters
-from protocols.toolkit.requests import RejectionFilter, RequestQueue, out_of_range, refusal, subject
+from protocols.frames import CanFrame, Frame
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos, Request
+from protocols.moteus import codec
+from protocols.moteus import messages as mt
+from protocols.moteus import table as tb
+from protocols.moteus.codec import ADDRESS_MAX, BROADCAST, F32, INT32, SERIAL_BYTES, make_frame, serial_of
+from protocols.moteus.table import LATCHED, NUMBERS, RISING, SCALES
+from protocols.plugin import Device
+from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.table import FLOAT_MAX, TINY
 
-PROTOCOL = "moteus"
-NO_IMPEDANCE = "the device's gains are scaled, not set: it has no impedance in N·m/rad"
-UUIDS = (Register.UUID1, Register.UUID2, Register.UUID3, Register.UUID4)
+OFFLINE_PERIOD = 50 * MILLISECOND
+"""Period of queries to a device that is offline."""
+ANCHORED = 3
+"""Replies after which the start of a velocity must have arrived: earlier ones may have been on their way."""
+IDENTIFY_PERIOD, IDENTIFY_RETRY = 5 * SECOND, 100 * MILLISECOND
+"""Periods of queries for the UUID, to notice a duplicate id; and until the device is known."""
+LIMITED = SECOND
+"""How long what limited the output is reported after it did."""
+ANSWER, RESEND = 600 * MILLISECOND, 60 * MILLISECOND
+"""Timeout of a request to one device, and the period in which it is sent again; so for scans and new ids."""
+SCAN, SCAN_RESEND = 800 * MILLISECOND, 200 * MILLISECOND
+SET_ID, SET_ID_RESEND = 1500 * MILLISECOND, 150 * MILLISECOND
+ZERO_WITHIN = 0.01
+"""rev"""
+SAVE = "conf_write"
+"""Parameter that saves the device's configuration when 1 is written."""
+BINARY32 = 2.0**-23
+"""Largest relative difference between a number and its binary32."""
+NOT_WRITEABLE = 2
+"""Number of a write error; others mean that there is no such register."""
+MODES: Mapping[int, Mode] = {
+    tb.Mode.STOPPED: Mode.READY,
+    **dict.fromkeys(RISING, Mode.READY),
+    **dict.fromkeys(LATCHED, Mode.FAULT),
+}
+"""All others are armed. A device that enables, as it does on every arming, is ready."""
+NOT_WRITTEN: Mapping[int, str] = {
+    tb.MODE: "the mode is what commands are for",
+    NUMBERS["multiplex_id"]: "use SetId with the serial number",
+    0x071: "a trimmed clock may end all communication",
+    **dict.fromkeys(tb.UUID_MASK, "a mask of UUIDs is no parameter"),
+    **dict.fromkeys((*range(0x010, 0x030), *range(0x040, 0x049)), "that register is what commands are for"),
+}
+ARMED = "it is armed: send Idle first"
+WOULD_JUMP = "it is armed, and would jump: send Idle first"
 
 
-class MoteusDriver:
-    """The driver of all moteus controllers of one bus. Plain data."""
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Configuration of the driver. It never repeats what the device knows, except to be stricter."""
 
-    def __init__(self, devices: Sequence[Device], ranges: dict[str, Range]) -> None:
-        self.counters = RxCounters()
-        controllers = [ControllerState(device.name, device.address, device.options) for device in devices]
-        self.controllers = {controller.reply_id: controller for controller in controllers}
-        self._by_name = {controller.name: controller for controller in controllers}
-        self._ranges = ranges
-        self._queue: RequestQueue[Pending] = RequestQueue()
-        self._rejections = RejectionFilter()
-        self._events: list[Event] = []
-        """Events outside `send`, to be reported by the next one."""
-        self._reported_duplicate: set[int] = set()
-        self._hosts = sorted({(c.options.host_id, c.options.can_prefix) for c in controllers})
+    host_id: int = bounded(0, 0, 126)
+    """Our own id on the bus, to which devices reply: another one for each host on it."""
+    can_prefix: int = bounded(0, 0, 0x1FFF)
+    """`can.prefix` of the device: the upper 13 bits of its identifiers. Set one where other protocols share
+    the bus: a moteus obeys any identifier whose lower 7 bits are its id."""
+    timeout_ms: int = bounded(100, 10, 10_000)
+    """Watchdog timeout, written with every command: without another in time the device latches a timeout."""
+    max_torque: float = bounded(0.0, 0.0, 1e6)
+    """N·m, in every command; 0: as configured on the device."""
+    velocity_limit: float = bounded(0.0, 0.0, 1e6)
+    """rad/s of the device's own trajectories, in every command; 0: as configured on the device."""
+    acceleration_limit: float = bounded(0.0, 0.0, 1e9)
+    """rad/s², likewise."""
+    feedback_ms: int = bounded(10, 1, 1000)
+    """Period of queries to a device that is not commanded; each command is a query too."""
+    details_ms: int = bounded(200, 1, 60_000)
+    """Period of queries for current, voltage and temperatures as well."""
+    offline_ms: int = bounded(200, 20, 10_000)
+    """Time without a reply after which the device is offline."""
+
+    def __post_init__(self) -> None:
+        late = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
+        check_bounds(self, [late] if self.offline_ms < 2 * self.feedback_ms else ())
+
+    @property
+    def setpoints(self) -> mt.Setpoints:
+        """The set-points, with the limits in every command in the device's units."""
+        limits = (self.max_torque, self.velocity_limit / tau, self.acceleration_limit / tau)
+        return mt.Setpoints(self.timeout_ms / 1000, *(limit or None for limit in limits))
+
+
+@dataclass(slots=True)
+class Motor:
+    """What is known of one device beyond its phase. Plain data."""
+
+    options: Options
+    setpoints: mt.Setpoints
+    command_id: int
+    mode: int | None = None
+    """The mode register."""
+    firmware: int | None = None
+    model: int = 0
+    limited: dict[int, Nanos] = field(default_factory=dict)
+    """When each of `LIMITS` last limited its output."""
+    steered: type[Command] | None = None
+    """Kind of the last set-point, while it counts as received."""
+    anchor: int | None = None
+    """Replies since a velocity is sent with the measured position."""
+    queried_at: Nanos = -NEVER
+    details_at: Nanos = 0
+    identify_at: Nanos = 0
+
+    def on_reply(self, t: Nanos, values: Mapping[int, float | None]) -> None:
+        """Record the registers in a reply."""
+        if tb.FIRMWARE_VERSION in values:
+            self.firmware = int(values[tb.FIRMWARE_VERSION] or 0)
+            self.model = int(values.get(tb.MODEL_NUMBER) or self.model)
+        mode = values.get(tb.MODE)
+        if mode is None:
+            return
+        self.mode = int(mode)
+        if self.anchor is not None and mode == tb.Mode.POSITION:
+            self.anchor += 1
+            if self.anchor >= ANCHORED:
+                self.steer(msg.Velocity)
+        fault = values.get(tb.FAULT)
+        if self.limited or fault in tb.LIMITS:
+            self._note_limit(t, int(fault or 0))
+        if self.mode in LATCHED:
+            self.steer(None)
+
+    def _note_limit(self, t: Nanos, code: int) -> None:
+        """Keep a limit until it was not active for `LIMITED`: it may come and go with every reply."""
+        armed = self.mode not in MODES
+        self.limited = {code: at for code, at in self.limited.items() if armed and t - at < LIMITED}
+        if armed and code in tb.LIMITS:
+            self.limited[code] = t
+
+    def detail(self) -> str:
+        """Return the vendor's name of the mode, and what limits the output."""
+        name = tb.mode_name(self.mode or 0)
+        if not self.limited:
+            return name
+        return f"{name}, limited by {' and '.join(tb.LIMITS[code] for code in sorted(self.limited))}"
+
+    def title(self) -> str:
+        """Return hardware and firmware as far as known."""
+        if self.firmware is None:
+            return "firmware not known yet"
+        version = ".".join(str(self.firmware >> shift & 0xFF) for shift in (16, 8, 0))
+        return f"model {self.model:06X}, firmware {version}"
+
+    def steer(self, kind: type[Command] | None) -> None:
+        """Note the kind of a set-point."""
+        self.steered, self.anchor = kind, None
+
+    def turns(self) -> bool:
+        """True if a velocity may go on from the device's own set-point; else count until it may."""
+        if self.steered is not msg.Velocity and self.anchor is None:
+            self.anchor = 0
+        return self.steered is msg.Velocity
+
+    def query(self, now: Nanos) -> bytes:
+        """Return the query of a frame that goes out now."""
+        self.queried_at = now
+        if now < self.details_at:
+            return mt.FAST
+        self.details_at = now + self.options.details_ms * MILLISECOND
+        return mt.FULL
+
+    def identify(self, at: Nanos) -> None:
+        """Ask for the UUID from then on."""
+        self.identify_at = at
+
+    def forget(self) -> None:
+        """Forget what may have changed while it was away."""
+        self.mode, self.identify_at = None, 0
+        self.limited.clear()
+        self.steer(None)
+
+
+class MoteusAdapter(Adapter[Motor]):
+    """What moteus controllers are sent, and what they report."""
+
+    name = "moteus"
+    faults = tb.REPORTED
+    not_armed, duplicate, latch = tb.NOT_ARMED, tb.DUPLICATE_ID, True
+    needs_idle = ()
+    set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        every = [(device, device.options.host_id, device.options.can_prefix) for device in devices]
+        self._names = {codec.reply_id(each.address, host, prefix): each.name for each, host, prefix in every}
+        self._hosts = sorted({(host, prefix) for _, host, prefix in every})
         """Our ids and prefixes, for queries to all."""
 
-    # -- receiving ----------------------------------------------------------------------------
+    def own(self, device: Device) -> Motor:
+        options: Options = device.options
+        identifier = codec.command_id(device.address, options.host_id, options.can_prefix)
+        return Motor(options, options.setpoints, identifier)
 
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """Return the events in a reply; [] to what is not ours."""
+    def timing(self, options: Options) -> Timing:
+        return Timing(options.offline_ms * MILLISECOND)
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
         if not isinstance(frame, CanFrame) or not frame.fd or frame.remote:
-            self.counters.ignored += 1
-            return []
-        if frame.extended != (frame.id > STANDARD_MAX):
-            self.counters.ignored += 1
-            return []
-        controller = self.controllers.get(frame.id)
-        if controller is None:
-            self.counters.ignored += 1
-            return self._unknown_device(t, frame)
-        reply = decode(frame.data)
-        if reply is None:
-            self.counters.malformed += 1
-            return []
-        self.counters.accepted += 1
-        events = controller.handle(t, reply)
-        uuid = _uuid(reply.values)
-        if uuid is not None:
-            events += self._identified(t, controller, uuid)
-        events += self._discovered(t, controller.address, reply)
-        for pending in self._queue:
-            ended = requests.handle(pending, t, reply) if pending.controller is controller else []
-            if ended:
-                self._queue.end(pending)
-                events += ended
-        return events
+            return (Rx.IGNORED,)
+        if frame.extended != (frame.id > codec.STANDARD_MAX):
+            return (Rx.IGNORED,)
+        name = self._names.get(frame.id)
+        if name is None:
+            return (self._unknown_device(frame, driver),)
+        reply = codec.decode(frame.data)
+        return (Rx.MALFORMED if reply is None else _report(t, driver.hosts[name], reply),)
 
-    def _unknown_device(self, t: Nanos, frame: CanFrame) -> list[Event]:
-        """Return what a device that the robot file does not know replies to a scan."""
-        host = (frame.id & 0x7F, frame.id >> 16)
-        if not self._is_searching() or frame.id & (REPLY_BIT | 0x80) or host not in self._hosts:
-            return []
-        reply = decode(frame.data)
-        if reply is None or Register.MODEL_NUMBER in reply.values:  # it replies to another host's query
-            return []
-        return self._discovered(t, frame.id >> 8 & 0x7F, reply)
+    def _unknown_device(self, frame: CanFrame, driver: MotorDriver[Motor]) -> Report[Motor] | Rx:
+        """Return what a device that the robot file does not know replies to a query to all."""
+        if not any(pending.host is None for pending in driver.queue):
+            return Rx.IGNORED
+        if frame.id & (codec.REPLY_BIT | 0x80) or (frame.id & 0x7F, frame.id >> 16) not in self._hosts:
+            return Rx.IGNORED
+        reply = codec.decode(frame.data)
+        if reply is None or tb.MODEL_NUMBER in reply.values:  # it replies to another host's query
+            return Rx.IGNORED
+        serial, note = _identity(reply)
+        return Report(None, frame.id >> 8 & 0x7F, serial=serial, note=note)
 
-    def _is_searching(self) -> bool:
-        return any(pending.controller is None for pending in self._queue)
+    # -- sent -----------------------------------------------------------------------------------------
 
-    def _discovered(self, t: Nanos, address: int, reply: Reply) -> list[Event]:
-        """Handle a reply to discovery: with a UUID, or with the error that there is none."""
-        if not self._is_searching():
-            return []
-        uuid = _uuid(reply.values) or b""
-        if not uuid and not any(error.register in UUIDS for error in reply.errors):
-            return []
-        events: list[Event] = []
-        for pending in self._queue:
-            if isinstance(pending.request, msg.Scan):
-                events += self._found(t, pending, address, uuid)
-            elif uuid and pending.request == msg.SetId(pending.name, serial_of(uuid), address):
-                self._queue.end(pending)
-                detail = f"not saved yet: write {requests.SAVE} 1 to keep it after power-off"
-                events.append(pending.done(t, detail))
-        return events
+    def refuse(self, host: Host[Motor], command: Command) -> str:
+        impedance = isinstance(command, msg.Impedance)
+        return "the device's gains are scaled, not set: it has no impedance in N·m/rad" if impedance else ""
 
-    def _found(self, t: Nanos, pending: Pending, address: int, uuid: bytes) -> list[Event]:
-        """Report a device that a scan has not reported yet."""
-        if (address, uuid) in pending.found:
-            return []
-        ours = next((each for each in self.controllers.values() if each.address == address), None)
-        parts = [] if ours is None else [f"{ours.name}, {ours.title()}"]
-        parts += [f"UUID {_printed(uuid)}"] if uuid else ["it has no UUID: older firmware"]
-        duplicate = any(other == address for other, _ in pending.found)
-        parts += [f"duplicate id {address}"] if duplicate else []
-        detail = pending.found[address, uuid] = "; ".join(parts)
-        serial = serial_of(uuid) if uuid else None
-        return [msg.Found(t, PROTOCOL, address, serial, detail, duplicate)]
+    def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        motor, at = host.own, (host.position or 0.0) / tau
+        motor.steer(type(command))  # the set-point is where the shaft is: a velocity may go on from there
+        if isinstance(command, msg.Torque):
+            return _frame(now, host, motor.setpoints.torque(at, 0.0))
+        return _frame(now, host, motor.setpoints.position(at, 0.0, 0.0))
 
-    def _identified(self, t: Nanos, controller: ControllerState, uuid: bytes) -> list[Event]:
-        """Record the UUID of a device; report a duplicate id once, until ClearFault."""
-        for other in self.controllers.values():  # it may have been given another id
-            if other is not controller:
-                other.uuids.pop(uuid, None)
-        recent = {known: at for known, at in controller.uuids.items() if t - at <= 2 * IDENTIFY_PERIOD}
-        controller.uuids = recent | {uuid: t}
-        address = controller.address
-        if len(controller.uuids) < 2 or address in self._reported_duplicate:
-            return []
-        self._reported_duplicate.add(address)
-        uuids = sorted(controller.uuids)
-        printed = " and ".join(map(_printed, uuids))
-        detail = f"duplicate id {address}: UUIDs {printed}"
-        events: list[Event] = [
-            msg.Found(t, PROTOCOL, address, serial_of(each), detail, duplicate_address=True) for each in uuids
-        ]
-        cause = f"two devices reply to it: UUIDs {printed}"
-        remedy = "take one off the bus, or give it another id (SetId with its serial number)"
-        name = f"duplicate id {address}"
-        return [*events, msg.Fault(controller.name, t, DUPLICATE_ID, name, cause, remedy)]
+    def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
+        motor, at = host.own, (host.position or 0.0) / tau
+        if motor.mode != tb.Mode.POSITION:  # another host's: it goes over to position control
+            return self.arm(now, host, command)
+        if isinstance(command, msg.Velocity):
+            start = None if motor.turns() else at
+            data = motor.setpoints.position(start, command.velocity / tau, command.torque)
+            return _frame(now, host, data)
+        motor.steer(type(command))
+        match command:
+            case msg.Position(_, position, velocity, torque):
+                data = motor.setpoints.position(position / tau, velocity / tau, torque)
+            case msg.Torque(_, torque):
+                data = motor.setpoints.torque(at, torque)
+            case _:
+                data = motor.setpoints.position((host.held or 0.0) / tau, 0.0, 0.0)
+        return _frame(now, host, data)
 
-    # -- the bus ------------------------------------------------------------------------------
+    def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
+        host.own.steer(None)
+        return () if host.own.mode in LATCHED else _frame(now, host, mt.STOP)
 
-    def bus(self, t: Nanos, state: BusState) -> None:
-        """Forget what is armed where frames were lost or devices may have restarted."""
-        if state is BusState.FULL:
-            for controller in self.controllers.values():
-                controller.resend()
-        if state not in (BusState.GONE, BusState.OFF, BusState.BACK):
-            return
-        for controller in self.controllers.values():
-            controller.forget()
-        if state is not BusState.BACK:
-            self._events += self._queue.refuse_all(t, f"the bus is {state}")
+    def poll(self, now: Nanos, host: Host[Motor]) -> tuple[Sequence[Event], Sequence[Frame]]:
+        motor, frames = host.own, list[Frame]()
+        if now >= self.poll_due(host):
+            frames += _frame(now, host, b"")
+        if motor.mode is not None and now >= motor.identify_at:
+            motor.identify(now + (IDENTIFY_RETRY if motor.firmware is None else IDENTIFY_PERIOD))
+            frames.append(make_frame(motor.command_id, mt.IDENTIFY))
+        return (), frames
 
-    # -- sending ------------------------------------------------------------------------------
+    def poll_due(self, host: Host[Motor]) -> Nanos:
+        return host.own.queried_at + (
+            OFFLINE_PERIOD if host.offline else host.own.options.feedback_ms * MILLISECOND
+        )
 
-    def send(
-        self, now: Nanos, messages: Sequence[Command | Request]
-    ) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Send requests, then commands, then the queries that are due."""
-        events, self._events = self._events, []
-        frames: list[Frame] = []
-        for message in messages:
-            if isinstance(message, msg.Stop):
-                for controller in self.controllers.values():
-                    controller.owned = True
-            elif not isinstance(message, Command):
-                events += self._queue.add(self._begin(now, message))
-        frames += self._send_pending(now, events)
-        for message in messages:
-            if isinstance(message, Command):
-                frames += self._command(now, message, events)
-        for controller in self.controllers.values():
-            reported, queries = controller.poll(now)
-            events += reported
-            frames += [make_frame(controller.command_id, data) for data in queries]
-        return events, frames
+    def forget(self, now: Nanos, host: Host[Motor]) -> None:
+        host.own.forget()
 
-    def _command(self, now: Nanos, command: Command, events: list[Event]) -> list[Frame]:
-        controller = self._by_name.get(command.motor)
-        if controller is None:
-            reason = "no such motor on this bus"
-        elif isinstance(command, msg.Impedance):
-            reason = NO_IMPEDANCE
-        else:
-            reason = out_of_range(command, self._ranges)
-        events += self._rejections.filter(now, command, reason)
-        if controller is None or reason:
-            return []
-        reported, data = controller.command(now, command)
-        events += reported
-        return [make_frame(controller.command_id, each) for each in data]
+    def resend(self, host: Host[Motor]) -> None:
+        host.own.steer(None)
 
-    def _begin(self, now: Nanos, request: Request) -> Pending | msg.Refused:
-        if full := self._queue.full():
-            return refusal(now, request, full)
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
+    ) -> Pending[Motor] | str:
         if isinstance(request, msg.Scan):
-            return requests.scan(now, request)
+            return self._to_all(now, request, SCAN, SCAN_RESEND, mt.DISCOVER)
         if isinstance(request, msg.SetId):
-            controllers = list(self.controllers.values())
-            holders = {each.address: set(map(serial_of, each.uuids)) for each in controllers}
-            return requests.set_id(now, request, controllers, holders)
-        controller = self._by_name.get(subject(request))
-        if controller is None:
-            return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
+            if wrong := _why_not_set(request, driver):
+                return wrong
+            uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
+            line = mt.console(f"conf set id.id {request.address}")
+            masked = [mt.masked(uuid, data) for data in (line, mt.DISCOVER)]
+            return self._to_all(now, request, SET_ID, SET_ID_RESEND, *masked)
+        if host is None or not isinstance(request, SUPPORTED):
+            return f"a moteus has no {type(request).__name__} on its bus"
         if isinstance(request, msg.ClearFault):
-            self._reported_duplicate.discard(controller.address)
-            controller.uuids.clear()
-            controller.identify_at = now
-        return requests.begin(now, request, controller)
+            host.own.identify(now)
+        begun = _data(request, host)
+        if isinstance(begun, str):
+            return begun
+        register, data = begun
+        frames = (make_frame(host.own.command_id, data),)
+        notes = {"register": register}
+        return Pending(request, host.name, now, now + ANSWER, now, host, frames, RESEND, notes)
 
-    def _send_pending(self, now: Nanos, events: list[Event]) -> list[Frame]:
-        """End the requests whose deadline has passed; send the others when they are due."""
-        frames: list[Frame] = []
-        for pending in self._queue.expired(now):
-            if isinstance(pending.request, msg.Scan):
-                count = len(pending.found)
-                events.append(pending.done(now, f"{count} device{'' if count == 1 else 's'}"))
-            else:
-                events.append(requests.give_up(pending, now))
-        for pending in self._queue:
-            if now >= pending.next:
-                pending.next = now + pending.period
-                pending.sent += 1
-                for data in requests.data_of(pending, now):
-                    frames += [make_frame(identifier, data) for identifier in self._identifiers(pending)]
-        return frames
+    def _to_all(
+        self, now: Nanos, request: msg.Scan | msg.SetId, until: Nanos, period: Nanos, *data: bytes
+    ) -> Pending[Motor]:
+        """Return a request to all devices, once for each prefix in use."""
+        ids = [codec.command_id(BROADCAST, host, prefix) for host, prefix in self._hosts]
+        frames = tuple(make_frame(each, piece) for piece in data for each in ids)
+        return Pending(request, request.bus, now, now + until, now, None, frames, period)
 
-    def _identifiers(self, pending: Pending) -> list[int]:
-        """Return whom a request goes to: one device, or all, once for each prefix in use."""
-        if pending.controller is not None:
-            return [pending.controller.command_id]
-        return [command_id(BROADCAST, host, prefix) for host, prefix in self._hosts]
+    def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
+        host = pending.host
+        if host is not None and isinstance(pending.request, msg.ClearFault):
+            return _frame(now, host, mt.STOP if host.own.mode in LATCHED else b"")
+        if host is not None and isinstance(pending.request, msg.Zero):
+            return _frame(now, host, ZERO)
+        return pending.frames
 
-    def due(self) -> Nanos | None:
-        """Return when `send` next has something to do by itself."""
-        times = [controller.due() for controller in self.controllers.values()]
-        return min(times + self._queue.due(), default=None)
+    def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> Event | None:
+        reply: codec.Reply = report.content
+        register, notes = pending.notes["register"], pending.notes
+        errors = {error.code: error.number for error in reply.errors if error.register == register}
+        registers = {*reply.values, *(error.register for error in reply.errors)}
+        if isinstance(pending.request, msg.ClearFault):
+            return self.usual_answer(t, pending, report)
+        if codec.WRITE_ERROR in errors:
+            number = errors[codec.WRITE_ERROR]
+            why = "read only" if number == NOT_WRITEABLE else f"error {number}: no such register?"
+            return pending.refuse(t, f"the device does not accept it ({why})")
+        match pending.request:
+            case msg.Zero():  # a position near zero may be from before, unless the write was confirmed
+                position = reply.values.get(tb.POSITION)
+                if register in registers:
+                    notes["taken"] = True
+                elif "taken" in notes and position is not None and abs(position) < ZERO_WITHIN:
+                    return pending.done(t)
+            case msg.ReadParameter() if codec.READ_ERROR in errors:
+                return pending.refuse(t, "the device has no such register, or cannot read it so")
+            case msg.ReadParameter(motor, name) if register in reply.values:
+                value = reply.values[register]
+                if value is None:
+                    return pending.refuse(t, "the device replies that it is not given")
+                return msg.Parameter(motor, t, name, float(value))
+            case msg.WriteParameter(_, name, value) if registers == {register}:
+                # A reply that holds other registers too may have been on its way when this was written.
+                reads = reply.values.get(register)
+                if name == SAVE or reads is None or isclose(reads, value, rel_tol=BINARY32, abs_tol=TINY):
+                    return pending.done(t)
+                notes["reads"] = reads
+        return None
+
+    def give_up(self, now: Nanos, pending: Pending[Motor]) -> str:
+        reason, request = super().give_up(now, pending), pending.request
+        if isinstance(request, msg.SetId):
+            return f"no device with serial number {request.serial:016X} took the id"
+        if isinstance(request, msg.WriteParameter) and "reads" in pending.notes:
+            return f"the device holds {pending.notes['reads']:.6g} there, not {request.value:.6g}"
+        return reason
+
+
+SUPPORTED = (msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter)
+"""Requests to one device."""
+ZERO = codec.write(tb.SET_OUTPUT_EXACT, 0.0) + codec.read(tb.SET_OUTPUT_EXACT)
+"""It is read back, so that the reply shows that this frame arrived."""
+
+
+def _frame(now: Nanos, host: Host[Motor], data: bytes) -> tuple[Frame]:
+    """Return a frame with these data, which queries as well."""
+    return (make_frame(host.own.command_id, data + host.own.query(now)),)
+
+
+def _report(t: Nanos, host: Host[Motor], reply: codec.Reply) -> Report[Motor]:
+    values, motor = reply.values, host.own
+    motor.on_reply(t, values)
+    mode, fault = values.get(tb.MODE), values.get(tb.FAULT)
+    active: tuple[int, ...] | None = ()
+    if mode == tb.Mode.TIMEOUT:
+        active = (tb.TIMEOUT,)
+    elif mode == tb.Mode.FAULT:
+        active = None if fault is None else (int(fault),)
+    serial, note = _identity(reply) if tb.UUID.start in values or reply.errors else (None, "")
+    return Report(
+        host,
+        host.address,
+        None if mode is None else MODES.get(int(mode), Mode.ARMED),
+        motor.detail(),
+        None if mode is None else active,
+        _feedback(host.name, t, values),
+        serial=serial,
+        note=f"{motor.title()}; {note}" if note else "",
+        content=reply,
+    )
+
+
+def _feedback(name: str, t: Nanos, values: Mapping[int, float | None]) -> msg.Feedback | None:
+    """Return the measurements in a reply."""
+    get = values.get
+    position, velocity, torque, voltage = get(tb.POSITION), get(tb.VELOCITY), get(tb.TORQUE), get(tb.VOLTAGE)
+    board, winding = get(tb.TEMPERATURE), get(tb.MOTOR_TEMPERATURE)
+    hottest = board if winding is None or (board is not None and board > winding) else winding
+    if position is velocity is torque is voltage is hottest is None:
+        return None
+    position = None if position is None else position * tau
+    velocity = None if velocity is None else velocity * tau
+    return msg.Feedback(name, t, position, velocity, torque, get(tb.Q_CURRENT), voltage, hottest)
 
 
 def _uuid(values: Mapping[int, float | None]) -> bytes | None:
     """Return the UUID in a reply, if all of it is there and the device is addressable by it."""
-    numbers = [values.get(register) for register in UUIDS]
-    if any(number is None for number in numbers) or not values.get(Register.UUID_MASK_CAPABLE, 1):
+    numbers = [values.get(register) for register in tb.UUID]
+    if None in numbers or not values.get(NUMBERS["uuid_mask_capable"], 1):
         return None
     return struct.pack("<4I", *(int(number or 0) & 0xFFFFFFFF for number in numbers))
 
 
-def _printed(uuid: bytes) -> str:
-    """Return a UUID as it is printed on the packaging."""
+def _identity(reply: codec.Reply) -> tuple[int | None, str]:
+    """Return the serial number in a reply, and the UUID as it is printed on the packaging; or the remark
+    that there is none; None and "" if the reply is about something else."""
+    uuid = _uuid(reply.values)
+    if uuid is None:
+        none = any(error.register in tb.UUID for error in reply.errors)
+        return None, "it has no UUID: older firmware" if none else ""
     digits = uuid.hex()
-    return "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:]))
+    printed = "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:]))
+    return serial_of(uuid), f"UUID {printed}"
+
+
+def _why_not_set(request: msg.SetId, driver: MotorDriver[Motor]) -> str:
+    """Return why a device cannot be given this id, "" if it can."""
+    if not 1 <= request.address <= ADDRESS_MAX:
+        return f"{request.address} is not an id: 1 to {ADDRESS_MAX}"
+    if not 0 < request.serial < 1 << 8 * SERIAL_BYTES:
+        return f"{request.serial} is no serial number of 64 bits"
+    others = sorted(driver.serials.at(request.address) - {request.serial})
+    if others:
+        return f"id {request.address} is held by serial number {others[0]:016X}"
+    for host in driver.hosts.values():
+        concerned = request.serial in driver.serials.at(host.address) or host.address == request.address
+        if concerned and _is_running(host):
+            return f"{host.name} is armed: send Idle first"
+    return ""
+
+
+def _is_running(host: Host[Motor]) -> bool:
+    """True if it may give torque; what has tripped does not, whoever commanded it."""
+    return host.own.mode not in LATCHED and (host.running or host.own.mode in RISING)
+
+
+def register_of(parameter: str) -> int | None:
+    """Return a register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88); or None."""
+    known = NUMBERS.get(parameter.lower())
+    if known is not None:
+        return known
+    try:
+        number = int(parameter, 0)
+    except ValueError:
+        return None
+    return number if 0 <= number <= 0x7FFF else None
+
+
+def _data(request: Request, host: Host[Motor]) -> tuple[int, bytes] | str:
+    """Return the register that a request is about, and what is sent; or why it is refused."""
+    name, value = getattr(request, "parameter", ""), getattr(request, "value", None)
+    if isinstance(request, msg.ClearFault):
+        return -1, b""
+    if isinstance(request, msg.Zero):
+        return WOULD_JUMP if _is_running(host) else (tb.SET_OUTPUT_EXACT, b"")
+    if name == SAVE and value is not None:
+        if _is_running(host):
+            return ARMED
+        identifier = NUMBERS["multiplex_id"]
+        data = mt.console("conf write") + codec.read(identifier, INT32)
+        return (identifier, data) if value == 1 else f"{SAVE} takes 1"
+    register = register_of(name)
+    if register is None:
+        return f"no register {name!r}: give its number (0x058), or one of {', '.join(NUMBERS)}"
+    if value is None:  # quantities are read as binary32, the rest as int32
+        return register, codec.read(register, F32 if register in SCALES else INT32)
+    if not abs(value) <= FLOAT_MAX:
+        return f"{value} is no finite number of 32 bits"
+    if register in tb.ACTIONS and (_is_running(host) or host.own.mode is None):
+        return WOULD_JUMP
+    return NOT_WRITTEN.get(register) or (register, codec.write(register, value) + codec.read(register))

@@ -55,7 +55,6 @@ def test_an_address_that_is_no_id(address: int) -> None:
 def test_a_duplicate_address_is_an_error() -> None:
     with pytest.raises(ValueError, match="duplicate address"):
         plugin.driver([DEVICE, DEVICE])
-    plugin.driver([DEVICE, Device("right", 1, plugin.options(can_prefix=1), SETTINGS)])
 
 
 def test_the_watchdog_is_always_on_and_in_the_spec() -> None:
