@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
 
-from protocols.messages import Nanos
+from protocols.messages import Nanos, value
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class CanFrame:
     """A CAN frame; `fd` marks CAN FD (up to 64 data bytes), `brs` its bit-rate switch."""
 
@@ -69,7 +68,7 @@ Frame: TypeAlias = CanFrame | bytes
 """One CAN frame, or any run of serial bytes (a piece of a stream, cut anywhere)."""
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class Packet:
     """A frame on a bus, and its time: of reception (stamped by the bus) or of sending."""
 

@@ -130,7 +130,7 @@ class Profile:
 
 def clamp(value: float, limit: float) -> float:
     """Return the value within ± limit."""
-    return max(-limit, min(limit, value))
+    return limit if value > limit else -limit if value < -limit else value
 
 
 def _toward(value: float, goal: float, step: float) -> float:

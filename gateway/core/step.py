@@ -9,7 +9,7 @@ outgoing frame passes through `_out`, and only there.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -324,7 +324,7 @@ def _is_for(request: Request, driver: _BusDriver) -> bool:
 
 def _not_finite(request: Request) -> str:
     """Return which number of a request is not finite, as a sentence; "" if all are."""
-    named = [(name, getattr(request, name)) for name in request.__slots__]
+    named = [(field.name, getattr(request, field.name)) for field in fields(request)]
     wrong = [(name, value) for name, value in named if isinstance(value, float) and not isfinite(value)]
     return f"its {wrong[0][0]} is {wrong[0][1]}, and must be finite" if wrong else ""
 

@@ -22,7 +22,8 @@ from protocols.toolkit.requests import (
     PendingRequest,
     RejectionFilter,
     RequestQueue,
-    out_of_range,
+    bounds_of,
+    outside,
     refusal,
     subject,
 )
@@ -141,6 +142,10 @@ class Adapter(Generic[Own]):
 
     # -- requests -------------------------------------------------------------------------------------
 
+    def heard(self, pending: Pending[Own], driver: MotorDriver[Own]) -> Sequence[Report[Own]]:
+        """Return, at the end of a scan, the devices that did not answer it, each with a note."""
+        return ()
+
     def begin(
         self, now: Nanos, request: Request, host: Host[Own] | None, driver: MotorDriver[Own]
     ) -> Pending[Own] | str:
@@ -211,7 +216,9 @@ class MotorDriver(Generic[Own]):
         """The devices by address."""
         self.queue: RequestQueue[Pending[Own]] = RequestQueue()
         self.serials = SerialNumbers(adapter.name)
-        self._ranges = ranges
+        self._bounds = {
+            name: {kind: bounds_of(kind, of) for kind in msg.COMMANDS} for name, of in ranges.items()
+        }
         self._rejections = RejectionFilter()
         self._events: list[Event] = []
         """Events from outside `send`, to be returned by the next one."""
@@ -232,12 +239,11 @@ class MotorDriver(Generic[Own]):
 
     def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
         host = report.host
-        if host is None:
+        if host is None and report.serial is None:
             self.counters.ignored += 1
-            events: list[Event] = []
         else:
             self.counters.accepted += 1
-            events = host.on_report(t, report)
+        events = [] if host is None else host.on_report(t, report)
         cause = report.duplicate
         if report.serial is not None and report.address != self.adapter.unaddressed:
             cause = self.serials.add(t, report.address, report.serial) or cause
@@ -339,7 +345,9 @@ class MotorDriver(Generic[Own]):
         if isinstance(command, msg.Idle):
             host.on_idle(now)
             return ()
-        reason = self.adapter.refuse(host, command) or out_of_range(command, self._ranges[host.name])
+        reason = self.adapter.refuse(host, command) or outside(
+            command, self._bounds[host.name][type(command)]
+        )
         events += self._rejections.filter(now, command, reason)
         known = self.adapter.blind or (host.mode is not None and host.position is not None)
         if reason or not known or not self.adapter.ready(host):
@@ -373,6 +381,8 @@ class MotorDriver(Generic[Own]):
     def _send_requests(self, now: Nanos, events: list[Event], frames: list[Frame]) -> None:
         for pending in self.queue.expired(now):
             if isinstance(pending.request, msg.Scan):
+                for report in self.adapter.heard(pending, self):
+                    events += self._on_found(now, pending, report)
                 count = len(pending.found)
                 events.append(pending.done(now, f"{count} device{'' if count == 1 else 's'}"))
             else:

@@ -7,9 +7,9 @@ answers, not how they are made.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import isfinite
-from typing import Generic, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 from protocols.messages import Command, Done, Nanos, Refused, Request
 from protocols.plugin import Range
@@ -18,24 +18,33 @@ SMALLEST = 2.0**-126
 """The smallest normal float32. Anything below it counts as zero."""
 
 
-def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
-    """Return why the numbers of a command must not be sent, "" if they may.
+Bounds: TypeAlias = tuple[tuple[str, float, float], ...]
+"""Name, lowest and highest value of each number of a command."""
 
-    `ranges` as in `Spec`. A number that has no range there must be zero."""
-    kind = type(command).__name__
-    for name in command.__slots__:
+
+def bounds_of(kind: type[Command], ranges: Mapping[str, Range]) -> Bounds:
+    """Return the bounds of a type of command; `ranges` as in `Spec`. What has no range must be zero."""
+    numbers = [(f.name, ranges.get(f"{kind.__name__}.{f.name}")) for f in fields(kind) if f.name != "motor"]
+    return tuple((name, r.low if r else 0.0, r.high if r else 0.0) for name, r in numbers)
+
+
+def outside(command: Command, bounds: Bounds) -> str:
+    """Return which number of a command must not be sent, "" if all may."""
+    for name, low, high in bounds:
         value = getattr(command, name)
-        if isinstance(value, str):
+        if low <= value <= high or (low == high == 0.0 and abs(value) < SMALLEST):
             continue
         if not isfinite(value):
             return f"{name} is {value}"
-        allowed = ranges.get(f"{kind}.{name}")
-        if allowed is None:
-            if abs(value) >= SMALLEST:
-                return f"the device has no {name} for {kind}"
-        elif not allowed.low <= value <= allowed.high:
-            return f"{name} {value:.6g} lies outside {allowed.low:.6g} … {allowed.high:.6g}"
+        if low == high:
+            return f"the device has no {name} for {type(command).__name__}"
+        return f"{name} {value:.6g} lies outside {low:.6g} … {high:.6g}"
     return ""
+
+
+def out_of_range(command: Command, ranges: Mapping[str, Range]) -> str:
+    """Return why the numbers of a command must not be sent, "" if they may."""
+    return outside(command, bounds_of(type(command), ranges))
 
 
 class RejectionFilter:
