@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from math import isclose, nan
 from typing import Any, Generic, TypeVar
 
 from protocols import messages as msg
@@ -173,8 +174,9 @@ class Adapter(Generic[Own]):
                 return pending.done(t)
             case msg.ReadParameter(_, name) if name in report.parameters and report.written != name:
                 return msg.Parameter(pending.name, t, name, float(report.parameters[name]))
-            case msg.WriteParameter(_, name) if report.written == name:
-                return pending.done(t)
+            case msg.WriteParameter(_, name, value):
+                read_back = isclose(report.parameters.get(name, nan), value, rel_tol=1e-6)
+                return pending.done(t) if report.written == name or read_back else None
         return None
 
     def give_up(self, now: Nanos, pending: Pending[Own]) -> str:
