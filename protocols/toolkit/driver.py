@@ -398,6 +398,8 @@ class MotorDriver(Generic[Own]):
 
     def due(self) -> Nanos | None:
         """Return when `send` next has something to do without a message."""
+        if self._events:
+            return 0
         times = self.queue.due()
         for host in self.hosts.values():
             times += host.due()
