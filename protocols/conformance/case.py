@@ -12,7 +12,7 @@ from zlib import crc32
 from protocols.conformance import bench as tools
 from protocols.conformance.bench import NAMES, START, STEP, STRANGER, Bench, StepResult
 from protocols.conformance.random import Random
-from protocols.frames import CanFrame, Frame, IdMask, any_matches
+from protocols.frames import CanFrame, Frame, IdMask, any_matches, id_number
 from protocols.messages import Command, Idle, Message, Torque
 from protocols.plugin import Device, FeedbackKind, Plugin, RxCounters, Spec
 
@@ -104,6 +104,27 @@ class Case:
         usual = Device(NAMES[0], self.addresses[0], self.plugin.options(), self.plugin.settings())
         return self.default or self.plugin.spec(usual).kind != self.spec.kind
 
+    def counts_otherwise(self, usual: Case) -> bool:
+        """True if the options change ranges, or which commands are the same."""
+        one, other = self.spec, usual.spec
+        return (one.ranges, one.canonical) != (other.ranges, other.canonical)
+
+    def converses_otherwise(self, usual: Case) -> bool:
+        """True if the options change anything else of the spec but a text, or what is sent when."""
+        one, other = self.spec, usual.spec
+        watchdog = replace(one.watchdog, note=other.watchdog.note)
+        same = replace(one, ranges=other.ranges, canonical=other.canonical, watchdog=watchdog)
+        return same != other or self.conversation != usual.conversation
+
+    @cached_property
+    def conversation(self) -> tuple[object, ...]:
+        """The messages of each step of the baseline, without their data."""
+        named = self.plugin.messages
+        return tuple(
+            ([named(f) for f in step.down], [named(f) for f in step.up], list(map(_form, step.up)))
+            for step in self.baseline
+        )
+
     def share(self, count: int) -> int:
         """Return `count`, or a quarter of it with other options: these seldom make another device."""
         return count if self.whole else -(-count // 4)
@@ -128,6 +149,11 @@ class Case:
     def random(self) -> Random:
         """Return a new generator; each clause starts from the same seed."""
         return Random(self.seed)
+
+
+def _form(frame: Frame) -> object:
+    """Return a frame's id and length."""
+    return (id_number(frame), len(frame.data)) if isinstance(frame, CanFrame) else len(frame)
 
 
 def variants(plugin: Plugin) -> Iterator[Any]:

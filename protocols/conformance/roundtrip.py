@@ -34,7 +34,7 @@ def commands_arrive(case: Case) -> None:
         raise Inapplicable("the spec lists no commands")
     for kind in case.kinds:
         samples = list(_samples(kind, spec.ranges, random))
-        _all_arrive(case, kind, samples)
+        _all_arrive(case, kind, case.sample(samples))
         _synonyms_are_the_same(case, kind, samples)
     if msg.Idle in spec.commands and case.kinds:
         bench = _armed(case, tools.gentle(case.kinds[0], spec.ranges))

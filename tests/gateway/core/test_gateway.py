@@ -178,7 +178,10 @@ def test_limits_and_gains_are_set_while_it_runs_or_refused_with_the_reason(drive
 def test_a_request_with_a_number_that_is_not_finite_is_refused_and_reaches_no_driver(
     driven: Rig, bad: float
 ) -> None:
-    requests = [msg.WriteParameter("left", "Pos_Gain", bad), msg.Set("left.limits.torque", bad)]
+    requests: list[msg.Request] = [
+        msg.WriteParameter("left", "Pos_Gain", bad),
+        msg.Set("left.limits.torque", bad),
+    ]
     ticks = driven.run(0.5, *requests)
     answers = [e for tick in ticks for e in tick.outputs.events if isinstance(e, msg.Refused | msg.Done)]
     assert [(e.request, e.name) for e in answers] == [("WriteParameter", "left"), ("Set", "")]
