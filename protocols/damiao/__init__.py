@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from protocols import messages as msg
 from protocols.damiao.driver import DamiaoAdapter, Options
-from protocols.damiao.table import ADDRESSES, ANY, FAULTS, MODELS, REPLY_BASE
+from protocols.damiao.table import ADDRESSES, ANY, FAULTS, MODELS, REGISTERS, REPLY_BASE
 from protocols.damiao.twin import DamiaoTwin, Settings, motor_of
 from protocols.frames import exact
 from protocols.messages import MILLISECOND, Command
@@ -53,6 +53,7 @@ def spec(device: Device) -> Spec:
         ranges=ranges(options),
         watchdog=Watchdog(round(options.timeout_ms * MILLISECOND), enabled=True),
         faults=FAULTS,
+        parameters=tuple(REGISTERS.by_name),
         receives_also=((REPLY_BASE, 0x7F0),),
         canonical=options.gains.canonical,
     )

@@ -111,9 +111,10 @@ class DamiaoAdapter(RegisterAdapter):
         ours = [host for host in driver.hosts.values() if host.options.reply(host.address) == frame.id]
         name, value, written = dm.register_in(frame)
         for host in ours:
-            about = value is not None and frame.data[0] == host.address
-            report = self.register_report(t, host, name, value or 0.0, written=written) if about else None
-            report = report or self._feedback(t, frame, host)
+            asked = frame.data[:1] == bytes((host.address,)) and host.own.registers.is_asked(t, name)
+            if value is not None and asked:
+                return (self.register_report(t, host, name, value, written=written),)
+            report = self._feedback(t, frame, host)
             if report is not None:
                 return (report,)
         if ours:
@@ -137,8 +138,8 @@ class DamiaoAdapter(RegisterAdapter):
 
     # -- sent -----------------------------------------------------------------------------------------
 
-    def about(self, operation: str, address: int, name: str = "", value: float = 0.0) -> Frame:
-        return dm.about_register(operation, address, name, value)
+    def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
+        return (dm.about_register(operation, address, name, value),)
 
     def ask(self, host: Host[Motor]) -> Frame:
         return dm.ANY.encode("refresh", motor=host.address, number=0, value=0)

@@ -135,11 +135,12 @@ ANY = table_of("4310")
 """For messages that are the same in all models."""
 
 
-def about_register(operation: str, address: int, name: str = "", value: float = 0.0) -> CanFrame:
+def about_register(operation: str, address: int, name: str, value: float = 0.0) -> CanFrame:
     """Return the frame that reads or writes a register, or saves all."""
-    number = REGISTERS.by_name[name].number if name else 1
-    raw = REGISTERS.raw(name, value) if name else 0
-    return ANY.encode(operation, motor=address, number=number, value=raw)
+    if operation == "save":
+        return ANY.encode(operation, motor=address, number=1, value=0)
+    raw = REGISTERS.raw(name, value)
+    return ANY.encode(operation, motor=address, number=REGISTERS.by_name[name].number, value=raw)
 
 
 def register_in(frame: CanFrame) -> tuple[str, float | None, bool]:

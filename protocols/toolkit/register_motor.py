@@ -44,7 +44,7 @@ class RegisterAdapter(Adapter[Motor]):
     registers: Registers
     serial: str = ""
     """Register that holds the serial number."""
-    save: str = ""
+    save: str | None = None
     """Parameter that saves the configuration when 1 is written."""
     turns: str = ""
     """Register that holds the position beyond the range of the feedback."""
@@ -65,8 +65,9 @@ class RegisterAdapter(Adapter[Motor]):
         """Return the registers that are read with every question and command."""
         return ()
 
-    def about(self, operation: str, address: int, name: str = "", value: float = 0.0) -> Frame:
-        """Return the frame that reads or writes a register ("read", "write"), or saves all ("save")."""
+    def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
+        """Return what reads or writes a register ("read", "write"; where a device does not answer what was
+        written, it is read back), or saves all ("save")."""
         raise NotImplementedError
 
     def ask(self, host: Host[Motor]) -> Frame:
@@ -93,10 +94,8 @@ class RegisterAdapter(Adapter[Motor]):
 
     def register_report(
         self, t: Nanos, host: Host[Motor], name: str, value: float, *, written: bool
-    ) -> Report[Motor] | None:
-        """Return what an answer about a register reports; None if it was not asked for."""
-        if not host.own.registers.is_asked(t, name):
-            return None
+    ) -> Report[Motor]:
+        """Return what an answer about a register reports."""
         host.own.registers.put(name, value)
         turned = name == self.turns and name in self.polled(host.options)
         return Report(
@@ -134,11 +133,11 @@ class RegisterAdapter(Adapter[Motor]):
         wanted, registers = self.written(host.options), host.own.registers
         if registers.different(wanted):
             wrong = registers.to_write(now, wanted)
-            return host.own.sent(now, [self._about(now, host, "write", *each) for each in wrong])
+            return host.own.sent(now, [f for each in wrong for f in self._about(now, host, "write", *each)])
         return host.own.sent(now, [self.enable(host)])
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        reads = [self._about(now, host, "read", name) for name in self.polled(host.options)]
+        reads = self._read(now, host, self.polled(host.options))
         return host.own.sent(now, [self.set_point(host, command), *reads])
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
@@ -150,16 +149,19 @@ class RegisterAdapter(Adapter[Motor]):
         options = host.options
         needed = (*self.expected(options), *self.written(options))
         names = (*host.own.registers.missing(now, needed), *self.polled(options))
-        return (), host.own.sent(now, [self.ask(host), *(self._about(now, host, "read", n) for n in names)])
+        return (), host.own.sent(now, [self.ask(host), *self._read(now, host, names)])
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
         at: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
         return at
 
+    def _read(self, now: Nanos, host: Host[Motor], names: Sequence[str]) -> list[Frame]:
+        return [frame for name in names for frame in self._about(now, host, "read", name)]
+
     def _about(
-        self, now: Nanos, host: Host[Motor], operation: str, name: str = "", value: float = 0.0
-    ) -> Frame:
-        host.own.registers.ask(now, name or self.save)
+        self, now: Nanos, host: Host[Motor], operation: str, name: str, value: float = 0.0
+    ) -> Sequence[Frame]:
+        host.own.registers.ask(now, name)
         return self.about(operation, host.address, name, value)
 
     # -- requests -------------------------------------------------------------------------------------
@@ -170,7 +172,7 @@ class RegisterAdapter(Adapter[Motor]):
         if isinstance(request, msg.Scan):
             for each in driver.hosts.values():
                 each.own.registers.ask(now, self.serial)
-            questions = tuple(self.about("read", address, self.serial) for address in self.addresses)
+            questions = tuple(f for at in self.addresses for f in self.about("read", at, self.serial))
             return Pending(request, request.bus, now, now + ANSWER, now, None, questions)
         wrong = "the device cannot do that on this bus"
         match request:
@@ -190,13 +192,13 @@ class RegisterAdapter(Adapter[Motor]):
         host = pending.host
         if host is None:
             return pending.frames
-        frame: Frame | None
+        frames: Sequence[Frame]
         match pending.request:
             case msg.ReadParameter(_, name):
-                frame = self._about(now, host, "read", name)
+                frames = self._about(now, host, "read", name)
             case msg.WriteParameter(_, name, value):
-                about = ("save",) if name == self.save else ("write", name, value)
-                frame = self._about(now, host, *about)
+                frames = self._about(now, host, "save" if name == self.save else "write", name, value)
             case request:
                 frame = self.action(host, request)
-        return host.own.sent(now, [frame] if frame is not None else [])
+                frames = [] if frame is None else [frame]
+        return host.own.sent(now, frames)

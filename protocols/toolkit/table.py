@@ -155,6 +155,7 @@ class Decoded:
     name: str
     """ "" if the id is one of the table's, but the data fits none of its messages."""
     address: int
+    """−1: the address is in data that do not fit."""
     values: Values
 
 
@@ -238,15 +239,16 @@ class Table:
         candidates = self._seen[direction].get(number)
         if candidates is None:
             candidates = self._candidates(number, direction)
-        known = False
+        misfit: Decoded | None = None
         for name, address, remote, decode, decode_id in candidates:
             if remote is frame.remote:
-                known, values = True, decode(frame.data)
+                values = decode(frame.data)
                 if values is not None:
                     if decode_id is not None:
                         values |= decode_id(frame.id.to_bytes(4, "big")) or {}
                     return Decoded(name, values["address"] if address < 0 else address, values)
-        return Decoded("", 0, {}) if known else None
+                misfit = Decoded("", address, {})
+        return misfit
 
     def _candidates(self, number: int, direction: Direction) -> Sequence[_Candidate]:
         """Return the rows that an id can be of. Ids of 11 bits are looked up once."""
