@@ -3,7 +3,7 @@
     messages            commands, requests, tasks and events: frozen values in SI
     frames              CanFrame, Packet, BusState: what is on a bus
     plugin              the plugin interface, and `load` to find an installed protocol by name
-    request_queue       helpers that drivers share: range checks, refusals, pending requests
+    toolkit             machinery that protocols share: message table, driver, firmware
     message_codec       messages as bytes
     reference_vectors   bytes from independent sources
     conformance         the contract that every plugin must pass

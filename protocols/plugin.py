@@ -59,6 +59,12 @@ class RxCounters:
     ignored: int = 0
     """Of another device or protocol, or another kind of frame."""
 
+    def add(self, *, accepted: int = 0, malformed: int = 0, ignored: int = 0) -> None:
+        """Count."""
+        self.accepted += accepted
+        self.malformed += malformed
+        self.ignored += ignored
+
 
 class FeedbackKind(StrEnum):
     """How the device reports its feedback."""

@@ -55,7 +55,7 @@ CONTRACT = (
     "protocols.frames",
     "protocols.plugin",
     "protocols.reference_vectors",
-    "protocols.toolkit.requests",
+    "protocols.toolkit",
     "protocols.message_codec",
     "protocols.suggest",
 )

@@ -55,6 +55,12 @@ class Pending(PendingRequest, Generic[Own]):
     found: dict[tuple[int, int | None], str] = field(default_factory=dict)
     """Devices found by a scan: their details, by address and serial number."""
 
+    def send(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Record that these frames are sent now; return them."""
+        self.next = now + self.period
+        self.sent += len(frames)
+        return frames
+
 
 class Adapter(Generic[Own]):
     """What a protocol adds to `MotorDriver`. One object for each driver; plain data."""
@@ -232,19 +238,17 @@ class MotorDriver(Generic[Own]):
         events: list[Event] = []
         for report in self.adapter.receive(t, frame, self):
             if report is Rx.IGNORED:
-                self.counters.ignored += 1
+                self.counters.add(ignored=1)
             elif report is Rx.MALFORMED:
-                self.counters.malformed += 1
+                self.counters.add(malformed=1)
             elif isinstance(report, Report):
                 events += self._on_report(t, report)
         return events
 
     def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
         host = report.host
-        if host is None and report.serial is None:
-            self.counters.ignored += 1
-        else:
-            self.counters.accepted += 1
+        ours = host is not None or report.serial is not None
+        self.counters.add(accepted=ours, ignored=not ours)
         events = [] if host is None else host.on_report(t, report)
         cause = report.duplicate
         if report.serial is not None and report.address != self.adapter.unaddressed:
@@ -284,7 +288,7 @@ class MotorDriver(Generic[Own]):
             return []
         duplicate = known and address != self.adapter.unaddressed
         detail = ", ".join(filter(None, (report.host.name if report.host else "", report.note)))
-        pending.found[address, serial] = detail
+        pending.found.update({(address, serial): detail})
         return [msg.Found(t, self.adapter.name, address, serial, detail, duplicate)]
 
     def scanning(self) -> bool:
@@ -391,10 +395,7 @@ class MotorDriver(Generic[Own]):
                 events.append(pending.refuse(now, self.adapter.give_up(now, pending)))
         for pending in self.queue:
             if now >= pending.next:
-                pending.next = now + pending.period
-                outgoing = self.adapter.frames(now, pending)
-                pending.sent += len(outgoing)
-                frames += outgoing
+                frames += pending.send(now, self.adapter.frames(now, pending))
 
     def due(self) -> Nanos | None:
         """Return when `send` next has something to do without a message."""

@@ -17,6 +17,7 @@ from tests.gateway.rig import Rig
 
 ROBOTS = {
     "diffbot_cia402": {"cia402"},
+    "diffbot_damiao": {"damiao"},
     "diffbot_moteus": {"moteus"},
     "diffbot_mixed": {"cia402", "moteus", "odrive_can"},
 }
