@@ -69,7 +69,7 @@ class _Copied:
 
     def _call(self, method: str, *arguments: Any) -> Any:  # noqa: ANN401 -- of any method
         self.calls += 1
-        if self.random.below(OFTEN if self.calls < AT_FIRST else SELDOM) == 0:
+        if self.calls == 1 or self.random.below(OFTEN if self.calls < AT_FIRST else SELDOM) == 0:
             original = self.original
             try:
                 self.original = copy.deepcopy(original)

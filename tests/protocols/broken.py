@@ -325,7 +325,7 @@ class ClearsFaultsUnasked(PlainDriver):
         return super().send(now, [*clear, *messages])
 
 
-@found_by("passive", "attach")
+@found_by("passive", "scan")
 class AlwaysIdles(PlainDriver):
     """Sends Idle to devices that it never armed: a running device drops its load."""
 

@@ -15,9 +15,11 @@ from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages, TwinWrapper
 from protocols.frames import EXTENDED_BIT, ID_BITS, CanFrame, Frame, IdMask
 from protocols.messages import Command, Event, Nanos, Obeyed
+from protocols.plain.driver import PlainAdapter
 from protocols.plugin import CommandDecoder, Device, FeedbackKind, Plugin, Range, Spec
+from protocols.toolkit.host import Host, Phase
 from tests.protocols.broken import Sent, motors
-from tests.protocols.plain.parts import decoded
+from tests.protocols.plain.parts import PlainDriver, decoded
 
 
 def with_spec(plugin: Plugin, **changes: Any) -> Callable[[Device], Spec]:
@@ -160,9 +162,25 @@ def _reports(frame: Frame) -> bool:
     return any(isinstance(message, reports) for _, message in decoded(frame))
 
 
+class PollsByIdle(PlainAdapter):
+    """A device that was commanded, and is not now, replies to Idle."""
+
+    def poll(self, now: Nanos, host: Host[set[int]]) -> tuple[Sequence[Event], Sequence[Frame]]:
+        """Send Idle at every step."""
+        silent = host.once_commanded and host.phase not in (Phase.ARMING, Phase.ARMED)
+        return (), self.release(now, host) if silent else ()
+
+
+class OnlyReplies(PlainDriver):
+    """The driver of such devices."""
+
+    adapted = PollsByIdle
+
+
 only_replies = replace(
     motors,
     name="only_replies",
+    driver=OnlyReplies,
     twin=lambda device, seed: Replies(motors.twin(device, seed), device),
     spec=with_spec(motors, feedback=FeedbackKind.REPLY),
 )

@@ -41,7 +41,7 @@ def test_a_cable_can_be_cut_in_either_direction() -> None:
     rig.cables["alpha"].up = False
     rig.step()
     commands = [msg.Velocity("alpha", 1.0), msg.Velocity("beta", 1.0)]
-    events = [event for _ in range(400) for event in rig.step(commands).events]
+    events = [event for _ in range(200) for event in rig.step(commands).events]
     assert {event.motor for event in events if isinstance(event, msg.Feedback)} == {"beta"}
     assert abs(torque_of(rig.step())) > 0.0
     rig.cables["alpha"].down = False
