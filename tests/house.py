@@ -129,7 +129,8 @@ def _broken_by_protocol(module: str, name: str) -> Iterator[str]:
         return
     if within(name, "protocols") and not within(name, protocol, *CONTRACT):
         yield "a protocol imports the interface and its own folder"
-    forbidden = {"driver": ("twin",), "twin": ("driver",), "codec": ("driver", "twin")}
+    ends = ("driver", "twin")
+    forbidden = {"driver": ("twin",), "twin": ("driver",), "codec": ends, "table": ends}
     for other in forbidden.get(module.removeprefix(protocol + "."), ()):
         if within(name, f"{protocol}.{other}"):
-            yield "driver and twin meet only in their codec"
+            yield "driver and twin meet only in their table"

@@ -76,10 +76,10 @@ BREAKS = [
     ("protocols.foo", "from protocols.conformance import check", "and its own folder"),
     ("protocols.plugin", "from protocols.plain import plugin", "knows none of them"),
     ("protocols.conformance.state", "import protocols.foo.codec", "knows none of them"),
-    ("protocols.foo.driver", "from protocols.foo.twin import Twin", "only in their codec"),
-    ("protocols.foo.driver", "from .twin import Twin", "only in their codec"),
-    ("protocols.foo.twin", "from protocols.foo import driver", "only in their codec"),
-    ("protocols.foo.codec", "import protocols.foo.twin", "only in their codec"),
+    ("protocols.foo.driver", "from protocols.foo.twin import Twin", "only in their table"),
+    ("protocols.foo.driver", "from .twin import Twin", "only in their table"),
+    ("protocols.foo.twin", "from protocols.foo import driver", "only in their table"),
+    ("protocols.foo.codec", "import protocols.foo.twin", "only in their table"),
 ]
 KEEPS = [
     ("gateway.core.clock", "import time"),
@@ -140,7 +140,7 @@ LAYERS = [
     ("brain/belief.py", "import gateway.core.joint", "gateway over brain over protocols"),
     ("protocols/frames.py", "import brain.belief", "gateway over brain over protocols"),
     ("brain/belief.py", "import protocols.plugin", "the brain knows the messages"),
-    ("protocols/plain/driver.py", "import protocols.plain.twin", "driver and twin meet only in their codec"),
+    ("protocols/plain/driver.py", "import protocols.plain.twin", "driver and twin meet only in their table"),
     ("protocols/messages.py", "import protocols.plugin", "no import cycles"),
     ("gateway/core/joint.py", "import gateway.core.clock", "the step knows no clock, bus, world or file"),
     (
@@ -217,8 +217,30 @@ def test_a_protocol_is_a_whole_folder() -> None:
     declared = PROJECT["project"]["entry-points"]["motor_gateway.protocols"]
     assert declared == {folder.name: f"protocols.{folder.name}:plugin" for folder in PROTOCOLS}
     for folder in PROTOCOLS:
-        missing = [n for n in ("codec.py", "driver.py", "twin.py", "README.md") if not (folder / n).is_file()]
+        missing = [n for n in ("driver.py", "twin.py", "README.md") if not (folder / n).is_file()]
         assert not missing, f"{folder.name} lacks {', '.join(missing)}"
+
+
+def assigned_elsewhere(source: str) -> list[int]:
+    """Return the lines that assign an attribute of another object than `self` and `cls`."""
+    lines = []
+    for node in ast.walk(ast.parse(source)):
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        for target in [each for one in targets for each in getattr(one, "elts", [one])]:
+            owner = target
+            while isinstance(owner, ast.Subscript):
+                owner = owner.value
+            if isinstance(owner, ast.Attribute) and ast.unparse(owner.value) not in ("self", "cls"):
+                lines.append(node.lineno)
+    return lines
+
+
+def test_no_protocol_assigns_the_attributes_of_another_object() -> None:
+    assert assigned_elsewhere("a.b = 1\nself.b.c += 1\nd, e.f[0] = 1, 2\nself.g: int = 3") == [1, 2, 3]
+    places = [folder for folder in PROTOCOLS if folder.name != "cia402"]  # which is not on the toolkit yet
+    sources = [path for folder in [*places, ROOT / "protocols/toolkit"] for path in folder.rglob("*.py")]
+    wrong = {str(path.relative_to(ROOT)): assigned_elsewhere(path.read_text()) for path in sources}
+    assert not {path: lines for path, lines in wrong.items() if lines}
 
 
 def test_no_vendor_is_named_outside_its_folder() -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from protocols import messages as msg
-from protocols.damiao.driver import DamiaoAdapter, Options
+from protocols.damiao.driver import DamiaoAdapter
+from protocols.damiao.options import Options, Settings
 from protocols.damiao.table import ADDRESSES, ANY, FAULTS, MODELS, REGISTERS, REPLY_BASE
-from protocols.damiao.twin import DamiaoTwin, Settings, motor_of
+from protocols.damiao.twin import DamiaoTwin, motor_of
 from protocols.frames import exact
 from protocols.messages import MILLISECOND, Command
 from protocols.plugin import Device, Plugin, Range, Spec, Watchdog

@@ -9,77 +9,22 @@ file (every number would be scaled wrongly otherwise), its mode the option's and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 from protocols import messages as msg
 from protocols.damiao import table as dm
+from protocols.damiao.options import Options
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Feedback, Mode, Nanos, Request
 from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Host, Report
-from protocols.toolkit.mit import NUMBERS, Gains
-from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.mit import NUMBERS
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
-from protocols.toolkit.table import Table
 
 STATES: dict[int, tuple[Mode, str]] = {
     dm.DISABLED: (Mode.READY, "disabled"),
     dm.ENABLED: (Mode.ARMED, "enabled"),
     **{code: (Mode.FAULT, info.name) for code, info in dm.FAULTS.items()},
 }
-# fmt: off
-Model = Literal[
-    "4310", "4310P", "4340", "4340P", "3507", "6006", "6248P", "8006", "8009", "10010L", "10010", "H3510",
-    "G6215", "H6220", "JH11",
-]
-# fmt: on
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Configuration of the driver."""
-
-    model: Model = "4310"
-    """Decides the ranges of all numbers; the motor is asked for them before it is enabled."""
-    mode: Literal["mit", "pos_vel", "vel", "force_pos"] = "mit"
-    """CTRL_MODE, written before the motor is enabled."""
-    reply_id: int = bounded(0, 0, 0x7FE)
-    """MST_ID of the motor; 0: its address and 16."""
-    stiffness: float = bounded(20.0, 0.2, dm.KP_MAX)
-    """N·m/rad of Position and Hold (mode mit)"""
-    damping: float = bounded(1.0, 0.01, dm.KD_MAX)
-    """N·m·s/rad of Position, Hold and Velocity (mode mit)"""
-    max_velocity: float = bounded(5.0, 0.01, 300.0)
-    """rad/s on the way to a Position (modes pos_vel, force_pos)"""
-    max_force: float = bounded(0.5, 0.001, 1.0)
-    """Current on the way to a Position, as a share of the motor's largest (mode force_pos)"""
-    position: Literal["feedback", "xout"] = "feedback"
-    """Where the position is from: the feedback, which ends at ±PMAX, or register xout, which counts turns
-    (one more frame for each command)."""
-    timeout_ms: float = bounded(100.0, 10.0, 10_000.0)
-    """TIMEOUT of the motor's watchdog, written before it is enabled."""
-    feedback_ms: int = bounded(10, 1, 1000)
-    """Period of questions to a motor that is not commanded."""
-    offline_ms: int = bounded(100, 20, 10_000)
-    """Time without an answer after which the motor is offline."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
-    @property
-    def table(self) -> Table:
-        """The messages of the model."""
-        return dm.table_of(self.model)
-
-    @property
-    def gains(self) -> Gains:
-        """The gains of Position, Hold and Velocity."""
-        return Gains(self.stiffness, self.damping, self.table.row("MIT"))
-
-    def reply(self, address: int) -> int:
-        """Return the id of a motor's answers."""
-        return self.reply_id or dm.REPLY_BASE + address
 
 
 class DamiaoAdapter(RegisterAdapter):

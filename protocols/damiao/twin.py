@@ -11,32 +11,15 @@ from dataclasses import dataclass
 
 from protocols import messages as msg
 from protocols.damiao import table as dm
+from protocols.damiao.options import Settings
 from protocols.damiao.table import REGISTERS
 from protocols.frames import Frame
 from protocols.messages import Command, Mode, Nanos, Obeyed
 from protocols.plugin import Device
 from protocols.toolkit.firmware import ServoFirmware, milliseconds
 from protocols.toolkit.mit import NUMBERS
-from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.servo import Gains
 from protocols.toolkit.table import Decoded
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Configuration of the motor; its model is that of the options."""
-
-    mode: int = bounded(1, 1, 4)
-    """CTRL_MODE as saved"""
-    timeout_ms: float = bounded(0.0, 0.0, 100_000.0)
-    """TIMEOUT as saved; 0: no watchdog"""
-    serial: int = bounded(0, 0, 0xFFFF_FFFF)
-    """SN; 0: derived from the address"""
-    temperature: int = bounded(30, 0, 255)
-    """°C"""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
 
 @dataclass(slots=True)

@@ -11,8 +11,8 @@ import pytest
 from damiao_motor.core.motor import REGISTER_TABLE, DaMiaoMotor
 
 from protocols.damiao import plugin
-from protocols.damiao.driver import Options
-from protocols.damiao.twin import DamiaoTwin, Settings
+from protocols.damiao.options import Options, Settings
+from protocols.damiao.twin import DamiaoTwin
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Mode
 from protocols.plugin import Device
