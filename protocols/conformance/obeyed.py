@@ -322,8 +322,9 @@ def push(command: Command, ranges: dict[str, Range]) -> float:
     elif isinstance(command, msg.Impedance):
         spring = command.stiffness * (command.position - PLACE)
         total = spring + command.damping * command.velocity + command.torque
-        steps = {name: ranges[key].resolution for name, key in tools.numbers(msg.Impedance, ranges)}
-        error = command.stiffness * steps["position"] + command.damping * steps["velocity"] + steps["torque"]
+        fine = {name: ranges[key].resolution for name, key in tools.numbers(msg.Impedance, ranges)}
+        gains = (("position", command.stiffness), ("velocity", command.damping), ("torque", 1.0))
+        error = sum(gain * fine.get(name, 0.0) for name, gain in gains)
         along = [total if abs(total) > 1e-3 + 2.0 * error else 0.0]
     if not along or not along[0]:
         return 0.0
