@@ -180,6 +180,17 @@ def _converters(hint: object) -> tuple[_Convert, _Convert]:
     raise TypeError(f"no encoding for {hint}")
 
 
+_AS_IT_IS: dict[Any, frozenset[type]] = {
+    float: frozenset({float}),
+    float | None: frozenset({float, type(None)}),
+    int: frozenset({int}),
+    bool: frozenset({bool}),
+    str: frozenset({str}),
+}
+"""By the type of a field, the types of the values that need no conversion. An int that was decoded has 64
+bits; one to be encoded must be checked."""
+
+
 # -- layouts: one per message type -----------------------------------------------------------------------
 
 
@@ -191,8 +202,10 @@ class Layout:
     message_type: type[Message]
     values: Callable[[Message], tuple[Any, ...]]
     """Returns the values of all fields."""
-    encode: tuple[_Convert, ...]
-    decode: tuple[_Convert, ...]
+    encode: tuple[tuple[frozenset[type], _Convert], ...]
+    """Of each field: the types of values that are valid as they are (of floats, if finite), and how to
+    convert and check any other."""
+    decode: tuple[tuple[frozenset[type], _Convert], ...]
     name: int | None
     """Index of the field that names the subject: motor, sensor, bus or name."""
     time: int | None
@@ -202,14 +215,15 @@ class Layout:
 def _layout(code: int, message_type: type[Message]) -> Layout:
     names = [f.name for f in fields(message_type)]
     hints = get_type_hints(message_type)
+    fast = [_AS_IT_IS.get(hints[name], frozenset()) for name in names]
     pairs = [_converters(hints[name]) for name in names]
     subject = next((n for n in ("motor", "sensor", "bus", "name") if n in names), None)
     return Layout(
         code,
         message_type,
         _getter(names),
-        tuple(encode for encode, _ in pairs),
-        tuple(decode for _, decode in pairs),
+        tuple((valid - {int}, encode) for valid, (encode, _) in zip(fast, pairs, strict=True)),
+        tuple((valid, decode) for valid, (_, decode) in zip(fast, pairs, strict=True)),
         names.index(subject) if subject else None,
         names.index("t") if "t" in names else None,
     )
@@ -250,13 +264,21 @@ def layout_of(message: Message) -> Layout:
 
 def pack_fields(layout: Layout, values: Sequence[Any]) -> bytes:
     """Encode a message with these fields. Raises ValueError as `pack` does."""
-    row: list[Any] = [layout.code]
     try:
-        row += [encode(value) for encode, value in zip(layout.encode, values, strict=True)]
-        packed: bytes = msgpack.packb(row)
+        packed: bytes = msgpack.packb([layout.code, *_converted(layout.encode, values)])
     except (TypeError, ValueError, OverflowError, struct.error) as error:
         raise ValueError(f"{layout.message_type.__name__}: {error}") from error
     return packed
+
+
+def _converted(converters: Sequence[tuple[frozenset[type], _Convert]], values: Sequence[Any]) -> list[Any]:
+    converted = list(values)
+    for at, (valid, convert) in enumerate(converters):
+        value = converted[at]
+        kind = type(value)
+        if kind not in valid or (kind is float and not math.isfinite(value)):
+            converted[at] = convert(value)
+    return converted
 
 
 def unpack_fields(data: bytes) -> tuple[Layout, list[Any]] | None:
@@ -272,6 +294,6 @@ def unpack_fields(data: bytes) -> tuple[Layout, list[Any]] | None:
         row += added if len(row) + len(added) == len(layout.decode) + 1 else []
         if len(row) != len(layout.decode) + 1:
             return None
-        return layout, [decode(value) for decode, value in zip(layout.decode, row[1:], strict=True)]
+        return layout, _converted(layout.decode, row[1:])
     except (ValueError, TypeError, OverflowError, struct.error, msgpack.UnpackException):
         return None

@@ -63,13 +63,18 @@ class PlainAdapter(Adapter[Faults]):
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Faults]) -> Sequence[Report[Faults] | Rx]:
         if not isinstance(frame, bytes):
             return (Rx.IGNORED,)
-        received = self._stream.feed(frame)
-        return [self._report(t, each, driver) if isinstance(each, bytes) else each for each in received]
+        reports: list[Report[Faults] | Rx] = []
+        for each in self._stream.feed(frame):
+            report = self._report(t, each, driver) if isinstance(each, bytes) else each
+            reports.append(report)
+        return reports
 
     def _report(self, t: Nanos, message: bytes, driver: MotorDriver[Faults]) -> Report[Faults] | Rx:
-        address = table.address_of(message)
+        address = message[table.ADDRESS]
         host = driver.at.get(address)
         event = table.decode(message, t, host.name if host else "")
+        if isinstance(event, msg.Feedback) and host and host.options.kind == "motor":
+            return Report(host, address, feedback=event)
         if isinstance(event, msg.Found) and (event.protocol, event.address) == (table.NAME, address):
             return Report(host, address, serial=event.serial, note=event.detail)
         # A command towards the host is an echo (RS-485); an unknown address is not ours.
@@ -80,8 +85,6 @@ class PlainAdapter(Adapter[Faults]):
                 return Report(host, address, events=(event,))
             return Rx.MALFORMED
         match event:
-            case msg.Feedback():
-                return Report(host, address, feedback=event)
             case msg.State(_, _, mode, detail):
                 if mode is not Mode.FAULT:
                     host.own.clear()

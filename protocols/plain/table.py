@@ -50,6 +50,8 @@ def _body_size(head: bytes) -> int | None:
     return length if length ^ complement == 0xFFFF and 1 <= length <= MAX_BODY else None
 
 
+ADDRESS = _HEAD.size
+"""Where the address is in a message (head and body)."""
 FRAMING = Framing(b"\xa5\x57", _HEAD.size, _body_size, CRC32, 4, covers=_HEAD.size)
 
 # fmt: off
@@ -84,12 +86,11 @@ def _refused(layout: Layout, values: list[Any]) -> str:
         if not low <= smallest <= largest <= high:
             return f"{name} {value!r} is not in {low:g} … {high:g}"
         if smallest < TINY:  # most scans have no such range
-            values[at] = tuple([_normal(each) for each in value]) if many else _normal(value)
+            if many:
+                values[at] = tuple([0.0 if -TINY < each < TINY else each for each in value])
+            elif value > -TINY:
+                values[at] = 0.0
     return ""
-
-
-def _normal(value: float) -> float:
-    return 0.0 if -TINY < value < TINY else value
 
 
 def encode(address: int, message: Message, now: Nanos = 0) -> bytes:
@@ -110,14 +111,9 @@ def encode(address: int, message: Message, now: Nanos = 0) -> bytes:
     return FRAMING.frame(_HEAD.pack(FRAMING.sync, len(body), len(body) ^ 0xFFFF) + body)
 
 
-def address_of(message: bytes) -> int:
-    """Return the address in a message (head and body)."""
-    return message[_HEAD.size]
-
-
 def decode(message: bytes, t: Nanos, name: str) -> Message | None:
     """Decode a message (head and body) of the device called `name`, received at `t`; None if malformed."""
-    unpacked = unpack_fields(message[_HEAD.size + 1 :])
+    unpacked = unpack_fields(message[ADDRESS + 1 :])
     if unpacked is None or _refused(*unpacked):
         return None
     layout, values = unpacked

@@ -78,7 +78,7 @@ class PlainDecoder:
         return [obeyed for message in messages for obeyed in self._obeyed(t, message)]
 
     def _obeyed(self, t: Nanos, message: bytes) -> Sequence[Obeyed]:
-        address = table.address_of(message)
+        address = message[table.ADDRESS]
         name = self._names.get(address, "")
         decoded = table.decode(message, t, name)
         if address == table.BROADCAST:

@@ -128,7 +128,9 @@ class Stream:
                 at = at if at >= 0 else len(held)
             elif len(held) < end + framing.checksum_size:
                 break
-            elif framing.frame(held[at:end]) == held[at : end + framing.checksum_size]:
+            elif framing.checksum(held[at + framing.covers : end]) == int.from_bytes(
+                held[end : end + framing.checksum_size], framing.order
+            ):
                 found.append(held[at:end])
                 self._skipping = False
                 at = end + framing.checksum_size

@@ -133,7 +133,7 @@ class MixesUpMotors(PlainDriver):
         events, frames = super().send(now, messages)
         if len(messages) == len(frames) == 2 and all(isinstance(m, msg.Velocity) for m in messages):
             (one, other) = (messages_in(each)[0] for each in frames)
-            frames = [readdressed(other, table.address_of(one)), readdressed(one, table.address_of(other))]
+            frames = [readdressed(other, one[table.ADDRESS]), readdressed(one, other[table.ADDRESS])]
         return events, frames
 
 
@@ -288,7 +288,7 @@ class DecoderNeedsWholeMessages(PlainDecoder):
 
 class _Hospitable(PlainAdapter):
     def _report(self, t: Nanos, message: bytes, driver: MotorDriver[set[int]]) -> Report[set[int]] | Rx:
-        if table.address_of(message) not in driver.at and len(message) > 26:
+        if message[table.ADDRESS] not in driver.at and len(message) > 26:
             message = readdressed(message, min(driver.at))[:-4]
         return super()._report(t, message, driver)
 
@@ -307,7 +307,7 @@ class ObeysForeignCommands(PlainTwin):
     def receive(self, t: Nanos, frame: Frame) -> None:
         super().receive(t, frame)
         for message in messages_in(frame):
-            if table.address_of(message) > 2:
+            if message[table.ADDRESS] > 2:
                 super().receive(t, readdressed(message, self.address))
 
 

@@ -34,7 +34,7 @@ def messages_in(frame: Frame) -> list[bytes]:
 
 def decoded(frame: Frame, t: Nanos = 0) -> list[tuple[int, Message | None]]:
     """The addresses and messages in a frame."""
-    return [(table.address_of(each), table.decode(each, t, "")) for each in messages_in(frame)]
+    return [(each[table.ADDRESS], table.decode(each, t, "")) for each in messages_in(frame)]
 
 
 def readdressed(message: bytes, address: int) -> bytes:
