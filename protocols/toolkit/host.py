@@ -179,14 +179,14 @@ class Host(Generic[Own]):
         feedback = report.feedback
         if feedback is not None and feedback.position is not None:
             self.position = feedback.position
+        events: list[Event] = [*report.events] if feedback is None else [feedback, *report.events]
         if report.mode is None and report.faults is None:
-            return [*report.events] if feedback is None else [*report.events, feedback]
-        events = [*self._on_faults(t, report), *report.events]
+            return events
+        events += self._on_faults(t, report)
         if report.mode is not None:
             self._on_mode(t, report.mode)
             self._detail = report.detail
-        events += self.report_state(t)
-        return events if feedback is None else [*events, feedback]
+        return events + self.report_state(t)
 
     def _on_faults(self, t: Nanos, report: Report[Own]) -> list[Event]:
         if report.faults is None:
