@@ -14,7 +14,7 @@ from protocols import messages as msg
 from protocols.damiao import table as dm
 from protocols.damiao.options import Options
 from protocols.frames import CanFrame, Frame
-from protocols.messages import Command, Feedback, Mode, Nanos, Request
+from protocols.messages import Command, Feedback, Mode, Nanos
 from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.mit import NUMBERS
@@ -34,7 +34,7 @@ class DamiaoAdapter(RegisterAdapter):
     faults = dm.ALL_FAULTS
     not_armed, duplicate = dm.NOT_ENABLED, dm.DUPLICATE
     registers, addresses = dm.REGISTERS, dm.ADDRESSES
-    serial, save, turns = "SN", dm.SAVE, "xout"
+    serial, save, turns, actions = "SN", dm.SAVE, "xout", dm.REQUESTS
 
     def expected(self, options: Options) -> Mapping[str, float]:
         return dm.ranges_of(options.model)
@@ -89,15 +89,8 @@ class DamiaoAdapter(RegisterAdapter):
     def ask(self, host: Host[Motor]) -> Frame:
         return dm.ANY.encode("refresh", motor=host.address, number=0, value=0)
 
-    def enable(self, host: Host[Motor]) -> Frame:
-        return dm.ANY.encode("enable", host.address)
-
-    def disable(self, host: Host[Motor]) -> Frame:
-        return dm.ANY.encode("disable", host.address)
-
-    def action(self, host: Host[Motor], request: Request) -> Frame | None:
-        name = dm.REQUESTS.get(type(request))
-        return dm.ANY.encode(name, host.address) if name else None
+    def message(self, name: str, address: int) -> Frame:
+        return dm.ANY.encode(name, address)
 
     def set_point(self, host: Host[Motor], command: Command) -> Frame:
         options: Options = host.options

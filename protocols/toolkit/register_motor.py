@@ -1,8 +1,8 @@
 """The host's end of motors that answer every frame, send nothing else, and keep their setup in registers.
 
-Rules. A protocol's `RegisterAdapter` gives the frames; here is when they are sent. A frame counts as the
-answer about a register only if that register was asked for just before. Before a device is armed, registers
-that say what it is must be as expected, and those that decide how it behaves are written until they are.
+Rules. A protocol's `RegisterAdapter` gives the frames; here is when they are sent. Before a device is armed,
+registers that say what it is must be as expected, and those that decide how it behaves are written until they
+are.
 """
 
 from __future__ import annotations
@@ -50,6 +50,12 @@ class RegisterAdapter(Adapter[Motor]):
     """Register that holds the position beyond the range of the feedback."""
     addresses: range
     """Of all devices, for a scan."""
+    enable: str = "enable"
+    """Name of the message that arms."""
+    disable: str = "disable"
+    """Name of the message that disarms."""
+    actions: Mapping[type[Request], str] = {}
+    """Names of the messages that carry out requests other than for a parameter."""
 
     # -- the protocol's own ---------------------------------------------------------------------------
 
@@ -74,20 +80,12 @@ class RegisterAdapter(Adapter[Motor]):
         """Return the read-only frame that the device answers with its feedback."""
         raise NotImplementedError
 
-    def enable(self, host: Host[Motor]) -> Frame:
-        """Return the frame that arms."""
-        raise NotImplementedError
-
-    def disable(self, host: Host[Motor]) -> Frame:
-        """Return the frame that disarms."""
+    def message(self, name: str, address: int) -> Frame:
+        """Return a message that carries no number: `enable`, `disable`, or one of `actions`."""
         raise NotImplementedError
 
     def set_point(self, host: Host[Motor], command: Command) -> Frame:
         """Return the frame of a command."""
-        raise NotImplementedError
-
-    def action(self, host: Host[Motor], request: Request) -> Frame | None:
-        """Return the frame of a request other than for a parameter; None if the device has none."""
         raise NotImplementedError
 
     # -- received -------------------------------------------------------------------------------------
@@ -134,14 +132,14 @@ class RegisterAdapter(Adapter[Motor]):
         if registers.different(wanted):
             wrong = registers.to_write(now, wanted)
             return host.own.sent(now, [f for each in wrong for f in self._about(now, host, "write", *each)])
-        return host.own.sent(now, [self.enable(host)])
+        return host.own.sent(now, [self.message(self.enable, host.address)])
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         reads = self._read(now, host, self.polled(host.options))
         return host.own.sent(now, [self.set_point(host, command), *reads])
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        return host.own.sent(now, [self.disable(host)])
+        return host.own.sent(now, [self.message(self.disable, host.address)])
 
     def poll(self, now: Nanos, host: Host[Motor]) -> tuple[Sequence[Event], Sequence[Frame]]:
         if now < self.poll_due(host):
@@ -182,7 +180,7 @@ class RegisterAdapter(Adapter[Motor]):
                 wrong = "" if value == 1 else f"{name} takes 1"
             case msg.WriteParameter(_, name, value):
                 wrong = self.registers.wrong(name, value)
-            case _ if host is not None and self.action(host, request) is not None:
+            case _ if type(request) in self.actions:
                 wrong = ""
         if wrong or host is None:
             return wrong
@@ -199,6 +197,5 @@ class RegisterAdapter(Adapter[Motor]):
             case msg.WriteParameter(_, name, value):
                 frames = self._about(now, host, "save" if name == self.save else "write", name, value)
             case request:
-                frame = self.action(host, request)
-                frames = [] if frame is None else [frame]
+                frames = [self.message(self.actions[type(request)], host.address)]
         return host.own.sent(now, frames)
