@@ -1,8 +1,7 @@
 """mjbots moteus over CAN FD: the multiplex protocol with registers (README.md). Exports `plugin`.
 
-Rules. This file is the contract (`Spec`) and the entry point; nothing is decided here that the device or the
-robot file should decide. Ranges are what the frames can carry in sense, not what a joint may do. Imports
-nothing but `protocols`; driver and twin meet only in `codec`, `registers` and `faults`.
+Rules. Driver and twin meet only in `codec` and `table`. Ranges are what the frames can carry in sense, not
+what a joint may do.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from protocols.moteus import codec
 from protocols.moteus.codec import ADDRESS_MAX, BROADCAST, reply_id
 from protocols.moteus.decoder import MoteusDecoder
 from protocols.moteus.driver import MoteusAdapter, Options
+from protocols.moteus.loops import COUNTED, Settings
 from protocols.moteus.messages import names
-from protocols.moteus.settings import Settings
 from protocols.moteus.table import FAULTS
 from protocols.moteus.twin import MoteusTwin
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
@@ -28,32 +27,15 @@ from protocols.toolkit.table import BINARY32
 
 __all__ = ["plugin"]
 
-MAX_REVOLUTIONS = 32768.0
-"""The device counts no further (mjbots/moteus@1f4a195 `fw/bldc_servo_control.h`)."""
-MAX_SPEED = 1e3
-"""rev/s"""
-MAX_TORQUE = 1e3
-"""N·m"""
-
-
-def _binary32(most: float) -> Range:
-    return Range(-most, most, 1e-12, BINARY32)
-
-
-RANGES: dict[str, Range] = {
-    "Position.position": _binary32(MAX_REVOLUTIONS * tau),
-    "Position.velocity": _binary32(MAX_SPEED * tau),
-    "Position.torque": _binary32(MAX_TORQUE),
-    "Velocity.velocity": _binary32(MAX_SPEED * tau),
-    "Velocity.torque": _binary32(MAX_TORQUE),
-    "Torque.torque": _binary32(MAX_TORQUE),
-    "Feedback.position": _binary32(3.4e38),
-    "Feedback.velocity": _binary32(3.4e38),
-    "Feedback.torque": _binary32(3.4e38),
-    "Feedback.current": _binary32(3.4e38),
-    "Feedback.voltage": Range(0.0, 3276.7, 0.05001),
-    "Feedback.temperature": Range(-3276.7, 3276.7, 0.05001),
-}
+MOST = {"position": COUNTED * tau, "velocity": 1e3 * tau, "torque": 1e3}
+"""What commands carry; the frames could carry more."""
+CARRIED = {"Position": ("position", "velocity", "torque"), "Velocity": ("velocity", "torque")}
+CARRIED["Torque"] = ("torque",)
+MEASURED = {f"Feedback.{name}": 3.4e38 for name in ("position", "velocity", "torque", "current")}
+COMMANDED = {f"{kind}.{name}": MOST[name] for kind, names in CARRIED.items() for name in names}
+RANGES = {name: Range(-most, most, 1e-12, BINARY32) for name, most in {**COMMANDED, **MEASURED}.items()}
+RANGES["Feedback.voltage"] = Range(0.0, 3276.7, 0.05001)
+RANGES["Feedback.temperature"] = Range(-3276.7, 3276.7, 0.05001)
 DESTINATION = 0x1FFF_00FF
 """Bits of an identifier that address a device: prefix and destination, of a frame of any format, CAN FD or
 classic (mjbots/moteus@1f4a195 `fw/fdcan_micro_server.h`)."""

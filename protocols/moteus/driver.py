@@ -2,12 +2,12 @@
 
 Rules. A device gets one frame a cycle, which commands and queries at once. Arming is position control at the
 measured position until the device reports that mode. A velocity starts from the measured position too, until
-a reply came to that: the device's own set-point may be anywhere. Since a stop clears faults, a device in fault
-or timeout is sent none until ClearFault, not for Idle either: in fault it gives no torque, and in timeout it
-damps its shaft, as its owner configured. What is written is read back in the same frame: the reply to that
-holds this register alone, and must hold what was written. Nothing that drops a load or moves a running shaft
-is sent to a device that is armed. An id is set over the console of the device whose UUID begins with the
-serial number.
+a reply came to that: the device's own set-point may be anywhere. Since a stop clears faults, a device in
+fault or timeout is sent none until ClearFault, not for Idle either: in fault it gives no torque, and in
+timeout it damps its shaft, as its owner configured. What is written is read back in the same frame: the reply
+to that holds this register alone, and must hold what was written. Nothing that drops a load or moves a
+running shaft is sent to an armed device. An id is set over the console of the device whose UUID begins with
+the serial number.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from protocols.messages import MILLISECOND, SECOND, Command, Event, Mode, Nanos,
 from protocols.moteus import codec
 from protocols.moteus import messages as mt
 from protocols.moteus import table as tb
-from protocols.moteus.codec import ADDRESS_MAX, BROADCAST, F32, INT32, SERIAL_BYTES, make_frame, serial_of
-from protocols.moteus.table import LATCHED, NUMBERS, RISING, SCALES
+from protocols.moteus.codec import ADDRESS_MAX, F32, INT32, SERIAL_BYTES, make_frame
+from protocols.moteus.table import LATCHED, NUMBERS, RISING
 from protocols.plugin import Device
 from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.host import Host, Report, Timing
@@ -33,24 +33,17 @@ from protocols.toolkit.table import FLOAT_MAX, TINY
 
 OFFLINE_PERIOD = 50 * MILLISECOND
 """Period of queries to a device that is offline."""
-ANCHORED = 3
+PLACED = 3
 """Replies after which the start of a velocity must have arrived: earlier ones may have been on their way."""
 IDENTIFY_PERIOD, IDENTIFY_RETRY = 5 * SECOND, 100 * MILLISECOND
 """Periods of queries for the UUID, to notice a duplicate id; and until the device is known."""
 LIMITED = SECOND
 """How long what limited the output is reported after it did."""
-ANSWER, RESEND = 600 * MILLISECOND, 60 * MILLISECOND
-"""Timeout of a request to one device, and the period in which it is sent again; so for scans and new ids."""
-SCAN, SCAN_RESEND = 800 * MILLISECOND, 200 * MILLISECOND
-SET_ID, SET_ID_RESEND = 1500 * MILLISECOND, 150 * MILLISECOND
 ZERO_WITHIN = 0.01
 """rev"""
 SAVE = "conf_write"
 """Parameter that saves the device's configuration when 1 is written."""
-BINARY32 = 2.0**-23
-"""Largest relative difference between a number and its binary32."""
-NOT_WRITEABLE = 2
-"""Number of a write error; others mean that there is no such register."""
+IN_POSITION = int(tb.Mode.POSITION)
 MODES: Mapping[int, Mode] = {
     tb.Mode.STOPPED: Mode.READY,
     **dict.fromkeys(RISING, Mode.READY),
@@ -64,8 +57,9 @@ NOT_WRITTEN: Mapping[int, str] = {
     **dict.fromkeys(tb.UUID_MASK, "a mask of UUIDs is no parameter"),
     **dict.fromkeys((*range(0x010, 0x030), *range(0x040, 0x049)), "that register is what commands are for"),
 }
-ARMED = "it is armed: send Idle first"
 WOULD_JUMP = "it is armed, and would jump: send Idle first"
+ZERO = codec.write(tb.SET_OUTPUT_EXACT, 0.0) + codec.read(tb.SET_OUTPUT_EXACT)
+"""It is read back, so that the reply shows that this frame arrived."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +94,7 @@ class Options:
     def setpoints(self) -> mt.Setpoints:
         """The set-points, with the limits in every command in the device's units."""
         limits = (self.max_torque, self.velocity_limit / tau, self.acceleration_limit / tau)
-        return mt.Setpoints(self.timeout_ms / 1000, *(limit or None for limit in limits))
+        return mt.Setpoints(self.timeout_ms / 1000, *(each or None for each in limits if any(limits)))
 
 
 @dataclass(slots=True)
@@ -110,16 +104,16 @@ class Motor:
     options: Options
     setpoints: mt.Setpoints
     command_id: int
+    period: Nanos
+    """Of queries."""
     mode: int | None = None
     """The mode register."""
     firmware: int | None = None
     model: int = 0
     limited: dict[int, Nanos] = field(default_factory=dict)
     """When each of `LIMITS` last limited its output."""
-    steered: type[Command] | None = None
-    """Kind of the last set-point, while it counts as received."""
-    anchor: int | None = None
-    """Replies since a velocity is sent with the measured position."""
+    placed: int | None = None
+    """Replies since a velocity is sent with the measured position; None: something else was sent."""
     queried_at: Nanos = -NEVER
     details_at: Nanos = 0
     identify_at: Nanos = 0
@@ -129,26 +123,17 @@ class Motor:
         if tb.FIRMWARE_VERSION in values:
             self.firmware = int(values[tb.FIRMWARE_VERSION] or 0)
             self.model = int(values.get(tb.MODEL_NUMBER) or self.model)
-        mode = values.get(tb.MODE)
+        mode, fault = values.get(tb.MODE), values.get(tb.FAULT)
         if mode is None:
             return
         self.mode = int(mode)
-        if self.anchor is not None and mode == tb.Mode.POSITION:
-            self.anchor += 1
-            if self.anchor >= ANCHORED:
-                self.steer(msg.Velocity)
-        fault = values.get(tb.FAULT)
-        if self.limited or fault in tb.LIMITS:
-            self._note_limit(t, int(fault or 0))
-        if self.mode in LATCHED:
-            self.steer(None)
-
-    def _note_limit(self, t: Nanos, code: int) -> None:
-        """Keep a limit until it was not active for `LIMITED`: it may come and go with every reply."""
-        armed = self.mode not in MODES
-        self.limited = {code: at for code, at in self.limited.items() if armed and t - at < LIMITED}
-        if armed and code in tb.LIMITS:
-            self.limited[code] = t
+        if self.placed is not None:
+            self.placed = None if mode in LATCHED else self.placed + (mode == IN_POSITION)
+        if self.limited or fault in tb.LIMITS:  # it may come and go with every reply
+            armed = self.mode not in MODES
+            active = {int(fault or 0): t} if fault in tb.LIMITS else {}
+            recent = {code: at for code, at in self.limited.items() if t - at < LIMITED}
+            self.limited = recent | active if armed else {}
 
     def detail(self) -> str:
         """Return the vendor's name of the mode, and what limits the output."""
@@ -164,15 +149,9 @@ class Motor:
         version = ".".join(str(self.firmware >> shift & 0xFF) for shift in (16, 8, 0))
         return f"model {self.model:06X}, firmware {version}"
 
-    def steer(self, kind: type[Command] | None) -> None:
-        """Note the kind of a set-point."""
-        self.steered, self.anchor = kind, None
-
-    def turns(self) -> bool:
-        """True if a velocity may go on from the device's own set-point; else count until it may."""
-        if self.steered is not msg.Velocity and self.anchor is None:
-            self.anchor = 0
-        return self.steered is msg.Velocity
+    def place(self, replies: int | None) -> None:
+        """Note a set-point: of a velocity, or None."""
+        self.placed = replies
 
     def query(self, now: Nanos) -> bytes:
         """Return the query of a frame that goes out now."""
@@ -188,9 +167,8 @@ class Motor:
 
     def forget(self) -> None:
         """Forget what may have changed while it was away."""
-        self.mode, self.identify_at = None, 0
+        self.mode, self.placed, self.identify_at = None, None, 0
         self.limited.clear()
-        self.steer(None)
 
 
 class MoteusAdapter(Adapter[Motor]):
@@ -211,7 +189,7 @@ class MoteusAdapter(Adapter[Motor]):
     def own(self, device: Device) -> Motor:
         options: Options = device.options
         identifier = codec.command_id(device.address, options.host_id, options.can_prefix)
-        return Motor(options, options.setpoints, identifier)
+        return Motor(options, options.setpoints, identifier, options.feedback_ms * MILLISECOND)
 
     def timing(self, options: Options) -> Timing:
         return Timing(options.offline_ms * MILLISECOND)
@@ -231,11 +209,10 @@ class MoteusAdapter(Adapter[Motor]):
 
     def _unknown_device(self, frame: CanFrame, driver: MotorDriver[Motor]) -> Report[Motor] | Rx:
         """Return what a device that the robot file does not know replies to a query to all."""
-        if not any(pending.host is None for pending in driver.queue):
+        host = (frame.id & 0x7F, frame.id >> 16)
+        if frame.id & (codec.REPLY_BIT | 0x80) or host not in self._hosts:
             return Rx.IGNORED
-        if frame.id & (codec.REPLY_BIT | 0x80) or (frame.id & 0x7F, frame.id >> 16) not in self._hosts:
-            return Rx.IGNORED
-        reply = codec.decode(frame.data)
+        reply = codec.decode(frame.data) if any(each.host is None for each in driver.queue) else None
         if reply is None or tb.MODEL_NUMBER in reply.values:  # it replies to another host's query
             return Rx.IGNORED
         serial, note = _identity(reply)
@@ -249,20 +226,22 @@ class MoteusAdapter(Adapter[Motor]):
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         motor, at = host.own, (host.position or 0.0) / tau
-        motor.steer(type(command))  # the set-point is where the shaft is: a velocity may go on from there
+        # The set-point of arming is where the shaft is: a velocity may go on from there.
+        motor.place(PLACED if isinstance(command, msg.Velocity) else None)
         if isinstance(command, msg.Torque):
             return _frame(now, host, motor.setpoints.torque(at, 0.0))
         return _frame(now, host, motor.setpoints.position(at, 0.0, 0.0))
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         motor, at = host.own, (host.position or 0.0) / tau
-        if motor.mode != tb.Mode.POSITION:  # another host's: it goes over to position control
+        if motor.mode != IN_POSITION:  # another host's: it goes over to position control
             return self.arm(now, host, command)
         if isinstance(command, msg.Velocity):
-            start = None if motor.turns() else at
+            motor.place(motor.placed or 0)
+            start = at if (motor.placed or 0) < PLACED else None
             data = motor.setpoints.position(start, command.velocity / tau, command.torque)
             return _frame(now, host, data)
-        motor.steer(type(command))
+        motor.place(None)
         match command:
             case msg.Position(_, position, velocity, torque):
                 data = motor.setpoints.position(position / tau, velocity / tau, torque)
@@ -273,7 +252,7 @@ class MoteusAdapter(Adapter[Motor]):
         return _frame(now, host, data)
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
-        host.own.steer(None)
+        host.own.place(None)
         return () if host.own.mode in LATCHED else _frame(now, host, mt.STOP)
 
     def poll(self, now: Nanos, host: Host[Motor]) -> tuple[Sequence[Event], Sequence[Frame]]:
@@ -286,15 +265,16 @@ class MoteusAdapter(Adapter[Motor]):
         return (), frames
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
-        return host.own.queried_at + (
-            OFFLINE_PERIOD if host.offline else host.own.options.feedback_ms * MILLISECOND
+        motor = host.own
+        return motor.queried_at + (
+            OFFLINE_PERIOD if host.offline else motor.options.feedback_ms * MILLISECOND
         )
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
         host.own.forget()
 
     def resend(self, host: Host[Motor]) -> None:
-        host.own.steer(None)
+        host.own.place(None)
 
     # -- requests -------------------------------------------------------------------------------------
 
@@ -302,33 +282,33 @@ class MoteusAdapter(Adapter[Motor]):
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
         if isinstance(request, msg.Scan):
-            return self._to_all(now, request, SCAN, SCAN_RESEND, mt.DISCOVER)
+            return self._to_all(now, request, 800, 200, mt.DISCOVER)
         if isinstance(request, msg.SetId):
             if wrong := _why_not_set(request, driver):
                 return wrong
             uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
             line = mt.console(f"conf set id.id {request.address}")
-            masked = [mt.masked(uuid, data) for data in (line, mt.DISCOVER)]
-            return self._to_all(now, request, SET_ID, SET_ID_RESEND, *masked)
-        if host is None or not isinstance(request, SUPPORTED):
-            return f"a moteus has no {type(request).__name__} on its bus"
-        if isinstance(request, msg.ClearFault):
-            host.own.identify(now)
+            return self._to_all(now, request, 1500, 150, *(mt.masked(uuid, x) for x in (line, mt.DISCOVER)))
+        if host is None:
+            return ""
         begun = _data(request, host)
         if isinstance(begun, str):
             return begun
+        if isinstance(request, msg.ClearFault):
+            host.own.identify(now)
         register, data = begun
-        frames = (make_frame(host.own.command_id, data),)
-        notes = {"register": register}
-        return Pending(request, host.name, now, now + ANSWER, now, host, frames, RESEND, notes)
+        frames, notes = (make_frame(host.own.command_id, data),), {"register": register}
+        until, period = now + 600 * MILLISECOND, 60 * MILLISECOND
+        return Pending(request, host.name, now, until, now, host, frames, period, notes)
 
     def _to_all(
-        self, now: Nanos, request: msg.Scan | msg.SetId, until: Nanos, period: Nanos, *data: bytes
+        self, now: Nanos, request: msg.Scan | msg.SetId, until_ms: int, period_ms: int, *data: bytes
     ) -> Pending[Motor]:
         """Return a request to all devices, once for each prefix in use."""
-        ids = [codec.command_id(BROADCAST, host, prefix) for host, prefix in self._hosts]
+        ids = [codec.command_id(codec.BROADCAST, host, prefix) for host, prefix in self._hosts]
         frames = tuple(make_frame(each, piece) for piece in data for each in ids)
-        return Pending(request, request.bus, now, now + until, now, None, frames, period)
+        until, period = now + until_ms * MILLISECOND, period_ms * MILLISECOND
+        return Pending(request, request.bus, now, until, now, None, frames, period)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
@@ -340,50 +320,41 @@ class MoteusAdapter(Adapter[Motor]):
 
     def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> Event | None:
         reply: codec.Reply = report.content
-        register, notes = pending.notes["register"], pending.notes
-        errors = {error.code: error.number for error in reply.errors if error.register == register}
-        registers = {*reply.values, *(error.register for error in reply.errors)}
-        if isinstance(pending.request, msg.ClearFault):
-            return self.usual_answer(t, pending, report)
-        if codec.WRITE_ERROR in errors:
-            number = errors[codec.WRITE_ERROR]
-            why = "read only" if number == NOT_WRITEABLE else f"error {number}: no such register?"
+        values, notes, register = reply.values, pending.notes, pending.notes["register"]
+        alone = {*values, *(error.register for error in reply.errors)} == {register}
+        if number := reply.error(codec.WRITE_ERROR, register):
+            why = "read only" if number == 2 else f"error {number}: no such register?"
             return pending.refuse(t, f"the device does not accept it ({why})")
         match pending.request:
+            case msg.ClearFault():
+                return self.usual_answer(t, pending, report)
             case msg.Zero():  # a position near zero may be from before, unless the write was confirmed
-                position = reply.values.get(tb.POSITION)
-                if register in registers:
+                position = values.get(tb.POSITION)
+                if register in values or reply.error(codec.READ_ERROR, register):
                     notes["taken"] = True
                 elif "taken" in notes and position is not None and abs(position) < ZERO_WITHIN:
                     return pending.done(t)
-            case msg.ReadParameter() if codec.READ_ERROR in errors:
+            case msg.ReadParameter() if reply.error(codec.READ_ERROR, register):
                 return pending.refuse(t, "the device has no such register, or cannot read it so")
-            case msg.ReadParameter(motor, name) if register in reply.values:
-                value = reply.values[register]
+            case msg.ReadParameter(motor, name) if register in values:
+                value = values[register]
                 if value is None:
                     return pending.refuse(t, "the device replies that it is not given")
                 return msg.Parameter(motor, t, name, float(value))
-            case msg.WriteParameter(_, name, value) if registers == {register}:
-                # A reply that holds other registers too may have been on its way when this was written.
-                reads = reply.values.get(register)
-                if name == SAVE or reads is None or isclose(reads, value, rel_tol=BINARY32, abs_tol=TINY):
+            case msg.WriteParameter(_, name, value) if alone:  # others may have been on their way before
+                reads = values.get(register)
+                if name == SAVE or reads is None or isclose(reads, value, rel_tol=2.0**-23, abs_tol=TINY):
                     return pending.done(t)
                 notes["reads"] = reads
         return None
 
     def give_up(self, now: Nanos, pending: Pending[Motor]) -> str:
-        reason, request = super().give_up(now, pending), pending.request
+        request = pending.request
         if isinstance(request, msg.SetId):
             return f"no device with serial number {request.serial:016X} took the id"
         if isinstance(request, msg.WriteParameter) and "reads" in pending.notes:
             return f"the device holds {pending.notes['reads']:.6g} there, not {request.value:.6g}"
-        return reason
-
-
-SUPPORTED = (msg.ClearFault, msg.Zero, msg.ReadParameter, msg.WriteParameter)
-"""Requests to one device."""
-ZERO = codec.write(tb.SET_OUTPUT_EXACT, 0.0) + codec.read(tb.SET_OUTPUT_EXACT)
-"""It is read back, so that the reply shows that this frame arrived."""
+        return super().give_up(now, pending)
 
 
 def _frame(now: Nanos, host: Host[Motor], data: bytes) -> tuple[Frame]:
@@ -396,10 +367,9 @@ def _report(t: Nanos, host: Host[Motor], reply: codec.Reply) -> Report[Motor]:
     motor.on_reply(t, values)
     mode, fault = values.get(tb.MODE), values.get(tb.FAULT)
     active: tuple[int, ...] | None = ()
-    if mode == tb.Mode.TIMEOUT:
-        active = (tb.TIMEOUT,)
-    elif mode == tb.Mode.FAULT:
-        active = None if fault is None else (int(fault),)
+    if mode in LATCHED:
+        code = mode if mode == tb.TIMEOUT else fault
+        active = None if code is None else (int(code),)
     serial, note = _identity(reply) if tb.UUID.start in values or reply.errors else (None, "")
     return Report(
         host,
@@ -427,24 +397,17 @@ def _feedback(name: str, t: Nanos, values: Mapping[int, float | None]) -> msg.Fe
     return msg.Feedback(name, t, position, velocity, torque, get(tb.Q_CURRENT), voltage, hottest)
 
 
-def _uuid(values: Mapping[int, float | None]) -> bytes | None:
-    """Return the UUID in a reply, if all of it is there and the device is addressable by it."""
-    numbers = [values.get(register) for register in tb.UUID]
-    if None in numbers or not values.get(NUMBERS["uuid_mask_capable"], 1):
-        return None
-    return struct.pack("<4I", *(int(number or 0) & 0xFFFFFFFF for number in numbers))
-
-
 def _identity(reply: codec.Reply) -> tuple[int | None, str]:
     """Return the serial number in a reply, and the UUID as it is printed on the packaging; or the remark
     that there is none; None and "" if the reply is about something else."""
-    uuid = _uuid(reply.values)
-    if uuid is None:
+    numbers = [reply.values.get(register) for register in tb.UUID]
+    if None in numbers or not reply.values.get(NUMBERS["uuid_mask_capable"], 1):
         none = any(error.register in tb.UUID for error in reply.errors)
         return None, "it has no UUID: older firmware" if none else ""
+    uuid = struct.pack("<4I", *(int(number or 0) & 0xFFFFFFFF for number in numbers))
     digits = uuid.hex()
     printed = "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:]))
-    return serial_of(uuid), f"UUID {printed}"
+    return codec.serial_of(uuid), f"UUID {printed}"
 
 
 def _why_not_set(request: msg.SetId, driver: MotorDriver[Motor]) -> str:
@@ -453,9 +416,8 @@ def _why_not_set(request: msg.SetId, driver: MotorDriver[Motor]) -> str:
         return f"{request.address} is not an id: 1 to {ADDRESS_MAX}"
     if not 0 < request.serial < 1 << 8 * SERIAL_BYTES:
         return f"{request.serial} is no serial number of 64 bits"
-    others = sorted(driver.serials.at(request.address) - {request.serial})
-    if others:
-        return f"id {request.address} is held by serial number {others[0]:016X}"
+    if others := driver.serials.at(request.address) - {request.serial}:
+        return f"id {request.address} is held by serial number {min(others):016X}"
     for host in driver.hosts.values():
         concerned = request.serial in driver.serials.at(host.address) or host.address == request.address
         if concerned and _is_running(host):
@@ -468,38 +430,39 @@ def _is_running(host: Host[Motor]) -> bool:
     return host.own.mode not in LATCHED and (host.running or host.own.mode in RISING)
 
 
-def register_of(parameter: str) -> int | None:
-    """Return a register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88); or None."""
+def register_of(parameter: str) -> int:
+    """Return a register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88); or −1."""
     known = NUMBERS.get(parameter.lower())
-    if known is not None:
-        return known
     try:
-        number = int(parameter, 0)
+        number = int(parameter, 0) if known is None else known
     except ValueError:
-        return None
-    return number if 0 <= number <= 0x7FFF else None
+        return -1
+    return number if 0 <= number <= 0x7FFF else -1
 
 
 def _data(request: Request, host: Host[Motor]) -> tuple[int, bytes] | str:
     """Return the register that a request is about, and what is sent; or why it is refused."""
-    name, value = getattr(request, "parameter", ""), getattr(request, "value", None)
-    if isinstance(request, msg.ClearFault):
-        return -1, b""
-    if isinstance(request, msg.Zero):
-        return WOULD_JUMP if _is_running(host) else (tb.SET_OUTPUT_EXACT, b"")
-    if name == SAVE and value is not None:
-        if _is_running(host):
-            return ARMED
-        identifier = NUMBERS["multiplex_id"]
-        data = mt.console("conf write") + codec.read(identifier, INT32)
-        return (identifier, data) if value == 1 else f"{SAVE} takes 1"
-    register = register_of(name)
-    if register is None:
-        return f"no register {name!r}: give its number (0x058), or one of {', '.join(NUMBERS)}"
-    if value is None:  # quantities are read as binary32, the rest as int32
-        return register, codec.read(register, F32 if register in SCALES else INT32)
-    if not abs(value) <= FLOAT_MAX:
-        return f"{value} is no finite number of 32 bits"
-    if register in tb.ACTIONS and (_is_running(host) or host.own.mode is None):
-        return WOULD_JUMP
-    return NOT_WRITTEN.get(register) or (register, codec.write(register, value) + codec.read(register))
+    running = _is_running(host)
+    register = register_of(getattr(request, "parameter", ""))
+    match request:
+        case msg.ClearFault():
+            return -1, b""
+        case msg.Zero():
+            return WOULD_JUMP if running else (tb.SET_OUTPUT_EXACT, b"")
+        case msg.WriteParameter(_, name, value) if name == SAVE:
+            if running or value != 1:
+                return "it is armed: send Idle first" if running else f"{SAVE} takes 1"
+            register = NUMBERS["multiplex_id"]
+            return register, mt.console("conf write") + codec.read(register, INT32)
+        case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if register < 0:
+            return f"no register {name!r}: give its number (0x058), or one of {', '.join(NUMBERS)}"
+        case msg.ReadParameter():  # quantities are read as binary32, the rest as int32
+            return register, codec.read(register, F32 if register in tb.SCALES else INT32)
+        case msg.WriteParameter(_, _, value):
+            if not abs(value) <= FLOAT_MAX:
+                return f"{value} is no finite number of 32 bits"
+            if register in tb.ACTIONS and (running or host.own.mode is None):
+                return WOULD_JUMP
+            data = codec.write(register, value) + codec.read(register)
+            return NOT_WRITTEN.get(register) or (register, data)
+    return f"a moteus has no {type(request).__name__} on its bus"

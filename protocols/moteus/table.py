@@ -1,10 +1,10 @@
 """The tables of a moteus: registers with their names and scales, modes, faults.
 
 Rules. A scale is given for 8, 16 and 32 bit integers; a binary32 holds the quantity itself, in the vendor's
-units (revolutions at the output shaft, s, N·m, A, V, °C). Numbers, names and scales: mjbots/moteus@db1a762
-`docs/protocol/registers.md`, checked against moteus 1.1.1 by a test; for faults 49 and 50
-`docs/reference/configuration.md`; the timeout `docs/troubleshooting/timeout-mode-11.md`. Fault codes 96 to 103
-mean that something limits the output at the moment, without a fault; those from 0x100 on are the driver's.
+units (revolutions at the output shaft, s, N·m, A, V, °C). Sources: mjbots/moteus@db1a762
+`docs/protocol/registers.md`, checked against moteus 1.1.1 by a test; faults 49 and 50
+`docs/reference/configuration.md`; the timeout `docs/troubleshooting/timeout-mode-11.md`. Fault codes from
+0x100 on are the driver's.
 """
 
 from __future__ import annotations
@@ -121,29 +121,25 @@ def mode_name(mode: int) -> str:
 
 TIMEOUT = int(Mode.TIMEOUT)
 """The device's watchdog: not a code of the fault register, but a mode that latches like one."""
-DUPLICATE_ID = 0x100
-NOT_ARMED = 0x101
-
 FAULTS: Mapping[int, FaultInfo] = {
-    TIMEOUT: FaultInfo("timeout", "no command came in time: host, load or bus paused longer than the watchdog allows",
+    TIMEOUT: FaultInfo("timeout", "no command came in time: this host or the bus paused for too long",
         "find out what paused (or raise timeout_ms), then clear; until then the device damps its shaft"),
-    32: FaultInfo("calibration fault", "no magnet sensed, or the current sensors were off zero while enabling",
+    32: FaultInfo("calibration fault", "no magnet, or the current sensors were off zero while enabling",
         "check magnet and encoder, keep the shaft still while arming, calibrate with moteus_tool"),
-    33: FaultInfo("motor driver fault", "the supply sagged below what the gate driver needs; else a short on a phase",
+    33: FaultInfo("motor driver fault", "the supply sagged, or there is a short circuit at a phase",
         "check supply, cable and phases; read driver_fault1 and driver_fault2 before clearing"),
     34: FaultInfo("over voltage", "above servo.max_voltage: braking into a supply that takes no power back",
         "use a battery or a brake resistor, set servo.flux_brake_margin_voltage, or brake more gently"),
     35: FaultInfo("encoder fault", "the encoder's readings do not look like a magnet",
         "check the distance and position of the magnet, and the encoder's cable"),
-    36: FaultInfo("motor not configured", "moteus_tool --calibrate was never run on this motor",
-        "calibrate the motor with the vendor's tool"),
-    37: FaultInfo("pwm cycle overrun", "an internal error of the firmware", "update it; report it to the vendor"),
+    36: FaultInfo("motor not configured", "it was never calibrated", "run moteus_tool --calibrate"),
+    37: FaultInfo("pwm cycle overrun", "an internal error", "update the firmware; report it"),
     38: FaultInfo("over temperature", "above servo.fault_temperature or servo.motor_fault_temperature",
         "let it cool down; lower load or servo.max_current_A, or improve the cooling"),
     39: FaultInfo("outside limit", "control began outside servopos.position_min … position_max",
         "turn the shaft back inside by hand, or correct the limits or the zero"),
     40: FaultInfo("under voltage", "the supply is too low", "check battery, supply and connectors"),
-    41: FaultInfo("config changed", "a value that needs a stop was changed while running",
+    41: FaultInfo("config changed", "a value that needs a stop was changed while it ran",
         "clear; do not configure a device that runs"),
     42: FaultInfo("theta invalid", "no commutation encoder has a valid angle",
         "check the encoder's configuration (motor_position.sources) and cable"),
@@ -151,12 +147,12 @@ FAULTS: Mapping[int, FaultInfo] = {
         "check the output encoder, or search its index first"),
     44: FaultInfo("driver enable fault", "the gate driver could not be enabled",
         "check the supply; if it stays, the board is damaged"),
-    45: FaultInfo("stop position deprecated", "a stop position was commanded with limits of velocity or acceleration",
+    45: FaultInfo("stop position deprecated", "a stop position was commanded together with other limits",
         "another host commands this device: this driver never writes a stop position"),
-    46: FaultInfo("timing violation", "the firmware missed a deadline of its own", "update it; report it to the vendor"),
+    46: FaultInfo("timing violation", "the firmware was late", "update the firmware; report it"),
     47: FaultInfo("bemf feedforward no accel", "servo.bemf_feedforward is set, and no limit of acceleration",
         "set acceleration_limit under options, or servo.default_accel_limit on the device"),
-    48: FaultInfo("invalid limits", "servopos.position_min or position_max lies outside what the device can count",
+    48: FaultInfo("invalid limits", "servopos.position_min or position_max is beyond what it can count",
         "compare the device's configuration with moteus_tool --dump-config, then clear"),
     49: FaultInfo("position control error", "further from the set-point than servo.fault_position_error",
         "look for a blocked or overloaded shaft, or command more gently"),
@@ -164,21 +160,22 @@ FAULTS: Mapping[int, FaultInfo] = {
         "look for a blocked or overloaded shaft, or command more gently"),
 }  # fmt: skip
 """Those of the device."""
-HOST_FAULTS: Mapping[int, FaultInfo] = {
-    DUPLICATE_ID: FaultInfo("duplicate id", "two devices reply to it", "take one off the bus, or give it another id"),
-    NOT_ARMED: FaultInfo("did not arm", "it replies, but did not enter position mode within a second",
-        "look at it with the vendor's tool (tview), then clear"),
-}  # fmt: skip
+NOT_ARMED, DUPLICATE_ID = 0x101, 0x100
 
 
-class _Known(dict[int, FaultInfo]):
+class _Reported(dict[int, FaultInfo]):
     def __missing__(self, code: int) -> FaultInfo:
         cause = "a code that this driver does not know: newer firmware?"
         return FaultInfo(f"fault {code}", cause, "look it up in the vendor's register reference, then clear")
 
 
-REPORTED: Mapping[int, FaultInfo] = _Known({**FAULTS, **HOST_FAULTS})
-"""Those, of which there may be more in newer firmware, and the driver's."""
+REPORTED = _Reported(FAULTS)
+"""Those of the device, of which newer firmware may have more, and one of the driver's."""
+REPORTED[NOT_ARMED] = FaultInfo(
+    "did not arm",
+    "it replies, but did not enter position mode within a second",
+    "look at it with the vendor's tool (tview), then clear",
+)
 LIMITS: Mapping[int, str] = {
     96: "servo.max_velocity",
     97: "servo.max_power_W",
