@@ -53,33 +53,29 @@ class DamiaoAdapter(RegisterAdapter):
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
         if not isinstance(frame, CanFrame) or frame.extended or frame.remote or frame.fd:
             return (Rx.IGNORED,)
-        ours = [host for host in driver.hosts.values() if host.options.reply(host.address) == frame.id]
+        # The first byte of a feedback has the lower four bits of ESC_ID, that of a register all of it.
+        host = driver.at.get(frame.data[0] & 0xF) if frame.data else None
+        ours = host is not None and frame.id == host.options.reply(host.address)
         name, value, written = dm.register_in(frame)
-        for host in ours:
-            asked = frame.data[:1] == bytes((host.address,)) and host.own.registers.is_asked(t, name)
-            if value is not None and asked:
-                return (self.register_report(t, host, name, value, written=written),)
-            report = self._feedback(t, frame, host)
-            if report is not None:
-                return (report,)
-        if ours:
-            return (Rx.MALFORMED,)
-        if not driver.scanning() or name != "SN" or frame.id != dm.REPLY_BASE + frame.data[0]:
-            return (Rx.IGNORED,)
-        return (Report(None, frame.data[0], serial=int(value or 0), note=f"answers with {frame.id:03X}"),)
+        if host is None or not ours:
+            sn = name == "SN" and frame.id == dm.REPLY_BASE + frame.data[0] and driver.scanning()
+            note = f"answers with {frame.id:03X}"
+            return (Report(None, frame.data[0], serial=int(value or 0), note=note) if sn else Rx.IGNORED,)
+        if value is not None and host.own.registers.is_asked(t, name):
+            return (self.register_report(t, host, name, value, written=written),)
+        return (self._feedback(t, frame, host) or Rx.MALFORMED,)
 
     def _feedback(self, t: Nanos, frame: CanFrame, host: Host[Motor]) -> Report[Motor] | None:
         values = host.options.table.read("feedback", frame.data)
-        if values is None or values["motor"] != host.address or values["status"] not in STATES:
+        if values is None or values["status"] not in STATES:
             return None
-        status, row = values["status"], host.options.table.row("feedback")
+        status = values["status"]
         mode, detail = STATES[status]
-        # A number at the end of its range may be anything beyond.
-        measured = {n: None if row.field(n).is_end(values[n]) else values[n] for n in NUMBERS[:3]}
-        measured |= {"position": None} if host.options.position == "xout" else {}
-        feedback = Feedback(host.name, t, **measured, temperature=float(max(values["mos"], values["rotor"])))
-        faults = (status,) if mode is Mode.FAULT else ()
-        return Report(host, host.address, mode, detail, faults, feedback, duplicate=host.own.answers.add(t))
+        position = None if host.options.position == "xout" else values["position"]
+        hottest = float(max(values["mos"], values["rotor"]))
+        feedback = Feedback(host.name, t, position, values["velocity"], values["torque"], None, None, hottest)
+        faults, many = (status,) if mode is Mode.FAULT else (), host.own.answers.add(t)
+        return Report(host, host.address, mode, detail, faults, feedback, duplicate=many)
 
     # -- sent -----------------------------------------------------------------------------------------
 

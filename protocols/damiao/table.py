@@ -105,7 +105,8 @@ def ranges_of(model: str) -> dict[str, float]:
 def table_of(model: str) -> Table:
     """Return the messages of a model."""
     p, v, t = MODELS[model]
-    numbers = span("position", 16, -p, p), span("velocity", 12, -v, v), span("torque", 12, -t, t)
+    ends = ("position", 16, -p, p), ("velocity", 12, -v, v), ("torque", 12, -t, t)
+    numbers = [span(*each) for each in ends]
     gains = span("stiffness", 12, 0.0, KP_MAX), span("damping", 12, 0.0, KD_MAX)
     own, reply, all_motors = (const(0, 3), uint("address", 8)), (uint("address", 11),), (const(0x7FF, 11),)
 
@@ -115,7 +116,8 @@ def table_of(model: str) -> Table:
     def register(operation: int) -> tuple[Field, ...]:
         return uint("motor", 16), const(operation), uint("number"), uint("value", 32)
 
-    status = (uint("status", 4), uint("motor", 4), *numbers, uint("mos"), uint("rotor"))
+    measured = [span(*each, measured=True) for each in ends]
+    status = (uint("status", 4), uint("motor", 4), *measured, uint("mos"), uint("rotor"))
     return Table(
         (
             *(Row(n, own, (const((1 << 56) - 1, 56), const(b)), order="big") for n, b in SPECIAL.items()),
@@ -143,9 +145,14 @@ def about_register(operation: str, address: int, name: str, value: float = 0.0) 
     return ANY.encode(operation, motor=address, number=REGISTERS.by_name[name].number, value=raw)
 
 
+_REGISTER_BYTES = [bytes((OPERATIONS[name],)) for name in REPLIES]
+
+
 def register_in(frame: CanFrame) -> tuple[str, float | None, bool]:
     """Return name and value of the register that a frame may be the answer about, and whether it was written.
     A save is answered as if its parameter were written."""
+    if frame.data[2:3] not in _REGISTER_BYTES:
+        return "", None, False
     decoded = ANY.decode(frame, "from_device")
     if decoded is None or not decoded.name.endswith(" reply"):
         return "", None, False

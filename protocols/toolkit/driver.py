@@ -254,7 +254,7 @@ class MotorDriver(Generic[Own]):
         if report.serial is not None and report.address != self.adapter.unaddressed:
             cause = self.serials.add(t, report.address, report.serial) or cause
         events += self._on_duplicate(t, report, cause) if cause else []
-        for pending in self.queue if len(self.queue) else ():
+        for pending in self.queue.waiting:
             if pending.host is None:
                 events += self._on_found(t, pending, report)
             elif pending.host is host and pending.sent:
@@ -293,7 +293,7 @@ class MotorDriver(Generic[Own]):
 
     def scanning(self) -> bool:
         """True while a scan is under way."""
-        return any(isinstance(pending.request, msg.Scan) for pending in self.queue)
+        return any(isinstance(pending.request, msg.Scan) for pending in self.queue.waiting)
 
     # -- the bus --------------------------------------------------------------------------------------
 
@@ -325,7 +325,7 @@ class MotorDriver(Generic[Own]):
                     host.own_unasked()
             elif not isinstance(message, Command):
                 events += self.queue.add(self._begin(now, message))
-        if len(self.queue):
+        if self.queue.waiting:
             self._send_requests(now, events, frames)
         for message in messages:
             if isinstance(message, Command):
@@ -393,7 +393,7 @@ class MotorDriver(Generic[Own]):
                 events.append(pending.done(now, f"{count} device{'' if count == 1 else 's'}"))
             else:
                 events.append(pending.refuse(now, self.adapter.give_up(now, pending)))
-        for pending in self.queue:
+        for pending in self.queue.waiting:
             if now >= pending.next:
                 frames += pending.send(now, self.adapter.frames(now, pending))
 

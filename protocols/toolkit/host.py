@@ -180,18 +180,24 @@ class Host(Generic[Own]):
         if feedback is not None and feedback.position is not None:
             self.position = feedback.position
         events: list[Event] = [*report.events] if feedback is None else [feedback, *report.events]
-        if report.mode is None and report.faults is None:
+        mode, faults = report.mode, report.faults
+        if faults or (self.active and faults is not None):
+            events += self._on_faults(t, faults)
+        if mode is None or self._is_known(mode, report.detail):
             return events
-        events += self._on_faults(t, report)
-        if report.mode is not None:
-            self._on_mode(t, report.mode)
-            self._detail = report.detail
+        self._on_mode(t, mode)
+        self._detail = report.detail
         return events + self.report_state(t)
 
-    def _on_faults(self, t: Nanos, report: Report[Own]) -> list[Event]:
-        if report.faults is None:
-            return []
-        active = frozenset(report.faults)
+    def _is_known(self, mode: Mode, detail: str) -> bool:
+        """True if a reported state changes nothing: the usual case, while a device runs or rests."""
+        phase, same = self.phase, mode is self.mode and (mode, detail) == self._reported
+        return same and (
+            (phase is Phase.ARMED and mode is Mode.ARMED) or (phase is Phase.FREE and mode is Mode.READY)
+        )
+
+    def _on_faults(self, t: Nanos, faults: Collection[int]) -> list[Event]:
+        active = frozenset(faults)
         new = sorted(active - self.active)
         self.active = active
         return [self._fault(t, code) for code in new]

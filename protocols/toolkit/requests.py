@@ -95,45 +95,46 @@ class RequestQueue(Generic[Pending]):
     CAPACITY = 32
 
     def __init__(self) -> None:
-        self._all: list[Pending] = []
+        self.waiting: list[Pending] = []
+        """Those that are pending now, in the order in which they were begun. Never changed in place."""
 
     def __iter__(self) -> Iterator[Pending]:
         """Iterate over those that are pending now; they may end meanwhile."""
-        return iter(tuple(self._all))
+        return iter(self.waiting)
 
     def __len__(self) -> int:
         """Return how many are pending."""
-        return len(self._all)
+        return len(self.waiting)
 
     def full(self) -> str:
         """Return why no other request can be begun, "" if one can."""
-        return "too many requests are under way" if len(self._all) >= self.CAPACITY else ""
+        return "too many requests are under way" if len(self.waiting) >= self.CAPACITY else ""
 
     def add(self, begun: Pending | Refused) -> list[Refused]:
         """Add a request that was begun; else return the refusal, to be reported."""
         if isinstance(begun, Refused):
             return [begun]
-        self._all.append(begun)
+        self.waiting = [*self.waiting, begun]
         return []
 
     def end(self, ended: Pending) -> None:
         """Remove a request that has been answered."""
-        self._all = [each for each in self._all if each is not ended]
+        self.waiting = [each for each in self.waiting if each is not ended]
 
     def expired(self, now: Nanos) -> list[Pending]:
         """Remove and return the requests whose deadline has passed."""
-        expired = [each for each in self._all if now >= each.deadline]
-        self._all = [each for each in self._all if now < each.deadline]
+        expired = [each for each in self.waiting if now >= each.deadline]
+        self.waiting = [each for each in self.waiting if now < each.deadline]
         return expired
 
     def refuse_all(self, t: Nanos, reason: str) -> list[Refused]:
         """Remove and refuse all requests."""
-        removed, self._all = self._all, []
+        removed, self.waiting = self.waiting, []
         return [each.refuse(t, reason) for each in removed]
 
     def due(self) -> list[Nanos]:
         """Return when there is something to do about each request."""
-        return [min(each.next, each.deadline) for each in self._all]
+        return [min(each.next, each.deadline) for each in self.waiting]
 
 
 def subject(message: Command | Request) -> str:

@@ -49,7 +49,7 @@ class Field:
     floor: bool = False
     """A span rounds down, as most vendors' code does, not to the nearest step."""
     optional: bool = False
-    """NaN of an `f32` means "not given": None."""
+    """NaN of an `f32` means "not given", an end of a `span` "there or beyond": None."""
 
     @property
     def step(self) -> float:
@@ -65,11 +65,6 @@ class Field:
         top = (1 << self.bits) - 1
         low = -(top >> 1) - 1 if self.kind == "int" else 0
         return low * self.unit, (top >> 1 if self.kind == "int" else top) * self.unit
-
-    def is_end(self, value: float) -> bool:
-        """True if a value lies at an end of the range: it may stand for anything beyond."""
-        low, high = self.ends()
-        return not low + 0.5 * self.step < value < high - 0.5 * self.step
 
     def range(self, unit: float = 1.0, inside: int = 0) -> Range:
         """Return the range in other units (`unit`: SI per unit of the field); `inside`: without as many
@@ -96,9 +91,11 @@ def f32(name: str, *, optional: bool = False) -> Field:
     return Field(name, "f32", 32, optional=optional)
 
 
-def span(name: str, bits: int, low: float, high: float, *, floor: bool = True) -> Field:
-    """low … high in 2ⁿ − 1 steps."""
-    return Field(name, "span", bits, low=low, high=high, floor=floor)
+def span(
+    name: str, bits: int, low: float, high: float, *, floor: bool = True, measured: bool = False
+) -> Field:
+    """low … high in 2ⁿ − 1 steps, rounded down or to the nearest; `measured`: an end is no value, but None."""
+    return Field(name, "span", bits, low=low, high=high, floor=floor, optional=measured)
 
 
 def const(value: int, bits: int = 8) -> Field:
@@ -460,7 +457,8 @@ def _from_raw(at: int, field: Field) -> str:
         value = f"(0.0 if -TINY < {r} < TINY else {r})"
         return f"(None if {r} != {r} else {value})" if field.optional else value
     if field.kind == "span":
-        return f"{r} * {field.step!r} + {field.low!r}"
+        value = f"{r} * {field.step!r} + {field.low!r}"
+        return f"(None if {r} in (0, {(1 << field.bits) - 1}) else {value})" if field.optional else value
     return r if field.unit == 1.0 else f"{r} * {field.unit!r}"
 
 
@@ -470,7 +468,11 @@ def _checks(fields: tuple[Field, ...]) -> list[str]:
     floats = [f"r{at}" for at, f in enumerate(fields) if f.kind == "f32" and not f.optional and f.name]
     # Two binary32 never overflow a binary64: their sum is finite if both are.
     wrong += [f"not isfinite({' + '.join(floats)})"] if floats else []
-    wrong += [f"(r{at} - r{at} != 0.0 and r{at} == r{at})" for at, f in enumerate(fields) if f.optional]
+    wrong += [
+        f"(r{at} - r{at} != 0.0 and r{at} == r{at})"
+        for at, f in enumerate(fields)
+        if f.optional and f.kind == "f32"
+    ]
     return [f"if {' or '.join(wrong)}:", "    return None"] if wrong else []
 
 
