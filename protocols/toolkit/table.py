@@ -94,7 +94,7 @@ def f32(name: str, *, optional: bool = False) -> Field:
 def span(
     name: str, bits: int, low: float, high: float, *, floor: bool = True, measured: bool = False
 ) -> Field:
-    """low … high in 2ⁿ − 1 steps, rounded down or to the nearest; `measured`: an end is no value, but None."""
+    """low … high in 2ⁿ − 1 steps, rounded down or to the nearest; `measured`: an end is decoded as None."""
     return Field(name, "span", bits, low=low, high=high, floor=floor, optional=measured)
 
 
@@ -318,7 +318,7 @@ def _compile(row: Row) -> _Compiled:
             shift, address_mask = left, ones
         else:
             carries = True
-    outside = (0x1FFF_FFFF if row.extended else 0x7FF) >> width << width if row.id else 0
+    outside = 0x1FFF_FFFF >> width << width if row.id else 0
     base, mask = base | EXTENDED_BIT * row.extended, mask | outside | EXTENDED_BIT
     encode, decode = _functions(row.fields, row.order, row.sent or row.size, row.fewest, remote=row.remote)
     encode_id: Callable[..., int] | None = None
