@@ -47,7 +47,8 @@ __all__ = ["CLAUSES", "Clause", "Outcome", "Result", "check", "table", "variants
 Topic: TypeAlias = Literal["numbers", "conversation"]
 """What an option may change: ranges of numbers; what is sent when, or anything else of the spec."""
 SELDOM = 4
-"""Clauses that an option does not matter to are checked with one in so many of its values, by the seed."""
+"""A clause that options do not matter to is checked with one in so many of their values, by the seed, and
+with about one where there are more values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +172,7 @@ def _check(clause: Clause, cases: Sequence[Case]) -> Result:
     checked = 0
     for case in cases:
         try:
-            if not _matters(clause, case, cases[0]):
+            if not _matters(clause, case, cases):
                 continue
             checked += 1
             clause.check(case)
@@ -186,9 +187,10 @@ def _check(clause: Clause, cases: Sequence[Case]) -> Result:
     return Result(clause.name, "passed", clause.text, cases[0].seed)
 
 
-def _matters(clause: Clause, case: Case, usual: Case) -> bool:
+def _matters(clause: Clause, case: Case, cases: Sequence[Case]) -> bool:
     """True if a clause is checked with these options."""
-    if case.whole or (crc32(f"{clause.name} {case.options}".encode()) + case.seed) % SELDOM == 0:
+    usual, number = cases[0], crc32(f"{clause.name} {case.options}".encode()) + case.seed
+    if case.whole or number % max(SELDOM, len(cases)) == 0:
         return True
     if "numbers" in clause.topics and case.counts_otherwise(usual):
         return True

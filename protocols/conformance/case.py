@@ -114,14 +114,15 @@ class Case:
         one, other = self.spec, usual.spec
         watchdog = replace(one.watchdog, note=other.watchdog.note)
         same = replace(one, ranges=other.ranges, canonical=other.canonical, watchdog=watchdog)
+        same = replace(same, read_only=other.read_only)  # what it returns is part of the conversation
         return same != other or self.conversation != usual.conversation
 
     @cached_property
     def conversation(self) -> tuple[object, ...]:
-        """The messages of each step of the baseline, without their data."""
-        named = self.plugin.messages
+        """The messages of each step of the baseline, without their data, and what of them is read-only."""
+        named, harmless = self.plugin.messages, self.spec.read_only
         return tuple(
-            ([named(f) for f in step.down], [named(f) for f in step.up], list(map(_form, step.up)))
+            ([(named(frame), harmless(frame)) for frame in step.down], [_form(frame) for frame in step.up])
             for step in self.baseline
         )
 

@@ -19,7 +19,19 @@ from protocols.conformance.fault_injection import (
     torque_of,
 )
 from protocols.conformance.passivity import read_only
-from protocols.messages import Command, Done, Found, Hold, Idle, Mode, Position, Reboot, Refused, Scan
+from protocols.messages import (
+    Command,
+    Done,
+    Found,
+    Hold,
+    Idle,
+    Impedance,
+    Mode,
+    Position,
+    Reboot,
+    Refused,
+    Scan,
+)
 from protocols.plugin import FeedbackKind, Spec
 
 PLACE = 0.7
@@ -94,7 +106,7 @@ def _take_over(rig: Rig, kind: type[Command], gave_way: float) -> None:
     """From now on the new host alone commands."""
     shaft = rig.bench.shafts[ALPHA]
     place = shaft.position
-    room = 1.2 * gave_way + slack(rig.spec, place)
+    room = 1.2 * gave_way + slack(rig.spec, place) + _pull_of_zero(rig.spec, place)
     (command,) = rig.at_rest(kind)
     rig.host.other = None
     rig.obeyed.clear()
@@ -115,6 +127,16 @@ def _take_over(rig: Rig, kind: type[Command], gave_way: float) -> None:
             wrong = f"the driver reports {rig.faults[0].name if rig.faults else rig.mode()}"
         if wrong:
             raise rig.failure(f"a new driver takes over with {kind.__name__}; {at} ms later {wrong}")
+
+
+def _pull_of_zero(spec: Spec, place: float) -> float:
+    """Return how far [rad] a velocity and a torque that are zero but for their resolutions pull a device that
+    holds as by an Impedance."""
+    held = spec.canonical(Position(ALPHA, place))
+    if not isinstance(held, Impedance) or not held.stiffness:
+        return 0.0
+    velocity, torque = (spec.ranges[f"Impedance.{name}"].resolution for name in ("velocity", "torque"))
+    return (held.damping * velocity + torque) / held.stiffness
 
 
 # -- scanning --------------------------------------------------------------------------------------------
