@@ -82,8 +82,8 @@ class DamiaoAdapter(RegisterAdapter):
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         return (dm.about_register(operation, address, name, value),)
 
-    def ask(self, host: Host[Motor]) -> Frame:
-        return dm.ANY.encode("refresh", motor=host.address, number=0, value=0)
+    def ask(self, host: Host[Motor]) -> Sequence[Frame]:
+        return (dm.ANY.encode("refresh", motor=host.address, number=0, value=0),)
 
     def message(self, name: str, address: int) -> Frame:
         return dm.ANY.encode(name, address)

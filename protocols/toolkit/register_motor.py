@@ -76,9 +76,9 @@ class RegisterAdapter(Adapter[Motor]):
         written, it is read back), or saves all ("save")."""
         raise NotImplementedError
 
-    def ask(self, host: Host[Motor]) -> Frame:
-        """Return the read-only frame that the device answers with its feedback."""
-        raise NotImplementedError
+    def ask(self, host: Host[Motor]) -> Sequence[Frame]:
+        """Return the read-only frames that the device answers with its feedback."""
+        return ()
 
     def message(self, name: str, address: int) -> Frame:
         """Return a message that carries no number: `enable`, `disable`, or one of `actions`."""
@@ -91,7 +91,7 @@ class RegisterAdapter(Adapter[Motor]):
     # -- received -------------------------------------------------------------------------------------
 
     def register_report(
-        self, t: Nanos, host: Host[Motor], name: str, value: float, *, written: bool
+        self, t: Nanos, host: Host[Motor], name: str, value: float, *, written: bool = False
     ) -> Report[Motor]:
         """Return what an answer about a register reports."""
         host.own.registers.put(name, value)
@@ -147,7 +147,7 @@ class RegisterAdapter(Adapter[Motor]):
         options = host.options
         needed = (*self.expected(options), *self.written(options))
         names = (*host.own.registers.missing(now, needed), *self.polled(options))
-        return (), host.own.sent(now, [self.ask(host), *self._read(now, host, names)])
+        return (), host.own.sent(now, [*self.ask(host), *self._read(now, host, names)])
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
         at: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND
@@ -167,7 +167,7 @@ class RegisterAdapter(Adapter[Motor]):
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.Scan):
+        if isinstance(request, msg.Scan) and self.serial:
             for each in driver.hosts.values():
                 each.own.registers.ask(now, self.serial)
             questions = tuple(f for at in self.addresses for f in self.about("read", at, self.serial))
