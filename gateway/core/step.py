@@ -168,7 +168,7 @@ class Gateway:
         """Pass the events of motors through their joints; return what goes on to the brain."""
         passed: list[Event] = []
         for event in events:
-            if not isinstance(event, msg.Feedback | msg.State | msg.Fault):
+            if not isinstance(event, (msg.Feedback, msg.State, msg.Fault)):
                 self._note_answer(event)
                 passed.append(event)
             elif (joint := self.joints.get(event.motor)) is not None:

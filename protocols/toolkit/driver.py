@@ -323,12 +323,12 @@ class MotorDriver(Generic[Own]):
             if isinstance(message, msg.Stop):
                 for host in self.hosts.values():
                     host.own_unasked()
-            elif not isinstance(message, Command):
+            elif not isinstance(message, msg.COMMANDS):
                 events += self.queue.add(self._begin(now, message))
         if self.queue.waiting:
             self._send_requests(now, events, frames)
         for message in messages:
-            if isinstance(message, Command):
+            if isinstance(message, msg.COMMANDS):
                 frames += self._command(now, message, events)
         for host in self.hosts.values():
             silent = host.check_silence(now)
@@ -354,7 +354,8 @@ class MotorDriver(Generic[Own]):
         reason = self.adapter.refuse(host, command) or outside(
             command, self._bounds[host.name][type(command)]
         )
-        events += self._rejections.filter(now, command, reason)
+        if reason or self._rejections.reported:
+            events += self._rejections.filter(now, command, reason)
         known = self.adapter.blind or (host.mode is not None and host.position is not None)
         if reason or not known or not self.adapter.ready(host):
             return ()

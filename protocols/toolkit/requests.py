@@ -53,15 +53,15 @@ class RejectionFilter:
     A request is made once, and reported whenever it is refused."""
 
     def __init__(self) -> None:
-        self._reported: dict[str, str] = {}
+        self.reported: dict[str, str] = {}
         """By motor, the reason for which its last command was refused."""
 
     def filter(self, now: Nanos, message: Command | Request, reason: str) -> list[Refused]:
         """Return what to report of a message; `reason`: why it is refused, "" if it is not."""
         reported = ""
         if isinstance(message, Command):
-            reported = self._reported.pop(message.motor, "")
-            self._reported |= {message.motor: reason} if reason else {}
+            reported = self.reported.pop(message.motor, "")
+            self.reported |= {message.motor: reason} if reason else {}
         return [] if reason == reported or not reason else [refusal(now, message, reason)]
 
 
