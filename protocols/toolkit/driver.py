@@ -323,7 +323,7 @@ class MotorDriver(Generic[Own]):
             if isinstance(message, msg.Stop):
                 for host in self.hosts.values():
                     host.own_unasked()
-            elif not isinstance(message, msg.COMMANDS):
+            elif not isinstance(message, Command):
                 events += self.queue.add(self._begin(now, message))
         if self.queue.waiting:
             self._send_requests(now, events, frames)
