@@ -6,7 +6,7 @@ import pytest
 
 from protocols.frames import CanFrame
 from protocols.moteus import plugin
-from tests.protocols.transcript_notation import digits, tokens
+from protocols.transcripts.notation import digits, tokens
 from tests.protocols.transcripts import Block, blocks, run
 
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)

@@ -14,7 +14,7 @@ from typing import Any
 from odrive_can.utils import get_dbc
 
 from protocols.frames import CanFrame
-from tests.protocols.transcript_notation import tokens
+from protocols.transcripts.notation import tokens
 
 DBCS = {"0.5": get_dbc("odrive-cansimple-0.5.6"), "0.6": get_dbc("odrive-cansimple-0.6.10")}
 MESSAGES: dict[str, dict[str, Any]] = {

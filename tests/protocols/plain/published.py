@@ -9,7 +9,7 @@ import struct
 
 from msgpack.fallback import Packer
 
-from tests.protocols.transcript_notation import tokens
+from protocols.transcripts.notation import tokens
 
 # fmt: off
 CODES: dict[str, int] = {

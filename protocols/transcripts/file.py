@@ -9,7 +9,6 @@ from pathlib import Path
 
 from protocols.messages import MILLISECOND, Nanos
 
-FOLDER = Path(__file__).resolve().parents[2] / "fixtures" / "transcripts"
 _NUMBER = r"(\d+(?:\.\d+)?)"
 TIME = re.compile(rf"(\+?){_NUMBER}(?:\.\.{_NUMBER})?(?: every {_NUMBER}(?:\.\.{_NUMBER})?)?\s+(\S.*)")
 HEAD = ("protocol", "source", "tests", "device", "name", "cycle", "cyclic", "reply", "background")
@@ -79,9 +78,9 @@ def _moved(line: Line, by: Nanos) -> Line:
 # -- reading a file ------------------------------------------------------------------------------------
 
 
-def blocks(protocol: str) -> list[Block]:
-    """Return the blocks of a protocol's transcripts, file by file."""
-    return [block for file in sorted((FOLDER / protocol).glob("*.txt")) for block in read(file)]
+def blocks(folder: Path) -> list[Block]:
+    """Return the blocks of the transcripts in a folder (*.txt), file by file."""
+    return [block for file in sorted(folder.glob("*.txt")) for block in read(file)]
 
 
 def read(file: Path) -> list[Block]:
@@ -145,4 +144,5 @@ def _line(place: str, text: str, before: Sequence[Line]) -> Line:
 
 
 def nanos(milliseconds: str) -> Nanos:
+    """Return a time in ms, as it is written."""
     return round(float(milliseconds) * MILLISECOND)
