@@ -27,7 +27,7 @@ from protocols.moteus.codec import ADDRESS_MAX, F32, INT32, SERIAL_BYTES, make_f
 from protocols.moteus.table import LATCHED, NUMBERS, RISING
 from protocols.plugin import Device
 from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
-from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import FLOAT_MAX, TINY
 
@@ -57,7 +57,7 @@ NOT_WRITTEN: Mapping[int, str] = {
     **dict.fromkeys(tb.UUID_MASK, "a mask of UUIDs is no parameter"),
     **dict.fromkeys((*range(0x010, 0x030), *range(0x040, 0x049)), "that register is what commands are for"),
 }
-WOULD_JUMP = "it is armed, and would jump: send Idle first"
+ARMED = "it is armed: send Idle first"
 ZERO = codec.write(tb.SET_OUTPUT_EXACT, 0.0) + codec.read(tb.SET_OUTPUT_EXACT)
 """It is read back, so that the reply shows that this frame arrived."""
 
@@ -90,12 +90,6 @@ class Options:
         late = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
         check_bounds(self, [late] if self.offline_ms < 2 * self.feedback_ms else ())
 
-    @property
-    def setpoints(self) -> mt.Setpoints:
-        """The set-points, with the limits in every command in the device's units."""
-        limits = (self.max_torque, self.velocity_limit / tau, self.acceleration_limit / tau)
-        return mt.Setpoints(self.timeout_ms / 1000, *(each or None for each in limits if any(limits)))
-
 
 @dataclass(slots=True)
 class Motor:
@@ -104,10 +98,10 @@ class Motor:
     options: Options
     setpoints: mt.Setpoints
     command_id: int
-    period: Nanos
-    """Of queries."""
     mode: int | None = None
     """The mode register."""
+    detail: str = ""
+    """The vendor's name of the mode, and what limits the output."""
     firmware: int | None = None
     model: int = 0
     limited: dict[int, Nanos] = field(default_factory=dict)
@@ -126,21 +120,16 @@ class Motor:
         mode, fault = values.get(tb.MODE), values.get(tb.FAULT)
         if mode is None:
             return
-        self.mode = int(mode)
         if self.placed is not None:
             self.placed = None if mode in LATCHED else self.placed + (mode == IN_POSITION)
-        if self.limited or fault in tb.LIMITS:  # it may come and go with every reply
-            armed = self.mode not in MODES
-            active = {int(fault or 0): t} if fault in tb.LIMITS else {}
+        if mode != self.mode or self.limited or fault in tb.LIMITS:
+            self.mode = int(mode)
+            # What limits it may come and go with every reply.
             recent = {code: at for code, at in self.limited.items() if t - at < LIMITED}
-            self.limited = recent | active if armed else {}
-
-    def detail(self) -> str:
-        """Return the vendor's name of the mode, and what limits the output."""
-        name = tb.mode_name(self.mode or 0)
-        if not self.limited:
-            return name
-        return f"{name}, limited by {' and '.join(tb.LIMITS[code] for code in sorted(self.limited))}"
+            active = {int(fault or 0): t} if fault in tb.LIMITS else {}
+            self.limited = {} if self.mode in MODES else recent | active
+            limits = " and ".join(tb.LIMITS[code] for code in sorted(self.limited))
+            self.detail = tb.mode_name(self.mode) + (f", limited by {limits}" if limits else "")
 
     def title(self) -> str:
         """Return hardware and firmware as far as known."""
@@ -188,8 +177,10 @@ class MoteusAdapter(Adapter[Motor]):
 
     def own(self, device: Device) -> Motor:
         options: Options = device.options
+        limits = (options.max_torque, options.velocity_limit / tau, options.acceleration_limit / tau)
+        setpoints = mt.Setpoints(options.timeout_ms / 1000, *(each or None for each in limits if any(limits)))
         identifier = codec.command_id(device.address, options.host_id, options.can_prefix)
-        return Motor(options, options.setpoints, identifier, options.feedback_ms * MILLISECOND)
+        return Motor(options, setpoints, identifier)
 
     def timing(self, options: Options) -> Timing:
         return Timing(options.offline_ms * MILLISECOND)
@@ -228,23 +219,21 @@ class MoteusAdapter(Adapter[Motor]):
         motor, at = host.own, (host.position or 0.0) / tau
         # The set-point of arming is where the shaft is: a velocity may go on from there.
         motor.place(PLACED if isinstance(command, msg.Velocity) else None)
-        if isinstance(command, msg.Torque):
-            return _frame(now, host, motor.setpoints.torque(at, 0.0))
-        return _frame(now, host, motor.setpoints.position(at, 0.0, 0.0))
+        free = isinstance(command, msg.Torque)
+        still = motor.setpoints.torque(at, 0.0) if free else motor.setpoints.position(at, 0.0, 0.0)
+        return _frame(now, host, still)
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         motor, at = host.own, (host.position or 0.0) / tau
         if motor.mode != IN_POSITION:  # another host's: it goes over to position control
             return self.arm(now, host, command)
-        if isinstance(command, msg.Velocity):
-            motor.place(motor.placed or 0)
-            start = at if (motor.placed or 0) < PLACED else None
-            data = motor.setpoints.position(start, command.velocity / tau, command.torque)
-            return _frame(now, host, data)
-        motor.place(None)
+        placed = motor.placed or 0
+        motor.place(placed if isinstance(command, msg.Velocity) else None)
         match command:
             case msg.Position(_, position, velocity, torque):
                 data = motor.setpoints.position(position / tau, velocity / tau, torque)
+            case msg.Velocity(_, velocity, torque):
+                data = motor.setpoints.position(at if placed < PLACED else None, velocity / tau, torque)
             case msg.Torque(_, torque):
                 data = motor.setpoints.torque(at, torque)
             case _:
@@ -289,15 +278,12 @@ class MoteusAdapter(Adapter[Motor]):
             uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
             line = mt.console(f"conf set id.id {request.address}")
             return self._to_all(now, request, 1500, 150, *(mt.masked(uuid, x) for x in (line, mt.DISCOVER)))
-        if host is None:
-            return ""
-        begun = _data(request, host)
-        if isinstance(begun, str):
-            return begun
+        begun = "" if host is None else _data(request, host)
+        if host is None or isinstance(begun, str):
+            return str(begun)
         if isinstance(request, msg.ClearFault):
             host.own.identify(now)
-        register, data = begun
-        frames, notes = (make_frame(host.own.command_id, data),), {"register": register}
+        frames, notes = (make_frame(host.own.command_id, begun[1]),), {"register": begun[0]}
         until, period = now + 600 * MILLISECOND, 60 * MILLISECOND
         return Pending(request, host.name, now, until, now, host, frames, period, notes)
 
@@ -375,7 +361,7 @@ def _report(t: Nanos, host: Host[Motor], reply: codec.Reply) -> Report[Motor]:
         host,
         host.address,
         None if mode is None else MODES.get(int(mode), Mode.ARMED),
-        motor.detail(),
+        motor.detail,
         None if mode is None else active,
         _feedback(host.name, t, values),
         serial=serial,
@@ -426,8 +412,10 @@ def _why_not_set(request: msg.SetId, driver: MotorDriver[Motor]) -> str:
 
 
 def _is_running(host: Host[Motor]) -> bool:
-    """True if it may give torque; what has tripped does not, whoever commanded it."""
-    return host.own.mode not in LATCHED and (host.running or host.own.mode in RISING)
+    """True if it gives torque, or may do so soon: what has tripped does not once it is released."""
+    if host.own.mode in LATCHED:
+        return host.owned and host.phase is not Phase.RELEASING
+    return host.running or host.own.mode in RISING
 
 
 def register_of(parameter: str) -> int:
@@ -448,10 +436,10 @@ def _data(request: Request, host: Host[Motor]) -> tuple[int, bytes] | str:
         case msg.ClearFault():
             return -1, b""
         case msg.Zero():
-            return WOULD_JUMP if running else (tb.SET_OUTPUT_EXACT, b"")
+            return ARMED if running else (tb.SET_OUTPUT_EXACT, b"")
         case msg.WriteParameter(_, name, value) if name == SAVE:
             if running or value != 1:
-                return "it is armed: send Idle first" if running else f"{SAVE} takes 1"
+                return ARMED if running else f"{SAVE} takes 1"
             register = NUMBERS["multiplex_id"]
             return register, mt.console("conf write") + codec.read(register, INT32)
         case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if register < 0:
@@ -462,7 +450,7 @@ def _data(request: Request, host: Host[Motor]) -> tuple[int, bytes] | str:
             if not abs(value) <= FLOAT_MAX:
                 return f"{value} is no finite number of 32 bits"
             if register in tb.ACTIONS and (running or host.own.mode is None):
-                return WOULD_JUMP
+                return ARMED
             data = codec.write(register, value) + codec.read(register)
             return NOT_WRITTEN.get(register) or (register, data)
     return f"a moteus has no {type(request).__name__} on its bus"

@@ -277,13 +277,14 @@ class Loops:
     def _torque(self, dt: float) -> float:
         """Return the torque [N·m] of the mode, before the limits of position, velocity, heat and current."""
         s, speed, mode = self.settings, self.encoder.velocity, self.mode
-        if mode in (*WATCHDOG_MODES, Mode.TIMEOUT) and isnan(self.setpoint.position):
-            self.setpoint.put(self.encoder.position, speed)
         timeout = mode == Mode.TIMEOUT
+        holds = mode == Mode.POSITION or (timeout and s.timeout_mode == Mode.POSITION)
+        if holds and isnan(self.setpoint.position):
+            self.setpoint.put(self.encoder.position, 0.0 if timeout else speed)
         if mode == Mode.POSITION:
-            return self._position(dt)
+            return self._within_most(self._position(dt))
         if mode == Mode.STAY_WITHIN:
-            return self._stay_within(dt)
+            return self._within_most(self._stay_within(dt))
         if mode == Mode.CURRENT:
             return self._given("q_current") * self.kt
         if mode == Mode.VOLTAGE_DQ:  # through phase resistance and back-EMF
@@ -296,7 +297,7 @@ class Loops:
         if timeout and s.timeout_mode == Mode.ZERO_VELOCITY:
             damping = -s.kd * speed
             return 0.0 if abs(damping) < MIN_CURRENT * self.kt else clamp(damping, s.timeout_max_torque)
-        if timeout and s.timeout_mode == Mode.POSITION:
+        if holds:
             self.setpoint.come_to_rest(dt, given(s.default_accel_limit, inf))
             return self._pid(dt)
         return 0.0
@@ -329,11 +330,10 @@ class Loops:
         ilimit = s.ilimit * self._given("ilimit_scale", 1.0)
         self.integral = clamp(self.integral + s.ki * self.error * dt, ilimit)
         self.proportional, self.derivative = s.kp * kp * self.error, s.kd * kd * self.velocity_error
-        return self._push(self.proportional + self.integral + self.derivative)
+        return self.proportional + self.integral + self.derivative + self.feedforward
 
-    def _push(self, torque: float) -> float:
-        """Return a torque with feed-forward, within the commanded largest torque."""
-        torque += self.feedforward
+    def _within_most(self, torque: float) -> float:
+        """Return a torque within the commanded largest torque."""
         most = abs(self._given("position_max_torque", inf))
         self.fault = MAX_TORQUE if abs(torque) > most else self.fault
         return clamp(torque, most)
@@ -345,7 +345,7 @@ class Loops:
             self.setpoint.put(low if position < low else high)
             return self._pid(dt)
         self._clear()
-        return self._push(0.0)
+        return self.feedforward
 
     def _limited(self, torque: float) -> float:
         """Return the torque [N·m] after the limits of position, velocity, temperature and current."""
