@@ -61,7 +61,7 @@ class DamiaoAdapter(RegisterAdapter):
             sn = name == "SN" and frame.id == dm.REPLY_BASE + frame.data[0] and driver.scanning()
             note = f"answers with {frame.id:03X}"
             return (Report(None, frame.data[0], serial=int(value or 0), note=note) if sn else Rx.IGNORED,)
-        if value is not None and host.own.registers.is_asked(t, name):
+        if value is not None and host.own.is_asked(t, name):
             return (self.register_report(t, host, name, value, written=written),)
         return (self._feedback(t, frame, host) or Rx.MALFORMED,)
 

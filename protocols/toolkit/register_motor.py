@@ -7,7 +7,7 @@ are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,16 +18,20 @@ from protocols.plugin import Device
 from protocols.toolkit.driver import Adapter, MotorDriver, Pending
 from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Report, Timing
-from protocols.toolkit.registers import RegisterCache, Registers
+from protocols.toolkit.registers import Registers
 
-ANSWER = 200 * MILLISECOND
+ANSWER, RETRY = 200 * MILLISECOND, 50 * MILLISECOND
+"""Time within which a frame may be an answer, and after which a register is asked for or written again."""
 
 
 @dataclass(slots=True)
 class Motor:
     """What is known of one device beyond its phase. Plain data."""
 
-    registers: RegisterCache = field(default_factory=RegisterCache)
+    known: dict[str, float] = field(default_factory=dict)
+    """What its registers hold, since it was last forgotten."""
+    asked: dict[str, Nanos] = field(default_factory=dict)
+    """When each register was last asked for or written."""
     answers: AnswerCount = field(default_factory=AnswerCount)
     sent_at: Nanos = -(1 << 62)
 
@@ -36,6 +40,38 @@ class Motor:
         self.sent_at = now if frames else self.sent_at
         self.answers.ask(len(frames))
         return frames
+
+    def ask(self, now: Nanos, name: str) -> None:
+        """Record that a register is asked for or written."""
+        self.asked[name] = now
+
+    def put(self, name: str, value: float) -> None:
+        """Record what a register holds."""
+        self.known[name] = value
+
+    def forget(self) -> None:
+        """Forget everything: the device may have restarted."""
+        self.known.clear()
+        self.asked.clear()
+
+    def is_asked(self, t: Nanos, name: str) -> bool:
+        """True if a frame received now may be the answer about this register."""
+        return name in self.asked and t - self.asked[name] < ANSWER
+
+    def missing(self, now: Nanos, names: Iterable[str]) -> list[str]:
+        """Return which of these are not known, and may be asked for again."""
+        return [name for name in names if name not in self.known and self._may_ask(now, name)]
+
+    def different(self, wanted: Mapping[str, float]) -> dict[str, float]:
+        """Return the registers that are known to hold something else."""
+        return {n: v for n, v in wanted.items() if abs(self.known.get(n, v) - v) > 1e-3 * max(1.0, abs(v))}
+
+    def to_write(self, now: Nanos, wanted: Mapping[str, float]) -> list[tuple[str, float]]:
+        """Return the registers that hold something else, and may be written again."""
+        return [each for each in self.different(wanted).items() if self._may_ask(now, each[0])]
+
+    def _may_ask(self, now: Nanos, name: str) -> bool:
+        return now - self.asked.get(name, -RETRY) >= RETRY
 
 
 class RegisterAdapter(Adapter[Motor]):
@@ -94,7 +130,7 @@ class RegisterAdapter(Adapter[Motor]):
         self, t: Nanos, host: Host[Motor], name: str, value: float, *, written: bool = False
     ) -> Report[Motor]:
         """Return what an answer about a register reports."""
-        host.own.registers.put(name, value)
+        host.own.put(name, value)
         turned = name == self.turns and name in self.polled(host.options)
         return Report(
             host,
@@ -115,22 +151,22 @@ class RegisterAdapter(Adapter[Motor]):
         return Timing(options.offline_ms * MILLISECOND)
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
-        host.own.registers.forget()
+        host.own.forget()
 
     def refuse(self, host: Host[Motor], command: Command) -> str:
-        known, expected = host.own.registers.known, self.expected(host.options)
-        wrong = host.own.registers.different(expected)
+        known, expected = host.own.known, self.expected(host.options)
+        wrong = host.own.different(expected)
         differences = ", ".join(f"{name} is {known[name]:g}, not {expected[name]:g}" for name in wrong)
         return f"it is another model than the robot file has: {differences}" if wrong else ""
 
     def ready(self, host: Host[Motor]) -> bool:
-        known, options = host.own.registers.known.keys(), host.options
+        known, options = host.own.known.keys(), host.options
         return self.expected(options).keys() | self.written(options).keys() <= known
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        wanted, registers = self.written(host.options), host.own.registers
-        if registers.different(wanted):
-            wrong = registers.to_write(now, wanted)
+        wanted = self.written(host.options)
+        if host.own.different(wanted):
+            wrong = host.own.to_write(now, wanted)
             return host.own.sent(now, [f for each in wrong for f in self._about(now, host, "write", *each)])
         return host.own.sent(now, [self.message(self.enable, host.address)])
 
@@ -146,7 +182,7 @@ class RegisterAdapter(Adapter[Motor]):
             return (), ()
         options = host.options
         needed = (*self.expected(options), *self.written(options))
-        names = (*host.own.registers.missing(now, needed), *self.polled(options))
+        names = (*host.own.missing(now, needed), *self.polled(options))
         return (), host.own.sent(now, [*self.ask(host), *self._read(now, host, names)])
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
@@ -159,7 +195,7 @@ class RegisterAdapter(Adapter[Motor]):
     def _about(
         self, now: Nanos, host: Host[Motor], operation: str, name: str, value: float = 0.0
     ) -> Sequence[Frame]:
-        host.own.registers.ask(now, name)
+        host.own.ask(now, name)
         return self.about(operation, host.address, name, value)
 
     # -- requests -------------------------------------------------------------------------------------
@@ -169,7 +205,7 @@ class RegisterAdapter(Adapter[Motor]):
     ) -> Pending[Motor] | str:
         if isinstance(request, msg.Scan) and self.serial:
             for each in driver.hosts.values():
-                each.own.registers.ask(now, self.serial)
+                each.own.ask(now, self.serial)
             questions = tuple(f for at in self.addresses for f in self.about("read", at, self.serial))
             return Pending(request, request.bus, now, now + ANSWER, now, None, questions)
         wrong = "the device cannot do that on this bus"
@@ -184,7 +220,7 @@ class RegisterAdapter(Adapter[Motor]):
                 wrong = ""
         if wrong or host is None:
             return wrong
-        return Pending(request, host.name, now, now + ANSWER, now, host, (), ANSWER // 4)
+        return Pending(request, host.name, now, now + ANSWER, now, host, (), RETRY)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
         host = pending.host
