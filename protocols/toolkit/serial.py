@@ -6,11 +6,11 @@ nothing raises.
 
 from __future__ import annotations
 
-import binascii
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, reduce
+from operator import xor
 from typing import Literal, TypeAlias
 
 from protocols.toolkit.driver import Rx
@@ -21,7 +21,7 @@ Checksum: TypeAlias = Callable[[bytes], int]
 def crc(width: int, polynomial: int, start: int = 0, *, reflected: bool = True, end: int = 0) -> Checksum:
     """Return a cyclic redundancy check. `polynomial` without its highest bit, as printed (not reflected);
     `end` is combined with the result by XOR. (Williams, A Painless Guide to CRC Error Detection, 1993.)"""
-    table = _crc_table(width, polynomial, reflected)
+    table = _remainders(width, polynomial, reflected)
     ones, top = (1 << width) - 1, width - 8
 
     def check(data: bytes) -> int:
@@ -30,37 +30,30 @@ def crc(width: int, polynomial: int, start: int = 0, *, reflected: bool = True, 
             if reflected:
                 value = value >> 8 ^ table[(value ^ byte) & 0xFF]
             else:
-                value = (value << 8 & ones) ^ table[(value >> top ^ byte) & 0xFF]
+                value = (value << 8 & ones) ^ table[value >> top ^ byte]
         return value ^ end
 
     return check
 
 
 @cache
-def _crc_table(width: int, polynomial: int, reflected: bool) -> tuple[int, ...]:
-    ones, high = (1 << width) - 1, 1 << width - 1
-    if reflected:
-        polynomial = int(f"{polynomial:0{width}b}"[::-1], 2)
-    table = []
-    for value in range(256):
-        value = value if reflected else value << width - 8
+def _remainders(width: int, polynomial: int, reflected: bool) -> tuple[int, ...]:
+    """Return the remainder of each byte."""
+    high, remainders = 1 << width - 1, []
+    for byte in range(256):
+        value = int(f"{byte:08b}"[::-1], 2) if reflected else byte
+        value <<= width - 8
         for _ in range(8):
-            if reflected:
-                value = value >> 1 ^ polynomial * (value & 1)
-            else:
-                value = (value << 1 ^ (polynomial if value & high else 0)) & ones
-        table.append(value)
-    return tuple(table)
+            value = value << 1 ^ (polynomial | high << 1 if value & high else 0)
+        remainders.append(int(f"{value:0{width}b}"[::-1], 2) if reflected else value)
+    return tuple(remainders)
 
 
 CRC8_MAXIM = crc(8, 0x31)
 CRC16_MODBUS = crc(16, 0x8005, 0xFFFF)
+CRC16_XMODEM = crc(16, 0x1021, reflected=False)
+"""What most vendors call CCITT, from 0."""
 CRC32: Checksum = zlib.crc32
-
-
-def crc16_xmodem(data: bytes) -> int:
-    """CRC-16/XMODEM: 0x1021, from 0 (what most vendors call CCITT)."""
-    return binascii.crc_hqx(data, 0)
 
 
 def inverted_sum8(data: bytes) -> int:
@@ -70,7 +63,7 @@ def inverted_sum8(data: bytes) -> int:
 
 def xor8(data: bytes) -> int:
     """XOR of all bytes."""
-    return reduce(lambda one, other: one ^ other, data, 0)
+    return reduce(xor, data, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +87,8 @@ class Framing:
         return message + self.checksum(message[self.covers :]).to_bytes(self.checksum_size, self.order)
 
     def end(self, held: bytes, at: int) -> int | None:
-        """Return where the checksum of the message that begins here begins, as far as can be known: at
-        the end of the head at least. None: none begins here."""
+        """Return where body and message end without the checksum, the end of the head at least; None: no
+        message begins here."""
         head = held[at : at + self.head]
         if not head.startswith(self.sync[: len(head)]):
             return None
