@@ -213,11 +213,14 @@ class Reply(NamedTuple):
 
 _FAST = struct.Struct("<2sb2sfff2sb")
 """Mode as int8; position, velocity, torque as binary32; fault as int8."""
+_FULL = struct.Struct("<2sb3s4f3s6h11s")
+"""Current as well; as int16 motor temperature, trajectory, home state, voltage, temperature, fault."""
+_HEADS = (b"\x21\x00", b"\x2c\x04\x01", b"\x24\x06\x0a", b"\x50" * 11)
 
 
 def decode(data: bytes) -> Reply | None:
-    """Decode a device's frame; None if it is malformed or no reply. The reply to the query that is sent all
-    the time has a known layout, and is decoded without a loop, to the same result."""
+    """Decode a device's frame; None if it is malformed or no reply. The replies to the two queries that are
+    sent all the time have known layouts, and are decoded without a loop, to the same result."""
     if len(data) == _FAST.size:
         a, mode, b, position, velocity, torque, c, fault = _FAST.unpack(data)
         usual = a == b"\x21\x00" and b == b"\x2f\x01" and c == b"\x21\x0f" and mode != -128 and fault != -128
@@ -226,11 +229,17 @@ def decode(data: bytes) -> Reply | None:
             velocity = 0.0 if -TINY < velocity < TINY else velocity
             torque = 0.0 if -TINY < torque < TINY else torque
             return Reply({0: mode, 1: position, 2: velocity, 3: torque, 0x0F: fault})
+    if len(data) == _FULL.size:
+        a, mode, b, *floats, c, winding, done, home, voltage, board, fault, rest = _FULL.unpack(data)
+        given = -0x8000 not in (winding, done, home, voltage, board, fault) and mode != -128
+        if given and (a, b, c, rest) == _HEADS and math.isfinite(sum(floats)):
+            values = {0: mode, **dict(enumerate(map(to_single, floats), 1)), 0x0A: winding * 0.1, 0x0B: done}
+            return Reply(values | {0x0C: home, 0x0D: voltage * 0.1, 0x0E: board * 0.1, 0x0F: fault})
     subframes, well_formed = parse(data)
     replies = [each for each in subframes if each.code == REPLY]
     if not well_formed or len(data) not in LENGTHS or any(math.isinf(raw) for s in replies for raw in s.raw):
         return None
     if any(each.code not in (REPLY, WRITE_ERROR, READ_ERROR, FROM_DEVICE) for each in subframes):
         return None
-    values = {register: value for each in replies for register, value in each.quantities()}
-    return Reply(values, tuple(each for each in subframes if each.code in (WRITE_ERROR, READ_ERROR)))
+    decoded = {register: value for each in replies for register, value in each.quantities()}
+    return Reply(decoded, tuple(each for each in subframes if each.code in (WRITE_ERROR, READ_ERROR)))

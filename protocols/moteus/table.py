@@ -82,29 +82,13 @@ UUID_MASK = range(0x154, 0x158)
 SET_OUTPUT_EXACT = 0x131
 ACTIONS = range(0x130, 0x134)
 """Registers that act at once by being written."""
-
-
-class Mode(IntEnum):
-    """Values of the mode register."""
-
-    STOPPED = 0
-    FAULT = 1
-    ENABLING = 2
-    CALIBRATING = 3
-    CALIBRATION_COMPLETE = 4
-    PWM = 5
-    VOLTAGE = 6
-    VOLTAGE_FOC = 7
-    VOLTAGE_DQ = 8
-    CURRENT = 9
-    POSITION = 10
-    TIMEOUT = 11
-    ZERO_VELOCITY = 12
-    STAY_WITHIN = 13
-    MEASURE_IND = 14
-    BRAKE = 15
-
-
+Mode = IntEnum(
+    "Mode",
+    "STOPPED FAULT ENABLING CALIBRATING CALIBRATION_COMPLETE PWM VOLTAGE VOLTAGE_FOC VOLTAGE_DQ CURRENT"
+    " POSITION TIMEOUT ZERO_VELOCITY STAY_WITHIN MEASURE_IND BRAKE",
+    start=0,
+)
+"""Values of the mode register."""
 LATCHED = (Mode.FAULT, Mode.TIMEOUT)
 """Only a stop command leaves these."""
 RISING = (Mode.ENABLING, Mode.CALIBRATING, Mode.CALIBRATION_COMPLETE)
