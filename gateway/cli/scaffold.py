@@ -24,11 +24,9 @@ BUSES: tuple[Bus, ...] = ("can", "canfd", "serial")
 TEMPLATE = "gateway.cli.templates"
 PACKAGE = (
     "__init__.py",
-    "codec.py",
-    "decoder.py",
+    "table.py",
+    "line.py",
     "driver.py",
-    "faults.py",
-    "framing.py",
     "twin.py",
     "README.md",
     "vectors.json",
@@ -97,13 +95,13 @@ def _taken(name: str) -> str:
 def contents(name: str, bus: Bus) -> dict[str, str]:
     """Return the texts to write, by path in the folder."""
     texts = {f"{name}/{file}": _read(file) for file in PACKAGE}
-    codec, framing = f"{name}/codec.py", f"{name}/framing.py"
-    texts[codec] = _put(texts[codec], 'NAME = "blank"', f'NAME = "{name}"')
+    table, line = f"{name}/table.py", f"{name}/line.py"
+    texts[table] = _put(texts[table], 'NAME = "blank"', f'NAME = "{name}"')
     if bus == "serial":
-        texts[framing] = _read("framing_serial.py")
+        texts[line] = _read("line_serial.py")
     if bus == "canfd":
-        texts[framing] = _put(texts[framing], '"serial"] = "can"', '"serial"] = "canfd"')
-        texts[framing] = _put(texts[framing], "FD = False", "FD = True")
+        texts[line] = _put(texts[line], '"serial"] = "can"', '"serial"] = "canfd"')
+        texts[line] = _put(texts[line], "FD = False", "FD = True")
     texts[f"{name}/README.md"] = _renamed(texts[f"{name}/README.md"], name)
     texts[f"{name}/py.typed"] = ""
     project = _put(_read("project.toml"), "motor-gateway-blank", f"motor-gateway-{name.replace('_', '-')}")

@@ -1,23 +1,29 @@
 """FILL IN: which devices, on which firmware.
 
 This plugin is complete and keeps the contract, except for one thing: its device is invented. It obeys a
-velocity and sends its state, velocity and position. Replace it by the real device, file by file: `codec` and
-`framing` first, then `twin`, `decoder`, `driver`, and the `spec` below. Each place to fill in is marked, with
-the clause of `gateway protocols check` that checks it.
+velocity and sends its state, velocity and position. Replace it by the real device, file by file: `table`
+first, then `line`, `twin`, `driver`, and the `spec` below. Each place to fill in is marked, with the clause
+of `gateway protocols check` that checks it.
 """
 
 from __future__ import annotations
 
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, ClearFault, Idle, Velocity
-from protocols.plugin import Device, FeedbackKind, Plugin, Spec, Watchdog
+from protocols.plugin import Device, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.toolkit.assembly import driver_of
+from protocols.toolkit.table import BINARY32, Decoded
 
-from .codec import NAME, STATUS_PERIOD
-from .decoder import MotorDecoder, message_names
-from .driver import OFFLINE, RANGES, MotorDriver, Options
-from .faults import FAULTS
-from .framing import BUS, COMMAND, MAX_ADDRESS, STATUS, ids
-from .twin import MotorTwin, Settings
+from .driver import OFFLINE, MotorAdapter, Options
+from .line import BUS, Line, ids
+from .table import ADDRESSES, FAULTS, NAME, PERIOD, TABLE
+from .twin import MotorDecoder, MotorTwin, Settings
+
+
+def messages(frame: Frame) -> tuple[str, ...]:
+    """Return the names of the messages to a device in a frame."""
+    found = Line().read(frame, "to_device")
+    return tuple(each.name for each in found if isinstance(each, Decoded) and each.name)
 
 
 def read_only(_frame: Frame) -> bool:
@@ -28,34 +34,41 @@ def read_only(_frame: Frame) -> bool:
     return False
 
 
+def ranges(_options: Options) -> dict[str, Range]:
+    """Return what commands and measurements can carry (clauses "commands" and "measurements")."""
+    return {
+        "Velocity.velocity": TABLE.range("run", "velocity"),
+        "Feedback.velocity": TABLE.range("status", "velocity", inside=1),
+        "Feedback.position": Range(-1e6, 1e6, 1e-6, BINARY32),
+    }
+
+
 def spec(device: Device) -> Spec:
     """Return the contract of one device. Raises ValueError for an address that it cannot have."""
-    if not 1 <= device.address <= MAX_ADDRESS:
-        raise ValueError(f"a {NAME} has an address of 1 … {MAX_ADDRESS}, not {device.address}")
-    settings: Settings = device.settings
-    timeout = round(settings.watchdog_ms * MILLISECOND)
+    if device.address not in ADDRESSES:
+        raise ValueError(f"a {NAME} has an address of 1 … {ADDRESSES.stop - 1}, not {device.address}")
+    timeout = round(device.settings.watchdog_ms * MILLISECOND)
     return Spec(
         bus=BUS,
         kind="motor",
-        # FILL IN (clause "declared"): CAN ids, all of them; none on a serial line.
-        sends=ids(COMMAND, device.address),
-        expects=ids(STATUS, device.address),
+        sends=ids("to_device", device.address),
+        expects=ids("from_device", device.address),
         read_only=read_only,
-        # FILL IN (clause "measurements"): polled or cyclic, and the period.
+        # FILL IN (clause "measurements"): polled, cyclic or only in replies to commands, and the period.
         feedback=FeedbackKind.CYCLIC,
-        feedback_period=STATUS_PERIOD,
+        feedback_period=PERIOD,
         # FILL IN (clause "offline"): well over the period, well under what would be dangerous.
         offline_after=OFFLINE,
         # FILL IN (clause "commands"): which commands and requests it takes.
         commands=frozenset({Idle, Velocity}),
         requests=frozenset({ClearFault}),
-        ranges=RANGES,
+        ranges=ranges(device.options),
         # FILL IN (clause "watchdog"): what it does when its host falls silent, and the timeout.
-        watchdog=Watchdog(timeout if timeout else None, enabled=timeout > 0),
+        watchdog=Watchdog(timeout or None, enabled=timeout > 0),
         holds_unattended=False,
         stop_clears_faults=False,
         faults=FAULTS,
-        # FILL IN (clauses "checksums", "obeyed"): `unprotected`, if it takes messages without a checksum.
+        # FILL IN (clauses "checksums" and "obeyed"): `unprotected`, if it takes messages without a checksum.
     )
 
 
@@ -66,9 +79,9 @@ plugin = Plugin(
     options=Options,
     settings=Settings,
     spec=spec,
-    driver=MotorDriver,
+    driver=driver_of(MotorAdapter, ranges),
     decoder=MotorDecoder,
     twin=MotorTwin,
-    messages=message_names,
+    messages=messages,
     vectors=(__name__, "vectors.json"),
 )

@@ -1,4 +1,4 @@
-"""The template of a plugin, in its place: its codecs match independent bytes, its driver its README."""
+"""The template of a plugin, in its place: its messages match independent bytes, its driver its README."""
 
 from __future__ import annotations
 
@@ -9,59 +9,38 @@ import struct
 import pytest
 
 from gateway.cli import templates
-from gateway.cli.templates import codec, framing, framing_serial
+from gateway.cli.templates import line, line_serial
 from protocols import messages as msg
 from protocols.frames import CanFrame
-from protocols.messages import Command, Mode, Request
-from protocols.plugin import Device, Driver, RxCounters
+from protocols.messages import Mode
+from protocols.plugin import Device, Driver
+from protocols.toolkit.driver import Rx
+from protocols.toolkit.table import Decoded
 
-# -- bytes, made here by struct alone ------------------------------------------------------------------
-
-RUN = struct.pack("<Bxxxf", 1, 2.5)
+# Bytes, made here by struct alone.
+RUN = struct.pack("<Bxhxxxx", 1, 250)
 STATUS = struct.pack("<BBhf", 1, 0, -250, 7.5)
+VALUES = {"mode": 1, "fault": 0, "velocity": -2.5, "position": 7.5}
 
 
 def sealed(body: bytes) -> bytes:
     return body + struct.pack("<H", binascii.crc_hqx(body, 0))
 
 
-def test_payloads() -> None:
-    assert codec.encode_command(codec.Order.RUN, 2.5) == RUN
-    assert codec.decode_command(RUN) == (codec.Order.RUN, 2.5)
-    status = codec.Status(codec.DeviceMode.RUNNING, 0, -2.5, 7.5)
-    assert codec.encode_status(status) == STATUS
-    assert codec.decode_status(STATUS) == status
-    assert {len(RUN), len(STATUS)} == {codec.SIZE}
-
-
 def test_frames() -> None:
-    assert framing.make_frame(framing.COMMAND, 5, RUN) == CanFrame(0x105, RUN)
-    assert framing.make_frame(framing.STATUS, 5, STATUS) == CanFrame(0x205, STATUS)
-    assert framing.Reader(framing.STATUS, [5]).read(CanFrame(0x205, STATUS)) == [(5, STATUS)]
+    assert line.encode("run", 5, velocity=2.5) == CanFrame(0x105, RUN)
+    assert line.encode("status", 5, **VALUES) == CanFrame(0x205, STATUS)
+    assert line.Line().read(CanFrame(0x205, STATUS), "from_device") == [Decoded("status", 5, VALUES)]
+    assert line.Line().read(CanFrame(0x205, STATUS, fd=True), "from_device") == [Rx.IGNORED]
 
 
 def test_messages_on_a_stream() -> None:
-    assert framing_serial.make_frame(framing_serial.COMMAND, 5, RUN) == sealed(b"\xa5\x01\x05" + RUN)
+    assert line_serial.encode("run", 5, velocity=2.5) == sealed(b"\xa5\x01\x05" + RUN)
     message = sealed(b"\xa5\x02\x05" + STATUS)
-    counters = RxCounters()
-    reader = framing_serial.Reader(framing_serial.STATUS, [5], counters)
-    stream = b"\xa5" + message + b"xy" + message[:-1] + b"\0" + sealed(b"\xa5\x02\x06" + STATUS) + message
-    found = [each for at in range(len(stream)) for each in reader.read(stream[at : at + 1])]
-    assert found == [(5, STATUS), (5, STATUS)]
-    assert (counters.malformed, counters.ignored) == (1, 3)
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 100.1, -1e30])
-def test_a_command_out_of_range_is_malformed(value: float) -> None:
-    assert codec.decode_command(struct.pack("<Bxxxf", 1, value)) is None
-
-
-@pytest.mark.parametrize("payload", [(3, 0, 0, 0.0), (0, 1, 0, 0.0), (2, 0, 0, 0.0), (0, 0, 0, math.nan)])
-def test_a_status_that_no_device_sends_is_malformed(payload: tuple[int, int, int, float]) -> None:
-    assert codec.decode_status(struct.pack("<BBhf", *payload)) is None
-
-
-# -- what the driver reports --------------------------------------------------------------------------
+    stream = b"xy" + message[:-1] + b"\0" + message
+    reader = line_serial.Line()
+    found = [each for at in range(len(stream)) for each in reader.read(stream[at : at + 1], "from_device")]
+    assert found == [Rx.IGNORED, Rx.MALFORMED, Decoded("status", 5, VALUES)]
 
 
 def make_driver() -> Driver:
@@ -69,32 +48,15 @@ def make_driver() -> Driver:
 
 
 def test_the_events_of_a_status() -> None:
-    status = codec.Status(codec.DeviceMode.FAULT, codec.WATCHDOG, 1.0, 2.0)
-    frame = framing.make_frame(framing.STATUS, 1, codec.encode_status(status))
-    state, fault, feedback = make_driver().receive(0, frame)
-    assert state == msg.State("m", 0, Mode.FAULT, "fault")
-    assert isinstance(fault, msg.Fault)
-    assert (fault.code, fault.name) == (codec.WATCHDOG, "watchdog")
-    assert feedback == msg.Feedback("m", 0, 2.0, 1.0)
+    frame = line.encode("status", 1, mode=2, fault=1, velocity=1.0, position=2.0)
+    events = {type(event): event for event in make_driver().receive(0, frame)}
+    assert events[msg.State] == msg.State("m", 0, Mode.FAULT, "fault")
+    assert events[msg.Feedback] == msg.Feedback("m", 0, 2.0, 1.0)
+    assert getattr(events[msg.Fault], "name", "") == "watchdog"
 
 
-@pytest.mark.parametrize(
-    ("message", "reason"),
-    [
-        (msg.Velocity("m", math.nan), "velocity is nan"),
-        (msg.Velocity("m", math.inf), "velocity is inf"),
-        (msg.Velocity("m", 100.0001), "velocity 100 lies outside -100 … 100"),
-        (msg.Velocity("m", 1.0, 0.5), "the device has no torque for Velocity"),
-        (msg.Velocity("x", 1.0), "no such device here"),
-        (msg.Scan("bus"), "no such device here"),
-        (msg.Hold("m"), "the device cannot do that"),
-        (msg.Zero("m"), "the device cannot do that"),
-    ],
-)
-def test_what_it_cannot_do_is_refused_and_a_command_once(message: Command | Request, reason: str) -> None:
+@pytest.mark.parametrize("status", [(3, 0, 0, 0.0), (2, 9, 0, 0.0), (0, 0, 0, math.nan)])
+def test_a_status_that_no_device_sends_is_malformed(status: tuple[int, int, int, float]) -> None:
     driver = make_driver()
-    (refused,), frames = driver.send(0, [message])
-    assert getattr(refused, "reason", "") == reason
-    assert not frames
-    if isinstance(message, Command):
-        assert driver.send(1, [message]) == ([], [])
+    assert driver.receive(0, CanFrame(0x201, struct.pack("<BBhf", *status))) == []
+    assert driver.counters.malformed == 1
