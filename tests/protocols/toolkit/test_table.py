@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from protocols.frames import EXTENDED_BIT, CanFrame, exact
-from protocols.plugin import Range
 from protocols.toolkit.table import FLOAT_MAX, Field, Row, Table, const, f32, sint, span, uint, unused
 
 BOTH = ("little", "big")
@@ -191,13 +190,6 @@ def test_a_frame_is_the_message_of_its_id(frame: CanFrame, decoded: Any) -> None
     assert TABLE.read_only(frame) is (name in ("two", "question"))
 
 
-def test_frames_of_devices_are_told_apart_from_those_to_them() -> None:
-    reply = TABLE.encode("reply", 0x507, a=1)
-    assert reply == CanFrame(0x507, b"\1")
-    assert TABLE.decode(reply, "from_device") is not None
-    assert TABLE.names(reply) == ()
-
-
 def test_ids_are_encoded_and_listed_with_the_bits_that_carry_data_open() -> None:
     assert TABLE.encode("data", 7, a=5, x=0xABCD) == CanFrame(0x03ABCD07, b"\5", extended=True)
     assert TABLE.encode("question", 7) == CanFrame(0x507, b"", remote=True)
@@ -205,6 +197,8 @@ def test_ids_are_encoded_and_listed_with_the_bits_that_carry_data_open() -> None
     moved = (0x03000007 | EXTENDED_BIT, 0x1F0000FF | EXTENDED_BIT)
     assert TABLE.ids("to_device", 7) == (exact(0x507), exact(0x7FF), moved)
     assert TABLE.ids("from_device", 7) == (exact(7),)
+    assert TABLE.decode(TABLE.encode("reply", 0x507, a=1), "from_device") is not None
+    assert TABLE.names(TABLE.encode("reply", 0x507, a=1)) == ()
 
 
 def test_an_id_that_is_too_wide_is_a_mistake() -> None:
@@ -229,14 +223,10 @@ def test_ranges(field: Field, unit: float, inside: int, low: float, high: float,
     got = table(field).range("m", "a", unit, inside)
     assert (got.low, got.high, got.resolution) == pytest.approx((low, high, error), rel=2e-3)
     assert got.resolution >= error
-
-
-def test_a_binary32_has_a_relative_error_and_its_range_no_overflow() -> None:
-    for unit in (1.0, 0.1, math.tau):
-        got = table(f32("a")).range("m", "a", unit)
-        assert isinstance(got, Range)
-        assert got.high <= FLOAT_MAX
-        assert got.relative >= 2.0**-24
+    for unit in (1.0, 0.1, math.tau):  # of a binary32: no overflow, and a relative error
+        whole = f32("a").range(unit)
+        assert whole.high <= FLOAT_MAX
+        assert whole.relative >= 2.0**-24
 
 
 @pytest.mark.parametrize(("value", "end"), [(-1.0, True), (1.0, True), (0.0, False), (0.98, False)])
