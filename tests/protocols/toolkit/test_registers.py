@@ -6,31 +6,21 @@ import pytest
 
 from protocols.toolkit.registers import Register, Registers
 
+# fmt: off
 REGISTERS = Registers(
-    Register("byte", 1, "u8"),
-    Register("word", 2, "u16"),
-    Register("long", 3, "u32"),
-    Register("short", 4, "i16"),
-    Register("int", 5, "i32"),
-    Register("float", 6, "f32"),
+    Register("byte", 1, "u8"), Register("word", 2, "u16"), Register("long", 3, "u32"),
+    Register("short", 4, "i16"), Register("int", 5, "i32"), Register("float", 6, "f32"),
     Register("fixed", 7, "f32", writable=False),
 )
+BITS = [
+    ("byte", 255, 0xFF), ("word", 0x1234, 0x1234), ("long", 2**32 - 1, 0xFFFF_FFFF),
+    ("short", -2, 0xFFFE), ("int", -2, 0xFFFF_FFFE), ("int", 2, 2),
+    ("float", 1.0, 0x3F80_0000), ("float", -2.5, 0xC020_0000), ("fixed", 0.0, 0),
+]
+# fmt: on
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "raw"),
-    [
-        ("byte", 255, 0xFF),
-        ("word", 0x1234, 0x1234),
-        ("long", 2**32 - 1, 0xFFFF_FFFF),
-        ("short", -2, 0xFFFE),
-        ("int", -2, 0xFFFF_FFFE),
-        ("int", 2, 2),
-        ("float", 1.0, 0x3F80_0000),
-        ("float", -2.5, 0xC020_0000),
-        ("fixed", 0.0, 0),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "raw"), BITS)
 def test_a_value_is_bits_and_bits_are_a_value(name: str, value: float, raw: int) -> None:
     number = REGISTERS.by_name[name].number
     assert REGISTERS.raw(name, value) == raw

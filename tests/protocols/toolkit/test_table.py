@@ -60,25 +60,19 @@ def test_values_are_bytes_and_bytes_are_values(case: Any, order: str) -> None:
     assert one.read("m", data) == decoded.values
 
 
-@pytest.mark.parametrize(
-    ("field", "given", "received"),
-    [
-        (uint("a"), 300, 255),
-        (uint("a"), -1, 0),
-        (sint("a", 8), -129, -128),
-        (uint("a", 8, 0.1), 99.0, 25.5),
-        (span("a", 8, -1.0, 1.0), 7.0, 1.0),
-        (span("a", 8, -1.0, 1.0), -7.0, -1.0),
-        (f32("a"), 1e39, FLOAT_MAX),
-        (f32("a"), -1e39, -FLOAT_MAX),
-        (f32("a"), -0.0, 0.0),
-        (f32("a"), 1e-39, 0.0),
-        (f32("a"), 2.0**-126, 2.0**-126),
-        (span("a", 8, 0.0, 255.0), 1.9, 1.0),
-        (span("a", 8, 0.0, 255.0, floor=False), 1.9, 2.0),
-        (uint("a", 8, 0.5), 0.74, 0.5),
-    ],
-)
+# fmt: off
+SATURATED: list[tuple[Field, float, float]] = [
+    (uint("a"), 300, 255), (uint("a"), -1, 0), (sint("a", 8), -129, -128), (uint("a", 8, 0.1), 99.0, 25.5),
+    (span("a", 8, -1.0, 1.0), 7.0, 1.0), (span("a", 8, -1.0, 1.0), -7.0, -1.0),
+    (f32("a"), 1e39, FLOAT_MAX), (f32("a"), -1e39, -FLOAT_MAX),
+    (f32("a"), -0.0, 0.0), (f32("a"), 1e-39, 0.0), (f32("a"), 2.0**-126, 2.0**-126),
+    (span("a", 8, 0.0, 255.0), 1.9, 1.0), (span("a", 8, 0.0, 255.0, floor=False), 1.9, 2.0),
+    (uint("a", 8, 0.5), 0.74, 0.5),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("field", "given", "received"), SATURATED)
 def test_what_a_field_cannot_hold_saturates_or_is_rounded(
     field: Field, given: float, received: float
 ) -> None:
@@ -106,25 +100,20 @@ def test_a_field_that_is_missing_or_unknown_is_a_mistake(wrong: dict[str, float]
 INFINITE, NAN, DENORMAL = (struct.pack("<f", value) for value in (math.inf, math.nan, 1e-40))
 
 
-@pytest.mark.parametrize(
-    ("fields", "data", "values"),
-    [
-        ((f32("a"),), INFINITE, None),
-        ((f32("a"),), NAN, None),
-        ((f32("a"),), DENORMAL, {"a": 0.0}),
-        ((f32("a", optional=True),), NAN, {"a": None}),
-        ((f32("a", optional=True),), INFINITE, None),
-        ((f32("a"), f32("b")), NAN + bytes(4), None),
-        ((f32("a"), f32("b")), INFINITE + struct.pack("<f", -math.inf), None),
-        ((f32(""),), NAN, {}),
-        ((const(7), uint("a")), b"\7\1", {"a": 1}),
-        ((const(7), uint("a")), b"\6\1", None),
-        ((unused(8), uint("a")), b"\6\1", {"a": 1}),
-        ((uint("a", 16),), b"\1", None),
-        ((uint("a", 16),), b"\1\2\3", None),
-        ((uint("a", 16),), b"", None),
-    ],
-)
+# fmt: off
+MALFORMED: list[tuple[tuple[Field, ...], bytes, Any]] = [
+    ((f32("a"),), INFINITE, None), ((f32("a"),), NAN, None), ((f32("a"),), DENORMAL, {"a": 0.0}),
+    ((f32("a", optional=True),), NAN, {"a": None}), ((f32("a", optional=True),), INFINITE, None),
+    ((f32("a"), f32("b")), NAN + bytes(4), None), ((f32(""),), NAN, {}),
+    ((f32("a"), f32("b")), INFINITE + struct.pack("<f", -math.inf), None),
+    ((const(7), uint("a")), b"\7\1", {"a": 1}), ((const(7), uint("a")), b"\6\1", None),
+    ((unused(8), uint("a")), b"\6\1", {"a": 1}), ((uint("a", 16),), b"", None),
+    ((uint("a", 16),), b"\1", None), ((uint("a", 16),), b"\1\2\3", None),
+]
+# fmt: on
+
+
+@pytest.mark.parametrize(("fields", "data", "values"), MALFORMED)
 def test_malformed_data_is_refused(fields: tuple[Field, ...], data: bytes, values: Any) -> None:
     assert table(*fields).read("m", data) == values
 
