@@ -17,7 +17,6 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Feedback, Mode, Nanos
 from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Host, Report
-from protocols.toolkit.mit import NUMBERS
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
 
 STATES: dict[int, tuple[Mode, str]] = {
@@ -99,8 +98,9 @@ class DamiaoAdapter(RegisterAdapter):
                 return table.encode("POS_VEL", at, position=goal, fastest=fastest)
             case "force_pos":
                 return table.encode("FORCE_POS", at, position=goal, fastest=fastest, force=options.max_force)
-        numbers = options.gains.impedance(command, host.held)
-        frame = table.encode("MIT", at, **{name: getattr(numbers, name) for name in NUMBERS})
+        five = options.gains.impedance(command, host.held)
+        p, v, kp, kd, t = five.position, five.velocity, five.stiffness, five.damping, five.torque
+        frame = table.encoder("MIT")(at, position=p, velocity=v, stiffness=kp, damping=kd, torque=t)
         if frame.data in dm.SPECIAL_DATA:  # one step of position beside enable, disable …
             return CanFrame(frame.id, b"\xff\xfe" + frame.data[2:])
         return frame
