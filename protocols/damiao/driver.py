@@ -55,7 +55,8 @@ class DamiaoAdapter(RegisterAdapter):
         # The first byte of a feedback has the lower four bits of ESC_ID, that of a register all of it.
         host = driver.at.get(frame.data[0] & 0xF) if frame.data else None
         ours = host is not None and frame.id == host.options.reply(host.address)
-        name, value, written = dm.register_in(frame)
+        about = frame.data[2:3] in dm.REGISTER_BYTES
+        name, value, written = dm.register_in(frame) if about else ("", None, False)
         if host is None or not ours:
             sn = name == "SN" and frame.id == dm.REPLY_BASE + frame.data[0] and driver.scanning()
             note = f"answers with {frame.id:03X}"

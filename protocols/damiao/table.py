@@ -145,14 +145,13 @@ def about_register(operation: str, address: int, name: str, value: float = 0.0) 
     return ANY.encode(operation, motor=address, number=REGISTERS.by_name[name].number, value=raw)
 
 
-_REGISTER_BYTES = [bytes((OPERATIONS[name],)) for name in REPLIES]
+REGISTER_BYTES = [bytes((OPERATIONS[name],)) for name in REPLIES]
+"""Third byte of an answer about a register."""
 
 
 def register_in(frame: CanFrame) -> tuple[str, float | None, bool]:
     """Return name and value of the register that a frame may be the answer about, and whether it was written.
     A save is answered as if its parameter were written."""
-    if frame.data[2:3] not in _REGISTER_BYTES:
-        return "", None, False
     decoded = ANY.decode(frame, "from_device")
     if decoded is None or not decoded.name.endswith(" reply"):
         return "", None, False
