@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 from protocols.messages import SECOND, Event, Found, Nanos, seconds
 
+Sample: TypeAlias = tuple[Nanos, float, float]
+"""Time, position and velocity."""
 IDENTIFY_PERIOD = 5 * SECOND
 """Period in which serial numbers are asked for."""
 
@@ -31,11 +34,8 @@ class SerialNumbers:
         before = self.known.get(address, {})
         recent = {each: at for each, at in before.items() if t - at <= 2 * IDENTIFY_PERIOD} | {serial: t}
         self.known[address] = recent
-        return (
-            f"serial numbers {' and '.join(f'{each:X}' for each in sorted(recent))}"
-            if len(recent) > 1
-            else ""
-        )
+        held_by = " and ".join(f"{each:X}" for each in sorted(recent))
+        return f"serial numbers {held_by}" if len(recent) > 1 else ""
 
     def at(self, address: int) -> set[int]:
         """Return the serial numbers that answer for an address."""
@@ -58,11 +58,8 @@ class SerialNumbers:
 
 @dataclass(slots=True)
 class ShaftCheck:
-    """Positions that jump there and back are of two shafts.
-
-    A single jump proves nothing (a new zero, a restart), nor does one that does not come back (a loose
-    encoder; frames that an adapter without time stamps delivers in pairs, so that it seems to jump on).
-    """
+    """Positions that jump there and back are of two shafts. A single jump proves nothing (a new zero, a
+    restart), nor does one that does not come back (a loose encoder; frames that are delivered in pairs)."""
 
     tolerance: float
     """A smaller difference may be vibration; the unit is that of the positions."""
@@ -70,9 +67,8 @@ class ShaftCheck:
     """Jumps there and back within 2 s."""
     stale: Nanos = SECOND // 2
     """Age after which the shaft may be anywhere."""
-    before: tuple[Nanos, float, float] = (-SECOND, 0.0, 0.0)
-    """Time, position and velocity."""
-    last: tuple[Nanos, float, float] = (-SECOND, 0.0, 0.0)
+    before: Sample = (-SECOND, 0.0, 0.0)
+    last: Sample = (-SECOND, 0.0, 0.0)
     jumps: list[Nanos] = field(default_factory=list)
 
     def add(self, t: Nanos, position: float, velocity: float) -> bool:
@@ -86,7 +82,7 @@ class ShaftCheck:
         self.jumps = [at for at in self.jumps if t - at <= 2 * SECOND] + [t]
         return len(self.jumps) >= self.needed
 
-    def _reachable(self, one: tuple[Nanos, float, float], other: tuple[Nanos, float, float]) -> bool:
+    def _reachable(self, one: Sample, other: Sample) -> bool:
         fastest = max(abs(one[2]), abs(other[2]))
         return abs(other[1] - one[1]) <= self.tolerance + 2.0 * fastest * seconds(other[0] - one[0])
 

@@ -70,9 +70,6 @@ class Firmware:
         """Return the timeout of the watchdog; 0: it is off, or does not run now."""
         return 0
 
-    def on_restart(self, now: Nanos) -> None:
-        """Run what belongs to the end of a restart."""
-
     # -- arming ---------------------------------------------------------------------------------------
 
     def arm(self, t: Nanos) -> bool:
@@ -133,13 +130,10 @@ class Firmware:
                 if math.isfinite(position) and math.isfinite(velocity):
                     self.shaft = (position, velocity)
         dt = 0.0 if self.now is None else seconds(max(0, now - self.now))
-        restarting = self.now is not None and self.now < self.silent_until
         self.fed = now if self.now is None or now < self.silent_until else self.fed
         self.now = now
         if now < self.silent_until:
             return [Torque(self.device.name, 0.0)], []
-        if restarting:
-            self.on_restart(now)
         self._watch(now)
         self.torque = self.cycle(now, dt, *self.shaft)
         due = [frame for at, frame in self._replies if at <= now]

@@ -7,7 +7,6 @@ what the `Spec` declares, so that the contract does not tell them apart.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from protocols import messages as msg
@@ -42,28 +41,23 @@ class Gains:
                 return command
         return msg.Impedance(motor, held or 0.0, 0.0, 0.0, self.stiffness, self.damping)
 
-    def command(self, motor: str, numbers: Mapping[str, float]) -> Command:
-        """Return the plainest command that five numbers are."""
-        position, velocity, torque, stiffness, damping = (numbers[name] for name in NUMBERS)
-        if self._equal("stiffness", stiffness, 0.0):
-            if self._equal("damping", damping, 0.0):
-                return msg.Torque(motor, torque)
-            if self._equal("damping", damping, self.damping):
-                return msg.Velocity(motor, velocity, torque)
-        elif self._equal("stiffness", stiffness, self.stiffness) and self._equal(
-            "damping", damping, self.damping
-        ):
-            return msg.Position(motor, position, velocity, torque)
-        return msg.Impedance(motor, position, velocity, torque, stiffness, damping)
-
     def canonical(self, command: Command) -> Command:
         """Return the plainest command of the same numbers, as `Spec.canonical` does."""
         if not isinstance(command, msg.Impedance):
             return command
-        return self.command(command.motor, {name: getattr(command, name) for name in NUMBERS})
+        motor, velocity, torque = command.motor, command.velocity, command.torque
+        if self._is(command, 0.0, 0.0):
+            return msg.Torque(motor, torque)
+        if self._is(command, 0.0, self.damping):
+            return msg.Velocity(motor, velocity, torque)
+        if self._is(command, self.stiffness, self.damping):
+            return msg.Position(motor, command.position, velocity, torque)
+        return command
 
-    def _equal(self, name: str, one: float, other: float) -> bool:
-        return abs(one - other) < self.row.field(name).step
+    def _is(self, command: msg.Impedance, stiffness: float, damping: float) -> bool:
+        """True if a command's gains are these, as they are encoded."""
+        steps = self.row.field("stiffness").step, self.row.field("damping").step
+        return abs(command.stiffness - stiffness) < steps[0] and abs(command.damping - damping) < steps[1]
 
     def ranges(self) -> dict[str, Range]:
         """Return the ranges of all commands, as in `Spec.ranges`."""
