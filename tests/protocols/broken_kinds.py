@@ -7,11 +7,14 @@ from dataclasses import replace
 
 from gateway.cli.templates import plugin as blank
 from protocols import messages as msg
-from protocols.conformance.bench import TwinWrapper
+from protocols.conformance.bench import Messages, TwinWrapper
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Event, Message, Nanos
 from protocols.plain import table
-from tests.protocols.broken import BROKEN, alters, motors
+from protocols.plugin import Device
+from tests.protocols.broken import BROKEN, Sent, alters, found_by, motors
+from tests.protocols.broken_safety import Knowing
+from tests.protocols.plain.parts import decoded
 from tests.protocols.sound import MovedDriver, data_in_ids, only_replies, with_spec
 
 # -- ids that carry data -------------------------------------------------------------------------------
@@ -76,3 +79,25 @@ BROKEN.append(
         ("saturated",),
     )
 )
+
+
+# -- two hosts -----------------------------------------------------------------------------------------
+
+
+@found_by("scan")
+class MisreadsAnotherHostsAnswer(Knowing):
+    """What a device answers to another host's scan is taken for its position, at the end of the range."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        super().__init__(devices)
+        self.scans = self.misread = False
+
+    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
+        answers = [message for _, message in decoded(frame, t) if isinstance(message, msg.Found)]
+        self.misread |= bool(answers) and not self.scans
+        return super().receive(t, frame)
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        self.scans |= any(isinstance(message, msg.Scan | msg.SetId) for message in messages)
+        held = [msg.Position(m.motor, -12.5) if isinstance(m, msg.Hold) else m for m in messages]
+        return super().send(now, held if self.misread else messages)
