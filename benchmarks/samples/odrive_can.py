@@ -12,18 +12,18 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
 from protocols.frames import CanFrame
-from protocols.odrive_can.codec import decode_from_device, encode
-from protocols.odrive_can.messages import SetInputPos, SetInputVel
+from protocols.odrive_can.table import table_of
 
 RIVAL = ("cantools", "cantools", "cantools on the vendor's DBC")
 DBC = ("odrive_can", "dbc/odrive-cansimple-0.6.10.dbc")
 """Package and file in it."""
 NODE = 3
+MESSAGES = table_of("0.6")
 
 
 def prepared(cantools: Any) -> Any:  # noqa: ANN401 -- cantools has no types
@@ -57,7 +57,7 @@ class Sample:
         """True if encoding gave the same bytes, or decoding the same fields in order."""
         if self.values:
             return bool(theirs == struct == ours.data == self.data and ours.id == self.id)
-        fields = list(astuple(ours))
+        fields = list(ours.values.values())
         return fields == [getattr(value, "value", value) for value in theirs.values()] == list(struct)
 
 
@@ -68,7 +68,7 @@ _HEARTBEAT_FRAME = CanFrame(NODE << 5 | 0x01, _HEARTBEAT.pack(0, 8, 0, 1))
 SAMPLES = (
     Sample(
         "encode Set_Input_Vel",
-        lambda: encode(NODE, SetInputVel(2.5, 0.25)),
+        lambda: MESSAGES.encode("Set_Input_Vel", NODE, Input_Vel=2.5, Input_Torque_FF=0.25),
         lambda: _PAIR.pack(2.5, 0.25),
         NODE << 5 | 0x0D,
         _PAIR.pack(2.5, 0.25),
@@ -76,7 +76,7 @@ SAMPLES = (
     ),
     Sample(
         "encode Set_Input_Pos",
-        lambda: encode(NODE, SetInputPos(1.5, 0.5, 0.25)),
+        lambda: MESSAGES.encode("Set_Input_Pos", NODE, Input_Pos=1.5, Vel_FF=0.5, Torque_FF=0.25),
         lambda: _POSITION.pack(1.5, round(0.5 / 0.001), round(0.25 / 0.001)),
         NODE << 5 | 0x0C,
         _POSITION.pack(1.5, 500, 250),
@@ -84,14 +84,14 @@ SAMPLES = (
     ),
     Sample(
         "decode Get_Encoder_Estimates",
-        lambda: decode_from_device(_ESTIMATES_FRAME),
+        lambda: MESSAGES.decode(_ESTIMATES_FRAME, "from_device"),
         lambda: _PAIR.unpack(_ESTIMATES_FRAME.data),
         _ESTIMATES_FRAME.id,
         _ESTIMATES_FRAME.data,
     ),
     Sample(
         "decode Heartbeat",
-        lambda: decode_from_device(_HEARTBEAT_FRAME),
+        lambda: MESSAGES.decode(_HEARTBEAT_FRAME, "from_device"),
         lambda: _HEARTBEAT.unpack(_HEARTBEAT_FRAME.data),
         _HEARTBEAT_FRAME.id,
         _HEARTBEAT_FRAME.data,

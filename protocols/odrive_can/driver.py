@@ -1,284 +1,268 @@
-"""The driver: the host's end of CANSimple, for all ODrives of one bus, of firmware 0.5.x and 0.6.x side by
-side.
+"""The host's end of CANSimple, for all ODrives of one bus, of firmware 0.5.x and 0.6.x side by side.
 
-Rules. No clock, no bus: time and frames are arguments, what is to be sent is returned. `receive` never raises
-and learns nothing from a host's frames (ours or another's). `HostAxis` holds what is known of one device,
-`OdriveRequest` a request under way; this file dispatches the frames.
+Rules. Only remote frames go to a device that was never commanded, or whose firmware line is not known. The
+arming sequence is mode → set-point that does not move the shaft → Set_Axis_State 8 → wait for a heartbeat in
+state 8; set-points are sent only while heartbeats report closed loop. What CANSimple does not confirm counts
+as sent once a heartbeat shows that the device is alive, and its Done states that.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 from protocols import messages as msg
-from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import SECOND, Command, Event, Nanos, Request
-from protocols.odrive_can import messages as m
-from protocols.odrive_can import requests
-from protocols.odrive_can.codec import (
-    BROADCAST,
-    EXTENDED,
-    MAX_EXTENDED_NODE,
-    TABLES,
-    cmd_of,
-    decode_from_device,
-    encode,
-    node_of,
-    remote_frame,
-)
-from protocols.odrive_can.dialect import status_of
-from protocols.odrive_can.duplicate_address import duplicate_events
-from protocols.odrive_can.host_axis import HostAxis
-from protocols.odrive_can.requests import DISCOVERY, OdriveRequest
-from protocols.plugin import Device, Range, RxCounters
-from protocols.toolkit.requests import RejectionFilter, RequestQueue, out_of_range, refusal, subject
+from protocols.frames import EXTENDED_BIT, CanFrame, Frame
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Request
+from protocols.odrive_can import errors, requests, table
+from protocols.odrive_can.axis import Axis
+from protocols.odrive_can.line import NO_DISCOVERY
+from protocols.odrive_can.options import Options
+from protocols.odrive_can.table import AxisState, ControlMode, InputMode
+from protocols.plugin import Device
+from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.duplicates import IDENTIFY_PERIOD
+from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.table import Decoded
 
-PROTOCOL = "odrive_can"
-NO_IMPEDANCE = "the device has no impedance control"
-DISCOVERY_PERIOD = 5 * SECOND
-"""Period in which the serial numbers of all devices are requested, to notice a duplicate node id."""
+OdriveHost: TypeAlias = Host[Axis]
+OdriveDriver: TypeAlias = MotorDriver[Axis]
+OdriveReport: TypeAlias = Report[Axis]
 
 
-class OdriveDriver:
-    """All ODrives of one bus. Plain data."""
+class OdriveAdapter(Adapter[Axis]):
+    """What ODrives are sent, and what they report."""
 
-    def __init__(self, devices: Sequence[Device], ranges: dict[str, Range]) -> None:
-        self.counters = RxCounters()
-        axes = [HostAxis(device.name, device.address, device.options) for device in devices]
-        self.axes = {axis.node: axis for axis in axes}
-        self._by_name = {axis.name: axis for axis in self.axes.values()}
-        self._ranges = ranges
-        self._requests: RequestQueue[OdriveRequest] = RequestQueue()
-        self._rejections = RejectionFilter()
-        self._events: list[Event] = []
-        """Events from outside `send`, to be returned by the next one."""
-        self._serials: dict[int, dict[int, Nanos]] = {}
-        """Serial numbers by node id, and when each was received."""
-        self._duplicates: set[int] = set()
-        """Nodes reported as duplicate, until their fault is cleared."""
-        self._written: dict[str, dict[str, float]] = {}
-        """Parameters written to each motor."""
-        self._next_discovery: Nanos = 0
+    name = "odrive_can"
+    faults = errors.FAULTS
+    duplicate = errors.DUPLICATE_NODE
+    needs_idle = (msg.Zero, msg.Reboot)
+    zero_tolerance = 0.05 * math.tau
+    set_id_detail = f"not saved yet: write {requests.SAVE} 1 to keep it after power-off"
+    unaddressed = table.BROADCAST
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self._names = {_node(device): device.name for device in devices}
         # An axis of 0.5.x would take a remote frame of Address for Set_Axis_Node_ID, were its node id 63.
-        self._discovery = any(axis.options.firmware != "0.5" for axis in axes)
+        discovers = any(device.options.firmware != "0.5" for device in devices)
+        self._discovery = (table.DISCOVERY,) if discovers else ()
+        self._next_discovery: Nanos = 0 if discovers else NEVER
 
-    # -- received frames ----------------------------------------------------------------------
+    def own(self, device: Device) -> Axis:
+        return Axis(device.address, device.options)
 
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """Decode a frame; [] for foreign frames."""
-        if not isinstance(frame, CanFrame) or frame.fd or frame.remote or not frame.data:
-            self.counters.ignored += 1
-            return []
-        node = node_of(frame)
-        axis = self.axes.get(node)
-        line = axis.identity.decoded_as if axis is not None else ""
-        row = TABLES[line].from_device.get(frame.id & 0x1F)
-        if row is None or not (axis is not None or row.message is m.Address):
-            self.counters.ignored += 1
-            self._on_unknown_node(t, node, frame)
-            return []
-        if row.message is m.Address and frame.data[0] != node:
-            # A node id assigned by a host differs in its first byte from the reply of a device without one.
-            self.counters.ignored += 1
-            return []
-        message = decode_from_device(frame, line)
-        if message is None:
-            self.counters.malformed += 1
-            return []
-        if isinstance(message, m.UnidentifiedHeartbeat) and axis is not None:
-            line = axis.identity.on_unidentified_heartbeat(message)
-            message = decode_from_device(frame, line) or message
-        self.counters.accepted += 1
-        if isinstance(message, m.Address):
-            return self._on_address(t, message)
-        return self._on_message(t, axis, message) if axis is not None else []
+    def timing(self, options: Options) -> Timing:
+        return Timing(options.offline_ms * MILLISECOND, release=50 * MILLISECOND)
 
-    def _on_message(self, t: Nanos, axis: HostAxis, message: m.Message) -> list[Event]:
-        events = axis.on_message(t, message)
-        if axis.two_positions or (status_of(message) is not None and axis.alternating()):
-            signal = "positions" if axis.two_positions else "heartbeats"
-            events += self._on_contradiction(t, axis, f"its {signal} contradict each other in turn")
-        for pending in self._requests:
-            ended = requests.on_message(pending, t, message) if pending.axis is axis else []
-            if ended:
-                self._requests.end(pending)
-                events += ended
-        return events
+    # -- received -------------------------------------------------------------------------------------
 
-    def _on_contradiction(self, t: Nanos, axis: HostAxis, cause: str) -> list[Event]:
-        if axis.node in self._duplicates:
-            return []
-        self._duplicates.add(axis.node)
-        self._next_discovery = t
-        return duplicate_events(t, PROTOCOL, axis.node, axis.name, cause)
+    def receive(self, t: Nanos, frame: Frame, driver: OdriveDriver) -> Sequence[OdriveReport | Rx]:
+        if not isinstance(frame, CanFrame) or frame.remote or not frame.data:
+            return (Rx.IGNORED,)
+        number = frame.id | EXTENDED_BIT if frame.extended else frame.id
+        name = self._names.get(number >> table.CMD_BITS)
+        if name is None:
+            return (self._on_stranger(t, frame, driver),)
+        host = driver.hosts[name]
+        decoded = host.own.identity.table.decode(frame, "from_device")
+        if decoded is None:
+            return (Rx.IGNORED,)
+        if not decoded.name:
+            return (Rx.MALFORMED,)
+        return (self._report(t, host, frame, decoded, driver),)
 
-    def _on_unknown_node(self, t: Nanos, node: int, frame: CanFrame) -> None:
-        """During a scan a heartbeat of an unknown node counts as found: 0.5.x answers no discovery."""
-        if frame.id & 0x1F != cmd_of(m.UnidentifiedHeartbeat) or decode_from_device(frame, "") is None:
-            return
-        for pending in self._requests:
-            if isinstance(pending.request, msg.Scan):
-                pending.found.setdefault((node, None), f"heartbeat received {t}")
+    def _report(
+        self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded, driver: OdriveDriver
+    ) -> OdriveReport | Rx:
+        axis, address, values = host.own, host.address, decoded.values
+        feedback, faults = None, None
+        match decoded.name:
+            case "Get_Encoder_Estimates":
+                position, velocity = values["Pos_Estimate"], values["Vel_Estimate"]
+                twice = self._twice(t, host, driver, axis.on_estimates(t, position, velocity))
+                feedback = Feedback(host.name, t, position * math.tau, velocity * math.tau)
+                return Report(host, address, feedback=feedback, duplicate=twice, content=decoded)
+            case "Heartbeat":
+                return self._on_heartbeat(t, host, frame, decoded, driver)
+            case "Get_Iq":
+                feedback = Feedback(host.name, t, current=values["Iq_Measured"])
+            case "Get_Torques":
+                feedback = Feedback(host.name, t, torque=values["Torque_Estimate"])
+            case "Get_Temperature":
+                known = [value for value in values.values() if value is not None]
+                feedback = Feedback(host.name, t, temperature=max(known)) if known else None
+            case "Get_Bus_Voltage_Current":
+                feedback = Feedback(host.name, t, voltage=values["Bus_Voltage"])
+                axis.on_supply()
+            case "Get_Version":
+                axis.on_version(t, values)
+            case "Address reply":
+                # A node id that a host assigns differs from the node that it is assigned on.
+                if values["Node_ID"] != address:
+                    return Rx.IGNORED
+                axis.identity.on_discovery_reply()
+                serial, note = values["Serial_Number"], axis.identity.text()
+                return Report(host, address, serial=serial, note=note, content=decoded)
+            case "Get_Error":
+                faults = axis.on_errors(values["Active_Errors"], values["Disarm_Reason"])
+            case "Get_Motor_Error" | "Get_Encoder_Error" | "Get_Controller_Error" | "Get_Sensorless_Error":
+                faults = axis.on_word(decoded.name, *values.values())
+        axis.on_polled(t, decoded.name)
+        if axis.identity.wrong:
+            return Report(host, address, Mode.FAULT, axis.detail(), axis.codes(), feedback, content=decoded)
+        return Report(host, address, faults=faults, feedback=feedback, content=decoded)
 
-    def _on_address(self, t: Nanos, message: m.Address) -> list[Event]:
-        """Handle a reply to discovery. A serial number counts for two rounds, at its latest node id."""
-        for node, serials in self._serials.items():
-            if node != message.node:
-                serials.pop(message.serial, None)
-        known = self._serials.get(message.node, {})
-        current = {serial: at for serial, at in known.items() if t - at <= 2 * DISCOVERY_PERIOD}
-        current |= {message.serial: t}
-        self._serials[message.node] = current
-        axis = self.axes.get(message.node)
-        if axis is not None:
-            axis.received_at = t
-            axis.identity.on_discovery_reply()
-        events: list[Event] = []
-        if len(current) > 1 and message.node != BROADCAST and message.node not in self._duplicates:
-            self._duplicates.add(message.node)
-            holders = " and ".join(f"{serial:012X}" for serial in sorted(current))
-            cause, motor = f"serial numbers {holders} answer to it", axis.name if axis is not None else ""
-            events += duplicate_events(t, PROTOCOL, message.node, motor, cause, sorted(current))
-        for pending in self._requests:
-            if isinstance(pending.request, msg.Scan):
-                events += self._on_found(t, pending, message)
-            elif isinstance(pending.request, msg.SetId) and (message.serial, message.node) == (
-                pending.request.serial,
-                pending.request.address,
-            ):
-                self._requests.end(pending)
-                detail = f"not saved yet: write {requests.SAVE} 1 to keep it after power-off"
-                events.append(pending.done(t, detail))
-        return events
+    def _on_heartbeat(
+        self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded, driver: OdriveDriver
+    ) -> OdriveReport:
+        axis = host.own
+        if not axis.identity.dialect.line:
+            axis.identity.on_heartbeat(decoded.values)
+            better = axis.identity.table.decode(frame, "from_device")
+            decoded = better if better is not None and better.name else decoded
+        if axis.starts(decoded.values):
+            host.forget(t)
+            axis.forget(t)
+        # After a state request the last heartbeat may be from before it: what it obeyed is no fall.
+        closed_loop = decoded.values["Axis_State"] == AxisState.CLOSED_LOOP_CONTROL
+        fell = host.phase is Phase.ARMED and not closed_loop and axis.heartbeat_at > axis.requested_at
+        twice = axis.on_heartbeat(t, decoded.values, fell, releasing=host.phase is Phase.RELEASING)
+        twice = self._twice(t, host, driver, twice)
+        mode, detail, codes = axis.mode(), axis.detail(fell), axis.codes()
+        return Report(host, host.address, mode, detail, codes, duplicate=twice, content=decoded)
 
-    def _on_found(self, t: Nanos, pending: OdriveRequest, message: m.Address) -> list[Event]:
-        key = (message.node, message.serial)
-        if key in pending.found:
-            return []
-        axis = self.axes.get(message.node)
-        detail = "has no node id yet" if message.node == BROADCAST else ""
-        if axis is not None:
-            detail = f"{axis.name}, {axis.identity.text()}"
-        pending.found[key] = detail
-        return [msg.Found(t, PROTOCOL, message.node, message.serial, detail)]
+    def _twice(self, t: Nanos, host: OdriveHost, driver: OdriveDriver, cause: str) -> str:
+        """Ask for serial numbers at once where there must be two devices; return the cause."""
+        if cause and host.address not in driver.serials.reported:
+            self._next_discovery = t
+        return cause
 
-    # -- the bus ------------------------------------------------------------------------------
+    def _on_stranger(self, t: Nanos, frame: CanFrame, driver: OdriveDriver) -> OdriveReport | Rx:
+        """Return what a frame reports of a device that is not in the robot file."""
+        decoded = table.table_of("", frame.extended).decode(frame, "from_device")
+        if decoded is None or not decoded.name:
+            return Rx.IGNORED
+        if decoded.name == "Address reply":
+            if frame.extended or decoded.values["Node_ID"] != decoded.address:
+                return Rx.IGNORED
+            note = "has no node id yet" if decoded.address == table.BROADCAST else ""
+            return Report(None, decoded.address, serial=decoded.values["Serial_Number"], note=note)
+        if decoded.name == "Heartbeat":  # a scan finds it at its end: 0.5.x answers no discovery
+            note = NO_DISCOVERY + ", extended identifiers" * frame.extended
+            for pending in driver.queue:
+                if isinstance(pending.request, msg.Scan):
+                    pending.notes.update({str(frame.id): Report(None, decoded.address, note=note)})
+        return Rx.IGNORED
 
-    def bus(self, t: Nanos, state: BusState) -> None:
-        """Forget which devices are armed if frames were lost or devices may have restarted."""
-        if state is BusState.FULL:
-            for axis in self.axes.values():
-                axis.resend()
-        if state not in (BusState.GONE, BusState.OFF, BusState.BACK):
-            return
-        for axis in self.axes.values():
-            axis.forget()
-        self._next_discovery = t
-        if state is not BusState.BACK:
-            self._events += self._requests.refuse_all(t, f"the bus is {state}")
+    def heard(self, pending: Pending[Axis], driver: OdriveDriver) -> Sequence[OdriveReport]:
+        online = [host for host in driver.hosts.values() if host.received_at is not None and not host.offline]
+        known = [Report(host, host.address, note=host.own.identity.found()) for host in online]
+        return [*known, *pending.notes.values()]
 
-    # -- sent frames --------------------------------------------------------------------------
+    # -- sent -----------------------------------------------------------------------------------------
 
-    def send(
-        self, now: Nanos, messages: Sequence[Command | Request]
-    ) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Encode, in this order: requests new and repeated, commands, and the polling that is due."""
-        events, self._events = self._events, []
-        frames: list[Frame] = []
-        for message in messages:
-            if isinstance(message, msg.Stop):
-                for axis in self.axes.values():
-                    axis.owned = True
-            elif not isinstance(message, Command):
-                events += self._requests.add(self._begin(now, message))
-        frames += self._send_requests(now, events)
-        for message in messages:
-            if isinstance(message, Command):
-                frames += self._send_command(now, message, events)
-        for axis in self.axes.values():
-            reported, cmds = axis.poll(now)
-            events += reported
-            frames += [remote_frame(axis.node, cmd) for cmd in cmds]
-        if now >= self._next_discovery:
-            self._next_discovery = now + DISCOVERY_PERIOD
-            frames += [DISCOVERY] if self._discovery else []
-        return events, frames
+    def refuse(self, host: OdriveHost, command: Command) -> str:
+        return "the device has no impedance control" if isinstance(command, msg.Impedance) else ""
 
-    def _send_command(self, now: Nanos, command: Command, events: list[Event]) -> list[Frame]:
-        axis = self._by_name.get(command.motor)
-        reason = "no such motor on this bus"
-        if axis is not None:
-            impedance = isinstance(command, msg.Impedance)
-            reason = NO_IMPEDANCE if impedance else out_of_range(command, self._ranges)
-        events += self._rejections.filter(now, command, reason)
-        if axis is None or reason:
-            return []
-        return [encode(axis.node, message) for message in axis.on_command(now, command)]
+    def ready(self, host: OdriveHost) -> bool:
+        return host.own.commandable
 
-    def _begin(self, now: Nanos, request: Request) -> OdriveRequest | msg.Refused:
-        if full := self._requests.full():
-            return refusal(now, request, full)
+    def arm(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
+        axis, name = host.own, host.name
+        mode, _ = self._set_point(host, command)
+        still: dict[ControlMode, Command] = {
+            ControlMode.VELOCITY: msg.Velocity(name, 0.0),
+            ControlMode.TORQUE: msg.Torque(name, 0.0),
+            ControlMode.POSITION: msg.Position(name, host.position or 0.0),
+        }
+        frames = [axis.encode("Set_Controller_Mode", **_mode(mode))] if axis.set_mode(mode) else []
+        frames.append(self._set_point(host, still[mode])[1])
+        if axis.attempt(now):
+            frames.append(axis.encode("Set_Axis_State", Axis_Requested_State=AxisState.CLOSED_LOOP_CONTROL))
+        return frames
+
+    def command(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
+        mode, frame = self._set_point(host, command)
+        if not host.own.set_mode(mode):
+            return (frame,)
+        # The set-point is sent before the mode changes, so that no stale input is obeyed in between;
+        # and after it, since entering position control may replace the input by the present position.
+        return (frame, host.own.encode("Set_Controller_Mode", **_mode(mode)), frame)
+
+    def release(self, now: Nanos, host: OdriveHost) -> Sequence[Frame]:
+        host.own.release(now)
+        return (host.own.encode("Set_Axis_State", Axis_Requested_State=AxisState.IDLE),)
+
+    def _set_point(self, host: OdriveHost, command: Command) -> tuple[ControlMode, CanFrame]:
+        encode = host.own.encode
+        match command:
+            case msg.Velocity(_, velocity, torque):
+                frame = encode("Set_Input_Vel", Input_Vel=velocity / math.tau, Input_Torque_FF=torque)
+                return ControlMode.VELOCITY, frame
+            case msg.Torque(_, torque):
+                return ControlMode.TORQUE, encode("Set_Input_Torque", Input_Torque=torque)
+            case msg.Position(_, position, velocity, torque):
+                turns = {"Input_Pos": position / math.tau, "Vel_FF": velocity / math.tau}
+                return ControlMode.POSITION, encode("Set_Input_Pos", **turns, Torque_FF=torque)
+        return self._set_point(host, msg.Position(host.name, host.held or 0.0))
+
+    # -- by itself ------------------------------------------------------------------------------------
+
+    def poll(self, now: Nanos, host: OdriveHost) -> tuple[Sequence[Event], Sequence[Frame]]:
+        axis = host.own
+        if now < axis.due and now < axis.polls_due:
+            return (), ()
+        return (), [axis.requests[name] for name in axis.plan(now)]
+
+    def poll_due(self, host: OdriveHost) -> Nanos:
+        return host.own.due
+
+    def poll_bus(self, now: Nanos) -> Sequence[Frame]:
+        if now < self._next_discovery or not self._discovery:
+            return ()
+        self._next_discovery = now + IDENTIFY_PERIOD
+        return self._discovery
+
+    def poll_bus_due(self) -> Nanos:
+        return self._next_discovery if self._discovery else NEVER
+
+    def forget(self, now: Nanos, host: OdriveHost) -> None:
+        host.own.forget(now)
+
+    def resend(self, host: OdriveHost) -> None:
+        host.own.resend()
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def begin(
+        self, now: Nanos, request: Request, host: OdriveHost | None, driver: OdriveDriver
+    ) -> Pending[Axis] | str:
         if isinstance(request, msg.Scan):
-            return requests.begin_scan(now, request, self._discovery)
+            return requests.for_all(now, request, requests.SCAN, *self._discovery)
         if isinstance(request, msg.SetId):
             if self._discovery:
-                return requests.begin_set_id(now, request, list(self.axes.values()), self._serials)
-            reason = "firmware 0.5.x reports no serial numbers over CAN"
-            return refusal(now, request, f"{reason}: set the node id with the vendor's tool")
-        axis = self._by_name.get(subject(request))
-        if axis is None:
-            return refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
-        if isinstance(request, msg.ClearFault):
-            self._duplicates.discard(axis.node)
-        running = self._running_beside(axis)
-        if isinstance(request, msg.Reboot) and axis.dialect.boards and running:
-            reason = f"it restarts its whole board, and {running}, which is armed, may be on it"
-            return refusal(now, request, f"{reason}: command idle first")
-        return requests.begin(now, request, axis, self._written.setdefault(axis.name, {}))
+                return requests.begin_set_id(now, request, driver)
+            return "firmware 0.5.x reports no serial numbers over CAN: set the node id with the vendor's tool"
+        return requests.begin(now, request, host, driver) if host is not None else "no such motor"
 
-    def _running_beside(self, axis: HostAxis) -> str:
-        """Return another device that is armed and of a firmware whose boards have two axes; or ""."""
-        for other in self.axes.values():
-            armed = other.owned or other.armed or other.state == m.AxisState.CLOSED_LOOP_CONTROL
-            if other is not axis and other.dialect.boards and armed:
-                return other.name
-        return ""
+    def frames(self, now: Nanos, pending: Pending[Axis]) -> Sequence[Frame]:
+        return requests.frames_of(pending)
 
-    def _send_requests(self, now: Nanos, events: list[Event]) -> list[Frame]:
-        outgoing: list[Frame] = []
-        for pending in self._requests.expired(now):
-            scan = isinstance(pending.request, msg.Scan)
-            events += self._end_scan(now, pending) if scan else [requests.expire(pending, now)]
-        for pending in self._requests:
-            if now >= pending.next:
-                frames = requests.frames_of(pending)
-                pending.next = now + pending.retry_period
-                pending.frames_sent += len(frames)
-                outgoing += frames
-        return outgoing
+    def answer(self, t: Nanos, pending: Pending[Axis], report: OdriveReport) -> Event | None:
+        if isinstance(pending.request, msg.Zero) or pending.host is None:
+            return self.usual_answer(t, pending, report)
+        return requests.answer(t, pending, pending.host.own, report.content)
 
-    def _end_scan(self, now: Nanos, pending: OdriveRequest) -> list[Event]:
-        """Report the devices that are online and did not answer discovery."""
-        answered = [node for node, serial in pending.found if serial is not None]
-        silent = {node for node, serial in pending.found if serial is None}
-        silent |= {
-            node for node, axis in self.axes.items() if axis.received_at is not None and not axis.offline
-        }
-        events: list[Event] = [
-            msg.Found(now, PROTOCOL, node & MAX_EXTENDED_NODE, None, self._without_reply(node))
-            for node in sorted(silent - set(answered))
-        ]
-        return [*events, pending.done(now, f"{len(answered) + len(events)} devices")]
+    def give_up(self, now: Nanos, pending: Pending[Axis]) -> str:
+        return requests.give_up(pending) or super().give_up(now, pending)
 
-    def _without_reply(self, node: int) -> str:
-        """Return what is known of a node that did not answer discovery."""
-        axis = self.axes.get(node)
-        if axis is not None and axis.identity.line:
-            return f"{axis.name}, {axis.identity.text()}"
-        ids = ", extended identifiers" if node >= EXTENDED else ""
-        return f"sends heartbeats, but did not answer discovery: firmware 0.5.x?{ids}"
 
-    def due(self) -> Nanos | None:
-        """Return when `send` must next be called without a message."""
-        times = [axis.due() for axis in self.axes.values()]
-        return min([*times, *self._requests.due(), self._next_discovery])
+def _mode(mode: ControlMode) -> dict[str, int]:
+    return {"Control_Mode": mode, "Input_Mode": InputMode.PASSTHROUGH}
+
+
+def _node(device: Device) -> int:
+    """Return the bits of a device's identifiers that are not the message's number."""
+    marked: int = device.address | device.options.is_extended * EXTENDED_BIT >> table.CMD_BITS
+    return marked

@@ -1,211 +1,546 @@
-"""The twin: what an ODrive of either firmware line does alike (README, "The twin of 0.6").
+"""The device's end: what an axis obeys, and its firmware (README, "The twin of 0.6", "The twin of 0.5").
 
-Rules. The decoder's `Axis` decides what is obeyed, `Servo` what the motor then does; `twin06` and `twin05`
-are the firmware: arming, errors, watchdog, reported values. Here is the rest: cyclic messages, replies, gains
-and the silence during a reboot. A device replies at the step after a request. Time is an argument; the phases
-of cyclic messages come from the seed.
+Rules. `Memory` is what one device keeps of the frames it received; command decoder and firmware run on the
+same object, so they cannot disagree on what is obeyed. A frame that changes nothing gives no command: a
+set-point to a disarmed axis is kept and takes effect when the axis arms. Broadcasts reach every device of
+0.6.x for Reboot, Clear_Errors and Address, as in odriverobotics/ODriveResources@06dc846
+`examples/can_enumerate.py`; in 0.5.x both axes of a board obey Reboot and Clear_Errors to either
+(odriverobotics/ODrive@f9b5419 `communication/can/can_simple.cpp`). One twin is one axis; the sources of each
+behaviour are in the README.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, SECOND, Event, Feedback, Nanos, Torque, seconds
-from protocols.odrive_can import messages as m
-from protocols.odrive_can.codec import BROADCAST, cmd_of, decode_to_device, encode, node_of, turns
-from protocols.odrive_can.decoder import Axis, axis_of
-from protocols.odrive_can.faults import Error
-from protocols.odrive_can.options import Settings
-from protocols.odrive_can.servo import Gains, Servo, gains_of
+from protocols.messages import SECOND, Nanos, Obeyed
+from protocols.odrive_can import errors
+from protocols.odrive_can.options import Settings, firmware_of, line_of, serial_of
+from protocols.odrive_can.servo import GAINS, Gains, Servo, gains_of
+from protocols.odrive_can.table import (
+    BROADCAST,
+    CMD_BITS,
+    ERASE,
+    MAX_EXTENDED_NODE,
+    SAVE,
+    WRITABLE,
+    AxisState,
+    ControlMode,
+    InputMode,
+    table_of,
+)
 from protocols.plugin import Device
+from protocols.toolkit.firmware import NEVER, Firmware, milliseconds
+from protocols.toolkit.table import Decoded, Values
 
-NEVER: Nanos = 1 << 62
+BROADCASTS = ("Reboot", "Clear_Errors")
+"""What a device of 0.6.x obeys on the broadcast node, beside assignments of node ids."""
+BOARD = ("Reboot (0.5.x)", "Clear_Errors (0.5.x)")
+"""What an axis of 0.5.x obeys on the node of the other axis on its board."""
 
-Reports = Mapping[int, Callable[[Any], m.Message | None]]
-"""By command: the message of a twin as it is now; None if there is none."""
-COMMON_REPORTS: Reports = {
-    cmd_of(m.GetEncoderEstimates): lambda twin: m.GetEncoderEstimates(
-        twin.servo.position, twin.servo.velocity
-    ),
-    cmd_of(m.GetIq): lambda twin: m.GetIq(twin.servo.iq_setpoint, twin.servo.iq),
-    cmd_of(m.GetBusVoltageCurrent): lambda twin: m.GetBusVoltageCurrent(
-        twin.servo.bus_voltage, twin.servo.bus_current
-    ),
+
+def obeyed_as(decoded: Decoded) -> Decoded:
+    """Return a message as it is obeyed: a remote frame (0.5.x) as if its data were zeros."""
+    if not decoded.name.startswith("remote "):
+        return decoded
+    name = decoded.name.removeprefix("remote ")
+    return Decoded(name, decoded.address, table_of("0.5").read(name, bytes(8)) or {})
+
+
+@dataclass(slots=True)
+class Memory:
+    """What one axis keeps of the frames that it received. Turns, turns/s, N·m. It knows neither errors nor
+    calibration, so it assumes that a request for closed loop succeeds."""
+
+    motor: str
+    line: str
+    """Firmware line."""
+    node: int
+    other: int
+    """The other axis on its board; −1: none."""
+    serial: int
+    control_mode: int
+    input_mode: int
+    armed: bool = False
+    position: float | None = None
+    """None: where the shaft was when the axis armed or entered position control."""
+    velocity: float = 0.0
+    torque: float = 0.0
+
+    def command(self) -> Sequence[msg.Command]:
+        """Return the command that mode and inputs amount to now."""
+        if not self.armed or self.input_mode == InputMode.INACTIVE:
+            return ()
+        if self.control_mode == ControlMode.TORQUE:
+            return (msg.Torque(self.motor, self.torque),)
+        if self.control_mode == ControlMode.VELOCITY:
+            return (msg.Velocity(self.motor, self.velocity * math.tau, self.torque),)
+        if self.control_mode != ControlMode.POSITION:
+            return ()
+        if self.position is None:
+            return (msg.Hold(self.motor),)
+        return (msg.Position(self.motor, self.position * math.tau, self.velocity * math.tau, self.torque),)
+
+    def addressed(self, decoded: Decoded) -> bool:
+        """True if a message is for this axis."""
+        if decoded.address == self.node:
+            return True
+        if decoded.address == BROADCAST and self.line == "0.6":
+            return decoded.name in BROADCASTS
+        return decoded.address == self.other and decoded.name in BOARD
+
+    def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
+        """Apply a message to any address; return what the axis then does."""
+        name, values = decoded.name, decoded.values
+        if name == "Address":
+            return self._assign(values["Node_ID"], values["Serial_Number"])
+        if name.startswith("remote "):
+            return self.obey(obeyed_as(decoded))
+        if name == "Set_Axis_Node_ID" and decoded.address == self.other:
+            self.other = values["Axis_Node_ID"] & MAX_EXTENDED_NODE
+        if not self.addressed(decoded):
+            return ()
+        motor = self.motor
+        match name:
+            case "Set_Input_Pos":
+                self.position, self.velocity, self.torque = values.values()
+                return self.command()
+            case "Set_Input_Vel":
+                self.velocity, self.torque = values.values()
+                return self.command()
+            case "Set_Input_Torque":
+                self.torque = values["Input_Torque"]
+                return self.command()
+            case "Set_Controller_Mode":
+                return self._set_mode(values["Control_Mode"], values["Input_Mode"])
+            case "Set_Axis_State":
+                return self.set_state(values["Axis_Requested_State"])
+            case "Estop":
+                self.disarm()
+                return (msg.Estop(motor),)
+            case "Reboot" | "Reboot (0.5.x)" | "Enter_DFU_Mode":
+                self.disarm()
+                return (msg.Reboot(motor),)
+            case "Clear_Errors" | "Clear_Errors (0.5.x)":
+                return (msg.ClearFault(motor),)
+            case "Set_Axis_Node_ID":
+                self.node = values["Axis_Node_ID"] & MAX_EXTENDED_NODE
+                return (msg.SetId("", self.serial, values["Axis_Node_ID"]),)
+            case "Set_Absolute_Position":
+                position = values["Position"]
+                return (
+                    msg.WriteParameter(motor, "Position", position * math.tau)
+                    if position
+                    else msg.Zero(motor),
+                )
+            case "Set_Linear_Count":
+                count = values["Position"]
+                return (
+                    msg.WriteParameter(motor, "Linear_Count", float(count)) if count else msg.Zero(motor),
+                )
+            case "Start_Anticogging":  # a procedure of the device that turns the shaft
+                return (msg.Home(motor),)
+            case "RxSdo" if values["Opcode"] == 1:
+                return (
+                    msg.WriteParameter(motor, f"endpoint {values['Endpoint_ID']}", float(values["Value"])),
+                )
+        return tuple(msg.WriteParameter(motor, key, values[key]) for key in WRITABLE.get(name, ()))
+
+    def disarm(self) -> None:
+        """Leave closed loop."""
+        self.armed = False
+
+    def set_state(self, state: int) -> Sequence[Obeyed]:
+        """Apply a requested state; 0 is no request at all (ODrive@f9b5419 `MotorControl/axis.cpp`)."""
+        if state == AxisState.UNDEFINED:
+            return ()
+        if state != AxisState.CLOSED_LOOP_CONTROL:
+            self.disarm()
+            return (msg.Home(self.motor),) if state == AxisState.HOMING else (msg.Idle(self.motor),)
+        if not self.armed or self.line == "0.5":  # 0.5.x leaves closed loop and enters it again
+            # On arming in position control the firmware takes the present position as its input
+            # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
+            self.position = None
+            self.armed = True
+        return (msg.Arm(self.motor), *self.command())
+
+    def _set_mode(self, control_mode: int, input_mode: int) -> Sequence[Obeyed]:
+        if control_mode == ControlMode.POSITION and self.control_mode != ControlMode.POSITION:
+            self.position = None
+        self.control_mode, self.input_mode = control_mode, input_mode
+        return self.command()
+
+    def _assign(self, node: int, serial: int) -> Sequence[Obeyed]:
+        """Apply an assignment: take the node id, or vacate it if another gets it."""
+        if node > BROADCAST or self.line != "0.6":
+            return ()
+        if serial == self.serial:
+            self.node = node
+        elif node == self.node != BROADCAST:
+            self.node = BROADCAST
+        else:
+            return ()
+        return (msg.SetId("", self.serial, self.node),)
+
+
+def memory(device: Device, node: int | None = None) -> Memory:
+    """Return the memory of a device after power-on. `node`: as saved, if not as configured."""
+    settings: Settings = device.settings
+    at = device.address if node is None else node
+    serial, modes = serial_of(settings, device.address), (settings.control_mode, settings.input_mode)
+    return Memory(device.name, line_of(device), at, settings.other_axis, serial, *modes)
+
+
+CYCLIC = {
+    "Get_Version": "version_msg_rate_ms",
+    "Heartbeat": "heartbeat_msg_rate_ms",
+    "Get_Encoder_Estimates": "encoder_msg_rate_ms",
+    "Get_Motor_Error": "motor_error_rate_ms",
+    "Get_Encoder_Error": "encoder_error_rate_ms",
+    "Get_Controller_Error": "controller_error_rate_ms",
+    "Get_Sensorless_Error": "sensorless_error_rate_ms",
+    "Get_Encoder_Count": "encoder_count_rate_ms",
+    "Get_Iq": "iq_msg_rate_ms",
+    "Get_Sensorless_Estimates": "sensorless_rate_ms",
+    "Get_Error": "error_msg_rate_ms",
+    "Get_Temperature": "temperature_msg_rate_ms",
+    "Get_Bus_Voltage_Current": "bus_voltage_msg_rate_ms",
+    "Get_Torques": "torques_msg_rate_ms",
 }
+"""The cyclic messages of both lines, and the settings that hold their periods."""
+FEEDS = ("Set_Input_Pos", "Set_Input_Vel", "Set_Input_Torque", "Set_Axis_State")
+"""What feeds the watchdog of 0.6.x (odriverobotics/ODriveResources@fdb25dd `examples/can_watchdog.py`)."""
+GPIO_COUNT = 17
 
 
-class OdriveTwin:
-    """One axis. Its state is plain data. What the firmware lines do differently, they override."""
+class OdriveTwin(Firmware):
+    """One axis: what the firmware lines do alike."""
 
-    watchdog_needs_arming: bool
-    """Whether the watchdog runs in closed loop only."""
-    cyclic: ClassVar[Mapping[type[m.Message], str]]
-    """The cyclic messages, and the settings that hold their periods [ms], in the order of sending."""
-    reports: ClassVar[Reports]
+    raised: Mapping[str, int]
+    """The codes of errors by their names in 0.6.x."""
 
     def __init__(self, device: Device, seed: int) -> None:
-        settings: Settings = device.settings
-        self.device = device
-        self.settings = settings
-        self.axis: Axis = axis_of(device)
-        self.servo = Servo(settings)
-        self.silent_until: Nanos = 0
-        """The boot loader runs until then."""
-        self._fed: Nanos = 0
-        """When the watchdog was last fed."""
-        self._now: Nanos | None = None
-        self._shaft = (0.0, 0.0)
-        """Position [rad] and velocity [rad/s] in the world."""
-        self._replies: list[CanFrame] = []
-        self._phase = (seed * 7919 + self.axis.serial * 31) % 1000
-        self._next: dict[int, Nanos] = {}
-        """When each cyclic message is due."""
-        periods = {cmd_of(kind): getattr(settings, name) for kind, name in self.cyclic.items()}
-        self._periods: dict[int, Nanos] = {cmd: ms * MILLISECOND for cmd, ms in periods.items() if ms}
+        super().__init__(device, seed)
+        self.memory = memory(device)
+        self.table = table_of(self.memory.line, device.options.is_extended)
+        self.servo = Servo(device.settings, gains_of(device.settings))
+        self.words: dict[int, int] = {}
+        """Error bits by the base of their word."""
+        sent = {row.name for row in self.table.rows if row.direction == "from_device"}
+        periods = {name: getattr(self.settings, key) for name, key in CYCLIC.items() if name in sent}
+        self._periods = {name: milliseconds(period) for name, period in periods.items() if period}
 
-    # -- the firmware's own ---------------------------------------------------------------------
+    # -- the firmware's own ---------------------------------------------------------------------------
 
-    def on_message(self, t: Nanos, node: int, message: m.Message) -> None:
-        """Handle a message to any node."""
+    def request_state(self, t: Nanos, state: int) -> None:
+        """Do what a request of a state does."""
         raise NotImplementedError
 
-    def trip(self, errors: Error) -> None:
-        """Raise errors (in the terms of 0.6.x); an armed axis disarms."""
+    def clear_errors(self) -> None:
+        """Do what Clear_Errors does."""
+        self.words.clear()
+
+    def reboot(self, t: Nanos, action: int) -> None:
+        """Restart the processor."""
         raise NotImplementedError
 
-    def provoke(self, code: int) -> None:
-        """Trip a fault. ValueError if this firmware line does not have it."""
+    def on_trip(self) -> None:
+        """Do what follows from an error."""
         raise NotImplementedError
 
-    def boot(self, now: Nanos) -> None:
-        """Run the part of a step that belongs to starting up."""
+    def heartbeat(self) -> Values:
+        """Return what a heartbeat has beside the state."""
+        raise NotImplementedError
 
-    def feed(self, t: Nanos, node: int) -> None:
-        """Note a frame to any node, whatever its content."""
+    # -- what both do ---------------------------------------------------------------------------------
 
-    # -- frames -------------------------------------------------------------------------------
+    def word(self, word: errors.Word) -> int:
+        """Return the bits of an error word."""
+        return self.words.get(word.base, 0)
 
-    def receive(self, t: Nanos, frame: Frame) -> None:
-        """Handle a received frame; a foreign one changes nothing."""
-        if not isinstance(frame, CanFrame) or frame.fd or t < self.silent_until:
+    def trip(self, code: int) -> None:
+        """Raise an error, which stays until Clear_Errors; the axis disarms."""
+        base = code >> errors.BASE_SHIFT << errors.BASE_SHIFT
+        self.words[base] = self.words.get(base, 0) | code - base
+        self.on_trip()
+
+    def on_timeout(self) -> None:
+        self.trip(self.raised["WATCHDOG_TIMER_EXPIRED"])
+
+    def watchdog(self) -> Nanos:
+        """Return the timeout as configured; 0: off."""
+        return round(self.settings.watchdog_timeout * SECOND) if self.settings.enable_watchdog else 0
+
+    def restart_with(self, t: Nanos, node: int, gains: Gains) -> None:
+        """Restart with the saved node id and gains: silent at first, and disarmed."""
+        self.restart(t, milliseconds(self.settings.reboot_ms))
+        self.memory = memory(self.device, node)
+        # An absolute encoder knows its position within one turn only.
+        self.servo = Servo(self.settings, gains_of(gains), math.floor(self.servo.encoder.shaft))
+        self.words.clear()
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        decoded = self.table.decode(frame, "to_device")
+        if decoded is None or not decoded.name:
             return
-        node = node_of(frame)
-        self.feed(t, node)
-        message = decode_to_device(frame, self.axis.line)
-        if isinstance(message, m.RemoteRequest):
-            self.on_request(node, message.cmd)
-        elif message is not None:
-            self.on_message(t, node, message)
+        requested = decoded.name.partition("request for ")[2]
+        if requested:
+            self.on_request(t, requested, decoded.address)
+        elif decoded.name == "Address" or not self.memory.addressed(decoded):
+            if self.memory.obey(decoded):
+                self.on_request(t, "Address", BROADCAST)
+        else:
+            self.on_message(t, obeyed_as(decoded))
 
-    def on_request(self, node: int, cmd: int) -> None:
-        """Handle a request of a message of any node."""
-        if node == self.axis.node:
-            self.reply(self.report(cmd))
+    def on_request(self, t: Nanos, name: str, address: int) -> None:
+        """Send a message that was requested of a node."""
+        frame = self.report(name) if address == self.memory.node else None
+        self.reply(t, *([] if frame is None else [frame]))
 
-    def report(self, cmd: int) -> m.Message | None:
-        """Return the message of a command as it is now; None if there is none."""
-        report = self.reports.get(cmd)
-        return report(self) if report is not None else None
+    def on_message(self, t: Nanos, decoded: Decoded) -> None:
+        """Obey a message to this axis."""
+        name, values, encoder = decoded.name, decoded.values, self.servo.encoder
+        match name.removesuffix(" (0.5.x)"):
+            case "Set_Axis_State":
+                return self.request_state(t, values["Axis_Requested_State"])
+            case "Reboot":
+                return self.reboot(t, values.get("Action", 0))
+            case "Estop":
+                self.trip(self.raised["ESTOP_REQUESTED"])
+            case "Clear_Errors":
+                self.clear_errors()
+            case "Enter_DFU_Mode":
+                self.silent_until = NEVER
+            case "Set_Absolute_Position":
+                encoder.set_position(values["Position"])
+            case "Set_Linear_Count":
+                encoder.set_position(values["Position"] / self.settings.encoder_cpr)
+            case "Ask_ADC_Voltage" if values["GPIO"] < GPIO_COUNT:
+                self.reply(t, self.table.encode("Get_ADC_Voltage", self.memory.node, ADC_Voltage=0.0))
+            case _ if name in GAINS:
+                self.servo.gains.set(name, [*values.values()], self.settings)
+        self.memory.obey(decoded)
+        return None
 
-    def reply(self, message: m.Message | None) -> None:
-        """Send a message at the next step."""
-        if message is not None:
-            self._replies.append(encode(self.axis.node, message))
+    def cyclic(self) -> Mapping[str, Nanos]:
+        return self._periods
 
-    def configure(self, message: m.Message) -> None:
-        """Set gains and limits, which is the same in both lines."""
-        gains = self.servo.gains
-        match message:
-            case m.SetLimits(velocity, current):
-                gains.vel_limit = abs(velocity)
-                gains.current_soft_max = min(abs(current), self.settings.current_hard_max)
-            case m.SetPosGain(gain):
-                gains.pos_gain = gain
-            case m.SetVelGains(gain, integrator):
-                gains.vel_gain, gains.vel_integrator_gain = gain, integrator
-            case m.SetTrajVelLimit(velocity):
-                gains.trap_vel_limit = abs(velocity)
-            case m.SetTrajAccelLimits(acceleration, deceleration):
-                gains.trap_accel_limit, gains.trap_decel_limit = abs(acceleration), abs(deceleration)
-            case m.SetTrajInertia(inertia):
-                gains.inertia = inertia
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        self.servo.encoder.measure(dt or 1.0, position / math.tau, velocity / math.tau)
+        for name in list(self.servo.cycle(dt, self.memory)) if dt else ():
+            self.trip(self.raised[name])
+        return self.servo.stage.torque if self.memory.armed else 0.0
 
-    def restart(self, t: Nanos, node: int, gains: Gains) -> None:
-        """Restart the processor with the saved node id and gains: silent at first, and disarmed."""
-        self.silent_until = t + self.settings.reboot_ms * MILLISECOND
-        serial = self.axis.serial
-        self.axis = axis_of(self.device)
-        self.axis.node, self.axis.serial = node, serial
-        whole_turns = math.floor(self.servo.shaft)
-        self.servo = Servo(self.settings)
-        self.servo.gains = gains_of(gains)
-        self.servo.offset = whole_turns  # an absolute encoder knows its position within one turn only
-        self._replies.clear()
-        self._next.clear()
+    def report(self, name: str) -> Frame | None:
+        values = self.values(name)
+        name = "Address reply" if name == "Address" else name
+        return None if values is None else self.table.encode(name, self.memory.node, **values)
 
-    # -- time ---------------------------------------------------------------------------------
+    def values(self, name: str) -> Values | None:
+        """Return the fields of a message as they are now; None if there is none."""
+        servo, stage, encoder, cpr = (
+            self.servo,
+            self.servo.stage,
+            self.servo.encoder,
+            self.settings.encoder_cpr,
+        )
+        match name:
+            case "Heartbeat":
+                state = AxisState.CLOSED_LOOP_CONTROL if self.memory.armed else AxisState.IDLE
+                done = servo.set_point.done
+                return {"Axis_State": state, "Trajectory_Done_Flag": done} | self.heartbeat()
+            case "Get_Encoder_Estimates":
+                return {"Pos_Estimate": encoder.position, "Vel_Estimate": encoder.velocity}
+            case "Get_Iq":
+                return {"Iq_Setpoint": servo.current_set_point, "Iq_Measured": stage.current}
+            case "Get_Bus_Voltage_Current":
+                return {"Bus_Voltage": stage.voltage, "Bus_Current": stage.supply_current}
+            case "Get_Temperature":
+                return {
+                    "FET_Temperature": stage.stage_temperature,
+                    "Motor_Temperature": stage.motor_temperature,
+                }
+            case "Get_Torques":
+                return {"Torque_Target": servo.torque_target, "Torque_Estimate": stage.torque}
+            case "Get_Powers":
+                return {"Electrical_Power": stage.electrical, "Mechanical_Power": stage.mechanical}
+            case "Get_Encoder_Count":
+                shadow, within = (
+                    math.floor(turns * cpr + 0.5) for turns in (encoder.position, encoder.shaft)
+                )
+                return {"Shadow_Count": (shadow + 2**31) % 2**32 - 2**31, "Count_in_CPR": within % cpr}
+            case "Get_Sensorless_Estimates":
+                return {"Sensorless_Pos_Estimate": 0.0, "Sensorless_Vel_Estimate": 0.0}
+        return None
 
-    def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
-        """Run the firmware up to `now`; the shaft's Feedback [rad, rad/s] is what the encoder measures."""
-        for event in truth:
-            self._on_truth(event)
-        dt = 0.0 if self._now is None else seconds(max(0, now - self._now))
-        first, self._now = self._now is None, now
-        shaft, velocity = turns(self._shaft[0]), turns(self._shaft[1])
-        if first:
-            self.servo.measure(1.0, shaft, velocity)
-            self._fed = now
-        elif dt > 0.0:
-            self.servo.measure(dt, shaft, velocity)
-        if now < self.silent_until:
-            self._fed = now
-            return (Torque(self.device.name, 0.0),), ()
-        self.boot(now)
-        if dt > 0.0:
-            errors = self.servo.step(dt, self.axis)
-            if errors:
-                self.trip(errors)
-        if self._watchdog_runs() and now - self._fed > self._timeout():
-            self.trip(Error.WATCHDOG_TIMER_EXPIRED)
-        torque = self.servo.torque() if self.axis.armed else 0.0
-        replies, self._replies = self._replies, []
-        return (Torque(self.device.name, torque),), (*replies, *self._cyclic_frames(now))
 
-    def _on_truth(self, event: Event) -> None:
-        if isinstance(event, Feedback) and event.motor == self.device.name:
-            position = self._shaft[0] if event.position is None else event.position
-            velocity = self._shaft[1] if event.velocity is None else event.velocity
-            if math.isfinite(position) and math.isfinite(velocity):
-                self._shaft = (position, velocity)
+class Twin06(OdriveTwin):
+    """One device of firmware 0.6.x."""
 
-    def _watchdog_runs(self) -> bool:
-        return self.settings.enable_watchdog and (self.axis.armed or not self.watchdog_needs_arming)
+    faults = errors.DEVICE06
+    raised = errors.ERRORS.bits
 
-    def _timeout(self) -> Nanos:
-        return round(self.settings.watchdog_timeout * SECOND)
+    def __init__(self, device: Device, seed: int) -> None:
+        super().__init__(device, seed)
+        self.disarm_reason = 0
+        self.result = errors.SUCCESS
+        self.starts_until: Nanos = 0
+        """It reports INITIALIZING until then."""
+        self._flash = (self.memory.node, gains_of(self.settings))
+        """Node id and gains as saved."""
 
-    def _cyclic_frames(self, now: Nanos) -> Sequence[CanFrame]:
-        if self.axis.line == "0.6" and self.axis.node == BROADCAST:  # it has no address yet
-            return ()
-        if not self._next:
-            self._next = {cmd: now + period * self._phase // 1000 for cmd, period in self._periods.items()}
-        frames = []
-        for cmd, period in self._periods.items():
-            if now >= self._next[cmd]:
-                self._next[cmd] += period * (1 + (now - self._next[cmd]) // period)
-                message = self.report(cmd)
-                if message is not None:
-                    frames.append(encode(self.axis.node, message))
-        return frames
+    def timeout(self) -> Nanos:
+        return self.watchdog() if self.memory.armed else 0
 
-    def due(self) -> Nanos | None:
-        """Return when the device next sends a cyclic message, or leaves a state by itself."""
-        times = list(self._next.values())
-        if self._now is not None and self._now < self.silent_until < NEVER:
-            times = [self.silent_until]
-        if self._watchdog_runs() and self._fed + self._timeout() >= (self._now or 0):
-            times.append(self._fed + self._timeout() + 1)
-        return min(times, default=None)
+    def on_request(self, t: Nanos, name: str, address: int) -> None:
+        """Reply; discovery is on the broadcast node, and all that a device without an address answers."""
+        discovery = name == "Address" and address == BROADCAST
+        if discovery or address != BROADCAST:
+            super().on_request(t, name, self.memory.node if discovery else address)
+
+    def report(self, name: str) -> Frame | None:
+        """A device without an address sends nothing by itself."""
+        return super().report(name) if name == "Address" or self.memory.node != BROADCAST else None
+
+    def on_message(self, t: Nanos, decoded: Decoded) -> None:
+        if decoded.name in FEEDS:
+            self.feed(t)
+        super().on_message(t, decoded)
+
+    def request_state(self, t: Nanos, state: int) -> None:
+        results, was_armed = errors.RESULTS.bits, self.memory.armed
+        if state == AxisState.CLOSED_LOOP_CONTROL:
+            if was_armed:
+                return
+            if self.active() or not self.settings.calibrated:
+                self.result = results["DISARMED" if self.active() else "NOT_CALIBRATED"]
+                self.disarm_reason = self.active() or self.disarm_reason
+                return
+            self.servo.start()
+            self.result, self.disarm_reason = errors.BUSY, 0
+        elif state == AxisState.IDLE:
+            self.result = errors.SUCCESS if was_armed else self.result
+        elif state != AxisState.UNDEFINED:
+            homing = state == AxisState.HOMING
+            self.result = results["HOMING_WITHOUT_ENDSTOP" if homing else "INVALID_STATE"]
+        self.memory.set_state(state)
+
+    def clear_errors(self) -> None:
+        super().clear_errors()
+        self.disarm_reason = 0
+
+    def on_trip(self) -> None:
+        if self.memory.armed:
+            self.memory.disarm()
+            self.disarm_reason, self.result = self.active(), errors.RESULTS.bits["DISARMED"]
+
+    def reboot(self, t: Nanos, action: int) -> None:
+        if action == SAVE:
+            self._flash = (self.memory.node, self.servo.gains)
+        elif action == ERASE:
+            self._flash = (BROADCAST, gains_of(Settings()))
+        self.restart_with(t, *self._flash)
+        self.starts_until = self.silent_until + milliseconds(self.settings.initializing_ms)
+        self.disarm_reason, self.result = 0, errors.SUCCESS
+
+    def active(self) -> int:
+        """Return the bits of all errors, INITIALIZING among them."""
+        return self.word(errors.ERRORS) | errors.INITIALIZING * ((self.now or 0) < self.starts_until)
+
+    def heartbeat(self) -> Values:
+        return {"Axis_Error": self.active(), "Procedure_Result": self.result}
+
+    def values(self, name: str) -> Values | None:
+        match name:
+            case "Get_Version":
+                numbers = (2, self.settings.hw_line, 1, 0, *map(int, firmware_of(self.device).split(".")), 0)
+                return {f.name: value for f, value in zip(self.table.row(name).fields, numbers, strict=True)}
+            case "Get_Error":
+                return {"Active_Errors": self.active(), "Disarm_Reason": self.disarm_reason}
+            case "Address" if self.memory.node <= BROADCAST:  # it has one byte for the node id
+                return {"Node_ID": self.memory.node, "Serial_Number": self.memory.serial, "Connection_ID": 0}
+        return super().values(name)
+
+
+_MOTOR, _CONTROLLER = errors.MOTOR, errors.CONTROLLER
+RAISED05 = {
+    "WATCHDOG_TIMER_EXPIRED": errors.AXIS.code("WATCHDOG_TIMER_EXPIRED"),
+    "ESTOP_REQUESTED": errors.AXIS.code("ESTOP_REQUESTED"),
+    "CURRENT_LIMIT_VIOLATION": _MOTOR.code("CURRENT_LIMIT_VIOLATION"),
+    "MOTOR_OVER_TEMP": _MOTOR.code("MOTOR_THERMISTOR_OVER_TEMP"),
+    "INVERTER_OVER_TEMP": _MOTOR.code("FET_THERMISTOR_OVER_TEMP"),
+    # A fault of the supply is the board's error, which CANSimple does not report.
+    "DC_BUS_UNDER_VOLTAGE": _MOTOR.code("SYSTEM_LEVEL"),
+    "DC_BUS_OVER_VOLTAGE": _MOTOR.code("SYSTEM_LEVEL"),
+    "DC_BUS_OVER_CURRENT": _MOTOR.code("SYSTEM_LEVEL"),
+    "DC_BUS_OVER_REGEN_CURRENT": _MOTOR.code("SYSTEM_LEVEL"),
+    "VELOCITY_LIMIT_VIOLATION": _CONTROLLER.code("OVERSPEED"),
+    "SPINOUT_DETECTED": _CONTROLLER.code("SPINOUT_DETECTED"),
+}
+COMPONENTS05 = {
+    "Motor_Error": (errors.MOTOR, "MOTOR_FAILED"),
+    "Encoder_Error": (errors.ENCODER, "ENCODER_FAILED"),
+    "Controller_Error": (errors.CONTROLLER, "CONTROLLER_FAILED"),
+    "Sensorless_Error": (errors.SENSORLESS, "SENSORLESS_ESTIMATOR_FAILED"),
+}
+"""By signal: the components' error words, and the axis' bit for each."""
+
+
+class Twin05(OdriveTwin):
+    """One axis of firmware 0.5.x."""
+
+    faults = errors.DEVICE05
+    raised = RAISED05
+
+    def timeout(self) -> Nanos:
+        """It runs in every state; once expired there is nothing left to do."""
+        expired = self.word(errors.AXIS) & errors.AXIS.bits["WATCHDOG_TIMER_EXPIRED"]
+        return 0 if expired else self.watchdog()
+
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        """Any frame to the axis feeds its watchdog, also one that is ignored otherwise."""
+        if isinstance(frame, CanFrame) and not frame.fd and frame.extended == self.device.options.is_extended:
+            if frame.id >> CMD_BITS == self.memory.node:
+                self.feed(t)
+            super().on_frame(t, frame)
+
+    def request_state(self, t: Nanos, state: int) -> None:
+        axis = errors.AXIS
+        if state == AxisState.UNDEFINED:
+            return
+        self.words[axis.base] = self.word(axis) & ~axis.bits["INVALID_STATE"]
+        closed_loop = state == AxisState.CLOSED_LOOP_CONTROL
+        if closed_loop and self.settings.calibrated:
+            self.feed(t)
+        elif state not in (AxisState.IDLE, AxisState.STARTUP_SEQUENCE):
+            homing = state == AxisState.HOMING
+            self.trip(axis.code("HOMING_WITHOUT_ENDSTOP" if homing else "INVALID_STATE"))
+        arms = closed_loop and not self.word(axis)
+        if arms:
+            self.servo.start()
+        self.memory.set_state(AxisState.CLOSED_LOOP_CONTROL if arms else AxisState.IDLE)
+
+    def reboot(self, t: Nanos, action: int) -> None:
+        """What was set over CAN cannot be saved over CAN: the node id, too, is as configured again."""
+        self.restart_with(t, self.device.address, gains_of(self.settings))
+
+    def on_trip(self) -> None:
+        for word, name in COMPONENTS05.values():
+            if self.word(word):
+                self.words[errors.AXIS.base] = self.word(errors.AXIS) | errors.AXIS.bits[name]
+        self.memory.disarm()
+
+    def heartbeat(self) -> Values:
+        flags = {f"{name}_Flag": self.word(word) != 0 for name, (word, _) in COMPONENTS05.items()}
+        del flags["Sensorless_Error_Flag"]  # it has none
+        return {"Axis_Error": self.word(errors.AXIS)} | flags
+
+    def values(self, name: str) -> Values | None:
+        signal = name.removeprefix("Get_")
+        if signal in COMPONENTS05:
+            return {signal: self.word(COMPONENTS05[signal][0])}
+        return super().values(name)

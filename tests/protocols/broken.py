@@ -17,9 +17,7 @@ from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Event, Message, Nanos, Obeyed
-from protocols.odrive_can import RANGES
 from protocols.odrive_can import plugin as odrive
-from protocols.odrive_can.driver import OdriveDriver
 from protocols.plain import plugin, table
 from protocols.plain.driver import PlainAdapter
 from protocols.plain.twin import PlainDecoder, PlainTwin
@@ -27,6 +25,7 @@ from protocols.plugin import Device, Plugin
 from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Report
 from protocols.toolkit.serial import Stream
+from tests.protocols.odrive_can.parts import OdriveDriver
 from tests.protocols.plain.parts import PlainDriver, messages_in, readdressed
 
 Sent: TypeAlias = tuple[Sequence[Event], Sequence[Frame]]
@@ -65,7 +64,7 @@ def found_by(*clauses: str) -> Callable[[type[Part]], type[Part]]:
     def register(part: type[Part]) -> type[Part]:
         wrong: Plugin
         if issubclass(part, OdriveDriver):
-            wrong = replace(odrive, driver=lambda devices: part(devices, RANGES))
+            wrong = replace(odrive, driver=part)
         elif issubclass(part, PlainDriver):
             wrong = replace(motors, driver=part)
         elif issubclass(part, PlainDecoder):
@@ -489,8 +488,8 @@ class LearnsFromBadFrames(OdriveDriver):
         malformed = self.counters.malformed
         events = super().receive(t, frame)
         if self.counters.malformed > malformed:
-            for axis in self.axes.values():
-                axis.forget()
+            for host in self.hosts.values():
+                host.forget(t)
         return events
 
 
@@ -509,5 +508,5 @@ class FindsByArming(OdriveDriver):
 
     def send(self, now: Nanos, messages: Messages) -> Sent:
         events, frames = super().send(now, messages)
-        arm = CanFrame(min(self.axes) << 5 | 0x07, b"\1\0\0\0")
+        arm = CanFrame(min(self.nodes) << 5 | 0x07, b"\1\0\0\0")
         return events, frames if messages or now % 64_000_000 else [*frames, arm]

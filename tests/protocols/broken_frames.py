@@ -12,9 +12,6 @@ from protocols.frames import CanFrame, Frame
 from protocols.message_codec import LAYOUTS, pack_fields
 from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Obeyed
 from protocols.odrive_can import plugin as odrive
-from protocols.odrive_can.codec import cmd_of
-from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.messages import GetIq, SetAxisState
 from protocols.plain import table
 from protocols.plain.twin import PlainDecoder, PlainTwin
 from protocols.plugin import Device
@@ -22,6 +19,7 @@ from protocols.toolkit.driver import Rx
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.table import TINY
 from tests.protocols.broken import BROKEN, Sent, alters, found_by, motors
+from tests.protocols.odrive_can.parts import OdriveDriver
 from tests.protocols.plain.parts import PlainDriver
 from tests.protocols.plain.published import framed
 
@@ -57,7 +55,7 @@ class ReportsDenormals(OdriveDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        if not isinstance(frame, CanFrame) or frame.id & 0x1F != cmd_of(GetIq) or len(frame.data) != 8:
+        if not isinstance(frame, CanFrame) or frame.id & 0x1F != 0x14 or len(frame.data) != 8:
             return events
         (measured,) = struct.unpack("<f", frame.data[4:])
         return [replace(e, current=measured) if isinstance(e, msg.Feedback) else e for e in events]
@@ -201,7 +199,7 @@ class SendsAnUnsetFrame(OdriveDriver):
     def send(self, now: Nanos, messages: Messages) -> Sent:
         events, frames = super().send(now, messages)
         asked = any(isinstance(message, msg.ReadParameter) for message in messages)
-        unset = CanFrame(min(self.axes) << 5 | cmd_of(SetAxisState), b"\0\0")
+        unset = CanFrame(min(self.nodes) << 5 | 0x07, b"\0\0")
         return events, [*frames, unset] if asked else frames
 
 
@@ -212,7 +210,7 @@ class SendsLongIds(OdriveDriver):
     def send(self, now: Nanos, messages: Messages) -> Sent:
         events, frames = super().send(now, messages)
         asked = any(isinstance(message, msg.ReadParameter) for message in messages)
-        long = CanFrame(min(self.axes) << 5 | 0x18, b"\0", extended=True)
+        long = CanFrame(min(self.nodes) << 5 | 0x18, b"\0", extended=True)
         return events, [*frames, long] if asked else frames
 
 

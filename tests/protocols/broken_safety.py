@@ -9,13 +9,13 @@ from protocols import messages as msg
 from protocols.conformance.bench import Messages
 from protocols.frames import BusState, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Message, Mode, Nanos, Request
-from protocols.odrive_can.driver import OdriveDriver
 from protocols.plain import table
 from protocols.plain.driver import PlainAdapter
 from protocols.plain.twin import PlainTwin
 from protocols.plugin import Device
 from protocols.toolkit.host import Host
 from tests.protocols.broken import Sent, alters, found_by
+from tests.protocols.odrive_can.parts import OdriveDriver
 from tests.protocols.plain.parts import PlainDriver
 
 
@@ -231,8 +231,9 @@ class AcceptsItsOwnFrames(OdriveDriver):
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        if isinstance(frame, CanFrame) and not frame.extended and frame.id >> 5 in self.axes:
-            self.axes[frame.id >> 5].received_at = t
+        for host in self.hosts.values():
+            if isinstance(frame, CanFrame) and not frame.extended and frame.id >> 5 == host.address:
+                host.received_at = t
         return events
 
 

@@ -20,8 +20,7 @@ from protocols import messages as msg
 from protocols.conformance.bench import DriverWrapper, Messages
 from protocols.frames import BusState, CanFrame, Frame, Packet
 from protocols.messages import MILLISECOND, SECOND, Event, Mode, Nanos
-from protocols.odrive_can.codec import encode
-from protocols.odrive_can.messages import GetEncoderEstimates, GetVersion, Heartbeat
+from protocols.odrive_can.table import table_of
 from protocols.plain import table
 from protocols.plugin import load_all
 from tests.gateway.rig import BENCH, Rig, sent_commands
@@ -29,6 +28,15 @@ from tests.gateway.rig import BENCH, Rig, sent_commands
 CAN = BusSettings("can0", "can", "socketcan:can0", bitrate=1_000_000)
 TTY = BusSettings("tty", "serial", "serial:tty", baudrate=1_000_000)
 PLUGINS = load_all()[0]
+
+
+def odrive(name: str, node: int, *numbers: float) -> CanFrame:
+    """A message of an ODrive of firmware 0.6.x."""
+    rows = table_of("0.6")
+    names = [field.name for field in rows.row(name).fields if field.name]
+    return rows.encode(name, node, **dict(zip(names, numbers, strict=True)))
+
+
 MOTOR = table.encode(3, msg.Feedback("", 0, position=1.5)) + table.encode(3, msg.State("", 0, Mode.ARMED))
 """What a motor at address 3 sends on a serial bus."""
 Drive: TypeAlias = tuple[Rig, list[Packet]]
@@ -155,11 +163,11 @@ def test_a_device_that_falls_silent_is_marked(drive: Drive) -> None:
 def test_faults_have_the_texts_of_their_protocol_and_are_past_once_the_state_is_none_of_fault() -> None:
     monitor = known()
     idle, current = 1, 0x1000
-    version = (0, encode(1, GetVersion(2, 5, 1, 0, 0, 6, 10, 0)))  # the meaning of errors depends on it
-    beats = [(t * 100 * MILLISECOND, encode(1, Heartbeat(0, idle, 0, 0))) for t in range(3)]
+    version = (0, odrive("Get_Version", 1, 2, 5, 1, 0, 0, 6, 10, 0))  # the meaning of errors depends on it
+    beats = [(t * 100 * MILLISECOND, odrive("Heartbeat", 1, 0, idle, 0, 0)) for t in range(3)]
     decode(monitor, version, *beats)
     assert "FAULT" not in page(monitor, SECOND)
-    (packet,) = decode(monitor, (300 * MILLISECOND, encode(1, Heartbeat(current, idle, 0, 0))))
+    (packet,) = decode(monitor, (300 * MILLISECOND, odrive("Heartbeat", 1, current, idle, 0, 0)))
     record = device(monitor, "left")
     (fault,) = record.faults.values()
     assert fault in packet.events
@@ -167,7 +175,7 @@ def test_faults_have_the_texts_of_their_protocol_and_are_past_once_the_state_is_
     for part in (fault.name, fault.cause, fault.remedy, "fault: IDLE"):
         assert part
         assert part in text
-    decode(monitor, (500 * MILLISECOND, encode(1, Heartbeat(0, idle, 0, 0))))
+    decode(monitor, (500 * MILLISECOND, odrive("Heartbeat", 1, 0, idle, 0, 0)))
     assert record.faults == {}
     assert f"had a fault 300 ms ago: {fault.name}" in page(monitor, 600 * MILLISECOND)
 
@@ -212,7 +220,7 @@ def test_without_a_robot_file_devices_are_found_by_trying(drive: Drive) -> None:
 def test_frames_that_only_look_like_a_device_are_a_guess() -> None:
     """Any 8 bytes decode to estimates; a motor also sends its state."""
     monitor = bare(CAN)
-    frames = [(t * 10 * MILLISECOND, encode(5, GetEncoderEstimates(1.0, 0.0))) for t in range(20)]
+    frames = [(t * 10 * MILLISECOND, odrive("Get_Encoder_Estimates", 5, 1.0, 0.0)) for t in range(20)]
     decoded = decode(monitor, *frames)
     assert not monitor.found
     assert all(one.guesses and not one.events and one.direction == "" for one in decoded)
@@ -220,7 +228,7 @@ def test_frames_that_only_look_like_a_device_are_a_guess() -> None:
     assert [name.endswith(":5") for name in record.could_be] == [True]
     assert "could be" in page(monitor, SECOND)
     assert "no device has been found yet" in page(monitor, SECOND)
-    (packet,) = decode(monitor, (SECOND, encode(5, Heartbeat(0, 1, 0, 0))))
+    (packet,) = decode(monitor, (SECOND, odrive("Heartbeat", 5, 0, 1, 0, 0)))
     assert len(monitor.found) == 1
     assert [type(event) for event in packet.events] == [msg.State]
     assert not monitor.unknown(SECOND)

@@ -1,33 +1,46 @@
-"""A bench (`tests.protocols.helpers`) with an ODrive driver and twins of both firmware lines; one twin
-alone."""
+"""One ODrive's twin alone, and messages to and from it by the vendor's names."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 from protocols.conformance.bench import Shaft
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Feedback, Nanos
-from protocols.odrive_can import RANGES
+from protocols.odrive_can import errors
 from protocols.odrive_can import twin as make_twin
-from protocols.odrive_can.codec import decode_from_device, encode
-from protocols.odrive_can.driver import OdriveDriver
-from protocols.odrive_can.messages import (
-    ControlMode,
-    InputMode,
-    Message,
-    SetAxisState,
-    SetControllerMode,
-)
 from protocols.odrive_can.options import Options, Settings
-from protocols.odrive_can.twin import OdriveTwin
-from protocols.odrive_can.twin06 import Twin06
+from protocols.odrive_can.table import AxisState, ControlMode, InputMode, table_of
 from protocols.plugin import Device
-from tests.protocols.helpers import CanBench
+from protocols.toolkit.table import Values
 
 V05 = Options(firmware="0.5")
-CLOSED, IDLE = SetAxisState(8), SetAxisState(1)
+ERROR = errors.ERRORS.bits
+AXIS, MOTOR, CONTROLLER = errors.AXIS.bits, errors.MOTOR.bits, errors.CONTROLLER.bits
+
+Message: TypeAlias = tuple[str, Values]
+OF_05 = {row.name for row in table_of("0.5").rows} - {row.name for row in table_of("0.6").rows}
+
+
+def fields(name: str, *numbers: float, line: str = "0.6") -> Values:
+    """The fields of a message, in order."""
+    row = table_of(line).row(name)
+    return dict(zip((field.name for field in row.fields if field.name), numbers, strict=True))
+
+
+def to(name: str, *numbers: float) -> Message:
+    """A message to a device."""
+    return name, fields(name, *numbers, line="0.5" if name in OF_05 else "0.6")
+
+
+def encode(node: int, message: Message, extended: bool = False) -> CanFrame:
+    """A message to a node."""
+    name, numbers = message
+    table = table_of("0.5" if extended or name in OF_05 else "0.6", extended)
+    return table.encode(name, node, **numbers)
+
+
+CLOSED, IDLE = to("Set_Axis_State", 8), to("Set_Axis_State", 1)
 
 
 def device(
@@ -42,29 +55,6 @@ def free_shaft() -> Shaft:
     return Shaft(inertia=2.5 * 0.05**2 / 64 + 2e-5, friction=1e-4)
 
 
-class Bench(CanBench[OdriveDriver, OdriveTwin]):
-    """An ODrive driver and its twins."""
-
-    def __init__(self, devices: Sequence[Device]) -> None:
-        twins = [make_twin(item, seed) for seed, item in enumerate(devices)]
-        super().__init__(devices, OdriveDriver(devices, RANGES), twins, [free_shaft() for _ in devices])
-
-    @property
-    def twin(self) -> Twin06:
-        """The first one, of firmware 0.6.x."""
-        (first, *_) = self.twins
-        assert isinstance(first, Twin06)
-        return first
-
-
-def ready(*devices: Device) -> Bench:
-    """A bench whose devices are identified."""
-    bench = Bench(devices or (device(),))
-    bench.run(500 if any(item.options.firmware == "0.5" for item in bench.devices) else 300)
-    assert all(axis.identity.line for axis in bench.driver.axes.values())
-    return bench
-
-
 class TwinRig:
     """One twin at node 1, its shaft, and the frames that it sent."""
 
@@ -73,10 +63,10 @@ class TwinRig:
     ) -> None:
         self.twin: Any = make_twin(device(settings=settings, options=options), seed)
         """A Twin05 or Twin06, by the settings and options."""
-        self.line = self.twin.axis.line
         self.shaft = free_shaft()
         self.now: Nanos = 0
         self.frames: list[tuple[Nanos, CanFrame]] = []
+        self.run(1)
 
     def send(self, *messages: Message, node: int = 1) -> None:
         """Send messages to a node."""
@@ -98,10 +88,9 @@ class TwinRig:
 
     def armed(self, mode: int = ControlMode.VELOCITY, input_mode: int = InputMode.PASSTHROUGH) -> TwinRig:
         """Arm the twin."""
+        self.send(to("Set_Controller_Mode", mode, input_mode), CLOSED)
         self.run(5)
-        self.send(SetControllerMode(mode, input_mode), CLOSED)
-        self.run(5)
-        assert self.twin.axis.armed
+        assert self.twin.memory.armed
         return self
 
     def sent(self, cmd: int) -> list[tuple[Nanos, CanFrame]]:
@@ -109,18 +98,29 @@ class TwinRig:
         return [(t, frame) for t, frame in self.frames if frame.id & 0x1F == cmd]
 
     def reply(self, cmd: int, frame: CanFrame | None = None) -> Any:
-        """The twin's reply to a remote frame, or another one, of a command; None if there is none."""
+        """The fields of the twin's reply to a remote frame, or another one, of a command; None: no reply."""
         before = len(self.sent(cmd))
         self.receive(frame or CanFrame(0x20 | cmd, remote=True))
         self.run(1)
         new = self.sent(cmd)[before:]
-        return decode_from_device(new[-1][1], self.line) if new else None
+        return self.decoded(new[-1][1]) if new else None
+
+    def decoded(self, frame: CanFrame) -> Any:
+        """The fields of a message of the twin."""
+        decoded = self.twin.table.decode(frame, "from_device")
+        return decoded.values if decoded is not None else None
 
     def heartbeat(self) -> Any:
         """A heartbeat: in 0.6.x on request, in 0.5.x the next cyclic one."""
-        if self.line == "0.6":
+        if self.twin.memory.line == "0.6":
             return self.reply(0x01)
         before = len(self.sent(0x01))
         while len(self.sent(0x01)) == before:
             self.run(1)
-        return decode_from_device(self.sent(0x01)[-1][1], self.line)
+        return self.decoded(self.sent(0x01)[-1][1])
+
+    def outcome(self) -> tuple[int, AxisState, str]:
+        """Errors, state and result of a heartbeat of 0.6.x."""
+        beat = self.heartbeat()
+        result = errors.RESULT_NAMES[beat["Procedure_Result"]]
+        return beat["Axis_Error"], AxisState(beat["Axis_State"]), result

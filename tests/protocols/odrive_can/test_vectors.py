@@ -14,9 +14,9 @@ import pytest
 
 from protocols.frames import CanFrame
 from protocols.odrive_can import plugin
-from protocols.odrive_can.codec import LINE05, TABLES
-from protocols.odrive_can.layout import Layout
+from protocols.odrive_can.table import COMMON, LINE05, LINE06, table_of
 from protocols.reference_vectors import Vector, vectors_of
+from protocols.toolkit.table import Row
 from tests.protocols.odrive_can.dbc import DBCS
 
 VECTORS = vectors_of(plugin)
@@ -80,15 +80,13 @@ def test_every_vector_names_a_source_and_most_are_regenerated() -> None:
     assert all("by hand" in vector.source or "get_address_msg" in vector.source for vector in by_hand)
 
 
-@pytest.mark.parametrize(("line", "rows"), [("0.5", LINE05), ("0.6", TABLES["0.6"].layouts)])
-def test_every_message_has_a_vector(line: str, rows: tuple[Layout, ...]) -> None:
-    """In both directions, where it has both."""
-    ways = {"both": ("to_device", "from_device")}
-    wanted = {(row.cmd, way) for row in rows for way in ways.get(row.direction, (row.direction,))}
-    covered = {
-        (vector.frame.id & 0x1F, vector.direction)
-        for vector in VECTORS
-        if isinstance(vector.frame, CanFrame) and not vector.frame.remote
-        if str(vector.entry.get("fw", "0.6.10")).startswith(line)
-    }
-    assert covered == wanted
+@pytest.mark.parametrize(("line", "rows"), [("0.5", LINE05), ("0.6", (*COMMON, *LINE06))])
+def test_every_message_has_a_vector(line: str, rows: tuple[Row, ...]) -> None:
+    wanted = {(row.name, row.direction) for row in rows if row.name != "Get_Version" or line == "0.6"}
+    table = table_of(line)
+    covered = set()
+    for vector in VECTORS:
+        if str(vector.entry.get("fw", "0.6.10")).startswith(line):
+            decoded = table.decode(vector.frame, vector.direction)
+            covered |= {(decoded.name, vector.direction)} if decoded else set()
+    assert wanted <= covered

@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 from odrive_can.odrive import CommandId, DriveError, HeartbeatError, ODriveCAN
 
-from protocols.odrive_can.faults import Error
-from protocols.odrive_can.twin06 import Twin06
+from protocols.odrive_can.twin import Twin06
 from tests.protocols.odrive_can.helpers import device
 from tests.protocols.odrive_can.vendor import NODE, SETTINGS, Session, hold, until
 
@@ -66,15 +65,15 @@ async def drive(session: Session[Twin06]) -> None:
     await session.set_gains()
     await session.steer()
 
-    twin.trip(Error.ESTOP_REQUESTED)
+    twin.trip(twin.raised["ESTOP_REQUESTED"])
     await call("wait_for_heartbeat")
     with pytest.raises(DriveError, match="ESTOP_REQUESTED"):
         client.check_errors()
     await call("clear_errors")
-    await until(lambda: not twin.errors, "errors are cleared")
+    await until(lambda: not twin.words, "errors are cleared")
     await session.arm_again()
     await call("set_linear_count", 4.25)
-    await until(lambda: abs(twin.servo.position - 4.25) < 1e-3, "the position is called anew")
+    await until(lambda: abs(twin.servo.encoder.position - 4.25) < 1e-3, "the position is called anew")
 
     for name, args in OTHER_LINE.items():
         with pytest.raises(KeyError):
@@ -87,7 +86,7 @@ async def drive(session: Session[Twin06]) -> None:
     await asyncio.sleep(0.55)
     with pytest.raises(HeartbeatError):
         client.check_alive()
-    await until(lambda: bench.behind > twin.initializing_until, "it is back")
+    await until(lambda: bench.behind > twin.starts_until, "it is back")
     await session.end()
 
 

@@ -6,16 +6,16 @@ there; those that this dialect cannot make are named here with what they raise.
 
 from __future__ import annotations
 
+import math
+
 import odrive_can.odrive
 import pytest
 from odrive_can.odrive import DriveError
 from odrive_can.utils import get_dbc
 
-from protocols.odrive_can.codec import turns
-from protocols.odrive_can.faults import Error
-from protocols.odrive_can.faults05 import EncoderError, SensorlessError
+from protocols.odrive_can import errors
 from protocols.odrive_can.options import Options
-from protocols.odrive_can.twin05 import Twin05
+from protocols.odrive_can.twin import Twin05
 from tests.protocols.odrive_can.helpers import device
 from tests.protocols.odrive_can.test_vendor_client import OTHER_LINE, RUN
 from tests.protocols.odrive_can.vendor import NODE, SETTINGS, Session, hold, until
@@ -36,41 +36,43 @@ async def drive(session: Session[Twin05]) -> None:
     await session.set_gains()
     await session.steer()
     counts = (await call("get_encoder_count"))["Shadow_Count"]
-    assert counts == pytest.approx(turns(bench.shaft.position) * 16384, abs=16384)
+    assert counts == pytest.approx(bench.shaft.position / math.tau * 16384, abs=16384)
     await fail_and_recover(session)
 
     with pytest.raises(BROKEN["set_linear_count"]):
         client.set_linear_count(4)
     client._send_message("Set_Linear_Count", {"Position": -8192})
-    await until(lambda: abs(twin.servo.position + 0.5) < 1e-3, "the position is called anew")
+    await until(lambda: abs(twin.servo.encoder.position + 0.5) < 1e-3, "the position is called anew")
 
     await call("reboot")
     await until(lambda: bench.behind < twin.silent_until, "it restarts")
     await until(lambda: bench.behind > twin.silent_until, "it is back")
     await session.end()
     await call("set_axis_node_id", 5)
-    await until(lambda: twin.axis.node == 5, "the node id changes at once")
+    await until(lambda: twin.memory.node == 5, "the node id changes at once")
 
 
 async def fail_and_recover(session: Session[Twin05]) -> None:
     """Errors of every part, as the client reads them, and what clears them."""
     client, twin, call = session.client, session.bench.twin, session.call
-    twin.trip(Error.CURRENT_LIMIT_VIOLATION)
-    twin.encoder_errors = EncoderError.NO_RESPONSE
-    twin.sensorless_errors = SensorlessError.UNSTABLE_GAIN
+    twin.trip(twin.raised["CURRENT_LIMIT_VIOLATION"])
+    twin.trip(errors.ENCODER.code("NO_RESPONSE"))
+    twin.trip(errors.SENSORLESS.code("UNSTABLE_GAIN"))
     assert (await call("get_motor_error"))["Motor_Error"] == "CURRENT_LIMIT_VIOLATION"
     assert (await call("get_encoder_error"))["Encoder_Error"] == "NO_RESPONSE"
     assert (await call("get_sensorless_error"))["Sensorless_Error"] == "UNSTABLE_GAIN"
     assert (await call("get_controller_error"))["Controller_Error"] == "NONE"
     await call("wait_for_heartbeat")
-    with pytest.raises(DriveError, match="MOTOR_FAILED"):
+    with pytest.raises(
+        DriveError, match="448"
+    ):  # MOTOR_FAILED, ENCODER_FAILED and the sensorless estimator's
         client.check_errors()
     beat = client._last_heartbeat
     assert beat is not None
     flags = [beat.data[f"{part}_Error_Flag"] for part in ("Motor", "Encoder", "Controller")]
     assert flags == [1, 1, 0]
     await call("clear_errors")
-    await until(lambda: not (twin.errors or twin.motor_errors or twin.encoder_errors), "errors are cleared")
+    await until(lambda: not twin.words, "errors are cleared")
     await session.arm_again()
 
 

@@ -7,6 +7,7 @@ a session does in the dialect of either firmware line.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -18,7 +19,6 @@ from odrive_can.odrive import ODriveCAN
 
 from protocols.frames import CanFrame
 from protocols.messages import Feedback
-from protocols.odrive_can.codec import turns
 from protocols.odrive_can.options import Settings
 from protocols.odrive_can.twin import OdriveTwin
 from tests.protocols.odrive_can.helpers import free_shaft
@@ -115,24 +115,24 @@ class Session(Generic[TwinKind]):
         await self.call("set_input_vel", 0.0)
         await self.call("set_axis_state", "CLOSED_LOOP_CONTROL")
         await self.call("set_input_vel", 5.0, 0.0)
-        await until(lambda: abs(turns(shaft.velocity) - 5.0) < 0.02, "velocity is reached")
+        await until(lambda: abs(shaft.velocity / math.tau - 5.0) < 0.02, "velocity is reached")
         assert (await self.call("get_encoder_estimates"))["Vel_Estimate"] == pytest.approx(5.0, abs=0.2)
 
         await self.call("set_controller_mode", "POSITION_CONTROL", "PASSTHROUGH")
-        goal = turns(shaft.position) + 2.0
+        goal = shaft.position / math.tau + 2.0
         await self.call("set_input_pos", goal, 0.0, 0.0)
-        await until(lambda: abs(turns(shaft.position) - goal) < 0.02, "position is reached")
+        await until(lambda: abs(shaft.position / math.tau - goal) < 0.02, "position is reached")
 
         await self.call("set_input_torque", 0.0)
         await self.call("set_controller_mode", "TORQUE_CONTROL", "PASSTHROUGH")
         shaft.velocity, shaft.locked = 0.0, True
         await self.call("set_input_torque", 0.1)
-        await until(lambda: abs(servo.torque() - 0.1) < 1e-3, "torque is given")
+        await until(lambda: abs(servo.stage.torque - 0.1) < 1e-3, "torque is given")
         assert (await self.call("get_iq"))["Iq_Measured"] == pytest.approx(0.1 * 270 / 8.27, rel=0.01)
 
     async def arm_again(self) -> None:
         """Armed and let go, without waiting for either."""
-        axis = self.bench.twin.axis
+        axis = self.bench.twin.memory
         await self.call("set_axis_state_no_wait", "CLOSED_LOOP_CONTROL")
         await until(lambda: axis.armed, "it arms again")
         await self.call("set_axis_state_no_wait", "IDLE")
@@ -140,7 +140,7 @@ class Session(Generic[TwinKind]):
 
     async def end(self) -> None:
         """After a restart it arms, and the client's stop disarms."""
-        axis = self.bench.twin.axis
+        axis = self.bench.twin.memory
         await self.call("wait_for_heartbeat")
         await self.call("set_axis_state_no_wait", "CLOSED_LOOP_CONTROL")
         await until(lambda: axis.armed, "it arms after the restart")
