@@ -108,12 +108,13 @@ class Joint:
         return self._armed and disarmed and not isinstance(self._out, msg.Idle)
 
     def _on_feedback(self, event: msg.Feedback) -> msg.Feedback | None:
-        if not _finite(event):
-            self.not_finite += 1
-            return None
         ratio, old, t = self._ratio, self.feedback, event.t
         position, velocity, torque = event.position, event.velocity, event.torque
         current, voltage, temperature = event.current, event.voltage, event.temperature
+        for value in (position, velocity, torque, current, voltage, temperature):
+            if value is not None and value - value != 0.0:  # infinities and NaN less themselves are NaN
+                self.not_finite += 1
+                return None
         position = None if position is None else position / ratio
         velocity = None if velocity is None else velocity / ratio
         torque = None if torque is None else torque * ratio
@@ -291,17 +292,17 @@ class Joint:
         return ""
 
 
-def _finite(message: msg.Feedback | Command) -> bool:
-    """True if every number in the message is finite."""
-    kind = type(message)
+def _finite(command: Command) -> bool:
+    """True if every number in a command is finite."""
+    kind = type(command)
     if kind is msg.Idle or kind is msg.Hold:
         return True
     # Infinities and NaN less themselves are NaN. (A generator would take twice as long.)
-    return all([value is None or value - value == 0.0 for value in _NUMBERS[kind](message)])  # noqa: C419
+    return all([value - value == 0.0 for value in _NUMBERS[kind](command)])  # noqa: C419
 
 
-_NUMBERS: dict[type[msg.Feedback | Command], Callable[[Any], tuple[float | None, ...]]] = {
-    kind: attrgetter(*(field.name for field in fields(kind) if field.name not in ("motor", "t")))
-    for kind in (msg.Feedback, msg.Position, msg.Velocity, msg.Impedance)
+_NUMBERS: dict[type[Command], Callable[[Any], tuple[float, ...]]] = {
+    kind: attrgetter(*(field.name for field in fields(kind) if field.name != "motor"))
+    for kind in (msg.Position, msg.Velocity, msg.Impedance)
 }
 _NUMBERS[msg.Torque] = lambda torque: (torque.torque,)

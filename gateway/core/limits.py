@@ -101,10 +101,13 @@ class Profile:
         before = self._velocity
         if before is None:
             before = clamp(measured.velocity or 0.0, limits.velocity)
-        here = measured.position or 0.0
-        goal = limits.velocity_before_end(clamp(wanted.velocity, limits.velocity), here)
-        velocity = _toward(before, goal, limits.acceleration * dt)
-        velocity = limits.velocity_before_end(velocity, here)
+        goal = clamp(wanted.velocity, limits.velocity)
+        if limits.position is None:
+            velocity = _toward(before, goal, limits.acceleration * dt)
+        else:
+            here = measured.position or 0.0
+            velocity = _toward(before, limits.velocity_before_end(goal, here), limits.acceleration * dt)
+            velocity = limits.velocity_before_end(velocity, here)
         self._position, self._velocity = None, velocity
         return Velocity(wanted.motor, velocity, limits.torque_now(wanted.torque, measured))
 

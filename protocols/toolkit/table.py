@@ -178,9 +178,10 @@ class Decoded:
 
 
 _Encode: TypeAlias = Callable[..., CanFrame]
-_Decode: TypeAlias = Callable[[int, bytes], Decoded | None]
+_Decode: TypeAlias = Callable[[int, int, bytes], Decoded | None]
 _Candidate: TypeAlias = tuple[bool, _Decode, Decoded]
-"""Whether it is a remote frame, how to decode id and data, and what is decoded if the data do not fit."""
+"""Whether it is a remote frame, how to decode address, id and data, and what is decoded if the data do not
+fit."""
 
 
 class Table:
@@ -225,7 +226,7 @@ class Table:
         misfit: Decoded | None = None
         for remote, decode, otherwise in candidates:
             if remote is frame.remote:
-                decoded = decode(number, frame.data)
+                decoded = decode(otherwise.address, number, frame.data)
                 if decoded is not None:
                     return decoded
                 misfit = otherwise
@@ -246,7 +247,7 @@ class Table:
 
     def read(self, name: str, data: bytes) -> Values | None:
         """Return the numbers in the data of a message whose id has none; None if it is malformed."""
-        decoded = self._decode[name](0, data)
+        decoded = self._decode[name](0, 0, data)
         return None if decoded is None else decoded.values
 
     # -- what the plugin's description is made of ----------------------------------------------------
@@ -278,7 +279,7 @@ _CODES |= {("int", 8): "b", ("int", 16): "h", ("int", 32): "i", ("int", 64): "q"
 
 
 def _compiled(row: Row) -> tuple[_Encode, _Decode]:
-    """Return `encode(address, **values) -> frame` and `decode(id, data) -> message` of a row."""
+    """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row."""
     scope: dict[str, Any] = {"CanFrame": CanFrame, "Decoded": Decoded, "saturated": saturated, "TINY": TINY}
     scope |= {
         "isfinite": math.isfinite,
@@ -296,12 +297,11 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
     names = [field.name for field in row.fields if field.name]
     number = [str(row.id_mask()[0] & ~EXTENDED_BIT)]
     values = [f"{f.name!r}: {_value(f, f'r{at}')}" for at, f in enumerate(row.fields) if f.name]
-    address = next((f"r{at}" for at, field in enumerate(row.fields) if field.name == "address"), "0")
+    address = next((f"r{at}" for at, field in enumerate(row.fields) if field.name == "address"), "address")
     for field, at, bits in row.id_parts():
         part = f"(number >> {at} & {bits >> at})"
         if field.name == "address":
             number.append(f"address << {at}")
-            address = part
         elif field.name:
             names.append(field.name)
             number.append(f"({_raw(field)}) << {at}")
@@ -314,7 +314,7 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
 def encode(address{f", *, {given}" if given else ""}):
     return CanFrame({" | ".join(number)}, {packed}, {row.extended}, {row.remote})
 
-def decode(number, data):
+def decode(address, number, data):
     if len(data) != {size}:
         if not {shortest} <= len(data) <= {longest}:
             return None
@@ -370,7 +370,7 @@ def _raw(field: Field) -> str:
 def _value(field: Field, raw: str) -> str:
     """Return the expression for the value of a raw number."""
     if field.kind == "f32":
-        value = f"0.0 if -TINY < {raw} < TINY else {raw}"
+        value = f"{raw} if {raw} >= TINY or {raw} <= -TINY else 0.0"
         return f"None if {raw} != {raw} else {value}" if field.optional else value
     if field.kind == "span":
         value = f"{raw} * {field.step!r} + {field.low!r}"
