@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -51,14 +52,14 @@ def reports_minus_zero(event: Message) -> Message:
 
 @found_by("normal")
 class ReportsDenormals(OdriveDriver):
-    """Reads a current as it stands in the frame."""
+    """Reports a velocity as it stands in the frame."""
 
     def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
         events = super().receive(t, frame)
-        if not isinstance(frame, CanFrame) or frame.id & 0x1F != 0x14 or len(frame.data) != 8:
+        if not isinstance(frame, CanFrame) or frame.id & 0x1F != 0x09 or len(frame.data) != 8:
             return events
-        (measured,) = struct.unpack("<f", frame.data[4:])
-        return [replace(e, current=measured) if isinstance(e, msg.Feedback) else e for e in events]
+        (turns,) = struct.unpack("<f", frame.data[4:])
+        return [replace(e, velocity=turns * math.tau) if isinstance(e, msg.Feedback) else e for e in events]
 
 
 # -- checksums -----------------------------------------------------------------------------------------
