@@ -125,7 +125,7 @@ def test_a_second_node_at_the_same_address_is_a_fault_and_gets_the_stop_command(
     driven.world.duplicate("left")
     ticks = driven.run(1.0)
     faults = [n for n in notes_in(ticks, "left") if n.level == "error"]
-    assert any("duplicate node id" in n.text for n in faults)
+    assert any("duplicate address" in n.text for n in faults)
     warned = [n.text for n in notes_in(ticks, "scan") if n.level == "warning"]
     assert warned
     assert all("more than one device holds this address" in text for text in warned)
