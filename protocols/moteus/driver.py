@@ -244,14 +244,14 @@ class MoteusAdapter(Adapter[Motor]):
         host.own.place(None)
         return () if host.own.mode in LATCHED else _frame(now, host, mt.STOP)
 
-    def poll(self, now: Nanos, host: Host[Motor]) -> tuple[Sequence[Event], Sequence[Frame]]:
+    def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         motor, frames = host.own, list[Frame]()
         if now >= self.poll_due(host):
             frames += _frame(now, host, b"")
         if motor.mode is not None and now >= motor.identify_at:
             motor.identify(now + (IDENTIFY_RETRY if motor.firmware is None else IDENTIFY_PERIOD))
             frames.append(make_frame(motor.command_id, mt.IDENTIFY))
-        return (), frames
+        return frames
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
         motor = host.own
@@ -313,7 +313,7 @@ class MoteusAdapter(Adapter[Motor]):
             return pending.refuse(t, f"the device does not accept it ({why})")
         match pending.request:
             case msg.ClearFault():
-                return self.usual_answer(t, pending, report)
+                return super().answer(t, pending, report)
             case msg.Zero():  # a position near zero may be from before, unless the write was confirmed
                 position = values.get(tb.POSITION)
                 if register in values or reply.error(codec.READ_ERROR, register):

@@ -209,11 +209,11 @@ class OdriveAdapter(Adapter[Axis]):
 
     # -- by itself ------------------------------------------------------------------------------------
 
-    def poll(self, now: Nanos, host: OdriveHost) -> tuple[Sequence[Event], Sequence[Frame]]:
+    def poll(self, now: Nanos, host: OdriveHost) -> Sequence[Frame]:
         axis = host.own
         if now < axis.due and now < axis.polls_due:
-            return (), ()
-        return (), [axis.requests[name] for name in axis.plan(now)]
+            return ()
+        return [axis.requests[name] for name in axis.plan(now)]
 
     def poll_due(self, host: OdriveHost) -> Nanos:
         return host.own.due
@@ -251,7 +251,7 @@ class OdriveAdapter(Adapter[Axis]):
 
     def answer(self, t: Nanos, pending: Pending[Axis], report: OdriveReport) -> Event | None:
         if isinstance(pending.request, msg.Zero) or pending.host is None:
-            return self.usual_answer(t, pending, report)
+            return super().answer(t, pending, report)
         return requests.answer(t, pending, pending.host.own, report.content)
 
     def give_up(self, now: Nanos, pending: Pending[Axis]) -> str:

@@ -122,9 +122,9 @@ class Adapter(Generic[Own]):
 
     # -- by itself ------------------------------------------------------------------------------------
 
-    def poll(self, now: Nanos, host: Host[Own]) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Return the read-only frames that are due to one device, and events of its own timeouts."""
-        return (), ()
+    def poll(self, now: Nanos, host: Host[Own]) -> Sequence[Frame]:
+        """Return the read-only frames that are due to one device."""
+        return ()
 
     def poll_due(self, host: Host[Own]) -> Nanos:
         """Return when `poll` next has something to do that cannot wait for a step."""
@@ -164,11 +164,7 @@ class Adapter(Generic[Own]):
         return pending.frames
 
     def answer(self, t: Nanos, pending: Pending[Own], report: Report[Own]) -> Event | None:
-        """Return the answer to a request, if this report of its device is one."""
-        return self.usual_answer(t, pending, report)
-
-    def usual_answer(self, t: Nanos, pending: Pending[Own], report: Report[Own]) -> Event | None:
-        """Return the answer where the device reports what was asked for."""
+        """Return the answer to a request, if this report of its device is one: what was asked for is so."""
         feedback = report.feedback
         position = feedback.position if feedback is not None else None
         match pending.request:
@@ -337,9 +333,7 @@ class MotorDriver(Generic[Own]):
                 events += silent
             if host.release_due(now):
                 frames += self.adapter.release(now, host)
-            reported, polls = self.adapter.poll(now, host)
-            events += reported
-            frames += polls
+            frames += self.adapter.poll(now, host)
         frames += self.adapter.poll_bus(now)
         return events, frames
 

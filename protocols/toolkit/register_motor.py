@@ -13,7 +13,7 @@ from typing import Any
 
 from protocols import messages as msg
 from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Event, Feedback, Nanos, Request
+from protocols.messages import MILLISECOND, Command, Feedback, Nanos, Request
 from protocols.plugin import Device
 from protocols.toolkit.driver import Adapter, MotorDriver, Pending
 from protocols.toolkit.duplicates import AnswerCount
@@ -177,13 +177,13 @@ class RegisterAdapter(Adapter[Motor]):
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         return host.own.sent(now, [self.message(self.disable, host.address)])
 
-    def poll(self, now: Nanos, host: Host[Motor]) -> tuple[Sequence[Event], Sequence[Frame]]:
+    def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         if now < self.poll_due(host):
-            return (), ()
+            return ()
         options = host.options
         needed = (*self.expected(options), *self.written(options))
         names = (*host.own.missing(now, needed), *self.polled(options))
-        return (), host.own.sent(now, [*self.ask(host), *self._read(now, host, names)])
+        return host.own.sent(now, [*self.ask(host), *self._read(now, host, names)])
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
         at: Nanos = host.own.sent_at + host.options.feedback_ms * MILLISECOND

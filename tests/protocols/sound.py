@@ -165,10 +165,10 @@ def _reports(frame: Frame) -> bool:
 class PollsByIdle(PlainAdapter):
     """A device that was commanded, and is not now, replies to Idle."""
 
-    def poll(self, now: Nanos, host: Host[set[int]]) -> tuple[Sequence[Event], Sequence[Frame]]:
+    def poll(self, now: Nanos, host: Host[set[int]]) -> Sequence[Frame]:
         """Send Idle at every step."""
         silent = host.once_commanded and host.phase not in (Phase.ARMING, Phase.ARMED)
-        return (), self.release(now, host) if silent else ()
+        return self.release(now, host) if silent else ()
 
 
 class OnlyReplies(PlainDriver):
