@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from protocols.messages import MILLISECOND, Command
-from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Range, Spec
-from protocols.toolkit.decoder import TableDecoder
+from protocols.messages import MILLISECOND
+from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec
+from protocols.toolkit.decoder import Memory, TableDecoder
 from protocols.toolkit.driver import Adapter, MotorDriver
 from protocols.toolkit.table import Table
-
-TableOf = Callable[[Any], Table]
-"""From the options of a device."""
 
 
 def can_motor(device: Device, table: Table, addresses: range, **others: Any) -> Spec:  # noqa: ANN401 -- fields
@@ -37,19 +34,16 @@ def can_motor(device: Device, table: Table, addresses: range, **others: Any) -> 
 
 
 def driver_of(
-    adapter: Callable[[], Adapter[Any]], ranges: Callable[[Any], dict[str, Range]]
+    adapter: Callable[[], Adapter[Any]], spec: Callable[[Device], Spec]
 ) -> Callable[[Sequence[Device]], Driver]:
-    """Return `Plugin.driver`; `ranges`: from the options of a device."""
-    return lambda devices: MotorDriver(
-        adapter(), devices, {each.name: ranges(each.options) for each in devices}
-    )
+    """Return `Plugin.driver`, with the ranges of the spec."""
+    return lambda devices: MotorDriver(adapter(), devices, {each.name: spec(each).ranges for each in devices})
 
 
 def decoder_of(
-    table: TableOf, memory: Callable[[Device], Any], canonical: Callable[[Any], Callable[[Command], Command]]
+    table: Callable[[Any], Table], memory: Callable[[Device], Memory], spec: Callable[[Device], Spec]
 ) -> Callable[[Sequence[Device]], CommandDecoder]:
-    """Return `Plugin.decoder`; `memory` is what a device keeps, and has `obey`; `table` and `canonical`: from
-    the options of a device."""
+    """Return `Plugin.decoder`; `table`: from the options of a device; `memory` is what it keeps."""
     return lambda devices: TableDecoder(
-        [(table(each.options), memory(each), canonical(each.options)) for each in devices]
+        [(table(each.options), memory(each), spec(each).canonical) for each in devices]
     )

@@ -10,13 +10,11 @@ from protocols.toolkit.table import BINARY32
 
 from . import table as rs
 from .driver import Options, RobStride
-from .twin import RobStrideTwin, Settings, memory_of
+from .twin import Memory, RobStrideTwin, Settings
 
-
-def ranges(options: Options) -> dict[str, Range]:
-    """Return what commands and measurements can carry."""
-    measured = {f"Feedback.{field.name}": field.range(inside=2) for field in rs.STATUS[1:]}
-    return options.gains.ranges() | measured | {"Feedback.position": Range(-1e4, 1e4, 1e-6, BINARY32)}
+MEASURED = {f"Feedback.{field.name}": field.range(inside=2) for field in rs.STATUS[1:]}
+MEASURED["Feedback.position"] = Range(-1e4, 1e4, 1e-6, BINARY32)
+"""Of a register, which counts turns."""
 
 
 def spec(device: Device) -> Spec:
@@ -28,7 +26,7 @@ def spec(device: Device) -> Spec:
         range(1, 0x80),
         commands=frozenset(COMMANDS),
         requests=frozenset({msg.ReadParameter, msg.WriteParameter, *rs.REQUESTS}),
-        ranges=ranges(options),
+        ranges=options.gains.ranges() | MEASURED,
         canonical=options.gains.canonical,
         watchdog=Watchdog(round(options.timeout_ms * MILLISECOND), enabled=True),
         feedback=FeedbackKind.REPLY,
@@ -44,8 +42,8 @@ plugin = Plugin(
     options=Options,
     settings=Settings,
     spec=spec,
-    driver=driver_of(RobStride, ranges),
-    decoder=decoder_of(lambda options: rs.TABLE, memory_of, lambda options: options.gains.canonical),
+    driver=driver_of(RobStride, spec),
+    decoder=decoder_of(lambda options: rs.TABLE, Memory.of, spec),
     twin=RobStrideTwin,
     messages=rs.TABLE.names,
     vectors=(__name__, "vectors.json"),

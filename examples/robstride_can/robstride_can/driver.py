@@ -81,15 +81,14 @@ class RobStride(RegisterAdapter):
     # -- sent -----------------------------------------------------------------------------------------
 
     def message(self, name: str, address: int) -> Frame:
-        return rs.TABLE.encode(name, address, host=rs.HOST)
+        return rs.TABLE.encode(name, address)
 
     def about(self, operation: str, address: int, name: str, value: float = 0.0) -> Sequence[Frame]:
         number = rs.REGISTERS.by_name[name].number
-        read = rs.TABLE.encode("read", address, host=rs.HOST, number=number, value=0)
+        read = rs.TABLE.encode("read", address, number=number, value=0)
         if operation == "read":
             return (read,)
-        raw = rs.REGISTERS.raw(name, value)
-        return rs.TABLE.encode("write", address, host=rs.HOST, number=number, value=raw), read
+        return rs.TABLE.encode("write", address, number=number, value=rs.REGISTERS.raw(name, value)), read
 
     def set_point(self, host: Host[Motor], command: Command) -> Frame:
         goal = host.options.gains.impedance(command, host.held)

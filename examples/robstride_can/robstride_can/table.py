@@ -9,8 +9,6 @@ from protocols.plugin import FaultInfo
 from protocols.toolkit.registers import Register, Registers
 from protocols.toolkit.table import Field, Row, Table, const, span, uint, unused
 
-HOST = 0xFF
-"""Our own address."""
 IMPEDANCE = 0
 """The run_mode that we use; in the others a motor is moved by writing registers."""
 TIMEOUT_UNIT_MS = 0.05
@@ -46,13 +44,13 @@ REGISTER = (uint("number", 16), unused(16), uint("value", 32))
 
 
 def _to(kind: int) -> tuple[Field, ...]:
-    """Return the id of a message to a motor."""
-    return const(kind, 5), unused(8), uint("host"), uint("address")
+    """Return the id of a message to a motor; its lower 8 free bits are the sender's address: ours is 0."""
+    return const(kind, 5), unused(16), uint("address")
 
 
 def _from(kind: int, *carried: Field) -> tuple[Field, ...]:
     """Return the id of a message of a motor, which carries 8 bits of data."""
-    return const(kind, 5), *carried, uint("address"), uint("host")
+    return const(kind, 5), *carried, uint("address"), unused(8)
 
 
 ROWS = (

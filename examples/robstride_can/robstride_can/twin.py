@@ -30,15 +30,17 @@ class Memory:
     address: int
     registers: dict[str, float] = field(default_factory=lambda: dict.fromkeys(rs.REGISTERS.by_name, 0.0))
     enabled: bool = False
-    host: int = rs.HOST
-    """To which it answers."""
+
+    @classmethod
+    def of(cls, device: Device) -> Memory:
+        """Return that of a motor as it is when switched on."""
+        return cls(device.name, device.address)
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Apply a message; return what the motor then does."""
         values, motor = decoded.values, self.name
         if decoded.address != self.address:
             return ()
-        self.host = values.get("host", self.host)
         match decoded.name:
             case "enable":
                 self.enabled = True
@@ -61,11 +63,6 @@ class Memory:
         return ()
 
 
-def memory_of(device: Device) -> Memory:
-    """Return the memory of a motor as it is when switched on."""
-    return Memory(device.name, device.address)
-
-
 class RobStrideTwin(ServoFirmware):
     """One motor."""
 
@@ -73,7 +70,7 @@ class RobStrideTwin(ServoFirmware):
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed, Gains(torque_limit=17.0))
-        self.memory = memory_of(device)
+        self.memory = Memory.of(device)
 
     def timeout(self) -> Nanos:
         timeout = milliseconds(self.memory.registers["canTimeout"] * rs.TIMEOUT_UNIT_MS)
@@ -92,11 +89,10 @@ class RobStrideTwin(ServoFirmware):
             )
             name, _ = rs.REGISTERS.value(number, 0)
             answer = {"number": number, "value": rs.REGISTERS.raw(name, registers[name]) if name else 0}
-            self.reply(t, rs.TABLE.encode("register", memory.address, host=memory.host, **answer))
+            self.reply(t, rs.TABLE.encode("register", memory.address, **answer))
             return
         if decoded.name != "write":
             self.feed(t)
-        state = {"host": memory.host, "mode": 2 * (self.mode is Mode.ARMED), "faults": self.fault}
+        state = {"mode": 2 * (self.mode is Mode.ARMED), "faults": self.fault, "temperature": 30.0}
         measured = zip(NUMBERS, (self.encoder.position, self.encoder.velocity, self.torque), strict=False)
-        status = rs.TABLE.encode("status", memory.address, **state, **dict(measured), temperature=30.0)
-        self.reply(t, status)
+        self.reply(t, rs.TABLE.encode("status", memory.address, **state, **dict(measured)))

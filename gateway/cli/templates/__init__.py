@@ -34,13 +34,12 @@ def read_only(_frame: Frame) -> bool:
     return False
 
 
-def ranges(_options: Options) -> dict[str, Range]:
-    """Return what commands and measurements can carry (clauses "commands" and "measurements")."""
-    return {
-        "Velocity.velocity": TABLE.range("run", "velocity"),
-        "Feedback.velocity": TABLE.range("status", "velocity", inside=1),
-        "Feedback.position": Range(-1e6, 1e6, 1e-6, BINARY32),
-    }
+RANGES = {
+    "Velocity.velocity": TABLE.range("run", "velocity"),
+    "Feedback.velocity": TABLE.range("status", "velocity", inside=1),
+    "Feedback.position": Range(-1e6, 1e6, 1e-6, BINARY32),
+}
+"""What commands and measurements can carry (clauses "commands" and "measurements")."""
 
 
 def spec(device: Device) -> Spec:
@@ -62,7 +61,7 @@ def spec(device: Device) -> Spec:
         # FILL IN (clause "commands"): which commands and requests it takes.
         commands=frozenset({Idle, Velocity}),
         requests=frozenset({ClearFault}),
-        ranges=ranges(device.options),
+        ranges=RANGES,
         # FILL IN (clause "watchdog"): what it does when its host falls silent, and the timeout.
         watchdog=Watchdog(timeout or None, enabled=timeout > 0),
         holds_unattended=False,
@@ -79,7 +78,7 @@ plugin = Plugin(
     options=Options,
     settings=Settings,
     spec=spec,
-    driver=driver_of(MotorAdapter, ranges),
+    driver=driver_of(MotorAdapter, spec),
     decoder=MotorDecoder,
     twin=MotorTwin,
     messages=messages,
