@@ -1,9 +1,10 @@
 """The host's end: what a Damiao motor is sent in each phase, and what its answers report.
 
 Rules. A motor sends only answers, one to each frame. Registers answer with the id of the feedback, and a
-position near −PMAX looks the same: a frame counts as the answer of a register only if that register was
-asked for just before. Before a motor is enabled, the ranges in it must be those of the model in the robot
-file (every number would be scaled wrongly otherwise), its mode the option's and its watchdog on.
+position near −PMAX looks the same: such a frame is the answer about a register if that register was asked
+for just before, and reports nothing if it was not (another host may have asked). Before a motor is enabled,
+the ranges in it must be those of the model in the robot file (every number would be scaled wrongly
+otherwise), its mode the option's and its watchdog on.
 """
 
 from __future__ import annotations
@@ -61,9 +62,11 @@ class DamiaoAdapter(RegisterAdapter):
             sn = name == "SN" and frame.id == dm.REPLY_BASE + frame.data[0] and driver.scanning()
             note = f"answers with {frame.id:03X}"
             return (Report(None, frame.data[0], serial=int(value or 0), note=note) if sn else Rx.IGNORED,)
-        if value is not None and host.own.is_asked(t, name):
-            return (self.register_report(t, host, name, value, written=written),)
-        return (self._feedback(t, frame, host) or Rx.MALFORMED,)
+        if not name:
+            return (self._feedback(t, frame, host) or Rx.MALFORMED,)
+        if value is None or not host.own.is_asked(t, name):
+            return (Report(host, host.address),)
+        return (self.register_report(t, host, name, value, written=written),)
 
     def _feedback(self, t: Nanos, frame: CanFrame, host: Host[Motor]) -> Report[Motor] | None:
         values = host.options.table.read("feedback", frame.data)
