@@ -48,14 +48,10 @@ class RobStride(RegisterAdapter):
     name = "robstride_can"
     faults, not_armed = rs.ALL_FAULTS, rs.NOT_ENABLED
     registers, actions = rs.REGISTERS, rs.REQUESTS
-    turns = "mechPos"
-    blind = True
+    turns, blind = "mechPos", True
 
     def written(self, options: Options) -> Mapping[str, float]:
         return {"run_mode": rs.IMPEDANCE, "canTimeout": round(options.timeout_ms / rs.TIMEOUT_UNIT_MS)}
-
-    def polled(self, options: Options) -> Sequence[str]:
-        return ("mechPos",)
 
     # -- received -------------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ from protocols.toolkit.table import Field, Row, Table, const, span, uint, unused
 IMPEDANCE = 0
 """The run_mode that we use; in the others a motor is moved by writing registers."""
 TIMEOUT_UNIT_MS = 0.05
+"""Of canTimeout."""
 REGISTERS = Registers(
     Register("run_mode", 0x7005, "u8"),
     Register("canTimeout", 0x7028, "u32"),
@@ -34,17 +35,17 @@ ALL_FAULTS = FAULTS | {
 }
 REQUESTS: dict[type[Request], str] = {ClearFault: "clear", Zero: "zero"}
 
-NUMBERS = {"position": 12.566, "velocity": 44.0, "torque": 17.0}
-"""Ends of the numbers by name: rad, rad/s, N·m."""
-POSITION, VELOCITY, TORQUE = (span(name, 16, -most, most) for name, most in NUMBERS.items())
+ENDS = {"position": 12.566, "velocity": 44.0, "torque": 17.0}
+"""rad, rad/s, N·m"""
+POSITION, VELOCITY, TORQUE = (span(name, 16, -most, most) for name, most in ENDS.items())
 GAINS = span("stiffness", 16, 0.0, 500.0), span("damping", 16, 0.0, 5.0)
-MEASURED = tuple(span(name, 16, -most, most, measured=True) for name, most in NUMBERS.items())
+MEASURED = tuple(span(name, 16, -most, most, measured=True) for name, most in ENDS.items())
 STATUS = (*MEASURED, uint("temperature", 16, 0.1))
 REGISTER = (uint("number", 16), unused(16), uint("value", 32))
 
 
 def _to(kind: int) -> tuple[Field, ...]:
-    """Return the id of a message to a motor; its lower 8 free bits are the sender's address: ours is 0."""
+    """Return the id of a message to a motor; the lower 8 of its unused bits are our address, 0."""
     return const(kind, 5), unused(16), uint("address")
 
 

@@ -1,4 +1,4 @@
-"""The device's end: what a RobStride motor obeys, and its firmware. Each frame is answered."""
+"""The device's end: what a RobStride motor obeys, and its firmware. It sends answers only."""
 
 from __future__ import annotations
 
@@ -83,13 +83,11 @@ class RobStrideTwin(ServoFirmware):
         for obeyed in memory.obey(decoded):
             self.obey(t, obeyed)
         if decoded.name == "read":
-            registers, number = (
-                memory.registers | {"mechPos": self.encoder.position},
-                decoded.values["number"],
-            )
+            number = decoded.values["number"]
             name, _ = rs.REGISTERS.value(number, 0)
-            answer = {"number": number, "value": rs.REGISTERS.raw(name, registers[name]) if name else 0}
-            self.reply(t, rs.TABLE.encode("register", memory.address, **answer))
+            value = self.encoder.position if name == "mechPos" else memory.registers.get(name, 0.0)
+            raw = rs.REGISTERS.raw(name, value) if name else 0
+            self.reply(t, rs.TABLE.encode("register", memory.address, number=number, value=raw))
             return
         if decoded.name != "write":
             self.feed(t)
