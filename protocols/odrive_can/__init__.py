@@ -19,7 +19,7 @@ from protocols.odrive_can.driver import OdriveAdapter
 from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.odrive_can.twin import OdriveTwin, Twin05, Twin06, memory
 from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.toolkit.decoder import TableDecoder
+from protocols.toolkit.assembly import TableDecoder
 from protocols.toolkit.driver import MotorDriver
 from protocols.toolkit.table import BINARY32
 

@@ -1,15 +1,15 @@
-"""The parts of a plugin's description that all CAN motors with a table have alike."""
+"""The parts of a plugin that devices with a table have alike: spec, driver, and decoder of what they obey."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
-from protocols.messages import MILLISECOND
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, Command, Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec
-from protocols.toolkit.decoder import Memory, TableDecoder
 from protocols.toolkit.driver import Adapter, MotorDriver
-from protocols.toolkit.table import Table
+from protocols.toolkit.table import Decoded, Table
 
 
 def can_motor(device: Device, table: Table, addresses: range, **others: Any) -> Spec:  # noqa: ANN401 -- fields
@@ -38,6 +38,33 @@ def driver_of(
 ) -> Callable[[Sequence[Device]], Driver]:
     """Return `Plugin.driver`, with the ranges of the spec."""
     return lambda devices: MotorDriver(adapter(), devices, {each.name: spec(each).ranges for each in devices})
+
+
+class Memory(Protocol):
+    """What a device keeps of the frames it received. The twin's firmware runs on the very same object, so
+    that decoder and twin cannot disagree."""
+
+    def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
+        """Apply a message to any address; return what the device then does."""
+        ...
+
+
+class TableDecoder:
+    """The command decoder of the devices on one bus: of each its table, its memory as it is when switched on,
+    and the canonical form of its commands."""
+
+    def __init__(self, devices: Sequence[tuple[Table, Memory, Callable[[Command], Command]]]) -> None:
+        self._devices = devices
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        """Return what the devices would obey in this frame; [] if nothing."""
+        obeyed: list[Obeyed] = []
+        for table, memory, canonical in self._devices:
+            decoded = table.decode(frame, "to_device")
+            if decoded is not None and decoded.name:
+                does = memory.obey(decoded)
+                obeyed += [canonical(each) if isinstance(each, Command) else each for each in does]
+        return obeyed
 
 
 def decoder_of(
