@@ -17,17 +17,9 @@ from protocols import messages as msg
 from protocols.frames import BusState, Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plugin import Device, FaultInfo, Range, RxCounters
+from protocols.toolkit import requests as rq
 from protocols.toolkit.duplicates import SerialNumbers
 from protocols.toolkit.host import Host, Phase, Report, Timing
-from protocols.toolkit.requests import (
-    PendingRequest,
-    RejectionFilter,
-    RequestQueue,
-    bounds_of,
-    outside,
-    refusal,
-    subject,
-)
 
 Own = TypeVar("Own")
 NEVER: Nanos = 1 << 62
@@ -41,7 +33,7 @@ class Rx(Enum):
 
 
 @dataclass(slots=True)
-class Pending(PendingRequest, Generic[Own]):
+class Pending(rq.PendingRequest, Generic[Own]):
     """A request that waits for a device. `next`: when its frames are sent next."""
 
     host: Host[Own] | None
@@ -206,24 +198,19 @@ class MotorDriver(Generic[Own]):
         """`ranges`: by device, as in its `Spec`."""
         self.counters = RxCounters()
         self.adapter = adapter
+        faults, latch = adapter.faults, adapter.latch
         self.hosts = {
-            device.name: Host(
-                device,
-                adapter.own(device),
-                adapter.timing(device.options),
-                adapter.faults,
-                latch=adapter.latch,
-            )
-            for device in devices
+            each.name: Host(each, adapter.own(each), adapter.timing(each.options), faults, latch=latch)
+            for each in devices
         }
         self.at = {host.address: host for host in self.hosts.values()}
         """The devices by address."""
-        self.queue: RequestQueue[Pending[Own]] = RequestQueue()
+        self.queue: rq.RequestQueue[Pending[Own]] = rq.RequestQueue()
         self.serials = SerialNumbers(adapter.name)
         self._bounds = {
-            name: {kind: bounds_of(kind, of) for kind in msg.COMMANDS} for name, of in ranges.items()
+            name: {kind: rq.bounds_of(kind, of) for kind in msg.COMMANDS} for name, of in ranges.items()
         }
-        self._rejections = RejectionFilter()
+        self._rejections = rq.RejectionFilter()
         self._events: list[Event] = []
         """Events from outside `send`, to be returned by the next one."""
 
@@ -345,9 +332,8 @@ class MotorDriver(Generic[Own]):
         if isinstance(command, msg.Idle):
             host.on_idle(now)
             return ()
-        reason = self.adapter.refuse(host, command) or outside(
-            command, self._bounds[host.name][type(command)]
-        )
+        bounds = self._bounds[host.name][type(command)]
+        reason = self.adapter.refuse(host, command) or rq.outside(command, bounds)
         if reason or self._rejections.reported:
             events += self._rejections.filter(now, command, reason)
         known = self.adapter.blind or (host.mode is not None and host.position is not None)
@@ -365,16 +351,16 @@ class MotorDriver(Generic[Own]):
 
     def _begin(self, now: Nanos, request: Request) -> Pending[Own] | msg.Refused:
         if full := self.queue.full():
-            return refusal(now, request, full)
+            return rq.refusal(now, request, full)
         for_all = isinstance(request, msg.Scan | msg.SetId)
-        host = None if for_all else self.hosts.get(subject(request))
+        host = None if for_all else self.hosts.get(rq.subject(request))
         if host is None and not for_all:
-            return refusal(now, request, f"{self.adapter.name} cannot do this, or knows no such motor")
+            return rq.refusal(now, request, f"{self.adapter.name} cannot do this, or knows no such motor")
         if host is not None and host.running and isinstance(request, self.adapter.needs_idle):
-            return refusal(now, request, "it is armed: command Idle first")
+            return rq.refusal(now, request, "it is armed: command Idle first")
         begun = self.adapter.begin(now, request, host, self)
         if isinstance(begun, str):
-            return refusal(now, request, begun)
+            return rq.refusal(now, request, begun)
         if host is not None and isinstance(request, msg.ClearFault):
             self.serials.clear(host.address)
         return begun
