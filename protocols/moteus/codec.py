@@ -206,6 +206,11 @@ class Reply(NamedTuple):
     values: Mapping[int, float | None]
     errors: tuple[Subframe, ...] = ()
 
+    @property
+    def registers(self) -> set[int]:
+        """The registers that it is about."""
+        return {*self.values, *(each.register for each in self.errors)}
+
     def error(self, code: int, register: int) -> int:
         """Return the number of the error of this kind about a register; 0: none."""
         return next((e.number for e in self.errors if (e.code, e.register) == (code, register)), 0)

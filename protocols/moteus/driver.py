@@ -26,9 +26,10 @@ from protocols.moteus import table as tb
 from protocols.moteus.codec import ADDRESS_MAX, F32, INT32, SERIAL_BYTES, make_frame
 from protocols.moteus.table import LATCHED, NUMBERS, RISING
 from protocols.plugin import Device
-from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.requests import subject
 from protocols.toolkit.table import FLOAT_MAX, TINY
 
 OFFLINE_PERIOD = 50 * MILLISECOND
@@ -39,8 +40,7 @@ IDENTIFY_PERIOD, IDENTIFY_RETRY = 5 * SECOND, 100 * MILLISECOND
 """Periods of queries for the UUID, to notice a duplicate id; and until the device is known."""
 LIMITED = SECOND
 """How long what limited the output is reported after it did."""
-ZERO_WITHIN = 0.01
-"""rev"""
+ZERO_WITHIN = 0.01 * tau
 SAVE = "conf_write"
 """Parameter that saves the device's configuration when 1 is written."""
 IN_POSITION = int(tb.Mode.POSITION)
@@ -57,7 +57,6 @@ NOT_WRITTEN: Mapping[int, str] = {
     **dict.fromkeys(tb.UUID_MASK, "a mask of UUIDs is no parameter"),
     **dict.fromkeys((*range(0x010, 0x030), *range(0x040, 0x049)), "that register is what commands are for"),
 }
-ARMED = "it is armed: send Idle first"
 ZERO = codec.write(tb.SET_OUTPUT_EXACT, 0.0) + codec.read(tb.SET_OUTPUT_EXACT)
 """It is read back, so that the reply shows that this frame arrived."""
 
@@ -66,25 +65,15 @@ ZERO = codec.write(tb.SET_OUTPUT_EXACT, 0.0) + codec.read(tb.SET_OUTPUT_EXACT)
 class Options:
     """Configuration of the driver. It never repeats what the device knows, except to be stricter."""
 
-    host_id: int = bounded(0, 0, 126)
-    """Our own id on the bus, to which devices reply: another one for each host on it."""
-    can_prefix: int = bounded(0, 0, 0x1FFF)
-    """`can.prefix` of the device: the upper 13 bits of its identifiers. Set one where other protocols share
-    the bus: a moteus obeys any identifier whose lower 7 bits are its id."""
-    timeout_ms: int = bounded(100, 10, 10_000)
-    """Watchdog timeout, written with every command: without another in time the device latches a timeout."""
-    max_torque: float = bounded(0.0, 0.0, 1e6)
-    """N·m, in every command; 0: as configured on the device."""
-    velocity_limit: float = bounded(0.0, 0.0, 1e6)
-    """rad/s of the device's own trajectories, in every command; 0: as configured on the device."""
-    acceleration_limit: float = bounded(0.0, 0.0, 1e9)
-    """rad/s², likewise."""
-    feedback_ms: int = bounded(10, 1, 1000)
-    """Period of queries to a device that is not commanded; each command is a query too."""
-    details_ms: int = bounded(200, 1, 60_000)
-    """Period of queries for current, voltage and temperatures as well."""
-    offline_ms: int = bounded(200, 20, 10_000)
-    """Time without a reply after which the device is offline."""
+    host_id: int = bounded(0, 0, 126)  # our own id, to which devices reply: another one for each host
+    can_prefix: int = bounded(0, 0, 0x1FFF)  # the upper 13 bits of the device's identifiers
+    timeout_ms: int = bounded(100, 10, 10_000)  # of the watchdog, written with every command
+    max_torque: float = bounded(0.0, 0.0, 1e6)  # N·m, in every command; 0: as configured on the device
+    velocity_limit: float = bounded(0.0, 0.0, 1e6)  # rad/s of the device's own trajectories, likewise
+    acceleration_limit: float = bounded(0.0, 0.0, 1e9)  # rad/s², likewise
+    feedback_ms: int = bounded(10, 1, 1000)  # period of queries to a device that is not commanded
+    details_ms: int = bounded(200, 1, 60_000)  # … for current, voltage and temperatures as well
+    offline_ms: int = bounded(200, 20, 10_000)  # time without a reply after which it is offline
 
     def __post_init__(self) -> None:
         late = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
@@ -102,8 +91,8 @@ class Motor:
     """The mode register."""
     detail: str = ""
     """The vendor's name of the mode, and what limits the output."""
-    firmware: int | None = None
-    model: int = 0
+    title: str = ""
+    """Hardware and firmware."""
     limited: dict[int, Nanos] = field(default_factory=dict)
     """When each of `LIMITS` last limited its output."""
     placed: int | None = None
@@ -115,8 +104,9 @@ class Motor:
     def on_reply(self, t: Nanos, values: Mapping[int, float | None]) -> None:
         """Record the registers in a reply."""
         if tb.FIRMWARE_VERSION in values:
-            self.firmware = int(values[tb.FIRMWARE_VERSION] or 0)
-            self.model = int(values.get(tb.MODEL_NUMBER) or self.model)
+            model, version = (int(values.get(at) or 0) for at in (tb.MODEL_NUMBER, tb.FIRMWARE_VERSION))
+            dotted = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0))
+            self.title = f"model {model:06X}, firmware {dotted}"
         mode, fault = values.get(tb.MODE), values.get(tb.FAULT)
         if mode is None:
             return
@@ -131,24 +121,16 @@ class Motor:
             limits = " and ".join(tb.LIMITS[code] for code in sorted(self.limited))
             self.detail = tb.mode_name(self.mode) + (f", limited by {limits}" if limits else "")
 
-    def title(self) -> str:
-        """Return hardware and firmware as far as known."""
-        if self.firmware is None:
-            return "firmware not known yet"
-        version = ".".join(str(self.firmware >> shift & 0xFF) for shift in (16, 8, 0))
-        return f"model {self.model:06X}, firmware {version}"
-
     def place(self, replies: int | None) -> None:
         """Note a set-point: of a velocity, or None."""
         self.placed = replies
 
-    def query(self, now: Nanos) -> bytes:
-        """Return the query of a frame that goes out now."""
-        self.queried_at = now
-        if now < self.details_at:
-            return mt.FAST
-        self.details_at = now + self.options.details_ms * MILLISECOND
-        return mt.FULL
+    def frame(self, now: Nanos, data: bytes = b"") -> tuple[Frame]:
+        """Return a frame with these data, which queries as well."""
+        self.queried_at, query = now, mt.FAST
+        if now >= self.details_at:
+            self.details_at, query = now + self.options.details_ms * MILLISECOND, mt.FULL
+        return (make_frame(self.command_id, data + query),)
 
     def identify(self, at: Nanos) -> None:
         """Ask for the UUID from then on."""
@@ -166,7 +148,7 @@ class MoteusAdapter(Adapter[Motor]):
     name = "moteus"
     faults = tb.REPORTED
     not_armed, duplicate, latch = tb.NOT_ARMED, tb.DUPLICATE_ID, True
-    needs_idle = ()
+    needs_idle, zero_tolerance = (msg.Zero,), ZERO_WITHIN
     set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
 
     def __init__(self, devices: Sequence[Device]) -> None:
@@ -221,7 +203,7 @@ class MoteusAdapter(Adapter[Motor]):
         motor.place(PLACED if isinstance(command, msg.Velocity) else None)
         free = isinstance(command, msg.Torque)
         still = motor.setpoints.torque(at, 0.0) if free else motor.setpoints.position(at, 0.0, 0.0)
-        return _frame(now, host, still)
+        return motor.frame(now, still)
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         motor, at = host.own, (host.position or 0.0) / tau
@@ -238,26 +220,24 @@ class MoteusAdapter(Adapter[Motor]):
                 data = motor.setpoints.torque(at, torque)
             case _:
                 data = motor.setpoints.position((host.held or 0.0) / tau, 0.0, 0.0)
-        return _frame(now, host, data)
+        return motor.frame(now, data)
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         host.own.place(None)
-        return () if host.own.mode in LATCHED else _frame(now, host, mt.STOP)
+        return () if host.own.mode in LATCHED else host.own.frame(now, mt.STOP)
 
     def poll(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         motor, frames = host.own, list[Frame]()
         if now >= self.poll_due(host):
-            frames += _frame(now, host, b"")
+            frames += motor.frame(now)
         if motor.mode is not None and now >= motor.identify_at:
-            motor.identify(now + (IDENTIFY_RETRY if motor.firmware is None else IDENTIFY_PERIOD))
+            motor.identify(now + (IDENTIFY_PERIOD if motor.title else IDENTIFY_RETRY))
             frames.append(make_frame(motor.command_id, mt.IDENTIFY))
         return frames
 
     def poll_due(self, host: Host[Motor]) -> Nanos:
-        motor = host.own
-        return motor.queried_at + (
-            OFFLINE_PERIOD if host.offline else motor.options.feedback_ms * MILLISECOND
-        )
+        period = OFFLINE_PERIOD if host.offline else host.own.options.feedback_ms * MILLISECOND
+        return host.own.queried_at + period
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
         host.own.forget()
@@ -267,85 +247,100 @@ class MoteusAdapter(Adapter[Motor]):
 
     # -- requests -------------------------------------------------------------------------------------
 
+    def running(self, host: Host[Motor]) -> bool:
+        """True if it gives torque, or may do so soon: what has tripped does not once it is released."""
+        if host.own.mode in LATCHED:
+            return host.owned and host.phase is not Phase.RELEASING
+        return host.running or host.own.mode in RISING
+
     def begin(
         self, now: Nanos, request: Request, host: Host[Motor] | None, driver: MotorDriver[Motor]
     ) -> Pending[Motor] | str:
-        if isinstance(request, msg.Scan):
-            return self._to_all(now, request, 800, 200, mt.DISCOVER)
+        if host is None:
+            return self._for_all(now, request, driver)
+        register, data = register_of(getattr(request, "parameter", "")), b""
+        match request:
+            case msg.ClearFault():
+                host.own.identify(now)
+            case msg.Zero():  # read back, so that the reply shows that this frame arrived
+                register = tb.SET_OUTPUT_EXACT
+                data = codec.write(register, 0.0) + codec.read(register) + mt.FAST
+            case msg.WriteParameter(_, name, value) if name == SAVE:
+                register = NUMBERS["multiplex_id"]
+                data = mt.console("conf write") + codec.read(register, INT32)
+                if value != 1 or self.running(host):
+                    return f"{SAVE} takes 1" if value != 1 else ARMED
+            case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if register < 0:
+                return f"no register {name!r}: give its number (0x058), or one of {', '.join(NUMBERS)}"
+            case msg.ReadParameter():  # quantities are read as binary32, the rest as int32
+                data = codec.read(register, F32 if register in tb.SCALES else INT32)
+            case msg.WriteParameter(_, _, value):
+                if not abs(value) <= FLOAT_MAX:
+                    return f"{value} is no finite number of 32 bits"
+                if register in tb.ACTIONS and (self.running(host) or host.own.mode is None):
+                    return ARMED
+                if register in NOT_WRITTEN:
+                    return NOT_WRITTEN[register]
+                data = codec.write(register, value) + codec.read(register)
+            case _:
+                return f"a moteus has no {type(request).__name__} on its bus"
+        frames, until = (make_frame(host.own.command_id, data),), now + 600 * MILLISECOND
+        notes = {"register": register}
+        return Pending(request, host.name, now, until, now, host, frames, 60 * MILLISECOND, notes)
+
+    def _for_all(self, now: Nanos, request: Request, driver: MotorDriver[Motor]) -> Pending[Motor] | str:
+        """Begin a request to all devices, which is sent once for each prefix in use."""
+        data, until, period = [mt.DISCOVER], 800, 200
         if isinstance(request, msg.SetId):
-            if wrong := _why_not_set(request, driver):
+            if wrong := driver.wrong_id(request, range(1, ADDRESS_MAX + 1), 8 * SERIAL_BYTES):
                 return wrong
             uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
             line = mt.console(f"conf set id.id {request.address}")
-            return self._to_all(now, request, 1500, 150, *(mt.masked(uuid, x) for x in (line, mt.DISCOVER)))
-        begun = "" if host is None else _data(request, host)
-        if host is None or isinstance(begun, str):
-            return str(begun)
-        if isinstance(request, msg.ClearFault):
-            host.own.identify(now)
-        frames, notes = (make_frame(host.own.command_id, begun[1]),), {"register": begun[0]}
-        until, period = now + 600 * MILLISECOND, 60 * MILLISECOND
-        return Pending(request, host.name, now, until, now, host, frames, period, notes)
-
-    def _to_all(
-        self, now: Nanos, request: msg.Scan | msg.SetId, until_ms: int, period_ms: int, *data: bytes
-    ) -> Pending[Motor]:
-        """Return a request to all devices, once for each prefix in use."""
-        ids = [codec.command_id(codec.BROADCAST, host, prefix) for host, prefix in self._hosts]
+            data, until, period = [mt.masked(uuid, line), mt.masked(uuid, mt.DISCOVER)], 1500, 150
+        ids = [codec.command_id(codec.BROADCAST, *host) for host in self._hosts]
         frames = tuple(make_frame(each, piece) for piece in data for each in ids)
-        until, period = now + until_ms * MILLISECOND, period_ms * MILLISECOND
-        return Pending(request, request.bus, now, until, now, None, frames, period)
+        deadline = now + until * MILLISECOND
+        return Pending(request, subject(request), now, deadline, now, None, frames, period * MILLISECOND)
 
     def frames(self, now: Nanos, pending: Pending[Motor]) -> Sequence[Frame]:
-        host = pending.host
-        if host is not None and isinstance(pending.request, msg.ClearFault):
-            return _frame(now, host, mt.STOP if host.own.mode in LATCHED else b"")
-        if host is not None and isinstance(pending.request, msg.Zero):
-            return _frame(now, host, ZERO)
-        return pending.frames
+        if pending.host is None or not isinstance(pending.request, msg.ClearFault):
+            return pending.frames
+        motor = pending.host.own
+        return motor.frame(now, mt.STOP if motor.mode in LATCHED else b"")
 
     def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> Event | None:
         reply: codec.Reply = report.content
         values, notes, register = reply.values, pending.notes, pending.notes["register"]
-        alone = {*values, *(error.register for error in reply.errors)} == {register}
+        unreadable = reply.error(codec.READ_ERROR, register)
         if number := reply.error(codec.WRITE_ERROR, register):
             why = "read only" if number == 2 else f"error {number}: no such register?"
             return pending.refuse(t, f"the device does not accept it ({why})")
         match pending.request:
-            case msg.ClearFault():
+            case msg.Zero() if register in values or unreadable:
+                notes.update(taken=True)  # a position near zero may be from before
+            case msg.Zero() if "taken" not in notes:
+                return None
+            case msg.ClearFault() | msg.Zero():
                 return super().answer(t, pending, report)
-            case msg.Zero():  # a position near zero may be from before, unless the write was confirmed
-                position = values.get(tb.POSITION)
-                if register in values or reply.error(codec.READ_ERROR, register):
-                    notes["taken"] = True
-                elif "taken" in notes and position is not None and abs(position) < ZERO_WITHIN:
-                    return pending.done(t)
-            case msg.ReadParameter() if reply.error(codec.READ_ERROR, register):
+            case msg.ReadParameter() if unreadable:
                 return pending.refuse(t, "the device has no such register, or cannot read it so")
             case msg.ReadParameter(motor, name) if register in values:
                 value = values[register]
                 if value is None:
                     return pending.refuse(t, "the device replies that it is not given")
                 return msg.Parameter(motor, t, name, float(value))
-            case msg.WriteParameter(_, name, value) if alone:  # others may have been on their way before
+            case msg.WriteParameter(_, name, value) if reply.registers == {register}:
+                # Replies with others may have been on their way before.
                 reads = values.get(register)
                 if name == SAVE or reads is None or isclose(reads, value, rel_tol=2.0**-23, abs_tol=TINY):
                     return pending.done(t)
-                notes["reads"] = reads
+                notes.update(reads=reads)
         return None
 
     def give_up(self, now: Nanos, pending: Pending[Motor]) -> str:
-        request = pending.request
-        if isinstance(request, msg.SetId):
-            return f"no device with serial number {request.serial:016X} took the id"
-        if isinstance(request, msg.WriteParameter) and "reads" in pending.notes:
-            return f"the device holds {pending.notes['reads']:.6g} there, not {request.value:.6g}"
+        if isinstance(pending.request, msg.WriteParameter) and "reads" in pending.notes:
+            return f"the device holds {pending.notes['reads']:.6g} there, not {pending.request.value:.6g}"
         return super().give_up(now, pending)
-
-
-def _frame(now: Nanos, host: Host[Motor], data: bytes) -> tuple[Frame]:
-    """Return a frame with these data, which queries as well."""
-    return (make_frame(host.own.command_id, data + host.own.query(now)),)
 
 
 def _report(t: Nanos, host: Host[Motor], reply: codec.Reply) -> Report[Motor]:
@@ -365,7 +360,7 @@ def _report(t: Nanos, host: Host[Motor], reply: codec.Reply) -> Report[Motor]:
         None if mode is None else active,
         _feedback(host.name, t, values),
         serial=serial,
-        note=f"{motor.title()}; {note}" if note else "",
+        note=f"{motor.title or 'firmware not known yet'}; {note}" if note else "",
         content=reply,
     )
 
@@ -396,28 +391,6 @@ def _identity(reply: codec.Reply) -> tuple[int | None, str]:
     return codec.serial_of(uuid), f"UUID {printed}"
 
 
-def _why_not_set(request: msg.SetId, driver: MotorDriver[Motor]) -> str:
-    """Return why a device cannot be given this id, "" if it can."""
-    if not 1 <= request.address <= ADDRESS_MAX:
-        return f"{request.address} is not an id: 1 to {ADDRESS_MAX}"
-    if not 0 < request.serial < 1 << 8 * SERIAL_BYTES:
-        return f"{request.serial} is no serial number of 64 bits"
-    if others := driver.serials.at(request.address) - {request.serial}:
-        return f"id {request.address} is held by serial number {min(others):016X}"
-    for host in driver.hosts.values():
-        concerned = request.serial in driver.serials.at(host.address) or host.address == request.address
-        if concerned and _is_running(host):
-            return f"{host.name} is armed: send Idle first"
-    return ""
-
-
-def _is_running(host: Host[Motor]) -> bool:
-    """True if it gives torque, or may do so soon: what has tripped does not once it is released."""
-    if host.own.mode in LATCHED:
-        return host.owned and host.phase is not Phase.RELEASING
-    return host.running or host.own.mode in RISING
-
-
 def register_of(parameter: str) -> int:
     """Return a register by the vendor's name (mode, motor_temperature, …) or number (0x058, 88); or −1."""
     known = NUMBERS.get(parameter.lower())
@@ -426,31 +399,3 @@ def register_of(parameter: str) -> int:
     except ValueError:
         return -1
     return number if 0 <= number <= 0x7FFF else -1
-
-
-def _data(request: Request, host: Host[Motor]) -> tuple[int, bytes] | str:
-    """Return the register that a request is about, and what is sent; or why it is refused."""
-    running = _is_running(host)
-    register = register_of(getattr(request, "parameter", ""))
-    match request:
-        case msg.ClearFault():
-            return -1, b""
-        case msg.Zero():
-            return ARMED if running else (tb.SET_OUTPUT_EXACT, b"")
-        case msg.WriteParameter(_, name, value) if name == SAVE:
-            if running or value != 1:
-                return ARMED if running else f"{SAVE} takes 1"
-            register = NUMBERS["multiplex_id"]
-            return register, mt.console("conf write") + codec.read(register, INT32)
-        case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if register < 0:
-            return f"no register {name!r}: give its number (0x058), or one of {', '.join(NUMBERS)}"
-        case msg.ReadParameter():  # quantities are read as binary32, the rest as int32
-            return register, codec.read(register, F32 if register in tb.SCALES else INT32)
-        case msg.WriteParameter(_, _, value):
-            if not abs(value) <= FLOAT_MAX:
-                return f"{value} is no finite number of 32 bits"
-            if register in tb.ACTIONS and (running or host.own.mode is None):
-                return ARMED
-            data = codec.write(register, value) + codec.read(register)
-            return NOT_WRITTEN.get(register) or (register, data)
-    return f"a moteus has no {type(request).__name__} on its bus"

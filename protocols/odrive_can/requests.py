@@ -45,18 +45,9 @@ def for_all(
 
 def begin_set_id(now: Nanos, request: msg.SetId, driver: OdriveDriver) -> OdrivePending | str:
     """Assign a node id to the device with a serial number, and repeat discovery."""
-    serial, address, known = request.serial, request.address, driver.serials
-    if not 0 <= address <= MAX_NODE:
-        return f"{address} is not a node id: 0 to {MAX_NODE}"
-    if not 0 < serial < 1 << 48:
-        return f"{serial} is not a serial number of 48 bits"
-    others = known.at(address) - {serial}
-    if others:
-        return f"node id {address} is held by serial number {min(others):012X}"
-    for host in driver.hosts.values():
-        if host.running and (serial in known.at(host.address) or host.address == address):
-            return f"{host.name} is armed: {IDLE_FIRST}"
-    assignment = table_of("0.6").encode("Address", Node_ID=address, Serial_Number=serial)
+    if wrong := driver.wrong_id(request, range(MAX_NODE + 1), 48):
+        return wrong
+    assignment = table_of("0.6").encode("Address", Node_ID=request.address, Serial_Number=request.serial)
     return for_all(now, request, SET_ID, assignment, DISCOVERY)
 
 

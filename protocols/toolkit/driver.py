@@ -23,6 +23,7 @@ from protocols.toolkit.host import Host, Phase, Report, Timing
 
 Own = TypeVar("Own")
 NEVER: Nanos = 1 << 62
+ARMED = "it is armed: command Idle first"
 
 
 class Rx(Enum):
@@ -141,6 +142,10 @@ class Adapter(Generic[Own]):
 
     # -- requests -------------------------------------------------------------------------------------
 
+    def running(self, host: Host[Own]) -> bool:
+        """True if a device is, or may be, armed."""
+        return host.running
+
     def heard(self, pending: Pending[Own], driver: MotorDriver[Own]) -> Sequence[Report[Own]]:
         """Return, at the end of a scan, the devices that did not answer it, each with a note."""
         return ()
@@ -177,7 +182,7 @@ class Adapter(Generic[Own]):
         """Return why a request was not carried out by its deadline."""
         host = pending.host
         if isinstance(pending.request, msg.SetId):
-            return f"no device with serial number {pending.request.serial} took the address"
+            return f"no device with serial number {pending.request.serial:X} took the address"
         if host is None or host.received_at is None or host.received_at <= pending.began:
             return "no reply of the device"
         if isinstance(pending.request, msg.ClearFault):
@@ -278,6 +283,21 @@ class MotorDriver(Generic[Own]):
         """True while a scan is under way."""
         return any(isinstance(pending.request, msg.Scan) for pending in self.queue.waiting)
 
+    def wrong_id(self, request: msg.SetId, addresses: range, bits: int) -> str:
+        """Return why no device can be given this address, "" if one can; `bits`: of a serial number."""
+        address, serial, known = request.address, request.serial, self.serials
+        if address not in addresses:
+            return f"{address} is not an address: {addresses.start} to {addresses.stop - 1}"
+        if not 0 < serial < 1 << bits:
+            return f"{serial} is not a serial number of {bits} bits"
+        if others := known.at(address) - {serial}:
+            return f"address {address} is held by serial number {min(others):X}"
+        for host in self.hosts.values():
+            concerned = serial in known.at(host.address) or host.address == address
+            if concerned and self.adapter.running(host):
+                return f"{host.name}: {ARMED}"
+        return ""
+
     # -- the bus --------------------------------------------------------------------------------------
 
     def bus(self, t: Nanos, state: BusState) -> None:
@@ -356,8 +376,8 @@ class MotorDriver(Generic[Own]):
         host = None if for_all else self.hosts.get(rq.subject(request))
         if host is None and not for_all:
             return rq.refusal(now, request, f"{self.adapter.name} cannot do this, or knows no such motor")
-        if host is not None and host.running and isinstance(request, self.adapter.needs_idle):
-            return rq.refusal(now, request, "it is armed: command Idle first")
+        if host is not None and self.adapter.running(host) and isinstance(request, self.adapter.needs_idle):
+            return rq.refusal(now, request, ARMED)
         begun = self.adapter.begin(now, request, host, self)
         if isinstance(begun, str):
             return rq.refusal(now, request, begun)
