@@ -1,8 +1,8 @@
-"""Runs a guide: writes its files, runs its commands, and compares their output with the text.
+"""Runs a guide: executes its commands in a clean folder, and compares outputs and quotations with the text.
 
-Rules of such a text. A block under a line that begins with **`path`** is a file; "continued" on that line
-appends to an existing one, and a `diff` changes one. A `console` block holds commands, each behind "$ ", and
-their output; a line that is only "…" stands for any lines, or none. All else is for the reader alone.
+Rules of such a text. A `console` block holds commands, each behind "$ ", and their output. A block under a
+line that begins with **`path`** quotes a file as the commands have left it. A line that is only "…" stands for
+any lines, or none. All else is for the reader alone. `motor-gateway` in that folder is this checkout.
 
     python -m tests.guide docs/adding-a-protocol.md
 
@@ -22,7 +22,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(
-    r"(?:^\*\*`(?P<path>[^`\n]+)`\*\*(?P<note>[^\n]*)\n\n)?"
+    r"(?:^\*\*`(?P<path>[^`\n]+)`\*\*[^\n]*\n\n)?"
     r"^(?P<fence>`{3,})(?P<kind>\w+)\n(?P<body>.*?)^(?P=fence)$",
     re.MULTILINE | re.DOTALL,
 )
@@ -32,37 +32,35 @@ SITECUSTOMIZE = "import site\nsite.addsitedir({!r})\n"
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A block of the text that is executed: a file, a diff or commands."""
+    """A block of the text that is executed or compared."""
 
-    kind: str
     body: str
     path: str
-    appended: bool
+    """Of the file that it quotes; "" for commands."""
     start: int
     """Where its body begins in the text."""
 
 
 @dataclass(frozen=True, slots=True)
-class CommandResult:
-    """A command of the text, with the output that the text gives and the actual one."""
+class Comparison:
+    """A command or a quoted file, with what the text shows of it, and what it is."""
 
-    command: str
+    subject: str
     expected: str
     actual: str
 
     def matches(self) -> bool:
-        """True if the actual output is the expected one, where "…" stands for any lines."""
+        """True if it is as shown, where "…" stands for any lines."""
         parts = re.split(r"^…\n", self.expected, flags=re.MULTILINE)
         pattern = r"(?:.*\n)*?".join(re.escape(part) for part in parts)
         return re.fullmatch(pattern, self.actual) is not None
 
 
 def blocks(text: str) -> Iterator[Block]:
-    """Yield the files, diffs and commands of a text, in order."""
+    """Yield the commands and quotations of a text, in order."""
     for match in BLOCK.finditer(text):
         if match["path"] or match["kind"] == "console":
-            appended = "continued" in (match["note"] or "")
-            yield Block(match["kind"], match["body"], match["path"] or "", appended, match.start("body"))
+            yield Block(match["body"], match["path"] or "", match.start("body"))
 
 
 @dataclass(slots=True)
@@ -79,26 +77,20 @@ class GuideRunner:
         self.folder, self.site = self.root / "work", self.root / "site"
         self.folder.mkdir()
         self.site.mkdir()
+        (self.folder / "motor-gateway").symlink_to(ROOT)
         (self.site / "sitecustomize.py").write_text(SITECUSTOMIZE.format(str(self.site)))
 
-    def execute(self, block: Block) -> list[CommandResult]:
-        """Write or change the file, or run the commands."""
-        if block.kind == "console":
-            return [self.run(command, expected) for command, expected in commands(block.body)]
-        path = self.folder / block.path
-        if block.kind == "diff":
-            path.write_text(apply_diff(path.read_text(), block.body))
-        elif block.appended:
-            path.write_text(path.read_text() + ("\n" if block.body[0] == " " else "\n\n") + block.body)
-        else:
-            path.write_text(block.body)
-        return []
+    def execute(self, block: Block) -> list[Comparison]:
+        """Run the commands, or read the file."""
+        if block.path:
+            return [Comparison(block.path, block.body, (self.folder / block.path).read_text())]
+        return [self.run(command, expected) for command, expected in commands(block.body)]
 
-    def run(self, command: str, expected: str) -> CommandResult:
+    def run(self, command: str, expected: str) -> Comparison:
         """Run a command as in a shell; `cd` remains in effect."""
         if command.startswith("cd "):
             self.folder = (self.folder / command.removeprefix("cd ")).resolve()
-            return CommandResult(command, expected, "")
+            return Comparison(f"$ {command}", expected, "")
         completed = subprocess.run(
             ["bash", "-c", command],
             cwd=self.folder,
@@ -110,7 +102,7 @@ class GuideRunner:
             check=False,
         )
         output = completed.stdout.replace(str(self.root / "work"), "~")
-        return CommandResult(command, expected, output and output.rstrip("\n") + "\n")
+        return Comparison(f"$ {command}", expected, output and output.rstrip("\n") + "\n")
 
     def environment(self) -> dict[str, str]:
         """Return what the project needs and what was installed here; nothing of the caller's environment."""
@@ -139,23 +131,13 @@ def commands(body: str) -> list[tuple[str, str]]:
     return [(command, output.rstrip("\n") + "\n" if output.strip() else "") for command, _, output in pairs]
 
 
-def apply_diff(text: str, diff: str) -> str:
-    """Return the text with one change. Raises ValueError unless its old lines occur exactly once."""
-    lines = diff.splitlines(keepends=True)
-    old = "".join(line[1:] for line in lines if line[0] in " -")
-    new = "".join(line[1:] for line in lines if line[0] in " +")
-    if text.count(old) != 1:
-        raise ValueError(f"these lines occur {text.count(old)} times:\n{old}")
-    return text.replace(old, new)
-
-
 def update_outputs(text: str, root: Path) -> str:
     """Return the text with the present outputs of its commands; one with a "…" that matches stays."""
     runner, pieces, at = GuideRunner(root), list[str](), 0
     for block in blocks(text):
         results = runner.execute(block)
-        if block.kind == "console":
-            shown = [f"$ {r.command}\n{r.expected if r.matches() else r.actual}" for r in results]
+        if not block.path:
+            shown = [f"{r.subject}\n{r.expected if r.matches() else r.actual}" for r in results]
             pieces += [text[at : block.start], "".join(shown)]
             at = block.start + len(block.body)
     return "".join([*pieces, text[at:]])

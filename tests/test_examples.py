@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.distributions import Site
+
 FOLDER = Path(__file__).parents[1] / "examples"
 PRINTED = {
     "send_one_command": [r"left: armed \(CLOSED_LOOP_CONTROL\)", r"left: \w+, 1[01]\.\d\d rad"],
     "record_a_drive": [r"brain: goal 1 reached", r"believed pose: Pose\(x=1\.[45]\d*, y=0\.[45]\d*"],
     "replay_a_recording": [r"the same, byte for byte", r"events: .*\d+ Feedback"],
-    "embed_the_step": [r"right: [12]\.\d\d rad, [\d.]+ rad/s on the way to 3 rad"],
-    "own_motor": [r"written: .*driver\.py", r"jump +passed", r"turned by 2\.\d\d rad", r"to do: real bytes"],
+    "embed_the_step": [r"right: [23]\.\d\d rad, -?[\d.]+ rad/s on the way to 3 rad"],
 }
+PLUGIN = FOLDER / "robstride_can"
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +27,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_none_is_left_out() -> None:
+    text = (FOLDER / "README.md").read_text()
     assert set(PRINTED) == {path.stem for path in FOLDER.glob("*.py")}
-    assert all(f"[{name}.py]({name}.py)" in (FOLDER / "README.md").read_text() for name in PRINTED)
+    assert all(f"[{name}.py]({name}.py)" in text for name in PRINTED)
+    assert {path.name for path in FOLDER.iterdir() if path.is_dir()} == {PLUGIN.name}
+    assert f"[{PLUGIN.name}]({PLUGIN.name}/{PLUGIN.name}/README.md)" in text
 
 
 @pytest.mark.parametrize("name", PRINTED)
@@ -37,3 +42,20 @@ def test_it_runs_and_prints_what_it_should(name: str, folder: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     for pattern in PRINTED[name]:
         assert re.search(pattern, done.stdout), f"{pattern!r} is not in:\n{done.stdout}"
+
+
+def test_the_plugin_passes_its_own_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The contract, its vectors and its transcripts, as its author runs them."""
+    site = Site(tmp_path, monkeypatch)
+    site.link("motor-gateway-robstride-can", "robstride_can = robstride_can:plugin", PLUGIN)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        command,
+        cwd=PLUGIN,
+        env=site.environment(PYTHONDONTWRITEBYTECODE="1"),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    assert re.search(r"^12 passed", done.stdout, re.MULTILINE)

@@ -9,44 +9,46 @@ from pathlib import Path
 
 import pytest
 
-from tests.guide import ROOT, CommandResult, GuideRunner, apply_diff, blocks, commands
+from tests.guide import ROOT, Comparison, GuideRunner, blocks, commands
 
 TEXT = (ROOT / "docs" / "adding-a-protocol.md").read_text()
+EXAMPLE = ROOT / "examples" / "robstride_can"
+PACKAGE = EXAMPLE / "robstride_can"
+UPDATE = "`python -m tests.guide docs/adding-a-protocol.md` updates outputs"
 
 
 @pytest.fixture(scope="module")
-def executed(tmp_path_factory: pytest.TempPathFactory) -> tuple[GuideRunner, list[CommandResult]]:
+def executed(tmp_path_factory: pytest.TempPathFactory) -> tuple[GuideRunner, list[Comparison]]:
     runner = GuideRunner(tmp_path_factory.mktemp("guide"))
     return runner, [result for block in blocks(TEXT) for result in runner.execute(block)]
 
 
-def test_its_commands_print_what_it_shows(executed: tuple[GuideRunner, list[CommandResult]]) -> None:
+def test_outputs_and_files_are_as_it_shows(executed: tuple[GuideRunner, list[Comparison]]) -> None:
     _, results = executed
-    assert len(results) >= 12
+    assert len(results) >= 20
     for result in results:
-        text = f"$ {result.command}\n{result.actual}-- but the guide shows:\n{result.expected}"
-        assert result.matches(), f"{text}-- `python -m tests.guide docs/adding-a-protocol.md` updates it"
+        text = f"{result.subject}\n{result.actual}-- but the guide shows:\n{result.expected}-- {UPDATE}"
+        assert result.matches(), text
 
 
-def test_it_ends_with_a_plugin_that_is_complete(executed: tuple[GuideRunner, list[CommandResult]]) -> None:
-    runner, results = executed
-    checks = [each.actual for each in results if each.command.startswith("gateway protocols check")]
-    assert ", 0 failed, " in checks[-1]
-    assert any("failed  " in check for check in checks[:-1]), "it shows no mistake that the contract finds"
-    package = runner.root / "work" / "ddsm115"
-    files = [path for path in package.rglob("*.*") if "egg-info" not in str(path) and path.is_file()]
-    assert not [path for path in files if "FILL IN" in path.read_text(errors="replace")]
+def test_it_ends_with_a_plugin_that_keeps_the_contract(
+    executed: tuple[GuideRunner, list[Comparison]],
+) -> None:
+    _, results = executed
+    checks = [each.actual for each in results if each.subject.startswith("$ gateway protocols check")]
+    assert any("failed  " in check for check in checks), "it shows no mistake that the contract finds"
+    assert any(", 0 failed, " in check for check in checks)
 
 
-@pytest.mark.parametrize("tool", [["ruff", "check"], ["ruff", "format", "--check"], ["mypy"]], ids=" ".join)
-def test_what_it_builds_passes_lint_and_types(
-    executed: tuple[GuideRunner, list[CommandResult]], tool: list[str]
+@pytest.mark.parametrize("tool", [["ruff", "format", "--check", "--no-cache"], ["mypy"]], ids=" ".join)
+def test_what_it_builds_is_formatted_and_typed(
+    executed: tuple[GuideRunner, list[Comparison]], tool: list[str]
 ) -> None:
     runner, _ = executed
-    more = ["--no-cache"] if tool[0] == "ruff" else ["--follow-imports=silent", "--cache-dir=/dev/null"]
+    more = ["--follow-imports=silent", "--cache-dir=/dev/null"] if tool == ["mypy"] else []
     completed = subprocess.run(
         [sys.executable, "-m", *tool, *more],
-        cwd=runner.root / "work" / "ddsm115",
+        cwd=runner.folder,
         env=runner.environment(),
         capture_output=True,
         text=True,
@@ -57,10 +59,24 @@ def test_what_it_builds_passes_lint_and_types(
 
 def test_every_command_that_it_shows_is_run() -> None:
     shown = re.findall(r"^\$ (.+)$", TEXT, re.MULTILINE)
-    run = [
-        command for block in blocks(TEXT) if block.kind == "console" for command, _ in commands(block.body)
+    assert shown == [
+        command for block in blocks(TEXT) if not block.path for command, _ in commands(block.body)
     ]
-    assert shown == run
+
+
+def test_every_file_is_quoted_and_its_lines_are_counted() -> None:
+    quoted = {block.path for block in blocks(TEXT) if block.path}
+    code = {f"robstride_can/{path.name}" for path in PACKAGE.glob("*.py")}
+    tests = {"tests/test_robstride.py", "tests/driver.txt"}
+    assert quoted == {*code, *tests, "robstride_can/vectors.json", "arm.toml", "drive.py"}
+    assert f"**{_lines(code)} lines of Python in four files**" in TEXT
+    assert f"**{_lines({'robstride_can/vectors.json'}) - 2} vectors**" in TEXT
+    assert f"**{_lines(tests)} lines of tests**" in TEXT
+    assert len(TEXT.splitlines()) <= 500
+
+
+def _lines(paths: set[str]) -> int:
+    return sum(len((EXAMPLE / path).read_text().splitlines()) for path in paths)
 
 
 def test_the_files_that_it_links_to_exist() -> None:
@@ -70,33 +86,24 @@ def test_the_files_that_it_links_to_exist() -> None:
 
 # -- the runner itself ---------------------------------------------------------------------------------
 
-EXAMPLE = """\
-**`a.txt`**
-
-```text
-one
-two
-```
-
-**`a.txt`**, continued:
-
-```text
-three
-```
-
-**`a.txt`**
-
-```diff
- one
--two
-+2
-```
-
+SAMPLE = """\
 ```console
+$ printf 'one\\ntwo\\nthree\\n' > a.txt
 $ cat a.txt
 one
 …
 three
+```
+
+**`a.txt`**, in part:
+
+```text
+…
+two
+…
+```
+
+```console
 $ cd ..
 $ test -d work
 ```
@@ -107,11 +114,10 @@ for the reader
 """
 
 
-def test_files_diffs_and_commands_are_executed_in_order(tmp_path: Path) -> None:
+def test_commands_and_quotations_are_executed_in_order(tmp_path: Path) -> None:
     runner = GuideRunner(tmp_path)
-    results = [each for block in blocks(EXAMPLE) for each in runner.execute(block)]
-    assert (tmp_path / "work" / "a.txt").read_text() == "one\n2\n\n\nthree\n"
-    assert [each.command for each in results] == ["cat a.txt", "cd ..", "test -d work"]
+    results = [each for block in blocks(SAMPLE) for each in runner.execute(block)]
+    assert [each.subject for each in results][1:] == ["$ cat a.txt", "a.txt", "$ cd ..", "$ test -d work"]
     assert all(each.matches() for each in results)
 
 
@@ -129,10 +135,4 @@ def test_files_diffs_and_commands_are_executed_in_order(tmp_path: Path) -> None:
     ],
 )
 def test_what_matches(expected: str, actual: str, matches: bool) -> None:
-    assert CommandResult("", expected, actual).matches() is matches
-
-
-def test_a_diff_that_does_not_fit_raises() -> None:
-    assert apply_diff("a\nb\n", " a\n-b\n+c\n") == "a\nc\n"
-    with pytest.raises(ValueError, match="2 times"):
-        apply_diff("b\nb\n", "-b\n+c\n")
+    assert Comparison("", expected, actual).matches() is matches

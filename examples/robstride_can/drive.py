@@ -1,3 +1,5 @@
+"""Turn the shoulder by its robot file, and record it."""
+
 import gateway as gw
 
 with gw.open_session("arm.toml", simulated=True, record="arm.mcap") as session:
