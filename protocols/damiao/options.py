@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from protocols.damiao import table as dm
-from protocols.toolkit.mit import Gains
+from protocols.toolkit.mit import ImpedanceGains
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.table import Table
 
@@ -55,9 +55,9 @@ class Options:
         return dm.table_of(self.model)
 
     @property
-    def gains(self) -> Gains:
+    def gains(self) -> ImpedanceGains:
         """The gains of Position, Hold and Velocity."""
-        return Gains(self.stiffness, self.damping, self.table.row("MIT"))
+        return ImpedanceGains(self.stiffness, self.damping, self.table.row("MIT"))
 
     def reply(self, address: int) -> int:
         """Return the id of a motor's answers."""

@@ -1,7 +1,7 @@
 """MIT-type actuators: every command is five numbers, torque + stiffness·Δposition + damping·Δvelocity.
 
 Rules. Torque has no gains, Velocity the options' damping alone, Position and Hold both of the options'
-gains; all else is Impedance. Commands of the same numbers are the same to the device: `Gains.canonical` is
+gains; all else is Impedance. Commands of the same numbers are the same to the device: `ImpedanceGains.canonical` is
 what the `Spec` declares, so that the contract does not tell them apart.
 """
 
@@ -18,8 +18,8 @@ NUMBERS = ("position", "velocity", "torque", "stiffness", "damping")
 
 
 @dataclass(frozen=True, slots=True)
-class Gains:
-    """Gains of Position, Hold and Velocity, as the row `row` of a table encodes them."""
+class ImpedanceGains:
+    """ImpedanceGains of Position, Hold and Velocity, as the row `row` of a table encodes them."""
 
     stiffness: float
     """N·m/rad"""

@@ -9,7 +9,7 @@ from protocols.frames import Frame
 from protocols.messages import Command, Feedback, Mode, Nanos
 from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Host, Report
-from protocols.toolkit.mit import NUMBERS, Gains
+from protocols.toolkit.mit import NUMBERS, ImpedanceGains
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
 
@@ -37,9 +37,9 @@ class Options:
         check_bounds(self)
 
     @property
-    def gains(self) -> Gains:
+    def gains(self) -> ImpedanceGains:
         """The gains of Position, Hold and Velocity."""
-        return Gains(self.stiffness, self.damping, rs.TABLE.row("control"))
+        return ImpedanceGains(self.stiffness, self.damping, rs.TABLE.row("control"))
 
 
 class RobStride(RegisterAdapter):
