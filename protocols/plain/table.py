@@ -12,8 +12,8 @@ directions. The complement reveals a false or damaged length at once.
 
 from __future__ import annotations
 
+import math
 import struct
-import sys
 from dataclasses import fields
 from typing import Any
 
@@ -63,7 +63,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "angle_min": (-1e3, 1e3), "angle_increment": (-1e3, 1e3),
     "range_min": (0.0, 1e6), "range_max": (0.0, 1e6), "ranges": (0.0, 1e6),
     "latitude": (-90.0, 90.0), "longitude": (-180.0, 180.0), "altitude": (-1e7, 1e7), "variance": (0.0, 1e15),
-    "value": (-sys.float_info.max, sys.float_info.max),
+    "value": (math.nextafter(-math.inf, 0.0), math.nextafter(math.inf, 0.0)),
 }
 # fmt: on
 """Permitted numbers by the name of the field, in the units of `protocols.messages`. A sender refuses to
