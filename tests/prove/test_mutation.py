@@ -1,4 +1,4 @@
-"""What the contract and a protocol's own tests notice: mutmut on its codec, driver and decoder.
+"""What the contract and a protocol's own tests notice: mutmut on its host's end and what its devices obey.
 
     MUTANTS=300 ./go prove -k "mutation and plain"      300 of them, drawn by MUTANTS_SEED; by default all
 
@@ -22,7 +22,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 LEFT_OUT = shutil.ignore_patterns("__pycache__")
 COPIED = ("protocols", "brain", "gateway", "benchmarks", "fixtures", "tests", "pyproject.toml")
-MUTATED = ("codec", "driver", "decoder")
+LEFT = ("__init__", "twin", "options", "settings", "servo", "loops", "errors", "faults")
+"""Modules that are not mutated: the device's end, texts, and what only assembles."""
+TESTS = {"toolkit": ["toolkit", "damiao", "plain"]}
+"""Folders of tests that are run, where it is not the protocol's alone."""
+CONTRACTS = {"toolkit": "damiao"}
+"""The plugin whose contract is checked, where it is not the protocol's."""
 FLOOR = 0.9
 CONTRACT = """
 from protocols.conformance import check, table
@@ -38,7 +43,7 @@ source_paths = ["protocols"]
 only_mutate = {files}
 also_copy = {others}
 pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:xdist", "-x", "-q"]
-pytest_add_cli_args_test_selection = ["tests/protocols/{name}", "tests/prove/contract_of_{name}.py"]
+pytest_add_cli_args_test_selection = {tests}
 """
 
 
@@ -51,11 +56,16 @@ def project(folder: Path, name: str) -> None:
             )
         else:
             shutil.copy(ROOT / part, folder)
-    (folder / f"tests/prove/contract_of_{name}.py").write_text(CONTRACT.format(name=name))
-    files = [f"protocols/{name}/{module}.py" for module in MUTATED]
+    contract = f"tests/prove/contract_of_{name}.py"
+    (folder / contract).write_text(CONTRACT.format(name=CONTRACTS.get(name, name)))
+    tests = [*(f"tests/protocols/{each}" for each in TESTS.get(name, [name])), contract]
+    modules = sorted(path.stem for path in (ROOT / "protocols" / name).glob("*.py"))
+    files = [f"protocols/{name}/{module}.py" for module in modules if module not in LEFT]
     others = [part for part in COPIED if part != "protocols"]
     text = re.sub(r"\[tool\.mutmut\][^\[]*", "", (folder / "pyproject.toml").read_text())
-    (folder / "pyproject.toml").write_text(text + CONFIGURATION.format(name=name, files=files, others=others))
+    (folder / "pyproject.toml").write_text(
+        text + CONFIGURATION.format(files=files, others=others, tests=tests)
+    )
 
 
 def mutmut(folder: Path, *arguments: str) -> str:
@@ -73,7 +83,7 @@ def results(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("name", ["plain", "moteus", "odrive_can", "cia402"])
+@pytest.mark.parametrize("name", ["plain", "moteus", "odrive_can", "cia402", "damiao", "toolkit"])
 def test_mutation(name: str, tmp_path: Path) -> None:
     project(tmp_path, name)
     made = mutmut(tmp_path, "run", f"protocols.{name}.none_of_this_name")
