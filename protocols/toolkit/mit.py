@@ -1,8 +1,8 @@
 """MIT-type actuators: every command is five numbers, torque + stiffness·Δposition + damping·Δvelocity.
 
 Rules. Torque has no gains, Velocity the options' damping alone, Position and Hold both of the options'
-gains; all else is Impedance. Commands of the same numbers are the same to the device: the `Spec` declares that
-by `ImpedanceGains.canonical`, so that the contract does not tell them apart.
+gains; all else is Impedance. Commands of the same numbers are the same to the device: the `Spec` declares
+that by `ImpedanceGains.canonical`, so that the contract does not tell them apart.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
 """Options and settings of a protocol: dataclasses whose fields declare their bounds.
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    timeout_ms: int = bounded(100, 10, 10_000)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
+A number is declared as `timeout_ms: int = bounded(100, 10, 10_000)`, and `__post_init__` calls
+`check_bounds(self)`.
 """
 
 from __future__ import annotations
