@@ -6,7 +6,6 @@ what a joint may do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import pi, tau
 
@@ -21,17 +20,16 @@ from protocols.moteus.loops import COUNTED, Settings
 from protocols.moteus.messages import names
 from protocols.moteus.table import FAULTS
 from protocols.moteus.twin import MoteusTwin
-from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.toolkit.driver import MotorDriver
-from protocols.toolkit.table import BINARY32
+from protocols.plugin import Device, Plugin, Range, Spec, Watchdog
+from protocols.toolkit.assembly import can_motor, driver_of
+from protocols.toolkit.table import BINARY32, Table
 
 __all__ = ["plugin"]
 
 MOST = {"position": COUNTED * tau, "velocity": 1e3 * tau, "torque": 1e3}
 """What commands carry; the frames could carry more."""
-CARRIED = {"Position": ("position", "velocity", "torque"), "Velocity": ("velocity", "torque")}
-CARRIED["Torque"] = ("torque",)
 MEASURED = {f"Feedback.{name}": 3.4e38 for name in ("position", "velocity", "torque", "current")}
+CARRIED = {"Position": tuple(MOST), "Velocity": ("velocity", "torque"), "Torque": ("torque",)}
 COMMANDED = {f"{kind}.{name}": MOST[name] for kind, names in CARRIED.items() for name in names}
 RANGES = {name: Range(-most, most, 1e-12, BINARY32) for name, most in {**COMMANDED, **MEASURED}.items()}
 RANGES["Feedback.voltage"] = Range(0.0, 3276.7, 0.05001)
@@ -62,46 +60,31 @@ def _exact(number: int) -> IdMask:
 
 def spec(device: Device) -> Spec:
     """Return the contract of one moteus. Raises ValueError if its address cannot be one."""
-    options, settings = device.options, device.settings
-    if not isinstance(options, Options) or not isinstance(settings, Settings):
-        raise TypeError("a moteus device takes moteus' Options and Settings")
-    if not 1 <= device.address <= ADDRESS_MAX:
-        raise ValueError(f"address {device.address} of {device.name}: an id is 1 to {ADDRESS_MAX}")
+    options: Options = device.options
     host, prefix = options.host_id, options.can_prefix
     sends = frozenset(codec.command_id(address, host, prefix) for address in (device.address, BROADCAST))
     # Feedback of a position is rounded to half a count of the encoder, and to binary32.
-    position = replace(RANGES["Feedback.position"], resolution=pi / settings.encoder_cpr * 1.001)
-    return Spec(
+    position = replace(RANGES["Feedback.position"], resolution=pi / device.settings.encoder_cpr * 1.001)
+    return can_motor(
+        device,
+        Table(()),  # registers are no table of messages
+        range(1, ADDRESS_MAX + 1),
         bus="canfd",
-        kind="motor",
         sends=tuple(_exact(number) for number in sorted(sends)),
         expects=(_exact(reply_id(device.address, host, prefix)),),
         read_only=ReadOnly(sends),
-        feedback=FeedbackKind.POLLED,
-        feedback_period=options.feedback_ms * MILLISECOND,
-        offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
         requests=frozenset(
             {msg.ClearFault, msg.Scan, msg.SetId, msg.Zero, msg.ReadParameter, msg.WriteParameter}
         ),
         ranges=RANGES | {"Feedback.position": position},
         watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True),
-        holds_unattended=False,
         stop_clears_faults=True,
         faults=FAULTS,
         parameters=("mode", "voltage"),
         obeys_also=tuple((prefix << 16 | to, DESTINATION) for to in (device.address, BROADCAST)),
         receives_also=((reply_id(0, host, prefix), reply_id(0, 0x7F, 0x1FFF) | codec.REPLY_BIT | 0x80),),
     )
-
-
-def driver(devices: Sequence[Device]) -> Driver:
-    """Return the driver of all moteus controllers of one bus. Raises ValueError for a duplicate address."""
-    addresses = [device.address for device in devices]
-    for device in devices:
-        if addresses.count(device.address) > 1:
-            raise ValueError(f"duplicate address {device.address} on this bus ({device.name})")
-    return MotorDriver(MoteusAdapter(devices), devices, {device.name: RANGES for device in devices})
 
 
 plugin = Plugin(
@@ -114,7 +97,7 @@ plugin = Plugin(
     options=Options,
     settings=Settings,
     spec=spec,
-    driver=driver,
+    driver=driver_of(MoteusAdapter, spec),
     decoder=MoteusDecoder,
     twin=MoteusTwin,
     messages=names,

@@ -57,8 +57,6 @@ NOT_WRITTEN: Mapping[int, str] = {
     **dict.fromkeys(tb.UUID_MASK, "a mask of UUIDs is no parameter"),
     **dict.fromkeys((*range(0x010, 0x030), *range(0x040, 0x049)), "that register is what commands are for"),
 }
-ZERO = codec.write(tb.SET_OUTPUT_EXACT, 0.0) + codec.read(tb.SET_OUTPUT_EXACT)
-"""It is read back, so that the reply shows that this frame arrived."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +101,8 @@ class Motor:
 
     def on_reply(self, t: Nanos, values: Mapping[int, float | None]) -> None:
         """Record the registers in a reply."""
-        if tb.FIRMWARE_VERSION in values:
-            model, version = (int(values.get(at) or 0) for at in (tb.MODEL_NUMBER, tb.FIRMWARE_VERSION))
+        if tb.MODEL_NUMBER in values and tb.FIRMWARE_VERSION in values:
+            model, version = (int(values[at] or 0) for at in (tb.MODEL_NUMBER, tb.FIRMWARE_VERSION))
             dotted = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0))
             self.title = f"model {model:06X}, firmware {dotted}"
         mode, fault = values.get(tb.MODE), values.get(tb.FAULT)
@@ -151,18 +149,20 @@ class MoteusAdapter(Adapter[Motor]):
     needs_idle, zero_tolerance = (msg.Zero,), ZERO_WITHIN
     set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        every = [(device, device.options.host_id, device.options.can_prefix) for device in devices]
-        self._names = {codec.reply_id(each.address, host, prefix): each.name for each, host, prefix in every}
-        self._hosts = sorted({(host, prefix) for _, host, prefix in every})
+    def __init__(self) -> None:
+        self._names: dict[int, str] = {}
+        """Our devices by the identifiers of their replies."""
+        self._hosts: set[tuple[int, int]] = set()
         """Our ids and prefixes, for queries to all."""
 
     def own(self, device: Device) -> Motor:
         options: Options = device.options
         limits = (options.max_torque, options.velocity_limit / tau, options.acceleration_limit / tau)
         setpoints = mt.Setpoints(options.timeout_ms / 1000, *(each or None for each in limits if any(limits)))
-        identifier = codec.command_id(device.address, options.host_id, options.can_prefix)
-        return Motor(options, setpoints, identifier)
+        host = (options.host_id, options.can_prefix)
+        self._hosts |= {host}
+        self._names |= {codec.reply_id(device.address, *host): device.name}
+        return Motor(options, setpoints, codec.command_id(device.address, *host))
 
     def timing(self, options: Options) -> Timing:
         return Timing(options.offline_ms * MILLISECOND)
@@ -297,7 +297,7 @@ class MoteusAdapter(Adapter[Motor]):
             uuid = request.serial.to_bytes(SERIAL_BYTES, "big")
             line = mt.console(f"conf set id.id {request.address}")
             data, until, period = [mt.masked(uuid, line), mt.masked(uuid, mt.DISCOVER)], 1500, 150
-        ids = [codec.command_id(codec.BROADCAST, *host) for host in self._hosts]
+        ids = [codec.command_id(codec.BROADCAST, *host) for host in sorted(self._hosts)]
         frames = tuple(make_frame(each, piece) for piece in data for each in ids)
         deadline = now + until * MILLISECOND
         return Pending(request, subject(request), now, deadline, now, None, frames, period * MILLISECOND)

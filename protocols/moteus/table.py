@@ -98,7 +98,7 @@ _MODE_NAMES = {int(mode): mode.name.lower().replace("_", " ") for mode in Mode}
 
 def mode_name(mode: int) -> str:
     """Return the vendor's name of a mode."""
-    return _MODE_NAMES.get(mode) or f"mode {mode}"
+    return _MODE_NAMES.get(mode, f"mode {mode}")
 
 
 # -- faults --------------------------------------------------------------------------------------------
@@ -155,19 +155,11 @@ class _Reported(dict[int, FaultInfo]):
 
 REPORTED = _Reported(FAULTS)
 """Those of the device, of which newer firmware may have more, and one of the driver's."""
-REPORTED[NOT_ARMED] = FaultInfo(
-    "did not arm",
-    "it replies, but did not enter position mode within a second",
-    "look at it with the vendor's tool (tview), then clear",
-)
-LIMITS: Mapping[int, str] = {
-    96: "servo.max_velocity",
-    97: "servo.max_power_W",
-    98: "the maximum system voltage",
-    99: "servo.max_current_A",
-    100: "servo.fault_temperature",
-    101: "servo.motor_fault_temperature",
-    102: "the commanded maximum torque",
-    103: "servopos.position_min or servopos.position_max",
-}
+REPORTED[NOT_ARMED] = FaultInfo("did not arm", "it replies, but did not enter position mode within a second",
+    "look at it with the vendor's tool (tview), then clear")  # fmt: skip
+LIMITS: Mapping[int, str] = dict(enumerate((
+    "servo.max_velocity", "servo.max_power_W", "the maximum system voltage", "servo.max_current_A",
+    "servo.fault_temperature", "servo.motor_fault_temperature", "the commanded maximum torque",
+    "servopos.position_min or servopos.position_max",
+), 96))  # fmt: skip
 """What limits the output, by the content of the fault register in a mode that is not fault."""
