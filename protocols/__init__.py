@@ -7,6 +7,7 @@
     message_codec       messages as bytes
     reference_vectors   bytes from independent sources
     conformance         the contract that every plugin must pass
+    transcripts         what hosts and devices exchange, as text, run as tests
 
 Each other folder is one protocol. Nothing here imports `gateway` or `brain`, nor any I/O module; one
 protocol never imports another. Import from the modules: this package itself exports nothing.

@@ -231,7 +231,7 @@ def assigned_elsewhere(source: str) -> list[int]:
             while isinstance(owner, ast.Subscript):
                 owner = owner.value
             if isinstance(owner, ast.Attribute) and ast.unparse(owner.value) not in ("self", "cls"):
-                lines.append(node.lineno)
+                lines.append(owner.lineno)
     return lines
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from importlib.resources.abc import Traversable
 
 from protocols.messages import MILLISECOND, Nanos
 
@@ -45,7 +45,7 @@ class Line:
 class Block:
     """One test."""
 
-    file: Path
+    file: Traversable
     title: str
     head: tuple[Line, ...]
     """Of the file, then of the block."""
@@ -55,7 +55,7 @@ class Block:
     after: Block | None = None
 
     def __str__(self) -> str:
-        return f"{self.file.stem}: {self.title}"
+        return f"{self.file.name.removesuffix('.txt')}: {self.title}"
 
     def runs(self) -> list[tuple[Line, ...]]:
         """Return the lines of each run: all of them, or each of its own after those of the blocks before."""
@@ -78,12 +78,13 @@ def _moved(line: Line, by: Nanos) -> Line:
 # -- reading a file ------------------------------------------------------------------------------------
 
 
-def blocks(folder: Path) -> list[Block]:
+def blocks(folder: Traversable) -> list[Block]:
     """Return the blocks of the transcripts in a folder (*.txt), file by file."""
-    return [block for file in sorted(folder.glob("*.txt")) for block in read(file)]
+    files = {file.name: file for file in folder.iterdir() if file.name.endswith(".txt")}
+    return [block for name in sorted(files) for block in read(files[name])]
 
 
-def read(file: Path) -> list[Block]:
+def read(file: Traversable) -> list[Block]:
     """Return the blocks of a file. Raises ValueError for a line that cannot be read."""
     head: tuple[Line, ...] = ()
     found: dict[str, Block] = {}
@@ -104,14 +105,14 @@ def read(file: Path) -> list[Block]:
     return list(found.values())
 
 
-def _logical_lines(file: Path) -> Iterator[tuple[str, str]]:
+def _logical_lines(file: Traversable) -> Iterator[tuple[str, str]]:
     """Yield places and lines, without remarks; what ends with a backslash goes on in the next line."""
     begun = ""
     for at, text in enumerate(file.read_text("utf-8").splitlines(), 1):
         text = begun + text.partition(" -- ")[0].strip()
         begun = text.removesuffix("\\") if text.endswith("\\") else ""
         if text and not begun and not text.startswith("#"):
-            yield f"{file.parent.name}/{file.name}:{at}", text
+            yield f"{file.name}:{at}", text
 
 
 def _with(block: Block, place: str, text: str, found: dict[str, Block]) -> Block:

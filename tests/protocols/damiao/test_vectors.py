@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from protocols.damiao import plugin
@@ -12,7 +14,7 @@ from protocols.reference_vectors import Vector, vectors_of
 TABLE = table_of("4310")
 VECTORS = {vector.name: vector for vector in vectors_of(plugin)}
 MIT = {"position": 1.0, "velocity": -2.0, "stiffness": 50.0, "damping": 1.5, "torque": 3.0}
-SENT = {
+SENT: dict[str, tuple[str, dict[str, Any]]] = {
     "enable": ("enable", {}),
     "disable": ("disable", {}),
     "set_zero": ("zero", {}),
