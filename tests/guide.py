@@ -1,8 +1,8 @@
 """Runs a guide: executes its commands in a clean folder, and compares outputs and quotations with the text.
 
-Rules of such a text. A `console` block holds commands, each behind "$ ", and their output. A block under a
-line that begins with **`path`** quotes a file as the commands have left it. A line that is only "…" stands for
-any lines, or none. All else is for the reader alone. `motor-gateway` in that folder is this checkout.
+Rules of such a text. A `console` block holds commands, each behind "$ ", and their output. A block under
+a line that begins with **`path`** quotes a file as the commands have left it. A line that is only "…" stands
+for any lines, or none. All else is for the reader alone. `motor-gateway` in that folder is this checkout.
 
     python -m tests.guide docs/adding-a-protocol.md
 
