@@ -25,30 +25,23 @@ from protocols.toolkit.table import BINARY32
 
 __all__ = ["Options", "Settings", "plugin"]
 
-MAX_TURNS = 1e6
-MAX_SPEED = 1e3
-"""turns/s"""
-MAX_TORQUE = 1e3
-"""N·m"""
-
 
 def _range(limit: float) -> Range:
     """Return the range of a binary32 field."""
     return Range(-limit, limit, 1e-12, BINARY32)
 
 
+_TURNS, _TURNS_PER_SECOND, _TORQUE, _ANY = 1e6 * math.tau, 1e3 * math.tau, 1e3, 3.4e38
 RANGES: dict[str, Range] = {
-    "Position.position": _range(MAX_TURNS * math.tau),
+    "Position.position": _range(_TURNS),
     "Position.velocity": table.table_of("0.6").range("Set_Input_Pos", "Vel_FF", math.tau),
     "Position.torque": table.table_of("0.6").range("Set_Input_Pos", "Torque_FF"),
-    "Velocity.velocity": _range(MAX_SPEED * math.tau),
-    "Velocity.torque": _range(MAX_TORQUE),
-    "Torque.torque": _range(MAX_TORQUE),
-    **{
-        f"Feedback.{quantity}": _range(3.4e38)
-        for quantity in ("position", "velocity", "torque", "current", "voltage", "temperature")
-    },
+    "Velocity.velocity": _range(_TURNS_PER_SECOND),
+    "Velocity.torque": _range(_TORQUE),
+    "Torque.torque": _range(_TORQUE),
 }
+for _measured in ("position", "velocity", "torque", "current", "voltage", "temperature"):
+    RANGES[f"Feedback.{_measured}"] = _range(_ANY)
 REQUESTS = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Reboot}
 WATCHDOG_NOTE = (
     "the device's watchdog is off, and cannot be switched on over CAN: if this host or its cable fails, the"
@@ -110,13 +103,8 @@ def driver(devices: Sequence[Device]) -> Driver:
 
 def decoder(devices: Sequence[Device]) -> CommandDecoder:
     """Return what the ODrives of one bus would obey."""
-    tables = [table.table_of(line_of(device), device.options.is_extended) for device in devices]
-    return TableDecoder(
-        [
-            (each, memory(device), lambda command: command)
-            for each, device in zip(tables, devices, strict=True)
-        ]
-    )
+    tables = {each.name: table.table_of(line_of(each), each.options.is_extended) for each in devices}
+    return TableDecoder([(tables[each.name], memory(each), lambda command: command) for each in devices])
 
 
 def twin(device: Device, seed: int) -> OdriveTwin:

@@ -1,7 +1,12 @@
-"""What the host keeps of one device beyond its phase: its errors, its arming, and what is requested of it.
+"""What the host keeps of one device beyond its phase: firmware line, errors, arming, and what is requested.
 
-Rules. Plain data; only its own methods change it. What a device sends cyclically is not requested. Nothing
-is requested faster than the periods below and those of the options, whether it is answered or not.
+Rules. Plain data; only its own methods change it. A reply to Get_Version means 0.6.x. A device is 0.5.x if it
+sends heartbeats and repeatedly answers another request (one that both lines answer alike), but never
+Get_Version and the discovery: silence alone proves nothing, since the host's frames may not arrive. The robot
+file states an expectation; the device decides, and a difference is a fault. Until the line is known, and
+after a fault, nothing moves. A host that only listens (a dry run, a monitor) never knows the line; for
+decoding, and for nothing else, the form of a heartbeat is enough where only one line can have sent it. What a
+device sends cyclically is not requested, and nothing faster than the periods below and those of the options.
 """
 
 from __future__ import annotations
@@ -11,15 +16,15 @@ from typing import Any
 
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos
-from protocols.odrive_can import errors
-from protocols.odrive_can.line import Identity, flagged
+from protocols.odrive_can import errors, table
 from protocols.odrive_can.options import Options
-from protocols.odrive_can.table import STATE_NAMES, AxisState, requests_of
 from protocols.toolkit.driver import NEVER
 from protocols.toolkit.duplicates import ShaftCheck, StateCheck
-from protocols.toolkit.table import Values
+from protocols.toolkit.table import Table, Values
 
 VERSION, HEARTBEAT, ESTIMATES = "Get_Version", "Heartbeat", "Get_Encoder_Estimates"
+SUPPLY = "Get_Bus_Voltage_Current"
+"""Both lines answer this alike, and do not send it cyclically by default."""
 RETRY_PERIOD = 100 * MILLISECOND
 """Period in which an unanswered request is repeated."""
 VERSION_PERIOD = 5 * SECOND
@@ -32,6 +37,105 @@ HEARTBEATS = 2
 """Since a request of a state, until one is sure to be from after it."""
 POSITION_TOLERANCE = 0.05
 """turns: a smaller difference may be vibration."""
+IDENTIFY_ATTEMPTS = 10
+"""After this number of requests, a device that sends heartbeats and answers nothing is a fault."""
+REPLIES = {"auto": 5, "0.5": 2, "0.6": 5}
+"""Number of answers to the other request, with none to Get_Version, that identifies 0.5.x; by the option."""
+NO_DISCOVERY = "sends heartbeats, but did not answer discovery: firmware 0.5.x?"
+
+
+class Identity:
+    """What is known of one device's firmware. Plain data."""
+
+    def __init__(self, expected: str, extended: bool) -> None:
+        self.expected = expected
+        """ "0.5", "0.6" or "auto"."""
+        self.extended = extended
+        self.wrong = 0
+        """The code of the fault if it is not what was expected, or cannot be identified; until cleared."""
+        self.forget()
+
+    def forget(self) -> None:
+        """Identify the device anew: it may have restarted, or been replaced. A fault stays."""
+        self.line = ""
+        """Empty while not known."""
+        self.version = ""
+        """As it reported it."""
+        self._requests = self._replies = 0
+        self._reply_pending = self._answers_discovery = False
+        self.decode_as("")
+
+    def decode_as(self, line: str) -> None:
+        """Decode its frames as those of a line, known or not."""
+        self.dialect = table.DIALECTS[line]
+        self.table: Table = table.table_of(line, self.extended)
+
+    @property
+    def as_expected(self) -> bool:
+        """True if the line that its frames are decoded as is the one in the robot file."""
+        return self.expected in ("auto", self.dialect.line)
+
+    @property
+    def known(self) -> bool:
+        """True if it may be commanded."""
+        return bool(self.line) and not self.wrong
+
+    def on_request(self, has_heartbeat: bool) -> None:
+        """Count a request of Get_Version and the other message."""
+        self._reply_pending = True
+        self._requests += has_heartbeat
+        if self._requests > IDENTIFY_ATTEMPTS and not self.line:
+            self._fault(errors.FIRMWARE_UNKNOWN)
+
+    def on_reply(self) -> bool:
+        """Handle an answer to the other request. True if that identifies the line."""
+        if not self._reply_pending or self.line:
+            return False
+        self._reply_pending = False
+        self._replies += 1
+        if self._replies < REPLIES[self.expected] or self._answers_discovery:
+            return False
+        self.line = "0.5"
+        self.decode_as(self.line)
+        if self.expected == "0.6":
+            self._fault(errors.FIRMWARE_05)
+        return True
+
+    def on_discovery_reply(self) -> None:
+        """Handle an answer on the broadcast node, which no 0.5.x gives."""
+        self._answers_discovery = True
+
+    def on_version(self, values: Values) -> None:
+        """Handle a reply to Get_Version."""
+        before, line = self.line, f"{values['Fw_Version_Major']}.{values['Fw_Version_Minor']}"
+        self.version = f"{line}.{values['Fw_Version_Revision']}"
+        self.line = "0.6" if line == "0.6" else ""
+        self.decode_as(self.line)
+        if line != "0.6":
+            self._fault(errors.FIRMWARE_OTHER)
+        elif before == "0.5":
+            self._fault(errors.FIRMWARE_CHANGED)
+        elif self.expected == "0.5":
+            self._fault(errors.FIRMWARE_06)
+
+    def _fault(self, code: int) -> None:
+        """Keep the first fault until it is cleared."""
+        self.wrong = self.wrong or code
+
+    def on_clear(self) -> bool:
+        """Handle an operator's ClearFault. True if the device is to be identified anew."""
+        wrong, self.wrong = self.wrong, 0
+        return wrong != 0
+
+    def text(self) -> str:
+        """Return the firmware as far as known."""
+        if self.version:
+            return f"firmware {self.version}"
+        return f"firmware {self.line}.x" if self.line else "firmware not known yet"
+
+    def found(self) -> str:
+        """Return what a scan reports of it if it did not answer discovery."""
+        return self.text() if self.line else NO_DISCOVERY
 
 
 class Axis:
@@ -40,9 +144,9 @@ class Axis:
     def __init__(self, address: int, options: Options) -> None:
         self.address = address
         self.identity = Identity(options.firmware, options.is_extended)
-        table = requests_of(options.firmware, options.is_extended)
+        requests = table.requests_of(options.firmware, options.is_extended)
         self.requests: dict[str, CanFrame] = {
-            row.name.removeprefix("request for "): table.encode(row.name, address) for row in table.rows
+            row.name.removeprefix("request for "): requests.encode(row.name, address) for row in requests.rows
         }
         """By message: the remote frame that requests it."""
         self.written: dict[str, float] = {}
@@ -93,7 +197,7 @@ class Axis:
 
     def starts(self, values: Values) -> bool:
         """True if a heartbeat is the first of a device that is starting."""
-        return bool(values["Axis_Error"] & ~self.errors & self.identity.dialect.initializing)
+        return bool(values["Axis_Error"] & ~self.errors & self.identity.dialect.bit("INITIALIZING"))
 
     def on_heartbeat(self, t: Nanos, values: Values, fell: bool, releasing: bool) -> str:
         """Handle a heartbeat; `fell`: it left closed loop by itself, `releasing`: Idle is being sent. Return
@@ -101,12 +205,12 @@ class Axis:
         dialect = self.identity.dialect
         self.state, self.errors = values["Axis_State"], values["Axis_Error"]
         self.result = values.get("Procedure_Result", errors.SUCCESS)
-        before, self.components = self.components, flagged(values)
+        before, self.components = self.components, table.flagged(values)
         if self.words or self.components or fell:
             self.words = {name: self.words.get(name, 0) for name in self.components}
             self._await(t, [name for name in self.components if name not in before])
             self._await(t, dialect.disarm_reasons if fell else ())
-        if self.state == AxisState.CLOSED_LOOP_CONTROL:
+        if self.state == table.CLOSED_LOOP:
             self._attempts = self._heartbeats_since = 0
         elif fell:
             self.control_mode = None
@@ -151,23 +255,18 @@ class Axis:
         self._due.pop(name, None)
         return self.awaited.pop(name, None) is not None
 
-    def on_polled(self, t: Nanos, name: str) -> None:
-        """Handle a message that may be polled."""
+    def on_message(self, t: Nanos, name: str, values: Values) -> None:
+        """Handle a message that identifies it, or may be polled."""
         if name in self._polls:
             self._polls[name] = t + self._poll
-
-    def on_version(self, t: Nanos, values: Values) -> None:
-        """Handle a reply to Get_Version."""
-        before = self.identity.line, self.identity.dialect
-        self.identity.on_version(values)
-        self._due[VERSION] = t + VERSION_PERIOD if self.identity.wrong else NEVER
-        if (self.identity.line, self.identity.dialect) != before:
-            self._identified()
-
-    def on_supply(self) -> None:
-        """Handle an answer to the request that both lines answer."""
-        if self.identity.on_reply():
+        identity = self.identity
+        before = identity.line, identity.dialect
+        if name == VERSION:
+            identity.on_version(values)
+            self._due[VERSION] = t + VERSION_PERIOD if identity.wrong else NEVER
+        elif name == SUPPLY and identity.on_reply():
             self._due[VERSION] += VERSION_PERIOD - RETRY_PERIOD
+        if (identity.line, identity.dialect) != before:
             self._identified()
 
     def _identified(self) -> None:
@@ -186,9 +285,10 @@ class Axis:
         dialect, wrong = self.identity.dialect, self.identity.wrong
         if not (self.errors or self.words or wrong or self.failure):
             return ()
-        codes = [] if dialect.word is None else [*dialect.word.codes(self.errors & ~dialect.initializing)]
-        for name, bits in self.words.items():
-            codes += dialect.components[name].codes(bits)
+        bits = self.errors & ~dialect.bit("INITIALIZING")
+        codes = [] if dialect.word is None else [*dialect.word.codes(bits)]
+        for name, word in self.words.items():
+            codes += dialect.components[name].codes(word)
         return [*codes, *filter(None, (wrong, self.failure))]
 
     @property
@@ -201,17 +301,17 @@ class Axis:
         identity = self.identity
         if identity.wrong:
             return Mode.FAULT
-        if not identity.dialect.line or self.errors & identity.dialect.initializing:
+        if not identity.dialect.line or self.errors & identity.dialect.bit("INITIALIZING"):
             return Mode.INITIALISING
         if self.faulty:
             return Mode.FAULT
-        if self.state == AxisState.CLOSED_LOOP_CONTROL:
+        if self.state == table.CLOSED_LOOP:
             return Mode.ARMED
-        return Mode.READY if self.state == AxisState.IDLE else Mode.INITIALISING
+        return Mode.READY if self.state == table.IDLE else Mode.INITIALISING
 
     def detail(self, fell: bool = False) -> str:
         """Return the vendor's name for it."""
-        text = STATE_NAMES.get(self.state) or f"axis state {self.state}"
+        text = table.STATE_NAMES.get(self.state) or f"axis state {self.state}"
         if self.result not in (errors.SUCCESS, errors.BUSY):
             text += f", {errors.RESULT_NAMES.get(self.result) or f'procedure result {self.result}'}"
         if fell and not self.faulty:
@@ -294,8 +394,7 @@ class Axis:
             identity = self.identity
             identity.on_request(self.alive)
             self._due[VERSION] = now + (VERSION_PERIOD if identity.line or identity.wrong else RETRY_PERIOD)
-            # Both lines answer this alike, and do not send it cyclically by default.
-            names += ["Get_Bus_Voltage_Current"] if not identity.line and self.alive else []
+            names += [SUPPLY] if not identity.line and self.alive else []
         if ESTIMATES in names:
             self._estimates_pending = True
             self._due[ESTIMATES] = now + (self._feedback if self.alive else RETRY_PERIOD)

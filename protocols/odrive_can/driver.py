@@ -2,33 +2,53 @@
 
 Rules. Only remote frames go to a device that was never commanded, or whose firmware line is not known. The
 arming sequence is mode → set-point that does not move the shaft → Set_Axis_State 8 → wait for a heartbeat in
-state 8; set-points are sent only while heartbeats report closed loop. What CANSimple does not confirm counts
-as sent once a heartbeat shows that the device is alive, and its Done states that.
+state 8; set-points are sent only while heartbeats report closed loop. A request that is impossible is refused
+at once with the reason. What CANSimple does not confirm counts as sent once a heartbeat shows that the device
+is alive, and its Done states that.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT, CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Request
-from protocols.odrive_can import errors, requests, table
-from protocols.odrive_can.axis import Axis
-from protocols.odrive_can.line import NO_DISCOVERY
+from protocols.odrive_can import errors, table
+from protocols.odrive_can.axis import NO_DISCOVERY, Axis
 from protocols.odrive_can.options import Options
-from protocols.odrive_can.table import AxisState, ControlMode, InputMode
+from protocols.odrive_can.table import CLOSED_LOOP, WRITABLE, ControlMode, InputMode
 from protocols.plugin import Device
-from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
 from protocols.toolkit.host import Host, Phase, Report, Timing
-from protocols.toolkit.table import Decoded
+from protocols.toolkit.table import FLOAT_MAX, Decoded
+
+Times: TypeAlias = tuple[Nanos, Nanos]
+"""Timeout of a request, and period in which its frames are sent again."""
+USUAL: Times = (600 * MILLISECOND, 120 * MILLISECOND)
+RESTART: Times = (8000 * MILLISECOND, 2000 * MILLISECOND)
+SET_ID: Times = (1500 * MILLISECOND, 240 * MILLISECOND)
+SCAN: Times = (1800 * MILLISECOND, 600 * MILLISECOND)
+"""(ODriveResources@06dc846 `examples/can_enumerate.py`)"""
+REBOOT_GAP = 400 * MILLISECOND
+"""A pause between heartbeats that shows a restart: a late heartbeat is requested after 250 ms."""
+SAVE = "save_configuration"
+"""A parameter: written with 1, the device saves its configuration and restarts."""
+MEASURED = {
+    "Get_Iq": ("Iq_Measured", "current"),
+    "Get_Torques": ("Torque_Estimate", "torque"),
+    "Get_Bus_Voltage_Current": ("Bus_Voltage", "voltage"),
+}
+"""By message: a signal that is a measurement, and of what."""
 
 OdriveHost: TypeAlias = Host[Axis]
 OdriveDriver: TypeAlias = MotorDriver[Axis]
 OdriveReport: TypeAlias = Report[Axis]
+OdrivePending: TypeAlias = Pending[Axis]
 
 
 class OdriveAdapter(Adapter[Axis]):
@@ -39,7 +59,7 @@ class OdriveAdapter(Adapter[Axis]):
     duplicate = errors.DUPLICATE_NODE
     needs_idle = (msg.Zero, msg.Reboot)
     zero_tolerance = 0.05 * math.tau
-    set_id_detail = f"not saved yet: write {requests.SAVE} 1 to keep it after power-off"
+    set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
     unaddressed = table.BROADCAST
 
     def __init__(self, devices: Sequence[Device]) -> None:
@@ -47,7 +67,7 @@ class OdriveAdapter(Adapter[Axis]):
         # An axis of 0.5.x would take a remote frame of Address for Set_Axis_Node_ID, were its node id 63.
         discovers = any(device.options.firmware != "0.5" for device in devices)
         self._discovery = (table.DISCOVERY,) if discovers else ()
-        self._next_discovery: Nanos = 0 if discovers else NEVER
+        self._next_discovery: Nanos = 0
 
     def own(self, device: Device) -> Axis:
         return Axis(device.address, device.options)
@@ -63,99 +83,82 @@ class OdriveAdapter(Adapter[Axis]):
         number = frame.id | EXTENDED_BIT if frame.extended else frame.id
         name = self._names.get(number >> table.CMD_BITS)
         if name is None:
-            return (self._on_stranger(t, frame, driver),)
+            return (self._on_stranger(frame, driver),)
         host = driver.hosts[name]
         decoded = host.own.identity.table.decode(frame, "from_device")
         if decoded is None:
             return (Rx.IGNORED,)
-        if not decoded.name:
-            return (Rx.MALFORMED,)
-        return (self._report(t, host, frame, decoded, driver),)
+        report = self._report(t, host, frame, decoded) if decoded.name else Rx.MALFORMED
+        if isinstance(report, Report) and report.duplicate and host.address not in driver.serials.reported:
+            self._next_discovery = t  # serial numbers may show who it is
+        return (report,)
 
-    def _report(
-        self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded, driver: OdriveDriver
-    ) -> OdriveReport | Rx:
-        axis, address, values = host.own, host.address, decoded.values
+    def _report(self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded) -> OdriveReport | Rx:
+        axis, address, name, values = host.own, host.address, decoded.name, decoded.values
         feedback, faults = None, None
-        match decoded.name:
-            case "Get_Encoder_Estimates":
-                position, velocity = values["Pos_Estimate"], values["Vel_Estimate"]
-                twice = self._twice(t, host, driver, axis.on_estimates(t, position, velocity))
-                feedback = Feedback(host.name, t, position * math.tau, velocity * math.tau)
-                return Report(host, address, feedback=feedback, duplicate=twice, content=decoded)
-            case "Heartbeat":
-                return self._on_heartbeat(t, host, frame, decoded, driver)
-            case "Get_Iq":
-                feedback = Feedback(host.name, t, current=values["Iq_Measured"])
-            case "Get_Torques":
-                feedback = Feedback(host.name, t, torque=values["Torque_Estimate"])
-            case "Get_Temperature":
-                known = [value for value in values.values() if value is not None]
-                feedback = Feedback(host.name, t, temperature=max(known)) if known else None
-            case "Get_Bus_Voltage_Current":
-                feedback = Feedback(host.name, t, voltage=values["Bus_Voltage"])
-                axis.on_supply()
-            case "Get_Version":
-                axis.on_version(t, values)
-            case "Address reply":
-                # A node id that a host assigns differs from the node that it is assigned on.
-                if values["Node_ID"] != address:
-                    return Rx.IGNORED
-                axis.identity.on_discovery_reply()
-                serial, note = values["Serial_Number"], axis.identity.text()
-                return Report(host, address, serial=serial, note=note, content=decoded)
-            case "Get_Error":
-                faults = axis.on_errors(values["Active_Errors"], values["Disarm_Reason"])
-            case "Get_Motor_Error" | "Get_Encoder_Error" | "Get_Controller_Error" | "Get_Sensorless_Error":
-                faults = axis.on_word(decoded.name, *values.values())
-        axis.on_polled(t, decoded.name)
+        if name == "Get_Encoder_Estimates":
+            position, velocity = values["Pos_Estimate"], values["Vel_Estimate"]
+            twice = axis.on_estimates(t, position, velocity)
+            feedback = Feedback(host.name, t, position * math.tau, velocity * math.tau)
+            return Report(host, address, feedback=feedback, duplicate=twice, content=decoded)
+        if name == "Heartbeat":
+            return self._on_heartbeat(t, host, frame, decoded)
+        if name in MEASURED:
+            signal, quantity = MEASURED[name]
+            feedback = Feedback(host.name, t, **{quantity: values[signal]})
+        axis.on_message(t, name, values)
+        if name == "Get_Temperature":
+            known = [value for value in values.values() if value is not None]
+            feedback = Feedback(host.name, t, temperature=max(known)) if known else None
+        elif name == "Address reply":
+            if values["Node_ID"] != address:  # a host assigns one
+                return Rx.IGNORED
+            axis.identity.on_discovery_reply()
+            serial, note = values["Serial_Number"], axis.identity.text()
+            return Report(host, address, serial=serial, note=note, content=decoded)
+        elif name == "Get_Error":
+            faults = axis.on_errors(values["Active_Errors"], values["Disarm_Reason"])
+        elif name in axis.identity.dialect.components:
+            faults = axis.on_word(name, *values.values())
         if axis.identity.wrong:
             return Report(host, address, Mode.FAULT, axis.detail(), axis.codes(), feedback, content=decoded)
         return Report(host, address, faults=faults, feedback=feedback, content=decoded)
 
-    def _on_heartbeat(
-        self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded, driver: OdriveDriver
-    ) -> OdriveReport:
+    def _on_heartbeat(self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded) -> OdriveReport:
         axis = host.own
-        if not axis.identity.dialect.line:
-            axis.identity.on_heartbeat(decoded.values)
+        if not axis.identity.dialect.line:  # its form may be good enough to decode it
+            axis.identity.decode_as(table.line_by_form(decoded.values))
             better = axis.identity.table.decode(frame, "from_device")
             decoded = better if better is not None and better.name else decoded
         if axis.starts(decoded.values):
             host.forget(t)
             axis.forget(t)
         # After a state request the last heartbeat may be from before it: what it obeyed is no fall.
-        closed_loop = decoded.values["Axis_State"] == AxisState.CLOSED_LOOP_CONTROL
+        closed_loop = decoded.values["Axis_State"] == CLOSED_LOOP
         fell = host.phase is Phase.ARMED and not closed_loop and axis.heartbeat_at > axis.requested_at
         twice = axis.on_heartbeat(t, decoded.values, fell, releasing=host.phase is Phase.RELEASING)
-        twice = self._twice(t, host, driver, twice)
         mode, detail, codes = axis.mode(), axis.detail(fell), axis.codes()
         return Report(host, host.address, mode, detail, codes, duplicate=twice, content=decoded)
 
-    def _twice(self, t: Nanos, host: OdriveHost, driver: OdriveDriver, cause: str) -> str:
-        """Ask for serial numbers at once where there must be two devices; return the cause."""
-        if cause and host.address not in driver.serials.reported:
-            self._next_discovery = t
-        return cause
-
-    def _on_stranger(self, t: Nanos, frame: CanFrame, driver: OdriveDriver) -> OdriveReport | Rx:
+    def _on_stranger(self, frame: CanFrame, driver: OdriveDriver) -> OdriveReport | Rx:
         """Return what a frame reports of a device that is not in the robot file."""
         decoded = table.table_of("", frame.extended).decode(frame, "from_device")
-        if decoded is None or not decoded.name:
+        if decoded is None:
             return Rx.IGNORED
-        if decoded.name == "Address reply":
-            if frame.extended or decoded.values["Node_ID"] != decoded.address:
-                return Rx.IGNORED
-            note = "has no node id yet" if decoded.address == table.BROADCAST else ""
-            return Report(None, decoded.address, serial=decoded.values["Serial_Number"], note=note)
+        address, values = decoded.address, decoded.values
+        if decoded.name == "Address reply" and values["Node_ID"] == address and not frame.extended:
+            note = "has no node id yet" if address == table.BROADCAST else ""
+            return Report(None, address, serial=values["Serial_Number"], note=note)
         if decoded.name == "Heartbeat":  # a scan finds it at its end: 0.5.x answers no discovery
-            note = NO_DISCOVERY + ", extended identifiers" * frame.extended
-            for pending in driver.queue:
+            report: OdriveReport = Report(
+                None, address, note=NO_DISCOVERY + ", extended identifiers" * frame.extended
+            )
+            for pending in driver.queue.waiting:
                 if isinstance(pending.request, msg.Scan):
-                    pending.notes.update({str(frame.id): Report(None, decoded.address, note=note)})
+                    pending.notes.update({str(frame.id): report})
         return Rx.IGNORED
 
-    def heard(self, pending: Pending[Axis], driver: OdriveDriver) -> Sequence[OdriveReport]:
+    def heard(self, pending: OdrivePending, driver: OdriveDriver) -> Sequence[OdriveReport]:
         online = [host for host in driver.hosts.values() if host.received_at is not None and not host.offline]
         known = [Report(host, host.address, note=host.own.identity.found()) for host in online]
         return [*known, *pending.notes.values()]
@@ -179,7 +182,7 @@ class OdriveAdapter(Adapter[Axis]):
         frames = [axis.encode("Set_Controller_Mode", **_mode(mode))] if axis.set_mode(mode) else []
         frames.append(self._set_point(host, still[mode])[1])
         if axis.attempt(now):
-            frames.append(axis.encode("Set_Axis_State", Axis_Requested_State=AxisState.CLOSED_LOOP_CONTROL))
+            frames.append(axis.encode("Set_Axis_State", Axis_Requested_State=CLOSED_LOOP))
         return frames
 
     def command(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
@@ -192,7 +195,7 @@ class OdriveAdapter(Adapter[Axis]):
 
     def release(self, now: Nanos, host: OdriveHost) -> Sequence[Frame]:
         host.own.release(now)
-        return (host.own.encode("Set_Axis_State", Axis_Requested_State=AxisState.IDLE),)
+        return (host.own.encode("Set_Axis_State", Axis_Requested_State=table.IDLE),)
 
     def _set_point(self, host: OdriveHost, command: Command) -> tuple[ControlMode, CanFrame]:
         encode = host.own.encode
@@ -219,7 +222,7 @@ class OdriveAdapter(Adapter[Axis]):
         return host.own.due
 
     def poll_bus(self, now: Nanos) -> Sequence[Frame]:
-        if now < self._next_discovery or not self._discovery:
+        if now < self._next_discovery:
             return ()
         self._next_discovery = now + IDENTIFY_PERIOD
         return self._discovery
@@ -237,25 +240,147 @@ class OdriveAdapter(Adapter[Axis]):
 
     def begin(
         self, now: Nanos, request: Request, host: OdriveHost | None, driver: OdriveDriver
-    ) -> Pending[Axis] | str:
+    ) -> OdrivePending | str:
         if isinstance(request, msg.Scan):
-            return requests.for_all(now, request, requests.SCAN, *self._discovery)
+            return _pending(now, request, None, *self._discovery, times=SCAN)
         if isinstance(request, msg.SetId):
             if self._discovery:
-                return requests.begin_set_id(now, request, driver)
+                return _begin_set_id(now, request, driver)
             return "firmware 0.5.x reports no serial numbers over CAN: set the node id with the vendor's tool"
-        return requests.begin(now, request, host, driver) if host is not None else "no such motor"
+        return _begin(now, request, host, driver) if host is not None else "no such motor"
 
-    def frames(self, now: Nanos, pending: Pending[Axis]) -> Sequence[Frame]:
-        return requests.frames_of(pending)
+    def frames(self, now: Nanos, pending: OdrivePending) -> Sequence[Frame]:
+        if not isinstance(pending.request, msg.ClearFault) or pending.host is None:
+            return pending.frames
+        axis = pending.host.own
+        clear = axis.identity.dialect.messages.get("clear") if axis.identity.line else None
+        return () if clear is None else (axis.encode(clear[0], **clear[1]),)
 
-    def answer(self, t: Nanos, pending: Pending[Axis], report: OdriveReport) -> Event | None:
+    def answer(self, t: Nanos, pending: OdrivePending, report: OdriveReport) -> Event | None:
         if isinstance(pending.request, msg.Zero) or pending.host is None:
             return super().answer(t, pending, report)
-        return requests.answer(t, pending, pending.host.own, report.content)
+        axis, identity, content = pending.host.own, pending.host.own.identity, report.content
+        beat = content.name == "Heartbeat"
+        board = "and every axis of its board" if identity.dialect.boards else ""
+        match pending.request:
+            case msg.ClearFault() if beat and identity.line and not axis.faulty:
+                return pending.done(t, board)
+            case msg.Estop() if beat and axis.errors & (identity.dialect.bit("ESTOP_REQUESTED") or -1):
+                return pending.done(t, "it stays in fault until cleared")
+            case msg.Reboot() | msg.WriteParameter(_, "save_configuration") if beat:
+                # After a restart the device is identified anew, and its bits mean nothing before.
+                up = bool(identity.line) and not axis.errors & identity.dialect.bit("INITIALIZING")
+                gap = t - pending.notes.get("heartbeat", pending.began)
+                seen = pending.notes.get("seen") or not up or gap >= REBOOT_GAP
+                pending.notes.update(heartbeat=t, seen=seen)
+                text = ", ".join(filter(None, ("it has restarted", board)))
+                return pending.done(t, text) if seen and up else None
+            case msg.WriteParameter() if beat:
+                return pending.done(t, "sent; the device does not confirm it")
+            case msg.ReadParameter(_, name) if identity.dialect.readable().get(name) == content.name:
+                value = content.values[name]
+                if value is None:
+                    return pending.refuse(t, "the device has no sensor for it")
+                return msg.Parameter(pending.name, t, name, float(value))
+        return None
 
-    def give_up(self, now: Nanos, pending: Pending[Axis]) -> str:
-        return requests.give_up(pending) or super().give_up(now, pending)
+    def give_up(self, now: Nanos, pending: OdrivePending) -> str:
+        host, request = pending.host, pending.request
+        if host is not None and not host.offline and (host.received_at or 0) > pending.began:
+            if isinstance(request, msg.Reboot) or getattr(request, "parameter", "") == SAVE:
+                return "it showed no sign of a restart"
+            if isinstance(request, msg.ClearFault) and not host.own.identity.line:
+                return "its firmware is not known"
+            host.own.report_again()
+        return super().give_up(now, pending)
+
+
+def _pending(
+    now: Nanos, request: Request, host: OdriveHost | None, *frames: Frame, times: Times = USUAL
+) -> OdrivePending:
+    name = host.name if host is not None else getattr(request, "bus", "")
+    return Pending(request, name, now, now + times[0], now, host, frames, times[1])
+
+
+def _begin_set_id(now: Nanos, request: msg.SetId, driver: OdriveDriver) -> OdrivePending | str:
+    """Assign a node id to the device with a serial number, and repeat discovery."""
+    if wrong := driver.wrong_id(request, range(table.MAX_NODE + 1), 48):
+        return wrong
+    node, serial = request.address, request.serial
+    assignment = table.table_of("0.6").encode("Address", Node_ID=node, Serial_Number=serial)
+    return _pending(now, request, None, assignment, table.DISCOVERY, times=SET_ID)
+
+
+def _begin(now: Nanos, request: Request, host: OdriveHost, driver: OdriveDriver) -> OdrivePending | str:
+    """Begin a request to one device."""
+    axis, identity = host.own, host.own.identity
+    match request:
+        case msg.ClearFault():  # its frame follows as soon as the firmware line is known
+            if axis.clear(now):
+                host.report_again()
+            return _pending(now, request, host)
+        case msg.Estop():
+            return _pending(now, request, host, axis.encode("Estop"))
+        case _ if not identity.known:
+            return "its firmware is not known, or not the one in the robot file"
+        case msg.ReadParameter(_, parameter):
+            return _begin_reading(now, request, host, parameter)
+        case msg.Zero():
+            return _begin_action(now, request, host, "zero")
+        case msg.Reboot():
+            boards = [each for each in driver.hosts.values() if each.own.identity.dialect.boards]
+            beside = next((each.name for each in boards if each.running), "")
+            if identity.dialect.boards and beside:
+                reason = f"it restarts its whole board, and {beside}, which is armed, may be on it"
+                return f"{reason}: command Idle first"
+            return _begin_action(now, request, host, "reboot", RESTART)
+        case msg.WriteParameter(_, "save_configuration", value):
+            if value != 1:
+                return f"{SAVE} takes 1"
+            if host.running:
+                return ARMED
+            return _begin_action(now, request, host, "save", RESTART)
+        case msg.WriteParameter(_, parameter, value):
+            return _begin_writing(now, request, host, parameter, value)
+    return f"odrive_can has no {type(request).__name__}"
+
+
+def _begin_action(
+    now: Nanos, request: Request, host: OdriveHost, action: str, times: Times = USUAL
+) -> OdrivePending | str:
+    message = host.own.identity.dialect.messages.get(action)
+    if message is None:
+        return f"{host.own.identity.text()} cannot do this over CAN: use the vendor's tool"
+    return _pending(now, request, host, host.own.encode(message[0], **message[1]), times=times)
+
+
+def _begin_reading(now: Nanos, request: Request, host: OdriveHost, parameter: str) -> OdrivePending | str:
+    """Request the message that carries the parameter, or wait for it where it is only sent cyclically."""
+    dialect = host.own.identity.dialect
+    readable = dialect.readable()
+    if parameter not in readable:
+        return f"CANSimple does not report {parameter!r}; it reports {', '.join(readable)}"
+    if readable[parameter] == "Heartbeat" and dialect.boards:
+        return replace(_pending(now, request, host), sent=1)
+    return _pending(now, request, host, host.own.requests[readable[parameter]])
+
+
+def _begin_writing(
+    now: Nanos, request: Request, host: OdriveHost, parameter: str, value: float
+) -> OdrivePending | str:
+    """Send the message that writes the parameter; the other parameter of that message must be known."""
+    message, pair = next((row for row in WRITABLE.items() if parameter in row[1]), ("", ()))
+    if not message:
+        known = ", ".join([name for pair in WRITABLE.values() for name in pair] + [SAVE])
+        return f"CANSimple cannot set {parameter!r}; it can set {known}"
+    if not 0.0 <= value <= FLOAT_MAX:
+        return f"{value} is not a number of at least 0"
+    written = host.own.write(parameter, value)
+    missing = [name for name in pair if name not in written]
+    if missing:
+        reason = f"{message} sets {' and '.join(pair)} together, and the device does not report them over CAN"
+        return f"{reason}: write {missing[0]} too; {parameter} is kept for it"
+    return _pending(now, request, host, host.own.encode(message, **{name: written[name] for name in pair}))
 
 
 def _mode(mode: ControlMode) -> dict[str, int]:

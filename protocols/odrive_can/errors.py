@@ -1,6 +1,6 @@
 """The faults of an ODrive: the vendor's names, the likely cause, the remedy.
 
-Rules. One table per word of error bits, one line per bit: bit, name: cause | remedy. Names of 0.6.x as in
+Rules. One section per word of error bits, one line per bit: bit, name: cause | remedy. Names of 0.6.x as in
 odriverobotics/ODriveArduino@f52eef5 `src/ODriveEnums.h`, those of 0.5.x as in the choices of the DBC
 `odrive-cansimple-0.5.6.dbc` of package odrive-can 2.1.0; a bit of a component of 0.5.x has the component in
 its name too, since UNSTABLE_GAIN alone is three bits. A fault's code is the bit plus the word's base: 0 for
@@ -34,38 +34,8 @@ _PHRASES = {
 """What several lines of the tables have in common."""
 
 
-class Word:
-    """A word of error bits, or a list of codes. A constant."""
-
-    def __init__(self, number: int, text: str, prefix: str = "") -> None:
-        self.base = number << BASE_SHIFT
-        self.bits: dict[str, int] = {}
-        """By the vendor's name."""
-        self.faults: dict[int, FaultInfo] = {}
-        """By code."""
-        for line in text.strip().splitlines():
-            bit, _, fault = line.partition(" ")
-            name, _, texts = fault.partition(": ")
-            self.bits[name] = int(bit, 0)
-            cause, remedy = texts.format_map(_PHRASES).split(" | ")
-            self.faults[self.base + int(bit, 0)] = FaultInfo(prefix + name, cause, remedy)
-
-    def __deepcopy__(self, memo: object) -> Word:
-        """A word is a constant."""
-        return self
-
-    def code(self, name: str) -> int:
-        """Return the code of an error."""
-        return self.base + self.bits[name]
-
-    def codes(self, errors: int) -> Sequence[int]:
-        """Return the codes of the set bits, lowest first."""
-        return [self.base + (1 << shift) for shift in range(errors.bit_length()) if errors >> shift & 1]
-
-
-ERRORS = Word(
-    0,
-    """
+_TEXT = """
+== 0: `ODrive.Error` of 0.6.x: bits of Axis_Error, Active_Errors and Disarm_Reason
 0x1 INITIALIZING: the device is starting | wait; if it stays, check its supply
 0x2 SYSTEM_LEVEL: a fault of the firmware, or memory corrupted | {firmware}
 0x4 TIMING_ERROR: a deadline of the control loop was missed | reboot it; lower its cyclic message rates
@@ -88,14 +58,7 @@ ERRORS = Word(
 0x8000000 BRAKE_RESISTOR_DISARMED: it is switched off after a fault | clear; check resistor and its settings
 0x10000000 THERMISTOR_DISCONNECTED: no thermistor of the motor | check its cable, or switch it off
 0x40000000 CALIBRATION_ERROR: a calibration failed | read the procedure result, calibrate with the shaft free
-    """,
-)
-"""`ODrive.Error` of 0.6.x: bits of Axis_Error, Active_Errors and Disarm_Reason."""
-INITIALIZING = ERRORS.bits["INITIALIZING"]
-
-RESULTS = Word(
-    0,
-    """
+== 0: `ODrive.ProcedureResult` of 0.6.x: the outcome of the last state request
 2 CANCELLED: another state was requested meanwhile | request it again; is there a second host?
 3 DISARMED: the axis disarmed by a fault | read the disarm reason, remove it, clear
 4 NO_RESPONSE: the encoder does not answer | check its cable and settings
@@ -110,17 +73,7 @@ RESULTS = Word(
 13 INVALID_STATE: the requested state is not allowed now | {calibrate}
 14 NOT_CALIBRATED: motor or encoder is not calibrated | {calibrate}
 15 NOT_CONVERGING: the calibration did not settle | calibrate with the shaft free
-    """,
-)
-"""`ODrive.ProcedureResult`: the outcome of the last state request (0.6.x)."""
-SUCCESS, BUSY = 0, 1
-RESULT_NAMES = {SUCCESS: "SUCCESS", BUSY: "BUSY"} | {number: name for name, number in RESULTS.bits.items()}
-INCONCLUSIVE = (SUCCESS, BUSY, RESULTS.bits["CANCELLED"], RESULTS.bits["DISARMED"])
-"""Results that may be left from before a state request: they do not show how it ended."""
-
-AXIS = Word(
-    5,
-    """
+== 5: `ODrive.Axis.Error` of 0.5.x: the heartbeat's bits
 0x1 INVALID_STATE: the requested state is not possible now, most often as it is not calibrated | {calibrate}
 0x40 MOTOR_FAILED: the motor has an error of its own | read the motor's error
 0x80 SENSORLESS_ESTIMATOR_FAILED: the estimator has an error of its own | read the sensorless error
@@ -133,13 +86,7 @@ AXIS = Word(
 0x20000 HOMING_WITHOUT_ENDSTOP: homing was requested without an end stop | configure one
 0x40000 OVER_TEMP: motor or power stage is too hot | let it cool; reduce the load
 0x80000 UNKNOWN_POSITION: there is no valid position | {encoder}
-    """,
-)
-"""`ODrive.Axis.Error` of 0.5.x: the heartbeat's bits."""
-
-MOTOR = Word(
-    1,
-    """
+== 1 motor: `ODrive.Motor.Error`
 0x1 PHASE_RESISTANCE_OUT_OF_RANGE: phase resistance is not plausible | {phases}
 0x2 PHASE_INDUCTANCE_OUT_OF_RANGE: phase inductance is not plausible | {phases}
 0x8 DRV_FAULT: {gate_driver}
@@ -167,12 +114,7 @@ MOTOR = Word(
 0x200000000 UNKNOWN_GAINS: gains of the current control are not known | {calibrate}
 0x400000000 CONTROLLER_INITIALIZING: the current control was not ready yet | clear, and try again
 0x800000000 UNBALANCED_PHASES: the three phases differ | {phases}
-    """,
-    "motor ",
-)
-ENCODER = Word(
-    2,
-    """
+== 2 encoder: `ODrive.Encoder.Error`
 0x1 UNSTABLE_GAIN: encoder.config.bandwidth is too high | lower it
 0x2 CPR_POLEPAIRS_MISMATCH: pole pairs or encoder resolution are wrong | correct them, calibrate again
 0x4 NO_RESPONSE: the encoder does not answer | check its cable, supply and settings
@@ -183,12 +125,7 @@ ENCODER = Word(
 0x80 ABS_SPI_COM_FAIL: the absolute encoder's replies are corrupted | check its cable, supply and settings
 0x100 ABS_SPI_NOT_READY: the absolute encoder is not ready | check its cable, supply and settings
 0x200 HALL_NOT_CALIBRATED_YET: the Hall sensors are not calibrated | {calibrate}
-    """,
-    "encoder ",
-)
-CONTROLLER = Word(
-    3,
-    """
+== 3 controller: `ODrive.Controller.Error`
 0x1 OVERSPEED: {overspeed}
 0x2 INVALID_INPUT_MODE: input_mode does not exist | set a valid one
 0x4 UNSTABLE_GAIN: input_filter_bandwidth is too high | lower it
@@ -197,24 +134,10 @@ CONTROLLER = Word(
 0x20 INVALID_ESTIMATE: the encoder gives no valid position or velocity | {calibrate}
 0x40 INVALID_CIRCULAR_RANGE: circular_setpoint_range is not above 0 | correct it
 0x80 SPINOUT_DETECTED: {spinout}
-    """,
-    "controller ",
-)
-SENSORLESS = Word(
-    4,
-    """
+== 4 sensorless: `ODrive.SensorlessEstimator.Error`
 0x1 UNSTABLE_GAIN: the estimator's observer gain is too high | lower it
 0x2 UNKNOWN_CURRENT_MEASUREMENT: {missing} | {follows}
-    """,
-    "sensorless ",
-)
-
-
-PROCEDURE = 1 << 32
-"""Added to a procedure result to make a code."""
-DRIVER = Word(
-    0,
-    """
+== 0: what the driver finds
 0x200000000 duplicate node id: two devices answer at it | give one of them another
 0x300000000 firmware unknown: it answers neither Get_Version nor as 0.5.x would | do our frames arrive? cable?
 0x300000001 firmware not supported: it reports neither 0.5 nor 0.6 by Get_Version | update this driver
@@ -222,9 +145,49 @@ DRIVER = Word(
 0x300000003 firmware 0.6.x: Get_Version reports it, the robot file states 0.5 | set firmware = "0.6" in that
 0x300000004 firmware changed: from 0.5.x to 0.6.x: replaced, or two at one node id | look for a second device
 0x400000000 did not arm: no closed loop in 5 attempts | check it with the vendor's tool, then clear
-""",
-)
-"""Faults that the driver finds."""
+"""
+
+
+class Word:
+    """A word of error bits, or a list of codes. A constant."""
+
+    def __init__(self, section: str) -> None:
+        """`section`: number and prefix of the names, then a line for each fault."""
+        head, *lines = section.strip().splitlines()
+        number, *prefix = head.partition(":")[0].split()
+        self.base = int(number) << BASE_SHIFT
+        self.bits: dict[str, int] = {}
+        """By the vendor's name."""
+        self.faults: dict[int, FaultInfo] = {}
+        """By code."""
+        for line in lines:
+            bit, _, fault = line.partition(" ")
+            name, _, texts = fault.partition(": ")
+            self.bits[name] = int(bit, 0)
+            cause, remedy = texts.format_map(_PHRASES).split(" | ")
+            self.faults[self.base + int(bit, 0)] = FaultInfo(" ".join((*prefix, name)), cause, remedy)
+
+    def __deepcopy__(self, memo: object) -> Word:
+        """A word is a constant."""
+        return self
+
+    def code(self, name: str) -> int:
+        """Return the code of an error."""
+        return self.base + self.bits[name]
+
+    def codes(self, errors: int) -> Sequence[int]:
+        """Return the codes of the set bits, lowest first."""
+        return [self.base + (1 << shift) for shift in range(errors.bit_length()) if errors >> shift & 1]
+
+
+ERRORS, RESULTS, AXIS, MOTOR, ENCODER, CONTROLLER, SENSORLESS, DRIVER = map(Word, _TEXT.split("== ")[1:])
+INITIALIZING = ERRORS.bits["INITIALIZING"]
+PROCEDURE = 1 << 32
+"""Added to a procedure result to make a code."""
+SUCCESS, BUSY = 0, 1
+RESULT_NAMES = {SUCCESS: "SUCCESS", BUSY: "BUSY"} | {number: name for name, number in RESULTS.bits.items()}
+INCONCLUSIVE = (SUCCESS, BUSY, RESULTS.bits["CANCELLED"], RESULTS.bits["DISARMED"])
+"""Results that may be left from before a state request: they do not show how it ended."""
 DUPLICATE_NODE, FIRMWARE_UNKNOWN, FIRMWARE_OTHER, FIRMWARE_05, FIRMWARE_06, FIRMWARE_CHANGED, NOT_ARMED = (
     DRIVER.faults
 )

@@ -51,94 +51,61 @@ class Options:
 class Settings:
     """The configuration of the device: by default a commissioned axis, not the vendor's factory defaults."""
 
-    serial_number: int = bounded(0, 0, (1 << 48) - 1)
-    """48 bits; 0: derived from the address."""
-    firmware: str = ""
-    """Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest known of the line under options."""
+    serial_number: int = bounded(0, 0, (1 << 48) - 1)  # 48 bits; 0: derived from the address.
+    firmware: str = ""  # Firmware, e.g. "0.5.6" or "0.6.10"; "": the newest known of the line under options.
     other_axis: int = bounded(-1, -1, MAX_EXTENDED_NODE)
     """Node id of the other axis on the same board (0.5.x): clearing or restarting the board affects both."""
-    hw_line: int = bounded(5, 0, 0xFF)
-    """Product line 5: ODrive S1 (only reported, never used)."""
-    calibrated: bool = True
-    """Motor and encoder are calibrated; without it the axis refuses to arm."""
+    hw_line: int = bounded(5, 0, 0xFF)  # Product line 5: ODrive S1 (only reported, never used).
+    calibrated: bool = True  # Motor and encoder are calibrated; without it the axis refuses to arm.
 
     control_mode: int = bounded(int(ControlMode.VELOCITY), 0, 3)
     input_mode: int = bounded(int(InputMode.PASSTHROUGH), 0, 8)
-    pos_gain: float = bounded(20.0, 0.0, 1e4)
-    """(turn/s)/turn"""
-    vel_gain: float = bounded(0.16, 0.0, 1e3)
-    """N·m/(turn/s)"""
-    vel_integrator_gain: float = bounded(0.32, 0.0, 1e4)
-    """N·m/turn"""
-    vel_limit: float = bounded(40.0, 1e-3, 1e4)
-    """turn/s"""
+    pos_gain: float = bounded(20.0, 0.0, 1e4)  # (turn/s)/turn
+    vel_gain: float = bounded(0.16, 0.0, 1e3)  # N·m/(turn/s)
+    vel_integrator_gain: float = bounded(0.32, 0.0, 1e4)  # N·m/turn
+    vel_limit: float = bounded(40.0, 1e-3, 1e4)  # turn/s
     vel_limit_tolerance: float = bounded(1.2, 0.0, 100.0)
     """Factor on vel_limit above which the axis disarms; 0: never."""
     enable_torque_mode_vel_limit: bool = True
-    vel_ramp_rate: float = bounded(10.0, 0.0, 1e5)
-    """turn/s², input mode VEL_RAMP"""
-    torque_ramp_rate: float = bounded(1.0, 0.0, 1e4)
-    """N·m/s, input mode TORQUE_RAMP"""
-    input_filter_bandwidth: float = bounded(20.0, 1e-3, 1e4)
-    """rad/s, input mode POS_FILTER"""
-    inertia: float = bounded(0.0, -1e3, 1e3)
-    """N·m/(turn/s²): feed-forward of acceleration"""
-    trap_vel_limit: float = bounded(10.0, 1e-3, 1e4)
-    """turn/s, input mode TRAP_TRAJ"""
+    vel_ramp_rate: float = bounded(10.0, 0.0, 1e5)  # turn/s², input mode VEL_RAMP
+    torque_ramp_rate: float = bounded(1.0, 0.0, 1e4)  # N·m/s, input mode TORQUE_RAMP
+    input_filter_bandwidth: float = bounded(20.0, 1e-3, 1e4)  # rad/s, input mode POS_FILTER
+    inertia: float = bounded(0.0, -1e3, 1e3)  # N·m/(turn/s²): feed-forward of acceleration
+    trap_vel_limit: float = bounded(10.0, 1e-3, 1e4)  # turn/s, input mode TRAP_TRAJ
     trap_accel_limit: float = bounded(20.0, 1e-3, 1e5)
     trap_decel_limit: float = bounded(20.0, 1e-3, 1e5)
 
-    torque_constant: float = bounded(8.27 / 270.0, 1e-5, 100.0)
-    """N·m/A: a motor of 270 rpm/V"""
-    current_soft_max: float = bounded(30.0, 1e-3, 1e3)
-    """A: limit of the controller's current command"""
-    current_hard_max: float = bounded(50.0, 1e-3, 1e3)
-    """A: above it the axis disarms"""
-    current_bandwidth: float = bounded(1000.0, 1.0, 1e5)
-    """rad/s of the current loop"""
-    phase_resistance: float = bounded(0.05, 1e-4, 100.0)
-    """Ω"""
-    encoder_cpr: int = bounded(16384, 1, 1 << 24)
-    """Counts per turn of the encoder on the motor's shaft."""
-    encoder_bandwidth: float = bounded(1000.0, 1.0, 1e5)
-    """rad/s of the velocity estimate"""
+    torque_constant: float = bounded(8.27 / 270.0, 1e-5, 100.0)  # N·m/A: a motor of 270 rpm/V
+    current_soft_max: float = bounded(30.0, 1e-3, 1e3)  # A: limit of the controller's current command
+    current_hard_max: float = bounded(50.0, 1e-3, 1e3)  # A: above it the axis disarms
+    current_bandwidth: float = bounded(1000.0, 1.0, 1e5)  # rad/s of the current loop
+    phase_resistance: float = bounded(0.05, 1e-4, 100.0)  # Ω
+    encoder_cpr: int = bounded(16384, 1, 1 << 24)  # Counts per turn of the encoder on the motor's shaft.
+    encoder_bandwidth: float = bounded(1000.0, 1.0, 1e5)  # rad/s of the velocity estimate
 
-    bus_voltage: float = bounded(24.0, 1.0, 100.0)
-    """V, without load"""
-    bus_resistance: float = bounded(0.05, 0.0, 100.0)
-    """Ω of battery and cables"""
+    bus_voltage: float = bounded(24.0, 1.0, 100.0)  # V, without load
+    bus_resistance: float = bounded(0.05, 0.0, 100.0)  # Ω of battery and cables
     dc_bus_undervoltage_trip_level: float = bounded(10.5, 0.0, 100.0)
     dc_bus_overvoltage_trip_level: float = bounded(56.0, 0.0, 1e3)
-    dc_max_positive_current: float = bounded(60.0, 0.0, 1e4)
-    """A"""
+    dc_max_positive_current: float = bounded(60.0, 0.0, 1e4)  # A
     dc_max_negative_current: float = bounded(-30.0, -1e4, 0.0)
     """A fed back that the supply or brake resistor can take"""
-    ambient: float = bounded(25.0, -50.0, 200.0)
-    """°C"""
-    motor_thermal_resistance: float = bounded(2.0, 1e-3, 1e3)
-    """K/W from winding to ambient"""
-    motor_thermal_capacity: float = bounded(80.0, 1e-3, 1e5)
-    """J/K"""
-    motor_temp_limit_lower: float = bounded(80.0, -50.0, 1e3)
-    """°C from which on the current limit falls"""
-    motor_temp_limit_upper: float = bounded(100.0, -50.0, 1e3)
-    """°C at which it is zero; 5 °C more disarm"""
+    ambient: float = bounded(25.0, -50.0, 200.0)  # °C
+    motor_thermal_resistance: float = bounded(2.0, 1e-3, 1e3)  # K/W from winding to ambient
+    motor_thermal_capacity: float = bounded(80.0, 1e-3, 1e5)  # J/K
+    motor_temp_limit_lower: float = bounded(80.0, -50.0, 1e3)  # °C from which on the current limit falls
+    motor_temp_limit_upper: float = bounded(100.0, -50.0, 1e3)  # °C at which it is zero; 5 °C more disarm
     fet_temp_limit_lower: float = bounded(80.0, -50.0, 1e3)
     fet_temp_limit_upper: float = bounded(100.0, -50.0, 1e3)
     spinout_electrical_power_threshold: float = bounded(100.0, 0.0, 1e6)
     """W; the factory's ±10 W trips on hard but honest braking of a loaded wheel"""
-    spinout_mechanical_power_threshold: float = bounded(-100.0, -1e6, 0.0)
-    """W"""
-    spinout_power_bandwidth: float = bounded(20.0, 1e-3, 1e4)
-    """rad/s of the filters of both powers"""
+    spinout_mechanical_power_threshold: float = bounded(-100.0, -1e6, 0.0)  # W
+    spinout_power_bandwidth: float = bounded(20.0, 1e-3, 1e4)  # rad/s of the filters of both powers
 
     enable_watchdog: bool = False
-    watchdog_timeout: float = bounded(0.0, 0.0, 3600.0)
-    """s"""
-    reboot_ms: int = bounded(800, 0, 60_000)
-    """Time without frames after a reboot."""
-    initializing_ms: int = bounded(300, 0, 60_000)
-    """Time for which the axis then reports INITIALIZING."""
+    watchdog_timeout: float = bounded(0.0, 0.0, 3600.0)  # s
+    reboot_ms: int = bounded(800, 0, 60_000)  # Time without frames after a reboot.
+    initializing_ms: int = bounded(300, 0, 60_000)  # Time for which the axis then reports INITIALIZING.
 
     # Periods of cyclic messages; 0: never. Firmware 0.5.x calls them heartbeat_rate_ms, encoder_rate_ms,
     # iq_rate_ms and bus_vi_rate_ms, and has those with its own names below instead of version, error,

@@ -13,8 +13,7 @@ are ours (README, "the twin").
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Protocol
 
 from protocols.odrive_can.options import Settings
@@ -49,38 +48,17 @@ class Inputs(Protocol):
     torque: float
 
 
-@dataclass(slots=True)
-class Gains:
-    """The settings that can be changed while it runs."""
-
-    vel_limit: float
-    current_soft_max: float
-    trap_vel_limit: float
-    trap_accel_limit: float
-    trap_decel_limit: float
-    inertia: float
-    pos_gain: float
-    vel_gain: float
-    vel_integrator_gain: float
-
-    def set(self, message: str, values: list[float], settings: Settings) -> None:
-        """Set what a message gives; limits are magnitudes."""
-        for name, value in zip(GAINS[message], values, strict=True):
-            setattr(self, name, abs(value) if "limit" in name or "max" in name else value)
-        self.current_soft_max = min(self.current_soft_max, settings.current_hard_max)
-
-
-def gains_of(source: Settings | Gains) -> Gains:
-    """Return the gains as configured, or a copy."""
-    return Gains(*(getattr(source, name) for name in Gains.__slots__))
+def gains_of(settings: Settings) -> dict[str, float]:
+    """Return these settings as configured."""
+    return {name: getattr(settings, name) for names in GAINS.values() for name in names}
 
 
 class Servo:
     """The loops of one axis. Plain data."""
 
-    def __init__(self, settings: Settings, gains: Gains, whole_turns: int = 0) -> None:
+    def __init__(self, settings: Settings, gains: Mapping[str, float], whole_turns: int = 0) -> None:
         s = self.settings = settings
-        self.gains = gains
+        self.gains = dict(gains)
         # An absolute encoder knows its position within one turn only.
         self.encoder = Encoder(float(s.encoder_cpr), s.encoder_bandwidth, offset=whole_turns)
         self.stage = PowerStage(
@@ -100,6 +78,13 @@ class Servo:
     def current_set_point(self) -> float:
         """A"""
         return self.torque_target / self.settings.torque_constant
+
+    def configure(self, message: str, values: Iterable[float]) -> None:
+        """Set what a message gives; limits are magnitudes."""
+        for name, value in zip(GAINS[message], values, strict=True):
+            self.gains[name] = abs(value) if "limit" in name or "max" in name else value
+        most = self.settings.current_hard_max
+        self.gains["current_soft_max"] = min(self.gains["current_soft_max"], most)
 
     def start(self) -> None:
         """Arm: the present position is the set-point, the integrator empty."""
@@ -137,7 +122,7 @@ class Servo:
             case InputMode.VEL_RAMP:
                 step = clamp(inputs.velocity - to.velocity, self.settings.vel_ramp_rate * dt)
                 self._lead(to.position, to.velocity + step)
-                self.torque_set_point = step / dt * gains.inertia
+                self.torque_set_point = step / dt * gains["inertia"]
             case InputMode.TORQUE_RAMP:
                 limit = self.settings.torque_ramp_rate * dt
                 self.torque_set_point += clamp(inputs.torque - self.torque_set_point, limit)
@@ -145,12 +130,12 @@ class Servo:
                 ki = 2.0 * self.settings.input_filter_bandwidth
                 kp = 0.25 * ki * ki
                 acceleration = kp * (goal - to.position) + ki * (inputs.velocity - to.velocity)
-                self.torque_set_point = acceleration * gains.inertia
+                self.torque_set_point = acceleration * gains["inertia"]
                 velocity = to.velocity + dt * acceleration
                 self._lead(to.position + dt * velocity, velocity)
             case InputMode.TRAP_TRAJ if inputs.position is not None:
-                limits = gains.trap_vel_limit, gains.trap_accel_limit, gains.trap_decel_limit
-                self.torque_set_point = to.advance(dt, goal, *limits) * gains.inertia
+                limits = gains["trap_vel_limit"], gains["trap_accel_limit"], gains["trap_decel_limit"]
+                self.torque_set_point = to.advance(dt, goal, *limits) * gains["inertia"]
 
     def _lead(self, position: float, velocity: float) -> None:
         self.set_point = Trapezoid(position, velocity, self.set_point.done)
@@ -162,18 +147,18 @@ class Servo:
         settings, gains, velocity = self.settings, self.gains, self.encoder.velocity
         wanted = self.set_point.velocity
         if self.mode == ControlMode.POSITION:
-            wanted += gains.pos_gain * (self.set_point.position - self.encoder.position)
-        wanted = clamp(wanted, gains.vel_limit)
+            wanted += gains["pos_gain"] * (self.set_point.position - self.encoder.position)
+        wanted = clamp(wanted, gains["vel_limit"])
         tolerance = settings.vel_limit_tolerance
-        if tolerance and abs(velocity) > tolerance * gains.vel_limit:
+        if tolerance and abs(velocity) > tolerance * gains["vel_limit"]:
             return True
         torque, error = self.torque_set_point, 0.0
         if self.mode >= ControlMode.VELOCITY:
             error = wanted - velocity
-            torque += gains.vel_gain * error + self.integrator
+            torque += gains["vel_gain"] * error + self.integrator
         elif settings.enable_torque_mode_vel_limit:
-            highest = (gains.vel_limit - velocity) * gains.vel_gain
-            lowest = (-gains.vel_limit - velocity) * gains.vel_gain
+            highest = (gains["vel_limit"] - velocity) * gains["vel_gain"]
+            lowest = (-gains["vel_limit"] - velocity) * gains["vel_gain"]
             torque = max(lowest, min(highest, torque))
         if self.mode == ControlMode.VOLTAGE:  # not for a motor with an encoder
             torque = 0.0
@@ -183,7 +168,7 @@ class Servo:
         elif self.torque_target != torque:
             self.integrator *= INTEGRATOR_DECAY ** (dt * LOOP_RATE)
         else:
-            self.integrator += gains.vel_integrator_gain * dt * error
+            self.integrator += gains["vel_integrator_gain"] * dt * error
         return False
 
     def current_limit(self) -> float:
@@ -191,7 +176,7 @@ class Servo:
         s, stage = self.settings, self.stage
         motor = _derate(stage.motor_temperature, s.motor_temp_limit_lower, s.motor_temp_limit_upper)
         fet = _derate(stage.stage_temperature, s.fet_temp_limit_lower, s.fet_temp_limit_upper)
-        return self.gains.current_soft_max * min(motor, fet)
+        return self.gains["current_soft_max"] * min(motor, fet)
 
     def _monitor(self, armed: bool, overspeed: bool) -> Iterator[tuple[str, bool]]:
         s, stage = self.settings, self.stage

@@ -14,25 +14,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
 from protocols.messages import SECOND, Nanos, Obeyed
-from protocols.odrive_can import errors
+from protocols.odrive_can import errors, table
 from protocols.odrive_can.options import Settings, firmware_of, line_of, serial_of
-from protocols.odrive_can.servo import GAINS, Gains, Servo, gains_of
-from protocols.odrive_can.table import (
-    BROADCAST,
-    CMD_BITS,
-    ERASE,
-    MAX_EXTENDED_NODE,
-    SAVE,
-    WRITABLE,
-    AxisState,
-    ControlMode,
-    InputMode,
-    table_of,
-)
+from protocols.odrive_can.servo import GAINS, Servo, gains_of
+from protocols.odrive_can.table import BROADCAST, CLOSED_LOOP, ControlMode, InputMode
 from protocols.plugin import Device
 from protocols.toolkit.firmware import NEVER, Firmware, milliseconds
 from protocols.toolkit.table import Decoded, Values
@@ -48,7 +38,7 @@ def obeyed_as(decoded: Decoded) -> Decoded:
     if not decoded.name.startswith("remote "):
         return decoded
     name = decoded.name.removeprefix("remote ")
-    return Decoded(name, decoded.address, table_of("0.5").read(name, bytes(8)) or {})
+    return Decoded(name, decoded.address, table.table_of("0.5").read(name, bytes(8)) or {})
 
 
 @dataclass(slots=True)
@@ -75,15 +65,17 @@ class Memory:
         """Return the command that mode and inputs amount to now."""
         if not self.armed or self.input_mode == InputMode.INACTIVE:
             return ()
-        if self.control_mode == ControlMode.TORQUE:
-            return (msg.Torque(self.motor, self.torque),)
-        if self.control_mode == ControlMode.VELOCITY:
-            return (msg.Velocity(self.motor, self.velocity * math.tau, self.torque),)
-        if self.control_mode != ControlMode.POSITION:
-            return ()
-        if self.position is None:
-            return (msg.Hold(self.motor),)
-        return (msg.Position(self.motor, self.position * math.tau, self.velocity * math.tau, self.torque),)
+        match self.control_mode:
+            case ControlMode.TORQUE:
+                return (msg.Torque(self.motor, self.torque),)
+            case ControlMode.VELOCITY:
+                return (msg.Velocity(self.motor, self.velocity * math.tau, self.torque),)
+            case ControlMode.POSITION if self.position is None:
+                return (msg.Hold(self.motor),)
+            case ControlMode.POSITION:
+                turned = (self.position or 0.0) * math.tau
+                return (msg.Position(self.motor, turned, self.velocity * math.tau, self.torque),)
+        return ()
 
     def addressed(self, decoded: Decoded) -> bool:
         """True if a message is for this axis."""
@@ -95,17 +87,16 @@ class Memory:
 
     def obey(self, decoded: Decoded) -> Sequence[Obeyed]:
         """Apply a message to any address; return what the axis then does."""
-        name, values = decoded.name, decoded.values
+        decoded = obeyed_as(decoded)
+        name, values, motor = decoded.name, decoded.values, self.motor
         if name == "Address":
             return self._assign(values["Node_ID"], values["Serial_Number"])
-        if name.startswith("remote "):
-            return self.obey(obeyed_as(decoded))
         if name == "Set_Axis_Node_ID" and decoded.address == self.other:
-            self.other = values["Axis_Node_ID"] & MAX_EXTENDED_NODE
+            self.other = values["Axis_Node_ID"] & table.MAX_EXTENDED_NODE
         if not self.addressed(decoded):
             return ()
-        motor = self.motor
-        match name:
+        written = {key: values[key] for key in table.WRITABLE.get(name, ())}
+        match name.removesuffix(" (0.5.x)"):
             case "Set_Input_Pos":
                 self.position, self.velocity, self.torque = values.values()
                 return self.command()
@@ -116,39 +107,31 @@ class Memory:
                 self.torque = values["Input_Torque"]
                 return self.command()
             case "Set_Controller_Mode":
-                return self._set_mode(values["Control_Mode"], values["Input_Mode"])
+                return self._set_mode(*values.values())
             case "Set_Axis_State":
                 return self.set_state(values["Axis_Requested_State"])
             case "Estop":
                 self.disarm()
                 return (msg.Estop(motor),)
-            case "Reboot" | "Reboot (0.5.x)" | "Enter_DFU_Mode":
+            case "Reboot" | "Enter_DFU_Mode":
                 self.disarm()
                 return (msg.Reboot(motor),)
-            case "Clear_Errors" | "Clear_Errors (0.5.x)":
+            case "Clear_Errors":
                 return (msg.ClearFault(motor),)
             case "Set_Axis_Node_ID":
-                self.node = values["Axis_Node_ID"] & MAX_EXTENDED_NODE
+                self.node = values["Axis_Node_ID"] & table.MAX_EXTENDED_NODE
                 return (msg.SetId("", self.serial, values["Axis_Node_ID"]),)
+            case "Set_Absolute_Position" | "Set_Linear_Count" if not values["Position"]:
+                return (msg.Zero(motor),)
             case "Set_Absolute_Position":
-                position = values["Position"]
-                return (
-                    msg.WriteParameter(motor, "Position", position * math.tau)
-                    if position
-                    else msg.Zero(motor),
-                )
+                written = {"Position": values["Position"] * math.tau}
             case "Set_Linear_Count":
-                count = values["Position"]
-                return (
-                    msg.WriteParameter(motor, "Linear_Count", float(count)) if count else msg.Zero(motor),
-                )
+                written = {"Linear_Count": float(values["Position"])}
             case "Start_Anticogging":  # a procedure of the device that turns the shaft
                 return (msg.Home(motor),)
             case "RxSdo" if values["Opcode"] == 1:
-                return (
-                    msg.WriteParameter(motor, f"endpoint {values['Endpoint_ID']}", float(values["Value"])),
-                )
-        return tuple(msg.WriteParameter(motor, key, values[key]) for key in WRITABLE.get(name, ()))
+                written = {f"endpoint {values['Endpoint_ID']}": float(values["Value"])}
+        return tuple(msg.WriteParameter(motor, key, value) for key, value in written.items())
 
     def disarm(self) -> None:
         """Leave closed loop."""
@@ -156,11 +139,11 @@ class Memory:
 
     def set_state(self, state: int) -> Sequence[Obeyed]:
         """Apply a requested state; 0 is no request at all (ODrive@f9b5419 `MotorControl/axis.cpp`)."""
-        if state == AxisState.UNDEFINED:
+        if state == table.UNDEFINED:
             return ()
-        if state != AxisState.CLOSED_LOOP_CONTROL:
+        if state != CLOSED_LOOP:
             self.disarm()
-            return (msg.Home(self.motor),) if state == AxisState.HOMING else (msg.Idle(self.motor),)
+            return (msg.Home(self.motor),) if state == table.HOMING else (msg.Idle(self.motor),)
         if not self.armed or self.line == "0.5":  # 0.5.x leaves closed loop and enters it again
             # On arming in position control the firmware takes the present position as its input
             # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
@@ -212,8 +195,6 @@ CYCLIC = {
     "Get_Torques": "torques_msg_rate_ms",
 }
 """The cyclic messages of both lines, and the settings that hold their periods."""
-FEEDS = ("Set_Input_Pos", "Set_Input_Vel", "Set_Input_Torque", "Set_Axis_State")
-"""What feeds the watchdog of 0.6.x (odriverobotics/ODriveResources@fdb25dd `examples/can_watchdog.py`)."""
 GPIO_COUNT = 17
 
 
@@ -222,14 +203,17 @@ class OdriveTwin(Firmware):
 
     raised: Mapping[str, int]
     """The codes of errors by their names in 0.6.x."""
+    feeds: tuple[str, ...] = ()
+    """Messages that feed its watchdog."""
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
         self.memory = memory(device)
-        self.table = table_of(self.memory.line, device.options.is_extended)
+        self.table = table.table_of(self.memory.line, device.options.is_extended)
         self.servo = Servo(device.settings, gains_of(device.settings))
         self.words: dict[int, int] = {}
         """Error bits by the base of their word."""
+        self.disarm_reason = 0
         sent = {row.name for row in self.table.rows if row.direction == "from_device"}
         periods = {name: getattr(self.settings, key) for name, key in CYCLIC.items() if name in sent}
         self._periods = {name: milliseconds(period) for name, period in periods.items() if period}
@@ -240,10 +224,6 @@ class OdriveTwin(Firmware):
         """Do what a request of a state does."""
         raise NotImplementedError
 
-    def clear_errors(self) -> None:
-        """Do what Clear_Errors does."""
-        self.words.clear()
-
     def reboot(self, t: Nanos, action: int) -> None:
         """Restart the processor."""
         raise NotImplementedError
@@ -252,9 +232,19 @@ class OdriveTwin(Firmware):
         """Do what follows from an error."""
         raise NotImplementedError
 
-    def heartbeat(self) -> Values:
-        """Return what a heartbeat has beside the state."""
-        raise NotImplementedError
+    def signals(self) -> Values:
+        """Return what it reports, by the vendor's names."""
+        servo, stage, encoder = self.servo, self.servo.stage, self.servo.encoder
+        return {
+            "Axis_State": CLOSED_LOOP if self.memory.armed else table.IDLE,
+            "Trajectory_Done_Flag": servo.set_point.done,
+            "Pos_Estimate": encoder.position,
+            "Vel_Estimate": encoder.velocity,
+            "Iq_Setpoint": servo.current_set_point,
+            "Iq_Measured": stage.current,
+            "Bus_Voltage": stage.voltage,
+            "Bus_Current": stage.supply_current,
+        }
 
     # -- what both do ---------------------------------------------------------------------------------
 
@@ -275,12 +265,12 @@ class OdriveTwin(Firmware):
         """Return the timeout as configured; 0: off."""
         return round(self.settings.watchdog_timeout * SECOND) if self.settings.enable_watchdog else 0
 
-    def restart_with(self, t: Nanos, node: int, gains: Gains) -> None:
+    def restart_with(self, t: Nanos, node: int, gains: Mapping[str, float]) -> None:
         """Restart with the saved node id and gains: silent at first, and disarmed."""
         self.restart(t, milliseconds(self.settings.reboot_ms))
         self.memory = memory(self.device, node)
         # An absolute encoder knows its position within one turn only.
-        self.servo = Servo(self.settings, gains_of(gains), math.floor(self.servo.encoder.shaft))
+        self.servo = Servo(self.settings, gains, math.floor(self.servo.encoder.shaft))
         self.words.clear()
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
@@ -304,6 +294,8 @@ class OdriveTwin(Firmware):
     def on_message(self, t: Nanos, decoded: Decoded) -> None:
         """Obey a message to this axis."""
         name, values, encoder = decoded.name, decoded.values, self.servo.encoder
+        if name in self.feeds:
+            self.feed(t)
         match name.removesuffix(" (0.5.x)"):
             case "Set_Axis_State":
                 return self.request_state(t, values["Axis_Requested_State"])
@@ -312,7 +304,8 @@ class OdriveTwin(Firmware):
             case "Estop":
                 self.trip(self.raised["ESTOP_REQUESTED"])
             case "Clear_Errors":
-                self.clear_errors()
+                self.words.clear()
+                self.disarm_reason = 0
             case "Enter_DFU_Mode":
                 self.silent_until = NEVER
             case "Set_Absolute_Position":
@@ -320,9 +313,9 @@ class OdriveTwin(Firmware):
             case "Set_Linear_Count":
                 encoder.set_position(values["Position"] / self.settings.encoder_cpr)
             case "Ask_ADC_Voltage" if values["GPIO"] < GPIO_COUNT:
-                self.reply(t, self.table.encode("Get_ADC_Voltage", self.memory.node, ADC_Voltage=0.0))
+                self.on_request(t, "Get_ADC_Voltage", self.memory.node)
             case _ if name in GAINS:
-                self.servo.gains.set(name, [*values.values()], self.settings)
+                self.servo.configure(name, values.values())
         self.memory.obey(decoded)
         return None
 
@@ -336,46 +329,12 @@ class OdriveTwin(Firmware):
         return self.servo.stage.torque if self.memory.armed else 0.0
 
     def report(self, name: str) -> Frame | None:
-        values = self.values(name)
-        name = "Address reply" if name == "Address" else name
-        return None if values is None else self.table.encode(name, self.memory.node, **values)
-
-    def values(self, name: str) -> Values | None:
-        """Return the fields of a message as they are now; None if there is none."""
-        servo, stage, encoder, cpr = (
-            self.servo,
-            self.servo.stage,
-            self.servo.encoder,
-            self.settings.encoder_cpr,
-        )
-        match name:
-            case "Heartbeat":
-                state = AxisState.CLOSED_LOOP_CONTROL if self.memory.armed else AxisState.IDLE
-                done = servo.set_point.done
-                return {"Axis_State": state, "Trajectory_Done_Flag": done} | self.heartbeat()
-            case "Get_Encoder_Estimates":
-                return {"Pos_Estimate": encoder.position, "Vel_Estimate": encoder.velocity}
-            case "Get_Iq":
-                return {"Iq_Setpoint": servo.current_set_point, "Iq_Measured": stage.current}
-            case "Get_Bus_Voltage_Current":
-                return {"Bus_Voltage": stage.voltage, "Bus_Current": stage.supply_current}
-            case "Get_Temperature":
-                return {
-                    "FET_Temperature": stage.stage_temperature,
-                    "Motor_Temperature": stage.motor_temperature,
-                }
-            case "Get_Torques":
-                return {"Torque_Target": servo.torque_target, "Torque_Estimate": stage.torque}
-            case "Get_Powers":
-                return {"Electrical_Power": stage.electrical, "Mechanical_Power": stage.mechanical}
-            case "Get_Encoder_Count":
-                shadow, within = (
-                    math.floor(turns * cpr + 0.5) for turns in (encoder.position, encoder.shaft)
-                )
-                return {"Shadow_Count": (shadow + 2**31) % 2**32 - 2**31, "Count_in_CPR": within % cpr}
-            case "Get_Sensorless_Estimates":
-                return {"Sensorless_Pos_Estimate": 0.0, "Sensorless_Vel_Estimate": 0.0}
-        return None
+        row = self.table.row("Address reply" if name == "Address" else name)
+        signals = self.signals()
+        names = [field.name for field in row.fields if field.name]
+        if not signals.keys() >= set(names):  # a message that it does not send
+            return None
+        return self.table.encode(row.name, self.memory.node, **{each: signals[each] for each in names})
 
 
 class Twin06(OdriveTwin):
@@ -383,15 +342,17 @@ class Twin06(OdriveTwin):
 
     faults = errors.DEVICE06
     raised = errors.ERRORS.bits
+    # (odriverobotics/ODriveResources@fdb25dd `examples/can_watchdog.py`)
+    feeds = ("Set_Input_Pos", "Set_Input_Vel", "Set_Input_Torque", "Set_Axis_State")
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
-        self.disarm_reason = 0
         self.result = errors.SUCCESS
         self.starts_until: Nanos = 0
         """It reports INITIALIZING until then."""
         self._flash = (self.memory.node, gains_of(self.settings))
         """Node id and gains as saved."""
+        self._version = [int(part) for part in firmware_of(device).split(".")]
 
     def timeout(self) -> Nanos:
         return self.watchdog() if self.memory.armed else 0
@@ -406,14 +367,9 @@ class Twin06(OdriveTwin):
         """A device without an address sends nothing by itself."""
         return super().report(name) if name == "Address" or self.memory.node != BROADCAST else None
 
-    def on_message(self, t: Nanos, decoded: Decoded) -> None:
-        if decoded.name in FEEDS:
-            self.feed(t)
-        super().on_message(t, decoded)
-
     def request_state(self, t: Nanos, state: int) -> None:
         results, was_armed = errors.RESULTS.bits, self.memory.armed
-        if state == AxisState.CLOSED_LOOP_CONTROL:
+        if state == CLOSED_LOOP:
             if was_armed:
                 return
             if self.active() or not self.settings.calibrated:
@@ -422,16 +378,11 @@ class Twin06(OdriveTwin):
                 return
             self.servo.start()
             self.result, self.disarm_reason = errors.BUSY, 0
-        elif state == AxisState.IDLE:
+        elif state == table.IDLE:
             self.result = errors.SUCCESS if was_armed else self.result
-        elif state != AxisState.UNDEFINED:
-            homing = state == AxisState.HOMING
-            self.result = results["HOMING_WITHOUT_ENDSTOP" if homing else "INVALID_STATE"]
+        elif state != table.UNDEFINED:
+            self.result = results["HOMING_WITHOUT_ENDSTOP" if state == table.HOMING else "INVALID_STATE"]
         self.memory.set_state(state)
-
-    def clear_errors(self) -> None:
-        super().clear_errors()
-        self.disarm_reason = 0
 
     def on_trip(self) -> None:
         if self.memory.armed:
@@ -439,9 +390,9 @@ class Twin06(OdriveTwin):
             self.disarm_reason, self.result = self.active(), errors.RESULTS.bits["DISARMED"]
 
     def reboot(self, t: Nanos, action: int) -> None:
-        if action == SAVE:
-            self._flash = (self.memory.node, self.servo.gains)
-        elif action == ERASE:
+        if action == table.SAVE:
+            self._flash = (self.memory.node, dict(self.servo.gains))
+        elif action == table.ERASE:
             self._flash = (BROADCAST, gains_of(Settings()))
         self.restart_with(t, *self._flash)
         self.starts_until = self.silent_until + milliseconds(self.settings.initializing_ms)
@@ -451,36 +402,28 @@ class Twin06(OdriveTwin):
         """Return the bits of all errors, INITIALIZING among them."""
         return self.word(errors.ERRORS) | errors.INITIALIZING * ((self.now or 0) < self.starts_until)
 
-    def heartbeat(self) -> Values:
-        return {"Axis_Error": self.active(), "Procedure_Result": self.result}
+    def signals(self) -> Values:
+        servo, stage, active = self.servo, self.servo.stage, self.active()
+        version = (2, self.settings.hw_line, 1, 0, *self._version, 0)
+        signals = super().signals() | dict(zip(table.VERSION_SIGNALS, version, strict=True))
+        if self.memory.node <= BROADCAST:  # there is one byte for it
+            signals |= {"Node_ID": self.memory.node, "Serial_Number": self.memory.serial, "Connection_ID": 0}
+        return signals | {
+            "Axis_Error": active,
+            "Active_Errors": active,
+            "Disarm_Reason": self.disarm_reason,
+            "Procedure_Result": self.result,
+            "FET_Temperature": stage.stage_temperature,
+            "Motor_Temperature": stage.motor_temperature,
+            "Torque_Target": servo.torque_target,
+            "Torque_Estimate": stage.torque,
+            "Electrical_Power": stage.electrical,
+            "Mechanical_Power": stage.mechanical,
+        }
 
-    def values(self, name: str) -> Values | None:
-        match name:
-            case "Get_Version":
-                numbers = (2, self.settings.hw_line, 1, 0, *map(int, firmware_of(self.device).split(".")), 0)
-                return {f.name: value for f, value in zip(self.table.row(name).fields, numbers, strict=True)}
-            case "Get_Error":
-                return {"Active_Errors": self.active(), "Disarm_Reason": self.disarm_reason}
-            case "Address" if self.memory.node <= BROADCAST:  # it has one byte for the node id
-                return {"Node_ID": self.memory.node, "Serial_Number": self.memory.serial, "Connection_ID": 0}
-        return super().values(name)
 
-
-_MOTOR, _CONTROLLER = errors.MOTOR, errors.CONTROLLER
-RAISED05 = {
-    "WATCHDOG_TIMER_EXPIRED": errors.AXIS.code("WATCHDOG_TIMER_EXPIRED"),
-    "ESTOP_REQUESTED": errors.AXIS.code("ESTOP_REQUESTED"),
-    "CURRENT_LIMIT_VIOLATION": _MOTOR.code("CURRENT_LIMIT_VIOLATION"),
-    "MOTOR_OVER_TEMP": _MOTOR.code("MOTOR_THERMISTOR_OVER_TEMP"),
-    "INVERTER_OVER_TEMP": _MOTOR.code("FET_THERMISTOR_OVER_TEMP"),
-    # A fault of the supply is the board's error, which CANSimple does not report.
-    "DC_BUS_UNDER_VOLTAGE": _MOTOR.code("SYSTEM_LEVEL"),
-    "DC_BUS_OVER_VOLTAGE": _MOTOR.code("SYSTEM_LEVEL"),
-    "DC_BUS_OVER_CURRENT": _MOTOR.code("SYSTEM_LEVEL"),
-    "DC_BUS_OVER_REGEN_CURRENT": _MOTOR.code("SYSTEM_LEVEL"),
-    "VELOCITY_LIMIT_VIOLATION": _CONTROLLER.code("OVERSPEED"),
-    "SPINOUT_DETECTED": _CONTROLLER.code("SPINOUT_DETECTED"),
-}
+_SUPPLY = errors.MOTOR.code("SYSTEM_LEVEL")
+"""A fault of the supply is the board's error, which CANSimple does not report."""
 COMPONENTS05 = {
     "Motor_Error": (errors.MOTOR, "MOTOR_FAILED"),
     "Encoder_Error": (errors.ENCODER, "ENCODER_FAILED"),
@@ -494,7 +437,19 @@ class Twin05(OdriveTwin):
     """One axis of firmware 0.5.x."""
 
     faults = errors.DEVICE05
-    raised = RAISED05
+    raised = MappingProxyType(
+        {
+            "WATCHDOG_TIMER_EXPIRED": errors.AXIS.code("WATCHDOG_TIMER_EXPIRED"),
+            "ESTOP_REQUESTED": errors.AXIS.code("ESTOP_REQUESTED"),
+            "CURRENT_LIMIT_VIOLATION": errors.MOTOR.code("CURRENT_LIMIT_VIOLATION"),
+            "MOTOR_OVER_TEMP": errors.MOTOR.code("MOTOR_THERMISTOR_OVER_TEMP"),
+            "INVERTER_OVER_TEMP": errors.MOTOR.code("FET_THERMISTOR_OVER_TEMP"),
+            **{f"DC_BUS_{name}": _SUPPLY for name in ("UNDER_VOLTAGE", "OVER_VOLTAGE")},
+            **{f"DC_BUS_{name}": _SUPPLY for name in ("OVER_CURRENT", "OVER_REGEN_CURRENT")},
+            "VELOCITY_LIMIT_VIOLATION": errors.CONTROLLER.code("OVERSPEED"),
+            "SPINOUT_DETECTED": errors.CONTROLLER.code("SPINOUT_DETECTED"),
+        }
+    )
 
     def timeout(self) -> Nanos:
         """It runs in every state; once expired there is nothing left to do."""
@@ -504,25 +459,24 @@ class Twin05(OdriveTwin):
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         """Any frame to the axis feeds its watchdog, also one that is ignored otherwise."""
         if isinstance(frame, CanFrame) and not frame.fd and frame.extended == self.device.options.is_extended:
-            if frame.id >> CMD_BITS == self.memory.node:
+            if frame.id >> table.CMD_BITS == self.memory.node:
                 self.feed(t)
             super().on_frame(t, frame)
 
     def request_state(self, t: Nanos, state: int) -> None:
         axis = errors.AXIS
-        if state == AxisState.UNDEFINED:
+        if state == table.UNDEFINED:
             return
         self.words[axis.base] = self.word(axis) & ~axis.bits["INVALID_STATE"]
-        closed_loop = state == AxisState.CLOSED_LOOP_CONTROL
+        closed_loop = state == CLOSED_LOOP
         if closed_loop and self.settings.calibrated:
             self.feed(t)
-        elif state not in (AxisState.IDLE, AxisState.STARTUP_SEQUENCE):
-            homing = state == AxisState.HOMING
-            self.trip(axis.code("HOMING_WITHOUT_ENDSTOP" if homing else "INVALID_STATE"))
+        elif state not in (table.IDLE, table.STARTUP):
+            self.trip(axis.code("HOMING_WITHOUT_ENDSTOP" if state == table.HOMING else "INVALID_STATE"))
         arms = closed_loop and not self.word(axis)
         if arms:
             self.servo.start()
-        self.memory.set_state(AxisState.CLOSED_LOOP_CONTROL if arms else AxisState.IDLE)
+        self.memory.set_state(CLOSED_LOOP if arms else table.IDLE)
 
     def reboot(self, t: Nanos, action: int) -> None:
         """What was set over CAN cannot be saved over CAN: the node id, too, is as configured again."""
@@ -534,13 +488,18 @@ class Twin05(OdriveTwin):
                 self.words[errors.AXIS.base] = self.word(errors.AXIS) | errors.AXIS.bits[name]
         self.memory.disarm()
 
-    def heartbeat(self) -> Values:
-        flags = {f"{name}_Flag": self.word(word) != 0 for name, (word, _) in COMPONENTS05.items()}
-        del flags["Sensorless_Error_Flag"]  # it has none
-        return {"Axis_Error": self.word(errors.AXIS)} | flags
-
-    def values(self, name: str) -> Values | None:
-        signal = name.removeprefix("Get_")
-        if signal in COMPONENTS05:
-            return {signal: self.word(COMPONENTS05[signal][0])}
-        return super().values(name)
+    def signals(self) -> Values:
+        cpr, encoder = self.settings.encoder_cpr, self.servo.encoder
+        shadow, within = (math.floor(turns * cpr + 0.5) for turns in (encoder.position, encoder.shaft))
+        words = {name: self.word(word) for name, (word, _) in COMPONENTS05.items()}
+        return {
+            **super().signals(),
+            "Axis_Error": self.word(errors.AXIS),
+            "ADC_Voltage": 0.0,
+            **words,
+            **{f"{name}_Flag": word != 0 for name, word in words.items()},
+            "Shadow_Count": (shadow + 2**31) % 2**32 - 2**31,
+            "Count_in_CPR": within % cpr,
+            "Sensorless_Pos_Estimate": 0.0,
+            "Sensorless_Vel_Estimate": 0.0,
+        }

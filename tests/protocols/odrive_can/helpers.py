@@ -10,7 +10,7 @@ from protocols.messages import MILLISECOND, Feedback, Nanos
 from protocols.odrive_can import errors
 from protocols.odrive_can import twin as make_twin
 from protocols.odrive_can.options import Options, Settings
-from protocols.odrive_can.table import AxisState, ControlMode, InputMode, table_of
+from protocols.odrive_can.table import ControlMode, InputMode, table_of
 from protocols.plugin import Device
 from protocols.toolkit.table import Values
 
@@ -119,8 +119,8 @@ class TwinRig:
             self.run(1)
         return self.decoded(self.sent(0x01)[-1][1])
 
-    def outcome(self) -> tuple[int, AxisState, str]:
+    def outcome(self) -> tuple[int, int, str]:
         """Errors, state and result of a heartbeat of 0.6.x."""
         beat = self.heartbeat()
         result = errors.RESULT_NAMES[beat["Procedure_Result"]]
-        return beat["Axis_Error"], AxisState(beat["Axis_State"]), result
+        return beat["Axis_Error"], beat["Axis_State"], result

@@ -15,9 +15,8 @@ from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table, variants
 from protocols.frames import EXTENDED_BIT, CanFrame, exact
 from protocols.odrive_can import WATCHDOG_NOTE, errors, plugin, spec, twin
-from protocols.odrive_can.line import DIALECTS
 from protocols.odrive_can.options import Options, Settings, line_of
-from protocols.odrive_can.table import BROADCAST, requests_of
+from protocols.odrive_can.table import BROADCAST, DIALECTS, requests_of
 from protocols.odrive_can.twin import OdriveTwin
 from protocols.plugin import Device, Driver, load
 from tests.protocols.helpers import CanBench, of

@@ -103,10 +103,14 @@ class Session(Generic[TwinKind]):
         await self.call("set_traj_vel_limit", 12.0)
         await self.call("set_traj_accel_limits", 30.0, 31.0)
         await self.call("set_traj_inertia", 0.001)
-        await until(lambda: gains.inertia == pytest.approx(0.001), "the gains arrive")
-        reported = (gains.vel_limit, gains.current_soft_max, gains.pos_gain, gains.vel_gain)
-        assert (*reported, gains.vel_integrator_gain) == pytest.approx((35.0, 25.0, 19.0, 0.15, 0.3))
-        assert (gains.trap_vel_limit, gains.trap_accel_limit, gains.trap_decel_limit) == (12.0, 30.0, 31.0)
+        await until(lambda: gains["inertia"] == pytest.approx(0.001), "the gains arrive")
+        reported = (gains["vel_limit"], gains["current_soft_max"], gains["pos_gain"], gains["vel_gain"])
+        assert (*reported, gains["vel_integrator_gain"]) == pytest.approx((35.0, 25.0, 19.0, 0.15, 0.3))
+        assert (gains["trap_vel_limit"], gains["trap_accel_limit"], gains["trap_decel_limit"]) == (
+            12.0,
+            30.0,
+            31.0,
+        )
 
     async def steer(self) -> None:
         """A velocity, a position, and a torque on a shaft that is held."""
