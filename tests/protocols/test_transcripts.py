@@ -21,6 +21,7 @@ BOTH = "tests both\ncycle 10\nbackground tx *\nbackground rx *\nbackground event
 DECODER = "tests decoder\n== Title\n"
 HOLD = '1 Hold ""'
 READY = '1 State "" 0 "ready" ""'
+MOVED = '1 Feedback "" 0 0.25 none none none none none'
 
 
 def check(folder: Path, text: str) -> None:
@@ -37,14 +38,14 @@ def check(folder: Path, text: str) -> None:
         DRIVER + f"0 host Hold left\n0 tx {HOLD}",
         DRIVER + f"0 host Hold left => {HOLD}",
         DRIVER + f"0..5 tx {HOLD} -- some time\n3 host Hold left",
-        DRIVER + f'0 host Hold left ; Zero left\n0 tx {HOLD} | 1 Zero ""',
+        DRIVER + f'0 host Hold left ; Zero left\n0 tx 1 Zero "" | {HOLD}',
         DRIVER + '0 host Hold left\n+2 host Zero left => 1 Zero ""\n' + f"0..1 tx {HOLD}",
         CYCLE + f"0 host Hold left\n0..50 every 10 tx {HOLD}",
         CYCLE + f"0 host Hold left\n0..50 every 5..12 tx {HOLD}",
         CYCLE + f"background tx 1 ; {HOLD}\n0 host Hold left\n50 end",
         CYCLE + f"0 host Hold left\n5 host nothing\n0 tx {HOLD}\n50 end",
-        DRIVER + f"cyclic 100 {READY}\n0..300 every 100 event State left ready\n300 end",
-        DRIVER + f"0..300 every 100 rx {READY}\n0..300 every 100 event State left ready",
+        DRIVER + f"cyclic 100 {MOVED}\n0..300 every 100 event Feedback left 0.25\n300 end",
+        DRIVER + f"0..300 every 100 rx {MOVED}\n0..300 every 100 event Feedback left 0.25",
         DRIVER + f"reply {HOLD} => {READY}\n0 host Hold left => {HOLD}\n1 event State left ready",
         DRIVER + f"name ready {READY}\n0 rx ready => State left ready ; accepted",
         DRIVER + f"1 end\n== Second\nafter Title\n0 rx {READY} => State left ready",
@@ -52,7 +53,7 @@ def check(folder: Path, text: str) -> None:
         "\n== Third\nafter nothing\n250 event State left offline *",
         DRIVER + f"each line by itself\nrx {READY} => State left ready\nhost Idle left => nothing",
         DECODER + '0 tx 1 Velocity "" 2.0 0.0 => Arm left ; Velocity left 2 ; named Velocity',
-        TWIN + '0 rx 1 State "" 0 "ready" "ready"\n0 shaft left position=1 locked=yes\n'
+        TWIN + '0..1 every 1 rx 1 State "" 0 "ready" "ready"\n0 shaft left position=1 locked=yes\n'
         '5 tx 1 Torque "" 0.5\n5 rx 1 State "" 0 "armed" "armed"\n9 measure left torque=0.5 position=1±0.1',
         BOTH + "1 event State left ready *\n10 host Hold left\n11 event State left armed *\n"
         "50 host nothing\n90..95 event Fault left 1 *  ...\n90..95 event State left fault *\n"
@@ -69,7 +70,7 @@ def test_what_is_written_and_comes_passes(tmp_path: Path, text: str) -> None:
         (DRIVER + "0 host Hold left", "not written, and not in the background: 0 +tx +A557"),
         (DRIVER + f"0 rx {READY}", "not written.*event +State left ready"),
         (DRIVER + f"0 host Hold left => {HOLD}\n1..5 tx {HOLD}", "txt:7: 1..5 tx.*\n.*did not come"),
-        (DRIVER + f'0 host Hold left ; Zero left\n0 tx 1 Zero "" | {HOLD}', "did not come"),
+        (DRIVER + f'0 host Hold left ; Zero left\n0 tx {HOLD} | 1 Zero ""', "did not come"),
         (DRIVER + f"0 host Hold left ; Hold left => {HOLD}", "not written"),
         (DRIVER + "0 host Velocity left 1 => 1 Velocity \"\" 1.5 0.0", "did not come"),
         (CYCLE + f"0 host Hold left\n0..60 every 10 tx {HOLD}\n50 host nothing", "did not come"),
