@@ -42,7 +42,9 @@ CONFIGURATION = """\
 source_paths = ["protocols"]
 only_mutate = {files}
 also_copy = {others}
-pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "no:xdist", "-x", "-q", "--ignore=tests/protocols/toolkit/test_calls.py"]
+pytest_add_cli_args = [
+    "-p", "no:cacheprovider", "-p", "no:xdist", "-x", "-q", "--ignore=tests/protocols/toolkit/test_calls.py"
+]
 pytest_add_cli_args_test_selection = {tests}
 """
 
