@@ -25,8 +25,7 @@ LARGEST = (0x7F, 0x7FFF, 0x7FFFFFFF)
 """Counts, by resolution; the most negative number, one less than its opposite, is "not given"."""
 WRITE, READ, REPLY, WRITE_ERROR, READ_ERROR = 0x00, 0x10, 0x20, 0x30, 0x31
 TO_DEVICE, FROM_DEVICE, POLL, NOP = 0x40, 0x41, 0x42, 0x50
-MAX_COUNT = 128
-"""Most registers in a valid subframe: no reply could hold more."""
+MAX_COUNT = 128  # registers in a valid subframe: no reply could hold more
 BROADCAST = 0x7F
 ADDRESS_MAX = BROADCAST - 1
 REPLY_BIT = 0x8000
@@ -34,26 +33,19 @@ STANDARD_MAX = 0x7FF
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Bytes that a CAN FD frame can hold."""
 _PADDED = tuple(min(size for size in LENGTHS if size >= length) for length in range(65))
-SERIAL_BYTES = 8
-"""A serial number is the first 8 bytes of a UUID, its first 16 digits as printed."""
-Raw: TypeAlias = int | float
-"""A value as it is encoded: counts, or a binary32."""
+SERIAL_BYTES = 8  # a serial number is the first of a UUID, its first 16 digits as printed
+Raw: TypeAlias = int | float  # a value as it is encoded: counts, or a binary32
 
 
 class Subframe(NamedTuple):
     """One subframe. What its kind does not have is 0 or empty."""
 
-    code: int
-    """WRITE … POLL, without resolution and count."""
-    register: int = 0
-    """The first register; of the diagnostic console, the channel."""
+    code: int  # WRITE … POLL, without resolution and count
+    register: int = 0  # the first register; of the diagnostic console, the channel
     resolution: int = 0
-    raw: tuple[Raw, ...] = ()
-    """Values of the registers from the first on, written or replied."""
-    number: int = 0
-    """READ: how many registers; POLL: how many bytes; of an error: its number."""
-    data: bytes = b""
-    """Of the console."""
+    raw: tuple[Raw, ...] = ()  # values of the registers from the first on, written or replied
+    number: int = 0  # READ: how many registers; POLL: how many bytes; of an error: its number
+    data: bytes = b""  # of the console
 
     def quantities(self) -> list[tuple[int, float | None]]:
         """Return the registers of a write or reply, and what they hold."""
@@ -205,11 +197,6 @@ class Reply(NamedTuple):
 
     values: Mapping[int, float | None]
     errors: tuple[Subframe, ...] = ()
-
-    @property
-    def registers(self) -> set[int]:
-        """The registers that it is about."""
-        return {*self.values, *(each.register for each in self.errors)}
 
     def error(self, code: int, register: int) -> int:
         """Return the number of the error of this kind about a register; 0: none."""

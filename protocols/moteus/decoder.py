@@ -55,12 +55,9 @@ class Memory:
         self.prefix: int = device.options.can_prefix
         self.torque_constant = settings.torque_constant
         self.command = {**DEFAULTS}
-        self.mode: int = Mode.STOPPED
-        """The mode that was last commanded."""
-        self.begun = False
-        """The last frame began a command."""
-        self._line = b""
-        """Console input of a line that has not ended yet."""
+        self.mode: int = Mode.STOPPED  # as last commanded
+        self.begun = False  # the last frame began a command
+        self._line = b""  # console input of a line that has not ended yet
 
     def is_addressed(self, frame: CanFrame) -> bool:
         """True if a frame is for this device, or for all. Whether it is extended does not matter."""

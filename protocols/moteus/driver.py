@@ -32,15 +32,12 @@ from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.requests import subject
 from protocols.toolkit.table import FLOAT_MAX, TINY
 
-OFFLINE_PERIOD = 50 * MILLISECOND
-"""Period of queries to a device that is offline."""
+OFFLINE_PERIOD = 50 * MILLISECOND  # of queries to a device that is offline
+IDENTIFY_PERIOD = 5 * SECOND  # of queries for the UUID, to notice a duplicate id
+IDENTIFY_RETRY = 100 * MILLISECOND  # … until the device is known
+LIMITED = SECOND  # how long what limited the output is reported after it did
 PLACED = 3
 """Replies after which the start of a velocity must have arrived: earlier ones may have been on their way."""
-IDENTIFY_PERIOD, IDENTIFY_RETRY = 5 * SECOND, 100 * MILLISECOND
-"""Periods of queries for the UUID, to notice a duplicate id; and until the device is known."""
-LIMITED = SECOND
-"""How long what limited the output is reported after it did."""
-ZERO_WITHIN = 0.01 * tau
 SAVE = "conf_write"
 """Parameter that saves the device's configuration when 1 is written."""
 IN_POSITION = int(tb.Mode.POSITION)
@@ -85,14 +82,10 @@ class Motor:
     options: Options
     setpoints: mt.Setpoints
     command_id: int
-    mode: int | None = None
-    """The mode register."""
-    detail: str = ""
-    """The vendor's name of the mode, and what limits the output."""
-    title: str = ""
-    """Hardware and firmware."""
-    limited: dict[int, Nanos] = field(default_factory=dict)
-    """When each of `LIMITS` last limited its output."""
+    mode: int | None = None  # the mode register
+    detail: str = ""  # the vendor's name of the mode, and what limits the output
+    title: str = ""  # hardware and firmware
+    limited: dict[int, Nanos] = field(default_factory=dict)  # when each of `LIMITS` last limited its output
     placed: int | None = None
     """Replies since a velocity is sent with the measured position; None: something else was sent."""
     queried_at: Nanos = -NEVER
@@ -146,7 +139,7 @@ class MoteusAdapter(Adapter[Motor]):
     name = "moteus"
     faults = tb.REPORTED
     not_armed, duplicate, latch = tb.NOT_ARMED, tb.DUPLICATE_ID, True
-    needs_idle, zero_tolerance = (msg.Zero,), ZERO_WITHIN
+    needs_idle, zero_tolerance = (msg.Zero,), 0.01 * tau
     set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
 
     def __init__(self) -> None:
@@ -311,6 +304,7 @@ class MoteusAdapter(Adapter[Motor]):
     def answer(self, t: Nanos, pending: Pending[Motor], report: Report[Motor]) -> Event | None:
         reply: codec.Reply = report.content
         values, notes, register = reply.values, pending.notes, pending.notes["register"]
+        alone = {*values, *(error.register for error in reply.errors)} == {register}
         unreadable = reply.error(codec.READ_ERROR, register)
         if number := reply.error(codec.WRITE_ERROR, register):
             why = "read only" if number == 2 else f"error {number}: no such register?"
@@ -329,8 +323,7 @@ class MoteusAdapter(Adapter[Motor]):
                 if value is None:
                     return pending.refuse(t, "the device replies that it is not given")
                 return msg.Parameter(motor, t, name, float(value))
-            case msg.WriteParameter(_, name, value) if reply.registers == {register}:
-                # Replies with others may have been on their way before.
+            case msg.WriteParameter(_, name, value) if alone:  # others may have been on their way before
                 reads = values.get(register)
                 if name == SAVE or reads is None or isclose(reads, value, rel_tol=2.0**-23, abs_tol=TINY):
                     return pending.done(t)

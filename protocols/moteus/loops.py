@@ -19,13 +19,11 @@ from protocols.moteus.table import LATCHED, RISING, Mode
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.servo import Encoder, PowerStage, clamp
 
-MIN_CURRENT = 0.01
-"""A: a smaller damping current is noise, and is not applied"""
+MIN_CURRENT = 0.01  # A: a smaller damping current is noise, and is not applied
 WATCHDOG_MODES = (Mode.POSITION, Mode.STAY_WITHIN)
 MAX_VELOCITY, MAX_CURRENT, HOT, MAX_TORQUE, BOUNDS = 96, 99, 100, 102, 103
 """Codes of the fault register for what limits the output."""
-COUNTED = 32768.0
-"""rev: the firmware counts no further"""
+COUNTED = 32768.0  # rev: the firmware counts no further
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,15 +94,11 @@ class Setpoint:
     """Set-point of the position loop. Without limits it is the commanded position, and goes on with the
     commanded velocity; with them it goes there along a trajectory, step by step."""
 
-    position: float = nan
-    """NaN: it begins at the measured position."""
+    position: float = nan  # NaN: it begins at the measured position
     velocity: float = 0.0
-    fresh: float = nan
-    """A commanded position that was not used yet."""
-    goal: float = nan
-    """End of a limited trajectory."""
-    done: bool = True
-    """The trajectory is complete."""
+    fresh: float = nan  # a commanded position that was not used yet
+    goal: float = nan  # end of a limited trajectory
+    done: bool = True  # the trajectory is complete
 
     def take(self, position: float) -> None:
         """Take a commanded position; NaN: none, the set-point goes on from where it is."""
@@ -135,11 +129,6 @@ class Setpoint:
         if self.done and not isnan(goal):
             self.put(goal, velocity)
 
-    def come_to_rest(self, dt: float, hardest: float) -> None:
-        """Slow down with this acceleration."""
-        velocity = self.velocity - clamp(self.velocity, hardest * dt)
-        self.put(self.position + velocity * dt, velocity)
-
 
 class Loops:
     """The control loops of one controller. Plain data."""
@@ -148,24 +137,17 @@ class Loops:
         s = self.settings = settings
         self.kt = s.torque_constant
         self.command = command
-        self.commanded: int = Mode.STOPPED
-        """`mode` follows it where it can."""
+        self.commanded: int = Mode.STOPPED  # `mode` follows it where it can
         self.mode: int = Mode.STOPPED
-        self.stopping = False
-        """A stop was commanded and is still to be executed."""
-        self.fault = 0
-        """The fault register: the fault, or what limits the output now."""
-        self.enabling = 0.0
-        """s since enabling began"""
-        self.home_state = 1
-        """0 relative, 1 rotor, 2 output"""
+        self.stopping = False  # a stop was commanded and is still to be executed
+        self.fault = 0  # the fault register: the fault, or what limits the output now
+        self.enabling = 0.0  # s since enabling began
+        self.home_state = 1  # 0 relative, 1 rotor, 2 output
         self.low, self.high = given(s.position_min, -inf), given(s.position_max, inf)
         self.encoder = Encoder(s.encoder_cpr, s.encoder_bandwidth)
         self.setpoint = Setpoint()
-        supply = (s.bus_voltage, s.bus_resistance, s.ambient)
-        self.stage = PowerStage(
-            self.kt, s.current_bandwidth, s.phase_resistance, *supply, stage_thermal=(2.0, 15.0)
-        )
+        motor, supply = (self.kt, s.current_bandwidth, s.phase_resistance), (s.bus_voltage, s.bus_resistance)
+        self.stage = PowerStage(*motor, *supply, s.ambient, stage_thermal=(2.0, 15.0))
         self.error = self.velocity_error = self.torque_error = self.motor_temperature = 0.0
         self.proportional = self.integral = self.derivative = self.feedforward = self.control_torque = 0.0
         """N·m"""
@@ -276,30 +258,30 @@ class Loops:
 
     def _torque(self, dt: float) -> float:
         """Return the torque [N·m] of the mode, before the limits of position, velocity, heat and current."""
-        s, speed, mode = self.settings, self.encoder.velocity, self.mode
-        timeout = mode == Mode.TIMEOUT
-        holds = mode == Mode.POSITION or (timeout and s.timeout_mode == Mode.POSITION)
-        if holds and isnan(self.setpoint.position):
+        s, speed, timeout = self.settings, self.encoder.velocity, self.mode == Mode.TIMEOUT
+        mode = s.timeout_mode if timeout else self.mode
+        if mode == Mode.POSITION and isnan(self.setpoint.position):
             self.setpoint.put(self.encoder.position, 0.0 if timeout else speed)
-        if mode == Mode.POSITION:
-            return self._within_most(self._position(dt))
-        if mode == Mode.STAY_WITHIN:
-            return self._within_most(self._stay_within(dt))
-        if mode == Mode.CURRENT:
-            return self._given("q_current") * self.kt
-        if mode == Mode.VOLTAGE_DQ:  # through phase resistance and back-EMF
-            voltage = given(self.command["voltagedq_q"], 0.0)
-            return (voltage - self.kt * tau * speed) / s.phase_resistance * self.kt
-        if mode == Mode.ZERO_VELOCITY:
-            return -s.kd * self._given("kd_scale", 1.0) * speed
-        if mode == Mode.BRAKE or (timeout and s.timeout_mode == Mode.BRAKE):  # phases are shorted
-            return -self.kt * self.kt * tau * speed / (s.phase_resistance * 1.5)
-        if timeout and s.timeout_mode == Mode.ZERO_VELOCITY:
-            damping = -s.kd * speed
-            return 0.0 if abs(damping) < MIN_CURRENT * self.kt else clamp(damping, s.timeout_max_torque)
-        if holds:
-            self.setpoint.come_to_rest(dt, given(s.default_accel_limit, inf))
-            return self._pid(dt)
+        match mode:
+            case Mode.POSITION if timeout:  # it comes to rest
+                self.setpoint.follow(dt, nan, 0.0, inf, given(s.default_accel_limit, inf))
+                return self._pid(dt)
+            case Mode.POSITION:
+                return self._within_most(self._position(dt))
+            case Mode.STAY_WITHIN:
+                return self._within_most(self._stay_within(dt))
+            case Mode.CURRENT:
+                return self._given("q_current") * self.kt
+            case Mode.VOLTAGE_DQ:  # through phase resistance and back-EMF
+                voltage = given(self.command["voltagedq_q"], 0.0)
+                return (voltage - self.kt * tau * speed) / s.phase_resistance * self.kt
+            case Mode.ZERO_VELOCITY if timeout:
+                damping = -s.kd * speed
+                return 0.0 if abs(damping) < MIN_CURRENT * self.kt else clamp(damping, s.timeout_max_torque)
+            case Mode.ZERO_VELOCITY:
+                return -s.kd * self._given("kd_scale", 1.0) * speed
+            case Mode.BRAKE:  # phases are shorted
+                return -self.kt * self.kt * tau * speed / (s.phase_resistance * 1.5)
         return 0.0
 
     def _position(self, dt: float) -> float:

@@ -24,11 +24,8 @@ from protocols.moteus.table import FAULTS, NAMES, TIMEOUT
 from protocols.plugin import Device
 from protocols.toolkit.firmware import Firmware
 
-MAX_REPLY = 64
-"""Bytes of a reply: what does not fit is left out."""
-MAX_CONSOLE, MAX_CONSOLE_REPLY = 512, 48
-"""Bytes of console output that are kept, and of one poll."""
-
+MAX_REPLY = 64  # bytes: what does not fit is left out
+MAX_CONSOLE, MAX_CONSOLE_REPLY = 512, 48  # bytes of console output that are kept, and of one poll
 MEASURED = {
     name: attrgetter(where or name)
     for name, _, where in (
@@ -68,15 +65,15 @@ class MoteusTwin(Firmware):
         self.memory = Memory(device, uuid)
         self.loops = Loops(settings, self.memory.command)
         self.reply_delay = settings.reply_delay_us * 1000
-        self._console = b""
-        """Console output that was not polled yet."""
+        self._console = b""  # output that was not polled yet
         major, minor, micro = map(int, settings.firmware.split("."))
-        self._identity = {"model_number": settings.model, "register_map_version": settings.register_map}
-        """Registers that are read as int32 only."""
-        self._identity["firmware_version"] = major << 16 | minor << 8 | micro
-        self._identity |= {f"uuid{at}": part for at, part in enumerate(struct.unpack("<4i", uuid), 1)}
-        serial = enumerate(struct.unpack("<3i", uuid[:3:-1]), 1)
-        self._identity |= {f"serial_number{at}": part for at, part in serial}
+        self._identity = {  # registers that are read as int32 only
+            "model_number": settings.model,
+            "firmware_version": major << 16 | minor << 8 | micro,
+            "register_map_version": settings.register_map,
+            **{f"uuid{at}": part for at, part in enumerate(struct.unpack("<4i", uuid), 1)},
+            **{f"serial_number{at}": part for at, part in enumerate(struct.unpack("<3i", uuid[:3:-1]), 1)},
+        }
 
     # -- the firmware ---------------------------------------------------------------------------------
 
