@@ -11,6 +11,7 @@ it takes a mode as granted. Source: mjbots/moteus@1f4a195 `fw/moteus_controller.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite, isnan, nan, tau
@@ -57,6 +58,7 @@ class Memory:
         self.command = {**DEFAULTS}
         self.mode: int = Mode.STOPPED  # as last commanded
         self.begun = False  # the last frame began a command
+        self.chosen = True  # its UUID mask fits: else there is no reply either
         self._line = b""  # console input of a line that has not ended yet
 
     def is_addressed(self, frame: CanFrame) -> bool:
@@ -65,24 +67,17 @@ class Memory:
             return False
         return frame.id & 0x7F in (self.address, codec.BROADCAST)
 
-    def chosen(self, data: bytes) -> tuple[list[Subframe], bool]:
-        """Return what the device takes of a frame's data: all up to a flaw, or to a UUID mask that does not
-        fit; and whether it fits, since else there is no reply either."""
-        taken: list[Subframe] = []
+    def obey(self, data: bytes) -> Iterator[Request | Subframe]:
+        """Take a frame's data, up to a flaw or a UUID mask that does not fit. Yields in order what the device
+        does at once, and as subframes what it does not accept, and what it has to answer."""
+        self.begun, self.chosen, mask = False, True, b""
         for subframe in codec.parse(data)[0]:
             for at, part in _mask(subframe):
-                if not part or (self.uuid and self.uuid[4 * at : 4 * at + 4] != part):
-                    return taken, False
-            taken.append(subframe)
-        return taken, True
-
-    def obey(self, subframes: Sequence[Subframe]) -> Iterator[Request | Subframe]:
-        """Take a frame. Yields in order what the device does at once, and as subframes what it does not
-        accept, and what it has to answer."""
-        self.begun, mask = False, b""
-        for subframe in subframes:
+                self.chosen &= part != b"" and self.uuid[4 * at : 4 * at + 4] in (part, b"")
+                mask += part
+            if not self.chosen:
+                return
             if subframe.code == WRITE:
-                mask += b"".join(part for _, part in _mask(subframe))
                 for register, value in subframe.quantities():
                     number = self._write(register, value)
                     if number:
@@ -121,24 +116,23 @@ class Memory:
         *lines, self._line = (self._line + data).replace(b"\r", b"\n").split(b"\n")
         self._line = self._line[-256:]
         for line in lines:
-            words = line.decode("ascii", "replace").split()
-            address = _id_in(words)
-            if address:
+            text = " ".join(line.decode("ascii", "replace").split())
+            id_set = re.fullmatch(r"conf set id\.id (\d{1,4})\d*", text)
+            if id_set and 0 < int(id_set[1]) <= codec.ADDRESS_MAX:
                 # With a mask, and no UUID to compare with, it is not known which device this is.
-                self.address = self.address if mask and not self.uuid else address
+                self.address = self.address if mask and not self.uuid else int(id_set[1])
                 serial = codec.serial_of((self.uuid or mask).ljust(codec.SERIAL_BYTES, b"\0"))
-                yield msg.SetId("", serial, address)
-            elif words == ["conf", "write"]:
+                yield msg.SetId("", serial, int(id_set[1]))
+            elif text == "conf write":
                 yield msg.WriteParameter(self.motor, "conf_write", 1.0)
-            elif words:
-                yield Subframe(TO_DEVICE, 1, data=" ".join(words).encode())
+            elif text:
+                yield Subframe(TO_DEVICE, 1, data=text.encode())
 
     def begins(self) -> Sequence[Obeyed]:
         """Return the command that the last frame began, if it did."""
         command = self._meaning()
-        if not self.begun or isinstance(command, msg.Idle):
-            return (command,) if self.begun else ()
-        return (msg.Arm(self.motor), command)
+        armed = () if isinstance(command, msg.Idle) else (msg.Arm(self.motor),)
+        return (*armed, command) if self.begun else ()
 
     def _meaning(self) -> Command | Request:
         """Return what the command registers amount to now."""
@@ -178,14 +172,6 @@ def _mask(subframe: Subframe) -> Sequence[tuple[int, bytes]]:
     ]
 
 
-def _id_in(words: Sequence[str]) -> int:
-    """Return the id that a console line sets, or 0."""
-    if len(words) != 4 or words[:3] != ["conf", "set", "id.id"] or not words[3].isdecimal():
-        return 0
-    address = int(words[3][:4])
-    return address if address <= codec.ADDRESS_MAX else 0
-
-
 class MoteusDecoder:
     """Decodes what the moteus controllers of one bus would obey."""
 
@@ -197,7 +183,7 @@ class MoteusDecoder:
         obeyed: list[Obeyed] = []
         for memory in self._memories:
             if isinstance(frame, CanFrame) and memory.is_addressed(frame):
-                done = memory.obey(memory.chosen(frame.data)[0])
+                done = memory.obey(frame.data)
                 at_once = [each for each in done if not isinstance(each, Subframe)]
                 obeyed += [*memory.begins(), *at_once]
         return obeyed

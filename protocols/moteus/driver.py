@@ -27,7 +27,7 @@ from protocols.moteus.codec import ADDRESS_MAX, F32, INT32, SERIAL_BYTES, make_f
 from protocols.moteus.table import LATCHED, NUMBERS, RISING
 from protocols.plugin import Device
 from protocols.toolkit.driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
-from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.host import Host, Phase, Report
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.requests import subject
 from protocols.toolkit.table import FLOAT_MAX, TINY
@@ -156,9 +156,6 @@ class MoteusAdapter(Adapter[Motor]):
         self._hosts |= {host}
         self._names |= {codec.reply_id(device.address, *host): device.name}
         return Motor(options, setpoints, codec.command_id(device.address, *host))
-
-    def timing(self, options: Options) -> Timing:
-        return Timing(options.offline_ms * MILLISECOND)
 
     # -- received -------------------------------------------------------------------------------------
 
@@ -339,22 +336,17 @@ class MoteusAdapter(Adapter[Motor]):
 def _report(t: Nanos, host: Host[Motor], reply: codec.Reply) -> Report[Motor]:
     values, motor = reply.values, host.own
     motor.on_reply(t, values)
-    mode, fault = values.get(tb.MODE), values.get(tb.FAULT)
-    active: tuple[int, ...] | None = ()
-    if mode in LATCHED:
-        code = mode if mode == tb.TIMEOUT else fault
-        active = None if code is None else (int(code),)
+    reported, fault = values.get(tb.MODE), values.get(tb.FAULT)
+    mode, codes = None, None
+    if reported is not None:
+        mode = MODES.get(int(reported), Mode.ARMED)
+        latched = reported if reported == tb.TIMEOUT else fault
+        codes = () if mode is not Mode.FAULT else None if latched is None else (int(latched),)
     serial, note = _identity(reply) if tb.UUID.start in values or reply.errors else (None, "")
+    note = f"{motor.title or 'firmware not known yet'}; {note}" if note else ""
+    measured = _feedback(host.name, t, values)
     return Report(
-        host,
-        host.address,
-        None if mode is None else MODES.get(int(mode), Mode.ARMED),
-        motor.detail,
-        None if mode is None else active,
-        _feedback(host.name, t, values),
-        serial=serial,
-        note=f"{motor.title or 'firmware not known yet'}; {note}" if note else "",
-        content=reply,
+        host, host.address, mode, motor.detail, codes, measured, serial=serial, note=note, content=reply
     )
 
 

@@ -97,12 +97,11 @@ class MoteusTwin(Firmware):
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         if not isinstance(frame, CanFrame) or not self.memory.is_addressed(frame):
             return
-        subframes, uuid_fits = self.memory.chosen(frame.data)
-        replies = [reply for each in self.memory.obey(subframes) for reply in self._do(each)]
+        replies = [reply for each in self.memory.obey(frame.data) for reply in self._do(each)]
         if self.memory.begun:
             self.loops.take(self.memory.mode, {**self.memory.command})
             self.feed(t)
-        if frame.id & codec.REPLY_BIT and uuid_fits:
+        if frame.id & codec.REPLY_BIT and self.memory.chosen:
             data = b""
             for piece in map(codec.encode, replies):
                 if len(data) + len(piece) > MAX_REPLY:

@@ -85,7 +85,7 @@ class Adapter(Generic[Own]):
 
     def timing(self, options: Any) -> Timing:  # noqa: ANN401 -- the protocol's own type
         """Return the periods and timeouts of a device."""
-        raise NotImplementedError
+        return Timing(options.offline_ms * MILLISECOND)
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Own]) -> Sequence[Report[Own] | Rx]:
         """Return what a frame (on a stream: each message that it completes) reports."""

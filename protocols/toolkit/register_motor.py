@@ -17,7 +17,7 @@ from protocols.messages import MILLISECOND, Command, Feedback, Nanos, Request
 from protocols.plugin import Device
 from protocols.toolkit.driver import Adapter, MotorDriver, Pending
 from protocols.toolkit.duplicates import AnswerCount
-from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.host import Host, Report
 from protocols.toolkit.registers import Registers
 
 ANSWER, RETRY = 200 * MILLISECOND, 50 * MILLISECOND
@@ -146,9 +146,6 @@ class RegisterAdapter(Adapter[Motor]):
 
     def own(self, device: Device) -> Motor:
         return Motor()
-
-    def timing(self, options: Any) -> Timing:  # noqa: ANN401
-        return Timing(options.offline_ms * MILLISECOND)
 
     def forget(self, now: Nanos, host: Host[Motor]) -> None:
         host.own.forget()
