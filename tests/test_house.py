@@ -318,7 +318,7 @@ def texts() -> list[Path]:
     below = [path for folder in folders for path in (ROOT / folder).rglob("*")]
     at_top = [path for path in ROOT.iterdir() if path.name not in (".git", ".coverage")]
     files = {path for path in [*below, *at_top] if path.is_file() and path.suffix in TEXT}
-    return sorted(path for path in files if "__pycache__" not in path.parts)
+    return sorted(path for path in files if not {"__pycache__", ".ruff_cache"} & {*path.parts})
 
 
 def private(text: str) -> list[str]:
