@@ -80,12 +80,10 @@ def names(frame: Frame) -> Sequence[str]:
     subframes, well_formed = codec.parse(frame.data)
     if not well_formed or any(each.code == codec.REPLY for each in subframes):
         return ()
+    unnamed = (WRITE, codec.WRITE_ERROR, codec.READ_ERROR)
     written = dict(pair for each in subframes if each.code == WRITE for pair in each.quantities())
-    others = dict.fromkeys(_name(each) for each in subframes if each.code not in _UNNAMED)
+    others = dict.fromkeys(_name(each) for each in subframes if each.code not in unnamed)
     return (*((_command_name(written),) if written else ()), *others)
-
-
-_UNNAMED = (WRITE, codec.WRITE_ERROR, codec.READ_ERROR)
 
 
 def _name(subframe: Subframe) -> str:

@@ -61,13 +61,12 @@ _RUNS: Mapping[int, str] = {
     0x130: "set_output_nearest:rev set_output_exact:rev require_reindex recapture_position_velocity",
     0x140: "driver_fault1 driver_fault2",
     0x150: "uuid1 uuid2 uuid3 uuid4",
-    0x154: "uuid_mask1 uuid_mask2 uuid_mask3 uuid_mask4",
-    0x158: "uuid_mask_capable",
+    0x154: "uuid_mask1 uuid_mask2 uuid_mask3 uuid_mask4 uuid_mask_capable",
 }
 _ALL = [
-    (start + at, *item.partition(":")[::2])
+    (number, *item.partition(":")[::2])
     for start, run in _RUNS.items()
-    for at, item in enumerate(run.split())
+    for number, item in enumerate(run.split(), start)
 ]
 NAMES: Mapping[int, str] = {number: name for number, name, _ in _ALL}
 NUMBERS: Mapping[str, int] = {name: number for number, name, _ in _ALL}

@@ -26,23 +26,17 @@ from protocols.toolkit.firmware import Firmware
 
 MAX_REPLY = 64  # bytes: what does not fit is left out
 MAX_CONSOLE, MAX_CONSOLE_REPLY = 512, 48  # bytes of console output that are kept, and of one poll
-MEASURED = {
-    name: attrgetter(where or name)
-    for name, _, where in (
-        each.partition("=")
-        for line in (
-            "mode position=encoder.position velocity=encoder.velocity torque=stage.torque",
-            "q_current=stage.current abs_position=encoder.shaft power=stage.electrical motor_temperature",
-            "trajectory_complete=setpoint.done home_state voltage=stage.voltage",
-            "temperature=stage.stage_temperature fault position_kp=proportional",
-            "position_ki=integral position_kd=derivative position_feedforward=feedforward",
-            "position_command=control_torque control_position=setpoint.position",
-            "control_velocity=setpoint.velocity control_torque position_error=error velocity_error",
-            "torque_error encoder_0_position=encoder.shaft encoder_0_velocity=encoder.velocity",
-        )
-        for each in line.split()
-    )
-}
+_MEASURED = (
+    "mode position=encoder.position velocity=encoder.velocity torque=stage.torque q_current=stage.current"
+    " abs_position=encoder.shaft power=stage.electrical motor_temperature trajectory_complete=setpoint.done"
+    " home_state voltage=stage.voltage temperature=stage.stage_temperature fault position_kp=proportional"
+    " position_ki=integral position_kd=derivative position_feedforward=feedforward"
+    " position_command=control_torque control_position=setpoint.position control_velocity=setpoint.velocity"
+    " control_torque position_error=error velocity_error torque_error"
+    " encoder_0_position=encoder.shaft encoder_0_velocity=encoder.velocity"
+)
+_PAIRS = [each.partition("=") for each in _MEASURED.split()]
+MEASURED = {name: attrgetter(where or name) for name, _, where in _PAIRS}
 """Registers that change by themselves, and where in the loops they are, if not under their name."""
 CONSTANT: Mapping[str, int] = {
     **dict.fromkeys(("d_current", "driver_fault1", "driver_fault2"), 0),
@@ -54,7 +48,7 @@ CONSTANT: Mapping[str, int] = {
 class MoteusTwin(Firmware):
     """One device."""
 
-    faults = FAULTS
+    faults, lost = FAULTS, TIMEOUT
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
@@ -85,9 +79,6 @@ class MoteusTwin(Firmware):
 
     def timeout(self) -> Nanos:
         return self.loops.timeout()
-
-    def on_timeout(self) -> None:
-        self.loops.trip(TIMEOUT)
 
     def trip(self, code: int) -> None:
         self.loops.trip(code)
