@@ -1,8 +1,9 @@
 """Runs a guide: executes its commands in a clean folder, and compares outputs and quotations with the text.
 
 Rules of such a text. A `console` block holds commands, each behind "$ ", and their output. A block under
-a line that begins with **`path`** quotes a file as the commands have left it. A line that is only "…" stands
-for any lines, or none. All else is for the reader alone. `motor-gateway` in that folder is this checkout.
+a line that begins with **`path`** quotes a file as the commands have left it. A line that is only "…" (in
+code "# …") stands for any lines, or none. All else is for the reader alone. `motor-gateway` in that folder
+is this checkout.
 
     python -m tests.guide docs/adding-a-protocol.md
 
@@ -51,7 +52,7 @@ class Comparison:
 
     def matches(self) -> bool:
         """True if it is as shown, where "…" stands for any lines."""
-        parts = re.split(r"^…\n", self.expected, flags=re.MULTILINE)
+        parts = re.split(r"^ *(?:# )?…\n", self.expected, flags=re.MULTILINE)
         pattern = r"(?:.*\n)*?".join(re.escape(part) for part in parts)
         return re.fullmatch(pattern, self.actual) is not None
 

@@ -131,6 +131,7 @@ def test_commands_and_quotations_are_executed_in_order(tmp_path: Path) -> None:
         ("a\n…\nd\n", "a\nb\nc\nd\n", True),
         ("a\n…\nd\n", "a\nb\nc\n", False),
         ("…\nd\n", "d\n", True),
+        ("a\n    # …\nd\n", "a\nb\nd\n", True),
         ("a.c\n", "abc\n", False),
     ],
 )
