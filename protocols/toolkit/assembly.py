@@ -36,8 +36,19 @@ def can_motor(device: Device, table: Table, addresses: range, **others: Any) -> 
 def driver_of(
     adapter: Callable[[], Adapter[Any]], spec: Callable[[Device], Spec]
 ) -> Callable[[Sequence[Device]], Driver]:
-    """Return `Plugin.driver`, with the ranges of the spec."""
-    return lambda devices: MotorDriver(adapter(), devices, {each.name: spec(each).ranges for each in devices})
+    """Return `Plugin.driver`, with the ranges of the spec. It raises ValueError if two devices on a bus have
+    one address."""
+
+    def driver(devices: Sequence[Device]) -> Driver:
+        specs = {device.name: spec(device) for device in devices}
+        held: dict[object, str] = {}
+        for device in devices:
+            other = held.setdefault((device.address, specs[device.name].sends), device.name)
+            if other != device.name:
+                raise ValueError(f"address {device.address} of {device.name} is that of {other}, too")
+        return MotorDriver(adapter(), devices, {name: each.ranges for name, each in specs.items()})
+
+    return driver
 
 
 class Memory(Protocol):
