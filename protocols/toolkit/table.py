@@ -13,7 +13,7 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from protocols.frames import EXTENDED_BIT, ID_BITS, CanFrame, Frame, IdMask
 from protocols.plugin import Range
@@ -166,9 +166,8 @@ class Row:
         return number, mask
 
 
-@dataclass(slots=True)
-class Decoded:
-    """A message that was received. (Never changed; a frozen one takes three times as long to create.)"""
+class Decoded(NamedTuple):
+    """A message that was received."""
 
     name: str
     """ "" if the id is one of the table's, but the data fits none of its messages."""
@@ -282,7 +281,7 @@ def _compiled(row: Row) -> tuple[_Encode, _Decode]:
     """Return `encode(address, **values) -> frame` and `decode(address, id, data) -> message` of a row."""
     scope: dict[str, Any] = {"CanFrame": CanFrame, "Decoded": Decoded, "saturated": saturated, "TINY": TINY}
     scope |= {
-        "isfinite": math.isfinite,
+        "new": tuple.__new__,  # in half the time of the class's own
         "nan": math.nan,
         "inf": math.inf,
         "FMAX": FLOAT_MAX,
@@ -321,7 +320,7 @@ def decode(address, number, data):
         data = data[:{size}].ljust({size}, b"\\0")
     {taken}
     {_wrong(row.fields)}
-    return Decoded({row.name!r}, {address}, {{{", ".join(values)}}})
+    return new(Decoded, ({row.name!r}, {address}, {{{", ".join(values)}}}))
 """
     exec(source, scope)  # noqa: S102 -- generated from the constants of a row alone
     return scope["encode"], scope["decode"]
@@ -347,7 +346,7 @@ def _data(row: Row, size: int, scope: dict[str, Any]) -> tuple[str, str]:
         elif field.kind == "int":
             raw, bits = f"({raw}) & {ones}", f"({bits} ^ {1 << field.bits - 1}) - {1 << field.bits - 1}"
         parts.append(f"({raw}) << {shift}")
-        taken += f"; r{at} = {bits}"
+        taken += f"; r{at} = {bits}" if field.name or field.kind == "const" else ""
     return taken, f"({' | '.join(parts)}).to_bytes({size}, {row.order!r})"
 
 
@@ -382,8 +381,8 @@ def _wrong(fields: Sequence[Field]) -> str:
     """Return the statement that refuses wrong constants and numbers that are not finite."""
     wrong = [f"r{at} != {int(f.low)}" for at, f in enumerate(fields) if f.kind == "const"]
     floats = [f"r{at}" for at, f in enumerate(fields) if f.kind == "f32" and not f.optional and f.name]
-    # Two binary32 never overflow a binary64: their sum is finite if both are.
-    wrong += [f"not isfinite({' + '.join(floats)})"] if floats else []
+    # Two binary32 never overflow a binary64: their sum is finite if both are. Nothing else by 0 is 0.
+    wrong += [f"({' + '.join(floats)}) * 0.0 != 0.0"] if floats else []
     wrong += [f"r{at} in (inf, -inf)" for at, f in enumerate(fields) if f.optional and f.kind == "f32"]
     return f"if {' or '.join(wrong)}: return None" if wrong else "pass"
 
