@@ -16,8 +16,8 @@ from protocols.damiao import table as dm
 from protocols.damiao.options import Options
 from protocols.frames import CanFrame, Frame
 from protocols.messages import Command, Feedback, Mode, Nanos
-from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Host, Report
+from protocols.toolkit.motor_driver import MotorDriver, Rx
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
 
 STATES: dict[int, tuple[Mode, str]] = {

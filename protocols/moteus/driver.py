@@ -26,8 +26,8 @@ from protocols.moteus import table as tb
 from protocols.moteus.codec import ADDRESS_MAX, F32, INT32, SERIAL_BYTES, make_frame
 from protocols.moteus.table import LATCHED, NUMBERS, RISING
 from protocols.plugin import Device
-from protocols.toolkit.driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.host import Host, Phase, Report
+from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.requests import subject
 from protocols.toolkit.table import FLOAT_MAX, TINY

@@ -20,7 +20,7 @@ from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.odrive_can.twin import OdriveTwin, Twin05, Twin06, memory
 from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import TableDecoder
-from protocols.toolkit.driver import MotorDriver
+from protocols.toolkit.motor_driver import MotorDriver
 from protocols.toolkit.table import BINARY32
 
 __all__ = ["Options", "Settings", "plugin"]

@@ -18,8 +18,8 @@ from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.options import Options
-from protocols.toolkit.driver import NEVER
 from protocols.toolkit.duplicates import ShaftCheck, StateCheck
+from protocols.toolkit.motor_driver import NEVER
 from protocols.toolkit.table import Table, Values
 
 VERSION, HEARTBEAT, ESTIMATES = "Get_Version", "Heartbeat", "Get_Encoder_Estimates"

@@ -22,9 +22,9 @@ from protocols.odrive_can.axis import NO_DISCOVERY, Axis
 from protocols.odrive_can.options import Options
 from protocols.odrive_can.table import CLOSED_LOOP, WRITABLE, ControlMode, InputMode
 from protocols.plugin import Device
-from protocols.toolkit.driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
 from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.table import FLOAT_MAX, Decoded
 
 Times: TypeAlias = tuple[Nanos, Nanos]

@@ -15,8 +15,8 @@ from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
 from protocols.plain import table
 from protocols.plugin import Device
-from protocols.toolkit.driver import NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.requests import subject
 from protocols.toolkit.serial import Stream
 

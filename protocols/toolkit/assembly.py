@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Command, Nanos, Obeyed
 from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Spec
-from protocols.toolkit.driver import Adapter, MotorDriver
+from protocols.toolkit.motor_driver import Adapter, MotorDriver
 from protocols.toolkit.table import Decoded, Table
 
 

@@ -15,9 +15,9 @@ from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Command, Feedback, Nanos, Request
 from protocols.plugin import Device
-from protocols.toolkit.driver import Adapter, MotorDriver, Pending
 from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Report
+from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending
 from protocols.toolkit.registers import Registers
 
 ANSWER, RETRY = 200 * MILLISECOND, 50 * MILLISECOND

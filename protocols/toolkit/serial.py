@@ -13,7 +13,7 @@ from functools import cache, reduce
 from operator import xor
 from typing import Literal, TypeAlias
 
-from protocols.toolkit.driver import Rx
+from protocols.toolkit.motor_driver import Rx
 
 Checksum: TypeAlias = Callable[[bytes], int]
 

@@ -22,8 +22,8 @@ from protocols.plain import plugin, table
 from protocols.plain.driver import PlainAdapter
 from protocols.plain.twin import PlainDecoder, PlainTwin
 from protocols.plugin import Device, Plugin
-from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Report
+from protocols.toolkit.motor_driver import MotorDriver, Rx
 from protocols.toolkit.serial import Stream
 from tests.protocols.odrive_can.parts import OdriveDriver
 from tests.protocols.plain.parts import PlainDriver, messages_in, readdressed

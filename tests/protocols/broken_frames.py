@@ -16,7 +16,7 @@ from protocols.odrive_can import plugin as odrive
 from protocols.plain import table
 from protocols.plain.twin import PlainDecoder, PlainTwin
 from protocols.plugin import Device
-from protocols.toolkit.driver import Rx
+from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import Stream
 from protocols.toolkit.table import TINY
 from tests.protocols.broken import BROKEN, Sent, alters, found_by, motors

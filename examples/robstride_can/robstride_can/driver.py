@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from protocols.frames import Frame
 from protocols.messages import Command, Feedback, Mode, Nanos
-from protocols.toolkit.driver import MotorDriver, Rx
 from protocols.toolkit.host import Host, Report
 from protocols.toolkit.mit import NUMBERS, ImpedanceGains
+from protocols.toolkit.motor_driver import MotorDriver, Rx
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.register_motor import Motor, RegisterAdapter
 

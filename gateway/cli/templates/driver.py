@@ -13,9 +13,9 @@ from protocols import messages as msg
 from protocols.frames import Frame
 from protocols.messages import MILLISECOND, Command, Feedback, Mode, Nanos, Request, Velocity
 from protocols.plugin import Device
-from protocols.toolkit.driver import Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.duplicates import AnswerCount
 from protocols.toolkit.host import Host, Report, Timing
+from protocols.toolkit.motor_driver import Adapter, MotorDriver, Pending, Rx
 from protocols.toolkit.table import Decoded
 
 from .line import Line, encode

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Literal
 
 from protocols.frames import CanFrame, Frame, IdMask
-from protocols.toolkit.driver import Rx
+from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.table import Decoded, Direction
 
 from .table import TABLE

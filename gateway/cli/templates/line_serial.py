@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from protocols.frames import CanFrame, Frame, IdMask
-from protocols.toolkit.driver import Rx
+from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import CRC16_XMODEM, Framing, Stream
 from protocols.toolkit.table import Decoded, Direction
 

@@ -14,7 +14,7 @@ from protocols import messages as msg
 from protocols.frames import CanFrame
 from protocols.messages import Mode
 from protocols.plugin import Device, Driver
-from protocols.toolkit.driver import Rx
+from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.table import Decoded
 
 # Bytes, made here by struct alone.

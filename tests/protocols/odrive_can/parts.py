@@ -8,7 +8,7 @@ from protocols.odrive_can import RANGES
 from protocols.odrive_can.axis import Axis
 from protocols.odrive_can.driver import OdriveAdapter
 from protocols.plugin import Device
-from protocols.toolkit.driver import MotorDriver
+from protocols.toolkit.motor_driver import MotorDriver
 
 
 class OdriveDriver(MotorDriver[Axis]):

@@ -10,7 +10,7 @@ from protocols.messages import Message, Nanos
 from protocols.plain import ranges, table
 from protocols.plain.driver import PlainAdapter
 from protocols.plugin import Device
-from protocols.toolkit.driver import MotorDriver
+from protocols.toolkit.motor_driver import MotorDriver
 from protocols.toolkit.serial import Stream
 
 

@@ -15,7 +15,7 @@ def device(plugin: Plugin, name: str, address: int) -> Device:
 def test_two_devices_with_one_address_are_refused(name: str) -> None:
     plugin = load(name)
     plugin.driver([device(plugin, "left", 1), device(plugin, "right", 2)])
-    with pytest.raises(ValueError, match="address 1 of (left|right)"):
+    with pytest.raises(ValueError, match=r"address 1 of (left|right)"):
         plugin.driver([device(plugin, "left", 1), device(plugin, "right", 1)])
 
 

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from protocols.toolkit.driver import Rx
+from protocols.toolkit.motor_driver import Rx
 from protocols.toolkit.serial import (
     CRC8_MAXIM,
     CRC16_MODBUS,
