@@ -39,7 +39,9 @@ class ImpedanceGains:
                 return msg.Impedance(motor, 0.0, 0.0, torque, 0.0, 0.0)
             case msg.Impedance():
                 return command
-        return msg.Impedance(motor, held or 0.0, 0.0, 0.0, self.stiffness, self.damping)
+        if held is None:  # where it is, is not known: a spring would pull it to zero
+            return msg.Impedance(motor, 0.0, 0.0, 0.0, 0.0, self.damping)
+        return msg.Impedance(motor, held, 0.0, 0.0, self.stiffness, self.damping)
 
     def canonical(self, command: Command) -> Command:
         """Return the plainest command of the same numbers, as `Spec.canonical` does."""
