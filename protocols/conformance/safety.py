@@ -26,6 +26,7 @@ from protocols.conformance.fault_injection import (
     takeover,
     torque_of,
 )
+from protocols.frames import Frame
 from protocols.messages import Command, Mode, Obeyed, seconds
 from protocols.plugin import Spec
 
@@ -45,6 +46,10 @@ GAINS = {"position": "stiffness", "velocity": "damping"}
 """What makes a set-point of a number of Impedance."""
 LOST = 60
 """Steps for which replies, or the first frames of Idle, are lost."""
+LATE = 2000
+"""Steps after which a copy of a frame is delivered once more."""
+PULL = 0.01
+"""N·m on a shaft that nothing should hold."""
 
 
 # -- no jump -------------------------------------------------------------------------------------------
@@ -159,7 +164,7 @@ def idle_disarms(case: Case) -> None:
     """Idle, alone or after Hold, Stop or Leave, disarms from every state in which we armed the device."""
     if msg.Idle not in case.spec.commands or not case.kinds:
         raise Inapplicable("the spec lists no Idle, or nothing that arms")
-    others = [*_while_moving(case.spec), *_WHILE_LOSSY, _stop_of_another]
+    others = [*_while_moving(case.spec), *_WHILE_LOSSY, _stop_of_another, _late_copy]
     for trial in (_while_arming, *case.sample(others)):
         trial(case)
 
@@ -256,6 +261,28 @@ def _stop_of_another(case: Case) -> None:
     rig.host.other = None
     rig.step([msg.Stop("a test"), msg.Idle(ALPHA)])
     _must_disarm(rig, [msg.Idle(ALPHA)], "Stop, then Idle, to a device that another host armed")
+
+
+def _late_copy(case: Case) -> None:
+    """A queueing adapter delivers the frame that armed the device once more, when Idle is long confirmed."""
+    rig, idle, copy = make_rig(case), [msg.Idle(ALPHA)], list[Frame]()
+    rig.get_ready()
+
+    def arms(result: StepResult) -> bool:
+        if any(isinstance(message, msg.Arm) for message in named(result.received)):
+            copy[:] = result.down
+        return False
+
+    if not rig.arm(lambda _: rig.at_rest(liveliest(case.spec)), arms) or not rig.disarm():
+        raise rig.failure(f"does not arm, or not disarm, within {ARMING} ms")
+    rig.wait(LATE, idle)
+    rig.faults.clear()
+    rig.bench.shafts[ALPHA].load = PULL
+    rig.bench.step(idle, extra_down=copy)
+    rig.wait(DISARMED, idle)
+    if rig.faults or not _disarmed(rig, rig.step(idle)):
+        text = f"a fault: {rig.faults[0].name}" if rig.faults else _still_armed(rig)
+        raise rig.failure(f"Idle, and {LATE} ms later a copy of the frame that armed it: {text}", copy)
 
 
 def _must_disarm(rig: Rig, messages: Messages, what: str) -> None:

@@ -132,6 +132,16 @@ class HoldsToDisarm(Knowing):
         return events, [*(self.encoded(msg.Hold(name)) for name in armed), *frames]
 
 
+@found_by("disarm")
+class ForgetsWhatItReleased(PlainDriver):
+    """What confirmed Idle once is not told Idle again, whatever arms it."""
+
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        for host in self.hosts.values():
+            host.once_commanded = host.owned
+        return super().send(now, messages)
+
+
 @alters("disarm")
 def stops_only_its_own(message: Message) -> Message | None:
     """An operator's stop does not reach what another host has armed."""
