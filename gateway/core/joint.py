@@ -28,6 +28,10 @@ FEEDBACK_LOST = -1
 """Our own fault code: the device sent no feedback while it was commanded."""
 DISARMED_ITSELF = -2
 """Our own fault code: the device disarmed itself while it was commanded."""
+ARMED_AGAINST_IDLE = -3
+"""Our own fault code: the device is armed although Idle has been commanded for longer than `DISARMING`."""
+DISARMING: Nanos = 500 * MILLISECOND
+"""Time for a device to disarm after Idle, and to report it."""
 AT_REST = 0.02
 """Fraction of the velocity limit below which a braking joint is at rest."""
 
@@ -82,6 +86,8 @@ class Joint:
         self._out: Command = msg.Idle(name)
         """The last command sent, at the output shaft."""
         self._out_at: Nanos = 0
+        self._idle_at: Nanos = 0
+        """When the first of the present Idles was sent."""
         self._received_at: Nanos | None = None
         self._braking: Nanos | None = None
         """When the stop command began to brake."""
@@ -99,6 +105,7 @@ class Joint:
             if event.mode is not Mode.OFFLINE:  # an offline device may still be armed
                 self._armed = event.mode is Mode.ARMED
             self.mode, self.detail = event.mode, event.detail
+            self._check_idle(event.t)
             return event
         self.latch(event)
         return event
@@ -106,6 +113,12 @@ class Joint:
     def _is_unexpected_disarm(self, event: msg.State) -> bool:
         disarmed = event.mode in (Mode.READY, Mode.INITIALISING)
         return self._armed and disarmed and not isinstance(self._out, msg.Idle)
+
+    def _check_idle(self, now: Nanos) -> None:
+        """Latch a fault if the device is armed against our will: by a late copy of a frame, or another host."""
+        obeys = self.mode is not Mode.ARMED or not isinstance(self._out, msg.Idle)
+        if self.owned and not obeys and now - self._idle_at > DISARMING:
+            self.latch(self._armed_against_idle(now))
 
     def _on_feedback(self, event: msg.Feedback) -> msg.Feedback | None:
         ratio, old, t = self._ratio, self.feedback, event.t
@@ -174,12 +187,15 @@ class Joint:
             self._accept(now, new)
         if self.owned and self._armed and self.feedback_lost(now):
             self.latch(self._feedback_lost_fault(now))
+        self._check_idle(now)
         wanted = self._wanted(now, stopped, last)
         if self._received_at is None:
             wanted = msg.Idle(self.name)  # never arm a device that has reported nothing
         out = self._limited(now, wanted)
         if not isinstance(out, msg.Idle):
             self.owned = True
+        elif not isinstance(self._out, msg.Idle):
+            self._idle_at = now
         self._out, self._out_at = out, now
         return self._at_device(out)
 
@@ -191,6 +207,8 @@ class Joint:
         return round(2.0 * self.settings.limits.velocity / self.settings.limits.acceleration * SECOND)
 
     def _stop_command(self, now: Nanos, last: bool) -> Command:
+        if any(code == ARMED_AGAINST_IDLE for code, _ in self.faults):
+            return msg.Idle(self.name)
         if self.settings.stop_action == "hold":
             return msg.Hold(self.name)
         if self.settings.stop_action == "brake" and not last and self._may_brake(now):
@@ -226,6 +244,16 @@ class Joint:
             DISARMED_ITSELF,
             f"disarmed itself: {event.mode}{detail}",
             "a restart, its watchdog, another host, or a second device at the same address",
+            f"find the cause, then clear {self.name}",
+        )
+
+    def _armed_against_idle(self, now: Nanos) -> msg.Fault:
+        return msg.Fault(
+            self.name,
+            now,
+            ARMED_AGAINST_IDLE,
+            "armed without being commanded",
+            "a frame that an adapter delivered late, another host, or a device that does not obey Idle",
             f"find the cause, then clear {self.name}",
         )
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.core.joint import DISARMED_ITSELF, FEEDBACK_LOST, Joint, JointSettings
+from gateway.core.joint import ARMED_AGAINST_IDLE, DISARMED_ITSELF, FEEDBACK_LOST, Joint, JointSettings
 from gateway.core.limits import Limits
 from protocols import messages as msg
 from protocols.messages import MILLISECOND, Command, Mode, Nanos
@@ -336,6 +336,54 @@ def test_disarming_by_command_is_no_fault() -> None:
     made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
     made.command(2 * STEP, msg.Idle("m"), stopped=False)
     made.on_event(msg.State("m", 3 * STEP, Mode.READY))
+    assert not made.faults
+
+
+def idle_since_10_ms(stop_action: Action = "hold") -> Joint:
+    made = armed(joint(stop_action=stop_action))
+    made.command(STEP, msg.Velocity("m", 1.0), stopped=False)
+    made.command(2 * STEP, msg.Idle("m"), stopped=False)
+    return made
+
+
+def test_a_device_that_a_late_frame_has_armed_is_a_fault_and_gets_idle_whatever_the_stop_action() -> None:
+    made = idle_since_10_ms()
+    made.on_event(msg.State("m", 3 * STEP, Mode.READY))
+    for now in range(20 * MS, 600 * MS, STEP):
+        made.command(now, msg.Idle("m"), stopped=False)
+    made.on_event(msg.State("m", 600 * MS, Mode.ARMED))
+    made.on_event(msg.State("m", 601 * MS, Mode.READY))  # within one step
+    assert [f.code for f in made.take_unreported()] == [ARMED_AGAINST_IDLE]
+    made.on_event(msg.Feedback("m", 605 * MS, 0.0, 0.0))
+    assert made.command(605 * MS, msg.Velocity("m", 1.0), stopped=False) == msg.Idle("m")
+    made.clear()
+    assert isinstance(made.command(610 * MS, msg.Velocity("m", 1.0), stopped=False), msg.Velocity)
+
+
+def test_a_device_that_does_not_obey_idle_is_a_fault_after_half_a_second() -> None:
+    made = idle_since_10_ms()
+    made.on_event(msg.Feedback("m", 510 * MS, 0.0, 0.0))
+    made.command(510 * MS, msg.Idle("m"), stopped=False)
+    assert not made.faults  # it may take that long to disarm, and to report it
+    made.command(511 * MS, msg.Idle("m"), stopped=False)
+    assert [f.code for f in made.faults.values()] == [ARMED_AGAINST_IDLE]
+
+
+def test_a_running_device_that_was_never_commanded_is_no_fault() -> None:
+    made = armed(joint())
+    made.command(STEP, None, stopped=False)
+    made.command(2000 * MS, None, stopped=False)
+    made.on_event(msg.State("m", 2001 * MS, Mode.ARMED))
+    assert not made.faults
+
+
+def test_the_time_for_disarming_begins_anew_with_each_command() -> None:
+    made = idle_since_10_ms()
+    made.on_event(msg.Feedback("m", 600 * MS, 0.0, 0.0))
+    made.on_event(msg.State("m", 20 * MS, Mode.READY))
+    made.command(600 * MS, msg.Velocity("m", 1.0), stopped=False)
+    made.command(605 * MS, msg.Idle("m"), stopped=False)
+    made.on_event(msg.State("m", 610 * MS, Mode.ARMED))
     assert not made.faults
 
 
