@@ -121,6 +121,21 @@ def test_a_motor_that_restarts_is_a_fault_and_gets_the_stop_command(driven: Rig)
     assert driven.gateway.joints["right"].mode is Mode.READY  # left stops the robot
 
 
+def test_late_copies_of_arming_frames_turn_a_motor_for_a_moment_and_are_a_fault(rig: Rig) -> None:
+    ticks = rig.run(0.5, msg.Velocity("right", 5.0))
+    read_only = rig.robot.motors["right"].spec.read_only
+    copies = [p.frame for tick in ticks for p in tick.outputs.packets if not read_only(p.frame)]
+    rig.run(3.0, msg.Idle("right"))
+    rig.world.buses["can0"].write(rig.clock.now(), copies)
+    turned: list[float] = []
+    ticks = rig.run(1.0, at=lambda _: turned.append(rig.velocity("right")))
+    assert max(turned) > 1.0
+    assert turned[60:] == sorted(turned[60:], reverse=True)  # 0.3 s later it coasts
+    (fault,) = [n for n in notes_in(ticks, "right") if n.level == "error"]
+    assert "armed without being commanded" in fault.text
+    assert only_idle(rig, rig.run(0.2, msg.Velocity("right", 5.0)), "right")
+
+
 def test_a_second_node_at_the_same_address_is_a_fault_and_gets_the_stop_command(driven: Rig) -> None:
     driven.world.duplicate("left")
     ticks = driven.run(1.0)
