@@ -19,7 +19,7 @@ from protocols.moteus.messages import FAST, STOP, Setpoints
 
 RIVAL = ("moteus", "moteus", "the vendor's package")
 ADDRESS = 5
-SETPOINTS = Setpoints(0.1)
+SETPOINTS = Setpoints(0.1, gains=(2.0, 4.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def _near(one: Mapping[int, float], other: Mapping[int, float], scale: float = 1
 
 
 _MOVE = struct.Struct("<5sfff2sf6s")
-_PUSH = struct.Struct("<6sfffff2sf2sf6s")
+_SPRING = struct.Struct("<6sfffff2sfff2sf6s")
 _REPLY = struct.Struct("<2xb2xfff2xb")
 _DETAILS = struct.Struct("<2xb3xffff3xhhhhhh11x")
 _SHORT = bytes.fromhex("21000a2f01000000be0000c03f000040bf210f00")
@@ -91,18 +91,21 @@ SAMPLES = (
         {"position": 0.25, "velocity": -1.5, "feedforward_torque": 0.125, "watchdog_timeout": 0.1},
     ),
     Sample(
-        "encode torque with a query",
-        lambda: make_frame(_TO, SETPOINTS.torque(0.25, 0.125) + FAST),
-        lambda: _PUSH.pack(
-            b"\x01\x00\x0a\x0c\x05\x20", 0.25, 0, 0.125, 0, 0, b"\x0d\x27", 0.1, b"\x0d\x2b", 0, FAST
+        "encode impedance with a query",
+        lambda: make_frame(_TO, SETPOINTS.spring(0.25, -1.5, 0.125, 1.0, 1.0) + FAST),
+        lambda: _SPRING.pack(
+            *(b"\x01\x00\x0a\x0c\x05\x20", 0.25, -1.5, 0.125, 0.5, 0.25),
+            *(b"\x0f\x27", 0.1, -1, -1, b"\x0d\x2b", 0, FAST),
         ),
         {
             "position": 0.25,
-            "velocity": 0.0,
+            "velocity": -1.5,
             "feedforward_torque": 0.125,
-            "kp_scale": 0.0,
-            "kd_scale": 0.0,
+            "kp_scale": 0.5,
+            "kd_scale": 0.25,
             "watchdog_timeout": 0.1,
+            "velocity_limit": -1.0,
+            "accel_limit": -1.0,
             "ilimit_scale": 0.0,
         },
     ),

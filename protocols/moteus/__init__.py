@@ -29,7 +29,12 @@ __all__ = ["plugin"]
 MOST = {"position": COUNTED * tau, "velocity": 1e3 * tau, "torque": 1e3}
 """What commands carry; the frames could carry more."""
 MEASURED = {f"Feedback.{name}": 3.4e38 for name in ("position", "velocity", "torque", "current")}
-CARRIED = {"Position": tuple(MOST), "Velocity": ("velocity", "torque"), "Torque": ("torque",)}
+CARRIED = {
+    "Position": tuple(MOST),
+    "Velocity": ("velocity", "torque"),
+    "Torque": ("torque",),
+    "Impedance": tuple(MOST),
+}
 COMMANDED = {f"{kind}.{name}": MOST[name] for kind, names in CARRIED.items() for name in names}
 RANGES = {name: Range(-most, most, 1e-12, BINARY32) for name, most in {**COMMANDED, **MEASURED}.items()}
 RANGES["Feedback.voltage"] = Range(0.0, 3276.7, 0.05001)
@@ -65,6 +70,11 @@ def spec(device: Device) -> Spec:
     sends = frozenset(codec.command_id(address, host, prefix) for address in (device.address, BROADCAST))
     # Feedback of a position is rounded to half a count of the encoder, and to binary32.
     position = replace(RANGES["Feedback.position"], resolution=pi / device.settings.encoder_cpr * 1.001)
+    most = {"Impedance.stiffness": (0.0, options.gains[0]), "Impedance.damping": (0.0, options.gains[1])}
+    if options.velocity_limit:  # the device would cut what is above it
+        ends = (-options.velocity_limit, options.velocity_limit)
+        most |= {"Position.velocity": ends, "Velocity.velocity": ends}
+    ranges = {name: Range(low, high, 1e-12, 2.0 * BINARY32) for name, (low, high) in most.items()}
     return can_motor(
         device,
         Table(()),  # registers are no table of messages
@@ -73,11 +83,11 @@ def spec(device: Device) -> Spec:
         sends=tuple(_exact(number) for number in sorted(sends)),
         expects=(_exact(reply_id(device.address, host, prefix)),),
         read_only=ReadOnly(sends),
-        commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
+        commands=frozenset(msg.COMMANDS if all(options.gains) else set(msg.COMMANDS) - {msg.Impedance}),
         requests=frozenset(
             {msg.ClearFault, msg.Scan, msg.SetId, msg.Zero, msg.ReadParameter, msg.WriteParameter}
         ),
-        ranges=RANGES | {"Feedback.position": position},
+        ranges=RANGES | ranges | {"Feedback.position": position},
         watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True),
         stop_clears_faults=True,
         faults=FAULTS,

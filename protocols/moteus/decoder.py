@@ -3,10 +3,10 @@
 Rules. `Memory` is what one device keeps of the frames it received; the twin's firmware runs on the very same
 class, so decoder and twin cannot disagree. Writing the mode begins a command: all other command registers
 fall back to their defaults, and without it they change nothing that is obeyed. A frame for one UUID is
-skipped by the others from the mask on; a decoder that does not know a device's UUID takes the frame for that
-device's. The decoder knows neither faults nor timeouts, except the one fault that is in the command itself:
-it takes a mode as granted. Source: mjbots/moteus@1f4a195 `fw/moteus_controller.cc` (Write),
-`docs/protocol/registers.md` (UUID mask, defaults, fault 45).
+skipped by the others from the mask on, its command too; a decoder that does not know a device's UUID takes
+the frame for that device's. The decoder knows neither faults nor timeouts, except the one fault that is in
+the command itself: it takes a mode as granted. Source: mjbots/moteus@db1a762 `fw/moteus_controller.cc`
+(Write, CompleteFrame), `fw/bldc_servo_control.h` (PrepareCommand: limits, fault 45).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from math import isfinite, isnan, nan, tau
+from math import inf, isfinite, isnan, nan, tau
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
@@ -22,18 +22,19 @@ from protocols.messages import Command, Nanos, Obeyed, Request
 from protocols.moteus import codec
 from protocols.moteus import table as tb
 from protocols.moteus.codec import INT32, TO_DEVICE, WRITE, Subframe
-from protocols.moteus.loops import Settings, given
+from protocols.moteus.loops import MOST_TORQUE, Settings, given, limits_of
 from protocols.moteus.table import NAMES, Mode
 from protocols.plugin import Device
+from protocols.toolkit.servo import clamp
 
-UNKNOWN, NOT_WRITEABLE, BAD_VALUE = 1, 2, 3
+UNKNOWN, NOT_WRITEABLE = 1, 2
 """Numbers of write errors; an unknown register is 1 for reading too."""
 DEFAULTS: Mapping[str, float] = {
     **{NAMES[number]: 0.0 for number in (*range(0x010, 0x02E), 0x040, 0x041) if number in NAMES},
     **dict.fromkeys(("command_kp_scale", "command_kd_scale", "command_ilimit_scale"), 1.0),
     **dict.fromkeys(("command_velocity_limit", "command_accel_limit", "command_stop_position"), nan),
     **dict.fromkeys(("command_fixed_voltage_override", "command_fixed_current_override"), nan),
-    "command_position_max_torque": nan,
+    "command_position_max_torque": MOST_TORQUE,
 }
 """The command registers as they are at the beginning of each command; NaN is "not given"."""
 COMMAND_NAMES: Mapping[int, str] = {
@@ -42,8 +43,8 @@ COMMAND_NAMES: Mapping[int, str] = {
     if name in DEFAULTS or name.startswith("command_within_")
 }
 """The command register in which a number is kept: those of stay-within are other numbers of the same."""
-COMMANDED = frozenset(Mode) - {*tb.LATCHED, *tb.RISING}
-"""The other modes only the device itself enters."""
+COMMANDED = frozenset(Mode) - {Mode.FAULT, *tb.RISING}
+"""A command of another mode is accepted, and ignored."""
 
 
 class Memory:
@@ -51,10 +52,10 @@ class Memory:
 
     def __init__(self, device: Device, uuid: bytes) -> None:
         """`uuid`: b"" if it is not known (to a decoder)."""
-        settings: Settings = device.settings
+        self.settings: Settings = device.settings
         self.motor, self.address, self.uuid = device.name, device.address, uuid
         self.prefix: int = device.options.can_prefix
-        self.torque_constant = settings.torque_constant
+        self.gains: tuple[float, float] = device.options.gains
         self.command = {**DEFAULTS}
         self.mode: int = Mode.STOPPED  # as last commanded
         self.begun = False  # the last frame began a command
@@ -76,6 +77,7 @@ class Memory:
                 self.chosen &= part != b"" and self.uuid[4 * at : 4 * at + 4] in (part, b"")
                 mask += part
             if not self.chosen:
+                self.begun = False
                 return
             if subframe.code == WRITE:
                 for register, value in subframe.quantities():
@@ -96,9 +98,9 @@ class Memory:
             self.command[name] = nan if value is None else value
         elif register == tb.MODE:
             mode = -1 if value is None else int(value)
-            if mode not in COMMANDED:
-                return BAD_VALUE
-            self.mode, self.command, self.begun = mode, {**DEFAULTS}, True
+            if mode not in range(len(Mode)):
+                return UNKNOWN
+            self.mode, self.command, self.begun = mode, {**DEFAULTS}, mode in COMMANDED
         elif register not in tb.ACTIONS and register not in tb.UUID_MASK:
             return NOT_WRITEABLE if register in NAMES else UNKNOWN
         return 0
@@ -136,28 +138,35 @@ class Memory:
 
     def _meaning(self) -> Command | Request:
         """Return what the command registers amount to now."""
-        motor, get = self.motor, self.command.__getitem__
+        motor, get, settings = self.motor, self.command.__getitem__, self.settings
         push = given(get("command_feedforward_torque"), 0.0)
+        fastest, _ = limits_of(self.command, settings)
+        if self.mode == Mode.STOPPED or (fastest < inf and not isnan(get("command_stop_position"))):
+            return msg.Idle(motor)  # the latter is fault 45
         match self.mode:
-            case Mode.STOPPED:
-                return msg.Idle(motor)
             case Mode.POSITION:
-                limited = get("command_velocity_limit") >= 0.0 or get("command_accel_limit") >= 0.0
-                if limited and not isnan(get("command_stop_position")):
-                    return msg.Idle(motor)  # fault 45
-                # An integrator that is left on goes on pushing: that is no torque alone.
-                if not any(get(f"command_{gain}_scale") for gain in ("kp", "kd", "ilimit")):
+                kp, kd, ilimit = (given(get(f"command_{gain}_scale"), 1.0) for gain in ("kp", "kd", "ilimit"))
+                position = get("command_position") * tau
+                velocity = clamp(given(get("command_velocity"), 0.0), fastest) * tau
+                soft, known = not ilimit, all(self.gains)  # an integrator that is left on goes on pushing
+                if soft and not known and not kp and not kd:
                     return msg.Torque(motor, push)
-                position, velocity = get("command_position"), given(get("command_velocity"), 0.0) * tau
-                if isfinite(position):
-                    return msg.Position(motor, position * tau, velocity, push)
-                return msg.Velocity(motor, velocity, push)
+                if not isfinite(position):
+                    return msg.Velocity(motor, velocity, push)
+                if soft and known:
+                    return msg.Impedance(
+                        motor, position, velocity, push, kp * self.gains[0], kd * self.gains[1]
+                    )
+                return msg.Position(motor, position, velocity, push)
             case Mode.CURRENT:
-                return msg.Torque(motor, given(get("command_q_current"), 0.0) * self.torque_constant)
-            case Mode.ZERO_VELOCITY | Mode.BRAKE:
+                return msg.Torque(motor, given(get("command_q_current"), 0.0) * settings.torque_constant)
+            case Mode.TIMEOUT if settings.timeout_mode == Mode.STOPPED:
+                return msg.Idle(motor)
+            case Mode.ZERO_VELOCITY | Mode.BRAKE | Mode.TIMEOUT:
                 return msg.Velocity(motor, 0.0)
             case Mode.STAY_WITHIN:  # inside its bounds it gives only the feed-forward
-                return msg.Torque(motor, push)
+                low, high = get("command_within_lower_bound"), get("command_within_upper_bound")
+                return msg.Position(motor, low * tau) if low >= high else msg.Torque(motor, push)
         return msg.WriteParameter(motor, "mode", float(self.mode))
 
 

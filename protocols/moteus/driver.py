@@ -1,8 +1,9 @@
 """The host's end: what a moteus is sent in each phase, and what its replies report.
 
 Rules. A device gets one frame a cycle, which commands and queries at once. Arming is position control at the
-measured position until the device reports that mode. A velocity starts from the measured position too, until
-a reply came to that: the device's own set-point may be anywhere. Since a stop clears faults, a device in
+measured position, for a torque stay-within without any, until the device reports such a mode. A velocity
+starts from the measured position too, until a reply came to that: the device's own set-point may be
+anywhere. Since a stop clears faults, a device in
 fault or timeout is sent none until ClearFault, not for Idle either: in fault it gives no torque, and in
 timeout it damps its shaft, as its owner configured. What is written is read back in the same frame: the reply
 to that holds this register alone, and must hold what was written. Nothing that drops a load or moves a
@@ -14,8 +15,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from math import isclose, tau
+from dataclasses import dataclass, field, replace
+from math import isclose, isnan, nan, tau
+from typing import Any, Literal
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
@@ -40,13 +42,20 @@ PLACED = 3
 """Replies after which the start of a velocity must have arrived: earlier ones may have been on their way."""
 SAVE = "conf_write"
 """Parameter that saves the device's configuration when 1 is written."""
-IN_POSITION = int(tb.Mode.POSITION)
+OURS = (tb.Mode.POSITION, tb.Mode.STAY_WITHIN, tb.Mode.ZERO_VELOCITY, tb.Mode.BRAKE)
+"""Modes from which a set-point goes straight on."""
 MODES: Mapping[int, Mode] = {
     tb.Mode.STOPPED: Mode.READY,
     **dict.fromkeys(RISING, Mode.READY),
     **dict.fromkeys(LATCHED, Mode.FAULT),
 }
 """All others are armed. A device that enables, as it does on every arming, is ready."""
+LIMITS: Mapping[int, tuple[str, float]] = {
+    NUMBERS["command_position_max_torque"]: ("max_torque", 1.0),
+    NUMBERS["command_velocity_limit"]: ("velocity_limit", tau),
+    NUMBERS["command_accel_limit"]: ("acceleration_limit", tau),
+}
+"""Registers whose writing changes an option: from then on every command holds it."""
 NOT_WRITTEN: Mapping[int, str] = {
     tb.MODE: "the mode is what commands are for",
     NUMBERS["multiplex_id"]: "use SetId with the serial number",
@@ -66,13 +75,32 @@ class Options:
     max_torque: float = bounded(0.0, 0.0, 1e6)  # N·m, in every command; 0: as configured on the device
     velocity_limit: float = bounded(0.0, 0.0, 1e6)  # rad/s of the device's own trajectories, likewise
     acceleration_limit: float = bounded(0.0, 0.0, 1e9)  # rad/s², likewise
+    kp: float = bounded(0.0, 0.0, 1e6)  # N·m/rev, servo.pid_position.kp of the device, for Impedance
+    kd: float = bounded(0.0, 0.0, 1e6)  # N·m/(rev/s), likewise; 0: not known, and Impedance is refused
+    within_min: float = bounded(nan, -1e5, 1e5, nan="none")  # rad: a Torque does not push further
+    within_max: float = bounded(nan, -1e5, 1e5, nan="none")
+    at_rest: Literal["hold", "damp", "brake"] = "hold"
+    """What Velocity 0 is: position control, damping by kd (mode 12), or shorted phases (mode 15)."""
     feedback_ms: int = bounded(10, 1, 1000)  # period of queries to a device that is not commanded
     details_ms: int = bounded(200, 1, 60_000)  # … for current, voltage and temperatures as well
     offline_ms: int = bounded(200, 20, 10_000)  # time without a reply after which it is offline
 
     def __post_init__(self) -> None:
         late = f"offline_ms ({self.offline_ms}) must be at least twice feedback_ms ({self.feedback_ms})"
-        check_bounds(self, [late] if self.offline_ms < 2 * self.feedback_ms else ())
+        inverted = f"within_min ({self.within_min}) must be below within_max ({self.within_max})"
+        others = [late] if self.offline_ms < 2 * self.feedback_ms else []
+        check_bounds(self, [*others, inverted if self.within_min >= self.within_max else ""])
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """Stiffness [N·m/rad] and damping [N·m·s/rad] at scale 1; 0: not known."""
+        return self.kp / tau, self.kd / tau
+
+    def setpoints(self) -> mt.Setpoints:
+        """Return what is the same in all commands."""
+        limits = (self.max_torque, self.velocity_limit / tau, self.acceleration_limit / tau)
+        bounds = [None if isnan(bound) else bound / tau for bound in (self.within_min, self.within_max)]
+        return mt.Setpoints(self.timeout_ms / 1000, limits, bounds, self.gains)
 
 
 @dataclass(slots=True)
@@ -102,7 +130,7 @@ class Motor:
         if mode is None:
             return
         if self.placed is not None:
-            self.placed = None if mode in LATCHED else self.placed + (mode == IN_POSITION)
+            self.placed = None if mode in LATCHED else self.placed + (mode == tb.Mode.POSITION)
         if mode != self.mode or self.limited or fault in tb.LIMITS:
             self.mode = int(mode)
             # What limits it may come and go with every reply.
@@ -111,6 +139,10 @@ class Motor:
             self.limited = {} if self.mode in MODES else recent | active
             limits = " and ".join(tb.LIMITS[code] for code in sorted(self.limited))
             self.detail = tb.mode_name(self.mode) + (f", limited by {limits}" if limits else "")
+
+    def limit(self, options: Options) -> None:
+        """Take other limits."""
+        self.options, self.setpoints = options, options.setpoints()
 
     def place(self, replies: int | None) -> None:
         """Note a set-point: of a velocity, or None."""
@@ -150,12 +182,10 @@ class MoteusAdapter(Adapter[Motor]):
 
     def own(self, device: Device) -> Motor:
         options: Options = device.options
-        limits = (options.max_torque, options.velocity_limit / tau, options.acceleration_limit / tau)
-        setpoints = mt.Setpoints(options.timeout_ms / 1000, *(each or None for each in limits if any(limits)))
         host = (options.host_id, options.can_prefix)
         self._hosts |= {host}
         self._names |= {codec.reply_id(device.address, *host): device.name}
-        return Motor(options, setpoints, codec.command_id(device.address, *host))
+        return Motor(options, options.setpoints(), codec.command_id(device.address, *host))
 
     # -- received -------------------------------------------------------------------------------------
 
@@ -184,30 +214,36 @@ class MoteusAdapter(Adapter[Motor]):
     # -- sent -----------------------------------------------------------------------------------------
 
     def refuse(self, host: Host[Motor], command: Command) -> str:
-        impedance = isinstance(command, msg.Impedance)
-        return "the device's gains are scaled, not set: it has no impedance in N·m/rad" if impedance else ""
+        if isinstance(command, msg.Impedance) and not all(host.options.gains):
+            return "its gains are scaled, not set: give kp and kd under options, as on the device"
+        return ""
 
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        motor, at = host.own, (host.position or 0.0) / tau
+        motor, setpoints = host.own, host.own.setpoints
         # The set-point of arming is where the shaft is: a velocity may go on from there.
         motor.place(PLACED if isinstance(command, msg.Velocity) else None)
-        free = isinstance(command, msg.Torque)
-        still = motor.setpoints.torque(at, 0.0) if free else motor.setpoints.position(at, 0.0, 0.0)
-        return motor.frame(now, still)
+        if isinstance(command, msg.Torque):
+            return motor.frame(now, setpoints.torque(0.0))
+        return motor.frame(now, setpoints.position((host.position or 0.0) / tau, 0.0, 0.0))
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        motor, at = host.own, (host.position or 0.0) / tau
-        if motor.mode != IN_POSITION:  # another host's: it goes over to position control
+        motor, at_rest = host.own, mt.AT_REST.get(host.own.options.at_rest, b"")
+        if motor.mode not in OURS:  # another host's: it goes over to ours
             return self.arm(now, host, command)
         placed = motor.placed or 0
         motor.place(placed if isinstance(command, msg.Velocity) else None)
         match command:
             case msg.Position(_, position, velocity, torque):
                 data = motor.setpoints.position(position / tau, velocity / tau, torque)
+            case msg.Velocity(_, velocity, torque) if at_rest and max(abs(velocity), abs(torque)) < TINY:
+                data = at_rest
             case msg.Velocity(_, velocity, torque):
-                data = motor.setpoints.position(at if placed < PLACED else None, velocity / tau, torque)
+                at = (host.position or 0.0) / tau if placed < PLACED else None
+                data = motor.setpoints.position(at, velocity / tau, torque)
             case msg.Torque(_, torque):
-                data = motor.setpoints.torque(at, torque)
+                data = motor.setpoints.torque(torque)
+            case msg.Impedance(_, position, velocity, torque, stiffness, damping):
+                data = motor.setpoints.spring(position / tau, velocity / tau, torque, stiffness, damping)
             case _:
                 data = motor.setpoints.position((host.held or 0.0) / tau, 0.0, 0.0)
         return motor.frame(now, data)
@@ -264,6 +300,14 @@ class MoteusAdapter(Adapter[Motor]):
                 return f"no register {name!r}: give its number (0x058), or one of {', '.join(NUMBERS)}"
             case msg.ReadParameter():  # quantities are read as binary32, the rest as int32
                 data = codec.read(register, F32 if register in tb.SCALES else INT32)
+            case msg.WriteParameter(_, _, value) if register in LIMITS:
+                name, unit = LIMITS[register]
+                most = getattr(host.options, name) or 1e6
+                if not 0.0 < value * unit <= most:
+                    return f"{value} is not above 0 and at most {most / unit:g}, as the robot file allows"
+                limited: Any = {name: value * unit}
+                host.own.limit(replace(host.own.options, **limited))
+                data = codec.read(register)
             case msg.WriteParameter(_, _, value):
                 if not abs(value) <= FLOAT_MAX:
                     return f"{value} is no finite number of 32 bits"
@@ -320,6 +364,8 @@ class MoteusAdapter(Adapter[Motor]):
                 if value is None:
                     return pending.refuse(t, "the device replies that it is not given")
                 return msg.Parameter(motor, t, name, float(value))
+            case msg.WriteParameter() if register in LIMITS:
+                return pending.done(t, "each command holds it from now on")
             case msg.WriteParameter(_, name, value) if alone:  # others may have been on their way before
                 reads = values.get(register)
                 if name == SAVE or reads is None or isclose(reads, value, rel_tol=2.0**-23, abs_tol=TINY):

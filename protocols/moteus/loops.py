@@ -2,9 +2,8 @@
 
 Rules. One call of `step` is one cycle of the loop, whatever its `dt` [s]. Names and units are the vendor's
 (rev, rev/s, N·m, A, V, °C), so that settings can be compared with `moteus_tool --dump-config`. What the loops
-know of the shaft comes from the encoder. No frame and no message in here. Sources: mjbots/moteus@1f4a195
-`fw/bldc_servo.cc`, `fw/bldc_servo_control.h`; for set-points also mjbots/moteus@db1a762
-`docs/protocol/registers.md`, `docs/reference/configuration.md`.
+know of the shaft comes from the encoder. No frame and no message in here. Source: mjbots/moteus@db1a762
+`fw/bldc_servo_control.h`, `fw/bldc_servo_position.h`, `fw/pid.h`; set-points with limits are our own.
 """
 
 from __future__ import annotations
@@ -19,10 +18,12 @@ from protocols.moteus.table import LATCHED, RISING, Mode
 from protocols.toolkit.options import bounded, check_bounds
 from protocols.toolkit.servo import Encoder, PowerStage, clamp
 
-MIN_CURRENT = 0.01  # A: a smaller damping current is noise, and is not applied
+CAPTURED = 0.05  # rev/s: at less, a set-point that begins at the shaft begins at rest
+MOST_TORQUE = 100.0  # N·m, of a command that names no largest torque
 WATCHDOG_MODES = (Mode.POSITION, Mode.STAY_WITHIN)
 MAX_VELOCITY, MAX_CURRENT, HOT, MAX_TORQUE, BOUNDS = 96, 99, 100, 102, 103
 """Codes of the fault register for what limits the output."""
+PID_MODES = (*WATCHDOG_MODES, Mode.ZERO_VELOCITY, Mode.TIMEOUT)
 COUNTED = 32768.0  # rev: the firmware counts no further
 
 
@@ -42,8 +43,8 @@ class Settings:
     position_min: float = bounded(nan, -1e6, 1e6, nan="none")  # servopos.position_min
     position_max: float = bounded(nan, -1e6, 1e6, nan="none")
     position_derate: float = bounded(0.02, 1e-6, 1e6)  # beyond a limit, until the torque outwards is zero
-    default_velocity_limit: float = bounded(nan, -1e6, 1e6, nan="none")
-    default_accel_limit: float = bounded(nan, -1e9, 1e9, nan="none")
+    default_velocity_limit: float = bounded(nan, 0.0, 1e6, nan="none")
+    default_accel_limit: float = bounded(nan, 0.0, 1e9, nan="none")
     default_timeout_s: float = bounded(0.1, 0.0, 1e6, nan="no watchdog unless a command has one")
     timeout_mode: int = bounded(int(Mode.ZERO_VELOCITY), 0, 15)
     timeout_max_torque: float = bounded(5.0, 0.0, 1e6)
@@ -89,6 +90,17 @@ def given(value: float, default: float) -> float:
     return default if isnan(value) else value
 
 
+def limits_of(command: Mapping[str, float], s: Settings) -> tuple[float, float]:
+    """Return the limits of velocity and acceleration that hold for a command; inf: none. With any of them the
+    velocity is limited, and at most servo.max_velocity."""
+    velocity = given(command["command_velocity_limit"], s.default_velocity_limit)
+    acceleration = given(command["command_accel_limit"], s.default_accel_limit)
+    if not (velocity >= 0.0 or acceleration >= 0.0):
+        return inf, inf
+    fastest = min(velocity, s.max_velocity) if velocity >= 0.0 else s.max_velocity
+    return fastest, acceleration if acceleration >= 0.0 else inf
+
+
 @dataclass(slots=True)
 class Setpoint:
     """Set-point of the position loop. Without limits it is the commanded position, and goes on with the
@@ -96,38 +108,38 @@ class Setpoint:
 
     position: float = nan  # NaN: it begins at the measured position
     velocity: float = 0.0
-    fresh: float = nan  # a commanded position that was not used yet
-    goal: float = nan  # end of a limited trajectory
+    goal: float = nan  # a commanded position that was not reached yet
     done: bool = True  # the trajectory is complete
 
     def take(self, position: float) -> None:
         """Take a commanded position; NaN: none, the set-point goes on from where it is."""
-        self.fresh, self.goal = position, given(position, self.goal)
+        self.goal = position
 
     def put(self, position: float = nan, velocity: float = 0.0) -> None:
         """Place it."""
         self.position, self.velocity = position, velocity
 
-    def jump(self, dt: float, velocity: float, stop: float) -> None:
-        """Advance without limits, but not beyond a stop position."""
-        at = given(self.fresh, self.position) + velocity * dt
-        reached = (at - stop) * velocity >= 0.0 and velocity != 0.0
-        self.put(*((stop, 0.0) if reached else (at, velocity)))
-        self.fresh, self.done = nan, True
-
-    def follow(self, dt: float, goal: float, velocity: float, fastest: float, hardest: float) -> None:
-        """Advance towards goal + velocity·t, without a goal (NaN) at the velocity. Infinite: no limit."""
-        aim, self.fresh = velocity, nan
-        if not isnan(goal):
-            self.goal = goal = goal + velocity * dt
-            far = abs(goal - self.position)
-            aim += copysign(min(far / dt, sqrt(2.0 * hardest * far) if far else 0.0), goal - self.position)
+    def advance(self, dt: float, velocity: float, fastest: float, hardest: float) -> None:
+        """Advance towards goal + velocity·t, without a goal at the velocity. Infinite: no limit."""
+        if fastest == hardest == inf:
+            self.put(given(self.goal, self.position) + velocity * dt, velocity)
+            self.goal, self.done = nan, True
+            return
+        aim = velocity
+        if not isnan(self.goal):
+            self.goal += velocity * dt
+            far = abs(self.goal - self.position)
+            aim += copysign(
+                min(far / dt, sqrt(2.0 * hardest * far) if far else 0.0), self.goal - self.position
+            )
         change = clamp(clamp(aim, fastest) - self.velocity, hardest * dt)
         self.put(self.position + (self.velocity + change) * dt, self.velocity + change)
         self.done = abs(self.velocity - velocity) <= hardest * dt
-        self.done &= isnan(goal) or abs(goal - self.position) <= abs(change) * dt + 1e-6
-        if self.done and not isnan(goal):
-            self.put(goal, velocity)
+        if not isnan(self.goal):
+            self.done &= abs(self.goal - self.position) <= abs(change) * dt + 1e-6
+            if self.done:
+                self.put(self.goal, velocity)
+                self.goal = nan
 
 
 class Loops:
@@ -143,7 +155,9 @@ class Loops:
         self.fault = 0  # the fault register: the fault, or what limits the output now
         self.enabling = 0.0  # s since enabling began
         self.home_state = 1  # 0 relative, 1 rotor, 2 output
-        self.low, self.high = given(s.position_min, -inf), given(s.position_max, inf)
+        self.velocity = 0.0  # rev/s, commanded
+        self.fastest = self.hardest = inf
+        self.scales = (1.0, 1.0, 1.0)  # of kp, kd and the integrator's limit
         self.encoder = Encoder(s.encoder_cpr, s.encoder_bandwidth)
         self.setpoint = Setpoint()
         motor, supply = (self.kt, s.current_bandwidth, s.phase_resistance), (s.bus_voltage, s.bus_resistance)
@@ -155,10 +169,19 @@ class Loops:
     # -- inputs -----------------------------------------------------------------------------------
 
     def take(self, mode: int, command: Mapping[str, float]) -> None:
-        """Take a command; it is executed from the next cycle on."""
+        """Take a command; it is executed from the next cycle on. What is wrong with it trips at once."""
         self.commanded, self.command, self.stopping = mode, command, mode == Mode.STOPPED
+        self.fastest, self.hardest = limits_of(command, self.settings)
+        self.velocity = clamp(self._given("velocity"), self.fastest)
         self.feedforward = self._given("feedforward_torque")
-        self.setpoint.take(command["command_position"])
+        kp, kd, ilimit = (self._given(f"{gain}_scale", 1.0) for gain in ("kp", "kd", "ilimit"))
+        self.scales = kp, kd, ilimit
+        position, stop = command["command_position"], command["command_stop_position"]
+        self.setpoint.take(position)
+        if isnan(position) and not isnan(stop):  # so that it gets there
+            self.velocity = copysign(self.velocity, stop - self.encoder.position)
+        if not isnan(stop) and self.fastest < inf and not self.stopping:
+            self.trip(45)
 
     def set_output(self, position: float) -> None:
         """Assign a value to the present position (registers 0x130, 0x131); an active set-point stays."""
@@ -171,9 +194,7 @@ class Loops:
 
     def recapture(self) -> None:
         """Set the set-point to what is measured (register 0x133)."""
-        if self.mode == Mode.POSITION:
-            self.setpoint.put(self.encoder.position, self.encoder.velocity)
-            self.integral = 0.0
+        self._clear()
 
     def trip(self, code: int) -> None:
         """Enter fault, or the mode of a timeout."""
@@ -192,7 +213,7 @@ class Loops:
         self._change_mode(dt)
         self._monitor()
         self.fault = self.fault if self.mode == Mode.FAULT else 0
-        if self.mode not in (*WATCHDOG_MODES, Mode.TIMEOUT):
+        if self.mode not in PID_MODES:
             self._clear()
         self.control_torque = self._limited(self._torque(dt))
         released = self.mode == Mode.TIMEOUT and self.settings.timeout_mode == Mode.STOPPED
@@ -219,33 +240,32 @@ class Loops:
                 self.mode = Mode.CALIBRATING
 
     def _enter(self) -> None:
-        bounds = (self.settings.position_min, self.settings.position_max)
         self._clear()
-        if self.commanded in WATCHDOG_MODES and self._beyond() > 0.0:
+        self.mode = self.commanded
+        low, high = self._bounds()
+        if self.mode in WATCHDOG_MODES and not low <= self.encoder.position <= high:
             self.trip(39)
-        elif self.commanded in WATCHDOG_MODES and any(abs(bound) > COUNTED for bound in bounds):
+        elif self.mode in WATCHDOG_MODES and any(COUNTED < abs(bound) < inf for bound in (low, high)):
             self.trip(48)
-        else:
-            self.mode = self.commanded
 
     def _clear(self) -> None:
         self.setpoint.put()
         self.error = self.velocity_error = self.proportional = self.integral = self.derivative = 0.0
 
-    def _beyond(self) -> float:
-        """Return how far it is outside of servopos.position_min … position_max, if they are not ignored."""
-        position, ignored = self.encoder.position, self.command["command_ignore_position_bounds"]
-        return 0.0 if ignored else max(position - self.high, self.low - position)
+    def _bounds(self) -> tuple[float, float]:
+        """Return servopos.position_min and position_max, if the command does not have them ignored."""
+        own = self.mode not in (Mode.TIMEOUT, Mode.ZERO_VELOCITY)
+        if own and self.command["command_ignore_position_bounds"]:
+            return -inf, inf
+        return given(self.settings.position_min, -inf), given(self.settings.position_max, inf)
 
     def _monitor(self) -> None:
-        s, stage, running = self.settings, self.stage, self.mode == Mode.POSITION
+        s, stage = self.settings, self.stage
         checks = {
             34: stage.voltage > s.max_voltage,
             40: stage.voltage < s.min_voltage,
             38: stage.stage_temperature > s.fault_temperature
             or stage.motor_temperature > s.motor_fault_temperature,
-            49: running and abs(self.error) > s.fault_position_error,
-            50: running and abs(self.velocity_error) > s.fault_velocity_error,
         }
         code = next((code for code, wrong in checks.items() if wrong), 0)
         if code and self.mode not in (Mode.STOPPED, Mode.FAULT):
@@ -258,88 +278,90 @@ class Loops:
 
     def _torque(self, dt: float) -> float:
         """Return the torque [N·m] of the mode, before the limits of position, velocity, heat and current."""
-        s, speed, timeout = self.settings, self.encoder.velocity, self.mode == Mode.TIMEOUT
-        mode = s.timeout_mode if timeout else self.mode
-        if mode == Mode.POSITION and isnan(self.setpoint.position):
-            self.setpoint.put(self.encoder.position, 0.0 if timeout else speed)
-        match mode:
-            case Mode.POSITION if timeout:  # it comes to rest
-                self.setpoint.follow(dt, nan, 0.0, inf, given(s.default_accel_limit, inf))
-                return self._pid(dt)
+        s, speed, lost = self.settings, self.encoder.velocity, self.mode == Mode.TIMEOUT
+        match s.timeout_mode if lost else self.mode:
+            case Mode.POSITION if lost:  # it comes to rest, with scales of its own
+                self.setpoint.take(nan)
+                fastest = given(s.default_velocity_limit, inf)
+                self._advance(dt, 0.0, fastest, given(s.default_accel_limit, inf))
+                return self._capped(self._pid(dt, 1.0, 1.0, 1.0), MOST_TORQUE)
             case Mode.POSITION:
-                return self._within_most(self._position(dt))
+                self._advance(dt, self.velocity, self.fastest, self.hardest)
+                torque = self._pid(dt, *self.scales) + self.feedforward
+                return self._capped(torque, self._given("position_max_torque", inf))
             case Mode.STAY_WITHIN:
-                return self._within_most(self._stay_within(dt))
+                torque = self._stay_within(dt) + self.feedforward
+                return self._capped(torque, self._given("position_max_torque", inf))
+            case Mode.ZERO_VELOCITY:  # also after a timeout, with the last command's kd
+                self.setpoint.take(nan)
+                self._advance(dt, 0.0, inf, inf)
+                return self._capped(self._pid(dt, 0.0, self.scales[1], 0.0), s.timeout_max_torque)
             case Mode.CURRENT:
                 return self._given("q_current") * self.kt
             case Mode.VOLTAGE_DQ:  # through phase resistance and back-EMF
                 voltage = given(self.command["voltagedq_q"], 0.0)
                 return (voltage - self.kt * tau * speed) / s.phase_resistance * self.kt
-            case Mode.ZERO_VELOCITY if timeout:
-                damping = -s.kd * speed
-                return 0.0 if abs(damping) < MIN_CURRENT * self.kt else clamp(damping, s.timeout_max_torque)
-            case Mode.ZERO_VELOCITY:
-                return -s.kd * self._given("kd_scale", 1.0) * speed
             case Mode.BRAKE:  # phases are shorted
                 return -self.kt * self.kt * tau * speed / (s.phase_resistance * 1.5)
         return 0.0
 
-    def _position(self, dt: float) -> float:
-        s, setpoint, velocity = self.settings, self.setpoint, self._given("velocity")
-        fastest = self._given("velocity_limit", s.default_velocity_limit)
-        hardest = self._given("accel_limit", s.default_accel_limit)
-        stop = self.command["command_stop_position"]
-        if fastest >= 0.0 or hardest >= 0.0:
-            if not isnan(stop):
-                self.trip(45)
-                return 0.0
-            goal = nan if isnan(self.command["command_position"]) else setpoint.goal
-            fastest, hardest = (limit if limit >= 0.0 else inf for limit in (fastest, hardest))
-            setpoint.follow(dt, goal, velocity, fastest, hardest)
-        else:
-            setpoint.jump(dt, velocity, stop)
-        if not self.command["command_ignore_position_bounds"]:
-            setpoint.put(max(self.low, min(self.high, setpoint.position)), setpoint.velocity)
-        return self._pid(dt)
+    def _advance(self, dt: float, velocity: float, fastest: float, hardest: float) -> None:
+        """Advance the set-point, up to a bound or the stop position: there it has no velocity."""
+        point, speed, stop = self.setpoint, self.encoder.velocity, nan
+        if isnan(point.position):
+            point.put(self.encoder.position, speed if abs(speed) >= CAPTURED else 0.0)
+        point.advance(dt, velocity, fastest, hardest)
+        low, high = self._bounds()
+        held = max(low, min(high, point.position))
+        if self.mode == Mode.POSITION:
+            stop = self.command["command_stop_position"]
+        if (held - stop) * point.velocity > 0.0:
+            held = stop
+        if held != point.position:
+            point.put(held)
 
-    def _pid(self, dt: float) -> float:
-        """Return the torque of the position loop around the set-point, with feed-forward."""
-        s, setpoint = self.settings, self.setpoint
-        kp = self._given("kp_scale", 1.0)
-        kd = min(self._given("kd_scale", 1.0), max(kp, 0.0))
-        self.error = setpoint.position - self.encoder.position
-        self.velocity_error = setpoint.velocity - self.encoder.velocity
-        ilimit = s.ilimit * self._given("ilimit_scale", 1.0)
-        self.integral = clamp(self.integral + s.ki * self.error * dt, ilimit)
+    def _pid(self, dt: float, kp: float, kd: float, ilimit: float) -> float:
+        """Return the torque of the position loop around the set-point; errors too large trip."""
+        s, point, encoder = self.settings, self.setpoint, self.encoder
+        self.error, self.velocity_error = encoder.position - point.position, encoder.velocity - point.velocity
+        self.integral = clamp(self.integral + s.ki * self.error * dt, s.ilimit * ilimit)
         self.proportional, self.derivative = s.kp * kp * self.error, s.kd * kd * self.velocity_error
-        return self.proportional + self.integral + self.derivative + self.feedforward
-
-    def _within_most(self, torque: float) -> float:
-        """Return a torque within the commanded largest torque."""
-        most = abs(self._given("position_max_torque", inf))
-        self.fault = MAX_TORQUE if abs(torque) > most else self.fault
-        return clamp(torque, most)
+        if abs(self.error) > s.fault_position_error:
+            self.trip(49)
+        elif abs(self.velocity_error) > s.fault_velocity_error:
+            self.trip(50)
+        return -(self.proportional + self.integral + self.derivative)
 
     def _stay_within(self, dt: float) -> float:
         low, high = (self.command[f"command_within_{end}_bound"] for end in ("lower", "upper"))
-        position = self.encoder.position
-        if position < low or position > high:
-            self.setpoint.put(low if position < low else high)
-            return self._pid(dt)
-        self._clear()
-        return self.feedforward
+        position, scales = self.encoder.position, self.scales
+        bound = low if position < low else high if position > high else nan
+        if isnan(bound):
+            self._clear()
+            scales = (0.0, 0.0, 0.0)
+        else:
+            self.setpoint.take(bound)
+            self.setpoint.put(bound)
+        self._advance(dt, 0.0, self.fastest, self.hardest)
+        return self._pid(dt, *scales)
+
+    def _capped(self, torque: float, most: float, code: int = MAX_TORQUE) -> float:
+        """Return a torque within ±most; the fault register holds the code of what limits it."""
+        if abs(torque) > most and self.mode != Mode.FAULT:
+            self.fault = code
+        return clamp(torque, most)
 
     def _limited(self, torque: float) -> float:
         """Return the torque [N·m] after the limits of position, velocity, temperature and current."""
-        s, speed, beyond = self.settings, abs(self.encoder.velocity), self._beyond()
-        if beyond > 0.0 and torque * (self.encoder.position - self.high) > 0.0:  # outwards
+        s, position, speed = self.settings, self.encoder.position, self.encoder.velocity
+        low, high = self._bounds()
+        beyond = max(position - high, 0.0) if torque > 0.0 else max(low - position, 0.0)
+        if beyond and torque and self.mode != Mode.FAULT:  # outwards
             torque *= max(0.0, 1.0 - beyond / s.position_derate)
             self.fault = BOUNDS
         code, share = MAX_CURRENT, 1.0
-        if self.encoder.velocity * torque > 0.0 and speed > s.max_velocity:
-            code, share = MAX_VELOCITY, max(0.0, 1.0 - (speed - s.max_velocity) / s.max_velocity_derate)
+        if speed * torque > 0.0 and abs(speed) > s.max_velocity:
+            code, share = MAX_VELOCITY, max(0.0, 1.0 - (abs(speed) - s.max_velocity) / s.max_velocity_derate)
         cool = max(0.0, (s.fault_temperature - self.stage.stage_temperature) / s.temperature_margin)
         code, share = (HOT, cool) if cool < share else (code, share)
-        most = share * s.max_current * self.kt
-        self.fault = code if abs(torque) > most else self.fault
-        return clamp(torque, most)
+        return self._capped(torque, share * s.max_current * self.kt, code)

@@ -44,7 +44,9 @@ MOVE: dict[str, float] = {
     "feedforward_torque": 0.125,
     "watchdog_timeout": 0.1,
 }
-PUSH: dict[str, float] = {"kp_scale": 0.0, "kd_scale": 0.0, "ilimit_scale": 0.0, "velocity": 0.0}
+PUSH: dict[str, float] = {"feedforward_torque": 0.125, "watchdog_timeout": 0.1}
+SOFT: dict[str, float] = {"kp_scale": 0.5, "kd_scale": 0.25, "ilimit_scale": 0.0}
+FREE: dict[str, float] = {"velocity_limit": -1.0, "accel_limit": -1.0}
 LIMITED: dict[str, float] = {"maximum_torque": 1.5, "velocity_limit": 4.0, "accel_limit": 20.0}
 NO_ACCEL: dict[str, float] = {**LIMITED, "accel_limit": math.nan}
 
@@ -53,15 +55,32 @@ def _position(query: Callable[[], Any], **values: float) -> Callable[[Any], Any]
     return lambda c: c.make_position(**values, query_override=query())
 
 
+def _torque(query: Callable[[], Any], low: float = math.nan, high: float = math.nan, **values: float) -> Any:
+    """Stay-within, with no position either, which the package writes in position control only."""
+
+    def make(c: Any) -> Any:
+        within = c.make_stay_within(lower_bound=low, upper_bound=high, **values).data
+        nowhere = c.make_position(position=math.nan).data
+        asked = c.make_query(query_override=query()).data
+        return _joined(c, within[:3], nowhere[3:], within[3:], asked)
+
+    return make
+
+
 COMMANDS: dict[str, tuple[dict[str, Any], Callable[[Any], Any]]] = {
     # name → arguments of the Controller, the command
     "position_watchdog_0.1s": ({}, _position(fast, **MOVE)),
     "velocity_watchdog_0.1s": ({}, _position(fast, **{**MOVE, "position": math.nan})),
-    "torque_watchdog_0.1s": ({}, _position(fast, **{**MOVE, **PUSH})),
+    "torque_watchdog_0.1s": ({}, _torque(fast, **PUSH)),
+    "torque_within": ({}, _torque(fast, -0.5, 0.25, **PUSH)),
+    "impedance": ({}, _position(fast, **MOVE, **SOFT, **FREE)),
+    "impedance_limited": ({}, _position(fast, **MOVE, **SOFT, **FREE, maximum_torque=1.5)),
+    "damp": ({}, lambda c: c.make_zero_velocity(query_override=fast())),
+    "brake_with_query": ({}, lambda c: c.make_brake(query_override=fast())),
     "position_limited": ({}, _position(fast, **MOVE, **LIMITED)),
     "position_limited_no_accel": ({}, _position(fast, **MOVE, **NO_ACCEL)),
     "velocity_limited": ({}, _position(fast, **{**MOVE, "position": math.nan}, **LIMITED)),
-    "torque_limited": ({}, _position(full, **{**MOVE, **PUSH}, **LIMITED)),
+    "torque_limited": ({}, _torque(full, **PUSH, maximum_torque=1.5)),
     "position_full_query": ({}, _position(full, **MOVE)),
     "query_fast": ({}, lambda c: c.make_query(query_override=fast())),
     "query_full": ({}, lambda c: c.make_query(query_override=full())),
