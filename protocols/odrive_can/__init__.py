@@ -42,12 +42,21 @@ RANGES: dict[str, Range] = {
 }
 for _measured in ("position", "velocity", "torque", "current", "voltage", "temperature"):
     RANGES[f"Feedback.{_measured}"] = _range(_ANY)
-REQUESTS = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Reboot}
+REQUESTS = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.Home, msg.Reboot}
+REQUESTS |= {msg.ReadParameter, msg.WriteParameter}
+NOT_WITH_POSITIONS = {"filter": {"Position.torque"}, "trapezoid": {"Position.torque", "Position.velocity"}}
+"""What the device does not follow with a position, by the option."""
 WATCHDOG_NOTE = (
     "the device's watchdog is off, and cannot be switched on over CAN: if this host or its cable fails, the"
     " motor keeps its last set-point. Set axis0.config.enable_watchdog with the vendor's tool over USB and"
     ' enable_watchdog under settings, or write watchdog = "acknowledged" under options'
 )
+
+
+def ranges_of(options: Options) -> dict[str, Range]:
+    """Return the ranges of a device."""
+    without = NOT_WITH_POSITIONS.get(options.position_input, ())
+    return {name: each for name, each in RANGES.items() if name not in without}
 
 
 def spec(device: Device) -> Spec:
@@ -76,7 +85,7 @@ def spec(device: Device) -> Spec:
         offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
         requests=frozenset(REQUESTS | ({msg.SetId} if options.firmware != "0.5" else set())),
-        ranges=RANGES | {"Feedback.position": position},
+        ranges=ranges_of(options) | {"Feedback.position": position},
         watchdog=Watchdog(
             round(settings.watchdog_timeout * SECOND) or None,
             settings.enable_watchdog,
@@ -98,7 +107,9 @@ def driver(devices: Sequence[Device]) -> Driver:
     for device, address in zip(devices, addresses, strict=True):
         if addresses.count(address) > 1:
             raise ValueError(f"address {device.address} of {device.name} is used by two devices on this bus")
-    return MotorDriver(OdriveAdapter(devices), devices, {device.name: RANGES for device in devices})
+    return MotorDriver(
+        OdriveAdapter(devices), devices, {each.name: ranges_of(each.options) for each in devices}
+    )
 
 
 def decoder(devices: Sequence[Device]) -> CommandDecoder:

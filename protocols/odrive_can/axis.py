@@ -11,13 +11,14 @@ device sends cyclically is not requested, and nothing faster than the periods be
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Mode, Nanos
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.options import Options
+from protocols.odrive_can.table import ControlMode, InputMode
 from protocols.toolkit.duplicates import ShaftCheck, StateCheck
 from protocols.toolkit.motor_driver import NEVER
 from protocols.toolkit.table import Table, Values
@@ -41,6 +42,12 @@ IDENTIFY_ATTEMPTS = 10
 """After this number of requests, a device that sends heartbeats and answers nothing is a fault."""
 REPLIES = {"auto": 5, "0.5": 2, "0.6": 5}
 """Number of answers to the other request, with none to Get_Version, that identifies 0.5.x; by the option."""
+POSITION_INPUTS = {
+    "passthrough": InputMode.PASSTHROUGH,
+    "filter": InputMode.POS_FILTER,
+    "trapezoid": InputMode.TRAP_TRAJ,
+}
+"""By the option."""
 NO_DISCOVERY = "sends heartbeats, but did not answer discovery: firmware 0.5.x?"
 
 
@@ -146,9 +153,13 @@ class Axis:
         self.identity = Identity(options.firmware, options.is_extended)
         requests = table.requests_of(options.firmware, options.is_extended)
         self.requests: dict[str, CanFrame] = {
-            row.name.removeprefix("request for "): requests.encode(row.name, address) for row in requests.rows
+            row.name.removeprefix("request for "): requests.encode(row.name, address)
+            for row in requests.rows
+            if row.remote
         }
         """By message: the remote frame that requests it."""
+        self.registers = options.registers()
+        self._position_input = POSITION_INPUTS[options.position_input]
         self.written: dict[str, float] = {}
         """Parameters that were written to it."""
         # Of the last heartbeat:
@@ -324,17 +335,20 @@ class Axis:
 
     @property
     def commandable(self) -> bool:
-        """True if it is identified and reported its state. Arming might erase the reason why it disarmed."""
-        return self.alive and self.identity.known and not (self.awaited or self.failure or self.faulty)
+        """True if it is identified and reported its state. Arming might erase the reason why it disarmed, and
+        would end a procedure."""
+        unable = self.awaited or self.failure or self.faulty or self.state in table.PROCEDURES
+        return self.alive and self.identity.known and not unable
 
     def encode(self, name: str, **values: Any) -> CanFrame:  # noqa: ANN401 -- numbers
         """Return the frame of a message to it."""
         return self.identity.table.encode(name, self.address, **values)
 
-    def set_mode(self, mode: int) -> bool:
-        """Set the control mode. True if it must be sent."""
+    def set_mode(self, mode: ControlMode) -> Sequence[CanFrame]:
+        """Set the control mode. Returns what must be sent for it."""
         changed, self.control_mode = mode != self.control_mode, mode
-        return changed
+        given = self._position_input if mode is ControlMode.POSITION else InputMode.PASSTHROUGH
+        return [self.encode("Set_Controller_Mode", Control_Mode=mode, Input_Mode=given)] if changed else []
 
     def attempt(self, now: Nanos) -> bool:
         """Arm. True if closed loop is to be requested now: the last attempt has its time, too."""

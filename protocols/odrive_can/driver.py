@@ -16,11 +16,11 @@ from typing import TypeAlias
 
 from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT, CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Event, Feedback, Mode, Nanos, Request
+from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mode, Nanos, Request
 from protocols.odrive_can import errors, table
-from protocols.odrive_can.axis import NO_DISCOVERY, Axis
+from protocols.odrive_can.axis import HEARTBEATS, NO_DISCOVERY, Axis
 from protocols.odrive_can.options import Options
-from protocols.odrive_can.table import CLOSED_LOOP, WRITABLE, ControlMode, InputMode
+from protocols.odrive_can.table import CLOSED_LOOP, WRITABLE, ControlMode
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
 from protocols.toolkit.host import Host, Phase, Report, Timing
@@ -36,8 +36,11 @@ SCAN: Times = (1800 * MILLISECOND, 600 * MILLISECOND)
 """(ODriveResources@06dc846 `examples/can_enumerate.py`)"""
 REBOOT_GAP = 400 * MILLISECOND
 """A pause between heartbeats that shows a restart: a late heartbeat is requested after 250 ms."""
+PROCEDURE: Times = (120 * SECOND, 500 * MILLISECOND)
 SAVE = "save_configuration"
 """A parameter: written with 1, the device saves its configuration and restarts."""
+STATE, POSITION = "Axis_Requested_State", "Position"
+"""Parameters: a procedure that is begun, and what the present position is called."""
 MEASURED = {
     "Get_Iq": ("Iq_Measured", "current"),
     "Get_Torques": ("Torque_Estimate", "torque"),
@@ -57,7 +60,7 @@ class OdriveAdapter(Adapter[Axis]):
     name = "odrive_can"
     faults = errors.FAULTS
     duplicate = errors.DUPLICATE_NODE
-    needs_idle = (msg.Zero, msg.Reboot)
+    needs_idle = (msg.Zero, msg.Reboot, msg.Home)
     zero_tolerance = 0.05 * math.tau
     set_id_detail = f"not saved yet: write {SAVE} 1 to keep it after power-off"
     unaddressed = table.BROADCAST
@@ -116,6 +119,11 @@ class OdriveAdapter(Adapter[Axis]):
             axis.identity.on_discovery_reply()
             serial, note = values["Serial_Number"], axis.identity.text()
             return Report(host, address, serial=serial, note=note, content=decoded)
+        elif name == "TxSdo":
+            parameter, value = axis.registers.value(values["Endpoint_ID"], values["Value"])
+            return Report(
+                host, address, parameters={} if value is None else {parameter: value}, content=decoded
+            )
         elif name == "Get_Error":
             faults = axis.on_errors(values["Active_Errors"], values["Disarm_Reason"])
         elif name in axis.identity.dialect.components:
@@ -179,19 +187,17 @@ class OdriveAdapter(Adapter[Axis]):
             ControlMode.TORQUE: msg.Torque(name, 0.0),
             ControlMode.POSITION: msg.Position(name, host.position or 0.0),
         }
-        frames = [axis.encode("Set_Controller_Mode", **_mode(mode))] if axis.set_mode(mode) else []
-        frames.append(self._set_point(host, still[mode])[1])
+        frames = [*axis.set_mode(mode), self._set_point(host, still[mode])[1]]
         if axis.attempt(now):
             frames.append(axis.encode("Set_Axis_State", Axis_Requested_State=CLOSED_LOOP))
         return frames
 
     def command(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
         mode, frame = self._set_point(host, command)
-        if not host.own.set_mode(mode):
-            return (frame,)
+        changed = host.own.set_mode(mode)
         # The set-point is sent before the mode changes, so that no stale input is obeyed in between;
-        # and after it, since entering position control may replace the input by the present position.
-        return (frame, host.own.encode("Set_Controller_Mode", **_mode(mode)), frame)
+        # and after it, since position control takes the present position as its input.
+        return (frame, *changed, frame) if changed else (frame,)
 
     def release(self, now: Nanos, host: OdriveHost) -> Sequence[Frame]:
         host.own.release(now)
@@ -250,6 +256,8 @@ class OdriveAdapter(Adapter[Axis]):
         return _begin(now, request, host, driver) if host is not None else "no such motor"
 
     def frames(self, now: Nanos, pending: OdrivePending) -> Sequence[Frame]:
+        if pending.notes.get("ran"):  # a procedure that has begun would begin anew
+            return ()
         if not isinstance(pending.request, msg.ClearFault) or pending.host is None:
             return pending.frames
         axis = pending.host.own
@@ -257,7 +265,7 @@ class OdriveAdapter(Adapter[Axis]):
         return () if clear is None else (axis.encode(clear[0], **clear[1]),)
 
     def answer(self, t: Nanos, pending: OdrivePending, report: OdriveReport) -> Event | None:
-        if isinstance(pending.request, msg.Zero) or pending.host is None:
+        if isinstance(pending.request, msg.Zero) or pending.host is None or report.parameters:
             return super().answer(t, pending, report)
         axis, identity, content = pending.host.own, pending.host.own.identity, report.content
         beat = content.name == "Heartbeat"
@@ -275,7 +283,12 @@ class OdriveAdapter(Adapter[Axis]):
                 pending.notes.update(heartbeat=t, seen=seen)
                 text = ", ".join(filter(None, ("it has restarted", board)))
                 return pending.done(t, text) if seen and up else None
-            case msg.WriteParameter() if beat:
+            case msg.Home() | msg.WriteParameter(_, "Axis_Requested_State") if beat:
+                return self._outcome(t, pending, axis)
+            case msg.WriteParameter(_, "Position", value) if not board:
+                turns = content.values.get("Pos_Estimate", math.inf)
+                return pending.done(t) if abs(turns - value) * math.tau < self.zero_tolerance else None
+            case msg.WriteParameter(_, name) if beat and name not in axis.registers.by_name:
                 return pending.done(t, "sent; the device does not confirm it")
             case msg.ReadParameter(_, name) if identity.dialect.readable().get(name) == content.name:
                 value = content.values[name]
@@ -284,11 +297,30 @@ class OdriveAdapter(Adapter[Axis]):
                 return msg.Parameter(pending.name, t, name, float(value))
         return None
 
+    def _outcome(self, t: Nanos, pending: OdrivePending, axis: Axis) -> Event | None:
+        """Return how a procedure ended, once it ran, or a heartbeat is sure to be from after its request."""
+        notes = pending.notes
+        if axis.state != table.IDLE or axis.result == errors.BUSY:
+            notes["ran"] = True
+            return None
+        notes["beats"] = notes.get("beats", 0) + 1
+        told = notes["beats"] >= HEARTBEATS and (axis.faulty or axis.result not in errors.INCONCLUSIVE)
+        if not (notes.get("ran") or told):
+            return None
+        if axis.result or axis.faulty:
+            names = [self.faults[code].name for code in axis.codes()]
+            return pending.refuse(
+                t, ", ".join([*names, errors.RESULT_NAMES.get(axis.result, str(axis.result))])
+            )
+        return pending.done(t, "it has ended")
+
     def give_up(self, now: Nanos, pending: OdrivePending) -> str:
         host, request = pending.host, pending.request
         if host is not None and not host.offline and (host.received_at or 0) > pending.began:
             if isinstance(request, msg.Reboot) or getattr(request, "parameter", "") == SAVE:
                 return "it showed no sign of a restart"
+            if isinstance(request, msg.Home) or getattr(request, "parameter", "") == STATE:
+                return "it did not end" if pending.notes.get("ran") else "it did not begin"
             if isinstance(request, msg.ClearFault) and not host.own.identity.line:
                 return "its firmware is not known"
             host.own.report_again()
@@ -323,6 +355,10 @@ def _begin(now: Nanos, request: Request, host: OdriveHost, driver: OdriveDriver)
             return _pending(now, request, host, axis.encode("Estop"))
         case _ if not identity.known:
             return "its firmware is not known, or not the one in the robot file"
+        case msg.WriteParameter(_, parameter) if host.running and parameter in (SAVE, STATE, POSITION):
+            return ARMED
+        case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if name in axis.registers.by_name:
+            return _begin_endpoint(now, request, host, name)
         case msg.ReadParameter(_, parameter):
             return _begin_reading(now, request, host, parameter)
         case msg.Zero():
@@ -335,11 +371,11 @@ def _begin(now: Nanos, request: Request, host: OdriveHost, driver: OdriveDriver)
                 return f"{reason}: command Idle first"
             return _begin_action(now, request, host, "reboot", RESTART)
         case msg.WriteParameter(_, "save_configuration", value):
-            if value != 1:
-                return f"{SAVE} takes 1"
-            if host.running:
-                return ARMED
-            return _begin_action(now, request, host, "save", RESTART)
+            return _begin_action(now, request, host, "save", RESTART) if value == 1 else f"{SAVE} takes 1"
+        case msg.Home():
+            return _begin_procedure(now, request, host, table.HOMING)
+        case msg.WriteParameter(_, "Axis_Requested_State", value):
+            return _begin_procedure(now, request, host, value)
         case msg.WriteParameter(_, parameter, value):
             return _begin_writing(now, request, host, parameter, value)
     return f"odrive_can has no {type(request).__name__}"
@@ -354,12 +390,38 @@ def _begin_action(
     return _pending(now, request, host, host.own.encode(message[0], **message[1]), times=times)
 
 
+def _begin_procedure(now: Nanos, request: Request, host: OdriveHost, state: float) -> OdrivePending | str:
+    """Request a state in which the device does something by itself; most procedures turn the shaft."""
+    if state not in table.PROCEDURES:
+        names = (f"{state} {table.STATE_NAMES[state]}" for state in sorted(table.PROCEDURES))
+        return f"{state:g} is no procedure; there are {', '.join(names)}"
+    frame = host.own.encode("Set_Axis_State", Axis_Requested_State=state)
+    return _pending(now, request, host, frame, times=PROCEDURE)
+
+
+def _begin_endpoint(now: Nanos, request: Request, host: OdriveHost, name: str) -> OdrivePending | str:
+    """Read an endpoint; written, it is read back: before 0.6.11 no device confirms a write."""
+    axis, registers = host.own, host.own.registers
+    if axis.identity.version != host.options.endpoints_version:
+        return (
+            f"it has {axis.identity.text()}, and the endpoints are those of {host.options.endpoints_version}"
+        )
+    value = getattr(request, "value", None)
+    if wrong := registers.wrong(name, value):
+        return wrong
+    number = registers.by_name[name].number
+    frames = [axis.encode("RxSdo read", Endpoint_ID=number)]
+    if value is not None:
+        frames.insert(0, axis.encode("RxSdo", Endpoint_ID=number, Value=registers.raw(name, value)))
+    return _pending(now, request, host, *frames)
+
+
 def _begin_reading(now: Nanos, request: Request, host: OdriveHost, parameter: str) -> OdrivePending | str:
     """Request the message that carries the parameter, or wait for it where it is only sent cyclically."""
     dialect = host.own.identity.dialect
     readable = dialect.readable()
     if parameter not in readable:
-        return f"CANSimple does not report {parameter!r}; it reports {', '.join(readable)}"
+        return f"CANSimple does not report {parameter!r}; it reports {', '.join([*readable, *host.own.registers.by_name])}"
     if readable[parameter] == "Heartbeat" and dialect.boards:
         return replace(_pending(now, request, host), sent=1)
     return _pending(now, request, host, host.own.requests[readable[parameter]])
@@ -369,22 +431,20 @@ def _begin_writing(
     now: Nanos, request: Request, host: OdriveHost, parameter: str, value: float
 ) -> OdrivePending | str:
     """Send the message that writes the parameter; the other parameter of that message must be known."""
-    message, pair = next((row for row in WRITABLE.items() if parameter in row[1]), ("", ()))
+    writable = host.own.identity.dialect.writable()
+    message = writable.get(parameter, "")
     if not message:
-        known = ", ".join([name for pair in WRITABLE.values() for name in pair] + [SAVE])
+        known = ", ".join([*writable, SAVE, STATE, *host.own.registers.by_name])
         return f"CANSimple cannot set {parameter!r}; it can set {known}"
-    if not 0.0 <= value <= FLOAT_MAX:
+    if not (value >= 0.0 or parameter == POSITION) or abs(value) > FLOAT_MAX:
         return f"{value} is not a number of at least 0"
+    pair = WRITABLE[message]
     written = host.own.write(parameter, value)
     missing = [name for name in pair if name not in written]
     if missing:
         reason = f"{message} sets {' and '.join(pair)} together, and the device does not report them over CAN"
         return f"{reason}: write {missing[0]} too; {parameter} is kept for it"
     return _pending(now, request, host, host.own.encode(message, **{name: written[name] for name in pair}))
-
-
-def _mode(mode: ControlMode) -> dict[str, int]:
-    return {"Control_Mode": mode, "Input_Mode": InputMode.PASSTHROUGH}
 
 
 def _node(device: Device) -> int:

@@ -1,7 +1,7 @@
 """The faults of an ODrive: the vendor's names, the likely cause, the remedy.
 
 Rules. One section per word of error bits, one line per bit: bit, name: cause | remedy. Names of 0.6.x as in
-odriverobotics/ODriveArduino@f52eef5 `src/ODriveEnums.h`, those of 0.5.x as in the choices of the DBC
+`enums.py` of package odrive 0.6.11.post1, those of 0.5.x as in the choices of the DBC
 `odrive-cansimple-0.5.6.dbc` of package odrive-can 2.1.0; a bit of a component of 0.5.x has the component in
 its name too, since UNSTABLE_GAIN alone is three bits. A fault's code is the bit plus the word's base: 0 for
 0.6.x, in 0.5.x the word's number << 48. Codes in between are the driver's own: no code has two meanings. A
@@ -18,6 +18,7 @@ from protocols.plugin import FaultInfo
 BASE_SHIFT = 48
 _PHRASES = {
     "calibrate": "calibrate motor and encoder with the vendor's tool, shaft free, and save",
+    "current": "lower the calibration current, or raise current_soft_max",
     "encoder": "check the encoder's cable, supply and settings",
     "firmware": "clear; if it comes back, reboot it and update its firmware",
     "follows": "it follows from another fault: look for that one",
@@ -52,6 +53,7 @@ _TEXT = """
 0x4000 INVERTER_OVER_TEMP: the power stage is too hot | let it cool; improve its cooling
 0x8000 VELOCITY_LIMIT_VIOLATION: {overspeed}
 0x10000 POSITION_LIMIT_VIOLATION: the position left the range allowed on the device | move it back by hand
+0x20000 REQUESTED_CURRENT_TOO_HIGH: a calibration needs more than the current limit allows | {current}
 0x1000000 WATCHDOG_TIMER_EXPIRED: no set-point came within watchdog_timeout | {watchdog}
 0x2000000 ESTOP_REQUESTED: an emergency stop was sent over the bus | make sure it is safe, then clear
 0x4000000 SPINOUT_DETECTED: {spinout}
@@ -73,6 +75,7 @@ _TEXT = """
 13 INVALID_STATE: the requested state is not allowed now | {calibrate}
 14 NOT_CALIBRATED: motor or encoder is not calibrated | {calibrate}
 15 NOT_CONVERGING: the calibration did not settle | calibrate with the shaft free
+16 REQUESTED_CURRENT_TOO_HIGH: it needs more than the current limit allows | {current}
 == 5: `ODrive.Axis.Error` of 0.5.x: the heartbeat's bits
 0x1 INVALID_STATE: the requested state is not possible now, most often as it is not calibrated | {calibrate}
 0x40 MOTOR_FAILED: the motor has an error of its own | read the motor's error

@@ -7,12 +7,27 @@ settings are the vendor's own (turns, N·m, A, V, °C, ms), so that they can be 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 from protocols.odrive_can.table import BROADCAST, MAX_EXTENDED_NODE, ControlMode, InputMode
 from protocols.plugin import Device
 from protocols.toolkit.options import bounded, check_bounds
+from protocols.toolkit.registers import Register, Registers, Type
+
+TYPES: Mapping[str, Type] = {
+    "bool": "u8",
+    "uint8": "u8",
+    "uint16": "u16",
+    "uint32": "u32",
+    "int16": "i16",
+    "int32": "i32",
+    "float": "f32",
+}
+"""Types of endpoints, by the vendor's names."""
+COMMANDS = ("requested_state", "control_mode", "input_mode", "input_pos", "input_vel", "input_torque")
+"""Endpoints that arm or move the motor: there are messages for that, which are checked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +51,29 @@ class Options:
     arm_retry_ms: int = bounded(250, 50, 10_000)
     """Period of arming attempts. At least two heartbeats: the first one may be stale."""
 
+    position_input: Literal["passthrough", "filter", "trapezoid"] = "passthrough"
+    """How the device follows positions: at once, by its filter (`input_filter_bandwidth`), or by trapezoidal
+    trajectories (`Traj_Vel_Limit` …). A filter takes no torque with them, a trajectory no velocity either."""
+    endpoints: tuple[str, ...] = ()
+    """Parameters that are read and written by endpoint (0.6.x), as "path id type" of its flat_endpoints.json:
+    "axis0.controller.config.vel_integrator_limit 291 float"."""
+    endpoints_version: str = ""
+    """The `fw_version` of that file: endpoints of a device with another firmware are refused."""
+
+    def registers(self) -> Registers:
+        """Return the endpoints."""
+        parts = (endpoint.split() for endpoint in self.endpoints)
+        return Registers(*(Register(path, int(number), TYPES[kind]) for path, number, kind in parts))
+
     def __post_init__(self) -> None:
         others = []
+        for endpoint in self.endpoints:
+            if not re.fullmatch(rf"\S+ \d{{1,5}} ({'|'.join(TYPES)})", endpoint):
+                others.append(f"endpoints: {endpoint!r} is not a path, a number and {', '.join(TYPES)}")
+            elif endpoint.split()[0].endswith(COMMANDS):
+                others.append(f"endpoints: {endpoint!r} is for commands, which have messages of their own")
+        if self.endpoints and not re.fullmatch(r"0\.6\.\d{1,2}", self.endpoints_version):
+            others.append(f"endpoints_version {self.endpoints_version!r} must be like 0.6.10")
         if self.is_extended and self.firmware != "0.5":
             others.append('is_extended needs firmware = "0.5": no other line has extended identifiers')
         if self.offline_ms < 2 * self.feedback_ms:
@@ -57,6 +93,8 @@ class Settings:
     """Node id of the other axis on the same board (0.5.x): clearing or restarting the board affects both."""
     hw_line: int = bounded(5, 0, 0xFF)  # Product line 5: ODrive S1 (only reported, never used).
     calibrated: bool = True  # Motor and encoder are calibrated; without it the axis refuses to arm.
+
+    procedure_ms: int = bounded(2000, 0, 600_000)  # Duration of a calibration, which then has succeeded.
 
     control_mode: int = bounded(int(ControlMode.VELOCITY), 0, 3)
     input_mode: int = bounded(int(InputMode.PASSTHROUGH), 0, 8)

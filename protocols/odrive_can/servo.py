@@ -40,12 +40,16 @@ class Inputs(Protocol):
     """What the axis was sent."""
 
     armed: bool
-    control_mode: int
     input_mode: int
     position: float | None
     """None: where the shaft was when the axis armed or entered position control."""
     velocity: float
     torque: float
+
+    @property
+    def control(self) -> ControlMode:
+        """The outermost loop."""
+        ...
 
 
 def gains_of(settings: Settings) -> dict[str, float]:
@@ -65,7 +69,8 @@ class Servo:
             *(s.torque_constant, s.current_bandwidth, s.phase_resistance, s.bus_voltage, s.bus_resistance),
             *(s.ambient, (s.motor_thermal_resistance, s.motor_thermal_capacity)),
         )
-        self.mode = s.control_mode
+        self.here = 0.0
+        """Input position where none was given."""
         self.set_point = Trapezoid()
         """Position and velocity that the loops follow, whatever the input mode."""
         self.torque_set_point = 0.0
@@ -88,19 +93,21 @@ class Servo:
 
     def start(self) -> None:
         """Arm: the present position is the set-point, the integrator empty."""
-        self.set_point = Trapezoid(self.encoder.position)
+        self.here = self.encoder.position
+        self.set_point = Trapezoid(self.here)
         self.torque_set_point = self.integrator = self._electrical_slow = self._mechanical_slow = 0.0
+
+    def enter(self) -> None:
+        """Enter position control: the present position is input and set-point."""
+        self.here = self.encoder.position
+        self._lead(self.here, self.set_point.velocity)
 
     def cycle(self, dt: float, inputs: Inputs) -> Iterator[str]:
         """Run one cycle of the loop; yield the errors that it raised, by the names of 0.6.x."""
-        if inputs.control_mode != self.mode:
-            self.mode = inputs.control_mode
-            if self.mode == ControlMode.POSITION:
-                self._lead(self.encoder.position, self.set_point.velocity)
         overspeed = False
         if inputs.armed:
             self._follow(dt, inputs)
-            overspeed = self._control(dt)
+            overspeed = self._control(dt, inputs.control)
         else:
             self.torque_target = 0.0
         wanted = self.torque_target if inputs.armed else None
@@ -114,9 +121,9 @@ class Servo:
 
     def _follow(self, dt: float, inputs: Inputs) -> None:
         to, gains = self.set_point, self.gains
-        goal = to.position if inputs.position is None else inputs.position
+        goal = self.here if inputs.position is None else inputs.position
         match inputs.input_mode:
-            case InputMode.PASSTHROUGH:
+            case InputMode.PASSTHROUGH | InputMode.TUNING:  # with the factory's amplitudes of zero
                 self._lead(goal, inputs.velocity)
                 self.torque_set_point = inputs.torque
             case InputMode.VEL_RAMP:
@@ -142,28 +149,26 @@ class Servo:
 
     # -- the cascade ------------------------------------------------------------------------------
 
-    def _control(self, dt: float) -> bool:
+    def _control(self, dt: float, mode: ControlMode) -> bool:
         """Find the torque. True if the shaft turns too fast."""
         settings, gains, velocity = self.settings, self.gains, self.encoder.velocity
         wanted = self.set_point.velocity
-        if self.mode == ControlMode.POSITION:
+        if mode == ControlMode.POSITION:
             wanted += gains["pos_gain"] * (self.set_point.position - self.encoder.position)
         wanted = clamp(wanted, gains["vel_limit"])
         tolerance = settings.vel_limit_tolerance
         if tolerance and abs(velocity) > tolerance * gains["vel_limit"]:
             return True
         torque, error = self.torque_set_point, 0.0
-        if self.mode >= ControlMode.VELOCITY:
+        if mode >= ControlMode.VELOCITY:
             error = wanted - velocity
             torque += gains["vel_gain"] * error + self.integrator
         elif settings.enable_torque_mode_vel_limit:
             highest = (gains["vel_limit"] - velocity) * gains["vel_gain"]
             lowest = (-gains["vel_limit"] - velocity) * gains["vel_gain"]
             torque = max(lowest, min(highest, torque))
-        if self.mode == ControlMode.VOLTAGE:  # not for a motor with an encoder
-            torque = 0.0
         self.torque_target = clamp(torque, self.current_limit() * settings.torque_constant)
-        if self.mode < ControlMode.VELOCITY:
+        if mode < ControlMode.VELOCITY:
             self.integrator = 0.0
         elif self.torque_target != torque:
             self.integrator *= INTEGRATOR_DECAY ** (dt * LOOP_RATE)

@@ -41,6 +41,10 @@ _STATES = (
 STATE_NAMES = {state: name for state, name in enumerate(_STATES.split()) if name != "-"}
 """`ODrive.Axis.AxisState`"""
 UNDEFINED, IDLE, STARTUP, CLOSED_LOOP, HOMING = 0, 1, 2, 8, 11
+FULL_CALIBRATION, MOTOR_CALIBRATION, OFFSET_CALIBRATION = 3, 4, 7
+PROCEDURES = STATE_NAMES.keys() - {UNDEFINED, IDLE, STARTUP, CLOSED_LOOP, 9}
+"""States in which the device does something by itself, and then goes to IDLE; most of them turn the shaft.
+(LOCKIN_SPIN ends when its configuration has it, if ever.)"""
 REBOOT, SAVE, ERASE = 0, 1, 2
 """Actions of Reboot (0.6.x)."""
 
@@ -71,9 +75,9 @@ class InputMode(IntEnum):
 # -- messages ---------------------------------------------------------------------------------------------
 
 
-def _to(cmd: int, name: str, *fields: Field, sent: int = 8) -> Row:
+def _to(cmd: int, name: str, *fields: Field, sent: int = 8, fewest: int = 0) -> Row:
     """A message to a device. `sent`: its bytes; 0: as many as its fields have."""
-    return Row(name, (uint("address", 6), const(cmd, CMD_BITS)), fields, sent=sent, fewest=0)
+    return Row(name, (uint("address", 6), const(cmd, CMD_BITS)), fields, sent=sent, fewest=fewest)
 
 
 def _from(cmd: int, name: str, *fields: Field, fewest: int = -1) -> Row:
@@ -125,7 +129,8 @@ LINE06 = (
     VERSION,
     _from(0x01, "Heartbeat", *_STATE, *_RESULT, fewest=7),
     _from(0x03, "Get_Error", uint("Active_Errors", 32), uint("Disarm_Reason", 32)),
-    _to(0x04, "RxSdo", uint("Opcode"), *_SDO),
+    replace(_to(0x04, "RxSdo read", const(0), *_SDO[:2], unused(32), fewest=4), read_only=True),
+    _to(0x04, "RxSdo", const(1), *_SDO, fewest=4),
     _from(0x05, "TxSdo", unused(), *_SDO, fewest=4),
     ADDRESS,
     Row("Address", (const(BROADCAST, 6), const(0x06, CMD_BITS)), _ADDRESS, fewest=1),
@@ -155,9 +160,24 @@ LINE05 = (
     _from(0x1C, "Get_ADC_Voltage", f32("ADC_Voltage"), unused(32)),
     _from(0x1D, "Get_Controller_Error", uint("Controller_Error", 32), unused(32)),
 )
-_WRITE = ("Set_Limits", "Set_Traj", "Set_Pos_Gain", "Set_Vel_Gains")
-WRITABLE = {row.name: tuple(f.name for f in row.fields) for row in COMMON if row.name.startswith(_WRITE)}
-"""The messages that write parameters, in both lines, with their names."""
+_WRITE = (
+    "Set_Limits",
+    "Set_Traj",
+    "Set_Pos_Gain",
+    "Set_Vel_Gains",
+    "Set_Absolute_Position",
+    "Set_Linear_Count",
+)
+WRITABLE = {
+    row.name: tuple(f.name for f in row.fields)
+    for row in (*COMMON, *LINE06, *LINE05)
+    if row.name.startswith(_WRITE)
+}
+"""The messages that write parameters, with their names."""
+
+
+FORMS = ("request ", "empty ", "remote ", "raw ")
+"""What the names of rows begin with that are another form of a message."""
 
 
 def _requests(rows: Iterable[Row], without: Collection[str] = ()) -> Iterator[Row]:
@@ -173,13 +193,17 @@ def _requests(rows: Iterable[Row], without: Collection[str] = ()) -> Iterator[Ro
 
 def _rows(line: str) -> Iterator[Row]:
     """Yield the messages of a firmware line. 0.5.x sends a heartbeat cyclically only and an ADC's voltage in
-    reply to a data frame only, and obeys remote frames as if their data were zeros."""
+        reply to a data frame only, and obeys remote frames as if their data were zeros. Inputs that are no numbers
+    are taken, too: the form "raw" has their bits."""
     rows = (*COMMON, *{"0.5": LINE05, "0.6": LINE06, "": UNIDENTIFIED}[line])
     yield from _requests(rows, ("Get_Version", "Heartbeat", "Get_ADC_Voltage") if line == "0.5" else ())
     yield from rows
     for row in rows:
         if line == "0.5" and row.direction == "to_device":
             yield Row(f"remote {row.name}", row.id, (), remote=True)
+        if row.name.startswith("Set_Input"):
+            bits = tuple(uint(f.name, 32) if f.kind == "f32" else f for f in row.fields)
+            yield replace(row, name=f"raw {row.name}", fields=bits)
 
 
 def _extended(row: Row) -> Row:
@@ -211,10 +235,9 @@ DISCOVERY = requests_of("0.6", False).encode("discovery")
 
 def ids_of_driver(firmware: str, extended: bool, address: int) -> tuple[IdMask, ...]:
     """Return the ids of what the driver may send to a device: requests, and messages of either line."""
-    never = ("RxSdo", "Enter_DFU_Mode", "Set_Axis_Node_ID", "Start_Anticogging", "Ask_ADC_Voltage")
-    forms = ("request ", "empty ", "remote ")
+    never = ("Enter_DFU_Mode", "Set_Axis_Node_ID", "Start_Anticogging", "Ask_ADC_Voltage")
     rows = [row for line in LINES[firmware] for row in table_of(line, extended).rows]
-    sent = [row for row in rows if row.direction == "to_device" and not row.name.startswith((*never, *forms))]
+    sent = [row for row in rows if row.direction == "to_device" and not row.name.startswith((*never, *FORMS))]
     requested = requests_of(firmware, extended).rows
     return tuple(dict.fromkeys(row.id_mask(address) for row in (*requested, *sent)))
 
@@ -229,7 +252,7 @@ def names(frame: Frame) -> tuple[str, ...]:
         for name in table.names(frame):
             bits = sum(field.bits for field in table.row(name).fields)
             if bits <= 8 * len(frame.data) and not name.startswith(("empty ", "remote ")):
-                sizes.setdefault(bits, []).append(name)
+                sizes.setdefault(bits, []).append(name.removeprefix("raw ").removesuffix(" read"))
     return tuple(dict.fromkeys(sizes[max(sizes)])) if sizes else ()
 
 
@@ -264,6 +287,11 @@ class Dialect:
     def bit(self, name: str) -> int:
         """Return the heartbeat's bit of an error; 0: it has none, or it is not known."""
         return 0 if self.word is None else self.word.bits.get(name, 0)
+
+    def writable(self) -> dict[str, str]:
+        """Return the messages by the vendor's names of the parameters that they write."""
+        rows = {row.name for row in table_of(self.line).rows} & WRITABLE.keys()
+        return {name: row for row in WRITABLE if row in rows for name in WRITABLE[row]}
 
     def readable(self) -> dict[str, str]:
         """Return the messages by the vendor's names of the signals that they carry."""

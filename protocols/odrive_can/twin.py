@@ -11,9 +11,11 @@ behaviour are in the README.
 
 from __future__ import annotations
 
+import copy
 import math
+import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from protocols import messages as msg
@@ -25,26 +27,50 @@ from protocols.odrive_can.servo import GAINS, Servo, gains_of
 from protocols.odrive_can.table import BROADCAST, CLOSED_LOOP, ControlMode, InputMode
 from protocols.plugin import Device
 from protocols.toolkit.firmware import NEVER, Firmware, milliseconds
-from protocols.toolkit.table import Decoded, Values
+from protocols.toolkit.registers import Registers
+from protocols.toolkit.servo import clamp
+from protocols.toolkit.table import FLOAT_MAX, Decoded, Values
 
 BROADCASTS = ("Reboot", "Clear_Errors")
 """What a device of 0.6.x obeys on the broadcast node, beside assignments of node ids."""
 BOARD = ("Reboot (0.5.x)", "Clear_Errors (0.5.x)")
 """What an axis of 0.5.x obeys on the node of the other axis on its board."""
+FOLLOWED: Mapping[int, str] = {
+    InputMode.INACTIVE: "",
+    InputMode.PASSTHROUGH: "position velocity torque",
+    InputMode.VEL_RAMP: "velocity",
+    InputMode.POS_FILTER: "position velocity",
+    InputMode.TRAP_TRAJ: "position",
+    InputMode.TORQUE_RAMP: "torque",
+    InputMode.TUNING: "position velocity torque",
+}
+"""The inputs that each input mode follows. (ODrive@f9b5419 `MotorControl/controller.cpp` update.)"""
+NOT_A_NUMBER = "MODULATION_IS_NAN"
+INPUT_FAULTS = ("INVALID_MIRROR_AXIS", "INVALID_INPUT_MODE", NOT_A_NUMBER)
+"""The errors of mode and inputs in closed loop, by their names in 0.5.x."""
 
 
 def obeyed_as(decoded: Decoded) -> Decoded:
-    """Return a message as it is obeyed: a remote frame (0.5.x) as if its data were zeros."""
-    if not decoded.name.startswith("remote "):
-        return decoded
-    name = decoded.name.removeprefix("remote ")
-    return Decoded(name, decoded.address, table.table_of("0.5").read(name, bytes(8)) or {})
+    """Return a message as it is obeyed: a remote frame (0.5.x) as if its data were zeros; of inputs that are
+    no numbers infinity as the largest, since limits apply to it."""
+    form, _, name = decoded.name.partition(" ")
+    if form == "remote":
+        return Decoded(name, decoded.address, table.table_of("0.5").read(name, bytes(8)) or {})
+    if form == "raw":
+        values = {key: _f32(x) if isinstance(x, int) else x for key, x in decoded.values.items()}
+        return Decoded(name, decoded.address, values)
+    return decoded
+
+
+def _f32(bits: int) -> float:
+    value: float = struct.unpack("<f", bits.to_bytes(4, "little"))[0]
+    return value if math.isnan(value) else clamp(value, FLOAT_MAX)
 
 
 @dataclass(slots=True)
 class Memory:
-    """What one axis keeps of the frames that it received. Turns, turns/s, N·m. It knows neither errors nor
-    calibration, so it assumes that a request for closed loop succeeds."""
+    """What one axis keeps of the frames that it received. Turns, turns/s, N·m. Of errors it knows only those
+    of its inputs, and nothing of calibration, so it assumes that a request for closed loop succeeds."""
 
     motor: str
     line: str
@@ -55,27 +81,58 @@ class Memory:
     serial: int
     control_mode: int
     input_mode: int
+    registers: Registers = field(repr=False)
+    """The endpoints that have a name."""
+    endpoints: dict[int, int]
+    """What endpoints hold, in bits."""
     armed: bool = False
     position: float | None = None
     """None: where the shaft was when the axis armed or entered position control."""
     velocity: float = 0.0
     torque: float = 0.0
 
-    def command(self) -> Sequence[msg.Command]:
-        """Return the command that mode and inputs amount to now."""
-        if not self.armed or self.input_mode == InputMode.INACTIVE:
+    @property
+    def control(self) -> ControlMode:
+        """The outermost loop: voltage control is torque control, and what is above the last is the last. A
+        trajectory ends in position control, and a filter leads to a position, whatever the control mode."""
+        if self.input_mode in (InputMode.POS_FILTER, InputMode.TRAP_TRAJ):
+            return ControlMode.POSITION
+        return ControlMode(min(max(self.control_mode, ControlMode.TORQUE), ControlMode.POSITION))
+
+    @property
+    def fault(self) -> str:
+        """The error of mode and inputs, one of `INPUT_FAULTS`; "": none."""
+        if self.input_mode == InputMode.MIRROR:
+            return "INVALID_MIRROR_AXIS"
+        if self.input_mode not in FOLLOWED:
+            return "INVALID_INPUT_MODE"
+        return NOT_A_NUMBER if any(map(math.isnan, self._inputs())) else ""
+
+    def _inputs(self) -> Sequence[float]:
+        """Return the inputs that control and input mode follow, in the order of a command's fields."""
+        followed = FOLLOWED[self.input_mode]
+        inputs = {"position": self.position or 0.0, "velocity": self.velocity, "torque": self.torque}
+        used = list(inputs)[ControlMode.POSITION - self.control :]
+        return [inputs[name] if name in followed else 0.0 for name in used]
+
+    def _command(self) -> Sequence[msg.Command]:
+        """Return the command that mode and inputs amount to now; none if they change nothing."""
+        if not self.armed:
             return ()
-        match self.control_mode:
-            case ControlMode.TORQUE:
-                return (msg.Torque(self.motor, self.torque),)
-            case ControlMode.VELOCITY:
-                return (msg.Velocity(self.motor, self.velocity * math.tau, self.torque),)
+        if self.fault:
+            self.disarm()
+            return (msg.Idle(self.motor),)
+        control, numbers = self.control, self._inputs()
+        if control.name.lower() not in FOLLOWED[self.input_mode]:
+            return ()
+        match control:
             case ControlMode.POSITION if self.position is None:
                 return (msg.Hold(self.motor),)
             case ControlMode.POSITION:
-                turned = (self.position or 0.0) * math.tau
-                return (msg.Position(self.motor, turned, self.velocity * math.tau, self.torque),)
-        return ()
+                return (msg.Position(self.motor, numbers[0] * math.tau, numbers[1] * math.tau, numbers[2]),)
+            case ControlMode.VELOCITY:
+                return (msg.Velocity(self.motor, numbers[0] * math.tau, numbers[1]),)
+        return (msg.Torque(self.motor, *numbers),)
 
     def addressed(self, decoded: Decoded) -> bool:
         """True if a message is for this axis."""
@@ -99,13 +156,13 @@ class Memory:
         match name.removesuffix(" (0.5.x)"):
             case "Set_Input_Pos":
                 self.position, self.velocity, self.torque = values.values()
-                return self.command()
+                return self._command()
             case "Set_Input_Vel":
                 self.velocity, self.torque = values.values()
-                return self.command()
+                return self._command()
             case "Set_Input_Torque":
                 self.torque = values["Input_Torque"]
-                return self.command()
+                return self._command()
             case "Set_Controller_Mode":
                 return self._set_mode(*values.values())
             case "Set_Axis_State":
@@ -123,15 +180,14 @@ class Memory:
                 return (msg.SetId("", self.serial, values["Axis_Node_ID"]),)
             case "Set_Absolute_Position" | "Set_Linear_Count" if not values["Position"]:
                 return (msg.Zero(motor),)
-            case "Set_Absolute_Position":
-                written = {"Position": values["Position"] * math.tau}
-            case "Set_Linear_Count":
-                written = {"Linear_Count": float(values["Position"])}
             case "Start_Anticogging":  # a procedure of the device that turns the shaft
                 return (msg.Home(motor),)
-            case "RxSdo" if values["Opcode"] == 1:
-                written = {f"endpoint {values['Endpoint_ID']}": float(values["Value"])}
-        return tuple(msg.WriteParameter(motor, key, value) for key, value in written.items())
+            case "RxSdo":
+                number, bits = values["Endpoint_ID"], values["Value"]
+                self.endpoints[number] = bits
+                endpoint, value = self.registers.value(number, bits)
+                written = {f"endpoint {number}": bits} if value is None else {endpoint: value}
+        return tuple(msg.WriteParameter(motor, key, float(value)) for key, value in written.items())
 
     def disarm(self) -> None:
         """Leave closed loop."""
@@ -143,19 +199,27 @@ class Memory:
             return ()
         if state != CLOSED_LOOP:
             self.disarm()
+            if state in table.PROCEDURES - {table.HOMING}:
+                return (msg.WriteParameter(self.motor, "Axis_Requested_State", state),)
             return (msg.Home(self.motor),) if state == table.HOMING else (msg.Idle(self.motor),)
+        if self.fault:
+            self.disarm()
+            return ()
         if not self.armed or self.line == "0.5":  # 0.5.x leaves closed loop and enters it again
             # On arming in position control the firmware takes the present position as its input
             # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
             self.position = None
             self.armed = True
-        return (msg.Arm(self.motor), *self.command())
+        return (msg.Arm(self.motor), *self._command())
 
     def _set_mode(self, control_mode: int, input_mode: int) -> Sequence[Obeyed]:
-        if control_mode == ControlMode.POSITION and self.control_mode != ControlMode.POSITION:
+        """Apply a mode: position control takes the present position as its input, even if it was on already
+        (ODrive@f9b5419 `can_simple.cpp`, `controller.cpp` control_mode_updated); a trajectory goes on."""
+        goes_on = self.input_mode == input_mode == InputMode.TRAP_TRAJ
+        if control_mode >= ControlMode.POSITION and not goes_on:
             self.position = None
         self.control_mode, self.input_mode = control_mode, input_mode
-        return self.command()
+        return self._command()
 
     def _assign(self, node: int, serial: int) -> Sequence[Obeyed]:
         """Apply an assignment: take the node id, or vacate it if another gets it."""
@@ -170,12 +234,18 @@ class Memory:
         return (msg.SetId("", self.serial, self.node),)
 
 
-def memory(device: Device, node: int | None = None) -> Memory:
-    """Return the memory of a device after power-on. `node`: as saved, if not as configured."""
+def memory(
+    device: Device, node: int | None = None, saved: Mapping[int, int] = MappingProxyType({})
+) -> Memory:
+    """Return the memory of a device after power-on. `node`, and endpoints: as saved, if not as configured."""
     settings: Settings = device.settings
     at = device.address if node is None else node
     serial, modes = serial_of(settings, device.address), (settings.control_mode, settings.input_mode)
-    return Memory(device.name, line_of(device), at, settings.other_axis, serial, *modes)
+    registers: Registers = device.options.registers()
+    held = {name: getattr(settings, name.rpartition(".")[2], 0) for name in registers.by_name}
+    endpoints = {registers.by_name[name].number: registers.raw(name, value) for name, value in held.items()}
+    axis = (device.name, line_of(device), at, settings.other_axis, serial)
+    return Memory(*axis, *modes, registers, {**endpoints, **saved})
 
 
 CYCLIC = {
@@ -213,6 +283,10 @@ class OdriveTwin(Firmware):
         self.servo = Servo(device.settings, gains_of(device.settings))
         self.words: dict[int, int] = {}
         """Error bits by the base of their word."""
+        self.calibrated: bool = self.settings.calibrated
+        self.procedure: int = 0
+        """The state that is a procedure, while it runs; the shaft is not turned by it."""
+        self.procedure_until: Nanos = 0
         self.disarm_reason = 0
         sent = {row.name for row in self.table.rows if row.direction == "from_device"}
         periods = {name: getattr(self.settings, key) for name, key in CYCLIC.items() if name in sent}
@@ -236,7 +310,7 @@ class OdriveTwin(Firmware):
         """Return what it reports, by the vendor's names."""
         servo, stage, encoder = self.servo, self.servo.stage, self.servo.encoder
         return {
-            "Axis_State": CLOSED_LOOP if self.memory.armed else table.IDLE,
+            "Axis_State": CLOSED_LOOP if self.memory.armed else self.procedure or table.IDLE,
             "Trajectory_Done_Flag": servo.set_point.done,
             "Pos_Estimate": encoder.position,
             "Vel_Estimate": encoder.velocity,
@@ -245,6 +319,24 @@ class OdriveTwin(Firmware):
             "Bus_Voltage": stage.voltage,
             "Bus_Current": stage.supply_current,
         }
+
+    def begin(self, t: Nanos, state: int, *, runs: bool) -> None:
+        """Enter closed loop or begin a procedure, if it `runs`; else be idle."""
+        if state == CLOSED_LOOP and runs:
+            self.servo.start()
+        self.procedure = state if runs and state != CLOSED_LOOP else 0
+        self.procedure_until = t + milliseconds(self.settings.procedure_ms)
+        self.memory.set_state(state if runs else table.IDLE)
+
+    def end(self) -> None:
+        """End a procedure as it should."""
+        self.calibrated |= self.procedure in (table.FULL_CALIBRATION, table.OFFSET_CALIBRATION)
+        self.procedure = 0
+
+    def calibrated_for(self, state: int) -> bool:
+        """True if it is calibrated, or a state calibrates it."""
+        first = (table.FULL_CALIBRATION, table.MOTOR_CALIBRATION, table.OFFSET_CALIBRATION)
+        return self.calibrated or state in first
 
     # -- what both do ---------------------------------------------------------------------------------
 
@@ -257,6 +349,7 @@ class OdriveTwin(Firmware):
         base = code >> errors.BASE_SHIFT << errors.BASE_SHIFT
         self.words[base] = self.words.get(base, 0) | code - base
         self.on_trip()
+        self.procedure = 0
 
     def on_timeout(self) -> None:
         self.trip(self.raised["WATCHDOG_TIMER_EXPIRED"])
@@ -265,13 +358,16 @@ class OdriveTwin(Firmware):
         """Return the timeout as configured; 0: off."""
         return round(self.settings.watchdog_timeout * SECOND) if self.settings.enable_watchdog else 0
 
-    def restart_with(self, t: Nanos, node: int, gains: Mapping[str, float]) -> None:
-        """Restart with the saved node id and gains: silent at first, and disarmed."""
+    def restart_with(
+        self, t: Nanos, node: int, gains: Mapping[str, float], endpoints: Mapping[int, int]
+    ) -> None:
+        """Restart with what was saved: silent at first, and disarmed."""
         self.restart(t, milliseconds(self.settings.reboot_ms))
-        self.memory = memory(self.device, node)
+        self.memory = memory(self.device, node, endpoints)
         # An absolute encoder knows its position within one turn only.
         self.servo = Servo(self.settings, gains, math.floor(self.servo.encoder.shaft))
         self.words.clear()
+        self.procedure = 0
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         decoded = self.table.decode(frame, "to_device")
@@ -298,7 +394,10 @@ class OdriveTwin(Firmware):
             self.feed(t)
         match name.removesuffix(" (0.5.x)"):
             case "Set_Axis_State":
-                return self.request_state(t, values["Axis_Requested_State"])
+                state = values["Axis_Requested_State"]
+                if state == CLOSED_LOOP and self.memory.fault:
+                    self.trip(self.raised[self.memory.fault])
+                return self.request_state(t, state)
             case "Reboot":
                 return self.reboot(t, values.get("Action", 0))
             case "Estop":
@@ -316,7 +415,13 @@ class OdriveTwin(Firmware):
                 self.on_request(t, "Get_ADC_Voltage", self.memory.node)
             case _ if name in GAINS:
                 self.servo.configure(name, values.values())
+        after = copy.copy(self.memory)
+        after.obey(decoded)
+        if after.fault and (self.memory.armed or after.fault != NOT_A_NUMBER):
+            self.trip(self.raised[after.fault])
         self.memory.obey(decoded)
+        if name == "Set_Controller_Mode" and self.memory.position is None:
+            self.servo.enter()
         return None
 
     def cyclic(self) -> Mapping[str, Nanos]:
@@ -326,6 +431,8 @@ class OdriveTwin(Firmware):
         self.servo.encoder.measure(dt or 1.0, position / math.tau, velocity / math.tau)
         for name in list(self.servo.cycle(dt, self.memory)) if dt else ():
             self.trip(self.raised[name])
+        if self.procedure and now >= self.procedure_until:
+            self.end()
         return self.servo.stage.torque if self.memory.armed else 0.0
 
     def report(self, name: str) -> Frame | None:
@@ -341,7 +448,8 @@ class Twin06(OdriveTwin):
     """One device of firmware 0.6.x."""
 
     faults = errors.DEVICE06
-    raised = errors.ERRORS.bits
+    # 0.6.x has no errors of its own for these: assumed.
+    raised = errors.ERRORS.bits | dict.fromkeys(INPUT_FAULTS, errors.ERRORS.bits["BAD_CONFIG"])
     # (odriverobotics/ODriveResources@fdb25dd `examples/can_watchdog.py`)
     feeds = ("Set_Input_Pos", "Set_Input_Vel", "Set_Input_Torque", "Set_Axis_State")
 
@@ -350,8 +458,8 @@ class Twin06(OdriveTwin):
         self.result = errors.SUCCESS
         self.starts_until: Nanos = 0
         """It reports INITIALIZING until then."""
-        self._flash = (self.memory.node, gains_of(self.settings))
-        """Node id and gains as saved."""
+        self._flash = (self.memory.node, gains_of(self.settings), self.memory.endpoints)
+        """Node id, gains and endpoints as saved."""
         self._version = [int(part) for part in firmware_of(device).split(".")]
 
     def timeout(self) -> Nanos:
@@ -363,37 +471,60 @@ class Twin06(OdriveTwin):
         if discovery or address != BROADCAST:
             super().on_request(t, name, self.memory.node if discovery else address)
 
+    def on_message(self, t: Nanos, decoded: Decoded) -> None:
+        super().on_message(t, decoded)
+        if decoded.name.startswith("RxSdo"):
+            self._on_endpoint(t, decoded.values["Endpoint_ID"], written=decoded.name == "RxSdo")
+
+    def _on_endpoint(self, t: Nanos, number: int, *, written: bool) -> None:
+        """Reply with what an endpoint holds; before 0.6.11 not to a write. A gain takes effect at once; what else
+        is written is kept, and nothing more."""
+        registers, held = self.memory.registers, self.memory.endpoints.get(number, 0)
+        name, value = registers.value(number, held)
+        gain = name.rpartition(".")[2]
+        if gain in self.servo.gains and written and value is not None:
+            self.servo.gains[gain] = value
+        elif gain in self.servo.gains:
+            held = registers.raw(name, self.servo.gains[gain])
+        if not written or self._version >= [0, 6, 11]:
+            self.reply(t, self.table.encode("TxSdo", self.memory.node, Endpoint_ID=number, Value=held))
+
     def report(self, name: str) -> Frame | None:
         """A device without an address sends nothing by itself."""
         return super().report(name) if name == "Address" or self.memory.node != BROADCAST else None
 
     def request_state(self, t: Nanos, state: int) -> None:
         results, was_armed = errors.RESULTS.bits, self.memory.armed
-        if state == CLOSED_LOOP:
-            if was_armed:
-                return
-            if self.active() or not self.settings.calibrated:
-                self.result = results["DISARMED" if self.active() else "NOT_CALIBRATED"]
-                self.disarm_reason = self.active() or self.disarm_reason
-                return
-            self.servo.start()
+        if state == table.UNDEFINED or (state == CLOSED_LOOP and was_armed):
+            return
+        wanted = state in (CLOSED_LOOP, *table.PROCEDURES) and state != table.HOMING
+        refused = "DISARMED" if self.active() else "" if self.calibrated_for(state) else "NOT_CALIBRATED"
+        if wanted and refused:
+            self.result = results[refused]
+            self.disarm_reason = self.active() or self.disarm_reason
+        elif wanted:
             self.result, self.disarm_reason = errors.BUSY, 0
         elif state == table.IDLE:
-            self.result = errors.SUCCESS if was_armed else self.result
-        elif state != table.UNDEFINED:
+            ended = errors.SUCCESS if was_armed else self.result
+            self.result = results["CANCELLED"] if self.procedure else ended
+        else:
             self.result = results["HOMING_WITHOUT_ENDSTOP" if state == table.HOMING else "INVALID_STATE"]
-        self.memory.set_state(state)
+        self.begin(t, state, runs=wanted and not refused)
+
+    def end(self) -> None:
+        super().end()
+        self.result = errors.SUCCESS
 
     def on_trip(self) -> None:
-        if self.memory.armed:
+        if self.memory.armed or self.procedure:
             self.memory.disarm()
             self.disarm_reason, self.result = self.active(), errors.RESULTS.bits["DISARMED"]
 
     def reboot(self, t: Nanos, action: int) -> None:
         if action == table.SAVE:
-            self._flash = (self.memory.node, dict(self.servo.gains))
+            self._flash = (self.memory.node, dict(self.servo.gains), self.memory.endpoints)
         elif action == table.ERASE:
-            self._flash = (BROADCAST, gains_of(Settings()))
+            self._flash = (BROADCAST, gains_of(Settings()), {})
         self.restart_with(t, *self._flash)
         self.starts_until = self.silent_until + milliseconds(self.settings.initializing_ms)
         self.disarm_reason, self.result = 0, errors.SUCCESS
@@ -422,6 +553,8 @@ class Twin06(OdriveTwin):
         }
 
 
+NEW_PROCEDURES = (14, 15, 16)
+"""States that 0.5.x does not have."""
 _SUPPLY = errors.MOTOR.code("SYSTEM_LEVEL")
 """A fault of the supply is the board's error, which CANSimple does not report."""
 COMPONENTS05 = {
@@ -448,6 +581,8 @@ class Twin05(OdriveTwin):
             **{f"DC_BUS_{name}": _SUPPLY for name in ("OVER_CURRENT", "OVER_REGEN_CURRENT")},
             "VELOCITY_LIMIT_VIOLATION": errors.CONTROLLER.code("OVERSPEED"),
             "SPINOUT_DETECTED": errors.CONTROLLER.code("SPINOUT_DETECTED"),
+            **{name: errors.CONTROLLER.code(name) for name in INPUT_FAULTS[:2]},
+            NOT_A_NUMBER: errors.MOTOR.code(NOT_A_NUMBER),
         }
     )
 
@@ -468,19 +603,18 @@ class Twin05(OdriveTwin):
         if state == table.UNDEFINED:
             return
         self.words[axis.base] = self.word(axis) & ~axis.bits["INVALID_STATE"]
-        closed_loop = state == CLOSED_LOOP
-        if closed_loop and self.settings.calibrated:
+        wanted = state in (CLOSED_LOOP, *table.PROCEDURES) and state not in NEW_PROCEDURES
+        if state == table.HOMING:
+            self.trip(axis.code("HOMING_WITHOUT_ENDSTOP"))
+        elif wanted and self.calibrated_for(state):
             self.feed(t)
         elif state not in (table.IDLE, table.STARTUP):
-            self.trip(axis.code("HOMING_WITHOUT_ENDSTOP" if state == table.HOMING else "INVALID_STATE"))
-        arms = closed_loop and not self.word(axis)
-        if arms:
-            self.servo.start()
-        self.memory.set_state(CLOSED_LOOP if arms else table.IDLE)
+            self.trip(axis.code("INVALID_STATE"))
+        self.begin(t, state, runs=wanted and not self.word(axis))
 
     def reboot(self, t: Nanos, action: int) -> None:
         """What was set over CAN cannot be saved over CAN: the node id, too, is as configured again."""
-        self.restart_with(t, self.device.address, gains_of(self.settings))
+        self.restart_with(t, self.device.address, gains_of(self.settings), {})
 
     def on_trip(self) -> None:
         for word, name in COMPONENTS05.values():

@@ -60,7 +60,8 @@ def values_of(kind: type, written: Mapping[str, str]) -> dict[str, Any]:
 
 def _value(written: str, hint: Any) -> Any:
     if written.startswith("["):
-        return tuple(number(each) for each in written.strip("[]").split(",") if each)
+        items = [each for each in written.strip("[]").split(",") if each]
+        return tuple(each.strip('"') if "str" in str(hint) else number(each) for each in items)
     if isinstance(hint, type) and issubclass(hint, Enum):
         return hint(written)
     if hint is bool:

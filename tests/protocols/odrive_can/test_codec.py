@@ -15,7 +15,7 @@ from odrive_can.odrive import ODriveCAN
 
 from protocols.frames import CanFrame
 from protocols.odrive_can import plugin
-from protocols.odrive_can.table import STATE_NAMES, table_of
+from protocols.odrive_can.table import FORMS, STATE_NAMES, table_of
 from protocols.reference_vectors import vectors_of
 from protocols.toolkit.table import Row
 from tests.protocols.odrive_can.dbc import DBCS, MESSAGES, choices_of
@@ -139,9 +139,8 @@ BUGS = {"Motor_Error": (0, 2**32 - 1), "Shadow_Count": (0, 2**31 - 1), "Count_in
 
 
 def rows(line: str) -> list[tuple[str, Row]]:
-    """The messages of a line, without requests and remote forms."""
-    forms = ("request ", "empty ", "remote ")
-    return [(line, row) for row in table_of(line).rows if not row.name.startswith(forms)]
+    """The messages of a line, without their other forms."""
+    return [(line, row) for row in table_of(line).rows if not row.name.startswith(FORMS)]
 
 
 ROWS = rows("0.5") + rows("0.6")
@@ -162,9 +161,10 @@ def random_number(row: Row, name: str, random: Generator) -> float | int:
 )
 def test_cantools_encodes_and_decodes_the_same(line: str, row: Row) -> None:
     """100 random messages, by the names of the DBC."""
-    theirs = MESSAGES[line][row.name.removesuffix(" (0.5.x)")]
+    theirs = MESSAGES[line][row.name.removesuffix(" (0.5.x)").removesuffix(" read")]
     names = [field.name for field in row.fields if field.name]
-    reserved = {signal.name: 0 for signal in theirs.signals if signal.name.startswith("Reserved")}
+    unused = {"RxSdo": {"Opcode": 1}, "RxSdo read": {"Opcode": 0, "Value": 0}}.get(row.name, {})
+    reserved = unused | {signal.name: 0 for signal in theirs.signals if signal.name.startswith("Reserved")}
     assert {*names, *reserved} == {signal.name for signal in theirs.signals}
     table, seed = table_of(line), 20261121
     random = Generator(PCG64(seed))
@@ -226,14 +226,17 @@ REMOTE = "remote"
         # 0.5.x obeys remote frames.
         ("0.5", 0x07, REMOTE, "remote Set_Axis_State", ()),
         ("0.5", 0x06, REMOTE, "remote Set_Axis_Node_ID", ()),
-        # Ignored: another message's, a device's own, too long, not finite.
+        # Inputs that are no numbers, in bits; all else that is none is ignored.
+        ("0.6", 0x0C, "0000c07fe8030000", "raw Set_Input_Pos", (0x7FC00000, 1.0, 0.0)),
+        ("0.5", 0x0D, "0000803f000080ff", "raw Set_Input_Vel", (0x3F800000, 0xFF800000)),
+        ("0.6", 0x0E, "0000c0ff", "raw Set_Input_Torque", (0xFFC00000,)),
+        ("0.6", 0x0F, "0000c07f00000000", "", ()),
+        # Ignored: another message's, a device's own, too long.
         ("0.6", 0x07, REMOTE, None, ()),
         ("0.6", 0x1D, "01", "", ()),
         ("0.6", 0x08, "00" * 8, None, ()),
         ("0.6", 0x09, "00" * 8, "", ()),
         ("0.6", 0x0D, "00" * 9, "", ()),
-        ("0.6", 0x0D, "0000c07f00000000", "", ()),
-        ("0.6", 0x0D, "000000000000807f", "", ()),
         ("0.5", 0x00, REMOTE, None, ()),
         ("0.5", 0x01, REMOTE, None, ()),
         ("0.5", 0x1F, "00" * 8, None, ()),

@@ -51,7 +51,8 @@ def test_the_watchdog_note_is_there_until_it_is_acknowledged_or_enabled() -> Non
 def test_commands_requests_and_kind_of_the_spec() -> None:
     contract = spec(device())
     assert contract.commands == {msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}
-    both = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.ReadParameter, msg.WriteParameter, msg.Reboot}
+    both = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.Home, msg.Reboot}
+    both |= {msg.ReadParameter, msg.WriteParameter}
     assert contract.requests == both | {msg.SetId}
     assert spec(device(options=V05)).requests == both
     assert (contract.bus, contract.kind, contract.stop_clears_faults) == ("can", "motor", False)

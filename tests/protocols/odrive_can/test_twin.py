@@ -46,7 +46,6 @@ def test_idle_disarms_without_an_error() -> None:
     ("state", "result"),
     [
         (table.HOMING, "HOMING_WITHOUT_ENDSTOP"),
-        (4, "INVALID_STATE"),
         (5, "INVALID_STATE"),
         (99, "INVALID_STATE"),
         (0xFFFFFFFF, "INVALID_STATE"),
@@ -146,8 +145,7 @@ def test_what_is_not_for_it_changes_nothing() -> None:
         CanFrame(0x30, bytes(8)),
         CanFrame(0x2A, bytes(8)),
         CanFrame(0x3E, bytes(8)),
-        CanFrame(0x2D, struct.pack("<ff", math.nan, 0.0)),
-        CanFrame(0x2C, struct.pack("<fhh", math.inf, 0, 0)),
+        CanFrame(0x2F, struct.pack("<ff", math.nan, 0.0)),
         CanFrame(0x27, state.data + b"\0"),
         b"\x00\x01",
     ]
@@ -383,6 +381,65 @@ def test_velocity_ramp_trapezoid_filter_and_torque_ramp() -> None:
     rig.send(to("Set_Input_Torque", 0.5))
     rig.run(200)
     assert rig.twin.servo.stage.torque == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [(Options(), ERROR["BAD_CONFIG"]), (V05, 0)],
+    ids=["0.6", "0.5"],
+)
+def test_inputs_that_are_no_numbers_and_modes_that_there_are_not_disarm(options: Options, error: int) -> None:
+    nan = math.nan
+    frames = [
+        ("MODULATION_IS_NAN", CanFrame(0x2D, struct.pack("<ff", 1.0, nan))),
+        ("MODULATION_IS_NAN", CanFrame(0x2D, struct.pack("<f", nan))),
+        ("INVALID_INPUT_MODE", encode(1, to("Set_Controller_Mode", 2, 4))),
+        ("INVALID_MIRROR_AXIS", encode(1, to("Set_Controller_Mode", 2, 7))),
+    ]
+    for name, frame in frames:
+        rig = TwinRig(options=options).armed()
+        rig.receive(frame)
+        assert rig.twin.memory.armed is False
+        assert rig.twin.raised[name] in rig.twin.faults
+        word = rig.twin.raised[name] >> 48
+        assert rig.twin.words[word << 48] == rig.twin.raised[name] - (word << 48)
+        if error:
+            assert rig.outcome() == (error, table.IDLE, "DISARMED")
+            rig.send(to("Clear_Errors", 0), CLOSED)  # the input is still the same
+            assert rig.outcome()[1] == table.IDLE
+
+
+def test_an_input_that_is_no_number_waits_until_it_is_used_and_an_infinite_one_is_limited() -> None:
+    rig = TwinRig(Settings(vel_limit=5.0))
+    rig.receive(CanFrame(0x2D, struct.pack("<ff", math.nan, 0.0)))
+    assert rig.outcome() == (0, table.IDLE, "SUCCESS")
+    rig.send(CLOSED)
+    assert rig.outcome() == (ERROR["BAD_CONFIG"], table.IDLE, "DISARMED")
+    rig.receive(CanFrame(0x2D, struct.pack("<ff", -math.inf, 0.0)))
+    rig.send(to("Clear_Errors", 0), CLOSED)
+    rig.run(1000)
+    assert rig.shaft.velocity / math.tau == pytest.approx(-5.0, abs=0.1)
+
+
+@pytest.mark.parametrize("control_mode", [ControlMode.POSITION, 4, 0xFFFFFFFF])
+def test_position_control_again_takes_the_present_position(control_mode: int) -> None:
+    rig = TwinRig().armed(control_mode)
+    rig.send(to("Set_Input_Pos", 3.0, 0.0, 0.0))
+    rig.run(40)
+    stopped = rig.shaft.position
+    assert stopped > 0.1
+    rig.send(to("Set_Controller_Mode", control_mode, InputMode.PASSTHROUGH))
+    rig.run(1500)
+    assert rig.shaft.position == pytest.approx(stopped, abs=1.0)
+    assert rig.shaft.velocity == pytest.approx(0.0, abs=0.1)
+
+
+def test_voltage_control_is_torque_control_and_tuning_without_amplitude_passes_through() -> None:
+    rig = TwinRig().armed(ControlMode.VOLTAGE, InputMode.TUNING)
+    rig.shaft.locked = True
+    rig.send(to("Set_Input_Torque", 0.2))
+    rig.run(50)
+    assert rig.twin.servo.stage.torque == pytest.approx(0.2, abs=0.001)
 
 
 def test_an_inactive_input_is_not_followed() -> None:

@@ -47,7 +47,7 @@ def test_closed_loop_and_idle_are_reported_without_a_result() -> None:
     assert rig.heartbeat() == beat05(0, table.IDLE, 0, 0, 0, 1)
 
 
-@pytest.mark.parametrize("state", [5, 42, 0xFFFFFFFF, 4])
+@pytest.mark.parametrize("state", [5, 14, 42, 0xFFFFFFFF])
 def test_an_illegal_state_is_invalid_state_and_idle_and_the_next_request_clears_it(state: int) -> None:
     rig = rig05().armed()
     rig.send(to("Set_Axis_State", state))
@@ -291,7 +291,7 @@ WATCHED = Settings(enable_watchdog=True, watchdog_timeout=0.1)
         CanFrame(0x20, remote=True),
         CanFrame(0x34, remote=True),
         CanFrame(0x28, bytes(3)),
-        CanFrame(0x2D, b"\xff" * 8),
+        CanFrame(0x2F, b"\xff" * 8),
     ],
     ids=str,
 )
