@@ -45,7 +45,7 @@ FULL_CALIBRATION, MOTOR_CALIBRATION, OFFSET_CALIBRATION = 3, 4, 7
 PROCEDURES = STATE_NAMES.keys() - {UNDEFINED, IDLE, STARTUP, CLOSED_LOOP, 9}
 """States in which the device does something by itself, and then goes to IDLE; most of them turn the shaft.
 (LOCKIN_SPIN ends when its configuration has it, if ever.)"""
-REBOOT, SAVE, ERASE = 0, 1, 2
+REBOOT, SAVE, ERASE, BOOT_LOADER = 0, 1, 2, 3
 """Actions of Reboot (0.6.x)."""
 
 

@@ -527,6 +527,7 @@ class Twin06(OdriveTwin):
             self._flash = (BROADCAST, gains_of(Settings()), {})
         self.restart_with(t, *self._flash)
         self.starts_until = self.silent_until + milliseconds(self.settings.initializing_ms)
+        self.silent_until = NEVER if action == table.BOOT_LOADER else self.silent_until
         self.disarm_reason, self.result = 0, errors.SUCCESS
 
     def active(self) -> int:
