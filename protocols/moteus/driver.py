@@ -42,8 +42,6 @@ PLACED = 3
 """Replies after which the start of a velocity must have arrived: earlier ones may have been on their way."""
 SAVE = "conf_write"
 """Parameter that saves the device's configuration when 1 is written."""
-OURS = (tb.Mode.POSITION, tb.Mode.STAY_WITHIN, tb.Mode.ZERO_VELOCITY, tb.Mode.BRAKE)
-"""Modes from which a set-point goes straight on."""
 MODES: Mapping[int, Mode] = {
     tb.Mode.STOPPED: Mode.READY,
     **dict.fromkeys(RISING, Mode.READY),
@@ -228,14 +226,13 @@ class MoteusAdapter(Adapter[Motor]):
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         motor, at_rest = host.own, mt.AT_REST.get(host.own.options.at_rest, b"")
-        if motor.mode not in OURS:  # another host's: it goes over to ours
-            return self.arm(now, host, command)
         placed = motor.placed or 0
         motor.place(placed if isinstance(command, msg.Velocity) else None)
         match command:
             case msg.Position(_, position, velocity, torque):
                 data = motor.setpoints.position(position / tau, velocity / tau, torque)
             case msg.Velocity(_, velocity, torque) if at_rest and max(abs(velocity), abs(torque)) < TINY:
+                motor.place(None)
                 data = at_rest
             case msg.Velocity(_, velocity, torque):
                 at = (host.position or 0.0) / tau if placed < PLACED else None
