@@ -170,7 +170,8 @@ class Loops:
 
     def take(self, mode: int, command: Mapping[str, float]) -> None:
         """Take a command; it is executed from the next cycle on. What is wrong with it trips at once."""
-        self.commanded, self.command, self.stopping = mode, command, mode == Mode.STOPPED
+        self.commanded, self.command = mode, command
+        self.stopping |= mode == Mode.STOPPED
         self.fastest, self.hardest = limits_of(command, self.settings)
         self.velocity = clamp(self._given("velocity"), self.fastest)
         self.feedforward = self._given("feedforward_torque")
@@ -180,7 +181,7 @@ class Loops:
         self.setpoint.take(position)
         if isnan(position) and not isnan(stop):  # so that it gets there
             self.velocity = copysign(self.velocity, stop - self.encoder.position)
-        if not isnan(stop) and self.fastest < inf and not self.stopping:
+        if not isnan(stop) and self.fastest < inf and mode != Mode.STOPPED:
             self.trip(45)
 
     def set_output(self, position: float) -> None:

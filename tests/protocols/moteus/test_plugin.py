@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
 
-from protocols.messages import Feedback
+from protocols.conformance import check, table
+from protocols.messages import Feedback, Impedance
 from protocols.moteus import plugin
 from protocols.plugin import Device
 from tests.protocols.moteus.test_transcripts import notation
@@ -69,6 +71,9 @@ def test_the_watchdog_is_always_on_and_in_the_spec() -> None:
         *((OPTIONS, "max_torque", value) for value in (math.nan, -1.0)),
         (OPTIONS, "velocity_limit", math.inf),
         (OPTIONS, "acceleration_limit", -0.1),
+        *((OPTIONS, name, -1.0) for name in ("kp", "kd")),
+        *((OPTIONS, name, math.inf) for name in ("within_min", "within_max")),
+        (plugin.options(within_max=1.0), "within_min", 1.0),
         *((SETTINGS, name, value) for name, value in (("uuid", "xyz"), ("firmware", "1.2"))),
         *((SETTINGS, "kp", value) for value in (math.nan, -1.0)),
         *((SETTINGS, name, 0) for name in ("motor_kv", "encoder_cpr", "max_current")),
@@ -85,6 +90,18 @@ def test_options_and_settings_that_cannot_be(values: Any, name: str, value: Any)
 def test_all_errors_in_options_are_reported_at_once() -> None:
     with pytest.raises(ValueError, match=r"(?s)(?=.*host_id)(?=.*max_torque)(?=.*offline_ms)"):
         plugin.options(host_id=127, max_torque=-1.0, feedback_ms=1000, offline_ms=100)
+
+
+def test_impedance_is_a_command_where_both_gains_are_known() -> None:
+    for kp, kd in ((10.0, 0.4), (10.0, 0.0), (0.0, 0.4)):
+        spec = plugin.spec(replace(DEVICE, options=plugin.options(kp=kp, kd=kd)))
+        assert (Impedance in spec.commands) == (kp > 0.0 and kd > 0.0)
+
+
+def test_the_contract_is_kept_with_gains_limits_and_bounds() -> None:
+    given = {"kp": 10.0, "kd": 0.4, "velocity_limit": 30.0, "within_min": -200.0, "within_max": 300.0}
+    results = check(replace(plugin, options=partial(plugin.options, max_torque=1.0, **given)))  # type: ignore[arg-type] # what makes the options
+    assert not [result for result in results if result.outcome == "failed"], table(results)
 
 
 def test_every_fault_has_name_cause_and_remedy_and_no_other_is_provoked() -> None:

@@ -243,6 +243,49 @@ def test_faults_and_timeouts_are_seen_and_left_by_a_stop(bus: Bus) -> None:
     session(bus, drive)
 
 
+def test_limits_scales_and_bounds_of_a_command(bus: Bus) -> None:
+    shaft, nowhere = bus.shafts["m5"], math.nan
+
+    async def drive(transport: Transport) -> None:
+        c = moteus.Controller(id=5, transport=transport)
+        velocity = {Register.CONTROL_VELOCITY: mp.F32}
+
+        async def reached(command: Any, true: Callable[[Any], bool], query: Any = None) -> None:
+            """Give a command until it is so."""
+
+            async def given() -> Any:
+                await transport.cycle([command])
+                return await (c.query() if query is None else c.custom_query(query))
+
+            await until(given, true)
+
+        turning = c.make_position(position=nowhere, velocity=3.0, velocity_limit=1.5, accel_limit=50.0)
+        await reached(turning, lambda v: v[Register.CONTROL_VELOCITY] == 1.5, velocity)
+        shaft.locked, shaft.position, shaft.velocity = True, 0.0, 0.0
+        soft: dict[str, Any] = {"kp_scale": 0.5, "kd_scale": 0.25, "ilimit_scale": 0.0, "query": True}
+        await reached(c.make_position(position=0.05, **soft), lambda v: abs(v[Register.TORQUE] - 0.25) < 1e-3)
+        shaft.velocity = 0.5 * math.tau  # kd is not limited by kp
+        damped = c.make_position(position=nowhere, **{**soft, "kp_scale": 0.0}, velocity=0.0)
+        await reached(damped, lambda v: abs(v[Register.TORQUE] + 0.05) < 1e-3)
+        slow = c.make_zero_velocity(kd_scale=0.5, query=True)
+        await reached(slow, lambda v: abs(v[Register.TORQUE] + 0.1) < 1e-3)
+        pushed: dict[str, Any] = {"feedforward_torque": 0.125, "watchdog_timeout": 0.05}
+        free = c.make_stay_within(lower_bound=nowhere, upper_bound=nowhere, **pushed)
+        await reached(free, lambda v: abs(v[Register.TORQUE] - 0.125) < 1e-3)
+        await until(c.query, lambda v: v[Register.MODE] == Mode.TIMEOUT)
+        await until(c.query, lambda v: abs(v[Register.TORQUE] + 0.2) < 1e-3)  # it damps
+        await c.set_stop()
+        shaft.velocity, shaft.position = 0.0, -0.5 * math.tau
+        within = c.make_stay_within(lower_bound=-0.45, upper_bound=nowhere, maximum_torque=0.3)
+        await reached(within, lambda v: abs(v[Register.TORQUE] - 0.3) < 1e-3)
+        stopping = c.make_position(position=nowhere, velocity=-1.0, stop_position=1.0, velocity_limit=-1.0)
+        await reached(stopping, lambda v: v[Register.CONTROL_VELOCITY] == 1.0, velocity)
+        await c.set_position(position=nowhere, stop_position=1.0, accel_limit=1.0)
+        await until(c.query, lambda v: (v[Register.MODE], v[Register.FAULT]) == (Mode.FAULT, 45))
+
+    session(bus, drive)
+
+
 def test_discovery_and_uuids(bus: Bus) -> None:
     async def dialogue(transport: Transport) -> None:
         found = await transport.discover()
