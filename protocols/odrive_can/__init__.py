@@ -13,13 +13,13 @@ from dataclasses import replace
 
 from protocols import messages as msg
 from protocols.frames import EXTENDED_BIT
-from protocols.messages import MILLISECOND, SECOND
+from protocols.messages import SECOND
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.driver import OdriveAdapter
 from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.odrive_can.twin import OdriveTwin, Twin05, Twin06, memory
 from protocols.plugin import CommandDecoder, Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
-from protocols.toolkit.assembly import TableDecoder
+from protocols.toolkit.assembly import TableDecoder, can_motor
 from protocols.toolkit.motor_driver import MotorDriver
 from protocols.toolkit.table import BINARY32
 
@@ -42,8 +42,18 @@ RANGES: dict[str, Range] = {
 }
 for _measured in ("position", "velocity", "torque", "current", "voltage", "temperature"):
     RANGES[f"Feedback.{_measured}"] = _range(_ANY)
-REQUESTS = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.Home, msg.Reboot}
-REQUESTS |= {msg.ReadParameter, msg.WriteParameter}
+REQUESTS: frozenset[type[msg.Request]] = frozenset(
+    {
+        msg.ClearFault,
+        msg.Estop,
+        msg.Scan,
+        msg.Zero,
+        msg.Home,
+        msg.Reboot,
+        msg.ReadParameter,
+        msg.WriteParameter,
+    }
+)
 NOT_WITH_POSITIONS = {"filter": {"Position.torque"}, "trapezoid": {"Position.torque", "Position.velocity"}}
 """What the device does not follow with a position, by the option."""
 WATCHDOG_NOTE = (
@@ -65,26 +75,20 @@ def spec(device: Device) -> Spec:
     if not isinstance(options, Options) or not isinstance(settings, Settings):
         raise TypeError("an odrive_can device takes odrive_can's Options and Settings")
     highest = table.MAX_EXTENDED_NODE if options.is_extended else table.MAX_NODE
-    if not 0 <= device.address <= highest:
-        raise ValueError(f"address {device.address} of {device.name}: a node id is 0 to {highest}")
-    requests = table.requests_of(options.firmware, options.is_extended)
-    tables = [table.table_of(line, options.is_extended) for line in table.LINES[options.firmware]]
-    expects = [one for each in tables for one in each.ids("from_device", device.address)]
+    line, extended, address = options.firmware, options.is_extended, device.address
+    tables = [table.table_of(each, extended) for each in table.LINES[line]]
     acknowledged = options.watchdog == "acknowledged" or settings.enable_watchdog
     # A position is reported to half a count of the encoder, and rounded to binary32.
     position = replace(RANGES["Feedback.position"], resolution=math.pi / settings.encoder_cpr * 1.001)
-    node = device.address << table.CMD_BITS | options.is_extended * EXTENDED_BIT
-    return Spec(
-        bus="can",
-        kind="motor",
-        sends=table.ids_of_driver(options.firmware, options.is_extended, device.address),
-        expects=tuple(dict.fromkeys(expects)),
-        read_only=requests.read_only,
+    return can_motor(
+        device,
+        table.requests_of(line, extended),
+        range(highest + 1),
+        sends=table.ids_of_driver(line, extended, address),
+        expects=tuple(dict.fromkeys(one for each in tables for one in each.ids("from_device", address))),
         feedback=FeedbackKind.CYCLIC,
-        feedback_period=options.feedback_ms * MILLISECOND,
-        offline_after=options.offline_ms * MILLISECOND,
         commands=frozenset({msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}),
-        requests=frozenset(REQUESTS | ({msg.SetId} if options.firmware != "0.5" else set())),
+        requests=REQUESTS if line == "0.5" else REQUESTS | {msg.SetId},
         ranges=ranges_of(options) | {"Feedback.position": position},
         watchdog=Watchdog(
             round(settings.watchdog_timeout * SECOND) or None,
@@ -93,11 +97,10 @@ def spec(device: Device) -> Spec:
             "any frame" if line_of(device) == "0.5" else "its commands",
         ),
         holds_unattended=not settings.enable_watchdog,
-        stop_clears_faults=False,
         faults=errors.DEVICE05 if line_of(device) == "0.5" else errors.DEVICE06,
         parameters=("Bus_Voltage", "Iq_Measured"),
         receives_also=((0x06, 0x1F), (0x01, 0x1F)),
-        obeys_also=((node, 0x9FFF_FFE0),),
+        obeys_also=((address << table.CMD_BITS | extended * EXTENDED_BIT, 0x9FFF_FFE0),),
     )
 
 

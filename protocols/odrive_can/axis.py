@@ -24,20 +24,15 @@ from protocols.toolkit.motor_driver import NEVER
 from protocols.toolkit.table import Table, Values
 
 VERSION, HEARTBEAT, ESTIMATES = "Get_Version", "Heartbeat", "Get_Encoder_Estimates"
-SUPPLY = "Get_Bus_Voltage_Current"
-"""Both lines answer this alike, and do not send it cyclically by default."""
-RETRY_PERIOD = 100 * MILLISECOND
-"""Period in which an unanswered request is repeated."""
+SUPPLY = "Get_Bus_Voltage_Current"  # Both lines answer this alike, and do not send it cyclically by default.
+RETRY_PERIOD = 100 * MILLISECOND  # Period in which an unanswered request is repeated.
 VERSION_PERIOD = 5 * SECOND
 """Period of Get_Version to a device that was identified without it, or not at all."""
-HEARTBEAT_TIMEOUT = 250 * MILLISECOND
-"""Time without a heartbeat after which one is requested."""
+HEARTBEAT_TIMEOUT = 250 * MILLISECOND  # Time without a heartbeat after which one is requested.
 ATTEMPTS = 5
 """After this number of requests an error word is not awaited, and closed loop not requested any more."""
-HEARTBEATS = 2
-"""Since a request of a state, until one is sure to be from after it."""
-POSITION_TOLERANCE = 0.05
-"""turns: a smaller difference may be vibration."""
+HEARTBEATS = 2  # Since a request of a state, until one is sure to be from after it.
+POSITION_TOLERANCE = 0.05  # turns: a smaller difference may be vibration.
 IDENTIFY_ATTEMPTS = 10
 """After this number of requests, a device that sends heartbeats and answers nothing is a fault."""
 REPLIES = {"auto": 5, "0.5": 2, "0.6": 5}
@@ -55,8 +50,7 @@ class Identity:
     """What is known of one device's firmware. Plain data."""
 
     def __init__(self, expected: str, extended: bool) -> None:
-        self.expected = expected
-        """ "0.5", "0.6" or "auto"."""
+        self.expected = expected  # "0.5", "0.6" or "auto".
         self.extended = extended
         self.wrong = 0
         """The code of the fault if it is not what was expected, or cannot be identified; until cleared."""
@@ -64,10 +58,8 @@ class Identity:
 
     def forget(self) -> None:
         """Identify the device anew: it may have restarted, or been replaced. A fault stays."""
-        self.line = ""
-        """Empty while not known."""
-        self.version = ""
-        """As it reported it."""
+        self.line = ""  # Empty while not known.
+        self.version = ""  # As it reported it.
         self._requests = self._replies = 0
         self._reply_pending = self._answers_discovery = False
         self.decode_as("")
@@ -160,25 +152,19 @@ class Axis:
         """By message: the remote frame that requests it."""
         self.registers = options.registers()
         self._position_input = POSITION_INPUTS[options.position_input]
-        self.written: dict[str, float] = {}
-        """Parameters that were written to it."""
+        self.written: dict[str, float] = {}  # Parameters that were written to it.
         # Of the last heartbeat:
         self.state = self.errors = self.result = 0
-        self.components: tuple[str, ...] = ()
-        """Messages of the components with errors."""
+        self.components: tuple[str, ...] = ()  # Messages of the components with errors.
         self.heartbeat_at: Nanos = -1
-        self.alive = False
-        """There was a heartbeat, decoded as its line is now."""
-        self.words: dict[str, int] = {}
-        """Error words of its components, by message."""
+        self.alive = False  # There was a heartbeat, decoded as its line is now.
+        self.words: dict[str, int] = {}  # Error words of its components, by message.
         self.awaited: dict[str, int] = {}
         """Messages with error words that are awaited, and how often each was requested."""
-        self.control_mode: int | None = None
-        """As sent to it, unless it may have lost it."""
+        self.control_mode: int | None = None  # As sent to it, unless it may have lost it.
         self.failure = 0
         """Code of the fault that ended arming, which is not tried again before ClearFault or Idle."""
-        self.requested_at: Nanos = -NEVER
-        """When a state was last requested."""
+        self.requested_at: Nanos = -NEVER  # When a state was last requested.
         self._attempts = self._heartbeats_since = 0
         self._next_attempt: Nanos = 0
         self._retry = options.arm_retry_ms * MILLISECOND
@@ -190,11 +176,9 @@ class Axis:
         self.polls_due: Nanos = NEVER
         self._due: dict[str, Nanos] = {VERSION: 0, ESTIMATES: 0, HEARTBEAT: 0}
         """When each message is requested next."""
-        self._polls: dict[str, Nanos] = {}
-        """When each polled message is."""
+        self._polls: dict[str, Nanos] = {}  # When each polled message is.
         self._feedback, self._poll = options.feedback_ms * MILLISECOND, options.poll_ms * MILLISECOND
-        self._estimates_pending = False
-        """They were requested and have not been received."""
+        self._estimates_pending = False  # They were requested and have not been received.
 
     # -- received -------------------------------------------------------------------------------------
 
@@ -343,6 +327,11 @@ class Axis:
     def encode(self, name: str, **values: Any) -> CanFrame:  # noqa: ANN401 -- numbers
         """Return the frame of a message to it."""
         return self.identity.table.encode(name, self.address, **values)
+
+    def action(self, key: object) -> Sequence[CanFrame]:
+        """Return the message that carries out a request; none where that cannot be done over CAN."""
+        message = self.identity.dialect.messages.get(key)
+        return () if message is None else (self.encode(message[0], **message[1]),)
 
     def set_mode(self, mode: ControlMode) -> Sequence[CanFrame]:
         """Set the control mode. Returns what must be sent for it."""

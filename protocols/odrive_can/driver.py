@@ -10,8 +10,7 @@ is alive, and its Done states that.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 from protocols import messages as msg
@@ -20,27 +19,38 @@ from protocols.messages import MILLISECOND, SECOND, Command, Event, Feedback, Mo
 from protocols.odrive_can import errors, table
 from protocols.odrive_can.axis import HEARTBEATS, NO_DISCOVERY, Axis
 from protocols.odrive_can.options import Options
-from protocols.odrive_can.table import CLOSED_LOOP, WRITABLE, ControlMode
+from protocols.odrive_can.table import CLOSED_LOOP, SAVE, WRITABLE, ControlMode
 from protocols.plugin import Device
 from protocols.toolkit.duplicates import IDENTIFY_PERIOD
 from protocols.toolkit.host import Host, Phase, Report, Timing
 from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
+from protocols.toolkit.requests import subject
 from protocols.toolkit.table import FLOAT_MAX, Decoded
 
-Times: TypeAlias = tuple[Nanos, Nanos]
-"""Timeout of a request, and period in which its frames are sent again."""
+Times: TypeAlias = tuple[Nanos, Nanos]  # Timeout of a request, and period in which its frames are sent again.
 USUAL: Times = (600 * MILLISECOND, 120 * MILLISECOND)
 RESTART: Times = (8000 * MILLISECOND, 2000 * MILLISECOND)
 SET_ID: Times = (1500 * MILLISECOND, 240 * MILLISECOND)
-SCAN: Times = (1800 * MILLISECOND, 600 * MILLISECOND)
-"""(ODriveResources@06dc846 `examples/can_enumerate.py`)"""
+SCAN: Times = (1800 * MILLISECOND, 600 * MILLISECOND)  # (ODriveResources@06dc846 `examples/can_enumerate.py`)
+PROCEDURE: Times = (120 * SECOND, 500 * MILLISECOND)
 REBOOT_GAP = 400 * MILLISECOND
 """A pause between heartbeats that shows a restart: a late heartbeat is requested after 250 ms."""
-PROCEDURE: Times = (120 * SECOND, 500 * MILLISECOND)
-SAVE = "save_configuration"
-"""A parameter: written with 1, the device saves its configuration and restarts."""
 STATE, POSITION = "Axis_Requested_State", "Position"
 """Parameters: a procedure that is begun, and what the present position is called."""
+TIMES: Mapping[object, Times] = {
+    msg.Scan: SCAN,
+    msg.SetId: SET_ID,
+    msg.Reboot: RESTART,
+    SAVE: RESTART,
+    msg.Home: PROCEDURE,
+    STATE: PROCEDURE,
+}
+"""By what is requested."""
+MODES: Mapping[type[Command], ControlMode] = {
+    msg.Velocity: ControlMode.VELOCITY,
+    msg.Torque: ControlMode.TORQUE,
+}
+"""By command; of all others it is position control."""
 MEASURED = {
     "Get_Iq": ("Iq_Measured", "current"),
     "Get_Torques": ("Torque_Estimate", "torque"),
@@ -98,7 +108,7 @@ class OdriveAdapter(Adapter[Axis]):
 
     def _report(self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded) -> OdriveReport | Rx:
         axis, address, name, values = host.own, host.address, decoded.name, decoded.values
-        feedback, faults = None, None
+        feedback, faults, read = None, None, dict[str, float]()
         if name == "Get_Encoder_Estimates":
             position, velocity = values["Pos_Estimate"], values["Vel_Estimate"]
             twice = axis.on_estimates(t, position, velocity)
@@ -121,16 +131,14 @@ class OdriveAdapter(Adapter[Axis]):
             return Report(host, address, serial=serial, note=note, content=decoded)
         elif name == "TxSdo":
             parameter, value = axis.registers.value(values["Endpoint_ID"], values["Value"])
-            return Report(
-                host, address, parameters={} if value is None else {parameter: value}, content=decoded
-            )
+            read |= {} if value is None else {parameter: value}
         elif name == "Get_Error":
             faults = axis.on_errors(values["Active_Errors"], values["Disarm_Reason"])
         elif name in axis.identity.dialect.components:
             faults = axis.on_word(name, *values.values())
         if axis.identity.wrong:
             return Report(host, address, Mode.FAULT, axis.detail(), axis.codes(), feedback, content=decoded)
-        return Report(host, address, faults=faults, feedback=feedback, content=decoded)
+        return Report(host, address, faults=faults, feedback=feedback, parameters=read, content=decoded)
 
     def _on_heartbeat(self, t: Nanos, host: OdriveHost, frame: CanFrame, decoded: Decoded) -> OdriveReport:
         axis = host.own
@@ -180,21 +188,20 @@ class OdriveAdapter(Adapter[Axis]):
         return host.own.commandable
 
     def arm(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
-        axis, name = host.own, host.name
-        mode, _ = self._set_point(host, command)
+        axis, mode = host.own, MODES.get(type(command), ControlMode.POSITION)
         still: dict[ControlMode, Command] = {
-            ControlMode.VELOCITY: msg.Velocity(name, 0.0),
-            ControlMode.TORQUE: msg.Torque(name, 0.0),
-            ControlMode.POSITION: msg.Position(name, host.position or 0.0),
+            ControlMode.VELOCITY: msg.Velocity(host.name, 0.0),
+            ControlMode.TORQUE: msg.Torque(host.name, 0.0),
+            ControlMode.POSITION: msg.Position(host.name, host.position or 0.0),
         }
-        frames = [*axis.set_mode(mode), self._set_point(host, still[mode])[1]]
+        frames = [*axis.set_mode(mode), self._set_point(host, still[mode])]
         if axis.attempt(now):
             frames.append(axis.encode("Set_Axis_State", Axis_Requested_State=CLOSED_LOOP))
         return frames
 
     def command(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
-        mode, frame = self._set_point(host, command)
-        changed = host.own.set_mode(mode)
+        frame = self._set_point(host, command)
+        changed = host.own.set_mode(MODES.get(type(command), ControlMode.POSITION))
         # The set-point is sent before the mode changes, so that no stale input is obeyed in between;
         # and after it, since position control takes the present position as its input.
         return (frame, *changed, frame) if changed else (frame,)
@@ -203,17 +210,16 @@ class OdriveAdapter(Adapter[Axis]):
         host.own.release(now)
         return (host.own.encode("Set_Axis_State", Axis_Requested_State=table.IDLE),)
 
-    def _set_point(self, host: OdriveHost, command: Command) -> tuple[ControlMode, CanFrame]:
+    def _set_point(self, host: OdriveHost, command: Command) -> CanFrame:
         encode = host.own.encode
         match command:
             case msg.Velocity(_, velocity, torque):
-                frame = encode("Set_Input_Vel", Input_Vel=velocity / math.tau, Input_Torque_FF=torque)
-                return ControlMode.VELOCITY, frame
+                return encode("Set_Input_Vel", Input_Vel=velocity / math.tau, Input_Torque_FF=torque)
             case msg.Torque(_, torque):
-                return ControlMode.TORQUE, encode("Set_Input_Torque", Input_Torque=torque)
+                return encode("Set_Input_Torque", Input_Torque=torque)
             case msg.Position(_, position, velocity, torque):
                 turns = {"Input_Pos": position / math.tau, "Vel_FF": velocity / math.tau}
-                return ControlMode.POSITION, encode("Set_Input_Pos", **turns, Torque_FF=torque)
+                return encode("Set_Input_Pos", **turns, Torque_FF=torque)
         return self._set_point(host, msg.Position(host.name, host.held or 0.0))
 
     # -- by itself ------------------------------------------------------------------------------------
@@ -247,13 +253,20 @@ class OdriveAdapter(Adapter[Axis]):
     def begin(
         self, now: Nanos, request: Request, host: OdriveHost | None, driver: OdriveDriver
     ) -> OdrivePending | str:
-        if isinstance(request, msg.Scan):
-            return _pending(now, request, None, *self._discovery, times=SCAN)
         if isinstance(request, msg.SetId):
-            if self._discovery:
-                return _begin_set_id(now, request, driver)
-            return "firmware 0.5.x reports no serial numbers over CAN: set the node id with the vendor's tool"
-        return _begin(now, request, host, driver) if host is not None else "no such motor"
+            without = (
+                "firmware 0.5.x reports no serial numbers over CAN: set the node id with the vendor's tool"
+            )
+            frames = _assignment(request, driver) if self._discovery else without
+        else:
+            frames = self._discovery if host is None else _first_frames(now, request, host, driver)
+        if isinstance(frames, str):
+            return frames
+        timeout, period = TIMES.get(_key(request), USUAL)
+        # What is only sent cyclically needs no frame to be read.
+        reads = isinstance(request, msg.ReadParameter)
+        frames = tuple(frames)
+        return Pending(request, subject(request), now, now + timeout, now, host, frames, period, sent=reads)
 
     def frames(self, now: Nanos, pending: OdrivePending) -> Sequence[Frame]:
         if pending.notes.get("ran"):  # a procedure that has begun would begin anew
@@ -261,8 +274,7 @@ class OdriveAdapter(Adapter[Axis]):
         if not isinstance(pending.request, msg.ClearFault) or pending.host is None:
             return pending.frames
         axis = pending.host.own
-        clear = axis.identity.dialect.messages.get("clear") if axis.identity.line else None
-        return () if clear is None else (axis.encode(clear[0], **clear[1]),)
+        return axis.action(msg.ClearFault) if axis.identity.line else ()
 
     def answer(self, t: Nanos, pending: OdrivePending, report: OdriveReport) -> Event | None:
         if isinstance(pending.request, msg.Zero) or pending.host is None or report.parameters:
@@ -307,19 +319,18 @@ class OdriveAdapter(Adapter[Axis]):
         told = notes["beats"] >= HEARTBEATS and (axis.faulty or axis.result not in errors.INCONCLUSIVE)
         if not (notes.get("ran") or told):
             return None
-        if axis.result or axis.faulty:
-            names = [self.faults[code].name for code in axis.codes()]
-            return pending.refuse(
-                t, ", ".join([*names, errors.RESULT_NAMES.get(axis.result, str(axis.result))])
-            )
-        return pending.done(t, "it has ended")
+        if axis.result == errors.SUCCESS and not axis.faulty:
+            return pending.done(t, "it has ended")
+        return pending.refuse(
+            t, ", ".join((axis.detail(), *(self.faults[each].name for each in axis.codes())))
+        )
 
     def give_up(self, now: Nanos, pending: OdrivePending) -> str:
         host, request = pending.host, pending.request
         if host is not None and not host.offline and (host.received_at or 0) > pending.began:
-            if isinstance(request, msg.Reboot) or getattr(request, "parameter", "") == SAVE:
+            if TIMES.get(_key(request)) is RESTART:
                 return "it showed no sign of a restart"
-            if isinstance(request, msg.Home) or getattr(request, "parameter", "") == STATE:
+            if TIMES.get(_key(request)) is PROCEDURE:
                 return "it did not end" if pending.notes.get("ran") else "it did not begin"
             if isinstance(request, msg.ClearFault) and not host.own.identity.line:
                 return "its firmware is not known"
@@ -327,124 +338,95 @@ class OdriveAdapter(Adapter[Axis]):
         return super().give_up(now, pending)
 
 
-def _pending(
-    now: Nanos, request: Request, host: OdriveHost | None, *frames: Frame, times: Times = USUAL
-) -> OdrivePending:
-    name = host.name if host is not None else getattr(request, "bus", "")
-    return Pending(request, name, now, now + times[0], now, host, frames, times[1])
+def _key(request: Request) -> object:
+    """Return what is requested: the parameter's name, or the type."""
+    return getattr(request, "parameter", type(request))
 
 
-def _begin_set_id(now: Nanos, request: msg.SetId, driver: OdriveDriver) -> OdrivePending | str:
+def _assignment(request: msg.SetId, driver: OdriveDriver) -> Sequence[Frame] | str:
     """Assign a node id to the device with a serial number, and repeat discovery."""
     if wrong := driver.wrong_id(request, range(table.MAX_NODE + 1), 48):
         return wrong
     node, serial = request.address, request.serial
-    assignment = table.table_of("0.6").encode("Address", Node_ID=node, Serial_Number=serial)
-    return _pending(now, request, None, assignment, table.DISCOVERY, times=SET_ID)
+    return (table.table_of("0.6").encode("Address", Node_ID=node, Serial_Number=serial), table.DISCOVERY)
 
 
-def _begin(now: Nanos, request: Request, host: OdriveHost, driver: OdriveDriver) -> OdrivePending | str:
-    """Begin a request to one device."""
+def _first_frames(
+    now: Nanos, request: Request, host: OdriveHost, driver: OdriveDriver
+) -> Sequence[Frame] | str:
+    """Return what a request sends to one device, or why it is refused."""
     axis, identity = host.own, host.own.identity
     match request:
         case msg.ClearFault():  # its frame follows as soon as the firmware line is known
             if axis.clear(now):
                 host.report_again()
-            return _pending(now, request, host)
+            return ()
         case msg.Estop():
-            return _pending(now, request, host, axis.encode("Estop"))
+            return axis.action(msg.Estop)
         case _ if not identity.known:
             return "its firmware is not known, or not the one in the robot file"
         case msg.WriteParameter(_, parameter) if host.running and parameter in (SAVE, STATE, POSITION):
             return ARMED
+        case msg.WriteParameter(_, "save_configuration", value) if value != 1:
+            return f"{SAVE} takes 1"
         case msg.ReadParameter(_, name) | msg.WriteParameter(_, name) if name in axis.registers.by_name:
-            return _begin_endpoint(now, request, host, name)
-        case msg.ReadParameter(_, parameter):
-            return _begin_reading(now, request, host, parameter)
-        case msg.Zero():
-            return _begin_action(now, request, host, "zero")
-        case msg.Reboot():
+            return _about_endpoint(request, host, name)
+        case msg.ReadParameter(_, name):
+            return _read(axis, name)
+        case msg.WriteParameter(_, name, value) if name != SAVE:
+            return _write(axis, name, value)
+        case msg.Reboot() if identity.dialect.boards:
             boards = [each for each in driver.hosts.values() if each.own.identity.dialect.boards]
             beside = next((each.name for each in boards if each.running), "")
-            if identity.dialect.boards and beside:
+            if beside:
                 reason = f"it restarts its whole board, and {beside}, which is armed, may be on it"
                 return f"{reason}: command Idle first"
-            return _begin_action(now, request, host, "reboot", RESTART)
-        case msg.WriteParameter(_, "save_configuration", value):
-            return _begin_action(now, request, host, "save", RESTART) if value == 1 else f"{SAVE} takes 1"
-        case msg.Home():
-            return _begin_procedure(now, request, host, table.HOMING)
-        case msg.WriteParameter(_, "Axis_Requested_State", value):
-            return _begin_procedure(now, request, host, value)
-        case msg.WriteParameter(_, parameter, value):
-            return _begin_writing(now, request, host, parameter, value)
-    return f"odrive_can has no {type(request).__name__}"
+    return axis.action(_key(request)) or f"{identity.text()} cannot do this over CAN: use the vendor's tool"
 
 
-def _begin_action(
-    now: Nanos, request: Request, host: OdriveHost, action: str, times: Times = USUAL
-) -> OdrivePending | str:
-    message = host.own.identity.dialect.messages.get(action)
-    if message is None:
-        return f"{host.own.identity.text()} cannot do this over CAN: use the vendor's tool"
-    return _pending(now, request, host, host.own.encode(message[0], **message[1]), times=times)
-
-
-def _begin_procedure(now: Nanos, request: Request, host: OdriveHost, state: float) -> OdrivePending | str:
-    """Request a state in which the device does something by itself; most procedures turn the shaft."""
-    if state not in table.PROCEDURES:
-        names = (f"{state} {table.STATE_NAMES[state]}" for state in sorted(table.PROCEDURES))
-        return f"{state:g} is no procedure; there are {', '.join(names)}"
-    frame = host.own.encode("Set_Axis_State", Axis_Requested_State=state)
-    return _pending(now, request, host, frame, times=PROCEDURE)
-
-
-def _begin_endpoint(now: Nanos, request: Request, host: OdriveHost, name: str) -> OdrivePending | str:
+def _about_endpoint(request: Request, host: OdriveHost, name: str) -> Sequence[Frame] | str:
     """Read an endpoint; written, it is read back: before 0.6.11 no device confirms a write."""
-    axis, registers = host.own, host.own.registers
-    if axis.identity.version != host.options.endpoints_version:
-        return (
-            f"it has {axis.identity.text()}, and the endpoints are those of {host.options.endpoints_version}"
-        )
+    axis, registers, version = host.own, host.own.registers, host.options.endpoints_version
+    if axis.identity.version != version:
+        return f"it has {axis.identity.text()}, and the endpoints are those of {version}"
     value = getattr(request, "value", None)
     if wrong := registers.wrong(name, value):
         return wrong
     number = registers.by_name[name].number
-    frames = [axis.encode("RxSdo read", Endpoint_ID=number)]
-    if value is not None:
-        frames.insert(0, axis.encode("RxSdo", Endpoint_ID=number, Value=registers.raw(name, value)))
-    return _pending(now, request, host, *frames)
+    read = axis.encode("RxSdo read", Endpoint_ID=number)
+    if value is None:
+        return (read,)
+    return (axis.encode("RxSdo", Endpoint_ID=number, Value=registers.raw(name, value)), read)
 
 
-def _begin_reading(now: Nanos, request: Request, host: OdriveHost, parameter: str) -> OdrivePending | str:
+def _read(axis: Axis, parameter: str) -> Sequence[Frame] | str:
     """Request the message that carries the parameter, or wait for it where it is only sent cyclically."""
-    dialect = host.own.identity.dialect
-    readable = dialect.readable()
+    readable = axis.identity.dialect.readable()
     if parameter not in readable:
-        return f"CANSimple does not report {parameter!r}; it reports {', '.join([*readable, *host.own.registers.by_name])}"
-    if readable[parameter] == "Heartbeat" and dialect.boards:
-        return replace(_pending(now, request, host), sent=1)
-    return _pending(now, request, host, host.own.requests[readable[parameter]])
+        known = ", ".join([*readable, *axis.registers.by_name])
+        return f"CANSimple does not report {parameter!r}; it reports {known}"
+    cyclic = readable[parameter] == "Heartbeat" and axis.identity.dialect.boards
+    return () if cyclic else (axis.requests[readable[parameter]],)
 
 
-def _begin_writing(
-    now: Nanos, request: Request, host: OdriveHost, parameter: str, value: float
-) -> OdrivePending | str:
+def _write(axis: Axis, parameter: str, value: float) -> Sequence[Frame] | str:
     """Send the message that writes the parameter; the other parameter of that message must be known."""
-    writable = host.own.identity.dialect.writable()
-    message = writable.get(parameter, "")
-    if not message:
-        known = ", ".join([*writable, SAVE, STATE, *host.own.registers.by_name])
+    writable = axis.identity.dialect.writable()
+    if parameter not in writable:
+        known = ", ".join([*writable, SAVE, *axis.registers.by_name])
         return f"CANSimple cannot set {parameter!r}; it can set {known}"
-    if not (value >= 0.0 or parameter == POSITION) or abs(value) > FLOAT_MAX:
+    if parameter == STATE and value not in table.PROCEDURES:
+        names = (f"{state} {table.STATE_NAMES[state]}" for state in sorted(table.PROCEDURES))
+        return f"{value:g} is no procedure; there are {', '.join(names)}"
+    if (value < 0.0 and parameter != POSITION) or abs(value) > FLOAT_MAX:
         return f"{value} is not a number of at least 0"
+    message, written = writable[parameter], axis.write(parameter, value)
     pair = WRITABLE[message]
-    written = host.own.write(parameter, value)
     missing = [name for name in pair if name not in written]
     if missing:
         reason = f"{message} sets {' and '.join(pair)} together, and the device does not report them over CAN"
         return f"{reason}: write {missing[0]} too; {parameter} is kept for it"
-    return _pending(now, request, host, host.own.encode(message, **{name: written[name] for name in pair}))
+    return (axis.encode(message, **{name: written[name] for name in pair}),)
 
 
 def _node(device: Device) -> int:

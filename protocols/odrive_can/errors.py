@@ -159,10 +159,8 @@ class Word:
         head, *lines = section.strip().splitlines()
         number, *prefix = head.partition(":")[0].split()
         self.base = int(number) << BASE_SHIFT
-        self.bits: dict[str, int] = {}
-        """By the vendor's name."""
-        self.faults: dict[int, FaultInfo] = {}
-        """By code."""
+        self.bits: dict[str, int] = {}  # By the vendor's name.
+        self.faults: dict[int, FaultInfo] = {}  # By code.
         for line in lines:
             bit, _, fault = line.partition(" ")
             name, _, texts = fault.partition(": ")
@@ -185,8 +183,7 @@ class Word:
 
 ERRORS, RESULTS, AXIS, MOTOR, ENCODER, CONTROLLER, SENSORLESS, DRIVER = map(Word, _TEXT.split("== ")[1:])
 INITIALIZING = ERRORS.bits["INITIALIZING"]
-PROCEDURE = 1 << 32
-"""Added to a procedure result to make a code."""
+PROCEDURE = 1 << 32  # Added to a procedure result to make a code.
 SUCCESS, BUSY = 0, 1
 RESULT_NAMES = {SUCCESS: "SUCCESS", BUSY: "BUSY"} | {number: name for name, number in RESULTS.bits.items()}
 INCONCLUSIVE = (SUCCESS, BUSY, RESULTS.bits["CANCELLED"], RESULTS.bits["DISARMED"])

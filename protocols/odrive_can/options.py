@@ -37,8 +37,7 @@ class Options:
     firmware: Literal["auto", "0.5", "0.6"] = "auto"
     """Firmware line of the device. "auto": identified by requests, and then used; a line that is given is
     checked in the same way, and another one is a fault."""
-    is_extended: bool = False
-    """The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only)."""
+    is_extended: bool = False  # The axis has 29-bit identifiers (`axis.config.can.is_extended`; 0.5.x only).
     watchdog: Literal["unknown", "acknowledged"] = "unknown"
     """"acknowledged": the author of the robot file knows that the device's watchdog is off."""
     feedback_ms: int = bounded(10, 1, 1000)

@@ -20,11 +20,9 @@ from protocols.odrive_can.options import Settings
 from protocols.odrive_can.table import ControlMode, InputMode
 from protocols.toolkit.servo import Encoder, PowerStage, Trapezoid, clamp, lag
 
-LOOP_RATE = 8000.0
-"""Cycles of the firmware's control loop per second."""
+LOOP_RATE = 8000.0  # Cycles of the firmware's control loop per second.
 INTEGRATOR_DECAY = 0.99
-TEMPERATURE_MARGIN = 5.0
-"""K above the upper limit at which a thermistor's error is raised."""
+TEMPERATURE_MARGIN = 5.0  # K above the upper limit at which a thermistor's error is raised.
 GAINS: dict[str, tuple[str, ...]] = {
     "Set_Limits": ("vel_limit", "current_soft_max"),
     "Set_Traj_Vel_Limit": ("trap_vel_limit",),
@@ -41,8 +39,7 @@ class Inputs(Protocol):
 
     armed: bool
     input_mode: int
-    position: float | None
-    """None: where the shaft was when the axis armed or entered position control."""
+    position: float | None  # None: where the shaft was when the axis armed or entered position control.
     velocity: float
     torque: float
 
@@ -69,10 +66,8 @@ class Servo:
             *(s.torque_constant, s.current_bandwidth, s.phase_resistance, s.bus_voltage, s.bus_resistance),
             *(s.ambient, (s.motor_thermal_resistance, s.motor_thermal_capacity)),
         )
-        self.here = 0.0
-        """Input position where none was given."""
-        self.set_point = Trapezoid()
-        """Position and velocity that the loops follow, whatever the input mode."""
+        self.here = 0.0  # Input position where none was given.
+        self.set_point = Trapezoid()  # Position and velocity that the loops follow, whatever the input mode.
         self.torque_set_point = 0.0
         self.integrator = 0.0
         self.torque_target = 0.0

@@ -19,15 +19,14 @@ from enum import IntEnum
 from functools import cache
 from typing import Any, TypeAlias
 
+from protocols import messages as msg
 from protocols.frames import CanFrame, Frame, IdMask
 from protocols.odrive_can import errors
 from protocols.odrive_can.errors import Word
 from protocols.toolkit.table import Field, Row, Table, Values, const, f32, sint, uint, unused
 
-BROADCAST = 0x3F
-"""Node id of a broadcast, and of a device that has no address yet (0.6.x)."""
-MAX_NODE = 0x3E
-"""Highest node id that a device can be given."""
+BROADCAST = 0x3F  # Node id of a broadcast, and of a device that has no address yet (0.6.x).
+MAX_NODE = 0x3E  # Highest node id that a device can be given.
 MAX_EXTENDED_NODE = 0xFFFFFF
 CMD_BITS = 5
 LINES: Mapping[str, tuple[str, ...]] = {"auto": ("0.5", "0.6"), "0.5": ("0.5",), "0.6": ("0.6",)}
@@ -45,8 +44,7 @@ FULL_CALIBRATION, MOTOR_CALIBRATION, OFFSET_CALIBRATION = 3, 4, 7
 PROCEDURES = STATE_NAMES.keys() - {UNDEFINED, IDLE, STARTUP, CLOSED_LOOP, 9}
 """States in which the device does something by itself, and then goes to IDLE; most of them turn the shaft.
 (LOCKIN_SPIN ends when its configuration has it, if ever.)"""
-REBOOT, SAVE, ERASE, BOOT_LOADER = 0, 1, 2, 3
-"""Actions of Reboot (0.6.x)."""
+REBOOT, SAVING, ERASE, BOOT_LOADER = 0, 1, 2, 3  # Actions of Reboot (0.6.x).
 
 
 class ControlMode(IntEnum):
@@ -160,22 +158,14 @@ LINE05 = (
     _from(0x1C, "Get_ADC_Voltage", f32("ADC_Voltage"), unused(32)),
     _from(0x1D, "Get_Controller_Error", uint("Controller_Error", 32), unused(32)),
 )
-_WRITE = (
-    "Set_Limits",
-    "Set_Traj",
-    "Set_Pos_Gain",
-    "Set_Vel_Gains",
-    "Set_Absolute_Position",
-    "Set_Linear_Count",
-)
+SAVE = "save_configuration"  # A parameter: written with 1, the device saves its configuration and restarts.
+_WRITE = ("Set_Axis_State", "Set_Limits", "Set_Traj", "Set_Pos_G", "Set_Vel_G", "Set_Absolute", "Set_Linear")
 WRITABLE = {
     row.name: tuple(f.name for f in row.fields)
     for row in (*COMMON, *LINE06, *LINE05)
     if row.name.startswith(_WRITE)
 }
 """The messages that write parameters, with their names."""
-
-
 FORMS = ("request ", "empty ", "remote ", "raw ")
 """What the names of rows begin with that are another form of a message."""
 
@@ -193,8 +183,8 @@ def _requests(rows: Iterable[Row], without: Collection[str] = ()) -> Iterator[Ro
 
 def _rows(line: str) -> Iterator[Row]:
     """Yield the messages of a firmware line. 0.5.x sends a heartbeat cyclically only and an ADC's voltage in
-        reply to a data frame only, and obeys remote frames as if their data were zeros. Inputs that are no numbers
-    are taken, too: the form "raw" has their bits."""
+    reply to a data frame only, and obeys remote frames as if their data were zeros. Inputs that are no
+    numbers are taken, too: the form "raw" has their bits."""
     rows = (*COMMON, *{"0.5": LINE05, "0.6": LINE06, "": UNIDENTIFIED}[line])
     yield from _requests(rows, ("Get_Version", "Heartbeat", "Get_ADC_Voltage") if line == "0.5" else ())
     yield from rows
@@ -258,8 +248,11 @@ def names(frame: Frame) -> tuple[str, ...]:
 
 # -- what the host does differently by firmware line ------------------------------------------------------
 
-Message: TypeAlias = tuple[str, Mapping[str, Any]]
-"""The name of a message, and its fields."""
+Message: TypeAlias = tuple[str, Mapping[str, Any]]  # The name of a message, and its fields.
+COMMON_ACTIONS: Mapping[object, Message] = {
+    msg.Estop: ("Estop", {}),
+    msg.Home: ("Set_Axis_State", {"Axis_Requested_State": HOMING}),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,16 +260,12 @@ class Dialect:
     """One firmware line as the host uses it. A constant; no other code of the driver tests for the line."""
 
     line: str
-    polled: tuple[str, ...] = ()
-    """Messages requested every `poll_ms`."""
-    disarm_reasons: tuple[str, ...] = ()
-    """Messages that report why an axis disarmed by itself."""
-    word: Word | None = None
-    """The heartbeat's error bits; None while their meaning is not known."""
-    components: Mapping[str, Word] = field(default_factory=dict)
-    """The error words of components, by message."""
-    messages: Mapping[str, Message] = field(default_factory=dict)
-    """What is sent to clear, reboot, save and zero; what is not here cannot be done over CAN."""
+    polled: tuple[str, ...] = ()  # Messages requested every `poll_ms`.
+    disarm_reasons: tuple[str, ...] = ()  # Messages that report why an axis disarmed by itself.
+    word: Word | None = None  # The heartbeat's error bits; None while their meaning is not known.
+    components: Mapping[str, Word] = field(default_factory=dict)  # The error words of components, by message.
+    messages: Mapping[object, Message] = field(default_factory=lambda: COMMON_ACTIONS)
+    """What is sent for a request, by its type or parameter; what is not here cannot be done over CAN."""
     boards: bool = False
     """Clearing and rebooting affect every axis of a board; a heartbeat cannot be requested."""
 
@@ -309,10 +298,11 @@ DIALECTS = {
         disarm_reasons=("Get_Error",),
         word=errors.ERRORS,
         messages={
-            "clear": ("Clear_Errors", {"Identify": 0}),
-            "reboot": ("Reboot", {"Action": REBOOT}),
-            "save": ("Reboot", {"Action": SAVE}),
-            "zero": ("Set_Absolute_Position", {"Position": 0.0}),
+            **COMMON_ACTIONS,
+            msg.ClearFault: ("Clear_Errors", {"Identify": 0}),
+            msg.Reboot: ("Reboot", {"Action": REBOOT}),
+            SAVE: ("Reboot", {"Action": SAVING}),
+            msg.Zero: ("Set_Absolute_Position", {"Position": 0.0}),
         },
     ),
     "0.5": Dialect(
@@ -326,9 +316,10 @@ DIALECTS = {
             "Get_Sensorless_Error": errors.SENSORLESS,
         },
         messages={
-            "clear": ("Clear_Errors (0.5.x)", {}),
-            "reboot": ("Reboot (0.5.x)", {}),
-            "zero": ("Set_Linear_Count", {"Position": 0}),
+            **COMMON_ACTIONS,
+            msg.ClearFault: ("Clear_Errors (0.5.x)", {}),
+            msg.Reboot: ("Reboot (0.5.x)", {}),
+            msg.Zero: ("Set_Linear_Count", {"Position": 0}),
         },
         boards=True,
     ),

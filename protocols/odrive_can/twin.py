@@ -14,9 +14,8 @@ from __future__ import annotations
 import copy
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
@@ -45,6 +44,11 @@ FOLLOWED: Mapping[int, str] = {
     InputMode.TUNING: "position velocity torque",
 }
 """The inputs that each input mode follows. (ODrive@f9b5419 `MotorControl/controller.cpp` update.)"""
+COMMANDS = {
+    ControlMode.TORQUE: msg.Torque,
+    ControlMode.VELOCITY: msg.Velocity,
+    ControlMode.POSITION: msg.Position,
+}
 NOT_A_NUMBER = "MODULATION_IS_NAN"
 INPUT_FAULTS = ("INVALID_MIRROR_AXIS", "INVALID_INPUT_MODE", NOT_A_NUMBER)
 """The errors of mode and inputs in closed loop, by their names in 0.5.x."""
@@ -74,20 +78,15 @@ class Memory:
 
     motor: str
     line: str
-    """Firmware line."""
     node: int
-    other: int
-    """The other axis on its board; −1: none."""
+    other: int  # The other axis on its board; −1: none.
     serial: int
     control_mode: int
     input_mode: int
-    registers: Registers = field(repr=False)
-    """The endpoints that have a name."""
-    endpoints: dict[int, int]
-    """What endpoints hold, in bits."""
+    registers: Registers = field(repr=False)  # The endpoints that have a name.
+    endpoints: dict[int, int]  # What endpoints hold, in bits.
     armed: bool = False
-    position: float | None = None
-    """None: where the shaft was when the axis armed or entered position control."""
+    position: float | None = None  # None: where the shaft was when it armed or entered position control.
     velocity: float = 0.0
     torque: float = 0.0
 
@@ -122,17 +121,13 @@ class Memory:
         if self.fault:
             self.disarm()
             return (msg.Idle(self.motor),)
-        control, numbers = self.control, self._inputs()
+        control, (*turns, torque) = self.control, self._inputs()
         if control.name.lower() not in FOLLOWED[self.input_mode]:
             return ()
-        match control:
-            case ControlMode.POSITION if self.position is None:
-                return (msg.Hold(self.motor),)
-            case ControlMode.POSITION:
-                return (msg.Position(self.motor, numbers[0] * math.tau, numbers[1] * math.tau, numbers[2]),)
-            case ControlMode.VELOCITY:
-                return (msg.Velocity(self.motor, numbers[0] * math.tau, numbers[1]),)
-        return (msg.Torque(self.motor, *numbers),)
+        if control is ControlMode.POSITION and self.position is None:
+            return (msg.Hold(self.motor),)
+        kind: Callable[..., msg.Command] = COMMANDS[control]
+        return (kind(self.motor, *(each * math.tau for each in turns), torque),)
 
     def addressed(self, decoded: Decoded) -> bool:
         """True if a message is for this axis."""
@@ -195,16 +190,13 @@ class Memory:
 
     def set_state(self, state: int) -> Sequence[Obeyed]:
         """Apply a requested state; 0 is no request at all (ODrive@f9b5419 `MotorControl/axis.cpp`)."""
-        if state == table.UNDEFINED:
+        if state == table.UNDEFINED or (state == CLOSED_LOOP and self.fault):
             return ()
         if state != CLOSED_LOOP:
             self.disarm()
             if state in table.PROCEDURES - {table.HOMING}:
                 return (msg.WriteParameter(self.motor, "Axis_Requested_State", state),)
             return (msg.Home(self.motor),) if state == table.HOMING else (msg.Idle(self.motor),)
-        if self.fault:
-            self.disarm()
-            return ()
         if not self.armed or self.line == "0.5":  # 0.5.x leaves closed loop and enters it again
             # On arming in position control the firmware takes the present position as its input
             # (odriverobotics/ODrive@028a22b `MotorControl/axis.cpp` start_closed_loop_control).
@@ -234,36 +226,23 @@ class Memory:
         return (msg.SetId("", self.serial, self.node),)
 
 
-def memory(
-    device: Device, node: int | None = None, saved: Mapping[int, int] = MappingProxyType({})
-) -> Memory:
-    """Return the memory of a device after power-on. `node`, and endpoints: as saved, if not as configured."""
+def memory(device: Device, node: int | None = None, endpoints: Mapping[int, int] | None = None) -> Memory:
+    """Return the memory of a device after power-on; node id and endpoints as saved, if they are."""
     settings: Settings = device.settings
     at = device.address if node is None else node
     serial, modes = serial_of(settings, device.address), (settings.control_mode, settings.input_mode)
-    registers: Registers = device.options.registers()
-    held = {name: getattr(settings, name.rpartition(".")[2], 0) for name in registers.by_name}
-    endpoints = {registers.by_name[name].number: registers.raw(name, value) for name, value in held.items()}
     axis = (device.name, line_of(device), at, settings.other_axis, serial)
-    return Memory(*axis, *modes, registers, {**endpoints, **saved})
+    return Memory(*axis, *modes, device.options.registers(), dict(endpoints or {}))
 
 
-CYCLIC = {
-    "Get_Version": "version_msg_rate_ms",
-    "Heartbeat": "heartbeat_msg_rate_ms",
-    "Get_Encoder_Estimates": "encoder_msg_rate_ms",
-    "Get_Motor_Error": "motor_error_rate_ms",
-    "Get_Encoder_Error": "encoder_error_rate_ms",
-    "Get_Controller_Error": "controller_error_rate_ms",
-    "Get_Sensorless_Error": "sensorless_error_rate_ms",
-    "Get_Encoder_Count": "encoder_count_rate_ms",
-    "Get_Iq": "iq_msg_rate_ms",
-    "Get_Sensorless_Estimates": "sensorless_rate_ms",
-    "Get_Error": "error_msg_rate_ms",
-    "Get_Temperature": "temperature_msg_rate_ms",
-    "Get_Bus_Voltage_Current": "bus_voltage_msg_rate_ms",
-    "Get_Torques": "torques_msg_rate_ms",
-}
+_CYCLIC = (
+    "Get_Version=version_msg Heartbeat=heartbeat_msg Get_Encoder_Estimates=encoder_msg"
+    " Get_Motor_Error=motor_error Get_Encoder_Error=encoder_error Get_Controller_Error=controller_error"
+    " Get_Sensorless_Error=sensorless_error Get_Encoder_Count=encoder_count Get_Iq=iq_msg"
+    " Get_Sensorless_Estimates=sensorless Get_Error=error_msg Get_Temperature=temperature_msg"
+    " Get_Bus_Voltage_Current=bus_voltage_msg Get_Torques=torques_msg"
+)
+CYCLIC = {name: f"{rate}_rate_ms" for name, _, rate in (each.partition("=") for each in _CYCLIC.split())}
 """The cyclic messages of both lines, and the settings that hold their periods."""
 GPIO_COUNT = 17
 
@@ -271,18 +250,15 @@ GPIO_COUNT = 17
 class OdriveTwin(Firmware):
     """One axis: what the firmware lines do alike."""
 
-    raised: Mapping[str, int]
-    """The codes of errors by their names in 0.6.x."""
-    feeds: tuple[str, ...] = ()
-    """Messages that feed its watchdog."""
+    raised: Mapping[str, int]  # The codes of errors by their names in 0.6.x.
+    feeds: tuple[str, ...] = ()  # Messages that feed its watchdog.
 
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
         self.memory = memory(device)
         self.table = table.table_of(self.memory.line, device.options.is_extended)
         self.servo = Servo(device.settings, gains_of(device.settings))
-        self.words: dict[int, int] = {}
-        """Error bits by the base of their word."""
+        self.words: dict[int, int] = {}  # Error bits by the base of their word.
         self.calibrated: bool = self.settings.calibrated
         self.procedure: int = 0
         """The state that is a procedure, while it runs; the shaft is not turned by it."""
@@ -456,9 +432,8 @@ class Twin06(OdriveTwin):
     def __init__(self, device: Device, seed: int) -> None:
         super().__init__(device, seed)
         self.result = errors.SUCCESS
-        self.starts_until: Nanos = 0
-        """It reports INITIALIZING until then."""
-        self._flash = (self.memory.node, gains_of(self.settings), self.memory.endpoints)
+        self.starts_until: Nanos = 0  # It reports INITIALIZING until then.
+        self._flash = (self.memory.node, gains_of(self.settings), dict[int, int]())
         """Node id, gains and endpoints as saved."""
         self._version = [int(part) for part in firmware_of(device).split(".")]
 
@@ -477,8 +452,8 @@ class Twin06(OdriveTwin):
             self._on_endpoint(t, decoded.values["Endpoint_ID"], written=decoded.name == "RxSdo")
 
     def _on_endpoint(self, t: Nanos, number: int, *, written: bool) -> None:
-        """Reply with what an endpoint holds; before 0.6.11 not to a write. A gain takes effect at once; what else
-        is written is kept, and nothing more."""
+        """Reply with what an endpoint holds; before 0.6.11 not to a write. A gain takes effect at once; what
+        else is written is kept, and nothing more."""
         registers, held = self.memory.registers, self.memory.endpoints.get(number, 0)
         name, value = registers.value(number, held)
         gain = name.rpartition(".")[2]
@@ -521,7 +496,7 @@ class Twin06(OdriveTwin):
             self.disarm_reason, self.result = self.active(), errors.RESULTS.bits["DISARMED"]
 
     def reboot(self, t: Nanos, action: int) -> None:
-        if action == table.SAVE:
+        if action == table.SAVING:
             self._flash = (self.memory.node, dict(self.servo.gains), self.memory.endpoints)
         elif action == table.ERASE:
             self._flash = (BROADCAST, gains_of(Settings()), {})
@@ -554,8 +529,7 @@ class Twin06(OdriveTwin):
         }
 
 
-NEW_PROCEDURES = (14, 15, 16)
-"""States that 0.5.x does not have."""
+NEW_PROCEDURES = (14, 15, 16)  # States that 0.5.x does not have.
 _SUPPLY = errors.MOTOR.code("SYSTEM_LEVEL")
 """A fault of the supply is the board's error, which CANSimple does not report."""
 COMPONENTS05 = {
@@ -571,20 +545,14 @@ class Twin05(OdriveTwin):
     """One axis of firmware 0.5.x."""
 
     faults = errors.DEVICE05
-    raised = MappingProxyType(
-        {
-            "WATCHDOG_TIMER_EXPIRED": errors.AXIS.code("WATCHDOG_TIMER_EXPIRED"),
-            "ESTOP_REQUESTED": errors.AXIS.code("ESTOP_REQUESTED"),
-            "CURRENT_LIMIT_VIOLATION": errors.MOTOR.code("CURRENT_LIMIT_VIOLATION"),
-            "MOTOR_OVER_TEMP": errors.MOTOR.code("MOTOR_THERMISTOR_OVER_TEMP"),
-            "INVERTER_OVER_TEMP": errors.MOTOR.code("FET_THERMISTOR_OVER_TEMP"),
-            **{f"DC_BUS_{name}": _SUPPLY for name in ("UNDER_VOLTAGE", "OVER_VOLTAGE")},
-            **{f"DC_BUS_{name}": _SUPPLY for name in ("OVER_CURRENT", "OVER_REGEN_CURRENT")},
-            "VELOCITY_LIMIT_VIOLATION": errors.CONTROLLER.code("OVERSPEED"),
-            "SPINOUT_DETECTED": errors.CONTROLLER.code("SPINOUT_DETECTED"),
-            **{name: errors.CONTROLLER.code(name) for name in INPUT_FAULTS[:2]},
-            NOT_A_NUMBER: errors.MOTOR.code(NOT_A_NUMBER),
-        }
+    raised = (
+        {name: errors.AXIS.code(name) for name in ("WATCHDOG_TIMER_EXPIRED", "ESTOP_REQUESTED")}
+        | {name: errors.MOTOR.code(name) for name in ("CURRENT_LIMIT_VIOLATION", NOT_A_NUMBER)}
+        | {name: errors.CONTROLLER.code(name) for name in ("SPINOUT_DETECTED", *INPUT_FAULTS[:2])}
+        | {"VELOCITY_LIMIT_VIOLATION": errors.CONTROLLER.code("OVERSPEED")}
+        | {"MOTOR_OVER_TEMP": errors.MOTOR.code("MOTOR_THERMISTOR_OVER_TEMP")}
+        | {"INVERTER_OVER_TEMP": errors.MOTOR.code("FET_THERMISTOR_OVER_TEMP")}
+        | {name: _SUPPLY for name in errors.ERRORS.bits if name.startswith("DC_BUS_")}
     )
 
     def timeout(self) -> Nanos:

@@ -1,5 +1,4 @@
-"""Random, truncated, oversized, foreign traffic: the twin's torque stays finite. (What else no traffic may do is in
-the contract.)"""
+"""Random, truncated, oversized, foreign traffic: the twin's torque stays finite. (Else: the contract.)"""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def test_the_watchdog_note_is_there_until_it_is_acknowledged_or_enabled() -> Non
 def test_commands_requests_and_kind_of_the_spec() -> None:
     contract = spec(device())
     assert contract.commands == {msg.Idle, msg.Hold, msg.Position, msg.Velocity, msg.Torque}
-    both = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.Home, msg.Reboot}
+    both: set[type] = {msg.ClearFault, msg.Estop, msg.Scan, msg.Zero, msg.Home, msg.Reboot}
     both |= {msg.ReadParameter, msg.WriteParameter}
     assert contract.requests == both | {msg.SetId}
     assert spec(device(options=V05)).requests == both
@@ -60,7 +60,7 @@ def test_commands_requests_and_kind_of_the_spec() -> None:
 
 @pytest.mark.parametrize("address", [-1, BROADCAST, 64])
 def test_an_address_that_is_no_node_id_is_refused(address: int) -> None:
-    with pytest.raises(ValueError, match="node id"):
+    with pytest.raises(ValueError, match="must be 0 to 62"):
         spec(device(address=address))
 
 
@@ -188,7 +188,7 @@ def test_an_extended_address_has_24_bits(address: int, fits: bool) -> None:
     if fits:
         assert all(EXTENDED_BIT <= number < EXTENDED_BIT + (1 << 29) for number, _ in spec(extended).sends)
     else:
-        with pytest.raises(ValueError, match="node id is 0 to 16777215"):
+        with pytest.raises(ValueError, match="must be 0 to 16777215"):
             spec(extended)
 
 

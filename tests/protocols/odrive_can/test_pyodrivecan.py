@@ -1,4 +1,4 @@
-"""The client of package pyodrivecan 0.1.3 drives our twin of 0.6: it waits on its bus, which steps the twin."""
+"""The client of package pyodrivecan 0.1.3 drives our twin of 0.6, which its bus steps while it waits."""
 
 from __future__ import annotations
 
@@ -24,15 +24,8 @@ CYCLIC = Settings(
     torques_msg_rate_ms=20,
     procedure_ms=300,
 )
-LOCAL = {
-    "initCanBus",
-    "setup_can_interface",
-    "try_candump",
-    "can_setup_done",
-    "process_can_message",
-    "ERROR_CODES",
-}
-"""What sets up the interface of a Raspberry Pi, and what the others call."""
+LOCAL = {"initCanBus", "setup_can_interface", "try_candump", "can_setup_done", "ERROR_CODES"}
+"""What sets up the interface of a Raspberry Pi, and a table."""
 
 
 class Bus:
