@@ -65,14 +65,19 @@ class TableDecoder:
     and the canonical form of its commands."""
 
     def __init__(self, devices: Sequence[tuple[Table, Memory, Callable[[Command], Command]]]) -> None:
-        self._devices = devices
+        self._devices = {
+            table: [(memory, canonical) for other, memory, canonical in devices if other is table]
+            for table, _, _ in devices
+        }
 
     def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
         """Return what the devices would obey in this frame; [] if nothing."""
         obeyed: list[Obeyed] = []
-        for table, memory, canonical in self._devices:
+        for table, devices in self._devices.items():
             decoded = table.decode(frame, "to_device")
-            if decoded is not None and decoded.name:
+            if decoded is None or not decoded.name:
+                continue
+            for memory, canonical in devices:
                 does = memory.obey(decoded)
                 obeyed += [canonical(each) if isinstance(each, Command) else each for each in does]
         return obeyed

@@ -2,7 +2,8 @@
 
 Rules. A protocol gives a subclass with `on_frame` (what it obeys), `cycle` (the torque that it applies) and
 `report` (what it sends). Here are: what the world shows of the shaft, the watchdog, faults, replies, which go
-out with the next step, and what is sent by the clock. Time is an argument; a seed gives the phases.
+out with the next step, and what is sent by the clock. Time is an argument; seed and address give the
+phases.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Firmware:
         """It restarts until then: it neither receives nor sends."""
         self.fed: Nanos = 0
         """When the watchdog was last fed."""
-        self._phase = seed * 7919 % 1000
+        self._phase = (seed * 7919 + (device.address - 1) * 619) % 1000
         self._replies: list[tuple[Nanos, Frame]] = []
         self._next: dict[str, Nanos] = {}
         """When each cyclic report is due."""
