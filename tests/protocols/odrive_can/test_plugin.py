@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import copy
-import math
-import re
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import pytest
 
 from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table, variants
 from protocols.frames import EXTENDED_BIT, CanFrame, exact
-from protocols.odrive_can import WATCHDOG_NOTE, errors, plugin, spec, twin
+from protocols.odrive_can import WATCHDOG_NOTE, errors, plugin, spec
 from protocols.odrive_can.options import Options, Settings, line_of
 from protocols.odrive_can.table import BROADCAST, DIALECTS, requests_of
-from protocols.odrive_can.twin import OdriveTwin
-from protocols.plugin import Device, Driver, load
-from tests.protocols.helpers import CanBench, of
-from tests.protocols.odrive_can.helpers import IDLE, V05, device, encode, free_shaft
-
-
-def test_the_entry_point_loads_it() -> None:
-    assert load("odrive_can") is plugin
+from tests.protocols.odrive_can.helpers import IDLE, V05, device, encode
 
 
 def test_read_only_is_a_remote_frame_of_a_device_s_message() -> None:
@@ -69,43 +58,39 @@ def test_two_devices_with_one_address_are_refused() -> None:
         plugin.driver([device("left", 1), device("right", 1)])
 
 
-def test_options_of_another_plugin_are_refused() -> None:
-    with pytest.raises(TypeError):
-        spec(Device("left", 1, object(), Settings()))
-
-
 @pytest.mark.parametrize(
-    ("wrong", "error"),
+    ("kind", "wrong", "error"),
     [
-        ({"feedback_ms": 0}, "feedback_ms is 0"),
-        ({"poll_ms": -1}, "poll_ms is -1"),
-        ({"offline_ms": 10_001}, "offline_ms"),
-        ({"arm_retry_ms": 1}, "arm_retry_ms"),
-        ({"feedback_ms": 200, "offline_ms": 300}, "at least twice"),
+        (Options, {"offline_ms": 10_001}, "offline_ms"),
+        (Options, {"feedback_ms": 200, "offline_ms": 300}, "at least twice"),
+        (Options, {"is_extended": True}, "is_extended needs"),
+        (Options, {"endpoints": ("axis0.x 5 float",)}, "endpoints_version '' must be like"),
+        (
+            Options,
+            {"endpoints": ("axis0.x 5 double",), "endpoints_version": "0.6.10"},
+            "is not a path",
+        ),
+        (Options, {"endpoints": ("axis0.x5 float",), "endpoints_version": "0.6.10"}, "is not a path"),
+        (Options, {"endpoints": ("a.input_vel 5 float",), "endpoints_version": "0.6.10"}, "is for commands"),
+        (Settings, {"encoder_cpr": 0}, "encoder_cpr is 0"),
+        (Settings, {"serial_number": 1 << 48}, "serial_number is"),
+        (Settings, {"enable_watchdog": True}, "watchdog_timeout must be above 0"),
+        (Settings, {"vel_limit": 0.0, "bus_voltage": -1.0}, "vel_limit is 0.0.*; bus_voltage is -1.0"),
+        (Settings, {"firmware": "0.7.1"}, "firmware '0.7.1' must be like"),
+        (Settings, {"firmware": "0.6"}, "firmware '0.6' must be like"),
+        (Settings, {"firmware": "0.5.6b"}, "firmware '0.5.6b' must be like"),
+        (Settings, {"other_axis": -2}, "other_axis"),
     ],
 )
-def test_options_are_checked(wrong: dict[str, Any], error: str) -> None:
+def test_options_and_settings_are_checked(kind: type, wrong: dict[str, Any], error: str) -> None:
     with pytest.raises(ValueError, match=error):
-        Options(**wrong)
+        kind(**wrong)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "error"),
-    [
-        ({"vel_gain": math.nan}, "vel_gain is nan"),
-        ({"torque_constant": 0.0}, "torque_constant is 0.0"),
-        ({"encoder_cpr": 0}, "encoder_cpr is 0"),
-        ({"pos_gain": -1.0}, "pos_gain is -1.0"),
-        ({"iq_msg_rate_ms": -5}, "iq_msg_rate_ms is -5"),
-        ({"serial_number": 1 << 48}, "serial_number is"),
-        ({"hw_line": 256}, "hw_line is 256"),
-        ({"enable_watchdog": True}, "watchdog_timeout must be above 0"),
-        ({"vel_limit": 0.0, "bus_voltage": -1.0}, "vel_limit is 0.0.*; bus_voltage is -1.0"),
-    ],
-)
-def test_settings_are_checked_all_at_once(wrong: dict[str, Any], error: str) -> None:
-    with pytest.raises(ValueError, match=error):
-        Settings(**wrong)
+def test_the_line_is_that_of_the_settings_or_that_of_the_options() -> None:
+    assert line_of(device(settings=Settings(firmware="0.5.4"))) == "0.5"
+    assert line_of(device(options=Options(firmware="0.5"))) == "0.5"
+    assert line_of(device()) == "0.6"
 
 
 # -- the contract, where the plugin's own defaults do not lead ------------------------------------------
@@ -169,19 +154,6 @@ def test_specs_of_each_option(firmware: Literal["auto", "0.5", "0.6"]) -> None:
         assert {*dialect.polled, *dialect.disarm_reasons, *dialect.components} <= names
 
 
-def test_settings_name_a_firmware_that_there_is_and_options_an_extended_axis_of_0_5_only() -> None:
-    for firmware in ("0.7.1", "0.6", "6.0.10", "0.5.6b"):
-        with pytest.raises(ValueError, match=re.escape(f"firmware '{firmware}' must be like")):
-            Settings(firmware=firmware)
-    with pytest.raises(ValueError, match="other_axis"):
-        Settings(other_axis=-2)
-    with pytest.raises(ValueError, match="is_extended needs"):
-        Options(is_extended=True)
-    assert line_of(device(settings=Settings(firmware="0.5.4"))) == "0.5"
-    assert line_of(device(options=Options(firmware="0.5"))) == "0.5"
-    assert line_of(device()) == "0.6"
-
-
 @pytest.mark.parametrize(("address", "fits"), [(63, True), (0xFFFFFF, True), (0x1000000, False), (-1, False)])
 def test_an_extended_address_has_24_bits(address: int, fits: bool) -> None:
     extended = device(address=address, options=Options(firmware="0.5", is_extended=True))
@@ -200,53 +172,5 @@ def test_one_address_may_be_a_standard_and_an_extended_one() -> None:
 # -- faults -------------------------------------------------------------------------------------------
 
 
-Bench: TypeAlias = CanBench[Driver, OdriveTwin]
-
-
-@cache
-def armed(options: Options) -> Bench:
-    """A bench whose motor turns."""
-    devices = [device(options=options)]
-    bench: Bench = CanBench(devices, plugin.driver(devices), [twin(devices[0], 0)], [free_shaft()])
-    bench.run(500)
-    bench.run(900, msg.Velocity("left", 1.0))
-    return bench
-
-
-CODES = [(Options(), code) for code in errors.DEVICE06] + [(V05, code) for code in errors.DEVICE05]
-
-
-@pytest.mark.parametrize(("options", "code"), CODES)
-def test_a_provoked_fault_disarms_is_reported_as_in_the_spec_and_is_cleared(
-    options: Options, code: int
-) -> None:
-    bench = copy.deepcopy(armed(options))
-    info = spec(bench.devices[0]).faults[code]
-    assert [each.memory.armed for each in bench.twins] == [True]
-    bench.twins[0].provoke(code)
-    assert [each.memory.armed for each in bench.twins] == [False]
-    reported = {fault.code: fault for fault in of(msg.Fault, bench.run(250))}
-    fault = reported[code]
-    assert (fault.motor, fault.name, fault.cause, fault.remedy) == (
-        "left",
-        info.name,
-        info.cause,
-        info.remedy,
-    )
-    assert set(reported) <= set(spec(bench.devices[0]).faults)
-    bench.commands = (msg.Idle("left"),)
-    bench.ask(msg.ClearFault("left"), 200)
-    assert not of(msg.Fault, bench.run(150))
-
-
 def test_codes_have_one_meaning_whichever_the_line() -> None:
     assert not errors.DEVICE05.keys() & errors.DEVICE06.keys()
-
-
-@pytest.mark.parametrize(
-    "code", [0, 3, errors.INITIALIZING, errors.PROCEDURE + 14, errors.DUPLICATE_NODE, 1 << 60, -1]
-)
-@pytest.mark.parametrize("options", [Options(), V05], ids=["0.6", "0.5"])
-def test_a_code_that_is_no_fault_of_the_device_cannot_be_provoked(options: Options, code: int) -> None:
-    with pytest.raises(ValueError, match="no fault"):
-        plugin.twin(device(options=options), 0).provoke(int(code))

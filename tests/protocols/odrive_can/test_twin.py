@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import math
 import struct
-from itertools import pairwise
 from typing import Literal
 
 import pytest
 
-from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, Event, Feedback
+from protocols.frames import CanFrame
+from protocols.messages import MILLISECOND
 from protocols.odrive_can import table
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.table import BROADCAST, ControlMode, InputMode
@@ -19,7 +18,6 @@ from protocols.odrive_can.twin import Twin06
 from tests.protocols.odrive_can.helpers import (
     CLOSED,
     ERROR,
-    IDLE,
     V05,
     Message,
     TwinRig,
@@ -34,12 +32,6 @@ from tests.protocols.odrive_can.helpers import (
 
 def test_arming_shows_closed_loop_and_busy() -> None:
     assert TwinRig().armed().outcome() == (0, table.CLOSED_LOOP, "BUSY")
-
-
-def test_idle_disarms_without_an_error() -> None:
-    rig = TwinRig().armed()
-    rig.send(IDLE)
-    assert rig.outcome() == (0, table.IDLE, "SUCCESS")
 
 
 @pytest.mark.parametrize(
@@ -57,12 +49,6 @@ def test_a_state_that_is_not_possible_leaves_the_axis_idle(state: int, result: s
     assert rig.outcome() == (0, table.IDLE, result)
 
 
-def test_state_zero_is_no_request() -> None:
-    rig = TwinRig().armed()
-    rig.send(to("Set_Axis_State", 0))
-    assert rig.heartbeat()["Axis_State"] == table.CLOSED_LOOP
-
-
 def test_an_uncalibrated_axis_does_not_arm() -> None:
     rig = TwinRig(Settings(calibrated=False))
     rig.send(CLOSED)
@@ -75,39 +61,14 @@ def test_an_axis_in_fault_does_not_arm_until_cleared() -> None:
     assert rig.outcome() == (ERROR["ESTOP_REQUESTED"], table.IDLE, "DISARMED")
     rig.send(CLOSED)
     assert rig.heartbeat()["Axis_State"] == table.IDLE
-    rig.send(to("Clear_Errors", 0), CLOSED)
-    beat = rig.heartbeat()
-    assert (beat["Axis_Error"], beat["Axis_State"]) == (0, table.CLOSED_LOOP)
-
-
-def test_the_disarm_reason_is_reported_until_cleared() -> None:
-    rig = TwinRig().armed()
-    rig.send(to("Estop"))
     assert rig.reply(0x03) == fields("Get_Error", ERROR["ESTOP_REQUESTED"], ERROR["ESTOP_REQUESTED"])
     rig.send(to("Clear_Errors", 0))
     assert rig.reply(0x03) == fields("Get_Error", 0, 0)
+    rig.send(CLOSED)
+    assert rig.outcome() == (0, table.CLOSED_LOOP, "BUSY")
 
 
 # -- messages -----------------------------------------------------------------------------------------
-
-
-def test_cyclic_messages_keep_their_rates() -> None:
-    rig = TwinRig(Settings(heartbeat_msg_rate_ms=50, encoder_msg_rate_ms=20, iq_msg_rate_ms=100))
-    rig.run(999)
-    for cmd, period in ((0x01, 50), (0x09, 20), (0x14, 100)):
-        times = [t for t, _ in rig.sent(cmd)]
-        assert {b - a for a, b in pairwise(times)} == {period * MILLISECOND}
-        assert len(times) == 1000 // period
-    assert rig.sent(0x17) == []
-
-
-@pytest.mark.parametrize("options", [Options(), V05], ids=["0.6", "0.5"])
-def test_the_default_rates_are_heartbeat_100_ms_and_estimates_10_ms(options: Options) -> None:
-    rig = TwinRig(options=options)
-    rig.run(999)
-    assert len(rig.sent(0x01)) == 10
-    assert len(rig.sent(0x09)) == 100
-    assert {frame.id for _, frame in rig.frames} == {0x21, 0x29}
 
 
 REQUESTABLE = {
@@ -126,34 +87,6 @@ def test_every_message_is_sent_on_request(line: Literal["0.5", "0.6"], cmd: int,
     assert (frame.id, len(frame.data)) == (0x20 | cmd, 8)
 
 
-def test_what_is_not_for_it_changes_nothing() -> None:
-    rig = TwinRig().armed()
-    rig.send(to("Set_Input_Vel", 1.0, 0.0))
-    before = (
-        repr(rig.twin.memory),
-        repr(rig.twin.servo.gains),
-    )
-    state = encode(1, IDLE)
-    frames: list[Frame] = [
-        CanFrame(state.id, state.data, extended=True),
-        CanFrame(state.id, state.data, fd=True),
-        CanFrame(state.id, remote=True),
-        encode(2, IDLE),
-        encode(BROADCAST, IDLE),
-        encode(BROADCAST, to("Set_Input_Vel", 9.0, 0.0)),
-        CanFrame(0x28, bytes(8)),
-        CanFrame(0x30, bytes(8)),
-        CanFrame(0x2A, bytes(8)),
-        CanFrame(0x3E, bytes(8)),
-        CanFrame(0x2F, struct.pack("<ff", math.nan, 0.0)),
-        CanFrame(0x27, state.data + b"\0"),
-        b"\x00\x01",
-    ]
-    for frame in frames:
-        rig.receive(frame)
-    assert (repr(rig.twin.memory), repr(rig.twin.servo.gains)) == before
-
-
 # -- discovery ----------------------------------------------------------------------------------------
 
 
@@ -165,22 +98,6 @@ def test_discovery_is_answered_on_its_own_node_id() -> None:
     rig.run(1)
     answers = [f for _, f in rig.frames if f.id == 0x26]
     assert [f.data.hex() for f in answers] == ["01" + "0504030201" + "00" + "00"]
-
-
-def test_a_node_id_is_taken_by_serial_number_and_vacated_for_another() -> None:
-    rig = TwinRig(Settings(serial_number=77))
-    rig.send(to("Address", 9, 77), node=BROADCAST)
-    assert rig.twin.memory.node == 9
-    rig.send(to("Address", 5, 78), node=BROADCAST)
-    assert rig.twin.memory.node == 9
-    rig.send(to("Address", 9, 78), node=BROADCAST)
-    assert rig.twin.memory.node == BROADCAST
-    rig.run(300)
-    assert {f.id >> 5 for t, f in rig.frames if t > 5 * MILLISECOND} == set()
-    rig.receive(CanFrame(0x7E6, remote=True))
-    rig.run(1)
-    assert rig.frames[-1][1].id == 0x7E6
-    assert rig.frames[-1][1].data[0] == BROADCAST
 
 
 @pytest.mark.parametrize("address", [1, 300])
@@ -216,45 +133,18 @@ def test_the_watchdog_is_fed_by_setpoints_and_state_requests(message: Message, f
     assert (rig.twin.active() == ERROR["WATCHDOG_TIMER_EXPIRED"]) != feeds
 
 
-def test_an_expired_watchdog_disarms_and_heartbeats_go_on_with_the_error() -> None:
-    rig = TwinRig(Settings(enable_watchdog=True, watchdog_timeout=0.1)).armed()
-    rig.send(to("Set_Input_Vel", 5.0, 0.0))
-    rig.run(98)
-    assert rig.heartbeat()["Axis_State"] == table.CLOSED_LOOP
-    rig.run(5)
-    beat = rig.heartbeat()
-    assert (beat["Axis_Error"], beat["Axis_State"], beat["Procedure_Result"]) == (1 << 24, 1, 3)
-    rig.run(300)
-    assert rig.sent(0x01)[-1][0] >= rig.now - 101 * MILLISECOND
-
-
-def test_the_watchdog_is_off_by_default_and_sleeps_while_idle() -> None:
-    rig = TwinRig().armed()
-    rig.send(to("Set_Input_Vel", 5.0, 0.0))
-    rig.run(3000)
-    assert rig.twin.memory.armed
-    rig = TwinRig(Settings(enable_watchdog=True, watchdog_timeout=0.1))
-    rig.run(1000)
-    assert not rig.twin.active()
-
-
-def test_a_reboot_is_silent_then_initializing_and_forgets_what_was_not_saved() -> None:
+def test_a_reboot_is_silent_then_initializing_and_knows_its_position_within_a_turn() -> None:
     rig = TwinRig(Settings(reboot_ms=400, initializing_ms=200)).armed()
-    rig.send(to("Set_Pos_Gain", 5.0), to("Set_Input_Vel", 10.0, 0.0))
+    rig.send(to("Set_Input_Vel", 10.0, 0.0))
     rig.run(500)
-    turned = rig.shaft.position / math.tau
-    assert turned > 3
     start = rig.now
     rig.send(to("Reboot", 0))
     rig.run(1000)
-    quiet = [t for t, _ in rig.frames if start < t < start + 400 * MILLISECOND]
-    assert quiet == []
+    assert not [t for t, _ in rig.frames if start < t < start + 400 * MILLISECOND]
     errors = [rig.decoded(f)["Axis_Error"] for t, f in rig.frames if f.id == 0x21 and t > start]
     assert errors[:2] == [ERROR["INITIALIZING"], ERROR["INITIALIZING"]]
     assert errors[-1] == 0
     assert not rig.twin.memory.armed
-    assert rig.twin.servo.gains["pos_gain"] == 20.0
-    assert 0.0 <= rig.twin.servo.encoder.position < 20.0
     assert rig.twin.servo.encoder.offset >= 3
 
 
@@ -264,15 +154,6 @@ def test_a_broadcast_reboots_and_an_erased_device_has_no_node_id() -> None:
     rig.send(to("Reboot", 2), node=BROADCAST)
     rig.run(2000)
     assert rig.twin.memory.node == BROADCAST
-
-
-def test_the_boot_loader_is_silent() -> None:
-    rig = TwinRig()
-    rig.run(10)
-    rig.send(to("Enter_DFU_Mode"))
-    rig.frames.clear()
-    rig.run(5000)
-    assert rig.frames == []
 
 
 # -- loops --------------------------------------------------------------------------------------------
@@ -336,45 +217,18 @@ def test_overspeed_is_a_velocity_limit_violation() -> None:
     assert not rig.twin.memory.armed
 
 
-def test_position_control_takes_the_present_position_when_it_arms() -> None:
-    rig = TwinRig()
-    rig.run(5)
-    rig.send(to("Set_Controller_Mode", ControlMode.POSITION, 1), to("Set_Input_Pos", 100.0, 0.0, 0.0), CLOSED)
-    rig.run(200)
-    assert abs(rig.shaft.position) < 0.01
-    rig.send(to("Set_Input_Pos", 1.0, 0.0, 0.0))
-    rig.run(1000)
-    assert (rig.shaft.position / math.tau) == pytest.approx(1.0, abs=0.005)
-
-
-def test_velocity_ramp_trapezoid_filter_and_torque_ramp() -> None:
+def test_ramps_of_velocity_and_torque_and_the_end_of_a_trajectory() -> None:
     rig = TwinRig().armed(ControlMode.VELOCITY, InputMode.VEL_RAMP)
     rig.send(to("Set_Input_Vel", 10.0, 0.0))
     rig.run(500)
     assert (rig.shaft.velocity / math.tau) == pytest.approx(5.0, abs=0.3)
 
     rig = TwinRig().armed(ControlMode.POSITION, InputMode.TRAP_TRAJ)
-    rig.send(
-        to("Set_Traj_Vel_Limit", 4.0),
-        to("Set_Traj_Accel_Limits", 8.0, 8.0),
-        to("Set_Input_Pos", 6.0, 0.0, 0.0),
-    )
-    fastest = 0.0
-    for _ in range(1900):
-        rig.run(1)
-        fastest = max(fastest, (rig.shaft.velocity / math.tau))
-    assert fastest == pytest.approx(4.0, abs=0.2)
+    rig.send(to("Set_Input_Pos", 6.0, 0.0, 0.0))
+    rig.run(500)
     assert rig.heartbeat()["Trajectory_Done_Flag"] == 0
-    rig.run(400)
+    rig.run(1500)
     assert rig.heartbeat()["Trajectory_Done_Flag"] == 1
-    assert (rig.shaft.position / math.tau) == pytest.approx(6.0, abs=0.02)
-
-    rig = TwinRig().armed(ControlMode.POSITION, InputMode.POS_FILTER)
-    rig.send(to("Set_Input_Pos", 1.0, 0.0, 0.0))
-    rig.run(100)
-    assert 0.2 < (rig.shaft.position / math.tau) < 0.9
-    rig.run(900)
-    assert (rig.shaft.position / math.tau) == pytest.approx(1.0, abs=0.01)
 
     rig = TwinRig().armed(ControlMode.TORQUE, InputMode.TORQUE_RAMP)
     rig.shaft.locked = True
@@ -529,27 +383,6 @@ def test_a_slipping_encoder_is_a_spinout() -> None:
 
 
 # -- the twin as data -----------------------------------------------------------------------------------
-
-
-def test_the_seed_moves_the_phase_of_cyclic_messages_only() -> None:
-    phases = set()
-    for seed in range(5):
-        rig = TwinRig(seed=seed)
-        rig.run(299)
-        phases.add(rig.sent(0x01)[0][0])
-        assert len(rig.sent(0x01)) == 3
-    assert len(phases) > 1
-
-
-def test_truth_that_is_not_finite_or_not_of_its_shaft_is_not_believed() -> None:
-    rig = TwinRig()
-    rig.run(5)
-    nonsense: list[Event] = [
-        Feedback("left", 0, position=math.nan, velocity=1.0),
-        Feedback("right", 0, position=9.0, velocity=1.0),
-    ]
-    rig.twin.step(rig.now, nonsense)
-    assert rig.twin.servo.encoder.position == 0.0
 
 
 def test_due_is_when_it_next_sends() -> None:
