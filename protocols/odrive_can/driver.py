@@ -194,21 +194,23 @@ class OdriveAdapter(Adapter[Axis]):
             ControlMode.TORQUE: msg.Torque(host.name, 0.0),
             ControlMode.POSITION: msg.Position(host.name, host.position or 0.0),
         }
-        frames = [*axis.set_mode(mode), self._set_point(host, still[mode])]
+        frames = [*axis.set_mode(now, mode), self._set_point(host, still[mode])]
         if axis.attempt(now):
             frames.append(axis.encode("Set_Axis_State", Axis_Requested_State=CLOSED_LOOP))
         return frames
 
     def command(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
         frame = self._set_point(host, command)
-        changed = host.own.set_mode(MODES.get(type(command), ControlMode.POSITION))
+        changed = host.own.set_mode(now, MODES.get(type(command), ControlMode.POSITION))
         # The set-point is sent before the mode changes, so that no stale input is obeyed in between;
         # and after it, since position control takes the present position as its input.
         return (frame, *changed, frame) if changed else (frame,)
 
     def release(self, now: Nanos, host: OdriveHost) -> Sequence[Frame]:
         host.own.release(now)
-        return (host.own.encode("Set_Axis_State", Axis_Requested_State=table.IDLE),)
+        # Firmware keeps its inputs: what arms it later must not find a velocity or torque there.
+        still = self._set_point(host, msg.Velocity(host.name, 0.0))
+        return (still, host.own.encode("Set_Axis_State", Axis_Requested_State=table.IDLE))
 
     def _set_point(self, host: OdriveHost, command: Command) -> CanFrame:
         encode = host.own.encode

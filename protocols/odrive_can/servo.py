@@ -5,7 +5,7 @@ scaled to it. Units are the firmware's: turns, turns/s, N·m, A. All that the lo
 from the encoder. No frames and no messages in here.
 
 Sources: loop structure, order of limits, velocity limit in torque control, overspeed check, integrator
-decay of 0.99 per cycle and input modes: odriverobotics/ODrive@0153e35 `MotorControl/controller.cpp`;
+decay of 0.99 per cycle and input modes: odriverobotics/ODrive@f9b5419 `MotorControl/controller.cpp`;
 set-point at arming: odriverobotics/ODrive@028a22b `MotorControl/axis.cpp`. Thermal, bus and spin-out models
 are ours (README, "the twin").
 """
