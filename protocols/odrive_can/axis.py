@@ -194,17 +194,13 @@ class Axis:
         self._estimates_pending = False
         return "its positions contradict each other in turn" if self._shaft.add(t, position, velocity) else ""
 
-    def starts(self, values: Values) -> bool:
-        """True if a heartbeat is the first of a device that is starting."""
-        return bool(values["Axis_Error"] & ~self.errors & self.identity.dialect.bit("INITIALIZING"))
-
     def on_heartbeat(self, t: Nanos, values: Values, fell: bool, releasing: bool) -> str:
         """Handle a heartbeat; `fell`: it left closed loop by itself, `releasing`: Idle is being sent. Return
         why it must be of two devices, or ""."""
         dialect = self.identity.dialect
         self.state, self.errors = values["Axis_State"], values["Axis_Error"]
         self.result = values.get("Procedure_Result", errors.SUCCESS)
-        before, self.components = self.components, table.flagged(values)
+        before, self.components = self.components, table.flagged(values) if dialect.boards else ()
         if self.words or self.components or fell:
             self.words = {name: self.words.get(name, 0) for name in self.components}
             self._await(t, [name for name in self.components if name not in before])
@@ -284,7 +280,7 @@ class Axis:
         dialect, wrong = self.identity.dialect, self.identity.wrong
         if not (self.errors or self.words or wrong or self.failure):
             return ()
-        bits = self.errors & ~dialect.bit("INITIALIZING")
+        bits = self.errors & ~dialect.starting
         codes = [] if dialect.word is None else [*dialect.word.codes(bits)]
         for name, word in self.words.items():
             codes += dialect.components[name].codes(word)
@@ -300,7 +296,7 @@ class Axis:
         identity = self.identity
         if identity.wrong:
             return Mode.FAULT
-        if not identity.dialect.line or self.errors & identity.dialect.bit("INITIALIZING"):
+        if not identity.dialect.line or self.errors & identity.dialect.starting:
             return Mode.INITIALISING
         if self.faulty:
             return Mode.FAULT

@@ -146,7 +146,7 @@ class OdriveAdapter(Adapter[Axis]):
             axis.identity.decode_as(table.line_by_form(decoded.values))
             better = axis.identity.table.decode(frame, "from_device")
             decoded = better if better is not None and better.name else decoded
-        if axis.starts(decoded.values):
+        if decoded.values["Axis_Error"] & ~axis.errors & axis.identity.dialect.starting:
             host.forget(t)
             axis.forget(t)
         # After a state request the last heartbeat may be from before it: what it obeyed is no fall.
@@ -291,7 +291,7 @@ class OdriveAdapter(Adapter[Axis]):
                 return pending.done(t, "it stays in fault until cleared")
             case msg.Reboot() | msg.WriteParameter(_, "save_configuration") if beat:
                 # After a restart the device is identified anew, and its bits mean nothing before.
-                up = bool(identity.line) and not axis.errors & identity.dialect.bit("INITIALIZING")
+                up = bool(identity.line) and not axis.errors & identity.dialect.starting
                 gap = t - pending.notes.get("heartbeat", pending.began)
                 seen = pending.notes.get("seen") or not up or gap >= REBOOT_GAP
                 pending.notes.update(heartbeat=t, seen=seen)

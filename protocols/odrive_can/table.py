@@ -266,6 +266,7 @@ class Dialect:
     components: Mapping[str, Word] = field(default_factory=dict)  # The error words of components, by message.
     messages: Mapping[object, Message] = field(default_factory=lambda: COMMON_ACTIONS)
     """What is sent for a request, by its type or parameter; what is not here cannot be done over CAN."""
+    starting: int = 0  # The heartbeat's bit of a device that is starting.
     boards: bool = False
     """Clearing and rebooting affect every axis of a board; a heartbeat cannot be requested."""
 
@@ -296,6 +297,7 @@ DIALECTS = {
         "0.6",
         polled=("Get_Iq", "Get_Bus_Voltage_Current", "Get_Temperature", "Get_Torques"),
         disarm_reasons=("Get_Error",),
+        starting=errors.INITIALIZING,
         word=errors.ERRORS,
         messages={
             **COMMON_ACTIONS,
@@ -329,8 +331,6 @@ DIALECTS = {
 def flagged(heartbeat: Values) -> tuple[str, ...]:
     """Return the components whose errors a heartbeat of 0.5.x points to, by message. The sensorless estimator
     has no flag, but a bit of the axis' errors."""
-    if "Motor_Error_Flag" not in heartbeat:
-        return ()
     components = [name for name in ("Motor", "Encoder", "Controller") if heartbeat[f"{name}_Error_Flag"]]
     components += ["Sensorless"] if heartbeat["Axis_Error"] & _05["SENSORLESS_ESTIMATOR_FAILED"] else []
     return tuple(f"Get_{name}_Error" for name in components)
