@@ -26,8 +26,7 @@ from protocols.toolkit.table import Table, Values
 VERSION, HEARTBEAT, ESTIMATES = "Get_Version", "Heartbeat", "Get_Encoder_Estimates"
 SUPPLY = "Get_Bus_Voltage_Current"  # Both lines answer this alike, and do not send it cyclically by default.
 RETRY_PERIOD = 100 * MILLISECOND  # Period in which an unanswered request is repeated.
-MODE_PERIOD = 100 * MILLISECOND
-"""Period in which the control mode is sent again."""
+MODE_PERIOD = 100 * MILLISECOND  # Period in which the control mode is sent again.
 VERSION_PERIOD = 5 * SECOND
 """Period of Get_Version to a device that was identified without it, or not at all."""
 HEARTBEAT_TIMEOUT = 250 * MILLISECOND  # Time without a heartbeat after which one is requested.
@@ -164,8 +163,7 @@ class Axis:
         self.awaited: dict[str, int] = {}
         """Messages with error words that are awaited, and how often each was requested."""
         self.control_mode: int | None = None  # As sent to it, unless it may have lost it.
-        self._mode_at: Nanos = 0
-        """When it was last sent."""
+        self._mode_at: Nanos = 0  # When it was last sent.
         self.failure = 0
         """Code of the fault that ended arming, which is not tried again before ClearFault or Idle."""
         self.requested_at: Nanos = -NEVER  # When a state was last requested.
@@ -334,8 +332,8 @@ class Axis:
         return () if message is None else (self.encode(message[0], **message[1]),)
 
     def set_mode(self, now: Nanos, mode: ControlMode) -> Sequence[CanFrame]:
-        """Set the control mode. Returns what must be sent for it, from time to time, too: nothing confirms it."""
-        changed = mode != self.control_mode or now - self._mode_at >= MODE_PERIOD
+        """Set the control mode. Returns what must be sent for it: again and again, as nothing confirms it."""
+        changed = mode != self.control_mode or now - self._mode_at > MODE_PERIOD
         self.control_mode, self._mode_at = mode, now if changed else self._mode_at
         given = self._position_input if mode is ControlMode.POSITION else InputMode.PASSTHROUGH
         return [self.encode("Set_Controller_Mode", Control_Mode=mode, Input_Mode=given)] if changed else []

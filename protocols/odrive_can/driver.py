@@ -200,11 +200,16 @@ class OdriveAdapter(Adapter[Axis]):
         return frames
 
     def command(self, now: Nanos, host: OdriveHost, command: Command) -> Sequence[Frame]:
-        frame = self._set_point(host, command)
-        changed = host.own.set_mode(now, MODES.get(type(command), ControlMode.POSITION))
+        mode = MODES.get(type(command), ControlMode.POSITION)
+        again = frame = self._set_point(host, command)
+        other = mode is not host.own.control_mode
+        set_mode = host.own.set_mode(now, mode)
+        if set_mode and isinstance(command, msg.Torque):
+            # The same, and leaves no velocity for another mode.
+            again = self._set_point(host, msg.Velocity(host.name, 0.0, command.torque))
         # The set-point is sent before the mode changes, so that no stale input is obeyed in between;
         # and after it, since position control takes the present position as its input.
-        return (frame, *changed, frame) if changed else (frame,)
+        return (frame, *set_mode, again) if other else (*set_mode, again)
 
     def release(self, now: Nanos, host: OdriveHost) -> Sequence[Frame]:
         host.own.release(now)
