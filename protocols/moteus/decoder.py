@@ -22,7 +22,7 @@ from protocols.messages import Command, Nanos, Obeyed, Request
 from protocols.moteus import codec
 from protocols.moteus import table as tb
 from protocols.moteus.codec import INT32, TO_DEVICE, WRITE, Subframe
-from protocols.moteus.loops import MOST_TORQUE, Settings, given, limits_of
+from protocols.moteus.loops import MOST_TORQUE, WATCHDOG_MODES, Settings, given, limits_of
 from protocols.moteus.table import NAMES, Mode
 from protocols.plugin import Device
 from protocols.toolkit.servo import clamp
@@ -43,6 +43,8 @@ COMMAND_NAMES: Mapping[int, str] = {
     if name in DEFAULTS or name.startswith("command_within_")
 }
 """The command register in which a number is kept: those of stay-within are other numbers of the same."""
+BRIEF = 0.001
+"""s: a watchdog timeout below, or a negative one, is over before the command is executed."""
 COMMANDED = frozenset(Mode) - {Mode.FAULT, *tb.RISING}
 """A command of another mode is accepted, and ignored."""
 
@@ -131,19 +133,23 @@ class Memory:
                 yield Subframe(TO_DEVICE, 1, data=text.encode())
 
     def begins(self) -> Sequence[Obeyed]:
-        """Return the command that the last frame began, if it did."""
-        command = self._meaning()
-        armed = () if isinstance(command, msg.Idle) else (msg.Arm(self.motor),)
-        return (*armed, command) if self.begun else ()
+        """Return the command that the last frame began, if it did. In timeout a device is not armed: it is in
+        a fault, in which it damps."""
+        if not self.begun:
+            return ()
+        timeout = self.command["command_timeout"] or self.settings.default_timeout_s
+        lost = self.mode == Mode.TIMEOUT or (self.mode in WATCHDOG_MODES and timeout < BRIEF)
+        command = self._meaning(Mode.TIMEOUT if lost else self.mode)
+        return (command,) if lost or isinstance(command, msg.Idle) else (msg.Arm(self.motor), command)
 
-    def _meaning(self) -> Command | Request:
+    def _meaning(self, mode: int) -> Command | Request:
         """Return what the command registers amount to now."""
         motor, get, settings = self.motor, self.command.__getitem__, self.settings
         push = given(get("command_feedforward_torque"), 0.0)
         fastest, _ = limits_of(self.command, settings)
-        if self.mode == Mode.STOPPED or (fastest < inf and not isnan(get("command_stop_position"))):
+        if mode == Mode.STOPPED or (fastest < inf and not isnan(get("command_stop_position"))):
             return msg.Idle(motor)  # the latter is fault 45
-        match self.mode:
+        match mode:
             case Mode.POSITION:
                 kp, kd, ilimit = (given(get(f"command_{gain}_scale"), 1.0) for gain in ("kp", "kd", "ilimit"))
                 position = get("command_position") * tau
@@ -167,7 +173,7 @@ class Memory:
             case Mode.STAY_WITHIN:  # inside its bounds it gives only the feed-forward
                 low, high = get("command_within_lower_bound"), get("command_within_upper_bound")
                 return msg.Position(motor, low * tau) if low >= high else msg.Torque(motor, push)
-        return msg.WriteParameter(motor, "mode", float(self.mode))
+        return msg.WriteParameter(motor, "mode", float(mode))
 
 
 def _mask(subframe: Subframe) -> Sequence[tuple[int, bytes]]:

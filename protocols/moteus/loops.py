@@ -49,6 +49,7 @@ class Settings:
     timeout_mode: int = bounded(int(Mode.ZERO_VELOCITY), 0, 15)
     timeout_max_torque: float = bounded(5.0, 0.0, 1e6)
     fault_position_error: float = bounded(nan, 0.0, 1e6, nan="not watched")
+    velocity_threshold: float = bounded(0.0005, 0.0, 1e6)  # rev/s: an error of less is none
     fault_velocity_error: float = bounded(nan, 0.0, 1e6, nan="not watched")
 
     motor_kv: float = bounded(304.0, 1e-3, 1e6)  # rpm/V
@@ -209,9 +210,11 @@ class Loops:
 
     # -- one cycle of the loop --------------------------------------------------------------------
 
-    def step(self, dt: float) -> None:
-        """Run one cycle: mode, fault monitors, torque."""
+    def step(self, dt: float, since: Nanos) -> None:
+        """Run one cycle: mode, fault monitors, torque. `since`: time since the last command."""
         self._change_mode(dt)
+        if 0 < self.timeout() < since:  # it has passed while the device enabled
+            self.trip(Mode.TIMEOUT)
         self._monitor()
         self.fault = self.fault if self.mode == Mode.FAULT else 0
         if self.mode not in PID_MODES:
@@ -324,7 +327,8 @@ class Loops:
     def _pid(self, dt: float, kp: float, kd: float, ilimit: float) -> float:
         """Return the torque of the position loop around the set-point; errors too large trip."""
         s, point, encoder = self.settings, self.setpoint, self.encoder
-        self.error, self.velocity_error = encoder.position - point.position, encoder.velocity - point.velocity
+        self.error, off = encoder.position - point.position, encoder.velocity - point.velocity
+        self.velocity_error = 0.0 if abs(off) < s.velocity_threshold else off
         self.integral = clamp(self.integral + s.ki * self.error * dt, s.ilimit * ilimit)
         self.proportional, self.derivative = s.kp * kp * self.error, s.kd * kd * self.velocity_error
         if abs(self.error) > s.fault_position_error:

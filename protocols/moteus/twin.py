@@ -74,7 +74,7 @@ class MoteusTwin(Firmware):
     def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
         self.loops.encoder.measure(dt or 1.0, position / tau, velocity / tau)
         if dt > 0.0:
-            self.loops.step(dt)
+            self.loops.step(dt, now - self.fed)
         return self.loops.stage.torque
 
     def timeout(self) -> Nanos:
