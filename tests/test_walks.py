@@ -138,7 +138,7 @@ def drive(tmp_path: Path) -> Iterator[Drive]:
 
 
 def test_a_can_frame_to_the_belief(drive: Drive) -> None:
-    drive.run(200)
+    drive.run(201)  # the next tick has a measurement
     next(drive.ticks)
     drive.exchange(only="can0")
     rooms, modules = traced(lambda: next(drive.ticks))

@@ -340,14 +340,15 @@ def test_a_tick_written_with_false_digests_is_found(tmp_path: Path) -> None:
 FORMAT_1 = Path(__file__).parents[3] / "fixtures" / "recordings" / "format1.mcap"
 
 
-def test_a_recording_of_format_1_replays_but_for_its_texts() -> None:
+def test_a_recording_of_format_1_replays_but_for_its_texts_and_a_frame_that_is_new() -> None:
     recording = read_recording(FORMAT_1)
     assert recording.format == "1"
     assert 'on_command_timeout = "hold"' in recording.robot_text
     result = replay_recording(recording)
-    assert result.ok, result.text()
     assert (result.ticks, result.packets, result.bytes) == (199, 67, 184)
-    assert result.text().splitlines()[0] == "the same, byte for byte"
+    assert [difference.kind for difference in result.differences] == ["packets"]
+    assert result.differing == 1
+    assert "now:      frame 02B#0200000001000000 " in result.text()  # it did not repeat the control mode
     assert "texts for people were left out: they were worded differently in format 1" in result.text()
     changed = parse_robot(recording.robot_text.replace("gear = 8.0", "gear = 4.0"), "changed")
     assert "packets" in [d.kind for d in replay_recording(recording, changed).differences]
