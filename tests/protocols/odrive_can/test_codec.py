@@ -3,6 +3,7 @@ client, and how a device reads what is short, remote, empty or not finite."""
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import struct
 from typing import Any, Literal, cast
@@ -14,7 +15,7 @@ from numpy.random import PCG64, Generator
 from odrive_can.odrive import ODriveCAN
 
 from protocols.frames import CanFrame
-from protocols.odrive_can import plugin
+from protocols.odrive_can import plugin, table
 from protocols.odrive_can.table import FORMS, STATE_NAMES, table_of
 from protocols.reference_vectors import vectors_of
 from protocols.toolkit.table import Row
@@ -24,6 +25,16 @@ from tests.protocols.odrive_can.helpers import encode, fields, to
 VECTORS = {str(vector.name): vector for vector in vectors_of(plugin)}
 NODE = 3
 SERIAL = 0x385F34733330
+
+
+@pytest.fixture(scope="module")
+def anew() -> Any:
+    """The module `table`, made again: its rows are constants, made when it is imported."""
+    assert table.__spec__ is not None
+    module = importlib.util.module_from_spec(table.__spec__)
+    assert table.__spec__.loader is not None
+    table.__spec__.loader.exec_module(module)
+    return module
 
 
 # -- the vendor's client, and what no package encodes -------------------------------------------------
@@ -39,10 +50,10 @@ SERIAL = 0x385F34733330
     ],
 )
 def test_a_vector_by_hand_is_encoded_and_decoded(
-    name: str, line: str, message: str, numbers: tuple[int, ...]
+    anew: Any, name: str, line: str, message: str, numbers: tuple[int, ...]
 ) -> None:
     """Those that `test_vectors` cannot regenerate."""
-    frame, table = VECTORS[name].frame, table_of(line)
+    frame, table = VECTORS[name].frame, anew.table_of(line)
     assert isinstance(frame, CanFrame)
     named = fields(message, *numbers, line=line)
     assert table.encode(message, frame.id >> 5, **named) == frame
@@ -159,14 +170,14 @@ def random_number(row: Row, name: str, random: Generator) -> float | int:
     [(line, row) for line, row in ROWS if row.name not in NOT_IN_THE_DBC[line]],
     ids=lambda x: x if isinstance(x, str) else x.name,
 )
-def test_cantools_encodes_and_decodes_the_same(line: str, row: Row) -> None:
+def test_cantools_encodes_and_decodes_the_same(anew: Any, line: str, row: Row) -> None:
     """100 random messages, by the names of the DBC."""
     theirs = MESSAGES[line][row.name.removesuffix(" (0.5.x)").removesuffix(" read")]
     names = [field.name for field in row.fields if field.name]
     unused = {"RxSdo": {"Opcode": 1}, "RxSdo read": {"Opcode": 0, "Value": 0}}.get(row.name, {})
     reserved = unused | {signal.name: 0 for signal in theirs.signals if signal.name.startswith("Reserved")}
     assert {*names, *reserved} == {signal.name for signal in theirs.signals}
-    table, seed = table_of(line), 20261121
+    table, seed = anew.table_of(line), 20261121
     random = Generator(PCG64(seed))
     for turn in range(100):
         values = {name: random_number(row, name, random) for name in names}
@@ -243,16 +254,63 @@ REMOTE = "remote"
     ],
 )
 def test_what_a_device_decodes(
-    line: str, cmd: int, data: str, name: str | None, numbers: tuple[float, ...]
+    anew: Any, line: str, cmd: int, data: str, name: str | None, numbers: tuple[float, ...]
 ) -> None:
     identifier = NODE << 5 | cmd
     remote = data == REMOTE
     frame = CanFrame(identifier, b"" if remote else bytes.fromhex(data), remote=remote)
-    decoded = table_of(line).decode(frame, "to_device")
+    decoded = anew.table_of(line).decode(frame, "to_device")
     assert (decoded.name if decoded else None) == name
     if decoded and name:
         assert decoded.values == fields(name, *numbers, line=line)
-    assert table_of(line).decode(CanFrame(identifier, frame.data, fd=True), "to_device") is None
+    assert anew.table_of(line).decode(CanFrame(identifier, frame.data, fd=True), "to_device") is None
+
+
+@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize("line", ["0.5", "0.6"])
+def test_each_message_of_a_device_is_requested_by_a_remote_frame_and_one_of_a_host_by_none(
+    anew: Any, line: str, extended: bool
+) -> None:
+    """By the messages of the DBC, at node 3."""
+    made, requests = anew.table_of(line, extended), anew.requests_of(line, extended)
+    for name, message in MESSAGES[line].items():
+        reports = any("ODrive" in sender for sender in message.senders)
+        frame = CanFrame(NODE << 5 | message.frame_id & 0x1F, extended=extended, remote=True)
+        cyclic = line == "0.5" and name in ("Heartbeat", "Get_ADC_Voltage")
+        decoded = made.decode(frame, "to_device")
+        assert made.read_only(frame) == (reports and not cyclic), name
+        assert made.decode(CanFrame(frame.id, extended=not extended, remote=True), "to_device") is None
+        if reports and not cyclic:
+            asked = f"request for {name}"
+            assert decoded == (asked, NODE, {}), name
+            assert requests.encode(asked, NODE) == made.encode(asked, NODE) == frame
+            empty = made.decode(CanFrame(frame.id, extended=extended), "to_device")
+            assert empty == (f"empty {asked}", NODE, {})
+            assert not made.read_only(CanFrame(frame.id, extended=extended))
+        elif line == "0.5" and name != "Heartbeat":
+            own = f"{name} (0.5.x)" if name in ("Reboot", "Clear_Errors") else name
+            own = own.replace("Get_ADC", "Ask_ADC")
+            assert decoded == (f"remote {own}", NODE, {}), name
+        else:
+            assert decoded is None, name
+
+
+COMMANDS = {0x02, 0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x11, 0x12, 0x13, 0x16, 0x18, 0x19, 0x1A, 0x1B}
+REQUESTED = {
+    "0.5": {0x03, 0x04, 0x05, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1D},
+    "0.6": {0x03, 0x04, 0x05, 0x06, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D},
+}
+"""What a driver may send: commands and, by line, requests and SDOs."""
+
+
+@pytest.mark.parametrize("firmware", ["0.5", "0.6", "auto"])
+def test_the_ids_of_a_driver(anew: Any, firmware: str) -> None:
+    lines = anew.LINES[firmware]
+    commands = {0x00, 0x01} | COMMANDS.union(*(REQUESTED[line] for line in lines))
+    commands -= {0x06} if firmware == "auto" else set()
+    expected = {(NODE << 5 | cmd, 0x9FFFFFFF) for cmd in commands}
+    expected |= {(0x7E6, 0x9FFFFFFF)} if "0.6" in lines else set()
+    assert set(anew.ids_of_driver(firmware, False, NODE)) == expected
 
 
 SHORTEST = {"Heartbeat": {"0.6": 7}, "Address reply": {"0.6": 7}, "TxSdo": {"0.6": 4}}
@@ -263,9 +321,10 @@ SHORTEST = {"Heartbeat": {"0.6": 7}, "Address reply": {"0.6": 7}, "TxSdo": {"0.6
     [(line, row) for line, row in ROWS if row.direction == "from_device"],
     ids=lambda x: x if isinstance(x, str) else x.name,
 )
-def test_a_short_or_long_frame_of_a_device_is_malformed(line: str, row: Row) -> None:
+def test_a_short_or_long_frame_of_a_device_is_malformed(anew: Any, line: str, row: Row) -> None:
     shortest = SHORTEST.get(row.name, {}).get(line, 8)
-    accepted = [n for n in range(10) if table_of(line).read(row.name, bytes([NODE]).ljust(n, b"\0")[:n])]
+    made = anew.table_of(line)
+    accepted = [n for n in range(10) if made.read(row.name, bytes([NODE]).ljust(n, b"\0")[:n])]
     assert accepted == list(range(shortest, 9))
 
 

@@ -9,10 +9,10 @@ import pytest
 
 from protocols import messages as msg
 from protocols.conformance import CLAUSES, check, table, variants
-from protocols.frames import EXTENDED_BIT, CanFrame, exact
+from protocols.frames import EXTENDED_BIT, CanFrame
 from protocols.odrive_can import WATCHDOG_NOTE, errors, plugin, spec
 from protocols.odrive_can.options import Options, Settings, line_of
-from protocols.odrive_can.table import BROADCAST, DIALECTS, requests_of
+from protocols.odrive_can.table import BROADCAST
 from tests.protocols.odrive_can.helpers import IDLE, V05, device, encode
 
 
@@ -132,26 +132,6 @@ def test_the_contract_is_kept_by_devices_of_0_5_too(options: type[Options]) -> N
 
 def test_the_contract_tries_every_firmware_option() -> None:
     assert {options.firmware for options in variants(plugin)} == {"auto", "0.5", "0.6"}
-
-
-@pytest.mark.parametrize("firmware", ["auto", "0.5", "0.6"])
-def test_specs_of_each_option(firmware: Literal["auto", "0.5", "0.6"]) -> None:
-    contract = spec(device(options=Options(firmware=firmware)))
-    requested = {cmd for cmd in range(32) if contract.read_only(CanFrame(0x20 | cmd, remote=True))}
-    assert {exact(0x20 | cmd) for cmd in requested} <= set(contract.sends)
-    assert {exact(0x20 | cmd) for cmd in requested - {0x00, 0x01}} <= set(contract.expects)
-    assert {exact(0x20 | cmd) for cmd in (0x02, 0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x18, 0x19)} <= set(
-        contract.sends
-    )
-    obeyed = {0x02, 0x07, 0x0C, 0x0D, 0x0E, 0x16, 0x18}
-    assert not requested & obeyed
-    assert (0x06 in requested) == (firmware == "0.6")
-    assert (exact(0x7E6) in contract.sends) == (msg.SetId in contract.requests) == (firmware != "0.5")
-    assert contract == spec(device(options=Options(firmware=firmware)))
-    names = {row.name.removeprefix("request for ") for row in requests_of(firmware, False).rows}
-    for line in {"auto": ("0.5", "0.6")}.get(firmware, (firmware,)):
-        dialect = DIALECTS[line]
-        assert {*dialect.polled, *dialect.disarm_reasons, *dialect.components} <= names
 
 
 @pytest.mark.parametrize(("address", "fits"), [(63, True), (0xFFFFFF, True), (0x1000000, False), (-1, False)])
