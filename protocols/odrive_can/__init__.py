@@ -54,7 +54,10 @@ REQUESTS: frozenset[type[msg.Request]] = frozenset(
         msg.WriteParameter,
     }
 )
-NOT_WITH_POSITIONS = {"filter": {"Position.torque"}, "trapezoid": {"Position.torque", "Position.velocity"}}
+NOT_WITH_POSITIONS = {
+    "pos_filter": {"Position.torque"},
+    "trap_traj": {"Position.torque", "Position.velocity"},
+}
 """What the device does not follow with a position, by the option."""
 WATCHDOG_NOTE = (
     "the device's watchdog is off, and cannot be switched on over CAN: if this host or its cable fails, the"
@@ -132,7 +135,7 @@ plugin = Plugin(
     trust=(
         "bytes of every message both ways: odrive-can 2.1.0 with its DBCs 0.6.10 and 0.5.6, cantools 45.1.0;"
         " discovery: odriverobotics/ODriveResources@06dc846; twins of both lines driven by odrive-can 2.1.0's"
-        " client"
+        " client, that of 0.6 by pyodrivecan 0.1.3 too"
     ),
     options=Options,
     settings=Settings,

@@ -38,12 +38,6 @@ IDENTIFY_ATTEMPTS = 10
 """After this number of requests, a device that sends heartbeats and answers nothing is a fault."""
 REPLIES = {"auto": 5, "0.5": 2, "0.6": 5}
 """Number of answers to the other request, with none to Get_Version, that identifies 0.5.x; by the option."""
-POSITION_INPUTS = {
-    "passthrough": InputMode.PASSTHROUGH,
-    "filter": InputMode.POS_FILTER,
-    "trapezoid": InputMode.TRAP_TRAJ,
-}
-"""By the option."""
 NO_DISCOVERY = "sends heartbeats, but did not answer discovery: firmware 0.5.x?"
 
 
@@ -152,7 +146,7 @@ class Axis:
         }
         """By message: the remote frame that requests it."""
         self.registers = options.registers()
-        self._position_input = POSITION_INPUTS[options.position_input]
+        self._position_input = InputMode[options.position_input.upper()]
         self.written: dict[str, float] = {}  # Parameters that were written to it.
         # Of the last heartbeat:
         self.state = self.errors = self.result = 0

@@ -50,7 +50,7 @@ class Options:
     arm_retry_ms: int = bounded(250, 50, 10_000)
     """Period of arming attempts. At least two heartbeats: the first one may be stale."""
 
-    position_input: Literal["passthrough", "filter", "trapezoid"] = "passthrough"
+    position_input: Literal["passthrough", "pos_filter", "trap_traj"] = "passthrough"
     """How the device follows positions: at once, by its filter (`input_filter_bandwidth`), or by trapezoidal
     trajectories (`Traj_Vel_Limit` …). A filter takes no torque with them, a trajectory no velocity either."""
     endpoints: tuple[str, ...] = ()

@@ -44,11 +44,7 @@ FOLLOWED: Mapping[int, str] = {
     InputMode.TUNING: "position velocity torque",
 }
 """The inputs that each input mode follows. (ODrive@f9b5419 `MotorControl/controller.cpp` update.)"""
-COMMANDS = {
-    ControlMode.TORQUE: msg.Torque,
-    ControlMode.VELOCITY: msg.Velocity,
-    ControlMode.POSITION: msg.Position,
-}
+COMMANDS = (msg.Idle, msg.Torque, msg.Velocity, msg.Position)  # By control mode.
 NOT_A_NUMBER = "MODULATION_IS_NAN"
 INPUT_FAULTS = ("INVALID_MIRROR_AXIS", "INVALID_INPUT_MODE", NOT_A_NUMBER)
 """The errors of mode and inputs in closed loop, by their names in 0.5.x."""

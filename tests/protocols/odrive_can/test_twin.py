@@ -209,14 +209,6 @@ def test_velocity_is_clipped_to_its_limit_in_position_and_torque_control() -> No
     assert rig.twin.memory.armed
 
 
-def test_overspeed_is_a_velocity_limit_violation() -> None:
-    rig = TwinRig(Settings(vel_limit=5.0)).armed()
-    rig.shaft.load = 1.5
-    rig.run(500)
-    assert rig.twin.active() == ERROR["VELOCITY_LIMIT_VIOLATION"]
-    assert not rig.twin.memory.armed
-
-
 def test_ramps_of_velocity_and_torque_and_the_end_of_a_trajectory() -> None:
     rig = TwinRig().armed(ControlMode.VELOCITY, InputMode.VEL_RAMP)
     rig.send(to("Set_Input_Vel", 10.0, 0.0))
@@ -383,16 +375,3 @@ def test_a_slipping_encoder_is_a_spinout() -> None:
 
 
 # -- the twin as data -----------------------------------------------------------------------------------
-
-
-def test_due_is_when_it_next_sends() -> None:
-    rig = TwinRig()
-    rig.run(1)
-    for _ in range(20):
-        due = rig.twin.due()
-        assert due is not None
-        before = len(rig.frames)
-        rig.run(max(0, -(-(due - rig.now) // MILLISECOND)))
-        assert len(rig.frames) == before
-        rig.run(1)
-        assert len(rig.frames) > before
