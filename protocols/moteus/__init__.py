@@ -41,7 +41,7 @@ RANGES["Feedback.voltage"] = Range(0.0, 3276.7, 0.05001)
 RANGES["Feedback.temperature"] = Range(-3276.7, 3276.7, 0.05001)
 DESTINATION = 0x1FFF_00FF
 """Bits of an identifier that address a device: prefix and destination, of a frame of any format, CAN FD or
-classic (mjbots/moteus@1f4a195 `fw/fdcan_micro_server.h`)."""
+classic (mjbots/moteus@db1a762 `fw/fdcan_micro_server.h`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from math import inf, isfinite, isnan, nan, tau
+from math import inf, isclose, isfinite, isnan, nan, tau
 
 from protocols import messages as msg
 from protocols.frames import CanFrame, Frame
@@ -58,6 +58,7 @@ class Memory:
         self.motor, self.address, self.uuid = device.name, device.address, uuid
         self.prefix: int = device.options.can_prefix
         self.gains: tuple[float, float] = device.options.gains
+        self.within: tuple[float, float] = (device.options.within_min, device.options.within_max)
         self.command = {**DEFAULTS}
         self.mode: int = Mode.STOPPED  # as last commanded
         self.begun = False  # the last frame began a command
@@ -170,10 +171,17 @@ class Memory:
                 return msg.Idle(motor)
             case Mode.ZERO_VELOCITY | Mode.BRAKE | Mode.TIMEOUT:
                 return msg.Velocity(motor, 0.0)
-            case Mode.STAY_WITHIN:  # inside its bounds it gives only the feed-forward
-                low, high = get("command_within_lower_bound"), get("command_within_upper_bound")
-                return msg.Position(motor, low * tau) if low >= high else msg.Torque(motor, push)
+            case Mode.STAY_WITHIN if self._has_own_bounds():
+                return msg.Torque(motor, push)  # inside them it gives only that
         return msg.WriteParameter(motor, "mode", float(mode))
+
+    def _has_own_bounds(self) -> bool:
+        """True if stay-within has the bounds of the options: between others it may pull anywhere."""
+        bounds = [self.command[f"command_within_{end}_bound"] * tau for end in ("lower", "upper")]
+        return all(
+            isclose(bound, own, rel_tol=1e-6) or (isnan(bound) and isnan(own))
+            for bound, own in zip(bounds, self.within, strict=True)
+        )
 
 
 def _mask(subframe: Subframe) -> Sequence[tuple[int, bytes]]:
