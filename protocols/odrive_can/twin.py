@@ -103,6 +103,11 @@ class Memory:
             return "INVALID_INPUT_MODE"
         return NOT_A_NUMBER if any(map(math.isnan, self._inputs())) else ""
 
+    @property
+    def trips(self) -> bool:
+        """True if that is an error now: inputs that are no numbers are none before closed loop."""
+        return self.fault != "" and (self.armed or self.fault != NOT_A_NUMBER)
+
     def _inputs(self) -> Sequence[float]:
         """Return the inputs that control and input mode follow, in the order of a command's fields."""
         followed = FOLLOWED[self.input_mode]
@@ -112,11 +117,11 @@ class Memory:
 
     def _command(self) -> Sequence[msg.Command]:
         """Return the command that mode and inputs amount to now; none if they change nothing."""
-        if not self.armed:
-            return ()
-        if self.fault:
+        if self.trips:
             self.disarm()
             return (msg.Idle(self.motor),)
+        if not self.armed:
+            return ()
         control, (*turns, torque) = self.control, self._inputs()
         if control.name.lower() not in FOLLOWED[self.input_mode]:
             return ()
@@ -186,9 +191,9 @@ class Memory:
 
     def set_state(self, state: int) -> Sequence[Obeyed]:
         """Apply a requested state; 0 is no request at all (ODrive@f9b5419 `MotorControl/axis.cpp`)."""
-        if state == table.UNDEFINED or (state == CLOSED_LOOP and self.fault):
+        if state == table.UNDEFINED:
             return ()
-        if state != CLOSED_LOOP:
+        if state != CLOSED_LOOP or self.fault:
             self.disarm()
             if state in table.PROCEDURES - {table.HOMING}:
                 return (msg.WriteParameter(self.motor, "Axis_Requested_State", state),)
@@ -389,7 +394,7 @@ class OdriveTwin(Firmware):
                 self.servo.configure(name, values.values())
         after = copy.copy(self.memory)
         after.obey(decoded)
-        if after.fault and (self.memory.armed or after.fault != NOT_A_NUMBER):
+        if after.fault and (self.memory.armed or after.trips):
             self.trip(self.raised[after.fault])
         self.memory.obey(decoded)
         if name == "Set_Controller_Mode" and self.memory.position is None:
