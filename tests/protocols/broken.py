@@ -440,12 +440,17 @@ class TwinSharesState(PlainTwin):
 
     def receive(self, t: Nanos, frame: Frame) -> None:
         super().receive(t, frame)
-        type(self).shared += self._replies
-        self._replies = []
+        self.share()
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[msg.Torque], Sequence[Frame]]:
         self._replies, type(self).shared = list(type(self).shared), []
-        return super().step(now, truth)
+        stepped = super().step(now, truth)
+        self.share()
+        return stepped
+
+    def share(self) -> None:
+        type(self).shared += self._replies
+        self._replies = []
 
 
 # -- on CAN --------------------------------------------------------------------------------------------

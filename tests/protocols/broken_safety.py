@@ -289,6 +289,11 @@ class IgnoresAFullQueue(OdriveDriver):
         if state is not BusState.FULL:
             super().bus(t, state)
 
+    def send(self, now: Nanos, messages: Messages) -> Sent:
+        for host in self.hosts.values():
+            host.own._mode_at = now  # nor is the mode sent again by the clock
+        return super().send(now, messages)
+
 
 # -- faults --------------------------------------------------------------------------------------------
 
