@@ -208,11 +208,11 @@ class Motor:
         if any(self.same(each, received) for each in recent):
             return True
         said = [self.spec.canonical(each) for each in recent]
-        place = min(max(getattr(received, "position", 0.0), self.ever[0]), self.ever[1])
         for name, key in numbers(type(received), self.spec.ranges):
             value, bounds = getattr(received, name), self.spec.ranges[key]
-            known = [getattr(each, name, 0.0) for each in said] + [place if name == "position" else 0.0]
-            if not any(close(number, value, bounds) for number in known):
+            if name == "position" and self.stays(msg.Position(self.name, value), self.ever):
+                continue
+            if not any(close(getattr(each, name, 0.0), value, bounds) for each in said):
                 return False
         return True
 
