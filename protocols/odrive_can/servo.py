@@ -79,9 +79,9 @@ class Servo:
         """A"""
         return self.torque_target / self.settings.torque_constant
 
-    def configure(self, message: str, values: Iterable[float]) -> None:
-        """Set what a message gives; limits are magnitudes."""
-        for name, value in zip(GAINS[message], values, strict=True):
+    def configure(self, gains: Iterable[tuple[str, float]]) -> None:
+        """Set gains; limits are magnitudes."""
+        for name, value in gains:
             self.gains[name] = abs(value) if "limit" in name or "max" in name else value
         most = self.settings.current_hard_max
         self.gains["current_soft_max"] = min(self.gains["current_soft_max"], most)

@@ -391,7 +391,7 @@ class OdriveTwin(Firmware):
             case "Ask_ADC_Voltage" if values["GPIO"] < GPIO_COUNT:
                 self.on_request(t, "Get_ADC_Voltage", self.memory.node)
             case _ if name in GAINS:
-                self.servo.configure(name, values.values())
+                self.servo.configure(zip(GAINS[name], values.values(), strict=True))
         after = copy.copy(self.memory)
         after.obey(decoded)
         if after.fault and (self.memory.armed or after.trips):
@@ -459,7 +459,7 @@ class Twin06(OdriveTwin):
         name, value = registers.value(number, held)
         gain = name.rpartition(".")[2]
         if gain in self.servo.gains and written and value is not None:
-            self.servo.gains[gain] = value
+            self.servo.configure([(gain, value)])
         elif gain in self.servo.gains:
             held = registers.raw(name, self.servo.gains[gain])
         if not written or self._version >= [0, 6, 11]:
