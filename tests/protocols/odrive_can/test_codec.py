@@ -81,16 +81,8 @@ class Recorder:
 PASS = "PASSTHROUGH"
 CLIENT_CALLS: dict[str, dict[str, tuple[Any, ...]]] = {
     "0.6": {
-        "set_controller_mode_position_passthrough": (
-            "set_controller_mode",
-            "POSITION_CONTROL",
-            "PASSTHROUGH",
-        ),
-        "set_controller_mode_velocity_passthrough": (
-            "set_controller_mode",
-            "VELOCITY_CONTROL",
-            "PASSTHROUGH",
-        ),
+        "set_controller_mode_position_passthrough": ("set_controller_mode", "POSITION_CONTROL", PASS),
+        "set_controller_mode_velocity_passthrough": ("set_controller_mode", "VELOCITY_CONTROL", PASS),
         "set_controller_mode_torque_passthrough": ("set_controller_mode", "TORQUE_CONTROL", PASS),
         "set_input_pos_1.5turn_vff0.25_tff-0.5": ("set_input_pos", 1.5, 0.25, -0.5),
         "set_input_pos_vff_edges": ("set_input_pos", -2.0, 32.767, -32.768),

@@ -14,14 +14,12 @@ from protocols.messages import MILLISECOND
 from protocols.odrive_can import table
 from protocols.odrive_can.options import Options, Settings
 from protocols.odrive_can.table import BROADCAST, ControlMode, InputMode
-from protocols.odrive_can.twin import Twin06
 from tests.protocols.odrive_can.helpers import (
     CLOSED,
     ERROR,
     V05,
     Message,
     TwinRig,
-    device,
     encode,
     fields,
     to,
@@ -98,17 +96,6 @@ def test_discovery_is_answered_on_its_own_node_id() -> None:
     rig.run(1)
     answers = [f for _, f in rig.frames if f.id == 0x26]
     assert [f.data.hex() for f in answers] == ["01" + "0504030201" + "00" + "00"]
-
-
-@pytest.mark.parametrize("address", [1, 300])
-def test_an_axis_with_extended_identifiers_has_no_node_id_to_reply(address: int) -> None:
-    """No device of 0.6.x has them, but settings and options together can state one; it must not raise."""
-    far = Options(firmware="0.5", is_extended=True)
-    twin = Twin06(device(address=address, settings=Settings(firmware="0.6.10"), options=far), 0)
-    twin.step(0, [])
-    for frame in (CanFrame(0x7E6, remote=True), CanFrame(address << 5 | 0x06, remote=True)):
-        twin.receive(1, frame)
-        assert list(twin.step(2, [])[1]) == []
 
 
 # -- watchdog, reboot ---------------------------------------------------------------------------------
