@@ -368,7 +368,7 @@ class Session:
     def drawn(self, motor: Motor, *, armed: bool = False) -> Command:
         """Draw a command: every third is Idle, unless it must arm."""
         random, spec, shaft = self.random, motor.spec, motor.shaft
-        if self.now < self.stopped_until or (not armed and random.below(3) == 0):
+        if not armed and (self.now < self.stopped_until or random.below(3) == 0):
             return msg.Idle(motor.name)
         kind = random.choice(sorted(spec.commands - {msg.Idle}, key=lambda kind: kind.__name__))
         if kind is msg.Hold:
