@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.codec import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
+from protocols.canopen import sdo
+from protocols.canopen.services import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
-from protocols.cia402.pdo import mapping, packing
-from protocols.cia402.transfer import Transfer
+from protocols.canopen.pdo import mapping, packing
+from protocols.canopen.transfer import Transfer
 from protocols.frames import CanFrame
 
 RIVAL = ("canopen", "canopen", "canopen's PdoMap and SDO client")

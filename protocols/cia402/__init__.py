@@ -18,8 +18,9 @@ import math
 from collections.abc import Sequence
 
 from protocols import messages as msg
-from protocols.cia402 import codec, sdo
-from protocols.cia402.codec import (
+from protocols.canopen import sdo
+from protocols.canopen import services as codec
+from protocols.canopen.services import (
     HEARTBEAT_BASE,
     MAX_NODE,
     NMT_ID,

@@ -17,15 +17,16 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from protocols import messages as msg
-from protocols.cia402 import codec, sdo
+from protocols.canopen import sdo
+from protocols.canopen import services as codec
+from protocols.canopen.pdo import DISABLED, is_synchronous
+from protocols.canopen.server import SdoServer
+from protocols.canopen.services import NmtCommand, NmtState
 from protocols.cia402 import objects as o
-from protocols.cia402.codec import NmtCommand, NmtState
 from protocols.cia402.dictionary import Dictionary
 from protocols.cia402.objects import TARGETS, Key, title
 from protocols.cia402.options import Settings
-from protocols.cia402.pdo import DISABLED, is_synchronous
 from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_of
-from protocols.cia402.server import SdoServer
 from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, next_state
 from protocols.cia402.units import READ, Units, units_of
 from protocols.frames import CanFrame, Frame

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from protocols.canopen.client import Job, Purpose
 from protocols.cia402 import mapping
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Job, Purpose
 from protocols.cia402.drive_state import DriveState
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.objects import OBJECTS, Key, to_bytes

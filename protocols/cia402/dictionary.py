@@ -11,12 +11,8 @@ Source: package canopen 2.4.1 `node/local.py` (`get_data`, `set_data`) for the a
 
 from __future__ import annotations
 
-from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.codec import EMCY_BASE, SYNC_ID, rpdo_id, tpdo_id
-from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes, to_bytes
-from protocols.cia402.options import SETTING_OBJECTS, SUPPORTED_VALUES, Settings
-from protocols.cia402.pdo import (
+from protocols.canopen import sdo
+from protocols.canopen.pdo import (
     DISABLED,
     EVENT_VENDOR,
     MOST_BITS,
@@ -28,18 +24,22 @@ from protocols.cia402.pdo import (
     mapping,
     packing,
 )
+from protocols.canopen.services import EMCY_BASE, SYNC_ID, rpdo_id, tpdo_id
+from protocols.cia402 import objects as o
+from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes, to_bytes
+from protocols.cia402.options import SETTING_OBJECTS, SUPPORTED_VALUES, Settings
 from protocols.cia402.profile import Mode, supports
 
 DEVICE_TYPE = 0x0002_0192
 """1000: profile 402, servo drive."""
 INDICES = frozenset(index for index, _ in OBJECTS)
 USUAL_RPDOS = (
-    mapping(o.CONTROLWORD, o.MODE, o.TARGET_POSITION),
-    mapping(o.TARGET_VELOCITY, o.TARGET_TORQUE),
+    mapping(OBJECTS, o.CONTROLWORD, o.MODE, o.TARGET_POSITION),
+    mapping(OBJECTS, o.TARGET_VELOCITY, o.TARGET_TORQUE),
 )
 USUAL_TPDOS = (
-    mapping(o.STATUSWORD, o.MODE_DISPLAY, o.POSITION),
-    mapping(o.VELOCITY, o.TORQUE, o.ERROR_CODE),
+    mapping(OBJECTS, o.STATUSWORD, o.MODE_DISPLAY, o.POSITION),
+    mapping(OBJECTS, o.VELOCITY, o.TORQUE, o.ERROR_CODE),
 )
 """PDOs of a drive that is delivered with a mapping (`Settings.pdos`)."""
 _CONSTANTS: dict[Key, int] = {
@@ -197,7 +197,7 @@ class Dictionary:
             entries = [decode_entry(self.values[index, sub]) for sub in range(1, self.values[index, 0] + 1)]
             self.packings.pop(index, None)
             if entries:
-                self.packings[index] = packing(entries)
+                self.packings[index] = packing(OBJECTS, entries)
 
     def active(self, communication: int) -> Packing | None:
         """Return the mapping of an enabled, non-empty PDO, by the index of its communication parameter."""

@@ -8,16 +8,16 @@ the device's code, until it is gone.
 from __future__ import annotations
 
 from protocols import messages as msg
+from protocols.canopen.client import Job, Purpose, SdoClient
+from protocols.canopen.pdo import Packing, packing
+from protocols.canopen.services import Emcy, Heartbeat, NmtState
 from protocols.cia402 import mapping, startup
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Job, Purpose, SdoClient
-from protocols.cia402.codec import Emcy, Heartbeat, NmtState
 from protocols.cia402.faults import WRONG_DEVICE, fault_info
 from protocols.cia402.feedback import NEVER, PollSchedule, feedback
 from protocols.cia402.mapping import Pdo
-from protocols.cia402.objects import Key
+from protocols.cia402.objects import OBJECTS, Key
 from protocols.cia402.options import Options
-from protocols.cia402.pdo import Packing, packing
 from protocols.cia402.profile import Demand, PowerState, state_of
 from protocols.cia402.setpoint import Values
 from protocols.cia402.setpoint_writer import SetpointWriter
@@ -316,7 +316,7 @@ class DriveState:
         """Decode the TPDOs among these from now on."""
         sync = self.options.sync_ms * MILLISECOND if self.options.feedback == "sync" else 0
         tpdos = {pdo.id: pdo for pdo in pdos if pdo.kind == "TPDO" and pdo.enabled and pdo.entries}
-        self.tpdos = {id_: (pdo.keys, packing(pdo.entries)) for id_, pdo in tpdos.items()}
+        self.tpdos = {id_: (pdo.keys, packing(OBJECTS, pdo.entries)) for id_, pdo in tpdos.items()}
         self.polls.expect([(pdo.keys, pdo.period(sync)) for pdo in tpdos.values()])
 
     def usable(self, kind: mapping.PdoKind) -> list[Pdo]:

@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from protocols import messages as msg
-from protocols.cia402 import codec, configuring, duplicate_address, jobs, motion, requests, sdo
+from protocols.canopen import sdo
+from protocols.canopen import services as codec
+from protocols.canopen.client import Outcome, Purpose
+from protocols.canopen.services import EMCY_BASE, HEARTBEAT_BASE, NODE_MASK, SDO_TX_BASE, SYNC_ID
+from protocols.cia402 import configuring, duplicate_address, jobs, motion, requests
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Outcome, Purpose
-from protocols.cia402.codec import EMCY_BASE, HEARTBEAT_BASE, NODE_MASK, PROTOCOL, SDO_TX_BASE, SYNC_ID
 from protocols.cia402.drive_state import DriveState
 from protocols.cia402.faults import NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED
 from protocols.cia402.objects import OBJECTS, from_bytes
@@ -118,7 +120,7 @@ class Cia402Driver:
             self.counters.ignored += 1
             return []
         reported, self.producer.second_producer_reported = self.producer.second_producer_reported, True
-        found = msg.Found(t, PROTOCOL, 0, detail=SECOND_PRODUCER, duplicate_address=True)
+        found = msg.Found(t, "cia402", 0, detail=SECOND_PRODUCER, duplicate_address=True)
         return self._counted([] if reported else [found])
 
     # -- SDO transfers that ended -----------------------------------------------------------------
@@ -256,7 +258,7 @@ class Cia402Driver:
         if full := self._pending.full():
             begun = refusal(now, request, full)
         elif drive is None:
-            begun = refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
+            begun = refusal(now, request, "cia402 cannot do this, or knows no such motor")
         else:
             self._token += 1
             begun = requests.begin(now, request, drive, self._token)
@@ -295,7 +297,7 @@ class Cia402Driver:
         for address, known in sorted(scan.found.items()):
             found.append((address, address in scan.duplicates, describe(known)))
         events: list[Event] = [
-            msg.Found(now, PROTOCOL, address, serial, detail, duplicate_address=duplicate)
+            msg.Found(now, "cia402", address, serial, detail, duplicate_address=duplicate)
             for address, duplicate, (serial, detail) in found
         ]
         return [*events, msg.Done(now, msg.Scan.__name__, scan.bus, f"{len(events)} devices")]

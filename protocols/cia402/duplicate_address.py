@@ -7,9 +7,8 @@ hosts that poll the same one). It is reported once until it is cleared.
 
 from __future__ import annotations
 
+from protocols.canopen.client import DUPLICATES, Outcome
 from protocols.cia402 import objects as o
-from protocols.cia402.client import DUPLICATES, Outcome
-from protocols.cia402.codec import PROTOCOL
 from protocols.cia402.drive_state import DriveState
 from protocols.cia402.faults import DUPLICATE_NODE
 from protocols.messages import Event, Found, Nanos
@@ -50,5 +49,5 @@ def _report(t: Nanos, drive: DriveState, cause: str) -> list[Event]:
     drive.duplicate_reported = True
     serial = drive.profile.serial if drive.profile is not None else None
     detail = f"duplicate node id {drive.address}: {cause}"
-    found = Found(t, PROTOCOL, drive.address, serial, detail, duplicate_address=True)
+    found = Found(t, "cia402", drive.address, serial, detail, duplicate_address=True)
     return [found, *drive.report_fault(t, DUPLICATE_NODE, cause)]

@@ -7,8 +7,8 @@ that was not commanded, except on request.
 
 from __future__ import annotations
 
+from protocols.canopen.client import Job, Purpose
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Job, Purpose
 from protocols.cia402.drive_state import DriveState
 from protocols.cia402.feedback import NEVER, Conditions
 from protocols.cia402.objects import OBJECTS, to_bytes

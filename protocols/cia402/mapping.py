@@ -14,11 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from protocols.cia402 import objects as o
-from protocols.cia402.codec import rpdo_id, tpdo_id
-from protocols.cia402.objects import OBJECTS, Key, to_bytes
-from protocols.cia402.options import Options
-from protocols.cia402.pdo import (
+from protocols.canopen.pdo import (
     DISABLED,
     EVENT,
     MOST_BITS,
@@ -29,6 +25,10 @@ from protocols.cia402.pdo import (
     entry,
     is_synchronous,
 )
+from protocols.canopen.services import rpdo_id, tpdo_id
+from protocols.cia402 import objects as o
+from protocols.cia402.objects import OBJECTS, Key, to_bytes
+from protocols.cia402.options import Options
 from protocols.messages import MILLISECOND, Nanos
 
 PdoKind = Literal["RPDO", "TPDO"]
@@ -161,7 +161,7 @@ def wanted(node: int, options: Options, synced: bool, absent: Collection[Key]) -
     Cyclic set-points take effect on SYNC, those of profile modes at once: their handshake would be slow."""
 
     def pdo(kind: PdoKind, number: int, transmission: int, event_ms: int, *keys: Key) -> Pdo:
-        entries = tuple(entry(key) for key in keys if key not in absent)
+        entries = tuple(entry(OBJECTS, key) for key in keys if key not in absent)
         return Pdo(kind, number, default_id(kind, number, node), transmission, event_ms, entries)
 
     at_once = not synced or options.modes == "profile"

@@ -14,10 +14,10 @@ Source: CiA 402-2 "homing mode"; package canopen 2.4.1 `profiles/p402.py` for th
 
 from __future__ import annotations
 
+from protocols.canopen.client import Job, Purpose
+from protocols.canopen.services import Nmt, NmtCommand, NmtState, encode
 from protocols.cia402 import configuring, state_machine
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Job, Purpose
-from protocols.cia402.codec import Nmt, NmtCommand, NmtState, encode
 from protocols.cia402.drive_state import DriveState, HomingRun
 from protocols.cia402.objects import OBJECTS, Key, to_bytes
 from protocols.cia402.profile import Control, Demand, HomingStatus, Mode, PowerState, Status, homing_of

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from protocols.canopen.services import MAX_NODE
 from protocols.cia402 import objects as o
-from protocols.cia402.codec import MAX_NODE
 from protocols.cia402.objects import Key
 from protocols.cia402.profile import Mode, mode_bit
 from protocols.cia402.units import Units, units_of

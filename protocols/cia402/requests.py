@@ -10,15 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from protocols import messages as msg
+from protocols.canopen.client import Job, Outcome, Purpose
+from protocols.canopen.sdo import NO_OBJECT, abort_text
+from protocols.canopen.services import Nmt, NmtCommand, encode
 from protocols.cia402 import motion, startup
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Job, Outcome, Purpose
-from protocols.cia402.codec import Nmt, NmtCommand, encode
 from protocols.cia402.drive_state import FAULTY, DriveState, HomingRun
 from protocols.cia402.faults import HOMING_FAILED
 from protocols.cia402.objects import OBJECTS, Key, Type, to_bytes
 from protocols.cia402.profile import Demand, Mode, PowerState, supports
-from protocols.cia402.sdo import NO_OBJECT, abort_text
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Event, Nanos, Request
 from protocols.toolkit.requests import PendingRequest, refusal
@@ -121,8 +121,7 @@ def _write(now: Nanos, pending: Pending, parameter: str, value: float) -> Pendin
 
 def _key(parameter: str) -> Key | None:
     """Return the object of a name or an address; None if it is neither."""
-    found = o.find(parameter)
-    return found.key if found is not None else o.parse(parameter)
+    return OBJECTS.find(parameter)
 
 
 def _unknown(parameter: str) -> str:

@@ -12,9 +12,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
+from protocols.canopen import sdo
+from protocols.canopen.services import MAX_NODE, sdo_rx_id
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.codec import MAX_NODE, sdo_rx_id
 from protocols.cia402.objects import Key
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos

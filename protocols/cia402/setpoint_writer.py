@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from protocols.canopen.pdo import Packing, is_synchronous, packing
 from protocols.cia402 import objects as o
 from protocols.cia402.mapping import Pdo
-from protocols.cia402.objects import Key
-from protocols.cia402.pdo import Packing, is_synchronous, packing
+from protocols.cia402.objects import OBJECTS, Key
 from protocols.cia402.setpoint import Values
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos
@@ -51,7 +51,7 @@ class SetpointWriter:
     def configure(self, pdos: Sequence[Pdo]) -> None:
         """Use these RPDOs from now on. The one with the controlword is sent last."""
         ordered = sorted(pdos, key=lambda pdo: (o.CONTROLWORD in pdo.keys, pdo.number))
-        self.rpdos = [_Rpdo(pdo.id, pdo.keys, packing(pdo.entries)) for pdo in ordered]
+        self.rpdos = [_Rpdo(pdo.id, pdo.keys, packing(OBJECTS, pdo.entries)) for pdo in ordered]
         self.mapped = frozenset(key for rpdo in self.rpdos for key in rpdo.keys)
         self.synchronous = any(is_synchronous(pdo.transmission) for pdo in pdos)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from protocols.cia402.codec import Heartbeat, NmtState, Sync, encode
+from protocols.canopen.services import Heartbeat, NmtState, Sync, encode
 from protocols.cia402.drive_state import DriveState
 from protocols.cia402.options import WATCHDOG_SHARE
 from protocols.frames import CanFrame

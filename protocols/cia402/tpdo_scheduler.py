@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from protocols.canopen.pdo import DISABLED, Packing, is_synchronous
 from protocols.cia402 import objects as o
 from protocols.cia402.dictionary import Dictionary
 from protocols.cia402.objects import Key
-from protocols.cia402.pdo import DISABLED, Packing, is_synchronous
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Nanos
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from protocols.canopen import sdo
+from protocols.canopen.services import Emcy, Heartbeat, NmtState, encode, sdo_rx_id, sdo_tx_id
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
 from protocols.cia402.axis import Axis, Signal
-from protocols.cia402.codec import Emcy, Heartbeat, NmtState, encode, sdo_rx_id, sdo_tx_id
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, NO_ERROR, RPDO_TIMEOUT, register_of
 from protocols.cia402.motor_control import MotorControl
 from protocols.cia402.objects import Type

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import fixtures
+from protocols.canopen.pdo import EVENT, encode_entry
 from protocols.cia402 import mapping, setpoint
 from protocols.cia402 import objects as o
 from protocols.cia402.mapping import Pdo
 from protocols.cia402.objects import OBJECTS, Key
 from protocols.cia402.options import Options
-from protocols.cia402.pdo import EVENT, encode_entry
 from protocols.frames import CanFrame
 from tests.protocols.cia402.stack import PACKAGE, Joined, master
 

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from protocols.canopen import sdo
+from protocols.canopen.pdo import Entry, decode_entry, encode_entry, mapping, packing
+from protocols.canopen.transfer import Transfer
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
 from protocols.cia402.faults import FAULTS, fault_info, register_of
 from protocols.cia402.objects import OBJECTS, Type, from_bytes, to_bytes
 from protocols.cia402.options import Options, Settings, units_of_settings
-from protocols.cia402.pdo import Entry, decode_entry, encode_entry, mapping, packing
 from protocols.cia402.profile import (
     STATE_BITS,
     HomingStatus,
     homing_of,
     state_of,
 )
-from protocols.cia402.transfer import Transfer
 
 SEED = 20261121
 

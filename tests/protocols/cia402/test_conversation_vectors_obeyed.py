@@ -15,7 +15,8 @@ from typing import Any
 import canopen
 import pytest
 
-from protocols.cia402 import plugin, sdo
+from protocols.canopen import sdo
+from protocols.cia402 import plugin
 from protocols.cia402.axis import Axis
 from protocols.cia402.options import Options, Settings
 from protocols.frames import CanFrame

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from protocols import messages as msg
-from protocols.cia402 import messages, plugin, read_only, sdo, spec
+from protocols.canopen import sdo
+from protocols.canopen.services import Heartbeat, Nmt, NmtCommand, NmtState, Sync, encode, rpdo_id, sdo_rx_id
+from protocols.cia402 import messages, plugin, read_only, spec
 from protocols.cia402 import objects as o
-from protocols.cia402.codec import Heartbeat, Nmt, NmtCommand, NmtState, Sync, encode, rpdo_id, sdo_rx_id
 from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.objects import OBJECTS, Key, to_bytes
 from protocols.cia402.options import Options, Settings

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.cia402 import mapping, state_machine
-from protocols.cia402 import objects as o
-from protocols.cia402.client import DUPLICATES, TRIES, Job, Purpose, SdoClient
-from protocols.cia402.mapping import Pdo
-from protocols.cia402.pdo import DISABLED, decode_entry
-from protocols.cia402.pdo import mapping as entries
-from protocols.cia402.scanning import BURST, Scanner
-from protocols.cia402.sdo import (
+from protocols.canopen.client import DUPLICATES, TRIES, Job, Purpose, SdoClient
+from protocols.canopen.pdo import DISABLED, decode_entry
+from protocols.canopen.pdo import mapping as entries
+from protocols.canopen.sdo import (
     GENERAL,
     Abort,
     Downloaded,
@@ -21,6 +17,10 @@ from protocols.cia402.sdo import (
     UploadSegment,
     UploadStart,
 )
+from protocols.cia402 import mapping, state_machine
+from protocols.cia402 import objects as o
+from protocols.cia402.mapping import Pdo
+from protocols.cia402.scanning import BURST, Scanner
 from protocols.cia402.startup import value_of
 from protocols.messages import MILLISECOND
 

@@ -10,10 +10,10 @@ import canopen
 import pytest
 
 import protocols.cia402
-from protocols.cia402 import sdo
-from protocols.cia402.eds import eds
+from protocols.canopen import sdo
+from protocols.canopen.eds import eds
+from protocols.canopen.transfer import Transfer
 from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
-from protocols.cia402.transfer import Transfer
 from tests.protocols.cia402.twin_bench import NODE, TwinBench
 
 FILE = Path(protocols.cia402.__file__).parent / "twin.eds"
@@ -32,7 +32,7 @@ def variables() -> dict[Key, Any]:
 
 
 def test_the_file_is_what_the_dictionary_makes() -> None:
-    """To write it anew: python -c "from protocols.cia402.eds import eds; print(eds(), end='')" > twin.eds"""
+    """To write it anew: python -c "from protocols.canopen.eds import eds; print(eds(), end='')" > twin.eds"""
     assert FILE.read_text("utf-8") == eds()
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from protocols.canopen import sdo
+from protocols.canopen.pdo import Entry, encode_entry
+from protocols.canopen.services import NmtCommand, NmtState, heartbeat_id, rpdo_id, sdo_rx_id, sdo_tx_id
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.codec import NmtCommand, NmtState, heartbeat_id, rpdo_id, sdo_rx_id, sdo_tx_id
 from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, OVERCURRENT, RPDO_TIMEOUT, register_of
 from protocols.cia402.objects import Key
 from protocols.cia402.options import Settings
-from protocols.cia402.pdo import Entry, encode_entry
 from protocols.cia402.profile import Mode, PowerState
 from protocols.cia402.state_machine import TRANSITIONS
 from protocols.frames import CanFrame

@@ -15,7 +15,8 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from protocols.cia402 import mapping, sdo
+from protocols.canopen import sdo
+from protocols.cia402 import mapping
 from protocols.cia402.mapping import Pdo
 from protocols.frames import CanFrame
 from protocols.reference_vectors import Vector

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 
 from protocols import messages as msg
+from protocols.canopen.pdo import decode_entry
+from protocols.canopen.services import NmtState, decode
 from protocols.cia402 import objects as o
-from protocols.cia402.codec import NmtState, decode
 from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Options, Settings
-from protocols.cia402.pdo import decode_entry
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.codec import (
+from protocols.canopen import sdo
+from protocols.canopen.pdo import Packing, encode_entry, mapping, packing
+from protocols.canopen.services import (
     Emcy,
     Heartbeat,
     Message,
@@ -25,11 +25,11 @@ from protocols.cia402.codec import (
     sdo_tx_id,
     tpdo_id,
 )
+from protocols.canopen.transfer import Transfer
+from protocols.cia402 import objects as o
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.cia402.options import Options, Settings, units_of_settings
-from protocols.cia402.pdo import Packing, encode_entry, mapping, packing
 from protocols.cia402.profile import Mode, PowerState, state_of
-from protocols.cia402.transfer import Transfer
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Nanos, seconds

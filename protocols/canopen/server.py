@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from protocols.cia402 import sdo
+from protocols.canopen import sdo
 from protocols.cia402.dictionary import Dictionary
 from protocols.cia402.objects import Key
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from protocols.cia402.objects import OBJECTS, Key
+from protocols.canopen.objects import Key, Objects
 
 MOST_BITS = 64
 DISABLED = 1 << 31
@@ -56,14 +56,14 @@ def encode_entry(entry: Entry) -> int:
     return entry.index << 16 | entry.sub << 8 | entry.bits
 
 
-def entry(key: Key) -> Entry:
+def entry(objects: Objects, key: Key) -> Entry:
     """Return the entry of a known object, in its whole length. KeyError if it is not known."""
-    return Entry(*key, OBJECTS[key].bits)
+    return Entry(*key, objects[key].bits)
 
 
-def mapping(*keys: Key) -> Mapping:
+def mapping(objects: Objects, *keys: Key) -> Mapping:
     """Return a mapping of known objects, each in its whole length."""
-    return tuple(entry(key) for key in keys)
+    return tuple(entry(objects, key) for key in keys)
 
 
 def is_synchronous(transmission: int) -> bool:
@@ -118,14 +118,14 @@ class Packing:
 _LETTERS = {8: "b", 16: "h", 32: "i", 64: "q"}
 
 
-def packing(entries: Sequence[Entry]) -> Packing:
+def packing(objects: Objects, entries: Sequence[Entry]) -> Packing:
     """Compile a mapping. ValueError if it is longer than a frame, or an entry has no bits."""
     bits = sum(one.bits for one in entries)
     if bits > MOST_BITS:
         raise ValueError(f"{bits} bits are mapped: a PDO has room for {MOST_BITS}")
     if any(not one.bits for one in entries):
         raise ValueError("an entry without bits")
-    signed = tuple(one.key in OBJECTS and OBJECTS[one.key].type.signed for one in entries)
+    signed = tuple(one.key in objects and objects[one.key].type.signed for one in entries)
     usual = all(one.bits in _LETTERS for one in entries)
     letters = [_LETTERS.get(one.bits, "") for one in entries]
     form = "<" + "".join(x if s else x.upper() for x, s in zip(letters, signed, strict=True)) if usual else ""

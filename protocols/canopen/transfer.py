@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from protocols.cia402 import sdo
+from protocols.canopen import sdo
 
 
 @dataclass(slots=True)

@@ -19,8 +19,6 @@ from typing import TypeAlias
 
 from protocols.frames import CanFrame, Frame
 
-PROTOCOL = "cia402"
-"""The protocol's name."""
 MAX_NODE = 127
 """Node ids are 1 to 127; 0 is every node in an NMT command."""
 NODE_MASK = 0x7F

@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from protocols.cia402 import sdo
-from protocols.cia402.objects import SERIAL_NUMBER, Key
-from protocols.cia402.transfer import Transfer
+from protocols.canopen import sdo
+from protocols.canopen.objects import SERIAL_NUMBER, Key
+from protocols.canopen.transfer import Transfer
 from protocols.messages import Nanos
 
 TRIES = 3
