@@ -108,11 +108,18 @@ def _row(
 
 DEVICE_TYPE = _row(0x1000, 0, "Device type", Type.U32, "ro")
 ERROR_REGISTER = _row(0x1001, 0, "Error register", Type.U8, "ro", mappable=True)
+ERROR_COUNT = _row(0x1003, 0, "Number of errors", Type.U8)
+ERROR_HISTORY = 0x1003
+"""Index of the last errors: subindex 1 is the newest."""
+HISTORY_MOST = 8
+_ROWS += [Object((0x1003, sub), f"Error {sub}", Type.U32, "ro") for sub in range(1, HISTORY_MOST + 1)]
 SYNC_COB_ID = _row(0x1005, 0, "COB-ID SYNC message", Type.U32)
 SYNC_PERIOD = _row(0x1006, 0, "Communication cycle period", Type.U32, unit="µs")
 DEVICE_NAME = _row(0x1008, 0, "Manufacturer device name", Type.TEXT, "const")
 HARDWARE_VERSION = _row(0x1009, 0, "Manufacturer hardware version", Type.TEXT, "const")
 SOFTWARE_VERSION = _row(0x100A, 0, "Manufacturer software version", Type.TEXT, "const")
+STORE = _row(0x1010, 1, "Store all parameters", Type.U32)
+RESTORE = _row(0x1011, 1, "Restore all default parameters", Type.U32)
 EMCY_COB_ID = _row(0x1014, 0, "COB-ID EMCY", Type.U32, "ro")
 CONSUMER_HEARTBEAT = _row(0x1016, 1, "Consumer heartbeat time", Type.U32, unit="node << 16 | ms")
 PRODUCER_HEARTBEAT = _row(0x1017, 0, "Producer heartbeat time", Type.U16, unit="ms")
@@ -198,6 +205,6 @@ class Objects(Mapping[Key, Object]):
         return self._rows[key]
 
     def find(self, text: str) -> Key | None:
-        """Return the key of a name in the table, or of any address: "6083", "0x6083", "608F:01", "608Fsub1"."""
+        """Return the key of a name in the table, or of any address: "6083", "0x6083", "608F:01"."""
         named = self._named.get(text.strip().casefold())
         return parse(text) if named is None else named.key

@@ -63,7 +63,8 @@ def ranges(options: Options, settings: Settings) -> dict[str, Range]:
     step = math.pi / units.per_turn * MARGIN
     increment = math.pi / (settings.encoder_increments * units.gear) * MARGIN
     position = Range(units.position(Type.I32.low), units.position(Type.I32.high), step)
-    velocity = Range(units.velocity(Type.I32.low), units.velocity(Type.I32.high), step)
+    speed = math.pi / units.velocity_per_turn * MARGIN
+    velocity = Range(units.velocity(Type.I32.low), units.velocity(Type.I32.high), speed)
     torque = Range(units.torque(Type.I16.low), units.torque(Type.I16.high), units.torque(1) / 2 * MARGIN)
     current = units.rated_current * 32.768
     found = {

@@ -98,7 +98,7 @@ class Axis:
 
     def _units(self) -> Units:
         units = units_of({key: self.dictionary.values[key] for key in READ})
-        if units is None:
+        if isinstance(units, str):
             raise ValueError("the dictionary keeps 608F, 6091 and 6092 above zero")
         return units
 

@@ -144,7 +144,7 @@ def feedback(motor: str, t: Nanos, values: Mapping[Key, int], units: Units) -> F
         motor,
         t,
         None if position is None else units.position(position),
-        None if velocity is None else units.velocity(velocity),
+        None if velocity is None or not units.velocity_per_turn else units.velocity(velocity),
         None if torque is None or not torque_rated else units.torque(torque),
         None if current is None or not current_rated else units.current(current),
         None if voltage is None else voltage / 1000.0,

@@ -159,9 +159,9 @@ class MotorControl:
             return True
         values, units = axis.dictionary.values, axis.units
         if option == SLOW_DOWN:
-            self._slow_down(dt, units.velocity(values[o.PROFILE_DECELERATION]))
+            self._slow_down(dt, units.acceleration(values[o.PROFILE_DECELERATION]))
         elif option == QUICK_RAMP:
-            self._slow_down(dt, units.velocity(values[o.QUICK_STOP_DECELERATION]))
+            self._slow_down(dt, units.acceleration(values[o.QUICK_STOP_DECELERATION]))
         else:
             self.ramp.velocity = 0.0
         if self.ramp.velocity:
@@ -210,7 +210,7 @@ class MotorControl:
             speed = min(units.velocity(values[o.PROFILE_VELOCITY]), self._speed_limit(axis))
             up, down = values[o.PROFILE_ACCELERATION], values[o.PROFILE_DECELERATION]
             goal = self._limit_position(axis, units.position(axis.goal))
-            if self.ramp.move_to(dt, goal, speed, units.velocity(up), units.velocity(down)):
+            if self.ramp.move_to(dt, goal, speed, units.acceleration(up), units.acceleration(down)):
                 axis.goal, axis.next_goal = axis.next_goal, None
         axis.position = round(self.ramp.position * units.per_turn / math.tau)
         self._control_position(dt, axis, self.ramp.position, self.ramp.velocity, 0.0)
@@ -233,8 +233,8 @@ class MotorControl:
             self.ramp.velocity = target + units.velocity(values[o.VELOCITY_OFFSET])
             offset = units.torque(values[o.TORQUE_OFFSET])
         else:
-            up = units.velocity(values[o.PROFILE_ACCELERATION])
-            self.ramp.change_velocity(dt, target, up, units.velocity(values[o.PROFILE_DECELERATION]))
+            up = units.acceleration(values[o.PROFILE_ACCELERATION])
+            self.ramp.change_velocity(dt, target, up, units.acceleration(values[o.PROFILE_DECELERATION]))
         self.ramp.position = self.position
         self._control_velocity(dt, axis, self.ramp.velocity, offset)
         near = abs(target - self.velocity) <= units.velocity(values[o.VELOCITY_WINDOW])
@@ -272,7 +272,7 @@ class MotorControl:
             before, self.turn = self.turn, math.floor(self.encoder / angle)
             if before is not None and before != self.turn:
                 self._home_found(axis, max(before, self.turn) * angle)
-            acceleration = units.velocity(values[o.HOMING_ACCELERATION])
+            acceleration = units.acceleration(values[o.HOMING_ACCELERATION])
             self.ramp.change_velocity(dt, speed if self.homing else 0.0, acceleration, acceleration)
             self.ramp.position = self.position
             self._control_velocity(dt, axis, self.ramp.velocity, 0.0)

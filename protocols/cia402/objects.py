@@ -1,5 +1,7 @@
 """The objects of the profile CiA 402, as far as they are supported here: type, access, unit, name.
 
+"position", "velocity" and "acceleration" are the drive's own units: `units` has them.
+
 Source: CiA 402-2 (indices, types and units as in ros-industrial/ros2_canopen@6ada196
 `canopen_tests/config/cia402/cia402_slave.eds`, where it has them).
 """
@@ -185,14 +187,27 @@ GEAR_MOTOR = _object(0x6091, 1, "Motor shaft revolutions", Type.U32, unit="turns
 GEAR_SHAFT = _object(0x6091, 2, "Driving shaft revolutions", Type.U32, unit="turns of the shaft")
 FEED = _object(0x6092, 1, "Feed", Type.U32, unit="position")
 FEED_SHAFT = _object(0x6092, 2, "Shaft revolutions", Type.U32, unit="turns of the shaft")
+VELOCITY_NUMERATOR = _object(0x6096, 1, "Velocity factor numerator", Type.U32)
+VELOCITY_DIVISOR = _object(0x6096, 2, "Velocity factor divisor", Type.U32)
+ACCELERATION_NUMERATOR = _object(0x6097, 1, "Acceleration factor numerator", Type.U32)
+ACCELERATION_DIVISOR = _object(0x6097, 2, "Acceleration factor divisor", Type.U32)
 HOMING_METHOD = _object(0x6098, 0, "Homing method", Type.I8)
 HOMING_SPEED_SWITCH = _object(0x6099, 1, "Speed during search for switch", Type.U32, unit="velocity")
 HOMING_SPEED_ZERO = _object(0x6099, 2, "Speed during search for zero", Type.U32, unit="velocity")
 HOMING_ACCELERATION = _object(0x609A, 0, "Homing acceleration", Type.U32, unit="acceleration")
+POSITION_UNIT = _object(0x60A8, 0, "SI unit position", Type.U32)
+VELOCITY_UNIT = _object(0x60A9, 0, "SI unit velocity", Type.U32)
+ACCELERATION_UNIT = _object(0x60AA, 0, "SI unit acceleration", Type.U32)
 VELOCITY_OFFSET = _object(0x60B1, 0, "Velocity offset", Type.I32, unit="velocity", mappable=True)
 TORQUE_OFFSET = _object(0x60B2, 0, "Torque offset", Type.I16, unit="‰ of rated torque", mappable=True)
 INTERPOLATION_VALUE = _object(0x60C2, 1, "Interpolation time period value", Type.U8, unit="10^index s")
 INTERPOLATION_INDEX = _object(0x60C2, 2, "Interpolation time index", Type.I8)
+FOLLOWING_ERROR = _object(
+    0x60F4, 0, "Following error actual value", Type.I32, "ro", "position", mappable=True
+)
+DIGITAL_INPUTS = _object(0x60FD, 0, "Digital inputs", Type.U32, "ro", "bits", mappable=True)
+DIGITAL_OUTPUTS = _object(0x60FE, 1, "Digital outputs", Type.U32, "rw", "bits", mappable=True)
+OUTPUTS_MASK = _object(0x60FE, 2, "Digital outputs bit mask", Type.U32, "rw", "bits")
 TARGET_VELOCITY = _object(0x60FF, 0, "Target velocity", Type.I32, unit="velocity", mappable=True)
 SUPPORTED_MODES = _object(0x6502, 0, "Supported drive modes", Type.U32, "ro")
 

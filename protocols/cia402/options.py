@@ -55,15 +55,20 @@ class Options:
     rated_torque: float = 0.0
     """N·m of the motor, for drives without object 6076; 0: then they take no torque."""
     counts_per_turn: float = 0.0
-    """Position units per turn of the device's shaft, for drives whose 608F, 6091 and 6092 do not define them;
-    0: then they stay unknown, and the drive is not commanded."""
+    """Position units per turn of the device's shaft, for drives whose 608F, 6091, 6092 and 60A8 do not define
+    them; 0: then they stay unknown, and the drive is not commanded."""
+    velocity_per_turn: float = 0.0
+    """Velocity units per turn of the device's shaft and second (60: rpm), for drives whose 60A9 or 6096 do not
+    define them; 0: then they stay unknown, and the drive takes no velocity."""
 
     def __deepcopy__(self, _: dict[int, object]) -> Options:
         return self
 
     def __post_init__(self) -> None:
         errors = [_out_of_range(name, getattr(self, name), low, high) for name, low, high in _OPTION_RANGES]
-        errors += [_not_an_amount(self, name) for name in ("rated_torque", "counts_per_turn")]
+        errors += [
+            _not_an_amount(self, name) for name in ("rated_torque", "counts_per_turn", "velocity_per_turn")
+        ]
         if self.watchdog_ms and self.watchdog_ms < 2 * WATCHDOG_SHARE:
             errors.append(f"watchdog_ms is {self.watchdog_ms}: it must be 0 or at least {2 * WATCHDOG_SHARE}")
         if self.feedback == "event" and self.offline_ms < 2 * self.feedback_ms:
@@ -118,6 +123,9 @@ class Settings:
     feed: int = _stored(o.FEED, 0)
     """position units per `feed_shaft` turns of the shaft; 0: positions are encoder increments"""
     feed_shaft: int = _stored(o.FEED_SHAFT, 1)
+    position_unit: int = _stored(o.POSITION_UNIT, 0)
+    velocity_unit: int = _stored(o.VELOCITY_UNIT, 0x00B5_0300)
+    acceleration_unit: int = _stored(o.ACCELERATION_UNIT, 0)
     rated_torque: int = _stored(o.RATED_TORQUE, 1000)
     """mN·m of the motor"""
     rated_current: int = _stored(o.RATED_CURRENT, 5000)
@@ -261,8 +269,8 @@ _GAINS = (
 def units_of_settings(settings: Settings) -> Units:
     """Return the units of a drive with these settings."""
     units = units_of({key: getattr(settings, name) for name, key in SETTING_OBJECTS.items()})
-    if units is None:
-        raise ValueError("encoder_increments must be above 0")
+    if isinstance(units, str) or not units.velocity_per_turn or not units.acceleration_per_turn:
+        raise ValueError("the units of the settings are not known")
     return units
 
 

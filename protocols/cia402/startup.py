@@ -93,13 +93,8 @@ def value_of(key: Key, data: bytes) -> int | None:
 
 def units_from(read: Mapping[Key, int], options: Options) -> Units | None:
     """Return the device's units, with the options' values where the device has none."""
-    reported = units.units_of(read)
-    if reported is None and not options.counts_per_turn:
-        return None
-    per_turn = options.counts_per_turn or (reported.per_turn if reported else 0.0)
-    torque = read.get(o.RATED_TORQUE, 0) / 1000.0 or options.rated_torque
-    current = read.get(o.RATED_CURRENT, 0) / 1000.0
-    return Units(per_turn, reported.gear if reported else 1.0, torque, current)
+    found = units.units_of(read, options.counts_per_turn, options.velocity_per_turn, options.rated_torque)
+    return None if isinstance(found, str) else found
 
 
 def why_unusable(read: Mapping[Key, int], absent: Collection[Key], options: Options) -> str:

@@ -244,9 +244,10 @@ class Cia402Twin:
         values, units = axis.dictionary.values, axis.units
         per_radian = units.per_turn / math.tau
         values[o.POSITION] = self._position()
-        values[o.VELOCITY] = _fit(Type.I32, motor.velocity * per_radian)
+        per_speed = units.velocity_per_turn / math.tau
+        values[o.VELOCITY] = _fit(Type.I32, motor.velocity * per_speed)
         values[o.POSITION_DEMAND] = _fit(Type.I32, motor.ramp.position * per_radian)
-        values[o.VELOCITY_DEMAND] = _fit(Type.I32, motor.ramp.velocity * per_radian)
+        values[o.VELOCITY_DEMAND] = _fit(Type.I32, motor.ramp.velocity * per_speed)
         permille = 1000.0 / (units.rated_torque * units.gear)
         values[o.TORQUE] = _fit(Type.I16, motor.torque * permille)
         values[o.CURRENT] = values[o.TORQUE]
