@@ -18,7 +18,7 @@ from protocols.canopen import sdo
 from protocols.canopen.services import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
 from protocols.canopen.pdo import mapping, packing
-from protocols.canopen.transfer import Transfer
+from protocols.cia402.old_transfer import Transfer
 from protocols.frames import CanFrame
 
 RIVAL = ("canopen", "canopen", "canopen's PdoMap and SDO client")

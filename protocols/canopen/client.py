@@ -1,46 +1,49 @@
-"""The host's SDO client for one device: one transfer at a time, repeated without a response, given up at
-last.
+"""The host's SDO client for one device: jobs by purpose, one transfer at a time, repeated without a response.
 
-Rules. Plain data; `poll` returns what is to be sent, `handle` takes a response, and a `Job` that ended is
-returned as an `Outcome`. Only an URGENT job replaces the present one, which is then forgotten (its late
-response is ignored). Segments that another host interrupted are begun anew at once. An unexpected response
-changes nothing; it is counted if it repeats the last one, for two devices with one node id respond to
-everything twice.
+Rules. Plain data. A transfer that was begun ends before another begins, an urgent one too, which is then the
+next. Else polls take turns with everything else, so that neither keeps a slow device from the other.
+
+A response names an object, and no request: a copy, or one that is late, looks like the response to the next
+request for that object. So an object is not transferred again (but urgently) while more responses about it
+may be under way: QUIET after a response that nothing asked for, a timeout after a request that was repeated.
+
+Source: CiA 301 "SDO protocols"; package canopen 2.4.1 `sdo/client.py`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 from protocols.canopen import sdo
-from protocols.canopen.objects import SERIAL_NUMBER, Key
-from protocols.canopen.transfer import Transfer
-from protocols.messages import Nanos
+from protocols.canopen.objects import Key
+from protocols.messages import MILLISECOND, Nanos
 
 TRIES = 3
 """Attempts before a transfer is given up."""
-DUPLICATES = 3
+QUIET = 20 * MILLISECOND
+DOUBLED = 3
 """This many transfers in a row that were each answered twice prove two devices."""
+NEVER: Nanos = 1 << 62
 
 
 class Purpose(IntEnum):
-    """What a transfer is for."""
+    """What a transfer is for; the first goes first."""
 
     URGENT = 0
-    """Disarming, quick stop, fault reset: replaces the present transfer."""
+    """Disarming, quick stop, fault reset."""
     SETUP = 1
-    """Configuration before a device is armed."""
+    """What is written, and read back, before a device is armed."""
     SETPOINT = 2
     """Set-points that are in no PDO."""
     REQUEST = 3
-    """A request from outside: a parameter, the homing method."""
-    POLL = 4
+    """A request from outside."""
+    STARTUP = 4
+    """What is read of a device once."""
+    CHECK = 5
+    """What is read again from time to time, as the serial number."""
+    POLL = 6
     """Feedback."""
-    STARTUP = 5
-    """Units, identity and PDOs of a device."""
-    IDENTITY_CHECK = 6
-    """The serial number, periodically."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +53,8 @@ class Job:
     purpose: Purpose
     key: Key
     data: bytes | None = None
-    token: int = 0
-    """Of the request that it is for."""
+    patience: int = 1
+    """Timeouts for which a response is waited for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,108 +67,200 @@ class Outcome:
     abort: int | None = None
     """The abort code; `sdo.TIMEOUT` without a response."""
 
-    @property
-    def timed_out(self) -> bool:
-        """True if there was no response at all."""
-        return self.abort == sdo.TIMEOUT
-
 
 @dataclass(slots=True)
 class SdoClient:
     """The transfers with one device."""
 
     timeout: Nanos
+    waiting: dict[Purpose, list[Job]] = field(default_factory=dict)
     job: Job | None = None
-    transfer: Transfer | None = None
-    next: sdo.Request | None = None
-    """To be sent at once."""
-    last: sdo.Response | None = None
-    """The response that ended the last transfer, if that was begun once only: it should not be repeated."""
-    sent_at: Nanos = 0
-    tries: int = 0
-    duplicates: int = 0
+    """The present one."""
+    doubled: int = 0
     """Transfers in a row that were answered twice."""
-    repeated: bool = False
-    """The last transfer's response was repeated."""
+    _next: sdo.Request | None = None
+    """To be sent."""
+    _sent_at: Nanos = 0
+    _tries: int = 0
+    _polled: bool = False
+    """The last job was a poll."""
+    _suspects: dict[Key, Nanos] = field(default_factory=dict)
+    """Objects about which a response may still come, and until when."""
+    _last: sdo.Response | None = None
+    """What ended the last transfer, if that was begun once only: it should not be repeated."""
+    _repeated: bool = False
+    """It was."""
+    # a segmented transfer
+    _segments: bool = False
+    _toggle: bool = False
+    _value: bytes = b""
+    _size: int | None = None
+    _sent: int = 0
 
-    def free(self, purpose: Purpose) -> bool:
-        """True if a job of this purpose may begin now."""
-        return self.job is None or (purpose is Purpose.URGENT and self.job.purpose is not Purpose.URGENT)
+    # -- jobs -----------------------------------------------------------------------------------------
 
-    def begin(self, job: Job) -> None:
-        """Begin a job, in place of the present one."""
-        self.job, self.transfer = job, Transfer(*job.key, job.data)
-        self.next, self.tries = self.transfer.first(), 1
+    def put(self, *jobs: Job) -> None:
+        """Add jobs, each behind the others of its purpose."""
+        for job in jobs:
+            self.waiting.setdefault(job.purpose, []).append(job)
 
-    def drop(self) -> None:
-        """Forget the present job: the device may have restarted."""
-        self.job = self.transfer = self.next = self.last = None
-        self.repeated, self.duplicates = False, 0
+    def has(self, purpose: Purpose) -> bool:
+        """True if a job of this purpose waits, or is under way."""
+        return bool(self.waiting.get(purpose)) or (self.job is not None and self.job.purpose is purpose)
 
-    def handle(self, response: sdo.Response) -> Outcome | None:
+    def drop(self, *purposes: Purpose) -> None:
+        """Forget the jobs of these purposes that are not begun."""
+        for purpose in purposes:
+            self.waiting.pop(purpose, None)
+
+    def forget(self, t: Nanos) -> None:
+        """Forget all jobs: the device may have restarted."""
+        if self.job is not None:
+            self._suspects[self.job.key] = t + self.timeout
+        self.waiting.clear()
+        self.job = self._next = self._last = None
+        self._repeated, self.doubled = False, 0
+
+    def resend(self) -> None:
+        """Send the present request again: it may have been lost on our side."""
+        if self.job is not None:
+            self._restart()
+
+    # -- responses ------------------------------------------------------------------------------------
+
+    def handle(self, t: Nanos, response: sdo.Response) -> Outcome | None:
         """Handle a response; return the outcome if it ends the job."""
-        transfer, job = self.transfer, self.job
-        if transfer is None or job is None:
-            self._on_unexpected(response)
+        job = self.job
+        if job is None or self._next is not None:  # nothing is asked
+            self._on_unexpected(t, response)
             return None
-        if self._interrupted(transfer, response):
-            self.next, self.tries = transfer.first(), self.tries + 1
-            return None
-        before = transfer.value, transfer.toggle, transfer.sent, transfer.expecting
-        request = transfer.handle(response)
-        if transfer.done:
-            self.job = self.transfer = self.next = None
-            if self.last is not None:
-                self.duplicates = self.duplicates + 1 if self.repeated else 0
-            self.last, self.repeated = response if self.tries == 1 else None, False
-            return Outcome(job, transfer.value, transfer.abort)
-        if request is not None:
-            self.next = request
-        elif before == (transfer.value, transfer.toggle, transfer.sent, transfer.expecting):
-            self._on_unexpected(response)
+        reading = job.data is None
+        match response:
+            case sdo.Abort(index, sub, code) if (index, sub) == job.key:
+                return self._end(t, response, code)
+            case sdo.Abort() if self._segments and self._tries < TRIES:
+                self._tries += 1  # another host's request: a device serves one transfer at a time
+                self._restart()
+            case sdo.Uploaded(index, sub, data) if reading and (index, sub) == job.key and not self._segments:
+                self._value = data
+                return self._end(t, response)
+            case sdo.UploadStart(index, sub, size) if reading and (index, sub) == job.key:
+                if not self._segments:
+                    self._segments, self._size, self._next = True, size, sdo.UploadSegment(False)
+            case sdo.UploadedSegment(toggle, data, last) if reading and self._segments:
+                return self._on_segment(t, response, data, last=last) if toggle == self._toggle else None
+            case sdo.Downloaded(index, sub) if not reading and (index, sub) == job.key:
+                return self._on_downloaded(t, response, job.data or b"")
+            case sdo.SegmentDownloaded(toggle) if not reading and self._segments:
+                if toggle == self._toggle:
+                    self._toggle = not toggle
+                    return self._next_segment(t, response, job.data or b"")
+            case _:
+                self._on_unexpected(t, response)
         return None
 
-    def _interrupted(self, transfer: Transfer, response: sdo.Response) -> bool:
-        """True if another host's request interrupted our segments (a device serves one transfer at a time),
-        and they can be requested anew. The abort of a segment names the object of that other request."""
-        if transfer.expecting is None or not isinstance(response, sdo.Abort) or self.tries >= TRIES:
-            return False
-        return (response.index, response.sub) != (transfer.index, transfer.sub)
+    def _on_segment(self, t: Nanos, response: sdo.Response, data: bytes, *, last: bool) -> Outcome | None:
+        self._value, self._toggle = self._value + data, not self._toggle
+        if last:
+            wrong = self._size is not None and self._size != len(self._value)
+            return self._end(t, response, sdo.LENGTH_MISMATCH if wrong else None)
+        self._next = sdo.UploadSegment(self._toggle)
+        return None
 
-    def _on_unexpected(self, response: sdo.Response) -> None:
+    def _on_downloaded(self, t: Nanos, response: sdo.Response, data: bytes) -> Outcome | None:
+        if 1 <= len(data) <= sdo.EXPEDITED:
+            return self._end(t, response)
+        self._segments = True
+        return self._next_segment(t, response, data)
+
+    def _next_segment(self, t: Nanos, response: sdo.Response, data: bytes) -> Outcome | None:
+        if self._sent and self._sent >= len(data):
+            return self._end(t, response)
+        segment = data[self._sent : self._sent + sdo.SEGMENT]
+        self._sent += max(len(segment), 1)
+        self._next = sdo.DownloadSegment(self._toggle, segment, self._sent >= len(data))
+        return None
+
+    def _end(self, t: Nanos, response: sdo.Response | None, abort: int | None = None) -> Outcome | None:
+        job, self.job = self.job, None
+        if job is None:
+            return None
+        if self._tries > 1:
+            self._suspects[job.key] = t + self.timeout
+        if self._last is not None:
+            self.doubled = self.doubled + 1 if self._repeated else 0
+        self._last, self._repeated = response if self._tries == 1 else None, False
+        return Outcome(job, self._value if abort is None else b"", abort)
+
+    def _on_unexpected(self, t: Nanos, response: sdo.Response) -> None:
         """Note a response that is late, or repeats the last one, or is a second device's."""
-        last = self.last
-        if last is None or not _same_request(last, response):
-            return
-        self.repeated = True
-        if isinstance(last, sdo.Uploaded) and last.index == SERIAL_NUMBER[0] and last != response:
-            self.duplicates = DUPLICATES  # one device does not have two serial numbers
+        key = _key_of(response)
+        if key is not None:
+            self._suspects[key] = max(t + QUIET, self._suspects.get(key, 0))
+        self._repeated = self._repeated or self.repeats(response)
+
+    def repeats(self, response: sdo.Response) -> bool:
+        """True if a response is to the request that was answered last."""
+        if self._last is None:
+            return False
+        key = _key_of(response)
+        return self._last == response if key is None else key == _key_of(self._last)
+
+    # -- requests -------------------------------------------------------------------------------------
 
     def poll(self, now: Nanos) -> tuple[sdo.Request | None, Outcome | None]:
         """Return the request to be sent now, and the outcome of a job that is given up."""
-        if self.next is not None:
-            request, self.next, self.sent_at = self.next, None, now
-            return request, None
-        if self.job is None or self.transfer is None or now < self.sent_at + self.timeout:
-            return None, None
-        if self.tries < TRIES:
-            self.tries, self.sent_at = self.tries + 1, now
-            return self.transfer.first(), None
-        given_up, self.job, self.transfer = self.job, None, None
-        return None, Outcome(given_up, abort=sdo.TIMEOUT)
+        if self.job is None and self.waiting:
+            self._begin(now)
+        job = self.job
+        if job is not None and self._next is None and now >= self._sent_at + self.timeout * job.patience:
+            if self._tries >= TRIES:
+                return None, self._end(now, None, sdo.TIMEOUT)
+            self._tries += 1
+            self._restart()
+        request, self._next = self._next, None
+        self._sent_at = self._sent_at if request is None else now
+        return request, None
 
-    def due(self) -> Nanos | None:
-        """Return when `poll` next has something to do; None without a job."""
-        if self.next is not None:
-            return 0
-        return None if self.job is None else self.sent_at + self.timeout
+    def _begin(self, now: Nanos) -> None:
+        """Begin the job whose turn it is."""
+        self._suspects = {key: until for key, until in self._suspects.items() if until > now}
+        first = {purpose: jobs[0] for purpose, jobs in sorted(self.waiting.items()) if jobs}
+        urgent = first.get(Purpose.URGENT)
+        ready = {purpose: job for purpose, job in first.items() if job.key not in self._suspects}
+        poll = None if self._polled else ready.get(Purpose.POLL)
+        job = urgent or poll or next(iter(ready.values()), None)
+        if job is not None:
+            self.waiting[job.purpose] = self.waiting[job.purpose][1:]
+            self.job, self._tries, self._polled = job, 1, job.purpose is Purpose.POLL
+            self._restart()
+
+    def _restart(self) -> None:
+        """Begin the present transfer, or begin it anew."""
+        if self.job is None:
+            return
+        (index, sub), data = self.job.key, self.job.data
+        self._segments = self._toggle = False
+        self._value, self._size, self._sent = b"", None, 0
+        if data is None:
+            self._next = sdo.Upload(index, sub)
+        elif 1 <= len(data) <= sdo.EXPEDITED:
+            self._next = sdo.Download(index, sub, data)
+        else:
+            self._next = sdo.DownloadStart(index, sub, len(data))
+
+    def due(self) -> Nanos:
+        """Return when `poll` next has something to do."""
+        if self.job is not None:
+            return 0 if self._next is not None else self._sent_at + self.timeout * self.job.patience
+        first = [jobs[0] for jobs in self.waiting.values() if jobs]
+        if not first:
+            return NEVER
+        return min(self._suspects.get(job.key, 0) * (job.purpose > 0) for job in first)
 
 
-def _same_request(one: sdo.Response, other: sdo.Response) -> bool:
-    """True if two responses are to the same request."""
-    if isinstance(one, _SEGMENTS) or isinstance(other, _SEGMENTS):
-        return one == other
-    return (one.index, one.sub) == (other.index, other.sub)
-
-
-_SEGMENTS = (sdo.UploadedSegment, sdo.SegmentDownloaded)
+def _key_of(response: sdo.Response) -> Key | None:
+    """Return the object that a response names; segments name none."""
+    if isinstance(response, sdo.UploadedSegment | sdo.SegmentDownloaded):
+        return None
+    return response.index, response.sub

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from protocols.canopen.client import Job, Purpose
+from protocols.cia402.old_client import Job, Purpose
 from protocols.cia402 import mapping
 from protocols.cia402 import objects as o
 from protocols.cia402.drive_state import DriveState

@@ -8,7 +8,7 @@ the device's code, until it is gone.
 from __future__ import annotations
 
 from protocols import messages as msg
-from protocols.canopen.client import Job, Purpose, SdoClient
+from protocols.cia402.old_client import Job, Purpose, SdoClient
 from protocols.canopen.pdo import Packing, packing
 from protocols.canopen.services import Emcy, Heartbeat, NmtState
 from protocols.cia402 import mapping, startup

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from protocols import messages as msg
 from protocols.canopen import sdo
 from protocols.canopen import services as codec
-from protocols.canopen.client import Outcome, Purpose
+from protocols.cia402.old_client import Outcome, Purpose
 from protocols.canopen.services import EMCY_BASE, HEARTBEAT_BASE, NODE_MASK, SDO_TX_BASE, SYNC_ID
 from protocols.cia402 import configuring, duplicate_address, jobs, motion, requests
 from protocols.cia402 import objects as o

@@ -7,7 +7,7 @@ hosts that poll the same one). It is reported once until it is cleared.
 
 from __future__ import annotations
 
-from protocols.canopen.client import DUPLICATES, Outcome
+from protocols.cia402.old_client import DUPLICATES, Outcome
 from protocols.cia402 import objects as o
 from protocols.cia402.drive_state import DriveState
 from protocols.cia402.faults import DUPLICATE_NODE

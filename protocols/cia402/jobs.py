@@ -7,7 +7,7 @@ that was not commanded, except on request.
 
 from __future__ import annotations
 
-from protocols.canopen.client import Job, Purpose
+from protocols.cia402.old_client import Job, Purpose
 from protocols.cia402 import objects as o
 from protocols.cia402.drive_state import DriveState
 from protocols.cia402.feedback import NEVER, Conditions

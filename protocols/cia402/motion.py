@@ -14,7 +14,7 @@ Source: CiA 402-2 "homing mode"; package canopen 2.4.1 `profiles/p402.py` for th
 
 from __future__ import annotations
 
-from protocols.canopen.client import Job, Purpose
+from protocols.cia402.old_client import Job, Purpose
 from protocols.canopen.services import Nmt, NmtCommand, NmtState, encode
 from protocols.cia402 import configuring, state_machine
 from protocols.cia402 import objects as o

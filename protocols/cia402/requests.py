@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from protocols import messages as msg
-from protocols.canopen.client import Job, Outcome, Purpose
+from protocols.cia402.old_client import Job, Outcome, Purpose
 from protocols.canopen.sdo import NO_OBJECT, abort_text
 from protocols.canopen.services import Nmt, NmtCommand, encode
 from protocols.cia402 import motion, startup

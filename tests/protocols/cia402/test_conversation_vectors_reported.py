@@ -9,7 +9,7 @@ from canopen.objectdictionary import ODVariable, datatypes
 from canopen.profiles.p402 import State402
 
 from protocols.canopen import sdo
-from protocols.canopen.transfer import Transfer
+from protocols.cia402.old_transfer import Transfer
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Found, Hold, Position, Scan, State, Torque, Velocity
 from tests.protocols.cia402.conversation import Talk, armed, up

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from protocols.canopen.client import DUPLICATES, TRIES, Job, Purpose, SdoClient
+from protocols.cia402.old_client import DUPLICATES, TRIES, Job, Purpose, SdoClient
 from protocols.canopen.pdo import DISABLED, decode_entry
 from protocols.canopen.pdo import mapping as entries
 from protocols.canopen.sdo import (
