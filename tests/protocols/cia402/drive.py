@@ -76,13 +76,15 @@ class Drive:
         self.modes_late = False
         """It does not change its mode yet."""
         self.slow = 0
-        """ms that it needs for each SDO request; of those that come meanwhile it keeps the newest."""
+        """ms that it needs for each SDO request."""
+        self.keeps = 99
+        """How many that come meanwhile it keeps, the newest."""
         self.late = 0
         """ms by which its SDO responses are delayed."""
         self.copies = 1
         """Copies of each SDO response on the bus."""
         self.echo = 0
-        """ms after which each SDO response comes once more."""
+        """ms after which every third SDO response comes once more."""
         self.unsized = False
         """Its expedited responses of four bytes have no size (CiA 301: s = 0; n means nothing)."""
         self.acknowledges, self.releases = True, True
@@ -100,16 +102,21 @@ class Drive:
                 made.data_type, made.default, made.access_type = 7, 0, "rw"
                 self.local.object_dictionary.add_object(made)
         self._sending: list[tuple[int, Frame]] = []
-        self._request: CanFrame | None = None
-        self._waiting: CanFrame | None = None
+        self._requests: list[CanFrame] = []
+        """The first one is being served."""
         self._served_at = 0
         self._latched: dict[int, CanFrame] = {}
         self._mapped = False
-        self._acknowledged = 0
+        self._acknowledged = self._responses = 0
         for text in ("6064=4096", "6502=0x3AD", "6079=48000", "1018:04=4711", "60A9=0x00B50300"):
             self.change(text)
         self.local.add_write_callback(self._written)
         self._show()
+
+    @property
+    def enabled(self) -> bool:
+        """It gives torque."""
+        return self._state in ("OPERATION ENABLED", "QUICK STOP ACTIVE")
 
     # -- what a transcript demands -------------------------------------------------------------
 
@@ -195,7 +202,7 @@ class Drive:
         self.local.nmt.state = "PRE-OPERATIONAL"
         for index in (*FORGOTTEN, 0x6040, 0x6060):
             self.local.data_store.pop(index, None)
-        self._control, self._mapped, self._request, self._waiting = 0, False, None, None
+        self._control, self._mapped, self._requests = 0, False, []
         self._go("SWITCH ON DISABLED")
 
     def _line_gets(self, rest: Sequence[str]) -> None:
@@ -245,7 +252,10 @@ class Drive:
         if frame.id == 0 and self.deaf_to_nmt:
             self.deaf_to_nmt -= 1
         elif frame.id == 0x600 + self.node and self.slow:
-            self._waiting = frame
+            if not self._requests:
+                self._served_at = self._ms + self.slow
+            waiting = [*self._requests[1:], frame]
+            self._requests = [*self._requests[:1], *waiting[max(0, len(waiting) - self.keeps) :]] or [frame]
         else:
             self._handle(frame)
 
@@ -261,11 +271,9 @@ class Drive:
 
     def _serve(self) -> None:
         """Serve SDO requests one after the other."""
-        if self._request is not None and self._ms >= self._served_at:
-            self._handle(self._request)
-            self._request = None
-        if self._request is None and self._waiting is not None:
-            self._request, self._waiting, self._served_at = self._waiting, None, self._ms + self.slow
+        if self._requests and self._ms >= self._served_at:
+            self._handle(self._requests.pop(0))
+            self._served_at = self._ms + self.slow
 
     def step(self) -> list[Frame]:
         """Return what it sends in this millisecond."""
@@ -285,7 +293,8 @@ class Drive:
             times = [0]
             if frame.id == 0x580 + self.node:
                 times = [] if self.mute else [self.late] * self.copies
-                times += [self.late + self.echo] * bool(self.echo)
+                self._responses += 1
+                times += [self.late + self.echo] * (self.echo > 0 and self._responses % 3 == 0)
                 if self.unsized and frame.data[0] == 0x43:
                     frame = CanFrame(frame.id, b"\x4e" + frame.data[1:])
             self._sending += [(self._ms + wait, frame) for wait in times]
