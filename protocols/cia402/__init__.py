@@ -29,9 +29,9 @@ from protocols.canopen.services import (
     SDO_TX_BASE,
     SYNC_ID,
 )
-from protocols.cia402.decoder import Cia402Decoder
 from protocols.cia402.driver import Cia402Driver
 from protocols.cia402.faults import FAULTS
+from protocols.cia402.memory import Cia402Decoder
 from protocols.cia402.objects import PDO_NUMBERS, Type
 from protocols.cia402.options import Options, Settings, units_of_settings
 from protocols.cia402.profile import Mode, supports

@@ -6,8 +6,8 @@ units, so that it can be compared with an EDS or a commissioning tool; the drive
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 from protocols.cia402 import objects as o
@@ -143,7 +143,10 @@ SETTING_OBJECTS: dict[str, Key] = {
 _ROWS = [each.metadata for each in fields(Settings) if "object" in each.metadata]
 ONLY: dict[Key, Sequence[int]] = {row["object"]: row["only"] for row in _ROWS if row["only"]}
 """The values that the twin supports of an object; others are refused."""
-LOWEST: dict[Key, int] = {row["object"]: row["low"] for row in _ROWS if row["low"] > 0}
+LOWEST: dict[Key, int] = {row["object"]: row["low"] for row in _ROWS if row["low"] > 0} | {
+    o.ENCODER_REVOLUTIONS: 1,
+    o.HOMING_SPEED_SWITCH: 1,
+}
 """The lowest value that the twin takes of an object, where its type has lower ones."""
 
 
@@ -152,11 +155,11 @@ def units_of_settings(settings: Settings) -> Units:
     return twin_units({key: getattr(settings, name) for name, key in SETTING_OBJECTS.items()})
 
 
-def twin_units(values: dict[Key, int]) -> Units:
+def twin_units(values: Mapping[Key, int]) -> Units:
     """Return the units in which the twin runs: rpm where its objects do not define a unit of velocity."""
     units = units_of(values)
     if isinstance(units, Units) and units.doubt:
         units = units_of(values, velocity_per_turn=60.0)
-    if isinstance(units, str):
-        raise ValueError(units)
-    return units
+    assert isinstance(units, Units), "settings and dictionary keep 608F and 6091 above 0"
+    per_turn = units.acceleration_per_turn or units.velocity_per_turn
+    return replace(units, acceleration_per_turn=per_turn)

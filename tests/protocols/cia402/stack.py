@@ -28,7 +28,9 @@ VECTORS = vectors_of(plugin)
 
 @cache
 def _parsed(node: int) -> Any:
-    return canopen.import_od(EDS, node_id=node)
+    objects = canopen.import_od(EDS, node_id=node)
+    objects[0x60A9].default, objects[0x60AA].default = 0x00B5_0300, 0  # increments per second
+    return objects
 
 
 def dictionary(node: int) -> Any:

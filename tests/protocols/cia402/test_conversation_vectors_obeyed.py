@@ -17,7 +17,7 @@ import pytest
 
 from protocols.canopen import sdo
 from protocols.cia402 import plugin
-from protocols.cia402.axis import Axis
+from protocols.cia402.memory import Memory
 from protocols.cia402.options import Options, Settings
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Command, Obeyed
@@ -25,7 +25,8 @@ from protocols.plugin import Device
 from tests.protocols.cia402.stack import VECTORS, Joined, Slave, dictionary
 
 NODE = 2
-DEVICE = Device("m", NODE, Options(), Settings())
+IN_INCREMENTS = Settings(velocity_unit=0x00B5_0300, acceleration_unit=0)
+DEVICE = Device("m", NODE, Options(), IN_INCREMENTS)
 Lines = Sequence[tuple[str, str]]
 UP: Lines = (("6040 = 6", ""), ("6040 = 7", ""))
 # fmt: off
@@ -273,11 +274,11 @@ OBEYED: dict[str, Lines] = {
 
 
 class Host:
-    """A RemoteNode, a LocalNode that answers it, and an axis and a decoder that receive the same."""
+    """A RemoteNode, a LocalNode that answers it, and a memory and a decoder that receive the same."""
 
     def __init__(self, settings: Settings | None = None) -> None:
-        device = Device("m", NODE, Options(), settings or Settings())
-        self.axis = Axis(device, instant=True)
+        device = Device("m", NODE, Options(), settings or IN_INCREMENTS)
+        self.memory = Memory(device, instant=True)
         self.decoder = plugin.decoder([device])
         self.slave = Slave(NODE)
         self.slave.take_sent()
@@ -287,22 +288,22 @@ class Host:
         self.now = 0
         self.obeyed: list[Obeyed] = []
         self.compared: list[tuple[CanFrame, list[str], list[str]]] = []
-        """(request, LocalNode's responses, the axis's responses)"""
+        """(request, LocalNode's responses, the memory's responses)"""
         self.last = ""
         self.network.on_sent = self._handle
 
     def _handle(self, frame: CanFrame) -> None:
         self.now += MILLISECOND
-        obeyed = list(self.axis.receive(self.now, frame))
+        received = self.memory.node.receive(self.now, frame)
+        obeyed = list(self.memory.obey(received)) if received else []
         assert obeyed == list(self.decoder.decode(self.now, frame))
         self.obeyed += obeyed
         if len(frame.data) == {0x000: 2, 0x602: 8}.get(frame.id, -1):  # it raises on others
             self.slave.receive(frame)
         reported = [answer for answer in self.slave.take_sent() if answer.id == 0x580 + NODE]
-        own = [sdo.encode(answer).hex() for answer in self.axis.responses]
+        own = [received.response.hex()] if received and received.response else []
         if frame.id == 0x600 + NODE:
             self.compared.append((frame, [answer.data.hex() for answer in reported], own))
-        self.axis.responses.clear()
         for answer in reported:
             self.network.handle(answer)
 
@@ -400,7 +401,7 @@ def test_vectors_of_the_hosts_heartbeat_are_noted() -> None:
 
     def noted(frame: CanFrame) -> int | None:
         host.network.send_message(frame.id, frame.data)
-        return host.axis.host_beat
+        return host.memory.node.host_beat
 
     assert noted(beat) is None, "not configured"
     host.send("1016:01 = 8323572")  # 127 << 16 | 500

@@ -10,7 +10,6 @@ from protocols.cia402 import objects as o
 from protocols.cia402.faults import FOLLOWING_ERROR
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import HomingStatus, Mode, PowerState, Status, homing_of
-from protocols.cia402.ramps import Ramp
 from tests.protocols.cia402.twin_bench import TwinBench
 
 NEW, IMMEDIATELY, RELATIVE = 0x10, 0x20, 0x40
@@ -252,7 +251,7 @@ def test_position_limits_hold_the_target(mode: Mode) -> None:
     bench.put(o.TARGET_POSITION, 9000)
     if mode is Mode.PP:
         bench.control(0x1F)
-    bench.run(60)
+    bench.run(10)
     assert bench.status & Status.INTERNAL_LIMIT
     bench.run(2000)
     assert bench.read(o.POSITION) == pytest.approx(2000, abs=20)
@@ -319,21 +318,3 @@ def test_units_may_be_written_while_it_runs() -> None:
     assert bench.read(o.POSITION) == 360
     bench.put(o.FEED, 0)
     assert bench.read(o.POSITION) == 16_384
-
-
-# -- ramps -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("goal", [0.001, 1.0, -7.5])
-@pytest.mark.parametrize("dt", [0.001, 0.0002])
-def test_a_trapezoidal_move_arrives_without_passing_its_goal(goal: float, dt: float) -> None:
-    ramp, steps, highest = Ramp(), 0, 0.0
-    while not ramp.move_to(dt, goal, 2.0, 5.0, 10.0):
-        steps += 1
-        highest = max(highest, abs(ramp.position))
-        assert abs(ramp.velocity) <= 2.0 + 1e-9
-        assert steps < 10 / dt
-    assert highest <= abs(goal) * 1.001 + 0.02
-    assert (ramp.position, ramp.velocity) == (goal, 0.0)
-    fastest = abs(goal) / 2.0
-    assert steps * dt >= fastest

@@ -70,7 +70,7 @@ def test_the_twin_answers_sdo_vectors_as_the_slave_did() -> None:
     drive.step()
     for asked, answered in ANSWERED:
         if asked == "enable_over_sdo#2":  # in no mode the statusword has no bits of a mode
-            drive.twin.axis.dictionary.values[o.MODE] = 0
+            drive.twin.memory.node.dictionary.values[o.MODE] = 0
         sent = [
             frame
             for frame in drive.step(frame_of(asked))
@@ -117,7 +117,7 @@ def test_pdo_vectors_configure_the_twin_and_it_maps_what_they_map() -> None:
         for sent in drive.step(frame):
             assert isinstance(sent, CanFrame)
             assert sent.id != 0x582 or sent.data[0] in (0x60, 0x4F, 0x4B, 0x43), f"{frame!r}: {sent}"
-    dictionary = drive.twin.axis.dictionary
+    dictionary = drive.twin.memory.node.dictionary
     for vector in VECTORS:
         if vector.name.startswith("configure_") and vector.name.endswith("#0"):
             what = vector.name.removeprefix("configure_").partition("#")[0]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from protocols.canopen import sdo
 from protocols.canopen.pdo import Packing, encode_entry, mapping, packing
@@ -25,11 +26,12 @@ from protocols.canopen.services import (
     sdo_tx_id,
     tpdo_id,
 )
-from protocols.canopen.transfer import Transfer
+from protocols.cia402.old_transfer import Transfer
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
-from protocols.cia402.options import Options, Settings, units_of_settings
+from protocols.cia402.options import Options
 from protocols.cia402.profile import Mode, PowerState, state_of
+from protocols.cia402.settings import Settings, units_of_settings
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Nanos, seconds
@@ -46,10 +48,10 @@ def device(settings: Settings | None = None, address: int = NODE, name: str = "m
 
 
 class TwinBench:
-    """One twin, its shaft and its host."""
+    """One twin, its shaft and its host; velocities in increments per second, accelerations in those per s."""
 
     def __init__(self, settings: Settings | None = None, seed: int = 0) -> None:
-        self.settings = settings or Settings()
+        self.settings = replace(settings or Settings(), velocity_unit=0x00B5_0300, acceleration_unit=0)
         self.units = units_of_settings(self.settings)
         self.twin = Cia402Twin(device(self.settings), seed)
         self.now = START
@@ -150,11 +152,11 @@ class TwinBench:
         self.put((index, o.TRANSMISSION), transmission)
         self.put((index, o.EVENT_TIMER), timer)
         self.put((index + 0x200, 0), 0)
-        for sub, entry in enumerate(mapping(*keys), 1):
+        for sub, entry in enumerate(mapping(OBJECTS, *keys), 1):
             self.put((index + 0x200, sub), encode_entry(entry))
         self.put((index + 0x200, 0), len(keys))
         self.put((index, o.COB_ID), cob)
-        return packing(mapping(*keys))
+        return packing(OBJECTS, mapping(OBJECTS, *keys))
 
     # -- the profile --------------------------------------------------------------------------
 
