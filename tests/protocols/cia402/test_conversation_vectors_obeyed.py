@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import canopen
@@ -25,8 +25,8 @@ from protocols.plugin import Device
 from tests.protocols.cia402.stack import VECTORS, Joined, Slave, dictionary
 
 NODE = 2
-IN_INCREMENTS = Settings(velocity_unit=0x00B5_0300, acceleration_unit=0)
-DEVICE = Device("m", NODE, Options(), IN_INCREMENTS)
+IN_INCREMENTS: Any = {"velocity_unit": 0x00B5_0300, "acceleration_unit": 0}
+DEVICE = Device("m", NODE, Options(), Settings(**IN_INCREMENTS))
 Lines = Sequence[tuple[str, str]]
 UP: Lines = (("6040 = 6", ""), ("6040 = 7", ""))
 # fmt: off
@@ -277,7 +277,7 @@ class Host:
     """A RemoteNode, a LocalNode that answers it, and a memory and a decoder that receive the same."""
 
     def __init__(self, settings: Settings | None = None) -> None:
-        device = Device("m", NODE, Options(), settings or IN_INCREMENTS)
+        device = Device("m", NODE, Options(), replace(settings or Settings(), **IN_INCREMENTS))
         self.memory = Memory(device, instant=True)
         self.decoder = plugin.decoder([device])
         self.slave = Slave(NODE)
@@ -428,6 +428,8 @@ def test_vectors_of_every_object_is_read_as_the_package_reads_it() -> None:
     host = Host()
     host.slave.node.data_store.clear()
     for index, sub in [*_objects(host), (0x5FFF, 0), (0x1018, 9), (0x2000, 1)]:
+        if index == 0x1003 and sub:
+            continue  # there was no error: 0x08000024 (CiA 301), which the package does not know
         with contextlib.suppress(canopen.SdoAbortedError):
             host.node.sdo.upload(index, sub)
     assert len(host.compared) > 190
@@ -465,7 +467,7 @@ def test_vectors_of_values_that_are_written_stand_there_afterwards() -> None:
         assert reported == own, request
 
 
-CODED = (0x1005, 0x1029, 0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6060, 0x6098)
+CODED = (0x1003, 0x1005, 0x1010, 0x1011, 0x1029, 0x6007, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x6060, 0x6098)
 """Objects of which a drive supports some values only."""
 PIECES = {
     # an upload of 1008, "twin402", 7 bytes: one segment; toggle bits; without a beginning; broken off
