@@ -11,9 +11,9 @@ import pytest
 
 import protocols.cia402
 from protocols.canopen import sdo
+from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
 from protocols.cia402.old_transfer import Transfer
 from protocols.cia402.twin import eds
-from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
 from tests.protocols.cia402.twin_bench import NODE, TwinBench
 
 FILE = Path(protocols.cia402.__file__).parent / "twin.eds"

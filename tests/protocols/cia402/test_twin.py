@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from protocols.canopen import sdo
+from protocols.canopen.node import HEARTBEAT_LOST, RPDO_TIMEOUT
 from protocols.canopen.pdo import Entry, encode_entry
 from protocols.canopen.services import NmtCommand, NmtState, heartbeat_id, rpdo_id, sdo_rx_id, sdo_tx_id
 from protocols.cia402 import objects as o
-from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, OVERCURRENT, RPDO_TIMEOUT, register_of
+from protocols.cia402.faults import FAULTS, OVERCURRENT, register_of
 from protocols.cia402.objects import Key
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode, PowerState

@@ -26,9 +26,9 @@ from protocols.canopen.services import (
     sdo_tx_id,
     tpdo_id,
 )
-from protocols.cia402.old_transfer import Transfer
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
+from protocols.cia402.old_transfer import Transfer
 from protocols.cia402.options import Options
 from protocols.cia402.profile import Mode, PowerState, state_of
 from protocols.cia402.settings import Settings, units_of_settings
