@@ -1,6 +1,6 @@
-"""Idle at every moment of the set-up of a drive that is slow, or whose responses come once more (issue 10, 2).
+"""Idle during the set-up of a drive that needs 60 ms for each SDO request, or whose responses come once more.
 
-Such a drive needs 60 ms for each SDO request. What counts is what stands in the drive afterwards."""
+What counts is what stands in the drive afterwards (issue 10, 2)."""
 
 from __future__ import annotations
 
