@@ -318,3 +318,40 @@ def test_units_may_be_written_while_it_runs() -> None:
     assert bench.read(o.POSITION) == 360
     bench.put(o.FEED, 0)
     assert bench.read(o.POSITION) == 16_384
+
+
+@pytest.mark.parametrize(
+    ("unit", "acceleration", "factor", "turn"),
+    [
+        (0xFDB44700, 0xFDC00300, 1, 60_000),  # thousandths of rpm: as it is delivered
+        (0x00B44700, 0x00C00300, 1, 60),  # rpm
+        (0x00B40300, 0x00B45700, 1, 1),  # turns per second
+        (0xFD100300, 0xFD105700, 1, 6283),  # mrad/s
+        (0x00410300, 0x00415700, 1, 360),  # degrees per second
+        (0x00B50300, 0x00B55700, 1, 4000),  # increments per second
+        (0, 0, 10, 40_000),  # position units per second, times 6096
+        (0, 0, 0, 60),  # not defined: rpm
+    ],
+)
+def test_a_turn_per_second_in_units_of_velocity(unit: int, acceleration: int, factor: int, turn: int) -> None:
+    """Units of CiA 303-2: B4 turn, 10 radian, 41 degree, B5 increment; FD thousandths; 47 minute."""
+    settings = Settings(
+        encoder_increments=4000,
+        velocity_unit=unit,
+        acceleration_unit=acceleration,
+        velocity_numerator=factor,
+        profile_acceleration=turn * 2,
+        max_profile_velocity=turn * 20,
+    )
+    bench = TwinBench(settings, as_it_is=True)
+    bench.enable(Mode.PV)
+    bench.put(o.TARGET_VELOCITY, turn)
+    bench.run(250)
+    assert bench.velocity == pytest.approx(math.tau / 2, rel=0.1), "a turn/s² twice"
+    bench.run(2500)
+    assert bench.velocity == pytest.approx(math.tau, rel=0.01)
+    assert bench.read(o.VELOCITY) == pytest.approx(turn, rel=0.02, abs=1)
+    bench.put(o.TARGET_VELOCITY, turn * 30)
+    bench.run(3000)
+    assert bench.read(o.VELOCITY_DEMAND) <= turn * 30
+    assert bench.velocity < math.tau * 21

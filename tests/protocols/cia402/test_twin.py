@@ -6,11 +6,13 @@ import pytest
 
 from protocols.canopen import sdo
 from protocols.canopen.node import HEARTBEAT_LOST, RPDO_TIMEOUT
+from protocols.canopen.objects import ERROR_COUNT, RESTORE, STORE
 from protocols.canopen.pdo import Entry, encode_entry
 from protocols.canopen.services import NmtCommand, NmtState, heartbeat_id, rpdo_id, sdo_rx_id, sdo_tx_id
 from protocols.cia402 import objects as o
 from protocols.cia402.faults import FAULTS, OVERCURRENT, register_of
 from protocols.cia402.objects import Key
+from protocols.cia402.old_transfer import Transfer
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode, PowerState
 from protocols.cia402.state_machine import TRANSITIONS
@@ -376,6 +378,79 @@ def test_a_response_is_delayed() -> None:
     frame = CanFrame(sdo_rx_id(NODE), sdo.encode(sdo.Upload(0x1000, 0)))
     assert [f for f in bench.run(5, [frame]) if f.id == sdo_tx_id(NODE)] == []
     assert [f for f in bench.run(1) if f.id == sdo_tx_id(NODE)]
+
+
+def test_requests_to_a_slow_drive_are_served_one_after_the_other() -> None:
+    reads = [CanFrame(sdo_rx_id(NODE), sdo.encode(sdo.Upload(*key))) for key in (o.MODE, o.POSITION)]
+    for waiting, times in (("queued", [60, 120]), ("lost", [60])):
+        bench = TwinBench(Settings(sdo_delay_ms=60, sdo_waiting=waiting))
+        bench.run(1, reads)
+        answered = [ms for ms in range(1, 200) for f in bench.run(1) if f.id == sdo_tx_id(NODE)]
+        assert answered == times
+
+
+@pytest.mark.parametrize(("key", "value"), [(o.MODE, 9), (o.CONTROLWORD, 6), (o.PROFILE_VELOCITY, 70_000)])
+def test_an_expedited_download_without_a_size_has_the_objects_own(key: Key, value: int) -> None:
+    """Command 0x22: s = 0, and n means nothing (CiA 301)."""
+    bench = TwinBench()
+    request = b"\x22" + key[0].to_bytes(2, "little") + bytes((key[1],)) + value.to_bytes(4, "little")
+    [answer] = bench.run(1, [CanFrame(sdo_rx_id(NODE), request)])
+    assert answer.data == b"\x60" + request[1:4] + bytes(4)
+    assert bench.read(key) == value
+
+
+def test_an_object_that_it_lacks_is_none() -> None:
+    bench = TwinBench(Settings(lacks="60B1 60A9"))
+    assert bench.write(o.VELOCITY_OFFSET, 0) == sdo.NO_OBJECT
+    assert bench.transfer(Transfer(*o.VELOCITY_UNIT)).abort == sdo.NO_OBJECT
+    bench.put((0x1601, 0), 0)
+    assert bench.write((0x1601, 1), encode_entry(Entry(0x60B1, 0, 32))) == sdo.NOT_MAPPABLE
+
+
+# -- what is kept, inputs and outputs ------------------------------------------------------------------------
+
+
+def test_what_is_saved_stands_after_a_restart_until_it_is_restored() -> None:
+    bench = TwinBench(Settings(boot_ms=10))
+    defaults = bench.read(o.PROFILE_VELOCITY), bench.read(o.CONSUMER_HEARTBEAT)
+    bench.put(o.PROFILE_VELOCITY, 777)
+    bench.put(o.CONSUMER_HEARTBEAT, HELD)
+    bench.put(o.TARGET_VELOCITY, 5000)
+    assert bench.write(STORE, 1) == 0x08000020, "only with its signature"
+    for saved, kept in ((STORE, (777, HELD)), (RESTORE, defaults)):
+        bench.put(saved, int.from_bytes(b"save" if saved == STORE else b"load", "little"))
+        assert bench.read(saved) == 1
+        assert bench.read(o.PROFILE_VELOCITY) == 777, "not before the restart"
+        bench.nmt(NmtCommand.RESET_NODE)
+        bench.run(20)
+        assert (bench.read(o.PROFILE_VELOCITY), bench.read(o.CONSUMER_HEARTBEAT)) == kept
+        assert bench.read(o.TARGET_VELOCITY) == 0, "a set-point is not kept"
+
+
+def test_errors_are_listed_newest_first_until_the_list_is_cleared() -> None:
+    bench, codes = TwinBench(), sorted(FAULTS)[:10]
+    for code in codes:
+        bench.twin.provoke(code)
+        bench.control(0x00)
+        bench.control(0x80)
+    assert bench.read(ERROR_COUNT) == 8
+    assert [bench.read((0x1003, sub)) for sub in range(1, 9)] == codes[:1:-1]
+    assert bench.write(ERROR_COUNT, 1) == sdo.BAD_VALUE
+    bench.put(ERROR_COUNT, 0)
+    assert bench.transfer(Transfer(0x1003, 1)).abort == sdo.NO_DATA
+
+
+def test_inputs_outputs_and_the_following_error() -> None:
+    bench = TwinBench(Settings(digital_inputs=0x10003))
+    assert bench.read(o.DIGITAL_INPUTS) == 0x10003
+    bench.put(o.OUTPUTS_MASK, 0x30000)
+    bench.put(o.DIGITAL_OUTPUTS, 0x10000)
+    assert (bench.read(o.DIGITAL_OUTPUTS), bench.read(o.OUTPUTS_MASK)) == (0x10000, 0x30000)
+    bench.locked = True
+    bench.enable(Mode.CSP)
+    bench.put(o.TARGET_POSITION, 200)
+    bench.run(20)
+    assert bench.read(o.FOLLOWING_ERROR) == 200
 
 
 # -- determinism and robustness --------------------------------------------------------------------------

@@ -50,8 +50,10 @@ def device(settings: Settings | None = None, address: int = NODE, name: str = "m
 class TwinBench:
     """One twin, its shaft and its host; velocities in increments per second, accelerations in those per s."""
 
-    def __init__(self, settings: Settings | None = None, seed: int = 0) -> None:
-        self.settings = replace(settings or Settings(), velocity_unit=0x00B5_0300, acceleration_unit=0)
+    def __init__(self, settings: Settings | None = None, seed: int = 0, *, as_it_is: bool = False) -> None:
+        self.settings = settings or Settings()
+        if not as_it_is:
+            self.settings = replace(self.settings, velocity_unit=0x00B5_0300, acceleration_unit=0)
         self.units = units_of_settings(self.settings)
         self.twin = Cia402Twin(device(self.settings), seed)
         self.now = START
