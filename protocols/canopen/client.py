@@ -55,6 +55,8 @@ class Job:
     data: bytes | None = None
     patience: int = 1
     """Timeouts for which a response is waited for."""
+    token: int = 0
+    """Of the request that it is for."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,6 +188,7 @@ class Setup:
         """What remains to be written."""
         self._check: list[Write] = []
         """What remains to be read back."""
+        self._asked: Job | None = None
         self._begin()
 
     def _begin(self) -> None:
@@ -200,16 +201,19 @@ class Setup:
 
     def job(self) -> Job | None:
         """Return the transfer that is next, until its outcome."""
-        if self.failed:
+        if self.failed or not (self._write or self._check):
             return None
-        if self._write:
-            key, value, *_ = self._write[0]
-            return Job(Purpose.SETUP, key, to_bytes(self.objects[key].type, value))
-        return Job(Purpose.SETUP, self._check[0].key) if self._check else None
+        key, value, *_ = (self._write or self._check)[0]
+        data = to_bytes(self.objects[key].type, value) if self._write else None
+        self._asked = Job(Purpose.SETUP, key, data)
+        return self._asked
 
     def on_outcome(self, outcome: Outcome) -> None:
         """Record the end of that transfer. Without a response all of it is written again: what the device has
         accepted is not known."""
+        if outcome.job != self._asked:
+            return  # of a setup that was given up
+        self._asked = None
         write = (self._write or self._check)[0]
         if outcome.abort == sdo.TIMEOUT:
             self._begin()
