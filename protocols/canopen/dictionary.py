@@ -15,21 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias
 
 from protocols.canopen import objects as o
-from protocols.canopen import sdo
+from protocols.canopen import pdo, sdo
 from protocols.canopen.objects import Key, Objects, Type, from_bytes, to_bytes
-from protocols.canopen.pdo import (
-    DISABLED,
-    EVENT,
-    EVENT_VENDOR,
-    MOST_BITS,
-    NO_RTR,
-    SYNCHRONOUS_MOST,
-    Packing,
-    decode_entry,
-    encode_entry,
-    mapping,
-    packing,
-)
+from protocols.canopen.pdo import DISABLED, NO_RTR, Packing, decode_entry
 from protocols.canopen.services import EMCY_BASE, SYNC_ID, rpdo_id, tpdo_id
 
 Refuse: TypeAlias = Callable[[Mapping[Key, int], Key, int], int]
@@ -55,10 +43,10 @@ def pdo_defaults(
             index, keys = first + number - 1, maps[number - 1] if number <= len(maps) else ()
             values[index, 0] = o.EVENT_TIMER
             values[index, o.COB_ID] = cob_id(number, node) | flags | (0 if keys else DISABLED)
-            values[index, o.TRANSMISSION] = 1 if keys else EVENT
+            values[index, o.TRANSMISSION] = 1 if keys else pdo.EVENT
             values[index + o.MAPPING_OFFSET, 0] = len(keys)
-            for sub, entry in enumerate(mapping(objects, *keys), 1):
-                values[index + o.MAPPING_OFFSET, sub] = encode_entry(entry)
+            for sub, entry in enumerate(pdo.mapping(objects, *keys), 1):
+                values[index + o.MAPPING_OFFSET, sub] = pdo.encode_entry(entry)
     return values
 
 
@@ -198,7 +186,7 @@ class Dictionary:
         entries = [self.values[index, at] for at in range(1, value + 1)]
         if any(self._unmappable(index, entry) for entry in entries):
             return sdo.NOT_MAPPABLE
-        return sdo.PDO_TOO_LONG if sum(decode_entry(entry).bits for entry in entries) > MOST_BITS else 0
+        return sdo.PDO_TOO_LONG if sum(decode_entry(entry).bits for entry in entries) > pdo.MOST_BITS else 0
 
     def _refuse_communication(self, index: int, sub: int, value: int) -> int:
         before = self.values[index, o.COB_ID]
@@ -208,7 +196,7 @@ class Dictionary:
                 return sdo.BAD_VALUE
             return 0 if (before | value) & DISABLED or not (value ^ before) & LARGEST_ID else sdo.DEVICE_STATE
         if sub == o.TRANSMISSION:
-            return sdo.BAD_VALUE if SYNCHRONOUS_MOST < value < EVENT_VENDOR else 0
+            return sdo.BAD_VALUE if pdo.SYNCHRONOUS_MOST < value < pdo.EVENT_VENDOR else 0
         return 0 if before & DISABLED or sub == o.EVENT_TIMER else sdo.DEVICE_STATE
 
     def _unmappable(self, index: int, value: int) -> int:
@@ -224,7 +212,7 @@ class Dictionary:
             self.packings.pop(index, None)
             entries = [decode_entry(self.values[index, sub]) for sub in range(1, self.values[index, 0] + 1)]
             if entries:
-                self.packings[index] = packing(self.objects, entries)
+                self.packings[index] = pdo.packing(self.objects, entries)
 
     def active(self, communication: int) -> Packing | None:
         """Return the mapping of an enabled, non-empty PDO, by the index of its communication parameter."""

@@ -19,7 +19,7 @@ from protocols.canopen import objects as o
 from protocols.canopen import services
 from protocols.canopen.dictionary import Dictionary
 from protocols.canopen.objects import Key
-from protocols.canopen.pdo import DISABLED, is_synchronous
+from protocols.canopen.pdo import NO_RTR, is_synchronous
 from protocols.canopen.server import SdoServer
 from protocols.canopen.services import NmtCommand, NmtState
 from protocols.frames import CanFrame, Frame
@@ -28,6 +28,9 @@ from protocols.messages import MILLISECOND, Nanos
 HEARTBEAT_LOST = 0x8130
 """EMCY codes."""
 RPDO_TIMEOUT = 0x8250
+RPDOS = [o.RPDO_COMMUNICATION + number - 1 for number in o.PDO_NUMBERS]
+TPDOS = [o.TPDO_COMMUNICATION + number - 1 for number in o.PDO_NUMBERS]
+"""Indices of their communication parameters."""
 COMMUNICATION_END = 0x2000
 """The objects below it are communication parameters."""
 INHIBIT_UNIT: Nanos = MILLISECOND // 10
@@ -69,16 +72,6 @@ class Node:
         """When each RPDO came last."""
         self.host_beat: Nanos | None = None
         """When the heartbeat that object 1016 names came last."""
-        self._ids = self._rpdo_ids()
-
-    def _rpdo_ids(self) -> dict[int, list[int]]:
-        """Return the RPDOs of each identifier, by their index."""
-        ids: dict[int, list[int]] = {}
-        for index in range(o.RPDO_COMMUNICATION, o.RPDO_COMMUNICATION + len(o.PDO_NUMBERS)):
-            cob = self.dictionary.values[index, o.COB_ID]
-            if not cob & DISABLED:
-                ids.setdefault(cob & 0x7FF, []).append(index)
-        return ids
 
     def receive(self, t: Nanos, frame: Frame) -> Received | None:
         """Handle a frame; None if it did nothing that a device would react to."""
@@ -86,8 +79,9 @@ class Node:
             return None
         if frame.id == services.sdo_rx_id(self.address):
             return self._on_sdo(frame.data)
-        if frame.id in self._ids:
-            return self._on_rpdos(t, self._ids[frame.id], frame.data)
+        values = self.dictionary.values
+        if indices := [index for index in RPDOS if values[index, o.COB_ID] & ~NO_RTR == frame.id]:
+            return self._on_rpdos(t, indices, frame.data)
         if frame.id > services.SYNC_ID and frame.id & ~services.NODE_MASK != services.HEARTBEAT_BASE:
             return None
         match services.decode(frame):
@@ -98,7 +92,7 @@ class Node:
                 written = [key for index in sorted(latched) for key in self._take(index, latched[index])]
                 return Received(written, sync=True)
             case services.Heartbeat(node, _) if (
-                node == self.dictionary.values[o.CONSUMER_HEARTBEAT] >> 16 & services.NODE_MASK
+                node == values[o.CONSUMER_HEARTBEAT] >> 16 & services.NODE_MASK
             ):
                 self.host_beat = t
         return None
@@ -122,8 +116,6 @@ class Node:
         if self.nmt is NmtState.STOPPED:
             return None
         response, key = self.server.handle(self.dictionary, data)
-        if key is not None and key[0] in o.PDO_PARAMETERS:
-            self._ids = self._rpdo_ids()
         if key == o.CONSUMER_HEARTBEAT:
             self.host_beat = None  # monitored from the next heartbeat on (CiA 301 "heartbeat consumer")
         return Received(() if key is None else (key,), response=response)
@@ -244,7 +236,7 @@ class Sender:
     def restart(self) -> None:
         """Forget what was to be sent: the boot-up message is next."""
         self.booted = False
-        self.tpdos = self._tpdos()
+        self.tpdos = [Tpdo(index) for index in TPDOS]
         self._syncs = 0
         self._out: list[CanFrame] = []
         self._responses: list[tuple[Nanos, CanFrame]] = []
@@ -252,10 +244,6 @@ class Sender:
         self._period: Nanos = 0
         self._beat: Nanos | None = None
         """When the next heartbeat is due."""
-
-    @staticmethod
-    def _tpdos() -> list[Tpdo]:
-        return [Tpdo(o.TPDO_COMMUNICATION + number - 1) for number in o.PDO_NUMBERS]
 
     def loses(self, frame: Frame) -> bool:
         """True for a frame that the device cannot take now: before it has booted, or while it serves another
@@ -273,7 +261,7 @@ class Sender:
             self._responses.append((begin + self.sdo_delay, frame))
         self._syncs += received.sync
         if received.command is NmtCommand.START and received.changed:
-            self.tpdos = self._tpdos()
+            self.tpdos = [Tpdo(index) for index in TPDOS]
         elif received.command is NmtCommand.RESET_COMMUNICATION:
             self.booted, self._beat = False, None
 

@@ -121,7 +121,8 @@ def _parse(text: str) -> dict[str, FaultInfo]:
     known = {}
     for line in text.format(**_PHRASES).strip().splitlines():
         digits, _, rest = line.partition(" ")
-        known[digits] = FaultInfo(*(part.strip() for part in rest.split("|")))
+        name, cause, remedy = rest.split("|")
+        known[digits] = FaultInfo(name.strip(), cause.strip(), remedy.strip())
     return known
 
 
