@@ -221,15 +221,15 @@ class Sender:
     """A device as a sender."""
 
     def __init__(
-        self, node: Node, seed: int, events: frozenset[Key], sdo_delay: Nanos = 0, *, sdo_waits: bool = True
+        self, node: Node, seed: int, events: frozenset[Key], sdo_delay: Nanos = 0, sdo_waiting: int = 100
     ) -> None:
         self.node = node
         self.events = events
         """State objects: with an event timer, a change of these sends a TPDO at once."""
         self.sdo_delay = sdo_delay
         """Time in which it serves an SDO request, one after the other."""
-        self.sdo_waits = sdo_waits
-        """A request that comes meanwhile is queued; else it is lost."""
+        self.sdo_waiting = sdo_waiting
+        """How many requests wait meanwhile; others are lost."""
         self._phase = (seed * 7919 + node.address * 31) % 1000
         self.restart()
 
@@ -246,12 +246,11 @@ class Sender:
         """When the next heartbeat is due."""
 
     def loses(self, frame: Frame) -> bool:
-        """True for a frame that the device cannot take now: before it has booted, or while it serves another
-        SDO request."""
-        if not self.booted:
-            return True
-        busy = bool(self._responses) and not self.sdo_waits
-        return busy and isinstance(frame, CanFrame) and frame.id == services.sdo_rx_id(self.node.address)
+        """True for a frame that the device cannot take now: before it has booted, or an SDO request while too
+        many wait."""
+        if len(self._responses) <= self.sdo_waiting:
+            return not self.booted
+        return isinstance(frame, CanFrame) and frame.id == services.sdo_rx_id(self.node.address)
 
     def note(self, t: Nanos, received: Received) -> None:
         """Take what a frame did to the node: respond, count SYNCs, boot."""

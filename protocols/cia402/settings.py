@@ -114,8 +114,7 @@ class Settings:
     dc_voltage: float = bounded(48.0, 1e-3, 1e6)  # V
     sdo_delay_ms: int = bounded(0, 0, 60_000)
     """Time in which it serves an SDO request, one after the other; 0: at its next cycle."""
-    sdo_waiting: Literal["queued", "lost"] = "queued"
-    """What becomes of a request that comes while it serves another one."""
+    sdo_waiting: int = bounded(100, 0, 1000)  # requests that wait while it serves one; others are lost
     boot_ms: int = bounded(300, 0, 60_000)  # without communication after a reset
 
     def __deepcopy__(self, _: dict[int, object]) -> Settings:

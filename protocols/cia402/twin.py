@@ -57,8 +57,8 @@ class Cia402Twin(Firmware):
         settings = self.settings
         self.memory = Memory(device, instant=False)
         self.motor = Motor(settings, self.memory)
-        delay, waits = milliseconds(settings.sdo_delay_ms), settings.sdo_waiting == "queued"
-        self.sender = Sender(self.memory.node, seed, STATE_OBJECTS, delay, sdo_waits=waits)
+        delay = milliseconds(settings.sdo_delay_ms)
+        self.sender = Sender(self.memory.node, seed, STATE_OBJECTS, delay, settings.sdo_waiting)
 
     def on_frame(self, t: Nanos, frame: Frame) -> None:
         memory, sender = self.memory, self.sender
