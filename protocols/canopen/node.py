@@ -12,7 +12,7 @@ change of a state object, or of any object if there is no event timer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from protocols.canopen import objects as o
@@ -182,8 +182,8 @@ class Tpdo:
 
     def is_timed(self, dictionary: Dictionary) -> bool:
         """True if it is sent without SYNC."""
-        active = dictionary.active(self.index) is not None
-        return active and not is_synchronous(dictionary.values[self.index, o.TRANSMISSION])
+        transmission = dictionary.values[self.index, o.TRANSMISSION]
+        return not is_synchronous(transmission) and dictionary.active(self.index) is not None
 
     def timer(self, dictionary: Dictionary) -> Nanos:
         """Return its period; 0: none."""
@@ -193,8 +193,9 @@ class Tpdo:
         self, now: Nanos, dictionary: Dictionary, events: frozenset[Key], *, sync: bool
     ) -> list[CanFrame]:
         """Return the frame if one is due now, with a SYNC or without; `events`: the state objects."""
-        packing, transmission = dictionary.active(self.index), dictionary.values[self.index, o.TRANSMISSION]
-        if packing is None or sync is not is_synchronous(transmission):
+        transmission = dictionary.values[self.index, o.TRANSMISSION]
+        packing = dictionary.active(self.index) if sync is is_synchronous(transmission) else None
+        if packing is None:
             return []
         keys = [entry.key for entry in packing.entries]
         values = {key: dictionary.values.get(key, 0) for key in keys}
@@ -270,15 +271,8 @@ class Sender:
         if self.node.nmt is not NmtState.STOPPED:
             self._out.append(services.encode(services.Emcy(self.node.address, code, register)))
 
-    @property
-    def samples(self) -> bool:
-        """True if `frames` looks at measured objects."""
-        dictionary = self.node.dictionary
-        operational = self.node.nmt is NmtState.OPERATIONAL
-        return operational and (self._syncs > 0 or any(tpdo.is_timed(dictionary) for tpdo in self.tpdos))
-
-    def frames(self, now: Nanos) -> list[CanFrame]:
-        """Return what is due."""
+    def frames(self, now: Nanos, measure: Callable[[], None] | None = None) -> list[CanFrame]:
+        """Return what is due; `measure` updates the measured objects, if TPDOs may need them."""
         frames, self._out = self._out, []
         if not self.booted:
             self.booted, self._period = True, 0
@@ -287,10 +281,13 @@ class Sender:
         frames += [frame for due, frame in self._responses if due <= now]
         self._responses = [each for each in self._responses if each[0] > now]
         syncs, self._syncs = self._syncs, 0
-        if self.node.nmt is NmtState.OPERATIONAL:
-            for tpdo in self.tpdos:
-                for sync in (*[True] * syncs, False):
-                    frames += tpdo.sample(now, self.node.dictionary, self.events, sync=sync)
+        dictionary, operational = self.node.dictionary, self.node.nmt is NmtState.OPERATIONAL
+        timed = [tpdo for tpdo in self.tpdos if operational and tpdo.is_timed(dictionary)]
+        if measure and operational and (syncs or timed):
+            measure()
+        for tpdo in self.tpdos if operational and syncs else timed:
+            for sync in (*[True] * syncs, False):
+                frames += tpdo.sample(now, dictionary, self.events, sync=sync)
         return frames + self._heartbeat(now)
 
     def _heartbeat(self, now: Nanos) -> list[CanFrame]:

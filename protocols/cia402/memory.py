@@ -33,6 +33,7 @@ NMT_STATE = "NMT state"
 """The parameter that an NMT command changes."""
 DISCONNECTS = (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION)
 """With these the host is lost, to a drive that gives torque: the reaction is in 6007."""
+MODES = {int(mode): mode for mode in Mode}
 POWERED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
 """The states in which a drive gives torque."""
 USUAL_RPDOS = ((o.CONTROLWORD, o.MODE, o.TARGET_POSITION), (o.TARGET_VELOCITY, o.TARGET_TORQUE))
@@ -48,7 +49,7 @@ CONSTANTS: dict[Key, int] = {
 def refuse(values: Mapping[Key, int], key: Key, value: int) -> int:
     """Return the abort code with which the drive refuses a value, or 0."""
     if key == o.MODE:
-        taken = value in Mode.__members__.values() and supports(values[o.SUPPORTED_MODES], Mode(value))
+        taken = value in MODES and supports(values[o.SUPPORTED_MODES], MODES[value])
     elif key in ONLY:
         taken = value in ONLY[key]
     else:
@@ -106,7 +107,7 @@ class Memory:
     @property
     def mode(self) -> Mode:
         """6061."""
-        return Mode(self.values[o.MODE])
+        return MODES[self.values[o.MODE]]
 
     @property
     def enabled(self) -> bool:

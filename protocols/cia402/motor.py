@@ -119,7 +119,7 @@ class Motor:
 
     def _on_changes(self) -> None:
         """Reset what begins anew when state, mode or halt change."""
-        memory, state, before = self.memory, self.memory.state, self._before
+        memory, state, before, mode = self.memory, self.memory.state, self._before, self.memory.mode
         enters = state is ENABLED and before is not ENABLED
         leaves = state is not ENABLED and before is ENABLED
         if enters:
@@ -127,14 +127,14 @@ class Motor:
         if leaves:
             options = {PowerState.READY: o.SHUTDOWN_OPTION, PowerState.SWITCHED_ON: o.DISABLE_OPTION}
             self._slowing = state in options and memory.values[options[state]] == SLOW_DOWN
-        if memory.mode is not self._mode:
+        if mode is not self._mode:
             self.homing = False
             memory.take_homing()
         halted = memory.enabled and bool(memory.control & Control.HALT)
-        if enters or leaves or memory.mode is not self._mode or halted != self._halted:
+        if enters or leaves or mode is not self._mode or halted != self._halted:
             self._demand(self.encoder.position, self.encoder.velocity)
             self._target = self._turn = self._following = self._arrived = None
-        self._mode, self._halted = memory.mode, halted
+        self._mode, self._halted = mode, halted
 
     def _demand(self, position: float, velocity: float) -> None:
         self.ramp = Trapezoid(position, velocity)

@@ -119,11 +119,7 @@ class Cia402Twin(Firmware):
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
         torques, frames = super().step(now, truth)
-        if now < self.silent_until:
-            return torques, frames
-        if self.sender.samples:
-            self._measure()
-        return torques, self.sender.frames(now)
+        return torques, frames if now < self.silent_until else self.sender.frames(now, self._measure)
 
     def due(self) -> Nanos | None:
         restarted = super().due()
