@@ -115,6 +115,10 @@ class Adapter(Generic[Own]):
 
     # -- by itself ------------------------------------------------------------------------------------
 
+    def notice(self, now: Nanos, host: Host[Own]) -> Sequence[Event]:
+        """Return what is noticed of a device without a frame of it."""
+        return ()
+
     def poll(self, now: Nanos, host: Host[Own]) -> Sequence[Frame]:
         """Return the read-only frames that are due to one device."""
         return ()
@@ -235,9 +239,10 @@ class MotorDriver(Generic[Own]):
 
     def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
         host = report.host
-        ours = host is not None or report.serial is not None
-        self.counters.add(accepted=ours, ignored=not ours)
-        events = [] if host is None else host.on_report(t, report)
+        ours = host is not None or report.serial is not None or bool(report.events)
+        if report.counted:
+            self.counters.add(accepted=ours, ignored=not ours)
+        events = [*report.events] if host is None else host.on_report(t, report)
         cause = report.duplicate
         if report.serial is not None and report.address != self.adapter.unaddressed:
             cause = self.serials.add(t, report.address, report.serial) or cause
@@ -338,6 +343,7 @@ class MotorDriver(Generic[Own]):
             if silent:
                 self.adapter.forget(now, host)
                 events += silent
+            events += self.adapter.notice(now, host)
             if host.release_due(now):
                 frames += self.adapter.release(now, host)
             frames += self.adapter.poll(now, host)
