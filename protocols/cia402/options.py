@@ -48,8 +48,8 @@ class Options:
     """Position units per turn of the device's shaft, for drives whose 608F, 6091, 6092 and 60A8 do not define
     them; 0: then they stay unknown, and the drive is not commanded."""
     velocity_per_turn: float = 0.0
-    """Velocity units per turn of the device's shaft and second (60: rpm), for drives whose 60A9 or 6096 do not
-    define them; 0: then they stay unknown, and the drive takes no velocity."""
+    """Velocity units per turn of the device's shaft and second (60: rpm), for drives whose 60A9 and 6096 do
+    not define them; 0: then they stay unknown, and the drive takes no velocity."""
 
     def __deepcopy__(self, _: dict[int, object]) -> Options:
         return self
