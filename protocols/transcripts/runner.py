@@ -33,6 +33,8 @@ GIVEN = {"driver": "rx", "twin": "tx", "decoder": "tx", "both": ""}
 """The frames that a file gives, by what it tests; it expects the others."""
 SHOWN = 10
 """Mistakes of a run that are printed."""
+ENOUGH = 100
+"""Mistakes after which a run ends."""
 COUNTED = ("accepted", "malformed", "ignored")
 
 
@@ -196,7 +198,7 @@ class Run:
     def mistakes(self) -> list[str]:
         """Run to the end. Returns what is not as written."""
         upcoming: Nanos | None = 0
-        while upcoming is not None and upcoming <= self.end:
+        while upcoming is not None and upcoming <= self.end and len(self.wrong) < ENOUGH:
             self.now = upcoming
             self._moment([line for line in self.stimuli if line.next(upcoming - 1) == upcoming])
             upcoming = self._next()

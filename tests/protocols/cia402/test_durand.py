@@ -1,10 +1,10 @@
 """Package durand 0.5.0 as a foreign drive: its CANopen, with objects and states of CiA 402 around it.
 
-Its NMT, SDO server, PDOs, SYNC, heartbeat and EMCY are durand's, its time is durand's VirtualScheduler, its bus
-a for-loop. The objects of the profile have the types of canopen's dictionary, the states are canopen's table.
+Its NMT, SDO server, PDOs, SYNC, heartbeat and EMCY are durand's, its time is durand's VirtualScheduler, its
+bus a for-loop. The objects of the profile have the types of canopen's dictionary, the states are canopen's table.
 
-What durand cannot do: it has no heartbeat consumer (1016; so without a watchdog here), no event timer of a TPDO
-(1800:05; its feedback comes with SYNC or by SDO), counts no nth SYNC anew (a TPDO of type 10 comes with each
+What durand cannot do: it has no heartbeat consumer (1016; so no watchdog here), no event timer of a TPDO (1800:05;
+its feedback comes with SYNC or by SDO), counts no nth SYNC anew (a TPDO of type 10 comes with each
 SYNC after the tenth), keeps what was written when it is reset, enables its RPDOs as delivered, and empty.
 """
 
