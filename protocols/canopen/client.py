@@ -22,7 +22,10 @@ from protocols.messages import MILLISECOND, Nanos
 TRIES = 3
 """Attempts before a transfer is given up."""
 QUIET = 20 * MILLISECOND
-DOUBLED = 3
+"""Time in which a copy of a response comes."""
+SHARE = 2
+"""Other jobs between two polls."""
+DOUBLED = 5
 """This many transfers in a row that were each answered twice prove two devices."""
 NEVER: Nanos = 1 << 62
 
@@ -84,12 +87,15 @@ class SdoClient:
     """To be sent."""
     _sent_at: Nanos = 0
     _tries: int = 0
-    _polled: bool = False
-    """The last job was a poll."""
-    _suspects: dict[Key, Nanos] = field(default_factory=dict)
-    """Objects about which a response may still come, and until when."""
+    _others: int = 0
+    """Jobs since the last poll."""
+    _urgent: bool = False
+    """The last job was urgent."""
+    _suspects: dict[Key, tuple[Nanos, Nanos]] = field(default_factory=dict)
+    """Objects about which a response may still come: since when, and until when."""
     _last: sdo.Response | None = None
     """What ended the last transfer, if that was begun once only: it should not be repeated."""
+    _ended_at: Nanos = 0
     _repeated: bool = False
     """It was."""
     # a segmented transfer
@@ -118,9 +124,13 @@ class SdoClient:
     def forget(self, t: Nanos) -> None:
         """Forget all jobs: the device may have restarted."""
         if self.job is not None:
-            self._suspects[self.job.key] = t + self.timeout
+            self._suspect(t, self.job.key, QUIET)
         self.waiting.clear()
         self.job = self._next = self._last = None
+        self.pardon()
+
+    def pardon(self) -> None:
+        """Forget which responses came twice."""
         self._repeated, self.doubled = False, 0
 
     def resend(self) -> None:
@@ -188,18 +198,23 @@ class SdoClient:
         if job is None:
             return None
         if self._tries > 1:
-            self._suspects[job.key] = t + self.timeout
+            self._suspect(t, job.key, self.timeout)
         if self._last is not None:
             self.doubled = self.doubled + 1 if self._repeated else 0
-        self._last, self._repeated = response if self._tries == 1 else None, False
+        self._last, self._repeated, self._ended_at = response if self._tries == 1 else None, False, t
         return Outcome(job, self._value if abort is None else b"", abort)
 
     def _on_unexpected(self, t: Nanos, response: sdo.Response) -> None:
         """Note a response that is late, or repeats the last one, or is a second device's."""
         key = _key_of(response)
         if key is not None:
-            self._suspects[key] = max(t + QUIET, self._suspects.get(key, 0))
-        self._repeated = self._repeated or self.repeats(response)
+            self._suspect(t, key, QUIET)
+        self._repeated = self._repeated or (t <= self._ended_at + QUIET and self.repeats(response))
+
+    def _suspect(self, t: Nanos, key: Key, time: Nanos) -> None:
+        """Let an object rest for this time, though not for longer than a timeout: others may use it, too."""
+        since, until = self._suspects.get(key, (t, t))
+        self._suspects[key] = since, min(max(until, t + time), since + self.timeout)
 
     def repeats(self, response: sdo.Response) -> bool:
         """True if a response is to the request that was answered last."""
@@ -226,15 +241,17 @@ class SdoClient:
 
     def _begin(self, now: Nanos) -> None:
         """Begin the job whose turn it is."""
-        self._suspects = {key: until for key, until in self._suspects.items() if until > now}
+        self._suspects = {key: times for key, times in self._suspects.items() if times[1] > now}
         first = {purpose: jobs[0] for purpose, jobs in sorted(self.waiting.items()) if jobs}
-        urgent = first.get(Purpose.URGENT)
         ready = {purpose: job for purpose, job in first.items() if job.key not in self._suspects}
-        poll = None if self._polled else ready.get(Purpose.POLL)
+        urgent = None if self._urgent and Purpose.POLL in ready else first.get(Purpose.URGENT)
+        poll = ready.get(Purpose.POLL) if self._urgent or self._others >= SHARE else None
         job = urgent or poll or next(iter(ready.values()), None)
         if job is not None:
             self.waiting[job.purpose] = self.waiting[job.purpose][1:]
-            self.job, self._tries, self._polled = job, 1, job.purpose is Purpose.POLL
+            self.job, self._tries = job, 1
+            self._others = 0 if job.purpose is Purpose.POLL else self._others + 1
+            self._urgent = job.purpose is Purpose.URGENT
             self._restart()
 
     def _restart(self) -> None:
@@ -258,7 +275,7 @@ class SdoClient:
         first = [jobs[0] for jobs in self.waiting.values() if jobs]
         if not first:
             return NEVER
-        return min(self._suspects.get(job.key, 0) * (job.purpose > 0) for job in first)
+        return min(self._suspects.get(job.key, (0, 0))[1] * (job.purpose > 0) for job in first)
 
 
 def _key_of(response: sdo.Response) -> Key | None:

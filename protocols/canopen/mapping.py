@@ -199,6 +199,11 @@ class Setup:
         """True if everything was read back as it was written."""
         return not (self._write or self._check or self.failed)
 
+    @property
+    def pdos(self) -> list[Pdo]:
+        """The PDOs that it configures, but for those that the device has refused."""
+        return list(dict.fromkeys(write.pdo for write in self.plan if write.pdo is not None))
+
     def job(self) -> Job | None:
         """Return the transfer that is next, until its outcome."""
         if self.failed or not (self._write or self._check):

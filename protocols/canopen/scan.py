@@ -50,13 +50,13 @@ class Scan:
         self._next = []
         return [CanFrame(sdo_rx_id(node), sdo.encode(sdo.Upload(*key))) for node, key in requests]
 
-    def receive(self, node: int, response: sdo.Response | None) -> None:
-        """Record a response of a node, if it is to what it was asked for."""
+    def receive(self, node: int, response: sdo.Response | None) -> bool:
+        """Record a response of a node; return False if it is not to what it was asked for."""
         if not isinstance(response, sdo.Uploaded | sdo.Abort):
-            return
+            return False
         key = response.index, response.sub
         if self._asked.get(node) != key:
-            return
+            return False
         known = self.found.setdefault(node, {})
         first = key not in known
         value = int.from_bytes(response.data, "little") if isinstance(response, sdo.Uploaded) else -1
@@ -66,6 +66,7 @@ class Scan:
         at = IDENTITY.index(key) + 1
         if first and at < len(IDENTITY):
             self._next.append((node, IDENTITY[at]))
+        return True
 
 
 def describe(known: Mapping[Key, int]) -> str:

@@ -29,16 +29,18 @@ from protocols.canopen.services import (
     SDO_TX_BASE,
     SYNC_ID,
 )
-from protocols.cia402.driver import Cia402Driver
+from protocols.cia402.driver import Cia402Adapter
 from protocols.cia402.faults import FAULTS
 from protocols.cia402.memory import Cia402Decoder
 from protocols.cia402.objects import PDO_NUMBERS, Type
 from protocols.cia402.options import Options, Settings, units_of_settings
-from protocols.cia402.profile import Mode, supports
+from protocols.cia402.profile import supports
+from protocols.cia402.setpoints import FAMILIES
 from protocols.cia402.twin import Cia402Twin
 from protocols.frames import EXTENDED_BIT, CanFrame, Frame, IdMask, exact
 from protocols.messages import MILLISECOND, Command
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
+from protocols.toolkit.motor_driver import MotorDriver
 
 __all__ = ["Options", "Settings", "plugin"]
 
@@ -49,12 +51,6 @@ WATCHDOG_NOTE = (
 )
 MARGIN = 1.001
 """For rounding in binary64: a resolution is half a step, and this margin."""
-MODES: dict[type[Command], tuple[Mode, Mode]] = {
-    msg.Position: (Mode.CSP, Mode.PP),
-    msg.Velocity: (Mode.CSV, Mode.PV),
-    msg.Torque: (Mode.CST, Mode.PT),
-}
-"""The modes that can do a command: the cyclic one, the profile one."""
 
 
 def ranges(options: Options, settings: Settings) -> dict[str, Range]:
@@ -86,7 +82,7 @@ def ranges(options: Options, settings: Settings) -> dict[str, Range]:
 
 def _is_cyclic(options: Options, settings: Settings, kind: type[Command]) -> bool:
     """True if a command uses its cyclic mode; only these have feed-forwards (60B1, 60B2)."""
-    cyclic, profile = (supports(settings.supported_modes, mode) for mode in MODES[kind])
+    cyclic, profile = (supports(settings.supported_modes, mode) for mode in FAMILIES[kind][0][1:])
     return cyclic and (options.modes == "cyclic" or not profile)
 
 
@@ -109,10 +105,9 @@ def spec(device: Device) -> Spec:
         raise ValueError(f"address {node} of {device.name} is the host's own node id: set host_id to another")
     able = {
         kind
-        for kind, modes in MODES.items()
-        if any(supports(settings.supported_modes, mode) for mode in modes)
+        for kind, families in FAMILIES.items()
+        if any(supports(settings.supported_modes, mode) for family in families for mode in family[1:])
     }
-    holds = {msg.Hold} if able & {msg.Position, msg.Velocity} else set()
     timeout = (options.watchdog_ms or settings.heartbeat_consumer & 0xFFFF) * MILLISECOND
     # A scan uploads from every node, so SDO requests may be sent to all of them.
     sends = {NMT_ID, SYNC_ID, codec.heartbeat_id(options.host_id)}
@@ -129,7 +124,7 @@ def spec(device: Device) -> Spec:
         feedback=FeedbackKind.POLLED if options.feedback == "sdo" else FeedbackKind.CYCLIC,
         feedback_period=_feedback_ms(options) * MILLISECOND,
         offline_after=options.offline_ms * MILLISECOND,
-        commands=frozenset({msg.Idle} | able | holds),
+        commands=frozenset({msg.Idle} | able),
         requests=frozenset(
             {
                 msg.ClearFault,
@@ -212,15 +207,32 @@ def _sdo_name(request: sdo.Request | None) -> str:
 
 
 def driver(devices: Sequence[Device]) -> Driver:
-    """Return the driver for all drives of one bus. ValueError if addresses collide, or they do not agree on
-    SYNC."""
+    """Return the driver for all drives of one bus. ValueError if addresses collide, or they need a host that
+    does two things at once."""
     addresses = [device.address for device in devices]
-    for device in devices:
-        if addresses.count(device.address) > 1:
-            raise ValueError(f"address {device.address} of {device.name} is given twice on this bus")
-        if device.address in {other.options.host_id for other in devices}:
-            raise ValueError(f"address {device.address} of {device.name} is a host's own node id on this bus")
-    return Cia402Driver(devices, {device.name: spec(device).ranges for device in devices})
+    errors = [
+        f"address {device.address} of {device.name} is given twice on this bus"
+        for device in devices
+        if addresses.count(device.address) > 1
+    ]
+    errors += [
+        f"address {device.address} of {device.name} is a host's own node id on this bus"
+        for device in devices
+        if device.address in {other.options.host_id for other in devices}
+    ]
+    synced = [device for device in devices if device.options.feedback == "sync"]
+    errors += _differ("sync_ms", synced) + _differ("host_id", devices)
+    if errors:
+        raise ValueError("; ".join(errors))
+    ranges_of = {device.name: spec(device).ranges for device in devices}
+    return MotorDriver(Cia402Adapter(devices), devices, ranges_of)
+
+
+def _differ(option: str, devices: Sequence[Device]) -> list[str]:
+    """Return why the devices of a bus do not agree on an option; [] if they do."""
+    values = {getattr(device.options, option): device.name for device in reversed(devices)}
+    found = " and ".join(f"{value} for {name}" for value, name in reversed(values.items()))
+    return [f"{option} must be the same for all drives of one bus: it is {found}"] if len(values) > 1 else []
 
 
 plugin = Plugin(

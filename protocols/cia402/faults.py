@@ -25,6 +25,7 @@ WRONG_DEVICE = 0x1_0003
 QUICK_STOPPED = 0x1_0004
 NOT_CONFIGURED = 0x1_0005
 HOMING_FAILED = 0x1_0006
+SETPOINT_STUCK = 0x1_0007
 
 _PHRASES = {
     "can": "check cable, termination (120 Ω at both ends), bitrate, and that the host runs",
@@ -113,6 +114,7 @@ F additional functions | manufacturer-specific | {look}
 10005 not configured | the drive refused an object that must be written before it is armed | set it with the\
  maker's tool, or set mapping = "keep" under options; then clear
 10006 homing did not end | no switch, no index, or a speed of zero | check 6098, 6099, switches; then clear
+10007 set-point not taken | bit 12 of its statusword does not fall in profile position | set modes = "cyclic"
 """
 
 

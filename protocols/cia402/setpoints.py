@@ -1,4 +1,4 @@
-"""Commands → modes, controlwords and set-points in a drive's own units → RPDOs, and SDO downloads of the rest.
+"""Commands → modes, controlwords, set-points in a drive's own units → RPDOs, and SDO downloads of the rest.
 
 Rules. A set-point is a whole set of values: what a mode does not use is zero, except the target position,
 which stays where it is. What does not fit the drive's integers is a ValueError, and is never sent. An RPDO is
@@ -199,11 +199,15 @@ class Output:
 
     def demand(self, now: Nanos, demand: Demand, position: int, mode: int) -> list[CanFrame]:
         """Return a controlword by RPDO, with values that move nothing; none if it is in no RPDO."""
-        self.written.pop(o.CONTROLWORD, None)
+        self.overrule()
         if o.CONTROLWORD not in self.mapped:
             return []
         values = {o.TARGET_POSITION: position, o.MODE: mode, o.CONTROLWORD: int(demand)}
         return self.frames(now, values, o.CONTROLWORD)
+
+    def overrule(self) -> None:
+        """Record that the controlword is written otherwise."""
+        self.written.pop(o.CONTROLWORD, None)
 
     def next_download(self, now: Nanos, values: Values, target: Key) -> tuple[Key, int] | None:
         """Return what is to be written by SDO next; None if everything is in RPDOs, or written already."""

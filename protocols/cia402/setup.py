@@ -89,6 +89,10 @@ class Known:
         self.read = {key: value for key, value in self.read.items() if key[0] not in co.PDO_PARAMETERS}
         self.pdos = None
 
+    def lacks(self, key: Key) -> None:
+        """Record that it does not have an object."""
+        self.absent.add(key)
+
     # -- reading --------------------------------------------------------------------------------------
 
     @property
@@ -148,6 +152,11 @@ class Known:
         modes = [mode for family in families for mode in (family.cyclic, family.profile)[::order]]
         return next((mode for mode in modes if supports(self.read.get(o.SUPPORTED_MODES, 0), mode)), None)
 
+    @property
+    def can_home(self) -> bool:
+        """True if it has a homing mode."""
+        return self.complete and supports(self.read.get(o.SUPPORTED_MODES, 0), Mode.HM)
+
     def usable(self, kind: Kind) -> list[Pdo]:
         """Return its PDOs that can be used as they are."""
         synced = self.options.feedback == "sync"
@@ -190,11 +199,11 @@ class Known:
             "TPDO": any(o.STATUSWORD in pdo.keys for pdo in reports)
             and any(period is not None and period <= most for period in periods),
         }
-        wanted = [pdo for pdo in self._wanted() if not fits[pdo.kind]]
+        wanted = [pdo for pdo in self.wanted() if not fits[pdo.kind]]
         pairs = [(pdo, present.get((pdo.kind, pdo.number))) for pdo in wanted]
         return [pdo for pdo, other in pairs if other is not None and not other.is_like(pdo)]
 
-    def _wanted(self) -> list[Pdo]:
+    def wanted(self) -> list[Pdo]:
         """Return the PDOs as this driver writes them. Cyclic set-points take effect on SYNC, those of profile
         modes at once: their handshake would be slow."""
         options = self.options

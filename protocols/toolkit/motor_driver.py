@@ -31,6 +31,7 @@ class Rx(Enum):
 
     IGNORED = "of another device or protocol"
     MALFORMED = "of one of our devices, but with wrong content"
+    EXPECTED = "of no device of ours, as an answer to a scan"
 
 
 @dataclass(slots=True)
@@ -231,6 +232,8 @@ class MotorDriver(Generic[Own]):
         for report in self.adapter.receive(t, frame, self):
             if report is Rx.IGNORED:
                 self.counters.add(ignored=1)
+            elif report is Rx.EXPECTED:
+                self.counters.add(accepted=1)
             elif report is Rx.MALFORMED:
                 self.counters.add(malformed=1)
             elif isinstance(report, Report):

@@ -10,7 +10,6 @@ import pytest
 
 from protocols.canopen import sdo
 from protocols.canopen.pdo import Entry, decode_entry, encode_entry, mapping, packing
-from protocols.cia402.old_transfer import Transfer
 from protocols.cia402 import objects as o
 from protocols.cia402.faults import FAULTS, fault_info, register_of
 from protocols.cia402.objects import OBJECTS, Type, from_bytes, to_bytes
@@ -21,6 +20,7 @@ from protocols.cia402.profile import (
     homing_of,
     state_of,
 )
+from tests.protocols.cia402.transfer import Transfer
 
 SEED = 20261121
 

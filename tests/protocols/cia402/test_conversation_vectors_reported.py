@@ -9,12 +9,12 @@ from canopen.objectdictionary import ODVariable, datatypes
 from canopen.profiles.p402 import State402
 
 from protocols.canopen import sdo
-from protocols.cia402.old_transfer import Transfer
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Found, Hold, Position, Scan, State, Torque, Velocity
 from tests.protocols.cia402.conversation import Talk, armed, up
 from tests.protocols.cia402.firmware import Drive
 from tests.protocols.cia402.stack import Slave
+from tests.protocols.cia402.transfer import Transfer
 
 STATES: dict[str, tuple[str, set[int]]] = {
     "NOT READY TO SWITCH ON": ("initialising", set()),

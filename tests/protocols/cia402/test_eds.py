@@ -12,8 +12,8 @@ import pytest
 import protocols.cia402
 from protocols.canopen import sdo
 from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
-from protocols.cia402.old_transfer import Transfer
 from protocols.cia402.twin import eds
+from tests.protocols.cia402.transfer import Transfer
 from tests.protocols.cia402.twin_bench import NODE, TwinBench
 
 FILE = Path(protocols.cia402.__file__).parent / "twin.eds"

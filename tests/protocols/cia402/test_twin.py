@@ -12,12 +12,12 @@ from protocols.canopen.services import NmtCommand, NmtState, heartbeat_id, rpdo_
 from protocols.cia402 import objects as o
 from protocols.cia402.faults import FAULTS, OVERCURRENT, register_of
 from protocols.cia402.objects import Key
-from protocols.cia402.old_transfer import Transfer
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode, PowerState
 from protocols.cia402.state_machine import TRANSITIONS
 from protocols.frames import CanFrame
 from protocols.messages import Feedback
+from tests.protocols.cia402.transfer import Transfer
 from tests.protocols.cia402.twin_bench import HOST, NODE, TwinBench
 
 SEED = 20261121

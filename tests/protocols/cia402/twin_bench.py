@@ -28,7 +28,6 @@ from protocols.canopen.services import (
 )
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
-from protocols.cia402.old_transfer import Transfer
 from protocols.cia402.options import Options
 from protocols.cia402.profile import Mode, PowerState, state_of
 from protocols.cia402.settings import Settings, units_of_settings
@@ -36,6 +35,7 @@ from protocols.cia402.twin import Cia402Twin
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, Feedback, Nanos, seconds
 from protocols.plugin import Device
+from tests.protocols.cia402.transfer import Transfer
 
 NODE = 5
 HOST = 127
