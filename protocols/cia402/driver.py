@@ -244,7 +244,7 @@ class Cia402Adapter(Adapter[Drive]):
                 return Pending(request, host.name, now, until, now, host, (), CLEAR_AGAIN, sent=1)
             case msg.Estop():
                 drive.quick_stop(now)
-                return _waiting(now, request, host, TIMEOUT + slow)
+                return _waiting(now, request, host, max(TIMEOUT, slow))
             case msg.Reboot():
                 reset = cs.encode(cs.Nmt(cs.NmtCommand.RESET_NODE, host.address))
                 until = now + REBOOT_TIMEOUT
@@ -264,7 +264,7 @@ class Cia402Adapter(Adapter[Drive]):
         if isinstance(job, str):
             return job
         drive.client.put(job)
-        return _waiting(now, request, host, SAVING if job.patience > 1 else TIMEOUT + slow, job)
+        return _waiting(now, request, host, SAVING if job.patience > 1 else max(TIMEOUT, slow), job)
 
     def frames(self, now: Nanos, pending: DrivePending) -> Sequence[Frame]:
         if isinstance(pending.request, msg.Scan):
