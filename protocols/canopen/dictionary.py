@@ -19,6 +19,7 @@ from protocols.canopen import pdo, sdo
 from protocols.canopen.objects import Key, Objects, Type, from_bytes, to_bytes
 from protocols.canopen.pdo import DISABLED, NO_RTR, Packing, decode_entry
 from protocols.canopen.services import EMCY_BASE, SYNC_ID, rpdo_id, tpdo_id
+from protocols.messages import MILLISECOND, Nanos
 
 Refuse: TypeAlias = Callable[[Mapping[Key, int], Key, int], int]
 """(values, key, value) → the abort code with which a device refuses the value, or 0."""
@@ -62,12 +63,15 @@ class Dictionary:
         refuse: Refuse,
         volatile: frozenset[Key] = frozenset(),
         lacks: frozenset[int] = frozenset(),
+        timer_unit: Nanos = MILLISECOND,
     ) -> None:
         self.objects, self.texts, self.refuse = objects, texts, refuse
         self.volatile = volatile
         """What is not stored: set-points."""
         self.lacks = lacks
         """Indices in the table that this device does not have."""
+        self.timer_unit = timer_unit
+        """Of the event timers of its PDOs: CiA 301 has ms, not every maker does."""
         self.factory: dict[Key, int] = dict.fromkeys(objects, 0)
         for index, sub in objects:
             if sub and index not in o.PDO_PARAMETERS and index != o.ERROR_HISTORY:

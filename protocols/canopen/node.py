@@ -150,7 +150,7 @@ class Node:
             self.host_beat = None
             codes.append(HEARTBEAT_LOST)
         for index, received in sorted(self.received.items()):
-            deadline = self.dictionary.values[index, o.EVENT_TIMER] * MILLISECOND
+            deadline = self.dictionary.values[index, o.EVENT_TIMER] * self.dictionary.timer_unit
             if deadline and now - received > deadline:
                 del self.received[index]
                 codes.append(RPDO_TIMEOUT)
@@ -187,7 +187,7 @@ class Tpdo:
 
     def timer(self, dictionary: Dictionary) -> Nanos:
         """Return its period; 0: none."""
-        return dictionary.values[self.index, o.EVENT_TIMER] * MILLISECOND
+        return dictionary.values[self.index, o.EVENT_TIMER] * dictionary.timer_unit
 
     def sample(
         self, now: Nanos, dictionary: Dictionary, events: frozenset[Key], *, sync: bool

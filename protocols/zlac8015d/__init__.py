@@ -13,7 +13,7 @@ from protocols.messages import MILLISECOND
 from protocols.plugin import Device, Driver, FeedbackKind, Plugin, Range, Spec, Watchdog
 from protocols.toolkit.assembly import driver_of
 from protocols.zlac8015d import table as z
-from protocols.zlac8015d.driver import EXPECTED, ZlacAdapter
+from protocols.zlac8015d.driver import EXPECTED, RPDO, ZlacAdapter
 from protocols.zlac8015d.options import Options, Settings
 from protocols.zlac8015d.twin import ZlacDecoder, ZlacTwin
 
@@ -32,7 +32,7 @@ def spec(device: Device) -> Spec:
     return Spec(
         bus="can",
         kind="motor",
-        sends=(exact(services.sdo_rx_id(node)),),
+        sends=tuple(map(exact, (services.NMT_ID, services.rpdo_id(RPDO, node), services.sdo_rx_id(node)))),
         expects=tuple(exact(base + node) for base in EXPECTED),
         read_only=names.read_only,
         feedback=FeedbackKind.POLLED,
@@ -44,8 +44,6 @@ def spec(device: Device) -> Spec:
             "Velocity.velocity": Range(-fastest, fastest, z.RPM / options.steps_per_rpm / 2 * MARGIN),
             "Feedback.position": Range(-turns, turns, math.pi / options.counts * MARGIN),
             "Feedback.velocity": Range(-1e6, 1e6, z.RPM / 20 * MARGIN),
-            "Feedback.current": Range(-3276.8, 3276.7, 0.05 * MARGIN),
-            "Feedback.temperature": Range(-3276.8, 3276.7, 0.05 * MARGIN),
         },
         watchdog=Watchdog(options.timeout_ms * MILLISECOND, enabled=True, fed_by="any frame"),
         holds_unattended=False,

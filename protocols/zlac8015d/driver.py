@@ -1,9 +1,10 @@
-"""The host's end: what a drive is sent in each phase, and what its responses report.
+"""The host's end: what a drive is sent in each phase, and what it reports.
 
-Rules. Everything is an SDO transfer, one at a time, so that each is confirmed. All motors of a drive that are
-in the robot file share one `Drive`: it is enabled only while all of them are commanded, and one that is at
-Idle, or in fault, disarms all. Before it is enabled, its watchdog, mode and ramps are written and read back,
-and the set-point is zero.
+Rules. Until it is commanded, a drive is only read, by SDO. Then its watchdog, mode, ramps and PDOs are
+written and read back, and it is started: from then on the set-point of both motors is one RPDO; each motor's
+position and velocity, and state and fault code of both, are TPDOs. Controlwords are written by SDO, so that
+each is confirmed. All motors of a drive that are in the robot file share one `Drive`: it is enabled only
+while all of them are commanded, with a set-point of zero; one at Idle, or in fault, disarms all.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 from protocols import messages as msg
-from protocols.canopen import sdo, services
+from protocols.canopen import objects as o
+from protocols.canopen import pdo, sdo, services
 from protocols.canopen.client import DOUBLED, Job, Outcome, Purpose, SdoClient
 from protocols.canopen.mapping import Setup, Write
 from protocols.canopen.objects import Key, from_bytes, to_bytes
-from protocols.canopen.services import NODE_MASK, NmtState
+from protocols.canopen.services import NODE_MASK, Nmt, NmtCommand, NmtState, rpdo_id, sdo_rx_id, tpdo_id
 from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Feedback, Nanos, Request
 from protocols.plugin import Device
@@ -26,20 +28,41 @@ from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending,
 from protocols.zlac8015d import table as z
 from protocols.zlac8015d.options import Options
 
-ARMING, ANSWER, RETRY = 5000 * MILLISECOND, 2000 * MILLISECOND, 300 * MILLISECOND
-EXPECTED = (services.SDO_TX_BASE, services.HEARTBEAT_BASE, services.EMCY_BASE)
-"""Bases of the identifiers that a drive sends."""
-MEASURED: Mapping[int, tuple[str, float]] = {
-    z.POSITION: ("position", math.tau),
-    z.VELOCITY: ("velocity", z.RPM / 10),
-    z.CURRENT: ("current", 0.1),
-    z.TEMPERATURE: ("temperature", 0.1),
+ARMING, ANSWER, RETRY = 10_000 * MILLISECOND, 2000 * MILLISECOND, 300 * MILLISECOND
+START: Nanos = 50 * MILLISECOND
+"""Period in which a node is started that sends no TPDO."""
+MISSED = 5
+"""Periods without a TPDO after which it is read by SDO again."""
+TPDOS: Mapping[int, pdo.Packing] = {
+    **{n: pdo.packing(z.OBJECTS, pdo.mapping(z.OBJECTS, *z.motion(n))) for n in z.SIDES},
+    z.BOTH: pdo.packing(z.OBJECTS, pdo.mapping(z.OBJECTS, z.STATUS, z.FAULT_CODE)),
 }
-"""The field of Feedback, and the unit, of an object; of positions: of all counts of a revolution."""
+"""By number: each motor's motion, and what both share."""
+NUMBERS = {tpdo_id(number, 0): number for number in TPDOS}
+RPDO = 2
+EXPECTED = (services.SDO_TX_BASE, services.HEARTBEAT_BASE, services.EMCY_BASE, *NUMBERS)
+"""Bases of the identifiers that a drive sends."""
+Motor: TypeAlias = "tuple[Drive, int]"
+"""A drive, and one side of it."""
 
 
 def _write(purpose: Purpose, key: Key, value: int) -> Job:
     return Job(purpose, key, to_bytes(z.OBJECTS[key].type, value))
+
+
+def _pdo(communication: int, cob: int, entries: Sequence[pdo.Entry], timer: int = 0) -> list[Write]:
+    """Return what configures a PDO. That a mapped PDO is disabled meanwhile is CiA 301's, and not every
+    drive's, demand."""
+    mapped = communication + o.MAPPING_OFFSET
+    return [
+        Write((communication, o.COB_ID), cob | pdo.DISABLED, optional=True),
+        Write((mapped, 0), 0),
+        *(Write((mapped, n), pdo.encode_entry(entry)) for n, entry in enumerate(entries, 1)),
+        Write((communication, o.TRANSMISSION), pdo.EVENT),
+        *([Write((communication, o.EVENT_TIMER), timer)] if timer else []),
+        Write((mapped, 0), len(entries)),
+        Write((communication, o.COB_ID), cob, optional=True),
+    ]
 
 
 class Drive:
@@ -47,6 +70,7 @@ class Drive:
 
     def __init__(self, node: int, options: Options, sides: Sequence[int]) -> None:
         self.node, self.options, self.sides = node, options, sides
+        self.period = options.feedback_ms * MILLISECOND
         self.client = SdoClient(options.sdo_timeout_ms * MILLISECOND)
         self.targets: dict[int, int] = {}
         """Steps of velocity, by side; of those that are commanded."""
@@ -56,25 +80,41 @@ class Drive:
         """Forget what it reported: it may have restarted."""
         self.states: dict[int, int] = {}
         """Power states, by side."""
-        self.next = now
-        """When it is read next."""
+        self.code = 0
+        """Object 603F."""
+        self.received: dict[int, Nanos] = {}
+        """When each TPDO came."""
+        self.next = self.start_at = now
+        """When it is read, and started, next."""
+        self.stopped = False
+        """It is told to send no PDOs, to be set up."""
+        self.setup = Setup(z.OBJECTS, self._plan())
         self.client.forget(now)
-        self._begin()
-
-    def _begin(self) -> None:
-        """Forget what was wanted, and what it was set up with."""
-        options = self.options
-        whole = {z.OFFLINE_TIME: options.timeout_ms, z.SYNCHRONOUS: 1, z.MODE: z.VELOCITY_MODE}
-        ramps = {z.ACCELERATION: options.acceleration_ms, z.DECELERATION: options.deceleration_ms}
-        sided = {(index, side): value for index, value in ramps.items() for side in self.sides}
-        plan = [Write(key, value) for key, value in (whole | sided).items()]
-        self.setup = Setup(z.OBJECTS, [*plan, Write(z.SET_POINT, 0, optional=True)])
         self.targets.clear()
+
+    def _plan(self) -> list[Write]:
+        options, node = self.options, self.node
+        ramps = {z.ACCELERATION: options.acceleration_ms, z.DECELERATION: options.deceleration_ms}
+        whole = {z.OFFLINE_TIME: options.timeout_ms, z.SYNCHRONOUS: 1, z.MODE: z.VELOCITY_MODE}
+        plan = [Write(key, value) for key, value in whole.items()]
+        plan += [Write((index, side), value) for index, value in ramps.items() for side in self.sides]
+        set_point = pdo.mapping(z.OBJECTS, z.SET_POINT)
+        plan += _pdo(o.RPDO_COMMUNICATION + RPDO - 1, rpdo_id(RPDO, node), set_point)
+        timer = options.feedback_ms * MILLISECOND // z.TIMER_UNIT
+        for number in (*self.sides, z.BOTH):
+            entries = TPDOS[number].entries
+            plan += _pdo(o.TPDO_COMMUNICATION + number - 1, tpdo_id(number, node), entries, timer)
+        return plan
 
     @property
     def failed(self) -> bool:
         """True if a motor is in fault."""
         return z.FAULT in self.states.values()
+
+    def flows(self, now: Nanos) -> bool:
+        """True if its TPDOs come: it is operational."""
+        oldest = min(self.received.get(number, -NEVER) for number in (*self.sides, z.BOTH))
+        return now - oldest < MISSED * self.period
 
     # -- wanted -----------------------------------------------------------------------------------------
 
@@ -83,36 +123,54 @@ class Drive:
         self.targets[side] = steps
         return self.targets.keys() >= set(self.sides)
 
-    def arm(self) -> None:
+    def arm(self, now: Nanos) -> Sequence[Frame]:
         """Bring it one step nearer to being enabled."""
+        if not self.stopped:
+            self.stopped = True
+            return (services.encode(Nmt(NmtCommand.ENTER_PRE_OPERATIONAL, self.node)),)
         job = self.setup.job()
         state = next((each for each in z.ARMING if each in self.states.values()), None)
         if self.client.has(Purpose.SETUP):
-            return
+            return ()
         if job is not None:
             self.client.put(job)
+        elif self.setup.done and not self.flows(now):
+            return self._start(now)
         elif self.setup.done and state is not None:
+            self.client.put(_write(Purpose.SETUP, z.SET_POINT, 0))
             self.control(Purpose.SETUP, z.ARMING[state])
+        return ()
 
-    def aim(self) -> None:
-        """Write the set-point of an enabled drive. One that this host has not set up is disabled first."""
-        goal = z.combine(self.targets.get(z.LEFT, 0), self.targets.get(z.RIGHT, 0))
+    def _start(self, now: Nanos) -> Sequence[Frame]:
+        if now < self.start_at:
+            return ()
+        self.start_at = now + START
+        return (services.encode(Nmt(NmtCommand.START, self.node)),)
+
+    def aim(self, now: Nanos) -> Sequence[Frame]:
+        """Return the set-point of an enabled drive. One that this host has not set up is disabled first."""
         if not self.setup.done or z.QUICK_STOP in self.states.values():
             self.release()
-        elif self.targets.keys() >= set(self.sides):
-            self.client.drop(Purpose.SETPOINT)
-            if not self.client.has(Purpose.SETPOINT):
-                self.client.put(_write(Purpose.SETPOINT, z.SET_POINT, goal))
+        if not self.targets.keys() >= set(self.sides):
+            return ()
+        goal = z.combine(self.targets.get(z.LEFT, 0), self.targets.get(z.RIGHT, 0))
+        frame = CanFrame(rpdo_id(RPDO, self.node), goal.to_bytes(4, "little"))
+        if self.flows(now):
+            return (frame,)
+        self.client.drop(Purpose.SETPOINT)
+        if not self.client.has(Purpose.SETPOINT):
+            self.client.put(_write(Purpose.SETPOINT, z.SET_POINT, goal))
+        return (*self._start(now), frame)
 
     def release(self) -> None:
         """Disable it."""
+        self.targets.clear()
         self.client.drop(Purpose.SETUP, Purpose.SETPOINT)
         self.control(Purpose.URGENT, z.DISABLE)
-        self._begin()
 
     def control(self, purpose: Purpose, *words: int) -> None:
         """Write controlwords, and read the state after them."""
-        if not self.client.has(purpose):
+        if purpose is Purpose.SETUP or not self.client.has(purpose):
             self.client.put(*(_write(purpose, z.CONTROL, word) for word in words), Job(purpose, z.STATUS))
 
     # -- sent and received ------------------------------------------------------------------------------
@@ -120,51 +178,63 @@ class Drive:
     def send(self, now: Nanos) -> Sequence[Frame]:
         """Return the request that is due, if any."""
         if now >= self.next and not self.client.has(Purpose.POLL):
-            self.next = now + self.options.feedback_ms * MILLISECOND
-            sided = [(index, side) for side in self.sides for index in MEASURED]
-            self.client.put(*(Job(Purpose.POLL, key) for key in (z.STATUS, *sided)))
+            self.next = now + self.period
+            motion = [key for side in self.sides for key in z.motion(side)]
+            if not self.flows(now):
+                self.client.put(*(Job(Purpose.POLL, key) for key in (z.FAULT_CODE, z.STATUS, *motion)))
         request, outcome = self.client.poll(now)
         if outcome is not None:
-            self.on_outcome(now, outcome)
-        return () if request is None else (CanFrame(services.sdo_rx_id(self.node), sdo.encode(request)),)
+            self.on_outcome(outcome)
+        return () if request is None else (CanFrame(sdo_rx_id(self.node), sdo.encode(request)),)
 
     def due(self) -> Nanos:
         """Return when `send` next has something to do."""
         return min(self.client.due(), NEVER if self.client.has(Purpose.POLL) else self.next)
 
-    def on_outcome(self, t: Nanos, outcome: Outcome) -> None:
-        """Keep what a transfer brought."""
+    def on_outcome(self, outcome: Outcome) -> dict[Key, int]:
+        """Keep what a transfer brought; return the values that were read."""
+        key, data = outcome.job.key, outcome.value
         if outcome.job == self.setup.job():
             self.setup.on_outcome(outcome)
-        elif outcome.job.key == z.STATUS and len(outcome.value) in (2, 4):
-            word = int.from_bytes(outcome.value * (4 // len(outcome.value)), "little")
-            self.states = {side: z.state_of(z.part(word, side)) for side in self.sides}
-            if self.failed and not self.client.has(Purpose.CHECK):
-                self.client.put(Job(Purpose.CHECK, z.FAULT_CODE))
+            return {}
+        if key == z.STATUS and len(data) == 2:
+            data *= 2  # both motors have the same
+        value = from_bytes(z.OBJECTS[key].type, data)
+        return {} if value is None else self.on_values({key: value})
+
+    def on_tpdo(self, t: Nanos, number: int, data: bytes) -> dict[Key, int] | None:
+        """Keep what a TPDO brought; return its values, None if it is too short."""
+        values = TPDOS[number].unpack(data)
+        if values is None:
+            return None
+        self.received[number] = t
+        return self.on_values(dict(zip((each.key for each in TPDOS[number].entries), values, strict=True)))
+
+    def on_values(self, values: dict[Key, int]) -> dict[Key, int]:
+        """Keep values of its objects."""
+        self.code = values.get(z.FAULT_CODE, self.code)
+        if z.STATUS in values:
+            self.states = {side: z.state_of(z.part(values[z.STATUS], side)) for side in self.sides}
             if self.failed and self.targets:
                 self.release()
+        return values
 
-    def report(self, t: Nanos, host: Host[tuple[Drive, int]], outcome: Outcome) -> dict[str, Any]:
-        """Return what a transfer reports of one motor."""
-        key, side = outcome.job.key, host.own[1]
-        kind = z.OBJECTS[key].type
-        value = from_bytes(kind, outcome.value)
-        if key == z.STATUS and self.states:
+    def report(self, t: Nanos, host: Host[Motor], values: Mapping[Key, int]) -> dict[str, Any]:
+        """Return what values report of one motor."""
+        side, known = host.own[1], dict[str, Any]()
+        if z.STATUS in values:
             mode, name = z.STATES[z.FAULT if self.failed else self.states[side]]
             waits = "waits for the other motor" if 0 < len(self.targets) < len(self.sides) else ""
             detail = ", ".join(filter(None, (name, self.setup.failed, waits)))
-            return {"mode": mode, "detail": detail, "faults": None if self.failed else ()}
-        if key == z.FAULT_CODE and value is not None and self.failed:
-            return {"faults": z.faults_of(value, side)}
-        if key[0] in MEASURED and value is not None and kind.low < value < kind.high:
-            name, unit = MEASURED[key[0]]
-            unit /= self.options.counts if key[0] == z.POSITION else 1
-            return {"feedback": Feedback(host.name, t, **{name: value * unit})}
-        return {}
-
-
-Motor: TypeAlias = tuple[Drive, int]
-"""A drive, and one side of it."""
+            faults = z.faults_of(self.code, side) if self.failed and self.code else None
+            known = {"mode": mode, "detail": detail, "faults": faults if self.failed else ()}
+        motion = [values.get(key, o.Type.I32.low) for key in z.motion(side)]
+        position, velocity = [value if o.Type.I32.low < value < o.Type.I32.high else None for value in motion]
+        if position is not None or velocity is not None:
+            turns = None if position is None else position / self.options.counts
+            tenths = None if velocity is None else velocity * z.RPM / 10
+            known["feedback"] = Feedback(host.name, t, None if turns is None else turns * math.tau, tenths)
+        return known
 
 
 class ZlacAdapter(Adapter[Motor]):
@@ -199,12 +269,18 @@ class ZlacAdapter(Adapter[Motor]):
         drive = self.drives.get(frame.id & NODE_MASK) if isinstance(frame, CanFrame) else None
         if drive is None or not isinstance(frame, CanFrame) or not services.is_classic(frame):
             return (Rx.IGNORED,)
-        function, outcome = frame.id & ~NODE_MASK, None
-        if function == services.SDO_TX_BASE:
+        function, values = frame.id & ~NODE_MASK, dict[Key, int]()
+        if function in NUMBERS:
+            found = drive.on_tpdo(t, NUMBERS[function], frame.data)
+            if found is None:
+                return (Rx.MALFORMED,)
+            values = found
+        elif function == services.SDO_TX_BASE:
             response = sdo.decode_response(frame.data)
             if response is None:
                 return (Rx.MALFORMED,)
             outcome = drive.client.handle(t, response)
+            values = {} if outcome is None else drive.on_outcome(outcome)
         elif function in EXPECTED:
             message = services.decode(frame)
             if message is None:
@@ -213,20 +289,18 @@ class ZlacAdapter(Adapter[Motor]):
                 drive.forget(t)
         else:
             return (Rx.IGNORED,)
-        return self._reports(t, drive, outcome, driver)
+        return self._reports(t, drive, values, driver)
 
     def _reports(
-        self, t: Nanos, drive: Drive, outcome: Outcome | None, driver: MotorDriver[Motor]
+        self, t: Nanos, drive: Drive, values: Mapping[Key, int], driver: MotorDriver[Motor]
     ) -> list[Report[Motor]]:
-        """Return a report of each motor that a transfer was about; without one, that they are there."""
-        if outcome is not None:
-            drive.on_outcome(t, outcome)
+        """Return a report of each motor that values are about; without any, that they are there."""
         twice = "every request is answered twice" if drive.client.doubled >= DOUBLED else ""
-        sub = 0 if outcome is None else outcome.job.key[1]
+        sides = {sub for _, sub in values} & set(drive.sides) or drive.sides
         reports: list[Report[Motor]] = []
-        for side in (sub,) if sub in drive.sides else drive.sides:
+        for side in sides:
             host = driver.at[drive.node + z.RIGHT_OFFSET * (side == z.RIGHT)]
-            about = {} if outcome is None else drive.report(t, host, outcome)
+            about = drive.report(t, host, values)
             reports.append(Report(host, host.address, duplicate=twice, counted=not reports, **about))
         return reports
 
@@ -235,16 +309,14 @@ class ZlacAdapter(Adapter[Motor]):
     def arm(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         drive, side = host.own
         if drive.want(side, 0):
-            drive.arm()
-        else:
-            host.wait(now)
+            return drive.arm(now)
+        host.wait(now)
         return ()
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
         drive, side = host.own
         drive.want(side, round(getattr(command, "velocity", 0.0) / z.RPM * host.options.steps_per_rpm))
-        drive.aim()
-        return ()
+        return drive.aim(now)
 
     def release(self, now: Nanos, host: Host[Motor]) -> Sequence[Frame]:
         host.own[0].release()

@@ -23,8 +23,8 @@ class Options:
     """Time in which it slows down (6084)."""
     timeout_ms: int = bounded(200, 20, 32767)
     """Communication offline time (2000), written before it is enabled."""
-    feedback_ms: int = bounded(20, 2, 1000)
-    """Period in which state, velocity and position are read."""
+    feedback_ms: int = bounded(10, 2, 1000)
+    """Period of its TPDOs, and in which a drive is read that is not commanded yet."""
     sdo_timeout_ms: int = bounded(100, 10, 5000)
     """Time after which a request without a response is repeated."""
     offline_ms: int = bounded(500, 50, 60_000)
@@ -42,8 +42,6 @@ class Settings:
     """Object 2000 as saved; 0: no watchdog"""
     max_torque: float = bounded(10.0, 0.1, 1000.0)
     """N·m"""
-    torque_constant: float = bounded(0.7, 0.01, 100.0)
-    """N·m/A"""
 
     def __post_init__(self) -> None:
         check_bounds(self)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from protocols.canopen.objects import Access, Object, Objects, Type
+from protocols.canopen.objects import Access, Key, Object, Objects, Type
 from protocols.canopen.services import MAX_NODE
-from protocols.messages import Mode
+from protocols.messages import MILLISECOND, Mode, Nanos
 from protocols.plugin import FaultInfo
 
 LEFT, RIGHT, BOTH = 1, 2, 3
@@ -25,10 +25,12 @@ RPM = math.pi / 30.0
 """rad/s"""
 OFFLINE_TIME, SYNCHRONOUS, FAULT_CODE = (0x2000, 0), (0x200F, 0), (0x603F, 0)
 CONTROL, STATUS, MODE = (0x6040, 0), (0x6041, 0), (0x6060, 0)
-TEMPERATURE, POSITION, VELOCITY, CURRENT = 0x2032, 0x6064, 0x606C, 0x6077
+POSITION, VELOCITY = 0x6064, 0x606C
 ACCELERATION, DECELERATION, TARGET = 0x6083, 0x6084, 0x60FF
 SET_POINT = TARGET, BOTH
 VELOCITY_MODE = 3
+TIMER_UNIT: Nanos = MILLISECOND // 2
+"""Of the event timers of its PDOs: not that of CiA 301."""
 LACKS = frozenset({0x1003, 0x1006, 0x1008, 0x1010, 0x1011, 0x1016, 0x1029})
 """Objects of CiA 301 that the drive does not have."""
 
@@ -47,16 +49,19 @@ OBJECTS = Objects(
         _object(*CONTROL, "Controlword", Type.U16),
         _object(*STATUS, "Statusword", Type.U32, "ro"),
         _object(*MODE, "Mode of operation", Type.I8),
-        *(_object(TEMPERATURE, side, "Motor temperature", Type.I16, "ro") for side in SIDES),
         *(_object(POSITION, side, "Position", Type.I32, "ro") for side in SIDES),
         *(_object(VELOCITY, side, "Velocity", Type.I32, "ro") for side in SIDES),
-        *(_object(CURRENT, side, "Current", Type.I16, "ro") for side in SIDES),
         *(_object(ACCELERATION, side, "Acceleration time", Type.U32) for side in SIDES),
         *(_object(DECELERATION, side, "Deceleration time", Type.U32) for side in SIDES),
         *(_object(TARGET, side, "Target velocity", Type.I32) for side in SIDES),
         _object(*SET_POINT, "Target velocity", Type.U32),
     ]
 )
+
+
+def motion(side: int) -> tuple[Key, Key]:
+    """Return the objects of a motor's position and velocity."""
+    return (POSITION, side), (VELOCITY, side)
 
 
 def side_of(address: int) -> int:
@@ -128,7 +133,7 @@ FAULTS: Mapping[int, FaultInfo] = {
 # fmt: on
 ALL_FAULTS: Mapping[int, FaultInfo] = {
     **FAULTS,
-    UNKNOWN: FaultInfo("unknown fault", "the drive gives no known code", "see its manual"),
+    UNKNOWN: FaultInfo("unknown fault", "its code has no known bit", "see its manual"),
     NOT_ENABLED: FaultInfo("did not enable", "it answers, but is not enabled", "check its supply, clear"),
     DUPLICATE: FaultInfo("duplicate node id", "two drives answer at one node id", "change one of them"),
 }
@@ -137,4 +142,4 @@ ALL_FAULTS: Mapping[int, FaultInfo] = {
 def faults_of(code: int, side: int) -> frozenset[int]:
     """Return the faults of one side in object 603F."""
     bits = code >> 16 | code & OF_DRIVE if side == RIGHT else code & 0xFFFF
-    return frozenset(each for each in FAULTS if each & bits) or frozenset({OTHER_MOTOR if code else UNKNOWN})
+    return frozenset(each for each in FAULTS if each & bits) or frozenset({UNKNOWN if bits else OTHER_MOTOR})

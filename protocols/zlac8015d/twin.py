@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from protocols import messages as msg
 from protocols.canopen import services
@@ -35,6 +36,10 @@ TRANSITIONS: Mapping[int, Mapping[int, int]] = {
 }
 # fmt: on
 """By power state and what a controlword demands: the next state. Any other demand changes nothing."""
+REGISTERS = {z.LEFT: 0x01, z.RIGHT: 0x81}
+"""Error register in the EMCY of each half."""
+DEVICE = 0x2000
+"""Objects from here on may have sides."""
 ENERGISED = (z.ENABLED, z.QUICK_STOP)
 
 
@@ -47,6 +52,10 @@ def demand_of(word: int) -> int:
     return word & 0x0F if word & 0x01 else z.SHUTDOWN
 
 
+def _accept(*_: object) -> int:
+    return 0
+
+
 class Half:
     """What one motor of a drive keeps of the frames that it receives."""
 
@@ -57,8 +66,11 @@ class Half:
         address = device.address & NODE_MASK
         values = {DEVICE_TYPE: 0x20192, z.OFFLINE_TIME: device.settings.offline_time_ms}
         values |= pdo_defaults(z.OBJECTS, address)
-        dictionary = Dictionary(z.OBJECTS, address, values, {}, lambda *_: 0, lacks=z.LACKS)
-        self.node = Node(dictionary, address)
+        own: dict[str, Any] = {"lacks": z.LACKS, "timer_unit": z.TIMER_UNIT}
+        self.node = Node(
+            Dictionary(z.OBJECTS, address, values, {}, _accept, **own),
+            address,
+        )
         self.state, self.word, self.target = z.OFF, 0, 0
 
     def receive(self, t: Nanos, frame: Frame) -> tuple[Received | None, Sequence[Obeyed]]:
@@ -83,7 +95,9 @@ class Half:
             self.target = value
         elif key == z.SET_POINT:
             self.target = z.part(value, self.side)
-        return (self._moves(),) if self.state == z.ENABLED and key[0] in (z.TARGET, z.MODE[0]) else ()
+        elif key != z.MODE:
+            return ()
+        return (self._moves(),) if self.state == z.ENABLED else ()
 
     def _moves(self) -> msg.Velocity:
         steps = self.target if self.node.dictionary.values[z.MODE] == z.VELOCITY_MODE else 0
@@ -128,33 +142,36 @@ class ZlacTwin(ServoFirmware):
         self.codes = dict.fromkeys(z.SIDES, 0)
         """Bits of object 603F."""
 
+    def receive(self, t: Nanos, frame: Frame) -> None:
+        message = services.decode(frame)
+        ours = getattr(message, "node", 0) == self.half.node.address
+        if ours and isinstance(message, services.Heartbeat):
+            self.alone = False
+        elif ours and isinstance(message, services.Emcy) and message.register == REGISTERS[self.other]:
+            self._fail(self.other, message.code)
+        super().receive(t, frame)
+
     def on_frame(self, t: Nanos, frame: Frame) -> None:
-        if not isinstance(frame, CanFrame) or self.sender.loses(frame):
+        if self.sender.loses(frame):
             return
-        self._on_other_half(frame)
         self._measure()
         received, obeyed = self.half.receive(t, frame)
         if received is None:
             return
         self.sender.note(t, received)
+        if received.command is NmtCommand.RESET_NODE:
+            self.sender.restart()
         self.feed(t)
         for each in obeyed:
             self.obey(t, each)
         self.codes = self.codes if self.mode is Mode.FAULT else dict.fromkeys(z.SIDES, 0)
-
-    def _on_other_half(self, frame: CanFrame) -> None:
-        message = services.decode(frame)
-        if isinstance(message, services.Heartbeat) and message.node == self.half.node.address:
-            self.alone = False
-        elif isinstance(message, services.Emcy) and message.node == self.half.node.address:
-            self._fail(self.other, message.code)
 
     def provoke(self, code: int) -> None:
         super().provoke(code)
         elsewhere = code == z.OTHER_MOTOR
         bits = min(z.FAULTS.keys() - {1, 2}) if elsewhere else code
         self._fail(self.other if elsewhere else self.half.side, bits)
-        self.sender.error(bits, 1)
+        self.sender.error(bits, REGISTERS[self.half.side])
 
     def _fail(self, side: int, bits: int) -> None:
         self.codes[z.LEFT if bits & z.OF_DRIVE else side] |= bits
@@ -183,9 +200,11 @@ class ZlacTwin(ServoFirmware):
         function = frame.id & ~NODE_MASK
         if self.alone or function in (services.HEARTBEAT_BASE, services.EMCY_BASE):
             return True
-        key = int.from_bytes(frame.data[1:3], "little"), frame.data[3:4] == bytes((z.RIGHT,))
-        right = function == services.SDO_TX_BASE and key[1] and (key[0], z.RIGHT) in z.OBJECTS
-        return bool(right) == (self.half.side == z.RIGHT)
+        index, sub = int.from_bytes(frame.data[1:3], "little"), frame.data[3:4] == bytes((z.RIGHT,))
+        right = function == services.tpdo_id(z.RIGHT, 0)
+        if function == services.SDO_TX_BASE:
+            right = sub and (index, z.RIGHT) in z.OBJECTS and index > DEVICE
+        return right == (self.half.side == z.RIGHT)
 
     def _measure(self) -> None:
         """Put what the drive measures of itself into its dictionary."""
@@ -197,7 +216,5 @@ class ZlacTwin(ServoFirmware):
                 z.FAULT_CODE: z.combine(self.codes[z.LEFT], self.codes[z.RIGHT]),
                 (z.POSITION, side): max(Type.I32.low, min(Type.I32.high, counts)),
                 (z.VELOCITY, side): round(encoder.velocity / z.RPM * 10),
-                (z.CURRENT, side): round(self.torque / self.settings.torque_constant * 10),
-                (z.TEMPERATURE, side): 300,
             }
         )
