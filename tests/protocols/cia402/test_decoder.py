@@ -11,9 +11,10 @@ import pytest
 
 from protocols import messages as msg
 from protocols.canopen import sdo
+from protocols.canopen.names import messages, read_only
 from protocols.canopen.services import Heartbeat, Nmt, NmtCommand, NmtState, Sync, encode, rpdo_id, sdo_rx_id
-from protocols.cia402 import messages, plugin, read_only, spec
 from protocols.cia402 import objects as o
+from protocols.cia402 import plugin, spec
 from protocols.cia402.memory import Cia402Decoder
 from protocols.cia402.objects import OBJECTS, Key, to_bytes
 from protocols.cia402.options import Options, Settings
@@ -129,7 +130,7 @@ def test_the_spec_follows_options_and_settings() -> None:
         ([device(address=0)], "1 to 127"),
         ([device(address=128)], "1 to 127"),
         ([device(address=127)], "host's own"),
-        ([device(), device(name="n")], "given twice"),
+        ([device(), device(name="n")], "is that of"),
         ([device(), Device("n", 6, Options(sync_ms=20), Settings())], r"sync_ms .* 10 for m and 20 for n"),
         ([device(), Device("n", 6, Options(host_id=100), Settings())], r"host_id .* 127 for m and 100 for n"),
         ([device(), Device("n", 6, Options(feedback="event", sync_ms=20), Settings())], ""),
