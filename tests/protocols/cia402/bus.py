@@ -1,4 +1,4 @@
-"""The driver and independent drives on a bus that is a for-loop, in virtual time."""
+"""The driver and independent drives on a bus that is a for-loop, in virtual time; the twin and its shaft."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from protocols.cia402 import plugin
-from protocols.frames import Frame
-from protocols.messages import MILLISECOND, Command, Event, Request
+from protocols.cia402.options import Settings
+from protocols.conformance.bench import Shaft
+from protocols.frames import CanFrame, Frame
+from protocols.messages import MILLISECOND, Command, Event, Feedback, Request
 from protocols.plugin import Device
 from protocols.transcripts.runner import Peer
 
@@ -52,3 +54,35 @@ class Bus:
         for frame in frames:
             for drive in self.drives:
                 drive.receive(frame)
+
+
+class TwinOnShaft:
+    """The twin, and the shaft that it turns."""
+
+    def __init__(self, settings: Settings | None = None, node: int = 2, seed: int = 0) -> None:
+        device = Device("m", node, plugin.options(), settings or plugin.settings())
+        self.node, self.twin = node, plugin.twin(device, seed)
+        self.shaft = Shaft()
+        self.torque = 0.0
+        self.now = BEGIN * MILLISECOND
+        self.run(2)
+
+    def run(self, ms: int, *frames: CanFrame) -> list[CanFrame]:
+        """Advance; the frames reach it in the first millisecond. Returns what it sends."""
+        sent: list[CanFrame] = []
+        for _ in range(ms):
+            self.now += MILLISECOND
+            for frame in frames:
+                self.twin.receive(self.now, frame)
+            frames = ()
+            measured = Feedback("m", self.now, self.shaft.position, self.shaft.velocity)
+            torques, reports = self.twin.step(self.now, [measured])
+            self.torque = sum(torque.torque for torque in torques)
+            self.shaft.turn(self.torque, MILLISECOND)
+            sent += [frame for frame in reports if isinstance(frame, CanFrame)]
+        return sent
+
+    def answer(self, request: bytes) -> bytes | None:
+        """Return the response to an SDO request; None: there is none."""
+        sent = self.run(1, CanFrame(0x600 + self.node, request))
+        return next((frame.data for frame in sent if frame.id == 0x580 + self.node), None)

@@ -96,11 +96,6 @@ class Drive:
         self.resets = 1
         """Fault resets that it needs."""
         self._rejected: dict[tuple[tuple[int, int] | int, int | None], int] = {}
-        for index in (0x60A9,):  # TEMPORARY: until the data sheet has it
-            if index not in self.local.object_dictionary:
-                made = canopen.objectdictionary.ODVariable("SI unit velocity", index, 0)
-                made.data_type, made.default, made.access_type = 7, 0, "rw"
-                self.local.object_dictionary.add_object(made)
         self._sending: list[tuple[int, Frame]] = []
         self._requests: list[CanFrame] = []
         """The first one is being served."""

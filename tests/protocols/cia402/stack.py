@@ -28,9 +28,7 @@ VECTORS = vectors_of(plugin)
 
 @cache
 def _parsed(node: int) -> Any:
-    objects = canopen.import_od(EDS, node_id=node)
-    objects[0x60A9].default, objects[0x60AA].default = 0x00B5_0300, 0  # increments per second
-    return objects
+    return canopen.import_od(EDS, node_id=node)
 
 
 def dictionary(node: int) -> Any:
