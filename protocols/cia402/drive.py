@@ -5,17 +5,10 @@ set-point before its setup was read back. The first set-point of a sequence is t
 interrupts a setup, it is forgotten, and begun anew from a fresh reading. A drive that is slow is not late:
 what waits for a state waits for a number of statuswords, too.
 
-Homing is the drive's own procedure, begun by bit 4 of the controlword while it is armed and holds. Its end is
-taken from a statusword that came after the beginning. Then the newly measured position is held, for zero may
-have moved.
-
-Source: CiA 402-2 "finite state automaton", "homing mode"; CiA 301 "NMT", "emergency".
+Source: CiA 402-2 "finite state automaton"; CiA 301 "NMT", "emergency".
 """
 
 from __future__ import annotations
-
-from collections.abc import Collection
-from dataclasses import dataclass
 
 from protocols.canopen import objects as co
 from protocols.canopen import sdo
@@ -25,39 +18,14 @@ from protocols.canopen.objects import Key, Type, from_bytes, to_bytes
 from protocols.canopen.pdo import DISABLED, Packing, packing
 from protocols.canopen.scan import describe
 from protocols.canopen.services import Nmt, NmtCommand, NmtState, encode, sdo_rx_id
+from protocols.cia402 import faults, profile, setpoints
 from protocols.cia402 import objects as o
-from protocols.cia402.faults import (
-    NOT_ARMED,
-    NOT_CONFIGURED,
-    QUICK_STOPPED,
-    SETPOINT_STUCK,
-    WRONG_DEVICE,
-    fault_info,
-)
+from protocols.cia402.homing import Homing
 from protocols.cia402.objects import OBJECTS
 from protocols.cia402.options import Options
 from protocols.cia402.polls import Polls
-from protocols.cia402.profile import (
-    Control,
-    Demand,
-    HomingStatus,
-    Mode,
-    PowerState,
-    Status,
-    homing_of,
-    mode_name,
-    state_of,
-)
-from protocols.cia402.setpoints import (
-    FAMILIES,
-    TARGET_OF,
-    Handshake,
-    Output,
-    Values,
-    arming_demand,
-    standstill,
-    values_of,
-)
+from protocols.cia402.profile import Demand, Mode, PowerState, Status
+from protocols.cia402.setpoints import FAMILIES, TARGET_OF, Arrival, Handshake, Output, Values
 from protocols.cia402.setup import Known
 from protocols.frames import CanFrame
 from protocols.messages import MILLISECOND, SECOND, Command, Event, Fault, Hold, Impedance, Nanos
@@ -85,57 +53,8 @@ PATIENCE = 5
 """Statuswords that a drive may send without progress in its time."""
 AGE = 100 * MILLISECOND
 """Age at which a set-point that waits to be written by SDO is dropped."""
-HOMED = 3
-"""Statuswords after the start of homing before one is evaluated."""
-ZERO_METHODS = (37, 35)
-"""Homing methods that take the present position (35 is the older number)."""
 CHECK, RECHECK = SECOND, 100 * MILLISECOND
 """Period at which the serial number is read, to notice another device, or two; after a doubled response."""
-
-
-@dataclass(slots=True)
-class Homing:
-    """A homing procedure: of Home, or of Zero, which first sets the method."""
-
-    token: int
-    zero: bool
-    method: int | None = None
-    """The one before Zero."""
-    tried: int = 0
-    """Methods that Zero has tried."""
-    runs: bool = False
-    started_at: int | None = None
-    """Statuswords received when bit 4 rose."""
-    failed: str = ""
-
-    def ask(self) -> Job:
-        """Return the upload of the method that is set."""
-        return Job(Purpose.REQUEST, o.HOMING_METHOD, token=self.token)
-
-    def start(self, reports: int) -> None:
-        """Record that bit 4 rises."""
-        self.started_at = reports if self.started_at is None else self.started_at
-
-    def run(self) -> None:
-        """Begin: the method is set."""
-        self.runs = True
-
-    def on_method(self, outcome: Outcome) -> Job | None:
-        """Handle the end of reading or writing the method; return the next job."""
-        if outcome.job.data is None:
-            self.method = from_bytes(Type.I8, outcome.value)
-        elif outcome.abort is None:
-            self.runs = True
-            return None
-        if outcome.abort in (sdo.NO_OBJECT, sdo.TIMEOUT) or self.tried >= len(ZERO_METHODS):
-            self.failed = f"it cannot take its present position as zero: {sdo.abort_text(outcome.abort or 0)}"
-            return None
-        self.tried += 1
-        return self.write(ZERO_METHODS[self.tried - 1])
-
-    def write(self, method: int) -> Job:
-        """Return the download of a method."""
-        return Job(Purpose.REQUEST, o.HOMING_METHOD, to_bytes(Type.I8, method), token=self.token)
 
 
 class Drive:
@@ -154,7 +73,6 @@ class Drive:
         self.commanded_at: Nanos = -NEVER
         self.estopped_at: Nanos | None = None
         """Since when an operator's stop is in force."""
-        self.booted_at: Nanos = -1
         self.tokens = 0
         """Requests so far."""
         self.clearing = False
@@ -192,8 +110,7 @@ class Drive:
         self.watches = False
         """It may monitor this host's heartbeat."""
         self.output = Output()
-        self.proven: set[Key] = set()
-        """Set-points that were seen to arrive."""
+        self.arrival = Arrival()
         self.starts = 0
         self.start_next: Nanos = 0
         self.stop_next: Nanos = 0
@@ -216,9 +133,7 @@ class Drive:
         self._progress: object = None
         self._since: tuple[Nanos, int] | None = None
         """Since when arming has made no progress, and the statuswords received then."""
-        self._sent: list[int] = []
-        """Set-points sent since one was to be read back."""
-        self._sent_since: Nanos = 0
+        self.arrival.restart()
 
     # -- received -------------------------------------------------------------------------------------
 
@@ -243,7 +158,7 @@ class Drive:
     def on_boot(self, t: Nanos) -> None:
         """Handle its boot-up message."""
         self.forget(t)
-        self.booted_at, self.nmt = t, NmtState.PRE_OPERATIONAL
+        self.nmt = NmtState.PRE_OPERATIONAL
 
     def on_emcy(self, code: int) -> None:
         """Handle an emergency, or the end of one (code 0)."""
@@ -269,7 +184,7 @@ class Drive:
         self.reports += 1
         self.emcy = False
         if (status, self.mode_display) != self._judged:
-            before, self.statusword, self.power = self.power, status, state_of(status)
+            before, self.statusword, self.power = self.power, status, profile.state_of(status)
             if before is not self.power:
                 self._on_power(before, self.power)
             self._judge()
@@ -290,7 +205,7 @@ class Drive:
         self._judged = self.statusword, self.mode_display
         detail = power.value if power is not None else ""
         if power is PowerState.OPERATION_ENABLED and self.mode_display is not None:
-            detail += f", {mode_name(self.mode_display)}"
+            detail += f", {profile.mode_name(self.mode_display)}"
         self.detail = ", ".join(filter(None, (detail, "" if complete else READING)))
         if self.known.unusable:
             self.mode, self.detail = State.FAULT, self.known.unusable
@@ -324,16 +239,17 @@ class Drive:
             case Purpose.SETUP if self.setup is not None:
                 self.setup.on_outcome(outcome)
                 if self.setup.failed:
-                    self.failures.append((NOT_CONFIGURED, self.setup.failed))
+                    self.failures.append((faults.NOT_CONFIGURED, self.setup.failed))
                     self.give_up_setup()
             case Purpose.SETPOINT if abort is None and job.data is not None:
                 self.output.confirm(t, key, from_bytes(OBJECTS[key].type, job.data) or 0)
                 self.rounds += 1
             case Purpose.REQUEST if self.homing is not None and job.token == self.homing.token:
-                more = self.homing.on_method(outcome)
-                self.client.put(*([more] if more is not None else []))
+                self.client.put(*self.homing.on_method(outcome))
             case Purpose.CHECK if key in o.TARGETS:
-                self._on_check(t, key, outcome)
+                if failure := self.arrival.on_outcome(t, outcome):
+                    self.failures.append((faults.NOT_ARMED, failure))
+                    self._unarm()
         return {}
 
     def _on_read(self, t: Nanos, key: Key, outcome: Outcome) -> Values:
@@ -341,7 +257,7 @@ class Drive:
         if self.known.pdos is not None:
             self._expect()
         if self.known.unusable:
-            self.note(t, WRONG_DEVICE, self.known.unusable)
+            self.note(t, faults.WRONG_DEVICE, self.known.unusable)
         self._judge()
         told = value is not None and key in (o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE)
         return {key: value} if value is not None and told else {}
@@ -363,7 +279,7 @@ class Drive:
 
     def note(self, t: Nanos, code: int, cause: str = "") -> None:
         """Report a fault that does not stay."""
-        info = fault_info(code)
+        info = faults.fault_info(code)
         self.events.append(Fault(self.name, t, code, info.name, cause or info.cause, info.remedy))
 
     def take_events(self) -> list[Event]:
@@ -394,7 +310,7 @@ class Drive:
             modes = known.read.get(o.SUPPORTED_MODES, 0)
             return f"its object 6502 ({modes:#x}) has no mode for {type(command).__name__}"
         try:
-            values = values_of(command, mode, known.units, 0)
+            values = setpoints.values_of(command, mode, known.units, 0)
         except ValueError as error:
             return str(error)
         lacking = next((key for key, value in values.items() if value and key in known.absent), None)
@@ -438,20 +354,21 @@ class Drive:
         elif self.hold is None:
             self.hold = position
         if self.homing is not None and self.homing.runs:
-            return self._send(now, self._homing(self.homing, position), o.CONTROLWORD)
+            values = self.homing.values(position, self.mode_display, self.reports)
+            return self._send(now, values, o.CONTROLWORD)
         target = TARGET_OF[mode]
         in_mode = self.mode_display == mode
         if power is PowerState.OPERATION_ENABLED:
             rest = self.values.get(o.TARGET_POSITION, position) if self.hold is None else self.hold
-            values, control = values_of(command, mode, units, rest), int(Demand.ENABLE_OPERATION)
+            values, control = setpoints.values_of(command, mode, units, rest), int(Demand.ENABLE_OPERATION)
             if mode is Mode.PP and in_mode:
                 control = self._hand_over(now, values)
             self._note_progress(now, None if in_mode else (power, mode))
         else:
-            values = standstill(position)
+            values = setpoints.standstill(position)
             self._note_progress(now, (power, in_mode))
             option = self.known.read.get(o.QUICK_STOP_OPTION, 2)
-            demand = arming_demand(power, option, prepared=in_mode and self.rounds >= PREPARED)
+            demand = setpoints.arming_demand(power, option, prepared=in_mode and self.rounds >= PREPARED)
             if demand is None:
                 return []
             control = int(demand)
@@ -478,9 +395,9 @@ class Drive:
         control, given = self.handshake.step(now, self.reports, target, acknowledged=acknowledged)
         values[o.TARGET_POSITION] = given
         if self.handshake.stuck(now, self.reports, self.options.state_timeout_ms * MILLISECOND):
-            self.codes.add(SETPOINT_STUCK)
+            self.codes.add(faults.SETPOINT_STUCK)
         elif not self.handshake.blocked:
-            self.codes.discard(SETPOINT_STUCK)
+            self.codes.discard(faults.SETPOINT_STUCK)
         return control
 
     def _note_progress(self, now: Nanos, progress: object) -> None:
@@ -493,32 +410,16 @@ class Drive:
         late = now - since >= timeout and self.reports >= reports + PATIENCE
         if late or now - since >= 10 * timeout:
             state = "an unknown state" if self.power is None else self.power.value
-            shown = "no mode" if self.mode_display is None else mode_name(self.mode_display)
-            self.failures.append((NOT_ARMED, f"it stayed in {state} with {shown} displayed"))
+            shown = "no mode" if self.mode_display is None else profile.mode_name(self.mode_display)
+            self.failures.append((faults.NOT_ARMED, f"it stayed in {state} with {shown} displayed"))
             self._unarm()
-
-    # -- do set-points arrive? ------------------------------------------------------------------------
 
     def _check(self, now: Nanos, target: Key) -> None:
-        """Read a set-point back once, that is not 0: it must be one of those that were sent."""
-        value = self.values.get(target, 0)
-        if target in self.proven or target not in self.output.mapped or not (value or self._sent):
-            return
-        self._sent_since = self._sent_since if self._sent else now
-        self._sent = [*self._sent[-200:], value]
-        if not self.client.has(Purpose.CHECK):
+        """Read a set-point back once that is sent by RPDO."""
+        mapped = target in self.output.mapped
+        wanted = mapped and self.arrival.sent(now, target, self.values.get(target, 0))
+        if wanted and not self.client.has(Purpose.CHECK):
             self.client.put(Job(Purpose.CHECK, target))
-
-    def _on_check(self, t: Nanos, key: Key, outcome: Outcome) -> None:
-        found = from_bytes(OBJECTS[key].type, outcome.value)
-        if outcome.abort is not None or (found and found in self._sent):
-            self._sent = []
-            if outcome.abort != sdo.TIMEOUT:
-                self.proven.add(key)
-        elif self._sent and found not in self._sent and t - self._sent_since > LATE:
-            cause = f"set-points do not arrive: {key[0]:04X} is {found}, and {self._sent[-1]} was sent"
-            self.failures.append((NOT_ARMED, cause))
-            self._unarm()
 
     # -- setup ----------------------------------------------------------------------------------------
 
@@ -556,32 +457,14 @@ class Drive:
             return "homing is under way"
         self.homing = Homing(self.token(), zero, runs=not zero)
         if zero:
-            self.client.put(self.homing.ask())
+            self.client.put(self.homing.job())
         return ""
-
-    def _homing(self, homing: Homing, position: int) -> Values:
-        """Return the set-points during homing; bit 4 begins it once the drive displays the mode."""
-        control = int(Demand.ENABLE_OPERATION)
-        if self.mode_display == Mode.HM:
-            homing.start(self.reports)
-            control |= Control.START_HOMING
-        return standstill(position) | {o.CONTROLWORD: control, o.MODE: int(Mode.HM)}
 
     def homed(self) -> tuple[bool, str] | None:
         """Return the end of homing as (success, detail); None while it goes on."""
-        homing = self.homing
-        if homing is None:
+        if self.homing is None:
             return False, "it was disarmed, or commanded otherwise"
-        if homing.failed:
-            return False, homing.failed
-        if homing.started_at is None or self.reports < homing.started_at + HOMED:
-            return None
-        match homing_of(self.statusword or 0):
-            case HomingStatus.DONE:
-                return True, "the present position is zero" if homing.zero else "home is found"
-            case HomingStatus.ERROR_MOVING | HomingStatus.ERROR_STOPPED:
-                return False, "it reports a homing error (bit 13 of its statusword)"
-        return None
+        return self.homing.result(self.statusword or 0, self.reports)
 
     def end_homing(self) -> None:
         """Go back to holding, at the position measured from now on; put back the method before Zero."""
@@ -592,7 +475,7 @@ class Drive:
             self.hold, self.position, self.rounds = None, None, 0
             self.polls.invalidate(o.POSITION)
         if homing.method is not None and homing.tried:
-            self.client.put(homing.write(homing.method))
+            self.client.put(homing.job(homing.method))
 
     # -- disarmed -------------------------------------------------------------------------------------
 
@@ -633,7 +516,7 @@ class Drive:
     def quick_stop(self, now: Nanos) -> None:
         """Stop it, by an operator's request; it stays in fault until that is cleared."""
         self.estopped_at = self.stop_next = now
-        self.failures.append((QUICK_STOPPED, ""))
+        self.failures.append((faults.QUICK_STOPPED, ""))
         self.give_up_setup()
         self._unarm()
         self._judge()
@@ -703,8 +586,8 @@ class Drive:
             has_serial = co.SERIAL_NUMBER not in self.known.absent
             jobs.append(Job(Purpose.CHECK, co.SERIAL_NUMBER if has_serial else co.DEVICE_TYPE))
         if self.known.units is not None and not client.has(Purpose.POLL):
-            absent: Collection[Key] = self.known.absent
-            polled = self.polls.next(now, absent, hurried=self.hurried, failed=self.code_wanted)
+            lacking, failed = self.known.absent, self.code_wanted
+            polled = self.polls.next(now, lacking, hurried=self.hurried, failed=failed)
             jobs.append(Job(Purpose.POLL, polled) if polled is not None else None)
         client.put(*(job for job in jobs if job is not None))
 

@@ -4,7 +4,7 @@ Rules. A set-point is a whole set of values: what a mode does not use is zero, e
 which stays where it is. What does not fit the drive's integers is a ValueError, and is never sent. An RPDO is
 sent whole: when it has the object that moves the motor, when a value in it has changed, and again every
 REFRESH. An object in no RPDO is written by SDO when it changes: offsets and target, then the mode, then the
-controlword, so that a drive is never enabled with an old set-point.
+controlword, so that a drive never obeys an old set-point.
 
 Source: CiA 402-2 "finite state automaton", "profile position mode"; package canopen 2.4.1
 `profiles/p402.py` for the bits.
@@ -16,8 +16,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
+from protocols.canopen import sdo
+from protocols.canopen.client import Outcome
 from protocols.canopen.mapping import Pdo
-from protocols.canopen.objects import Key
+from protocols.canopen.objects import Key, from_bytes, title
 from protocols.canopen.pdo import Packing, packing
 from protocols.cia402 import objects as o
 from protocols.cia402.objects import OBJECTS
@@ -145,6 +147,47 @@ class Handshake:
 
 
 @dataclass(slots=True)
+class Arrival:
+    """Whether set-points arrive: one that is not 0 is read back once, and must be one that was sent. Plain
+    data."""
+
+    TIME = 500 * MILLISECOND
+    MOST = 200
+    """Set-points that are remembered."""
+
+    proven: set[Key] = field(default_factory=set)
+    values: list[int] = field(default_factory=list)
+    """Those that were sent since the first that is not 0."""
+    since: Nanos = 0
+
+    def restart(self) -> None:
+        """Forget what was sent: it is disarmed."""
+        self.values = []
+
+    def sent(self, now: Nanos, target: Key, value: int) -> bool:
+        """Record a set-point; return True if it is to be read back."""
+        if target in self.proven or not (value or self.values):
+            return False
+        self.since = self.since if self.values else now
+        self.values = [*self.values[-self.MOST :], value]
+        return True
+
+    def on_outcome(self, t: Nanos, outcome: Outcome) -> str:
+        """Handle what was read; return why set-points do not arrive, if so. A drive need not let them be
+        read."""
+        key = outcome.job.key
+        found = from_bytes(OBJECTS[key].type, outcome.value)
+        if (outcome.abort or sdo.TIMEOUT) != sdo.TIMEOUT or (found and found in self.values):
+            self.proven.add(key)
+            self.values = []
+        elif (
+            outcome.abort is None and self.values and found not in self.values and t > self.since + self.TIME
+        ):
+            return f"set-points do not arrive: {title(key)} is {found}, and {self.values[-1]} was sent"
+        return ""
+
+
+@dataclass(slots=True)
 class _Rpdo:
     id: int
     keys: tuple[Key, ...]
@@ -178,6 +221,8 @@ class Output:
     written: Values = field(default_factory=dict)
     """The values last written by SDO, and confirmed."""
     written_at: dict[Key, Nanos] = field(default_factory=dict)
+    since: Nanos = 0
+    """When another mode was first to be written."""
 
     def configure(self, pdos: Sequence[Pdo], offsets: Values) -> None:
         """Use these RPDOs, the one with the controlword last; `offsets` are what the drive has now."""
@@ -211,12 +256,17 @@ class Output:
 
     def next_download(self, now: Nanos, values: Values, target: Key) -> tuple[Key, int] | None:
         """Return what is to be written by SDO next; None if everything is in RPDOs, or written already."""
-        for key in (*self.OFFSETS, target, o.MODE, o.CONTROLWORD):
-            if key in values and key not in self.mapped:
-                repeat = key == target and now >= self.written_at.get(key, now) + self.REWRITE
-                if repeat or self.written.get(key) != values[key]:
-                    return key, values[key]
-        return None
+        keys = [key for key in (*self.OFFSETS, target, o.MODE, o.CONTROLWORD) if key in values]
+        changed = [key for key in keys if key not in self.mapped and self.written.get(key) != values[key]]
+        if not changed and target not in self.mapped and now >= self.written_at.get(target, 0) + self.REWRITE:
+            changed = [target]
+        if o.MODE not in changed:
+            self.since = now
+        # In turn, for on a slow drive each may have changed again. The mode waits for what is meant for it.
+        meant = set(changed) - {o.MODE, o.CONTROLWORD}
+        waits = {o.CONTROLWORD: 2, o.MODE: any(self.written_at.get(key, 0) < self.since for key in meant)}
+        changed.sort(key=lambda key: (waits.get(key, 0), self.written_at.get(key, 0)))
+        return (changed[0], values[changed[0]]) if changed else None
 
     def confirm(self, now: Nanos, key: Key, value: int) -> None:
         """Record that the drive has accepted a value by SDO."""
