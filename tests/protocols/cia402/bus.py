@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import canopen
+
 from protocols.cia402 import plugin
 from protocols.cia402.options import Settings
 from protocols.conformance.bench import Shaft
@@ -12,6 +14,7 @@ from protocols.frames import CanFrame, Frame
 from protocols.messages import MILLISECOND, Command, Event, Feedback, Request
 from protocols.plugin import Device
 from protocols.transcripts.runner import Peer
+from tests.protocols.cia402.stack import Joined, dictionary
 
 BEGIN = 1_000_000
 """ms: the clock's zero lies anywhere."""
@@ -86,3 +89,16 @@ class TwinOnShaft:
         """Return the response to an SDO request; None: there is none."""
         sent = self.run(1, CanFrame(0x600 + self.node, request))
         return next((frame.data for frame in sent if frame.id == 0x580 + self.node), None)
+
+
+def remote(drive: TwinOnShaft) -> Any:
+    """Return package canopen's node of a twin: each of its frames is a millisecond of the twin."""
+    network, node = Joined(), canopen.RemoteNode(drive.node, dictionary(drive.node))
+    network.add_node(node)
+
+    def on_sent(frame: CanFrame) -> None:
+        for answer in drive.run(1, frame):
+            network.handle(answer)
+
+    network.on_sent = on_sent
+    return node

@@ -108,7 +108,6 @@ class Drive:
         self.local.add_write_callback(self._written)
         self._show()
 
-    @property
     def enabled(self) -> bool:
         """It gives torque."""
         return self._state in ("OPERATION ENABLED", "QUICK STOP ACTIVE")

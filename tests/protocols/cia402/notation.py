@@ -47,7 +47,7 @@ def address(text: str) -> tuple[int, int]:
 
 
 def value(text: str) -> str:
-    """Return the bytes of `6040=15` as canopen encodes them, as hexadecimal digits; `?` where any may stand."""
+    """Return the bytes of `6040=15` by canopen, as hexadecimal digits; `?` where any may stand."""
     name, _, number = text.partition("=")
     known = variable(*address(name))
     return "?" * (len(known) // 4) if number == "*" else known.encode_raw(int(number, 0)).hex()

@@ -1,10 +1,10 @@
 """Package durand 0.5.0 as a foreign drive: its CANopen, with objects and states of CiA 402 around it.
 
 Its NMT, SDO server, PDOs, SYNC, heartbeat and EMCY are durand's, its time is durand's VirtualScheduler, its
-bus a for-loop. The objects of the profile have the types of canopen's dictionary, the states are canopen's table.
+bus a for-loop. Objects of the profile have the types of canopen's dictionary, states follow canopen's table.
 
-What durand cannot do: it has no heartbeat consumer (1016; so no watchdog here), no event timer of a TPDO (1800:05;
-its feedback comes with SYNC or by SDO), counts no nth SYNC anew (a TPDO of type 10 comes with each
+What durand cannot do: it has no heartbeat consumer (1016; so no watchdog here), no event timer of a TPDO
+(1800:05; its feedback comes with SYNC or by SDO), counts no nth SYNC anew (a TPDO of type 10 comes with each
 SYNC after the tenth), keeps what was written when it is reset, enables its RPDOs as delivered, and empty.
 """
 
@@ -81,8 +81,7 @@ class DurandDrive:
                 self.objects[index] = _object(known)
         for index, value in PRESET.items():
             self.objects.write(index, 0, value)
-        for index, value in ((0x1000, 0x00020192), (0x1008, b"a drive of durand")):
-            self.objects[index].value = value
+        self.objects[0x1000].value, self.objects[0x1008].value = 0x00020192, b"a drive of durand"
         self.objects[0x1018][4].value = 99
         self.objects.update_callbacks[0x6040, 0].add(self._obey)
         self._show()
@@ -91,7 +90,7 @@ class DurandDrive:
         """Handle a frame of the driver."""
         assert isinstance(frame, CanFrame)
         if frame.id in self.network.subscribed:
-            self.network.subscribed[frame.id](frame.id, bytearray(frame.data))
+            self.network.subscribed[frame.id](frame.id, frame.data)
 
     def step(self) -> Sequence[Frame]:
         """Advance by a millisecond. Returns what it sends."""

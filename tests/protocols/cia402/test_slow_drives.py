@@ -35,14 +35,14 @@ def test_idle_during_the_set_up_leaves_no_motor_that_does_not_obey(
     bus, drive = started(slow=60, keeps=keeps, echo=echo)
     bus.run(moment, Velocity("m", tau))
     bus.run(600, Idle("m"))
-    assert not drive.enabled
+    assert not drive.enabled()
     bus.run(ARMED_MS, Velocity("m", 2 * tau))
-    assert drive.enabled
+    assert drive.enabled()
     assert drive.get(0x60FF) == 2 * 16384
     bus.run(50, Velocity("m", 0.0))
     assert drive.get(0x60FF) == 0
     bus.run(400, Idle("m"))
-    assert not drive.enabled
+    assert not drive.enabled()
     assert not [event for event in bus.events if isinstance(event, Fault)]
 
 
