@@ -58,6 +58,6 @@ def test_a_slow_drive_without_pdos_is_armed_and_obeys(command: Command, modes: s
     drive.slow = 60
     bus = Bus([device], [drive])
     bus.run(12_000, command)
-    assert drive.enabled
+    assert drive.enabled()
     assert drive.get(0x60FF if isinstance(command, Velocity) else 0x607A) == 16384
     assert not [event for event in bus.events if isinstance(event, Fault)]
