@@ -28,16 +28,17 @@ from protocols.toolkit.motor_driver import NEVER, Adapter, MotorDriver, Pending,
 from protocols.zlac8015d import table as z
 from protocols.zlac8015d.options import Options
 
-ARMING, ANSWER, RETRY = 10_000 * MILLISECOND, 2000 * MILLISECOND, 300 * MILLISECOND
+ARMING, ANSWER, RETRY = 15_000 * MILLISECOND, 2000 * MILLISECOND, 300 * MILLISECOND
 START: Nanos = 50 * MILLISECOND
 """Period in which a node is started that sends no TPDO."""
-MISSED = 5
+MISSED = 10
 """Periods without a TPDO after which it is read by SDO again."""
 TPDOS: Mapping[int, pdo.Packing] = {
     **{n: pdo.packing(z.OBJECTS, pdo.mapping(z.OBJECTS, *z.motion(n))) for n in z.SIDES},
     z.BOTH: pdo.packing(z.OBJECTS, pdo.mapping(z.OBJECTS, z.STATUS, z.FAULT_CODE)),
 }
 """By number: each motor's motion, and what both share."""
+KEYS = {number: [entry.key for entry in packing.entries] for number, packing in TPDOS.items()}
 NUMBERS = {tpdo_id(number, 0): number for number in TPDOS}
 RPDO = 2
 EXPECTED = (services.SDO_TX_BASE, services.HEARTBEAT_BASE, services.EMCY_BASE, *NUMBERS)
@@ -106,11 +107,6 @@ class Drive:
             plan += _pdo(o.TPDO_COMMUNICATION + number - 1, tpdo_id(number, node), entries, timer)
         return plan
 
-    @property
-    def failed(self) -> bool:
-        """True if a motor is in fault."""
-        return z.FAULT in self.states.values()
-
     def flows(self, now: Nanos) -> bool:
         """True if its TPDOs come: it is operational."""
         oldest = min(self.received.get(number, -NEVER) for number in (*self.sides, z.BOTH))
@@ -135,37 +131,28 @@ class Drive:
         if job is not None:
             self.client.put(job)
         elif self.setup.done and not self.flows(now):
-            return self._start(now)
+            if now >= self.start_at:
+                self.start_at = now + START
+                return (services.encode(Nmt(NmtCommand.START, self.node)),)
         elif self.setup.done and state is not None:
             self.client.put(_write(Purpose.SETUP, z.SET_POINT, 0))
             self.control(Purpose.SETUP, z.ARMING[state])
         return ()
 
-    def _start(self, now: Nanos) -> Sequence[Frame]:
-        if now < self.start_at:
-            return ()
-        self.start_at = now + START
-        return (services.encode(Nmt(NmtCommand.START, self.node)),)
-
     def aim(self, now: Nanos) -> Sequence[Frame]:
-        """Return the set-point of an enabled drive. One that this host has not set up is disabled first."""
-        if not self.setup.done or z.QUICK_STOP in self.states.values():
+        """Return the set-point of an enabled drive. One that this host has not set up, or that is not known
+        to receive RPDOs, is disabled first."""
+        if not (self.setup.done and self.flows(now)) or z.QUICK_STOP in self.states.values():
             self.release()
         if not self.targets.keys() >= set(self.sides):
             return ()
         goal = z.combine(self.targets.get(z.LEFT, 0), self.targets.get(z.RIGHT, 0))
-        frame = CanFrame(rpdo_id(RPDO, self.node), goal.to_bytes(4, "little"))
-        if self.flows(now):
-            return (frame,)
-        self.client.drop(Purpose.SETPOINT)
-        if not self.client.has(Purpose.SETPOINT):
-            self.client.put(_write(Purpose.SETPOINT, z.SET_POINT, goal))
-        return (*self._start(now), frame)
+        return (CanFrame(rpdo_id(RPDO, self.node), goal.to_bytes(4, "little")),)
 
     def release(self) -> None:
         """Disable it."""
         self.targets.clear()
-        self.client.drop(Purpose.SETUP, Purpose.SETPOINT)
+        self.client.drop(Purpose.SETUP)
         self.control(Purpose.URGENT, z.DISABLE)
 
     def control(self, purpose: Purpose, *words: int) -> None:
@@ -178,9 +165,10 @@ class Drive:
     def send(self, now: Nanos) -> Sequence[Frame]:
         """Return the request that is due, if any."""
         if now >= self.next and not self.client.has(Purpose.POLL):
-            self.next = now + self.period
+            flows = self.flows(now)
+            self.next = now + self.period * (MISSED if flows else 1)
             motion = [key for side in self.sides for key in z.motion(side)]
-            if not self.flows(now):
+            if not flows:
                 self.client.put(*(Job(Purpose.POLL, key) for key in (z.FAULT_CODE, z.STATUS, *motion)))
         request, outcome = self.client.poll(now)
         if outcome is not None:
@@ -202,20 +190,13 @@ class Drive:
         value = from_bytes(z.OBJECTS[key].type, data)
         return {} if value is None else self.on_values({key: value})
 
-    def on_tpdo(self, t: Nanos, number: int, data: bytes) -> dict[Key, int] | None:
-        """Keep what a TPDO brought; return its values, None if it is too short."""
-        values = TPDOS[number].unpack(data)
-        if values is None:
-            return None
-        self.received[number] = t
-        return self.on_values(dict(zip((each.key for each in TPDOS[number].entries), values, strict=True)))
-
-    def on_values(self, values: dict[Key, int]) -> dict[Key, int]:
-        """Keep values of its objects."""
+    def on_values(self, values: dict[Key, int], t: Nanos = 0, tpdo: int = 0) -> dict[Key, int]:
+        """Keep values of its objects, and when a TPDO brought them."""
+        self.received[tpdo] = t
         self.code = values.get(z.FAULT_CODE, self.code)
         if z.STATUS in values:
             self.states = {side: z.state_of(z.part(values[z.STATUS], side)) for side in self.sides}
-            if self.failed and self.targets:
+            if z.FAULT in self.states.values() and self.targets:
                 self.release()
         return values
 
@@ -223,17 +204,18 @@ class Drive:
         """Return what values report of one motor."""
         side, known = host.own[1], dict[str, Any]()
         if z.STATUS in values:
-            mode, name = z.STATES[z.FAULT if self.failed else self.states[side]]
+            failed = z.FAULT in self.states.values()
+            mode, name = z.STATES[z.FAULT if failed else self.states[side]]
             waits = "waits for the other motor" if 0 < len(self.targets) < len(self.sides) else ""
             detail = ", ".join(filter(None, (name, self.setup.failed, waits)))
-            faults = z.faults_of(self.code, side) if self.failed and self.code else None
-            known = {"mode": mode, "detail": detail, "faults": faults if self.failed else ()}
-        motion = [values.get(key, o.Type.I32.low) for key in z.motion(side)]
-        position, velocity = [value if o.Type.I32.low < value < o.Type.I32.high else None for value in motion]
+            faults = z.faults_of(self.code, side) if self.code else None
+            known = {"mode": mode, "detail": detail, "faults": faults if failed else ()}
+        position, velocity = values.get((z.POSITION, side)), values.get((z.VELOCITY, side))
         if position is not None or velocity is not None:
-            turns = None if position is None else position / self.options.counts
-            tenths = None if velocity is None else velocity * z.RPM / 10
-            known["feedback"] = Feedback(host.name, t, None if turns is None else turns * math.tau, tenths)
+            inside = position is not None and o.Type.I32.low < position < o.Type.I32.high
+            at = (position or 0) * math.tau / self.options.counts if inside else None
+            speed = None if velocity is None else velocity * z.RPM / 10
+            known["feedback"] = Feedback(host.name, t, at, speed)
         return known
 
 
@@ -271,10 +253,11 @@ class ZlacAdapter(Adapter[Motor]):
             return (Rx.IGNORED,)
         function, values = frame.id & ~NODE_MASK, dict[Key, int]()
         if function in NUMBERS:
-            found = drive.on_tpdo(t, NUMBERS[function], frame.data)
+            number = NUMBERS[function]
+            found = TPDOS[number].unpack(frame.data)
             if found is None:
                 return (Rx.MALFORMED,)
-            values = found
+            values = drive.on_values(dict(zip(KEYS[number], found, strict=True)), t, number)
         elif function == services.SDO_TX_BASE:
             response = sdo.decode_response(frame.data)
             if response is None:
@@ -296,9 +279,9 @@ class ZlacAdapter(Adapter[Motor]):
     ) -> list[Report[Motor]]:
         """Return a report of each motor that values are about; without any, that they are there."""
         twice = "every request is answered twice" if drive.client.doubled >= DOUBLED else ""
-        sides = {sub for _, sub in values} & set(drive.sides) or drive.sides
+        sub = next(iter(values), (0, 0))[1]
         reports: list[Report[Motor]] = []
-        for side in sides:
+        for side in (sub,) if sub in drive.sides else drive.sides:
             host = driver.at[drive.node + z.RIGHT_OFFSET * (side == z.RIGHT)]
             about = drive.report(t, host, values)
             reports.append(Report(host, host.address, duplicate=twice, counted=not reports, **about))

@@ -52,10 +52,6 @@ def demand_of(word: int) -> int:
     return word & 0x0F if word & 0x01 else z.SHUTDOWN
 
 
-def _accept(*_: object) -> int:
-    return 0
-
-
 class Half:
     """What one motor of a drive keeps of the frames that it receives."""
 
@@ -68,7 +64,7 @@ class Half:
         values |= pdo_defaults(z.OBJECTS, address)
         own: dict[str, Any] = {"lacks": z.LACKS, "timer_unit": z.TIMER_UNIT}
         self.node = Node(
-            Dictionary(z.OBJECTS, address, values, {}, _accept, **own),
+            Dictionary(z.OBJECTS, address, values, {}, lambda *_: 0, **own),
             address,
         )
         self.state, self.word, self.target = z.OFF, 0, 0
