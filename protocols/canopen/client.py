@@ -6,6 +6,7 @@ next. Else polls take turns with everything else, so that neither keeps a slow d
 A response names an object, and no request: a copy, or one that is late, looks like the response to the next
 request for that object. So an object is not transferred again (but urgently) while more responses about it
 may be under way: QUIET after a response that nothing asked for, a timeout after a request that was repeated.
+Nor is anything else until a device has served what was repeated: else it would never catch up.
 
 Source: CiA 301 "SDO protocols"; package canopen 2.4.1 `sdo/client.py`.
 """
@@ -93,6 +94,9 @@ class SdoClient:
     """The last job was urgent."""
     _suspects: dict[Key, tuple[Nanos, Nanos]] = field(default_factory=dict)
     """Objects about which a response may still come: since when, and until when."""
+    _owed: int = 0
+    """Responses to repeated requests that may still come, before the device serves another request."""
+    _owed_until: Nanos = 0
     _last: sdo.Response | None = None
     """What ended the last transfer, if that was begun once only: it should not be repeated."""
     _ended_at: Nanos = 0
@@ -199,6 +203,7 @@ class SdoClient:
             return None
         if self._tries > 1:
             self._suspect(t, job.key, self.timeout)
+            self._owed, self._owed_until = self._tries - (response is not None), t + self.timeout
         if self._last is not None:
             self.doubled = self.doubled + 1 if self._repeated else 0
         self._last, self._repeated, self._ended_at = response if self._tries == 1 else None, False, t
@@ -206,7 +211,7 @@ class SdoClient:
 
     def _on_unexpected(self, t: Nanos, response: sdo.Response) -> None:
         """Note a response that is late, or repeats the last one, or is a second device's."""
-        key = _key_of(response)
+        key, self._owed = _key_of(response), max(0, self._owed - 1)
         if key is not None:
             self._suspect(t, key, QUIET)
         self._repeated = self._repeated or (t <= self._ended_at + QUIET and self.repeats(response))
@@ -243,6 +248,8 @@ class SdoClient:
         """Begin the job whose turn it is."""
         self._suspects = {key: times for key, times in self._suspects.items() if times[1] > now}
         first = {purpose: jobs[0] for purpose, jobs in sorted(self.waiting.items()) if jobs}
+        if self._owed and now < self._owed_until and Purpose.URGENT not in first:
+            return
         ready = {purpose: job for purpose, job in first.items() if job.key not in self._suspects}
         urgent = None if self._urgent and Purpose.POLL in ready else first.get(Purpose.URGENT)
         poll = ready.get(Purpose.POLL) if self._urgent or self._others >= SHARE else None
@@ -275,7 +282,8 @@ class SdoClient:
         first = [jobs[0] for jobs in self.waiting.values() if jobs]
         if not first:
             return NEVER
-        return min(self._suspects.get(job.key, (0, 0))[1] * (job.purpose > 0) for job in first)
+        until = min(self._suspects.get(job.key, (0, 0))[1] * (job.purpose > 0) for job in first)
+        return max(until, self._owed_until) if self._owed and not self.waiting.get(Purpose.URGENT) else until
 
 
 def _key_of(response: sdo.Response) -> Key | None:
