@@ -50,8 +50,8 @@ class Options:
     """Position units per turn of the device's shaft, for drives whose 608F, 6091, 6092 and 60A8 do not define
     them; 0: then they stay unknown, and the drive is not commanded."""
     velocity_per_turn: float = bounded(0.0, 0.0, FLOAT_MAX)
-    """Velocity units per turn of the device's shaft and second (60: rpm), for drives whose 60A9 or 6096 do not
-    define them; 0: then they stay unknown, and the drive takes no velocity."""
+    """Velocity units per turn of the device's shaft and second (60: rpm), for drives whose 60A9 and 6096 do
+    not define them; 0: then they stay unknown, and the drive takes no velocity."""
 
     def __deepcopy__(self, _: dict[int, object]) -> Options:
         return self
@@ -62,5 +62,5 @@ class Options:
             errors.append(f"watchdog_ms is {self.watchdog_ms}: it must be 0 or at least {2 * BEATS}")
         slowest = max(self.heartbeat_ms, self.feedback_ms if self.feedback == "event" else 0)
         if self.offline_ms < 2 * slowest:
-            errors.append(f"offline_ms ({self.offline_ms}) must be at least twice heartbeat_ms, feedback_ms")
+            errors.append(f"offline_ms ({self.offline_ms}) must be at least twice that of reports ({slowest})")
         check_bounds(self, errors)
