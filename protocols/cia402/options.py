@@ -62,5 +62,5 @@ class Options:
             errors.append(f"watchdog_ms is {self.watchdog_ms}: it must be 0 or at least {2 * BEATS}")
         slowest = max(self.heartbeat_ms, self.feedback_ms if self.feedback == "event" else 0)
         if self.offline_ms < 2 * slowest:
-            errors.append(f"offline_ms ({self.offline_ms}) must be at least twice that of reports ({slowest})")
+            errors.append(f"offline_ms ({self.offline_ms}) must be at least twice {slowest} ms")
         check_bounds(self, errors)
