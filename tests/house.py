@@ -55,6 +55,7 @@ CONTRACT = (
     "protocols.frames",
     "protocols.plugin",
     "protocols.reference_vectors",
+    "protocols.canopen",
     "protocols.toolkit",
     "protocols.message_codec",
     "protocols.suggest",

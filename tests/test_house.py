@@ -237,8 +237,7 @@ def assigned_elsewhere(source: str) -> list[int]:
 
 def test_no_protocol_assigns_the_attributes_of_another_object() -> None:
     assert assigned_elsewhere("a.b = 1\nself.b.c += 1\nd, e.f[0] = 1, 2\nself.g: int = 3") == [1, 2, 3]
-    places = [folder for folder in PROTOCOLS if folder.name != "cia402"]  # which is not on the toolkit yet
-    sources = [path for folder in [*places, ROOT / "protocols/toolkit"] for path in folder.rglob("*.py")]
+    sources = [path for folder in [*PROTOCOLS, ROOT / "protocols/toolkit"] for path in folder.rglob("*.py")]
     wrong = {str(path.relative_to(ROOT)): assigned_elsewhere(path.read_text()) for path in sources}
     assert not {path: lines for path, lines in wrong.items() if lines}
 

@@ -13,13 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from protocols.canopen import sdo
+from protocols.canopen.client import Job, Outcome, Purpose, SdoClient
+from protocols.canopen.pdo import mapping, packing
+from protocols.canopen.services import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.codec import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
 from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
-from protocols.cia402.pdo import mapping, packing
-from protocols.cia402.transfer import Transfer
 from protocols.frames import CanFrame
+from protocols.messages import SECOND
 
 RIVAL = ("canopen", "canopen", "canopen's PdoMap and SDO client")
 NODE = 3
@@ -96,7 +97,7 @@ class Sample:
 
 _PDO = struct.Struct("<Hbi")
 _SDO = struct.Struct("<BHBi")
-_RPDO, _TPDO = packing(mapping(*RPDO)), packing(mapping(*TPDO))
+_RPDO, _TPDO = (packing(OBJECTS, mapping(OBJECTS, *keys)) for keys in (RPDO, TPDO))
 _REPORTED = CanFrame(tpdo_id(1, NODE), _PDO.pack(*STATE))
 _UPLOADED = CanFrame(sdo_tx_id(NODE), _SDO.pack(0x43, *o.POSITION, -123_456))
 _DOWNLOADED = CanFrame(sdo_tx_id(NODE), _SDO.pack(0x60, *o.TARGET_VELOCITY, 0))
@@ -137,23 +138,25 @@ def _upload(known: Prepared) -> Callable[[], object]:
 
 
 def _our_download() -> CanFrame:
-    transfer = Transfer(*o.TARGET_VELOCITY, to_bytes(OBJECTS[o.TARGET_VELOCITY].type, -1000))
-    frame = CanFrame(sdo_rx_id(NODE), sdo.encode(transfer.first()))
-    _handle(transfer, _DOWNLOADED)
-    return frame
+    data = to_bytes(OBJECTS[o.TARGET_VELOCITY].type, -1000)
+    return _ours(Job(Purpose.SETPOINT, o.TARGET_VELOCITY, data), _DOWNLOADED)[0]
 
 
 def _our_upload() -> tuple[CanFrame, int | None]:
-    transfer = Transfer(*o.POSITION)
-    frame = CanFrame(sdo_rx_id(NODE), sdo.encode(transfer.first()))
-    _handle(transfer, _UPLOADED)
-    return frame, from_bytes(OBJECTS[o.POSITION].type, transfer.value)
+    frame, outcome = _ours(Job(Purpose.POLL, o.POSITION), _UPLOADED)
+    return frame, from_bytes(OBJECTS[o.POSITION].type, outcome.value)
 
 
-def _handle(transfer: Transfer, frame: CanFrame) -> None:
-    answer = sdo.decode_response(frame.data)
-    if answer is None or transfer.handle(answer) is not None or not transfer.done:
+def _ours(job: Job, frame: CanFrame) -> tuple[CanFrame, Outcome]:
+    """Return the request of a job, and its end by this response."""
+    client = SdoClient(SECOND)
+    client.put(job)
+    request, _ = client.poll(0)
+    response = sdo.decode_response(frame.data)
+    outcome = None if response is None else client.handle(0, response)
+    if request is None or outcome is None:
         raise ValueError(f"{frame} does not end the transfer")
+    return CanFrame(sdo_rx_id(NODE), sdo.encode(request)), outcome
 
 
 def _bare_download() -> bytes:

@@ -1,323 +1,388 @@
-"""The driver: the host's end of CANopen CiA 402, for all such drives of one bus.
+"""The host's end of CANopen CiA 402, for all such drives of one bus.
 
-Rules. No clock, no bus: time and frames are arguments, frames to be sent are returned. `receive` never raises
-and learns nothing of a device from a host's frames (this one's or another's). `DriveState` is the record of
-one drive, `motion` executes commands, `requests` requests, `duplicate_address` detects a second device with
-its node id; this file dispatches the frames.
+Rules. What is known of a drive, and what it is sent, is `Drive`'s; here its frames are dispatched, and
+requests carried out. Nothing is learnt of a device from a host's frames, this one's or another's. Faults are
+cleared by ClearFault alone, by a rising edge of bit 7 of the controlword.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 from protocols import messages as msg
-from protocols.cia402 import codec, configuring, duplicate_address, jobs, motion, requests, sdo
+from protocols.canopen import objects as co
+from protocols.canopen import sdo
+from protocols.canopen import services as cs
+from protocols.canopen.client import Job, Outcome, Purpose
+from protocols.canopen.master import Master
+from protocols.canopen.objects import Type, to_bytes
+from protocols.canopen.scan import DURATION, PERIOD, Scan, describe
+from protocols.canopen.services import EMCY_BASE, HEARTBEAT_BASE, NODE_MASK, SDO_TX_BASE, SYNC_ID, NmtState
 from protocols.cia402 import objects as o
-from protocols.cia402.client import Outcome, Purpose
-from protocols.cia402.codec import EMCY_BASE, HEARTBEAT_BASE, NODE_MASK, PROTOCOL, SDO_TX_BASE, SYNC_ID
-from protocols.cia402.drive_state import DriveState
-from protocols.cia402.faults import NOT_ARMED, NOT_CONFIGURED, QUICK_STOPPED
-from protocols.cia402.objects import OBJECTS, from_bytes
-from protocols.cia402.requests import Pending
-from protocols.cia402.scanning import Scanner, describe
-from protocols.cia402.sync import SECOND_PRODUCER, HostProducer, check_agreement
-from protocols.frames import BusState, CanFrame, Frame
-from protocols.messages import MILLISECOND, Command, Event, Mode, Nanos, Request
-from protocols.plugin import Device, Range, RxCounters
-from protocols.toolkit.requests import RejectionFilter, RequestQueue, out_of_range, refusal
+from protocols.cia402 import setup
+from protocols.cia402.drive import FAULTY, Drive
+from protocols.cia402.faults import DUPLICATE_NODE, FAULTS, HOMING_FAILED, fault_info
+from protocols.cia402.objects import OBJECTS
+from protocols.cia402.options import Options
+from protocols.cia402.polls import feedback
+from protocols.cia402.setpoints import Values
+from protocols.frames import CanFrame, Frame
+from protocols.messages import MILLISECOND, Command, Event, Nanos, Request
+from protocols.plugin import Device, FaultInfo
+from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.motor_driver import ARMED, NEVER, Adapter, MotorDriver, Pending, Rx
 
-PDO_IDS = range(0x180, SDO_TX_BASE)
-OFFLINE = "no frames received"
+TPDOS = (0x180, 0x280, 0x380, 0x480)
+TIMEOUT = 2000 * MILLISECOND
+CLEAR_TIMEOUT, CLEAR_AGAIN = 3000 * MILLISECOND, 10 * MILLISECOND
+REBOOT_TIMEOUT, REBOOT_AGAIN = 8000 * MILLISECOND, 2000 * MILLISECOND
+SAVING = 6000 * MILLISECOND
+SIGNATURES = {"save": (co.STORE, b"save"), "load": (co.RESTORE, b"load")}
+"""Parameters that are written with 1: all is saved, or at the next restart as delivered."""
+DRIVER_OBJECTS = frozenset({o.CONTROLWORD, o.MODE, *o.TARGETS, co.CONSUMER_HEARTBEAT})
+"""Objects that only the driver itself writes, like the PDO parameters."""
+
+DriveHost: TypeAlias = Host[Drive]
+DriveReport: TypeAlias = Report[Drive]
+DrivePending: TypeAlias = Pending[Drive]
+Cia402Driver: TypeAlias = MotorDriver[Drive]
 
 
-class Cia402Driver:
-    """All CiA 402 drives of one bus. Plain data. ValueError if they do not agree on SYNC and host."""
+class _Faults(dict[int, FaultInfo]):
+    """What is known of any code."""
 
-    def __init__(self, devices: Sequence[Device], ranges: Mapping[str, Mapping[str, Range]]) -> None:
-        """`ranges`: by the device's name."""
-        check_agreement(devices)
-        self.counters = RxCounters()
-        self.drives = {
-            device.address: DriveState(device.name, device.address, device.options) for device in devices
-        }
-        self._all = list(self.drives.values())
-        self._by_name = {drive.name: drive for drive in self._all}
-        self._ranges = {name: dict(table) for name, table in ranges.items()}
-        synced = [drive.options for drive in self._all if drive.options.feedback == "sync"]
-        host = self._all[0].options.host_id if self._all else 0
-        self.producer = HostProducer(synced[0].sync_ms * MILLISECOND if synced else 0, host)
-        self._pending: RequestQueue[Pending] = RequestQueue()
-        self._scan: Scanner | None = None
-        self._token = 0
-        self._events: list[Event] = []
-        """Events outside `send`, to be returned by the next one."""
-        self._rejections = RejectionFilter()
+    def __missing__(self, code: int) -> FaultInfo:
+        return fault_info(code)
 
-    # -- receiving ----------------------------------------------------------------------------
+    def __deepcopy__(self, _: object) -> _Faults:
+        return self
 
-    def receive(self, t: Nanos, frame: Frame) -> Sequence[Event]:
-        """Handle a frame; [] for one that is not of this driver's devices."""
-        if not isinstance(frame, CanFrame) or not codec.is_classic(frame):
-            self.counters.ignored += 1
-            return []
-        function, address = frame.id & ~NODE_MASK, frame.id & NODE_MASK
-        drive = self.drives.get(address)
-        if drive is None:
-            return self._on_foreign(t, function, address, frame)
+
+class Cia402Adapter(Adapter[Drive]):
+    """What drives are sent, and what they report."""
+
+    name = "cia402"
+    faults: Mapping[int, FaultInfo] = _Faults(FAULTS)
+    duplicate = DUPLICATE_NODE
+    blind = True  # `ready` decides
+    needs_idle = (msg.Reboot,)
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        synced = [device.options for device in devices if device.options.feedback == "sync"]
+        host_id = devices[0].options.host_id if devices else 0
+        self.master = Master(synced[0].sync_ms * MILLISECOND if synced else 0, host_id)
+        self.drives: list[Drive] = []
+        self._commanded_at: Nanos = -1
+        """When set-points were sent last."""
+
+    def own(self, device: Device) -> Drive:
+        drive = Drive(device)
+        self.drives.append(drive)
+        return drive
+
+    def timing(self, options: Options) -> Timing:
+        return Timing(options.offline_ms * MILLISECOND, release=50 * MILLISECOND)
+
+    # -- received -------------------------------------------------------------------------------------
+
+    def receive(self, t: Nanos, frame: Frame, driver: Cia402Driver) -> Sequence[DriveReport | Rx]:
+        if not isinstance(frame, CanFrame) or frame.extended or frame.fd or frame.remote:
+            return (Rx.IGNORED,)
+        host, function = driver.at.get(frame.id & NODE_MASK), frame.id & ~NODE_MASK
+        if host is None:
+            return (self._on_stranger(t, frame, driver),)
+        if function in TPDOS:
+            values = host.own.on_tpdo(t, frame.id, frame.data)
+            return (Rx.MALFORMED if values is None else self._report(t, host, values),)
         if function == SDO_TX_BASE:
-            return self._on_sdo(t, drive, frame)
+            return (self._on_sdo(t, host, frame),)
         if function in (EMCY_BASE, HEARTBEAT_BASE):
-            return self._on_message(t, drive, frame)
-        if frame.id in PDO_IDS and frame.id & 0x80:
-            return self._counted(drive.on_tpdo(t, frame.id, frame.data))
-        self.counters.ignored += 1
-        return []
+            return (self._on_message(t, host, frame),)
+        return (Rx.IGNORED,)
 
-    def _counted(self, events: list[Event] | None) -> list[Event]:
-        if events is None:
-            self.counters.malformed += 1
-            return []
-        self.counters.accepted += 1
+    def _report(self, t: Nanos, host: DriveHost, values: Values, **others: Any) -> DriveReport:  # noqa: ANN401 -- fields
+        """Return what objects of state and motion report; `others`: fields of the report."""
+        drive, mode = host.own, None
+        drive.take(values)
+        # What neither gives torque nor rests for certain confirms no release.
+        if o.STATUSWORD in values and (drive.rests or host.phase is not Phase.RELEASING):
+            mode = drive.mode if host.once_commanded else drive.first_mode
+        faults = drive.codes if drive.codes or host.active else None
+        units = drive.known.units
+        measured = None if units is None else feedback(host.name, t, values, units)
+        return Report(host, host.address, mode, drive.detail, faults, measured, **others)
+
+    def _on_sdo(self, t: Nanos, host: DriveHost, frame: CanFrame) -> DriveReport | Rx:
+        drive, response = host.own, sdo.decode_response(frame.data)
+        if response is None:
+            return Rx.MALFORMED
+        known, outcome = drive.known.serial, drive.client.handle(t, response)
+        serial = None
+        if isinstance(response, sdo.Uploaded) and (response.index, response.sub) == co.SERIAL_NUMBER:
+            asked = drive.client.repeats(response)  # of the device, or of another one beside it
+            serial = int.from_bytes(response.data, "little") or None if asked else None
+        two = drive.doubled()
+        others: dict[str, Any] = {"serial": known if two else serial, "duplicate": two, "content": outcome}
+        if outcome is None:
+            return Report(host, host.address, **others)
+        values = drive.on_outcome(t, outcome)
+        if serial is not None and known not in (None, serial):
+            drive.forget(t)
+            host.forget(t)
+            return Report(host, host.address, drive.mode, "another device responds", **others)
+        note = drive.describe() if serial is not None else ""
+        report = self._report(t, host, values, note=note, events=drive.take_events(), **others)
+        if outcome.job.purpose is Purpose.STARTUP and host.phase is not Phase.RELEASING:
+            mode = drive.mode if host.once_commanded else drive.first_mode
+            return replace(report, mode=mode)  # what was read may change it
+        return report
+
+    def _on_message(self, t: Nanos, host: DriveHost, frame: CanFrame) -> DriveReport | Rx:
+        drive = host.own
+        match cs.decode(frame):
+            case cs.Heartbeat(_, NmtState.INITIALISING):
+                again = host.received_at is not None and (drive.reports > 0 or host.owned)
+                drive.on_boot(t)
+                host.forget(t)
+                detail = "restarted" if again else drive.detail
+                return Report(host, host.address, drive.mode, detail, content=NmtState.INITIALISING)
+            case cs.Heartbeat(_, state):
+                return Report(host, host.address, duplicate=drive.on_heartbeat(t, state))
+            case cs.Emcy(_, code):
+                drive.on_emcy(code)
+                return Report(host, host.address, faults=drive.codes)
+        return Rx.MALFORMED
+
+    def _on_stranger(self, t: Nanos, frame: CanFrame, driver: Cia402Driver) -> DriveReport | Rx:
+        """Return what a frame of no known device reports: SYNC, or a response to a scan."""
+        if frame.id == SYNC_ID and cs.decode(frame) is not None:
+            found = self.master.on_sync(t, self.name)
+            if found is None:
+                return Rx.IGNORED
+            return Report(None, 0, events=found) if found else Rx.EXPECTED
+        for pending in driver.queue.waiting:
+            if isinstance(pending.request, msg.Scan) and frame.id & ~NODE_MASK == SDO_TX_BASE:
+                scan: Scan = pending.notes["scan"]
+                if scan.receive(frame.id & NODE_MASK, sdo.decode_response(frame.data)):
+                    return Rx.EXPECTED
+        return Rx.IGNORED
+
+    # -- commanded ------------------------------------------------------------------------------------
+
+    def refuse(self, host: DriveHost, command: Command) -> str:
+        return host.own.why_not(command)
+
+    def ready(self, host: DriveHost) -> bool:
+        return host.own.ready
+
+    def arm(self, now: Nanos, host: DriveHost, command: Command) -> Sequence[Frame]:
+        frames = host.own.steer(now, command, at_sync=self.master.at_sync(now))
+        self._commanded_at = now if frames else self._commanded_at
+        return frames
+
+    def command(self, now: Nanos, host: DriveHost, command: Command) -> Sequence[Frame]:
+        return self.arm(now, host, command)
+
+    def release(self, now: Nanos, host: DriveHost) -> Sequence[Frame]:
+        return host.own.release(now, host.since)
+
+    # -- by itself ------------------------------------------------------------------------------------
+
+    def notice(self, now: Nanos, host: DriveHost) -> Sequence[Event]:
+        events = host.own.take_events()
+        for code, cause in host.own.take_failures():
+            events += host.trip(now, code, cause)
         return events
 
-    def _on_message(self, t: Nanos, drive: DriveState, frame: CanFrame) -> list[Event]:
-        match codec.decode(frame):
-            case codec.Heartbeat() as beat:
-                events = drive.on_heartbeat(t, beat)
-                return self._counted(events + duplicate_address.check_heartbeats(t, drive))
-            case codec.Emcy() as emcy:
-                return self._counted(drive.on_emcy(t, emcy))
-        return self._counted(None)
+    def poll(self, now: Nanos, host: DriveHost) -> Sequence[Frame]:
+        return host.own.tend(now, host.phase, owned=host.owned)
 
-    def _on_foreign(self, t: Nanos, function: int, address: int, frame: CanFrame) -> list[Event]:
-        """Handle a frame of a node that is not in the robot file, for a scan; or SYNC, which is of no
-        node."""
-        if frame.id == SYNC_ID and isinstance(codec.decode(frame), codec.Sync):
-            return self._on_sync(t)
-        scan = self._scan if function == SDO_TX_BASE else None
-        response = sdo.decode_response(frame.data) if scan is not None else None
-        if scan is not None and response is not None and scan.receive(t, address, response):
-            self.counters.accepted += 1
-        else:
-            self.counters.ignored += 1
-        return []
+    def poll_due(self, host: DriveHost) -> Nanos:
+        return host.own.due()
 
-    def _on_sdo(self, t: Nanos, drive: DriveState, frame: CanFrame) -> list[Event]:
-        response = sdo.decode_response(frame.data)
-        if response is None:
-            return self._counted(None)
-        self.counters.accepted += 1
-        drive.received(t)
-        outcome = drive.client.handle(response)
-        events = self._on_outcome(t, drive, outcome) if outcome is not None else []
-        return events + duplicate_address.check_responses(t, drive)
-
-    def _on_sync(self, t: Nanos) -> list[Event]:
-        """Handle another producer's SYNC: ignored while this host produces none, else reported once."""
-        if self.producer.sync_next is None:
-            self.counters.ignored += 1
-            return []
-        reported, self.producer.second_producer_reported = self.producer.second_producer_reported, True
-        found = msg.Found(t, PROTOCOL, 0, detail=SECOND_PRODUCER, duplicate_address=True)
-        return self._counted([] if reported else [found])
-
-    # -- SDO transfers that ended -----------------------------------------------------------------
-
-    def _on_outcome(self, t: Nanos, drive: DriveState, outcome: Outcome) -> list[Event]:
-        job, abort = outcome.job, outcome.abort
-        match job.purpose:
-            case Purpose.STARTUP if not outcome.timed_out or job.key == o.DEVICE_NAME:
-                return drive.on_read(t, job.key, outcome.value, abort)
-            case Purpose.POLL if abort is None:
-                value = from_bytes(OBJECTS[job.key].type, outcome.value)
-                return drive.take(t, {job.key: value}) if value is not None else []
-            case Purpose.POLL if not outcome.timed_out and job.key not in (o.STATUSWORD, o.POSITION):
-                drive.absent.add(job.key)
-            case Purpose.SETUP:
-                return self._on_setup(t, drive, outcome)
-            case Purpose.SETPOINT if abort is None and job.data is not None:
-                drive.writer.confirm(t, job.key, from_bytes(OBJECTS[job.key].type, job.data) or 0)
-                drive.rounds += 1
-            case Purpose.REQUEST:
-                return self._on_request(t, job.token, outcome)
-            case Purpose.IDENTITY_CHECK if abort is None:
-                return duplicate_address.on_identity(t, drive, outcome)
-        return []
-
-    def _on_setup(self, t: Nanos, drive: DriveState, outcome: Outcome) -> list[Event]:
-        if outcome.timed_out:  # what it has accepted is unknown: all of it again
-            drive.setup, drive.pdos_to_write, drive.configured = None, (), False
-            return []
-        allowed = configuring.on_written(drive, outcome.job, outcome.abort)
-        if allowed or drive.stop_demand is not None:
-            return []
-        drive.arming_failed, drive.setup = True, None
-        cause = f"{o.title(outcome.job.key)}: {sdo.abort_text(outcome.abort or 0)}"
-        return drive.report_fault(t, NOT_CONFIGURED, cause)
-
-    def _on_request(self, t: Nanos, token: int, outcome: Outcome) -> list[Event]:
-        for pending in self._pending:
-            if pending.token == token:
-                events = requests.on_outcome(pending, t, outcome)
-                if events:
-                    self._pending.end(pending)
-                return events
-        return []
-
-    # -- the bus ------------------------------------------------------------------------------
-
-    def bus(self, t: Nanos, state: BusState) -> None:
-        """Handle a change of the bus: frames may have been lost, devices may have restarted."""
-        if state is BusState.FULL:
-            for drive in self._all:
-                drive.writer.forget()
-        if state not in (BusState.GONE, BusState.OFF, BusState.BACK):
-            return
-        for drive in self._all:
-            drive.forget()
-        self.producer.second_producer_reported = False
-        if state is not BusState.BACK:
-            self._events += self._pending.refuse_all(t, f"the bus is {state}")
-            if self._scan is not None:
-                self._events.append(msg.Refused(t, msg.Scan.__name__, self._scan.bus, f"the bus is {state}"))
-                self._scan = None
-
-    # -- sending ------------------------------------------------------------------------------
-
-    def send(
-        self, now: Nanos, messages: Sequence[Command | Request]
-    ) -> tuple[Sequence[Event], Sequence[Frame]]:
-        """Encode the messages, then what is due: requests, SDO transfers, stops, SYNC and heartbeat."""
-        events, self._events = self._events, []
-        frames: list[Frame] = []
-        for message in messages:
-            if isinstance(message, msg.Stop):
-                for drive in self._all:
-                    drive.owned = True
-            elif not isinstance(message, Command):
-                events += self._begin_request(now, message)
-        at_sync = self.producer.at_sync(now)
-        for message in messages:
-            if isinstance(message, Command):
-                frames += self._command(now, message, at_sync, events)
-        commanded = bool(frames)
-        frames += self._poll_requests(now, events)
-        for drive in self._all:
-            frames += self._tend(now, drive, events)
-        frames += self.producer.sync(now, self._all, commanded)
-        frames += self.producer.heartbeat(now, self._all)
-        return events, frames
-
-    def _command(self, now: Nanos, command: Command, at_sync: bool, events: list[Event]) -> list[CanFrame]:
-        drive = self._by_name.get(command.motor)
-        reason = "no such motor on this bus" if drive is None else self._why_refused(drive, command)
-        events += self._rejections.filter(now, command, reason)
-        return [] if drive is None or reason else motion.apply(drive, now, command, at_sync)
-
-    def _why_refused(self, drive: DriveState, command: Command) -> str:
-        """Return why a command must not be sent; "" if it may."""
-        if isinstance(command, msg.Impedance):
-            return "the profile has no impedance control"
-        return out_of_range(command, self._ranges[drive.name]) or motion.why_impossible(drive, command)
-
-    def _tend(self, now: Nanos, drive: DriveState, events: list[Event]) -> list[Frame]:
-        """Do what is due for a device without a command."""
-        if drive.known_since is None:
-            drive.known_since = now
-        if not drive.offline and now >= drive.offline_at:
-            drive.forget()
-            drive.offline, drive.reported = True, (Mode.OFFLINE, OFFLINE)
-            events.append(msg.State(drive.name, now, Mode.OFFLINE, OFFLINE))
-        failure = motion.arming_timeout(drive, now)
-        if failure:
-            drive.arming_failed, drive.setpoints = True, {}
-            drive.unarm()
-            events += drive.report_fault(now, NOT_ARMED, failure)
-        frames: list[Frame] = [*motion.repeat_stop(drive, now)]
-        request, outcome = drive.client.poll(now)
-        if outcome is not None:
-            events += self._on_outcome(now, drive, outcome)
-        if request is None:
-            job = jobs.next_job(drive, now)
-            if job is not None:
-                drive.client.begin(job)
-                request, _ = drive.client.poll(now)
-        if request is not None:
-            frames.append(CanFrame(codec.sdo_rx_id(drive.address), sdo.encode(request)))
+    def poll_bus(self, now: Nanos) -> Sequence[Frame]:
+        needed = any(drive.synced for drive in self.drives)
+        frames = self.master.sync(now, needed=needed, commanded=self._commanded_at == now)
+        watching = [drive for drive in self.drives if drive.watches]
+        if watching and all(drive.feeds for drive in watching):
+            shortest = min(drive.options.watchdog_ms for drive in watching)
+            frames += self.master.heartbeat(now, shortest * MILLISECOND)
         return frames
 
-    # -- requests -----------------------------------------------------------------------------
+    def poll_bus_due(self) -> Nanos:
+        return NEVER if self.master.sync_next is None else self.master.sync_next
 
-    def _begin_request(self, now: Nanos, request: Request) -> list[Event]:
-        drive = self._by_name.get(getattr(request, "motor", ""))
-        begun: Pending | msg.Refused
-        if isinstance(request, msg.Scan):
-            return self._begin_scan(now, request)
-        if full := self._pending.full():
-            begun = refusal(now, request, full)
-        elif drive is None:
-            begun = refusal(now, request, f"{PROTOCOL} cannot do this, or knows no such motor")
-        else:
-            self._token += 1
-            begun = requests.begin(now, request, drive, self._token)
-        refused = self._pending.add(begun)
-        if isinstance(begun, Pending) and isinstance(request, msg.Estop):
-            return begun.drive.report_fault(now, QUICK_STOPPED)
-        return [*refused]
+    def forget(self, now: Nanos, host: DriveHost) -> None:
+        host.own.forget(now)
 
-    def _poll_requests(self, now: Nanos, events: list[Event]) -> list[Frame]:
-        frames: list[Frame] = []
-        for pending in self._pending:
-            ended, sent = requests.poll(pending, now)
-            events += ended
-            frames += sent
-            if ended:
-                self._pending.end(pending)
-        if self._scan is not None:
-            frames += self._scan.send(now)
-            if self._scan.over(now):
-                events += self._end_scan(now, self._scan)
-                self._scan = None
-        return frames
+    def interrupted(self) -> None:
+        self.master.forget()
 
-    def _begin_scan(self, now: Nanos, request: msg.Scan) -> list[Event]:
-        if self._scan is not None:
-            return [refusal(now, request, "a scan is under way")]
-        self._scan = Scanner(request.bus, tuple(self.drives), now)
-        return []
+    def resend(self, host: DriveHost) -> None:
+        host.own.resend()
 
-    def _end_scan(self, now: Nanos, scan: Scanner) -> list[Event]:
-        found = [
-            (drive.address, drive.duplicate_reported, describe(drive.read, drive.names))
-            for drive in self._all
-            if drive.received_at is not None and not drive.offline and o.DEVICE_TYPE in drive.read
-        ]
-        for address, known in sorted(scan.found.items()):
-            found.append((address, address in scan.duplicates, describe(known)))
-        events: list[Event] = [
-            msg.Found(now, PROTOCOL, address, serial, detail, duplicate_address=duplicate)
-            for address, duplicate, (serial, detail) in found
-        ]
-        return [*events, msg.Done(now, msg.Scan.__name__, scan.bus, f"{len(events)} devices")]
+    # -- requests -------------------------------------------------------------------------------------
 
-    # -- when ---------------------------------------------------------------------------------
+    def begin(
+        self, now: Nanos, request: Request, host: DriveHost | None, driver: Cia402Driver
+    ) -> DrivePending | str:
+        if host is None:
+            if not isinstance(request, msg.Scan):
+                return "set node ids with switches or the maker's tool (LSS is not supported)"
+            if driver.scanning():
+                return "a scan is under way"
+            notes = {"scan": Scan(tuple(driver.at))}
+            return Pending(request, request.bus, now, now + DURATION, now, None, (), PERIOD, notes)
+        drive = host.own
+        slow = 10 * drive.options.sdo_timeout_ms * MILLISECOND
+        match request:
+            case msg.ClearFault():
+                drive.clear()
+                until = now + CLEAR_TIMEOUT
+                return Pending(request, host.name, now, until, now, host, (), CLEAR_AGAIN, sent=1)
+            case msg.Estop():
+                drive.quick_stop(now)
+                return _waiting(now, request, host, max(TIMEOUT, slow))
+            case msg.Reboot():
+                reset = cs.encode(cs.Nmt(cs.NmtCommand.RESET_NODE, host.address))
+                until = now + REBOOT_TIMEOUT
+                return Pending(request, host.name, now, until, now, host, (reset,), REBOOT_AGAIN)
+            case msg.Home() | msg.Zero():
+                why = drive.home(zero=isinstance(request, msg.Zero))
+                timeout = drive.options.home_timeout_ms * MILLISECOND
+                return why or _waiting(now, request, host, timeout)
+            case msg.ReadParameter(_, name):
+                job = _read(name, drive.token())
+            case msg.WriteParameter(_, name) if name in SIGNATURES and host.running:
+                return ARMED
+            case msg.WriteParameter(_, name, value):
+                job = _write(name, value, drive.token())
+            case _:
+                return f"cia402 has no {type(request).__name__}"
+        if isinstance(job, str):
+            return job
+        drive.client.put(job)
+        return _waiting(now, request, host, SAVING if job.patience > 1 else max(TIMEOUT, slow), job)
 
-    def due(self) -> Nanos | None:
-        """Return when `send` next has something to do without a message."""
-        times = [self._due_of(drive) for drive in self._all]
-        times += self._pending.due()
-        times += [self._scan.due()] if self._scan is not None else []
-        times += [self.producer.sync_next] if self.producer.sync_next is not None else []
-        return min(times, default=None)
+    def frames(self, now: Nanos, pending: DrivePending) -> Sequence[Frame]:
+        if isinstance(pending.request, msg.Scan):
+            scan: Scan = pending.notes["scan"]
+            return scan.frames()
+        if isinstance(pending.request, msg.ClearFault) and pending.host is not None:
+            pending.host.own.reset(now)
+        return pending.frames
 
-    @staticmethod
-    def _due_of(drive: DriveState) -> Nanos:
-        if drive.known_since is None:
-            return 0
-        response = drive.client.due()
-        due = jobs.due(drive) if response is None else response
-        if drive.stop_demand is not None:
-            due = min(due, drive.stop_next)
-        if drive.arming_since is not None and not drive.arming_failed:
-            due = min(due, drive.arming_since + drive.options.state_timeout_ms * MILLISECOND)
-        return due if drive.offline else min(due, drive.offline_at)
+    def heard(self, pending: DrivePending, driver: Cia402Driver) -> Sequence[DriveReport]:
+        scan: Scan = pending.notes["scan"]
+        reports: list[DriveReport] = []
+        for host in driver.hosts.values():
+            drive = host.own
+            if not host.offline and co.DEVICE_TYPE in drive.known.read:
+                serial = drive.known.serial
+                reports.append(Report(host, host.address, serial=serial, note=drive.describe()))
+        for node, found in sorted(scan.found.items()):
+            serials: Sequence[int | None] = scan.serials.get(node, (None,))
+            reports += [Report(None, node, serial=each, note=describe(found)) for each in serials]
+        return reports
+
+    def answer(self, t: Nanos, pending: DrivePending, report: DriveReport) -> Event | None:
+        host = pending.host
+        if host is None:
+            return None
+        drive, shown = host.own, report.mode is not None
+        match pending.request:
+            case msg.ClearFault() if shown and drive.power not in (None, *FAULTY) and not drive.emcy:
+                drive.cleared()
+                return pending.done(t)
+            case msg.Estop() if shown and not drive.stopping:
+                return pending.done(t, "it stays in fault until cleared")
+            case msg.Reboot() if report.content is NmtState.INITIALISING:
+                return pending.done(t, "it has restarted")
+            case msg.Home() | msg.Zero():
+                ended = drive.homed()
+                if ended is not None:
+                    drive.end_homing()
+                    return pending.done(t, ended[1]) if ended[0] else pending.refuse(t, ended[1])
+        outcome = report.content
+        if isinstance(outcome, Outcome) and outcome.job == pending.notes.get("job"):
+            return self._answer(t, pending, host, outcome)
+        return None
+
+    def _answer(self, t: Nanos, pending: DrivePending, host: DriveHost, outcome: Outcome) -> Event:
+        """Return the answer to a request for a parameter."""
+        key, request = outcome.job.key, pending.request
+        if outcome.abort is not None:
+            return pending.refuse(t, sdo.abort_text(outcome.abort))
+        if not isinstance(request, msg.ReadParameter):
+            if key in (*setup.FIRST, *setup.THEN) and not host.owned:
+                host.own.forget(t)  # what is known of it has changed: read it anew
+                host.forget(t)
+            return pending.done(t)
+        if key in OBJECTS and OBJECTS[key].type is Type.TEXT:
+            return pending.done(t, outcome.value.decode("ascii", "replace"))
+        value = setup.value_of(key, outcome.value)
+        if value is None:
+            return pending.refuse(t, f"{outcome.value.hex()} is no number of its type")
+        return msg.Parameter(host.name, t, request.parameter, float(value))
+
+    def give_up(self, now: Nanos, pending: DrivePending) -> str:
+        host = pending.host
+        if host is None or host.received_at is None or host.received_at <= pending.began:
+            return super().give_up(now, pending)
+        drive = host.own
+        match pending.request:
+            case msg.ClearFault():
+                drive.cleared()
+                if drive.known.unusable:
+                    return drive.known.unusable
+            case msg.Reboot():
+                return "no boot-up message after the reset"
+            case msg.Home() | msg.Zero():
+                drive.note(now, HOMING_FAILED)
+                drive.end_homing()
+                return "it did not end in time"
+        return super().give_up(now, pending)
+
+
+def _waiting(
+    now: Nanos, request: Request, host: DriveHost, timeout: Nanos, job: Job | None = None
+) -> DrivePending:
+    """Return a request that waits for what the drive reports."""
+    until = now + timeout
+    return Pending(request, host.name, now, until, until, host, notes={"job": job}, sent=1)
+
+
+# -- parameters ------------------------------------------------------------------------------------------
+
+
+def _read(name: str, token: int) -> Job | str:
+    """Return the upload of a parameter, or why there is none."""
+    key = OBJECTS.find(name)
+    return _unknown(name) if key is None else Job(Purpose.REQUEST, key, token=token)
+
+
+def _write(name: str, value: float, token: int) -> Job | str:
+    """Return the download of a parameter, or why there is none."""
+    if name in SIGNATURES:
+        key, signature = SIGNATURES[name]
+        return Job(Purpose.REQUEST, key, signature, 10, token) if value == 1 else f"{name} takes 1"
+    found = OBJECTS.find(name)
+    if found is None:
+        return _unknown(name)
+    known = OBJECTS.get(found)
+    if known is None or known.type is Type.TEXT:
+        return f"the type of {co.title(found)} is not known: not written"
+    if found in DRIVER_OBJECTS or found[0] in co.PDO_PARAMETERS:
+        return f"{known.name} is the driver's own: commands set it"
+    if value != int(value):
+        return f"{value} is not a whole number"
+    try:
+        return Job(Purpose.REQUEST, found, to_bytes(known.type, int(value)), token=token)
+    except ValueError as error:
+        return str(error)
+
+
+def _unknown(name: str) -> str:
+    return f'{name!r} is no object: give its name, or its address like "6081" or "608F:01"'

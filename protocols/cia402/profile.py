@@ -129,6 +129,11 @@ MODE_NAMES: dict[Mode, str] = {
 CYCLIC = (Mode.CSP, Mode.CSV, Mode.CST)
 
 
+def mode_name(value: int) -> str:
+    """Return the name of a mode of operation in CiA 402."""
+    return MODE_NAMES[Mode(value)] if value in set(Mode) else f"mode {value}"
+
+
 def mode_bit(mode: Mode) -> int:
     """Return the bit of a mode in object 6502 (supported drive modes); 0 for no mode."""
     return 0 if mode is Mode.NONE else 1 << (mode - 1)

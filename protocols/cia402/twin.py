@@ -1,9 +1,8 @@
 """The twin: a CiA 402 drive (README, "The twin").
 
-Rules. `Axis` decides what is obeyed, `MotorControl` what the motor then does, `tpdo_scheduler` when TPDOs are
-sent; this file is the firmware around them: boot-up, heartbeats both ways, faults and their reaction, EMCY,
-the statusword. The drive acts and responds at the step after it received a frame. Time is an argument; the
-seed shifts the phase of the heartbeat.
+Rules. `Memory` decides what is obeyed, `Motor` what the motor then does, `Sender` when frames are sent; this
+file is the firmware around them: faults and their reaction, the measured objects, the statusword.
+The drive acts and responds at the step after it received a frame.
 """
 
 from __future__ import annotations
@@ -11,287 +10,178 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from protocols.canopen.eds import data_sheet
+from protocols.canopen.node import HEARTBEAT_LOST, Sender
+from protocols.canopen.services import NmtCommand, sdo_rx_id
 from protocols.cia402 import objects as o
-from protocols.cia402 import sdo
-from protocols.cia402.axis import Axis, Signal
-from protocols.cia402.codec import Emcy, Heartbeat, NmtState, encode, sdo_rx_id, sdo_tx_id
-from protocols.cia402.faults import FAULTS, HEARTBEAT_LOST, NO_ERROR, RPDO_TIMEOUT, register_of
-from protocols.cia402.motor_control import MotorControl
+from protocols.cia402.faults import FAULTS, register_of
+from protocols.cia402.memory import DISCONNECTS, POWERED, Memory, dictionary_of
+from protocols.cia402.motor import Motor
 from protocols.cia402.objects import Type
-from protocols.cia402.options import Settings
 from protocols.cia402.profile import STATE_BITS, Mode, PowerState, Status
-from protocols.cia402.tpdo_scheduler import Tpdo, tpdos
+from protocols.cia402.settings import Settings
 from protocols.frames import CanFrame, Frame
-from protocols.messages import MILLISECOND, Event, Feedback, Nanos, Torque, seconds
+from protocols.messages import Event, Nanos, Torque
 from protocols.plugin import Device
+from protocols.toolkit.firmware import Firmware, milliseconds
 
-FAULTY = (PowerState.FAULT, PowerState.FAULT_REACTION)
-LOST_STATES = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
-"""By object 1029:01: the NMT state after the host is lost."""
+STATE_OBJECTS = frozenset({o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE, o.ERROR_REGISTER})
+RECORDS = {
+    0x607D: "Software position limit",
+    0x608F: "Position encoder resolution",
+    0x6091: "Gear ratio",
+    0x6092: "Feed constant",
+    0x6096: "Velocity factor",
+    0x6097: "Acceleration factor",
+    0x6099: "Homing speeds",
+    0x60C2: "Interpolation time period",
+    0x60FE: "Digital outputs",
+}
+"""Names of the objects with subindices."""
 
 
-class Cia402Twin:
+def eds() -> str:
+    """Return the data sheet `twin.eds`: of the twin with default settings."""
+    return data_sheet(
+        "A CiA 402 drive", "twin", RECORDS, *(dictionary_of(Settings(), node) for node in (1, 2))
+    )
+
+
+class Cia402Twin(Firmware):
     """One drive. Its state is plain data."""
 
+    faults = FAULTS
+
     def __init__(self, device: Device, seed: int) -> None:
-        self.settings: Settings = device.settings
-        self.name = device.name
-        self.axis = Axis(device, instant=False)
-        self.motor = MotorControl(self.settings)
-        self.tpdos: list[Tpdo] = tpdos()
-        self.silent_until: Nanos = 0
-        """It boots until then, and sends nothing."""
-        self._sdo_rx = sdo_rx_id(device.address)
-        self._phase = (seed * 7919 + device.address * 31) % 1000
-        self._booted = False
-        """Its boot-up message is sent."""
-        self._now: Nanos | None = None
-        self._shaft = (0.0, 0.0)
-        self._out: list[CanFrame] = []
-        """To be sent at the next step."""
-        self._responses: list[tuple[Nanos, CanFrame]] = []
-        """SDO responses, and when each is due."""
-        self._beat: Nanos | None = None
-        """When its next heartbeat is due."""
-        self._period: Nanos = 0
+        super().__init__(device, seed)
+        settings = self.settings
+        self.memory = Memory(device, instant=False)
+        self.motor = Motor(settings, self.memory)
+        delay = milliseconds(settings.sdo_delay_ms)
+        self.sender = Sender(self.memory.node, seed, STATE_OBJECTS, delay, settings.sdo_waiting)
 
-    # -- receiving ----------------------------------------------------------------------------
-
-    def receive(self, t: Nanos, frame: Frame) -> None:
-        """Handle a frame; one that is not for the device changes nothing."""
-        if not self._booted:
+    def on_frame(self, t: Nanos, frame: Frame) -> None:
+        memory, sender = self.memory, self.sender
+        if sender.loses(frame):
             return
-        axis = self.axis
-        before, nmt = axis.state, axis.nmt
-        if isinstance(frame, CanFrame) and frame.id == self._sdo_rx:
-            self._update_measurements()
-        axis.receive(t, frame)
-        if not (axis.signals or axis.responses or axis.state is not before or axis.nmt is not nmt):
+        if isinstance(frame, CanFrame) and frame.id == sdo_rx_id(memory.node.address):
+            self._measure()
+        before, received = memory.state, memory.node.receive(t, frame)
+        if received is None:
             return
-        if nmt is not axis.nmt and axis.nmt is NmtState.OPERATIONAL:
-            self.tpdos = tpdos()
-        self._queue_responses(t)
-        if before is PowerState.FAULT and axis.state is PowerState.SWITCH_ON_DISABLED:
-            self._clear_fault()
-        for signal in axis.signals:
-            if signal is Signal.RESET_NODE:
-                self._restart(t)
-            elif signal is Signal.RESET_COMMUNICATION:
-                self._booted, self._beat = False, None
-            elif signal is Signal.CONNECTION_LOST and self._loss_is_a_fault():
-                self.trip(HEARTBEAT_LOST)
-        axis.signals[:] = [signal for signal in axis.signals if signal is Signal.SYNC]
+        memory.obey(received)
+        sender.note(t, received)
+        if received.command is NmtCommand.RESET_NODE:
+            self.restart(t, milliseconds(self.settings.boot_ms))
+            self.motor = Motor(self.settings, memory)  # where home was is forgotten
+            sender.restart()
+        elif received.command in DISCONNECTS and before in POWERED and self._loss_is_a_fault:
+            self.trip(HEARTBEAT_LOST)
+        elif before is PowerState.FAULT and memory.state is PowerState.SWITCH_ON_DISABLED:
+            self._report(0)
 
+    @property
     def _loss_is_a_fault(self) -> bool:
-        return self.axis.dictionary.values[o.ABORT_CONNECTION] == 1
-
-    def _queue_responses(self, t: Nanos) -> None:
-        responses, self.axis.responses = self.axis.responses, []
-        for response in responses:
-            frame = CanFrame(sdo_tx_id(self.axis.node), sdo.encode(response))
-            self._responses.append((t + self.settings.sdo_delay_ms * MILLISECOND, frame))
-
-    def _restart(self, t: Nanos) -> None:
-        """Reset node: boot anew, without what was written and without home."""
-        self.silent_until = t + self.settings.boot_ms * MILLISECOND
-        self._booted, self._beat = False, None
-        self.motor = MotorControl(self.settings)
-        self._out.clear()
-        self._responses.clear()
-
-    # -- faults -------------------------------------------------------------------------------
-
-    def provoke(self, code: int) -> None:
-        """Trip a fault as if the firmware had detected it. ValueError if there is none of this code."""
-        if code not in FAULTS:
-            raise ValueError(f"no fault {code:#06x}")
-        self.trip(code)
+        return self.memory.values[o.ABORT_CONNECTION] == 1
 
     def trip(self, code: int) -> None:
         """Enter a fault: send EMCY, react by 605E, and stay in FAULT until it is reset."""
-        axis, values = self.axis, self.axis.dictionary.values
-        values[o.ERROR_CODE] = code
-        values[o.ERROR_REGISTER] = register_of(code)
-        self._send_emcy(code)
-        if axis.state in FAULTY:
-            return
-        powered = axis.state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
-        axis.state = PowerState.FAULT_REACTION if powered else PowerState.FAULT
-        axis.goal = axis.next_goal = None
+        self._report(code)
+        if self.memory.state not in (PowerState.FAULT, PowerState.FAULT_REACTION):
+            powered = self.memory.state in POWERED
+            self.memory.enter(PowerState.FAULT_REACTION if powered else PowerState.FAULT)
 
-    def _send_emcy(self, code: int) -> None:
-        if self.axis.nmt is not NmtState.STOPPED:
-            self._out.append(encode(Emcy(self.axis.node, code, register_of(code))))
+    def _report(self, code: int) -> None:
+        """Send EMCY; 0: there is no error any more."""
+        self.memory.node.dictionary.measure({o.ERROR_CODE: code})
+        self.sender.error(code, register_of(code))
 
-    def _clear_fault(self) -> None:
-        values = self.axis.dictionary.values
-        values[o.ERROR_CODE] = values[o.ERROR_REGISTER] = 0
-        self._send_emcy(NO_ERROR)
-
-    def _monitor_host(self, now: Nanos) -> None:
-        """Check the heartbeat consumer time (1016) and the deadlines of RPDOs (140x:05)."""
-        axis, values = self.axis, self.axis.dictionary.values
-        timeout = (values[o.CONSUMER_HEARTBEAT] & 0xFFFF) * MILLISECOND
-        if timeout and axis.host_beat is not None and now - axis.host_beat > timeout:
-            axis.host_beat = None
-            self._lose_host(HEARTBEAT_LOST)
-        for index, received in sorted(axis.received.items()):
-            deadline = values[index, o.EVENT_TIMER] * MILLISECOND
-            if deadline and now - received > deadline:
-                del axis.received[index]
-                self._lose_host(RPDO_TIMEOUT)
-
-    def _lose_host(self, code: int) -> None:
+    def _on_overdue(self, code: int) -> None:
         """React to a lost host: EMCY, the reaction of 6007, and the NMT state of 1029."""
-        axis = self.axis
-        axis.lose_connection()
-        lost = Signal.CONNECTION_LOST in axis.signals
-        axis.signals[:] = [signal for signal in axis.signals if signal is Signal.SYNC]
-        if lost and self._loss_is_a_fault():
+        if self.memory.lose_connection() and self._loss_is_a_fault:
             self.trip(code)
         else:
-            self._send_emcy(code)
-        if axis.nmt is NmtState.OPERATIONAL:
-            axis.nmt = LOST_STATES.get(axis.dictionary.values[o.ERROR_BEHAVIOUR], axis.nmt)
-            axis.latched.clear()
+            self.sender.error(code, register_of(code))
+        self.memory.node.lose_host()
 
-    # -- time ---------------------------------------------------------------------------------
+    def cycle(self, now: Nanos, dt: float, position: float, velocity: float) -> float:
+        memory, motor = self.memory, self.motor
+        for code in memory.node.overdue(now):
+            self._on_overdue(code)
+        if dt > 0.0 or not self.sender.booted:
+            motor.measure(dt or 1.0, position, velocity)
+        error = motor.step(dt) if dt > 0.0 else 0
+        if error:
+            self.trip(error)
+        if not memory.enabled:
+            memory.settle(self._position(motor.encoder.position))
+        return motor.torque
 
     def step(self, now: Nanos, truth: Sequence[Event]) -> tuple[Sequence[Torque], Sequence[Frame]]:
-        """Run the firmware up to `now`; the encoder measures the shaft's Feedback [rad, rad/s]."""
-        for event in truth:
-            self._measure(event)
-        dt = 0.0 if self._now is None else seconds(max(0, now - self._now))
-        first, self._now = self._now is None, now
-        if first or dt > 0.0:
-            self.motor.measure(dt or 1.0, *self._shaft, self.axis.units.gear)
-        if now < self.silent_until:
-            return (Torque(self.name, 0.0),), ()
-        if not self._booted:
-            self._boot(now)
-        self._monitor_host(now)
-        if dt > 0.0:
-            code = self.motor.step(dt, self.axis)
-            if code:
-                self.trip(code)
-        if not self.axis.enabled:
-            self.axis.position = self._position()
-        return (Torque(self.name, self.motor.torque),), self._frames(now)
-
-    def _measure(self, event: Event) -> None:
-        if isinstance(event, Feedback) and event.motor == self.name:
-            position = self._shaft[0] if event.position is None else event.position
-            velocity = self._shaft[1] if event.velocity is None else event.velocity
-            if math.isfinite(position) and math.isfinite(velocity):
-                self._shaft = (position, velocity)
-
-    def _boot(self, now: Nanos) -> None:
-        """Send the boot-up message; then be pre-operational."""
-        self._booted = True
-        self._out.append(encode(Heartbeat(self.axis.node, NmtState.INITIALISING)))
-        self._beat = None
-        self.axis.nmt = NmtState.PRE_OPERATIONAL
-        self._schedule_heartbeat(now)
-
-    def _schedule_heartbeat(self, now: Nanos) -> None:
-        """Start the heartbeat with the producer time of 1017."""
-        self._period = self.axis.dictionary.values[o.PRODUCER_HEARTBEAT] * MILLISECOND
-        self._beat = now + self._period * self._phase // 1000 if self._period else None
-
-    def _frames(self, now: Nanos) -> Sequence[CanFrame]:
-        axis, frames = self.axis, self._out
-        self._out = []
-        frames += [frame for due, frame in self._responses if due <= now]
-        self._responses = [(due, frame) for due, frame in self._responses if due > now]
-        syncs, axis.signals = len(axis.signals), []
-        if axis.nmt is NmtState.OPERATIONAL and (
-            syncs or any(tpdo.is_timed(axis.dictionary) for tpdo in self.tpdos)
-        ):
-            self._update_measurements()
-            for tpdo in self.tpdos:
-                for _ in range(syncs):
-                    frames += tpdo.on_sync(now, axis.dictionary)
-                frames += tpdo.on_time(now, axis.dictionary)
-        if self._period != axis.dictionary.values[o.PRODUCER_HEARTBEAT] * MILLISECOND:
-            self._schedule_heartbeat(now)
-        if self._beat is not None and now >= self._beat:
-            self._beat += self._period * (1 + (now - self._beat) // self._period)
-            frames.append(encode(Heartbeat(axis.node, axis.nmt)))
-        return frames
+        torques, frames = super().step(now, truth)
+        return torques, frames if now < self.silent_until else self.sender.frames(now, self._measure)
 
     def due(self) -> Nanos | None:
-        """Return when the device next has something to send by itself."""
-        if self._now is not None and self._now < self.silent_until:
-            return self.silent_until
-        times = [due for due, _ in self._responses]
-        times += [self._beat] if self._beat is not None else []
-        if self.axis.nmt is NmtState.OPERATIONAL:
-            times += [due for tpdo in self.tpdos if (due := tpdo.due(self.axis.dictionary)) is not None]
-        timeout = (self.axis.dictionary.values[o.CONSUMER_HEARTBEAT] & 0xFFFF) * MILLISECOND
-        if timeout and self.axis.host_beat is not None:
-            times.append(self.axis.host_beat + timeout + 1)
-        return min(times, default=None)
+        restarted = super().due()
+        return self.sender.due() if restarted is None else restarted
 
     # -- measured objects -------------------------------------------------------------------------
 
-    def _position(self) -> int:
-        """Return the position actual value (6064)."""
-        return _fit(Type.I32, self.motor.position * self.axis.units.per_turn / math.tau)
+    def _position(self, radians: float) -> int:
+        return _fit(Type.I32, radians * self.memory.units.per_turn / math.tau)
 
-    def _update_measurements(self) -> None:
+    def _measure(self) -> None:
         """Update the measured values of the dictionary."""
-        axis, motor = self.axis, self.motor
-        values, units = axis.dictionary.values, axis.units
-        per_radian = units.per_turn / math.tau
-        values[o.POSITION] = self._position()
-        values[o.VELOCITY] = _fit(Type.I32, motor.velocity * per_radian)
-        values[o.POSITION_DEMAND] = _fit(Type.I32, motor.ramp.position * per_radian)
-        values[o.VELOCITY_DEMAND] = _fit(Type.I32, motor.ramp.velocity * per_radian)
+        memory, motor, units = self.memory, self.motor, self.memory.units
         permille = 1000.0 / (units.rated_torque * units.gear)
-        values[o.TORQUE] = _fit(Type.I16, motor.torque * permille)
-        values[o.CURRENT] = values[o.TORQUE]
-        values[o.TORQUE_DEMAND] = _fit(Type.I16, motor.demanded_torque * permille)
-        values[o.DC_VOLTAGE] = round(self.settings.dc_voltage * 1000.0)
-        values[o.MODE_DISPLAY] = values[o.MODE]
-        values[o.STATUSWORD] = self._statusword()
+        speed = units.velocity_per_turn / math.tau
+        torque = _fit(Type.I16, motor.torque * permille)
+        memory.node.dictionary.measure(
+            {
+                o.POSITION: self._position(motor.encoder.position),
+                o.POSITION_DEMAND: self._position(motor.ramp.position),
+                o.FOLLOWING_ERROR: self._position(motor.ramp.position - motor.encoder.position),
+                o.VELOCITY: _fit(Type.I32, motor.encoder.velocity * speed),
+                o.VELOCITY_DEMAND: _fit(Type.I32, motor.ramp.velocity * speed),
+                o.TORQUE: torque,
+                o.CURRENT: torque,
+                o.TORQUE_DEMAND: _fit(Type.I16, motor.demanded_torque * permille),
+                o.DC_VOLTAGE: round(self.settings.dc_voltage * 1000.0),
+                o.MODE_DISPLAY: memory.mode,
+                o.STATUSWORD: self._statusword(),
+            }
+        )
 
     def _statusword(self) -> int:
-        axis, motor = self.axis, self.motor
-        status = STATE_BITS[axis.state][1] | ALWAYS
-        if motor.limited:
-            status |= LIMITED
-        if axis.state is PowerState.QUICK_STOP:
-            return status | (REACHED if motor.at_standstill() else 0)
-        if axis.mode is Mode.HM:  # the homing state is shown also while it is not enabled
-            return status | self._homing_bits()
-        return status | self._mode_bits() if axis.enabled else status
-
-    def _homing_bits(self) -> int:
-        motor = self.motor
-        if motor.homing or self.axis.homing_requested:
-            return 0
-        return REACHED | (BIT_12 if motor.homed else 0)
+        memory, motor = self.memory, self.motor
+        status = STATE_BITS[memory.state][1] | ALWAYS | (LIMITED if motor.limited else 0)
+        if memory.state is PowerState.QUICK_STOP:
+            return status | (REACHED if motor.at_standstill else 0)
+        if memory.mode is Mode.HM:  # the homing state is shown also while it is not enabled
+            under_way = motor.homing or memory.homing_requested
+            return status | (0 if under_way else REACHED | (BIT_12 if motor.homed else 0))
+        return status | self._mode_bits() if memory.enabled else status
 
     def _mode_bits(self) -> int:
-        axis, motor, values = self.axis, self.motor, self.axis.dictionary.values
+        memory, motor, values = self.memory, self.motor, self.memory.values
         error = BIT_13 if motor.following_error else 0
-        match axis.mode:
+        match memory.mode:
             case Mode.CSP:
                 return BIT_12 | error
             case Mode.CSV | Mode.CST:
                 return BIT_12
             case Mode.PP:
-                acknowledged = BIT_12 if axis.acknowledged else 0
+                acknowledged = BIT_12 if memory.acknowledged else 0
                 return error | acknowledged | self._reached(values[o.POSITION_WINDOW_TIME])
             case Mode.PV:
-                slow = abs(motor.velocity) <= axis.units.velocity(values[o.VELOCITY_THRESHOLD])
+                slow = abs(motor.encoder.velocity) <= memory.units.velocity(values[o.VELOCITY_THRESHOLD])
                 return (BIT_12 if slow else 0) | self._reached(values[o.VELOCITY_WINDOW_TIME])
             case Mode.PT:
                 return self._reached(0)
         return 0
 
-    def _reached(self, milliseconds: int) -> int:
-        return REACHED if self.motor.arrived.lasts(milliseconds) else 0
+    def _reached(self, after_ms: int) -> int:
+        return REACHED if self.motor.has_arrived(after_ms) else 0
 
 
 ALWAYS = int(Status.VOLTAGE_ENABLED | Status.REMOTE)
@@ -304,4 +194,4 @@ BIT_13 = int(Status.FOLLOWING_ERROR)
 
 def _fit(type_: Type, value: float) -> int:
     """Round a measured value, saturated to the range of its object."""
-    return max(type_.low, min(type_.high, round(value)))
+    return round(max(type_.low, min(type_.high, value)))

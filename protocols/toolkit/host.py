@@ -119,6 +119,8 @@ class Report(Generic[Own]):
     """Why this address must be held by more than one device."""
     content: Any = None
     """The frame as the protocol decodes it, for its own requests."""
+    counted: bool = True
+    """False: the frame is counted with another device's report."""
 
 
 class Host(Generic[Own]):
@@ -202,9 +204,9 @@ class Host(Generic[Own]):
         self.active = active
         return [self._fault(t, code) for code in new]
 
-    def _fault(self, t: Nanos, code: int) -> Event:
+    def _fault(self, t: Nanos, code: int, cause: str = "") -> Event:
         info = self.faults[code]
-        return Fault(self.name, t, code, info.name, info.cause, info.remedy)
+        return Fault(self.name, t, code, info.name, cause or info.cause, info.remedy)
 
     def _on_mode(self, t: Nanos, mode: Mode) -> None:
         self.mode = mode
@@ -273,11 +275,15 @@ class Host(Generic[Own]):
         """True if it should have armed long ago."""
         return self.phase is Phase.ARMING and now - self.since > self.timing.arming
 
-    def trip(self, t: Nanos, code: int) -> list[Event]:
-        """Latch a fault that the host found, until ClearFault."""
+    def wait(self, now: Nanos) -> None:
+        """Begin anew the time in which it must arm: it waits for another device."""
+        self.since = now
+
+    def trip(self, t: Nanos, code: int, cause: str = "") -> list[Event]:
+        """Latch a fault that the host found, until ClearFault; `cause`: if more is known than of its code."""
         self.tripped = True
         self._fire(t, Trigger.FAULT)
-        return [self._fault(t, code), *self.report_state(t)]
+        return [self._fault(t, code, cause), *self.report_state(t)]
 
     @property
     def running(self) -> bool:

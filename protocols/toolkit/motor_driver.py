@@ -31,6 +31,7 @@ class Rx(Enum):
 
     IGNORED = "of another device or protocol"
     MALFORMED = "of one of our devices, but with wrong content"
+    EXPECTED = "of no device of ours, as an answer to a scan"
 
 
 @dataclass(slots=True)
@@ -114,6 +115,10 @@ class Adapter(Generic[Own]):
         raise NotImplementedError
 
     # -- by itself ------------------------------------------------------------------------------------
+
+    def notice(self, now: Nanos, host: Host[Own]) -> Sequence[Event]:
+        """Return what is noticed of a device without a frame of it."""
+        return ()
 
     def poll(self, now: Nanos, host: Host[Own]) -> Sequence[Frame]:
         """Return the read-only frames that are due to one device."""
@@ -227,6 +232,8 @@ class MotorDriver(Generic[Own]):
         for report in self.adapter.receive(t, frame, self):
             if report is Rx.IGNORED:
                 self.counters.add(ignored=1)
+            elif report is Rx.EXPECTED:
+                self.counters.add(accepted=1)
             elif report is Rx.MALFORMED:
                 self.counters.add(malformed=1)
             elif isinstance(report, Report):
@@ -235,9 +242,10 @@ class MotorDriver(Generic[Own]):
 
     def _on_report(self, t: Nanos, report: Report[Own]) -> list[Event]:
         host = report.host
-        ours = host is not None or report.serial is not None
-        self.counters.add(accepted=ours, ignored=not ours)
-        events = [] if host is None else host.on_report(t, report)
+        ours = host is not None or report.serial is not None or bool(report.events)
+        if report.counted:
+            self.counters.add(accepted=ours, ignored=not ours)
+        events = [*report.events] if host is None else host.on_report(t, report)
         cause = report.duplicate
         if report.serial is not None and report.address != self.adapter.unaddressed:
             cause = self.serials.add(t, report.address, report.serial) or cause
@@ -338,6 +346,7 @@ class MotorDriver(Generic[Own]):
             if silent:
                 self.adapter.forget(now, host)
                 events += silent
+            events += self.adapter.notice(now, host)
             if host.release_due(now):
                 frames += self.adapter.release(now, host)
             frames += self.adapter.poll(now, host)

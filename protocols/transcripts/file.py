@@ -11,8 +11,8 @@ from protocols.messages import MILLISECOND, Nanos
 
 _NUMBER = r"(\d+(?:\.\d+)?)"
 TIME = re.compile(rf"(\+?){_NUMBER}(?:\.\.{_NUMBER})?(?: every {_NUMBER}(?:\.\.{_NUMBER})?)?\s+(\S.*)")
-HEAD = ("protocol", "source", "tests", "device", "name", "cycle", "cyclic", "reply", "background")
-STIMULI = ("host", "bus", "cyclic", "reply", "silence", "shaft", "fault", "measure", "end")
+HEAD = ("protocol", "source", "tests", "device", "name", "cycle", "cyclic", "reply", "peer", "background")
+STIMULI = ("host", "bus", "cyclic", "reply", "peer", "silence", "shaft", "fault", "measure", "end")
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,8 @@ class Frames:
 
     names: Mapping[str, str]
     vectors: Mapping[str, Frame]
-    notation: Callable[[str], Frame] | None
+    notation: Callable[[str], Frame | str] | None
+    """Returns a frame, or one in candump's notation."""
 
     def text(self, written: str) -> str:
         """Return a frame in candump's notation, `*` and `?` for any digits as they are."""
@@ -184,7 +185,8 @@ class Frames:
             identifier = identifier if len(identifier) == 3 else identifier.zfill(8)
             return f"{identifier.upper()}{mark}{remote}{''.join(map(digits, tokens(written[can.end() :])))}"
         if self.notation is not None and not all(map(LITERAL.fullmatch, (first, *rest))):
-            return candump(self.notation(written))
+            found = self.notation(written)
+            return found if isinstance(found, str) else candump(found)
         return "".join(map(digits, (first, *rest)))
 
     def frame(self, written: str) -> Frame:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from protocols.conformance.bench import Shaft
 from protocols.frames import BusState, CanFrame, Frame
@@ -24,7 +24,7 @@ from protocols.transcripts.notation import (
     values_of,
 )
 
-FrameNotation: TypeAlias = Callable[[str], Frame] | None
+FrameNotation: TypeAlias = Callable[[str], Frame | str] | None
 START: Nanos = 1_000_000 * MILLISECOND
 """Time 0 of a block: the clock does not begin at zero."""
 DELAY: Nanos = MILLISECOND
@@ -33,13 +33,34 @@ GIVEN = {"driver": "rx", "twin": "tx", "decoder": "tx", "both": ""}
 """The frames that a file gives, by what it tests; it expects the others."""
 SHOWN = 10
 """Mistakes of a run that are printed."""
+ENOUGH = 100
+"""Mistakes after which a run ends."""
 COUNTED = ("accepted", "malformed", "ignored")
 
 
-def run(block: Block, plugin: Plugin, notation: FrameNotation = None) -> None:
+class Peer(Protocol):
+    """A device made of independent software, for a driver that is tested."""
+
+    def receive(self, frame: Frame) -> None:
+        """Handle a frame of the driver."""
+
+    def step(self) -> Sequence[Frame]:
+        """Advance by a millisecond. Returns what it sends."""
+
+    def change(self, text: str) -> str:
+        """Do what a line demands, or return what is not as it says."""
+
+
+def run(
+    block: Block,
+    plugin: Plugin,
+    notation: FrameNotation = None,
+    peer: Callable[[Device], Peer] | None = None,
+) -> None:
     """Run a block. Raises AssertionError with each line that is not so."""
     __tracebackhide__ = True
-    wrong = [mistake for lines in block.runs() for mistake in Run(block, plugin, notation, lines).mistakes()]
+    runs = (Run(block, plugin, notation, lines, peer) for lines in block.runs())
+    wrong = [mistake for each in runs for mistake in each.mistakes()]
     if wrong:
         raise AssertionError("\n".join(["", *wrong]))
 
@@ -80,7 +101,14 @@ class Expectation:
 class Run:
     """Driver, decoder or twins, stepped from moment to moment through the lines."""
 
-    def __init__(self, block: Block, plugin: Plugin, notation: FrameNotation, lines: Sequence[Line]) -> None:
+    def __init__(
+        self,
+        block: Block,
+        plugin: Plugin,
+        notation: FrameNotation,
+        lines: Sequence[Line],
+        peer: Callable[[Device], Peer] | None,
+    ) -> None:
         self.plugin = plugin
         head: dict[str, list[str]] = {kind: [] for kind in HEAD}
         for line in block.head:
@@ -95,6 +123,8 @@ class Run:
         self.decoder = plugin.decoder(devices)
         self.twins = {each.name: plugin.twin(each, at) for at, each in enumerate(devices) if simulates}
         self.shafts = {name: Shaft() for name in self.twins}
+        named = {line.body.split()[0] for line in (*block.head, *lines) if line.kind == "peer"}
+        self.peers = {each.name: peer(each) for each in devices if peer and each.name in named}
         self.torques: dict[str, float] = {}
         self.commands: dict[str, Command] = {}
         self.cyclic: dict[object, tuple[Nanos, Nanos, Frame]] = {}
@@ -102,7 +132,7 @@ class Run:
         self.arriving: list[tuple[Nanos, Frame]] = []
         self.now: Nanos = 0
         self.end = max(line.stop for line in lines)
-        self.stimuli = [line for line in block.head if line.kind in ("cyclic", "reply")]
+        self.stimuli = [line for line in block.head if line.kind in ("cyclic", "reply", "peer")]
         self.stimuli += [line for line in lines if not self._is_expected(line)]
         self.expected = [each for line in lines for each in self._expectations(line)]
         driving = [line for line in self.stimuli if line.kind in ("host", "bus", "cyclic", "reply")]
@@ -168,7 +198,7 @@ class Run:
     def mistakes(self) -> list[str]:
         """Run to the end. Returns what is not as written."""
         upcoming: Nanos | None = 0
-        while upcoming is not None and upcoming <= self.end:
+        while upcoming is not None and upcoming <= self.end and len(self.wrong) < ENOUGH:
             self.now = upcoming
             self._moment([line for line in self.stimuli if line.next(upcoming - 1) == upcoming])
             upcoming = self._next()
@@ -182,7 +212,7 @@ class Run:
         times = [line.next(self.now) for line in self.stimuli] + [t for t, _ in self.arriving]
         periods = [(since, period) for since, period, _ in self.cyclic.values()]
         periods += [(0, self.cycle)] if self.cycle else []
-        periods += [(0, MILLISECOND)] if self.twins else []
+        periods += [(0, MILLISECOND)] if self.twins or self.peers else []
         times += [self.now + period - (self.now - since) % period for since, period in periods]
         due = self.driver.due() if self.driver else None
         times += [] if due is None else [max(due - START, self.now + 1)]
@@ -195,6 +225,7 @@ class Run:
         arrived = [frame for t, frame in self.arriving if t == self.now]
         self.arriving = [(t, frame) for t, frame in self.arriving if t != self.now]
         arrived += [raw for at, period, raw in self.cyclic.values() if (self.now - at) % period == 0]
+        arrived += [raw for peer in self.peers.values() for raw in peer.step()]
         for frame in arrived:
             self._receive(frame, ())
         for line in lines:
@@ -217,6 +248,9 @@ class Run:
             self.cyclic[frame.id if isinstance(frame, CanFrame) else frame] = (self.now, nanos(first), frame)
         elif line.kind == "reply":
             self.replies[line.body] = line.results
+        elif line.kind == "peer":
+            mistake = self.peers[first].change(" ".join(rest))
+            self.wrong += [f"{line}\n    {mistake}"] if mistake else []
         elif line.kind == "silence":
             self.cyclic.clear()
             self.replies.clear()
@@ -288,6 +322,8 @@ class Run:
             self._came("event", event)
         for frame in frames:
             self._came("tx", frame)
+            for peer in self.peers.values():
+                peer.receive(frame)
             for request, answers in self.replies.items():
                 if self.frames.matches(request, frame):
                     answers = tuple(text for text in answers if text != "nothing")

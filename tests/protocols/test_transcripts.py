@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from protocols.frames import Frame
 from protocols.plain import plugin
+from protocols.plugin import Device
 from tests.protocols.plain.published import notation
 from tests.protocols.transcripts import read, run
 
@@ -24,12 +26,28 @@ READY = '1 State "" 0 "ready" ""'
 MOVED = '1 Feedback "" 0 0.25 none none none none none'
 
 
+class Peer:
+    """A peer that is ready once it has received a frame."""
+
+    def __init__(self, _: Device) -> None:
+        self.received = 0
+
+    def receive(self, _: Frame) -> None:
+        self.received += 1
+
+    def step(self) -> list[Frame]:
+        return [notation(READY)] if self.received == 1 else []
+
+    def change(self, text: str) -> str:
+        return "" if text == f"received {self.received}" else f"it received {self.received}"
+
+
 def check(folder: Path, text: str) -> None:
     """Run the blocks of a file with this text."""
     file = folder / "file.txt"
     file.write_text(HEAD + text, "utf-8")
     for block in read(file):
-        run(block, plugin, notation)
+        run(block, plugin, notation, Peer)
 
 
 @pytest.mark.parametrize(
@@ -48,6 +66,8 @@ def check(folder: Path, text: str) -> None:
         DRIVER + f"0..300 every 100 rx {MOVED}\n0..300 every 100 event Feedback left 0.25",
         DRIVER + f"reply {HOLD} => {READY}\n0 host Hold left => {HOLD}\n1 event State left ready",
         DRIVER + f"name ready {READY}\n0 rx ready => State left ready ; accepted",
+        CYCLE + f"0 peer left received 0\n0..20 every 10 tx {HOLD}\n0 host Hold left\n"
+        "1 event State left ready\n11 peer left received 2",
         DRIVER + f"1 end\n== Second\nafter Title\n0 rx {READY} => State left ready",
         DRIVER + "before all others\n9 end\n== Second\n241 event State left offline *"
         "\n== Third\nafter nothing\n250 event State left offline *",
@@ -82,6 +102,7 @@ def test_what_is_written_and_comes_passes(tmp_path: Path, text: str) -> None:
         (DRIVER + "0 rx 1 body => nothing", "counted as .*: \\[0, 1, 0\\], not \\[0, 0, 0\\]"),
         (DRIVER + "0 rx 001#01 => nothing", "counted as"),
         (DRIVER + '0 rx 1 Done 5 "Zero" "" "" => Done Zero left', "did not come"),
+        (DRIVER + f"0 host Hold left => {HOLD}\n1 peer left received 2", "txt:7: 1 peer.*\n.*it received 1"),
         (DRIVER + "250 end", "not written.*State left offline detail=\"no message for 250 ms\""),
         (DRIVER + f"each line by itself\nrx {READY} => nothing\nhost Idle left => {HOLD}", ":8: host Idle"),
         (DECODER + '0 tx 1 Velocity "" 2.0 0.0 => nothing', "not written.*obeys +Velocity left 2"),

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import fixtures
-from protocols.cia402 import mapping, setpoint
+from protocols.canopen.mapping import Pdo
+from protocols.canopen.pdo import EVENT, encode_entry
 from protocols.cia402 import objects as o
-from protocols.cia402.mapping import Pdo
 from protocols.cia402.objects import OBJECTS, Key
 from protocols.cia402.options import Options
-from protocols.cia402.pdo import EVENT, encode_entry
+from protocols.cia402.setpoints import Values
+from protocols.cia402.setup import Known
 from protocols.frames import CanFrame
 from tests.protocols.cia402.stack import PACKAGE, Joined, master
 
@@ -30,7 +31,7 @@ DOWNLOADS: tuple[tuple[Key, int], ...] = (
     (o.TORQUE_OFFSET, -250),
     (o.HOMING_METHOD, 37),
 )
-PDO_VALUES: setpoint.Values = {
+PDO_VALUES: Values = {
     o.CONTROLWORD: 0x0F,
     o.MODE: 8,
     o.TARGET_POSITION: -123_456,
@@ -43,7 +44,7 @@ PDO_VALUES: setpoint.Values = {
 
 def pdos() -> list[Pdo]:
     """Return the PDOs as the driver writes them with its default options."""
-    return mapping.wanted(NODE, Options(), synced=True, absent=())
+    return Known(Options(), NODE).wanted()
 
 
 def made() -> list[dict[str, Any]]:

@@ -8,9 +8,9 @@ nothing is measured in wall time.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,9 @@ from protocols.cia402.faults import OVERCURRENT
 from protocols.cia402.options import Settings
 from protocols.cia402.profile import Mode
 from protocols.frames import CanFrame
-from tests.protocols.cia402.twin_bench import NODE, TwinBench
+from tests.protocols.cia402.bus import TwinOnShaft
 
+NODE = 5
 EDS = str(Path(protocols.cia402.__file__).parent / "twin.eds")
 MODES = {
     Mode.PP: "PROFILED POSITION",
@@ -41,8 +42,9 @@ MODES = {
 class Rig:
     """A twin that runs in a thread behind a virtual bus, and a canopen network on the same bus."""
 
-    def __init__(self, channel: str, settings: Settings) -> None:
-        self.bench = TwinBench(settings)
+    def __init__(self, channel: str) -> None:
+        increments = Settings(velocity_unit=0x00B50300, acceleration_unit=0)  # a second
+        self.bench = TwinOnShaft(increments, NODE)
         self.lock = threading.Lock()
         self.turns = 0
         self.turned = threading.Condition()
@@ -102,19 +104,13 @@ class Rig:
         self._bus.shutdown()
 
 
-@contextmanager
-def rig(channel: str, settings: Settings | None = None) -> Iterator[Rig]:
-    one = Rig(channel, settings or Settings())
+@pytest.fixture
+def drive(request: pytest.FixtureRequest) -> Iterator[Rig]:
+    one = Rig(f"cia402 {request.node.name}")
     try:
         yield one
     finally:
         one.close()
-
-
-@pytest.fixture
-def drive(request: pytest.FixtureRequest) -> Iterator[Rig]:
-    with rig(f"cia402 {request.node.name}") as one:
-        yield one
 
 
 def test_scanner_nmt_and_heartbeat(drive: Rig) -> None:
@@ -176,11 +172,11 @@ def test_arming_motion_and_disarming_in_each_mode(drive: Rig, mode: Mode) -> Non
     elif mode in (Mode.PV, Mode.CSV):
         node.sdo[0x60FF].raw = -20_000
         assert drive.wait(lambda: abs(node.sdo[0x606C].raw + 20_000) < 400)
-        assert bench.velocity < -7.0
+        assert bench.shaft.velocity < -7.0
     else:
         node.sdo[0x6071].raw = -30
         assert drive.wait(lambda: node.sdo[0x6077].raw == -30)
-        assert drive.wait(lambda: bench.velocity < -3.0)
+        assert drive.wait(lambda: bench.shaft.velocity < -3.0)
     node.state = "SWITCH ON DISABLED"
     assert drive.wait(lambda: bench.torque == 0.0)
 
@@ -209,26 +205,26 @@ def test_quick_stop_and_back(drive: Rig) -> None:
     node.op_mode = MODES[Mode.CSV]
     node.state = "OPERATION ENABLED"
     node.sdo[0x60FF].raw = 30_000
-    assert drive.wait(lambda: drive.bench.velocity > 9.0)
+    assert drive.wait(lambda: drive.bench.shaft.velocity > 9.0)
     node.state = "QUICK STOP ACTIVE"
-    assert drive.wait(lambda: abs(drive.bench.velocity) < 0.05)
+    assert drive.wait(lambda: abs(drive.bench.shaft.velocity) < 0.05)
     assert node.state == "QUICK STOP ACTIVE"
     node.state = "OPERATION ENABLED"
-    assert drive.wait(lambda: drive.bench.velocity > 9.0)
+    assert drive.wait(lambda: drive.bench.shaft.velocity > 9.0)
 
 
 @pytest.mark.parametrize("method", [33, 34, 35, 37])
 def test_homing(drive: Rig, method: int) -> None:
     node = drive.node
     with drive.lock:
-        drive.bench.position = 1.0
+        drive.bench.shaft.position = 1.0
     node.sdo[0x6098].raw = method
     node.sdo[0x6099][2].raw = 30_000
     assert not node.is_homed()
     assert node.homing(timeout=60)
     assert node.is_homed(restore_op_mode=True)
     at = {33: 0, 34: 16_384}.get(method, 2608)
-    away = drive.bench.increments() - at
+    away = drive.bench.shaft.position * 16384 / math.tau - at
     assert abs(node.sdo[0x6064].raw - away) < 200
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,17 @@ import canopen
 import pytest
 
 import protocols.cia402
-from protocols.cia402 import sdo
-from protocols.cia402.eds import eds
-from protocols.cia402.objects import OBJECTS, Key, Type, from_bytes
-from protocols.cia402.transfer import Transfer
-from tests.protocols.cia402.twin_bench import NODE, TwinBench
+from protocols.canopen import sdo
+from protocols.cia402.objects import OBJECTS, Key, Type
+from protocols.cia402.twin import eds
+from tests.protocols.cia402.bus import TwinOnShaft, remote
 
 FILE = Path(protocols.cia402.__file__).parent / "twin.eds"
+NODE = 5
 LIVE = {(0x6041, 0), (0x6079, 0)}
 """Not what they are at power-on when they can first be read."""
+ERRORS = 0x1003
+"""Its list of errors is empty."""
 
 
 @cache
@@ -32,7 +35,7 @@ def variables() -> dict[Key, Any]:
 
 
 def test_the_file_is_what_the_dictionary_makes() -> None:
-    """To write it anew: python -c "from protocols.cia402.eds import eds; print(eds(), end='')" > twin.eds"""
+    """To write it anew: python -c "from protocols.cia402.twin import eds; print(eds(), end='')" > twin.eds"""
     assert FILE.read_text("utf-8") == eds()
 
 
@@ -41,24 +44,33 @@ def test_canopen_reads_every_object_of_it() -> None:
 
 
 @pytest.fixture(scope="module")
-def bench() -> TwinBench:
-    return TwinBench()
+def node() -> Any:
+    """Return package canopen's node of a twin."""
+    return remote(TwinOnShaft(node=NODE))
+
+
+def attempt(transfer: Callable[..., Any], *arguments: Any) -> tuple[Any, int]:
+    """Return what a transfer returns, and its abort code, or 0."""
+    try:
+        return transfer(*arguments), 0
+    except canopen.SdoAbortedError as refused:
+        return None, refused.code
 
 
 @pytest.mark.parametrize("key", sorted(OBJECTS), ids=lambda k: f"{k[0]:04X}:{k[1]:02X}")
-def test_the_twin_answers_as_its_data_sheet_says(bench: TwinBench, key: Key) -> None:
-    reported, row = variables()[key], OBJECTS[key]
-    assert (reported.data_type, reported.access_type, reported.pdo_mappable) == (
+def test_the_twin_answers_as_its_data_sheet_says(node: Any, key: Key) -> None:
+    known, row = variables()[key], OBJECTS[key]
+    assert (known.data_type, known.access_type, known.pdo_mappable) == (
         row.type.code,
         row.access,
         row.mappable,
     )
-    read = bench.transfer(Transfer(*key))
-    assert read.abort is None
-    if row.type is Type.TEXT:
-        assert read.value.decode("ascii") == reported.default
-        return
-    value = from_bytes(row.type, read.value)
-    assert key in LIVE or value == reported.default
-    written = bench.transfer(Transfer(*key, read.value))
-    assert (written.abort == sdo.READ_ONLY) is (row.access != "rw")
+    data, code = attempt(node.sdo.upload, *key)
+    if code:
+        assert (key[0], code) == (ERRORS, sdo.NO_DATA)
+    elif row.type is Type.TEXT:
+        assert data.decode("ascii") == known.default
+    else:
+        assert key in LIVE or known.decode_raw(data) == known.default
+        _, code = attempt(node.sdo.download, *key, data)
+        assert (code == sdo.READ_ONLY) is (row.access != "rw")

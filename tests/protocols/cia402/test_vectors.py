@@ -15,8 +15,10 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from protocols.cia402 import mapping, sdo
-from protocols.cia402.mapping import Pdo
+from protocols.canopen import mapping, sdo
+from protocols.canopen.mapping import Pdo
+from protocols.canopen.objects import to_bytes
+from protocols.cia402.objects import OBJECTS
 from protocols.frames import CanFrame
 from protocols.reference_vectors import Vector
 from tests.protocols.cia402 import driver_vectors
@@ -150,5 +152,6 @@ def _timed(pdo: Pdo) -> Pdo:
 def test_pdos_are_configured_as_by_pdo_map_save(pdo: Pdo) -> None:
     theirs = [frame.data for frame in driver_vectors.saved(pdo)]
     flag = 1 << 30 if pdo.kind == "TPDO" else 0
-    ours = [sdo.encode(sdo.Download(*key, data)) for key, data in mapping.writes(pdo, flag)]
+    rows = [(row.key, to_bytes(OBJECTS[row.key].type, row.value)) for row in mapping.writes(pdo, flag)]
+    ours = [sdo.encode(sdo.Download(*key, data)) for key, data in rows]
     assert ours == theirs

@@ -13,6 +13,7 @@ from protocols.messages import MILLISECOND
 from protocols.plugin import Device, load
 
 OPTIONS: dict[str, dict[str, Any]] = {
+    "cia402": {},
     "damiao": {},
     "moteus": {},
     "odrive_can": {},

@@ -1,0 +1,258 @@
+"""What a drive obeys: its dictionary, its power state as its host drives it, and the resulting commands.
+
+Rules. `Memory` is the part of one drive's state that frames from the host determine, on top of its `Node`.
+The command decoder has one per device, and the twin's firmware runs on the very same class, so the two cannot
+disagree on what is obeyed. What only the firmware can know (a fault, standstill after a quick stop) the twin
+enters; the memory of a decoder does not wait for standstill (`instant`), nor does it know of faults. A frame
+that changes nothing yields no command: set-points to a drive that is not in OPERATION ENABLED are stored, and
+yield a command when it is enabled.
+
+Source: CiA 402-2 (states, modes, option codes, set-point handshake of profile position).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from protocols import messages as msg
+from protocols.canopen import sdo
+from protocols.canopen.dictionary import Dictionary, pdo_defaults
+from protocols.canopen.node import Node, Received
+from protocols.canopen.services import NmtCommand
+from protocols.cia402 import objects as o
+from protocols.cia402.objects import OBJECTS, TARGETS, Key, title
+from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_of, supports
+from protocols.cia402.settings import LOWEST, ONLY, SETTING_OBJECTS, Settings, twin_units
+from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, next_state
+from protocols.cia402.units import READ
+from protocols.frames import Frame
+from protocols.messages import Command, Nanos, Obeyed
+from protocols.plugin import Device
+
+NMT_STATE = "NMT state"
+"""The parameter that an NMT command changes."""
+DISCONNECTS = (NmtCommand.STOP, NmtCommand.RESET_COMMUNICATION)
+"""With these the host is lost, to a drive that gives torque: the reaction is in 6007."""
+MODES = {int(mode): mode for mode in Mode}
+POWERED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP)
+"""The states in which a drive gives torque."""
+USUAL_RPDOS = ((o.CONTROLWORD, o.MODE, o.TARGET_POSITION), (o.TARGET_VELOCITY, o.TARGET_TORQUE))
+USUAL_TPDOS = ((o.STATUSWORD, o.MODE_DISPLAY, o.POSITION), (o.VELOCITY, o.TORQUE, o.ERROR_CODE))
+"""PDOs of a drive that is delivered with a mapping (`Settings.pdos`)."""
+CONSTANTS: dict[Key, int] = {
+    o.DEVICE_TYPE: 0x0002_0192,  # profile 402, servo drive
+    o.ENCODER_REVOLUTIONS: 1,
+    o.INTERPOLATION_INDEX: -3,
+}
+
+
+def refuse(values: Mapping[Key, int], key: Key, value: int) -> int:
+    """Return the abort code with which the drive refuses a value, or 0."""
+    if key == o.MODE:
+        taken = value in MODES and supports(values[o.SUPPORTED_MODES], MODES[value])
+    elif key in ONLY:
+        taken = value in ONLY[key]
+    else:
+        taken = value >= LOWEST.get(key, value)
+    return 0 if taken else sdo.BAD_VALUE
+
+
+def dictionary_of(settings: Settings, node: int) -> Dictionary:
+    """Return a drive's dictionary at power-on."""
+    usual = settings.pdos == "usual"
+    values = CONSTANTS | {key: getattr(settings, name) for name, key in SETTING_OBJECTS.items()}
+    values[o.HOMING_SPEED_SWITCH] = settings.homing_speed
+    values[o.SERIAL_NUMBER] = settings.serial_number or 0x0402_0000 + node
+    values |= pdo_defaults(OBJECTS, node, USUAL_RPDOS, USUAL_TPDOS) if usual else pdo_defaults(OBJECTS, node)
+    return Dictionary(
+        OBJECTS,
+        node,
+        values,
+        {o.DEVICE_NAME: settings.device_name, o.HARDWARE_VERSION: "twin", o.SOFTWARE_VERSION: "1"},
+        refuse,
+        volatile=TARGETS | {o.CONTROLWORD},
+        lacks=frozenset(int(index, 16) for index in settings.lacks.split()),
+    )
+
+
+class Memory:
+    """The state of one drive, as far as its host determines it. Plain data."""
+
+    def __init__(self, device: Device, instant: bool) -> None:
+        self.motor, self.instant = device.name, instant
+        self.node = Node(dictionary_of(device.settings, device.address), device.address)
+        self.demanded_position = 0
+        """The base of a relative set-point while none is active; a decoder does not know it."""
+        self._start()
+
+    def _start(self) -> None:
+        """Set the state after power-on."""
+        self.state = PowerState.SWITCH_ON_DISABLED
+        self.control = 0
+        """The last controlword."""
+        self.goal: int | None = None
+        """The active set-point of profile position."""
+        self.next_goal: int | None = None
+        """The one after it."""
+        self.homing_requested = False
+        """The firmware is to begin homing."""
+        self.units = twin_units(self.values)
+        self._mode_before = self.mode
+
+    @property
+    def values(self) -> dict[Key, int]:
+        """Values of the dictionary."""
+        return self.node.dictionary.values
+
+    @property
+    def mode(self) -> Mode:
+        """6061."""
+        return MODES[self.values[o.MODE]]
+
+    @property
+    def enabled(self) -> bool:
+        """True in OPERATION ENABLED."""
+        return self.state is PowerState.OPERATION_ENABLED
+
+    @property
+    def acknowledged(self) -> bool:
+        """Bit 12 of the statusword in profile position."""
+        return bool(self.control & Control.NEW_SETPOINT) or self.next_goal is not None
+
+    # -- the firmware's part --------------------------------------------------------------------------
+
+    def enter(self, state: PowerState) -> None:
+        """Change the power state, which ends profile position's set-points."""
+        self.state, self.goal, self.next_goal = state, None, None
+
+    def settle(self, position: int) -> None:
+        """Note the demanded position."""
+        self.demanded_position = position
+
+    def finish_setpoint(self) -> None:
+        """Go on to the next set-point of profile position: the active one is reached."""
+        self.goal, self.next_goal = self.next_goal, None
+
+    def take_homing(self) -> bool:
+        """Return whether homing was requested, once."""
+        requested, self.homing_requested = self.homing_requested, False
+        return requested
+
+    # -- obeying ------------------------------------------------------------------------------------------
+
+    def obey(self, received: Received) -> Sequence[Obeyed]:
+        """React to what a frame did to the node."""
+        if received.command is NmtCommand.RESET_NODE:
+            self._start()
+            return (msg.Reboot(self.motor),)
+        if received.command is None:
+            return self._on_written(received.written) if received.written else ()
+        obeyed = list(self.lose_connection()) if received.command in DISCONNECTS else []
+        if received.changed or received.command is NmtCommand.RESET_COMMUNICATION:
+            obeyed.append(msg.WriteParameter(self.motor, NMT_STATE, float(self.node.nmt)))
+        return obeyed
+
+    def lose_connection(self) -> Sequence[Obeyed]:
+        """React to a lost host as object 6007 demands; the fault of option 1 is the firmware's part."""
+        option = self.values[o.ABORT_CONNECTION]
+        if self.state not in POWERED or not option:
+            return ()
+        if option == 1:
+            if self.instant:
+                self.enter(PowerState.FAULT)
+            return (msg.Idle(self.motor),)
+        return self._demand(Demand.QUICK_STOP if option == 3 else Demand.DISABLE_VOLTAGE)
+
+    def _on_written(self, keys: Sequence[Key]) -> Sequence[Obeyed]:
+        """React to objects that were written at the same time."""
+        if self.mode is not self._mode_before:
+            self._mode_before, self.goal, self.next_goal = self.mode, None, None
+        acting = [key for key in keys if key in TARGETS or key in (o.CONTROLWORD, o.MODE)]
+        obeyed: list[Obeyed] = [
+            msg.WriteParameter(self.motor, title(key), float(self.values[key]))
+            for key in keys
+            if key not in acting
+        ]
+        if any(key in READ for key in keys):
+            self.units = twin_units(self.values)
+        if o.CONTROLWORD in acting:
+            obeyed += self._on_controlword(self.values[o.CONTROLWORD])
+        return obeyed + list(self.command()) if self.enabled and acting else obeyed
+
+    def _on_controlword(self, control: int) -> Sequence[Obeyed]:
+        before, self.control = self.control, control
+        obeyed = list(self._demand(demand_of(control, before)))
+        if self.enabled and control & ~before & Control.NEW_SETPOINT:
+            if self.mode is Mode.PP:
+                self._accept_setpoint(control)
+            elif self.mode is Mode.HM:
+                self.homing_requested = True
+                obeyed.append(msg.Home(self.motor))
+        return obeyed
+
+    def _demand(self, demand: Demand | None) -> Sequence[Obeyed]:
+        option, before = self.values[o.QUICK_STOP_OPTION], self.state
+        state = next_state(before, demand, option)
+        if state is not before:
+            self.enter(state)
+        if demand is Demand.FAULT_RESET:
+            return (msg.ClearFault(self.motor),)
+        if state is before:
+            return ()
+        if state is PowerState.QUICK_STOP:
+            if self.instant and option not in HOLDING_QUICK_STOPS:
+                self.state = PowerState.SWITCH_ON_DISABLED
+            return (msg.Estop(self.motor),)
+        if self.enabled:
+            return (msg.Arm(self.motor),)
+        return (msg.Idle(self.motor),) if before in POWERED else ()
+
+    def _accept_setpoint(self, control: int) -> None:
+        """Take a new set-point of profile position: at once, or after the active one."""
+        target = self.values[o.TARGET_POSITION]
+        if control & Control.RELATIVE:
+            base = self.demanded_position if self.goal is None else self.goal
+            target += base if self.next_goal is None else self.next_goal
+        if self.goal is None or self.instant or control & Control.CHANGE_IMMEDIATELY:
+            self.goal, self.next_goal = target, None
+        elif self.next_goal is None:
+            self.next_goal = target
+
+    def command(self) -> Sequence[Command]:
+        """Return the command that the present set-points amount to; () if there is none."""
+        value, units, motor = self.values, self.units, self.motor
+        if self.control & Control.HALT:
+            return (msg.Velocity(motor, 0.0),)
+        torque = units.torque(value[o.TORQUE_OFFSET])
+        match self.mode:
+            case Mode.PP:
+                goal = self.goal if self.next_goal is None else self.next_goal
+                return () if goal is None else (msg.Position(motor, units.position(goal)),)
+            case Mode.PV:
+                return (msg.Velocity(motor, units.velocity(value[o.TARGET_VELOCITY])),)
+            case Mode.PT:
+                return (msg.Torque(motor, units.torque(value[o.TARGET_TORQUE])),)
+            case Mode.CSP:
+                velocity = units.velocity(value[o.VELOCITY_OFFSET])
+                return (msg.Position(motor, units.position(value[o.TARGET_POSITION]), velocity, torque),)
+            case Mode.CSV:
+                velocity = units.velocity(value[o.TARGET_VELOCITY] + value[o.VELOCITY_OFFSET])
+                return (msg.Velocity(motor, velocity, torque),)
+            case Mode.CST:
+                return (msg.Torque(motor, units.torque(value[o.TARGET_TORQUE] + value[o.TORQUE_OFFSET])),)
+        return ()
+
+
+class Cia402Decoder:
+    """The drives of one bus, as receivers of commands."""
+
+    def __init__(self, devices: Sequence[Device]) -> None:
+        self.memories = [Memory(device, instant=True) for device in devices]
+
+    def decode(self, t: Nanos, frame: Frame) -> Sequence[Obeyed]:
+        """Return the commands and requests that the devices would obey; [] if none would do anything."""
+        obeyed: list[Obeyed] = []
+        for memory in self.memories:
+            received = memory.node.receive(t, frame)
+            obeyed += [] if received is None else memory.obey(received)
+        return obeyed
