@@ -229,7 +229,7 @@ class MoteusAdapter(Adapter[Motor]):
         return motor.frame(now, setpoints.position((host.position or 0.0) / tau, 0.0, 0.0))
 
     def command(self, now: Nanos, host: Host[Motor], command: Command) -> Sequence[Frame]:
-        motor, at_rest = host.own, mt.AT_REST.get(host.own.options.at_rest, b"")
+        motor, at_rest = host.own, mt.AT_REST.get(host.own.options.at_rest)
         placed = motor.placed or 0
         motor.place(placed if isinstance(command, msg.Velocity) else None)
         match command:
