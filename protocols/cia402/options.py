@@ -60,7 +60,10 @@ class Options:
         errors = []
         if 0 < self.watchdog_ms < 2 * BEATS:
             errors.append(f"watchdog_ms is {self.watchdog_ms}: it must be 0 or at least {2 * BEATS}")
-        slowest = max(self.heartbeat_ms, self.feedback_ms if self.feedback == "event" else 0)
-        if self.offline_ms < 2 * slowest:
-            errors.append(f"offline_ms ({self.offline_ms}) must be at least twice {slowest} ms")
+        names = ("heartbeat_ms", *(["feedback_ms"] if self.feedback == "event" else []))
+        errors += [
+            f"offline_ms ({self.offline_ms}) must be at least twice {name}"
+            for name in names
+            if self.offline_ms < 2 * getattr(self, name)
+        ]
         check_bounds(self, errors)

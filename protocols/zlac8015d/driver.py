@@ -87,11 +87,15 @@ class Drive:
         """When each TPDO came."""
         self.next = self.start_at = now
         """When it is read, and started, next."""
-        self.stopped = False
-        """It is told to send no PDOs, to be set up."""
-        self.setup = Setup(z.OBJECTS, self._plan())
         self.client.forget(now)
         self.targets.clear()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin to set it up."""
+        self.stopped = False
+        """It was made pre-operational for that."""
+        self.setup = Setup(z.OBJECTS, self._plan())
 
     def _plan(self) -> list[Write]:
         options, node = self.options, self.node
@@ -156,7 +160,9 @@ class Drive:
         self.control(Purpose.URGENT, z.DISABLE)
 
     def control(self, purpose: Purpose, *words: int) -> None:
-        """Write controlwords, and read the state after them."""
+        """Write controlwords, and read the state after them. A set-up that failed is begun anew by Idle."""
+        if purpose is Purpose.URGENT and self.setup.failed:
+            self._begin()
         if purpose is Purpose.SETUP or not self.client.has(purpose):
             self.client.put(*(_write(purpose, z.CONTROL, word) for word in words), Job(purpose, z.STATUS))
 

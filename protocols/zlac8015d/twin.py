@@ -143,7 +143,7 @@ class ZlacTwin(ServoFirmware):
         ours = getattr(message, "node", 0) == self.half.node.address
         if ours and isinstance(message, services.Heartbeat):
             self.alone = False
-        elif ours and isinstance(message, services.Emcy) and message.register == REGISTERS[self.other]:
+        elif isinstance(message, services.Emcy) and (ours, message.register) == (True, REGISTERS[self.other]):
             self._fail(self.other, message.code)
         super().receive(t, frame)
 

@@ -120,7 +120,7 @@ def test_a_measurement_that_is_not_finite_is_ignored(position: float, velocity: 
     [
         (lambda: Options(host_id=0), "host_id is 0"),
         (lambda: Options(sync_ms=-1), "sync_ms is -1"),
-        (lambda: Options(offline_ms=150), "twice heartbeat_ms"),
+        (lambda: Options(offline_ms=150), "offline_ms .150. must be at least twice"),
         (lambda: Options(watchdog_ms=3), "watchdog_ms is 3"),
         (lambda: Options(rated_torque=math.nan), "rated_torque"),
         (lambda: Options(counts_per_turn=-1.0), "counts_per_turn"),

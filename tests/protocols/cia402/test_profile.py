@@ -9,8 +9,8 @@ from canopen.profiles.p402 import Homing, State402
 
 from protocols.cia402.faults import FAULTS, fault_info, register_of
 from protocols.cia402.objects import Type
-from protocols.cia402.options import Settings, units_of_settings
 from protocols.cia402.profile import STATE_BITS, HomingStatus, PowerState, homing_of, state_of
+from protocols.cia402.settings import Settings, units_of_settings
 from protocols.cia402.state_machine import TRANSITIONS
 from protocols.frames import CanFrame
 from protocols.messages import Hold, State

@@ -1,6 +1,6 @@
 """A drive for transcripts: package canopen 2.4.1's LocalNode, with our table of objects.
 
-Rules. SDO, NMT and the bytes of values are the package's. The rest is what the manual and public drivers say:
+Rules. SDO, NMT and the bytes of values are the package's. The rest is what manual and public drivers have:
 the lower bits of the statusword follow the controlword; PDOs may be mapped while they are enabled, and act
 while the node is operational; event timers are in 0.5 ms; an RPDO of another length than its mapping is lost.
 
@@ -102,7 +102,7 @@ class Drive:
         return [*sent]
 
     def change(self, text: str) -> str:
-        """Do what a line demands, or return what is not as it says."""
+        """Do what a line demands, or return what is not as it demands."""
         first, *rest = text.split()
         if first == "restarts":
             self._restart()
