@@ -115,7 +115,7 @@ class Joint:
         return self._armed and disarmed and not isinstance(self._out, msg.Idle)
 
     def _check_idle(self, now: Nanos) -> None:
-        """Latch a fault if the device is armed against our will: by a late copy of a frame, or another host."""
+        """Latch a fault if the device is armed against our will: by a late frame, or another host."""
         obeys = self.mode is not Mode.ARMED or not isinstance(self._out, msg.Idle)
         if self.owned and not obeys and now - self._idle_at > DISARMING:
             self.latch(self._armed_against_idle(now))

@@ -8,7 +8,6 @@ given, or never. Every request has exactly one answer, at its deadline at the la
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from math import isclose, nan
 from typing import Any, Generic, TypeVar
@@ -20,6 +19,7 @@ from protocols.plugin import Device, FaultInfo, Range, RxCounters
 from protocols.toolkit import requests as rq
 from protocols.toolkit.duplicates import SerialNumbers
 from protocols.toolkit.host import Host, Phase, Report, Timing
+from protocols.toolkit.requests import Pending as Pending  # protocols take it from here
 
 Own = TypeVar("Own")
 NEVER: Nanos = 1 << 62
@@ -32,28 +32,6 @@ class Rx(Enum):
     IGNORED = "of another device or protocol"
     MALFORMED = "of one of our devices, but with wrong content"
     EXPECTED = "of no device of ours, as an answer to a scan"
-
-
-@dataclass(slots=True)
-class Pending(rq.PendingRequest, Generic[Own]):
-    """A request that waits for a device. `next`: when its frames are sent next."""
-
-    host: Host[Own] | None
-    """None: it is for all devices on the bus."""
-    frames: tuple[Frame, ...] = ()
-    period: Nanos = 100 * MILLISECOND
-    """Period in which the frames are sent again."""
-    notes: dict[str, Any] = field(default_factory=dict)
-    """What the protocol keeps about it."""
-    sent: int = 0
-    found: dict[tuple[int, int | None], str] = field(default_factory=dict)
-    """Devices found by a scan: their details, by address and serial number."""
-
-    def send(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Record that these frames are sent now; return them."""
-        self.next = now + self.period
-        self.sent += len(frames)
-        return frames
 
 
 class Adapter(Generic[Own]):
@@ -215,7 +193,7 @@ class MotorDriver(Generic[Own]):
         }
         self.at = {host.address: host for host in self.hosts.values()}
         """The devices by address."""
-        self.queue: rq.RequestQueue[Pending[Own]] = rq.RequestQueue()
+        self.queue: rq.RequestQueue[Own] = rq.RequestQueue()
         self.serials = SerialNumbers(adapter.name)
         self._bounds = {
             name: {kind: rq.bounds_of(kind, of) for kind in msg.COMMANDS} for name, of in ranges.items()

@@ -1,18 +1,20 @@
 """What most drivers need for commands and requests: range checks, refusals, and pending requests.
 
-Rules. Nothing here knows a protocol, a frame or a clock. A driver need not use it: conformance tests the
+Rules. Nothing here knows a protocol or a clock. A driver need not use it: conformance tests the
 answers, not how they are made.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from math import isfinite
-from typing import Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias
 
-from protocols.messages import Command, Done, Nanos, Refused, Request
+from protocols.frames import Frame
+from protocols.messages import MILLISECOND, Command, Done, Nanos, Refused, Request
 from protocols.plugin import Range
+from protocols.toolkit.host import Host, Own
 
 SMALLEST = 2.0**-126
 """The smallest normal float32. Anything below it counts as zero."""
@@ -66,8 +68,8 @@ class RejectionFilter:
 
 
 @dataclass(slots=True)
-class PendingRequest:
-    """A request that waits for a device. Protocols add the fields that they need."""
+class Pending(Generic[Own]):
+    """A request that waits for a device."""
 
     request: Request
     name: str
@@ -75,7 +77,23 @@ class PendingRequest:
     began: Nanos
     deadline: Nanos
     next: Nanos
-    """When there is something to do about it."""
+    """When its frames are sent next."""
+    host: Host[Own] | None
+    """None: it is for all devices on the bus."""
+    frames: tuple[Frame, ...] = ()
+    period: Nanos = 100 * MILLISECOND
+    """Period in which the frames are sent again."""
+    notes: dict[str, Any] = field(default_factory=dict)
+    """What the protocol keeps about it."""
+    sent: int = 0
+    found: dict[tuple[int, int | None], str] = field(default_factory=dict)
+    """Devices found by a scan: their details, by address and serial number."""
+
+    def send(self, now: Nanos, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """Record that these frames are sent now; return them."""
+        self.next = now + self.period
+        self.sent += len(frames)
+        return frames
 
     def done(self, t: Nanos, detail: str = "") -> Done:
         """Return the answer that it was carried out."""
@@ -86,19 +104,16 @@ class PendingRequest:
         return Refused(t, type(self.request).__name__, self.name, reason)
 
 
-Pending = TypeVar("Pending", bound=PendingRequest)
-
-
-class RequestQueue(Generic[Pending]):
+class RequestQueue(Generic[Own]):
     """The pending requests of one driver, in the order in which they were begun."""
 
     CAPACITY = 32
 
     def __init__(self) -> None:
-        self.waiting: list[Pending] = []
+        self.waiting: list[Pending[Own]] = []
         """Those that are pending now, in the order in which they were begun. Never changed in place."""
 
-    def __iter__(self) -> Iterator[Pending]:
+    def __iter__(self) -> Iterator[Pending[Own]]:
         """Iterate over those that are pending now; they may end meanwhile."""
         return iter(self.waiting)
 
@@ -110,18 +125,18 @@ class RequestQueue(Generic[Pending]):
         """Return why no other request can be begun, "" if one can."""
         return "too many requests are under way" if len(self.waiting) >= self.CAPACITY else ""
 
-    def add(self, begun: Pending | Refused) -> list[Refused]:
+    def add(self, begun: Pending[Own] | Refused) -> list[Refused]:
         """Add a request that was begun; else return the refusal, to be reported."""
         if isinstance(begun, Refused):
             return [begun]
         self.waiting = [*self.waiting, begun]
         return []
 
-    def end(self, ended: Pending) -> None:
+    def end(self, ended: Pending[Own]) -> None:
         """Remove a request that has been answered."""
         self.waiting = [each for each in self.waiting if each is not ended]
 
-    def expired(self, now: Nanos) -> list[Pending]:
+    def expired(self, now: Nanos) -> list[Pending[Own]]:
         """Remove and return the requests whose deadline has passed."""
         expired = [each for each in self.waiting if now >= each.deadline]
         self.waiting = [each for each in self.waiting if now < each.deadline]

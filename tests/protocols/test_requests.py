@@ -8,7 +8,7 @@ from protocols.messages import Command, Done, Hold, Position, Refused, Request, 
 from protocols.plugin import Range
 from protocols.toolkit.requests import (
     SMALLEST,
-    PendingRequest,
+    Pending,
     RejectionFilter,
     RequestQueue,
     out_of_range,
@@ -56,15 +56,19 @@ def test_a_request_is_refused_as_often_as_it_comes_and_changes_nothing_for_comma
     assert refusals.filter(0, Zero("m"), "") == refusals.filter(0, Hold("m"), "a") == []
 
 
+def pending(name: str, deadline: int, due: int) -> Pending[None]:
+    return Pending(Zero(name), name, 0, deadline, due, None)
+
+
 def test_a_request_under_way_ends_by_its_own_name() -> None:
-    waiting = PendingRequest(Zero("m"), "m", 1, 9, 5)
+    waiting = pending("m", 9, 5)
     assert waiting.done(7, "at 0") == Done(7, "Zero", "m", "at 0")
     assert waiting.refuse(9, "no answer") == Refused(9, "Zero", "m", "no answer")
 
 
 def test_requests_wait_in_order_until_they_end_or_their_deadline_passes() -> None:
-    waiting: RequestQueue[PendingRequest] = RequestQueue()
-    first, second = PendingRequest(Zero("a"), "a", 0, 10, 4), PendingRequest(Zero("a"), "a", 0, 7, 9)
+    waiting: RequestQueue[None] = RequestQueue()
+    first, second = pending("a", 10, 4), pending("a", 7, 9)
     assert waiting.due() == []
     assert waiting.add(first) == waiting.add(second) == []
     assert waiting.due() == [4, 7]
@@ -77,8 +81,8 @@ def test_requests_wait_in_order_until_they_end_or_their_deadline_passes() -> Non
 
 
 def test_the_one_that_ends_is_that_one_and_not_its_equal() -> None:
-    waiting: RequestQueue[PendingRequest] = RequestQueue()
-    first, second = (PendingRequest(Zero("a"), "a", 0, 10, 4) for _ in range(2))
+    waiting: RequestQueue[None] = RequestQueue()
+    first, second = (pending("a", 10, 4) for _ in range(2))
     waiting.add(first)
     waiting.add(second)
     waiting.end(second)
@@ -86,13 +90,13 @@ def test_the_one_that_ends_is_that_one_and_not_its_equal() -> None:
 
 
 def test_what_is_not_begun_does_not_wait_and_what_waits_has_a_limit() -> None:
-    waiting: RequestQueue[PendingRequest] = RequestQueue()
+    waiting: RequestQueue[None] = RequestQueue()
     no = refusal(3, Zero("a"), "not now")
     assert waiting.add(no) == [no]
     assert list(waiting) == []
     for _ in range(RequestQueue.CAPACITY):
         assert waiting.full() == ""
-        waiting.add(PendingRequest(Scan("can0"), "can0", 0, 10, 4))
+        waiting.add(Pending(Scan("can0"), "can0", 0, 10, 4, None))
     assert waiting.full() == "too many requests are under way"
     assert (
         waiting.refuse_all(5, "the bus is off")
