@@ -13,12 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from protocols.canopen import objects as co
 from protocols.canopen import sdo
 from protocols.canopen.client import Job, Outcome, Purpose, SdoClient
+from protocols.canopen.objects import Key, from_bytes, to_bytes
 from protocols.canopen.pdo import mapping, packing
 from protocols.canopen.services import rpdo_id, sdo_rx_id, sdo_tx_id, tpdo_id
 from protocols.cia402 import objects as o
-from protocols.cia402.objects import OBJECTS, Key, from_bytes, to_bytes
+from protocols.cia402.objects import OBJECTS
 from protocols.frames import CanFrame
 from protocols.messages import SECOND
 
@@ -46,7 +48,7 @@ def prepared(canopen: Any) -> Prepared:  # noqa: ANN401 -- canopen has no types
     dictionary = canopen.ObjectDictionary()
     for key in (*RPDO, *TPDO, o.TARGET_VELOCITY):
         dictionary.add_object(_variable(canopen, key))
-    for index in (o.RPDO_COMMUNICATION, o.RPDO_MAPPING, o.TPDO_COMMUNICATION, o.TPDO_MAPPING):
+    for index in (co.RPDO_COMMUNICATION, co.RPDO_MAPPING, co.TPDO_COMMUNICATION, co.TPDO_MAPPING):
         dictionary.add_object(canopen.objectdictionary.ODRecord(f"{index:04X}", index))
     network, node, sent = canopen.Network(), canopen.RemoteNode(NODE, dictionary), [b""]
     network.add_node(node)

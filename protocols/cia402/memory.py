@@ -15,12 +15,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from protocols import messages as msg
+from protocols.canopen import objects as co
 from protocols.canopen import sdo
 from protocols.canopen.dictionary import Dictionary, pdo_defaults
 from protocols.canopen.node import Node, Received
+from protocols.canopen.objects import Key, title
 from protocols.canopen.services import NmtCommand
 from protocols.cia402 import objects as o
-from protocols.cia402.objects import OBJECTS, TARGETS, Key, title
+from protocols.cia402.objects import OBJECTS, TARGETS
 from protocols.cia402.profile import Control, Demand, Mode, PowerState, demand_of, supports
 from protocols.cia402.settings import LOWEST, ONLY, SETTING_OBJECTS, Settings, twin_units
 from protocols.cia402.state_machine import HOLDING_QUICK_STOPS, next_state
@@ -40,7 +42,7 @@ USUAL_RPDOS = ((o.CONTROLWORD, o.MODE, o.TARGET_POSITION), (o.TARGET_VELOCITY, o
 USUAL_TPDOS = ((o.STATUSWORD, o.MODE_DISPLAY, o.POSITION), (o.VELOCITY, o.TORQUE, o.ERROR_CODE))
 """PDOs of a drive that is delivered with a mapping (`Settings.pdos`)."""
 CONSTANTS: dict[Key, int] = {
-    o.DEVICE_TYPE: 0x0002_0192,  # profile 402, servo drive
+    co.DEVICE_TYPE: 0x0002_0192,  # profile 402, servo drive
     o.ENCODER_REVOLUTIONS: 1,
     o.INTERPOLATION_INDEX: -3,
 }
@@ -62,13 +64,13 @@ def dictionary_of(settings: Settings, node: int) -> Dictionary:
     usual = settings.pdos == "usual"
     values = CONSTANTS | {key: getattr(settings, name) for name, key in SETTING_OBJECTS.items()}
     values[o.HOMING_SPEED_SWITCH] = settings.homing_speed
-    values[o.SERIAL_NUMBER] = settings.serial_number or 0x0402_0000 + node
+    values[co.SERIAL_NUMBER] = settings.serial_number or 0x0402_0000 + node
     values |= pdo_defaults(OBJECTS, node, USUAL_RPDOS, USUAL_TPDOS) if usual else pdo_defaults(OBJECTS, node)
     return Dictionary(
         OBJECTS,
         node,
         values,
-        {o.DEVICE_NAME: settings.device_name, o.HARDWARE_VERSION: "twin", o.SOFTWARE_VERSION: "1"},
+        {co.DEVICE_NAME: settings.device_name, co.HARDWARE_VERSION: "twin", co.SOFTWARE_VERSION: "1"},
         refuse,
         volatile=TARGETS | {o.CONTROLWORD},
         lacks=frozenset(int(index, 16) for index in settings.lacks.split()),

@@ -10,8 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
+from protocols.canopen import objects as co
+from protocols.canopen.objects import Key
 from protocols.cia402 import objects as o
-from protocols.cia402.objects import OBJECTS, Key
+from protocols.cia402.objects import OBJECTS
 from protocols.cia402.profile import Mode, mode_bit
 from protocols.cia402.units import Units, units_of
 from protocols.toolkit.options import bounded, check_bounds
@@ -39,10 +41,10 @@ class Settings:
     """What is configured on the drive. Velocities are in units of 60A9, accelerations in those of 60AA."""
 
     device_name: str = "twin402"  # 1008
-    vendor_id: int = stored(o.VENDOR_ID, 0)  # 0 is assigned to no vendor
-    product_code: int = stored(o.PRODUCT_CODE, 402)
-    revision: int = stored(o.REVISION, 0x0001_0000)
-    serial_number: int = stored(o.SERIAL_NUMBER, 0)  # 0: derived from the address
+    vendor_id: int = stored(co.VENDOR_ID, 0)  # 0 is assigned to no vendor
+    product_code: int = stored(co.PRODUCT_CODE, 402)
+    revision: int = stored(co.REVISION, 0x0001_0000)
+    serial_number: int = stored(co.SERIAL_NUMBER, 0)  # 0: derived from the address
     supported_modes: int = stored(o.SUPPORTED_MODES, ALL_MODES)
     lacks: str = ""
     """Objects that it does not have, as indices: "60A9 60B1"."""
@@ -98,10 +100,10 @@ class Settings:
     fault_option: int = stored(o.FAULT_OPTION, 0, only=(0, 1, 2, 3))  # the same; 0 no torque
     abort_connection: int = stored(o.ABORT_CONNECTION, 1, only=(0, 1, 2, 3))
     """when the host's heartbeat is lost: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop"""
-    error_behaviour: int = stored(o.ERROR_BEHAVIOUR, 0, only=(0, 1, 2))
+    error_behaviour: int = stored(co.ERROR_BEHAVIOUR, 0, only=(0, 1, 2))
     """when the host's heartbeat is lost: 0 NMT pre-operational, 1 no change, 2 NMT stopped"""
-    heartbeat_producer: int = stored(o.PRODUCER_HEARTBEAT, 100)  # ms; 0: none
-    heartbeat_consumer: int = stored(o.CONSUMER_HEARTBEAT, 0)
+    heartbeat_producer: int = stored(co.PRODUCER_HEARTBEAT, 100)  # ms; 0: none
+    heartbeat_consumer: int = stored(co.CONSUMER_HEARTBEAT, 0)
     """node << 16 | ms; 0: a lost host is not noticed"""
     pdos: Literal["none", "usual"] = "none"
     """How its PDOs are configured at power-on: all disabled, or a usual mapping on SYNC."""
@@ -130,7 +132,7 @@ class Settings:
             others.append("soft_limit_low must not be above soft_limit_high")
         if not self.device_name.isascii() or not self.device_name:
             others.append("device_name must be ASCII text")
-        if wrong := [index for index in self.lacks.split() if o.parse(index) is None]:
+        if wrong := [index for index in self.lacks.split() if co.parse(index) is None]:
             others.append(f"lacks: {' '.join(wrong)} is no index of four hexadecimal digits")
         check_bounds(self, others)
 

@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from protocols.canopen import objects as co
 from protocols.canopen.eds import data_sheet
 from protocols.canopen.node import HEARTBEAT_LOST, Sender
+from protocols.canopen.objects import Type
 from protocols.canopen.services import NmtCommand, sdo_rx_id
 from protocols.cia402 import objects as o
 from protocols.cia402.faults import FAULTS, register_of
 from protocols.cia402.memory import DISCONNECTS, POWERED, Memory, dictionary_of
 from protocols.cia402.motor import Motor
-from protocols.cia402.objects import Type
 from protocols.cia402.profile import STATE_BITS, Mode, PowerState, Status
 from protocols.cia402.settings import Settings
 from protocols.frames import CanFrame, Frame
@@ -25,7 +26,7 @@ from protocols.messages import Event, Nanos, Torque
 from protocols.plugin import Device
 from protocols.toolkit.firmware import Firmware, milliseconds
 
-STATE_OBJECTS = frozenset({o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE, o.ERROR_REGISTER})
+STATE_OBJECTS = frozenset({o.STATUSWORD, o.MODE_DISPLAY, o.ERROR_CODE, co.ERROR_REGISTER})
 RECORDS = {
     0x607D: "Software position limit",
     0x608F: "Position encoder resolution",

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import fixtures
+from protocols.canopen import objects as co
 from protocols.canopen.mapping import Pdo
+from protocols.canopen.objects import Key
 from protocols.canopen.pdo import EVENT, encode_entry
 from protocols.cia402 import objects as o
-from protocols.cia402.objects import OBJECTS, Key
+from protocols.cia402.objects import OBJECTS
 from protocols.cia402.options import Options
 from protocols.cia402.setpoints import Values
 from protocols.cia402.setup import Known
@@ -24,8 +26,8 @@ NODE = 2
 SOURCE = f"{PACKAGE} (RemoteNode: SdoClient, PdoMap, NmtMaster; LocalNode as its slave)"
 FILE = Path(fixtures.__file__).parent / "vectors" / "cia402.json"
 DOWNLOADS: tuple[tuple[Key, int], ...] = (
-    (o.CONSUMER_HEARTBEAT, 0x7F01F4),
-    (o.PRODUCER_HEARTBEAT, 100),
+    (co.CONSUMER_HEARTBEAT, 0x7F01F4),
+    (co.PRODUCER_HEARTBEAT, 100),
     (o.TARGET_POSITION, -123_456),
     (o.VELOCITY_OFFSET, -1000),
     (o.TORQUE_OFFSET, -250),

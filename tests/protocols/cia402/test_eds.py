@@ -12,7 +12,8 @@ import pytest
 
 import protocols.cia402
 from protocols.canopen import sdo
-from protocols.cia402.objects import OBJECTS, Key, Type
+from protocols.canopen.objects import Key, Type
+from protocols.cia402.objects import OBJECTS
 from protocols.cia402.twin import eds
 from tests.protocols.cia402.bus import TwinOnShaft, remote
 

@@ -7,8 +7,8 @@ import pytest
 from canopen.emcy import EmcyError
 from canopen.profiles.p402 import Homing, State402
 
+from protocols.canopen.objects import Type
 from protocols.cia402.faults import FAULTS, fault_info, register_of
-from protocols.cia402.objects import Type
 from protocols.cia402.profile import STATE_BITS, HomingStatus, PowerState, homing_of, state_of
 from protocols.cia402.settings import Settings, units_of_settings
 from protocols.cia402.state_machine import TRANSITIONS
