@@ -11,45 +11,43 @@ from collections.abc import Sequence
 from protocols.canopen import sdo, services
 from protocols.canopen.objects import PDO_NUMBERS
 from protocols.canopen.services import NODE_MASK, NmtCommand
-from protocols.frames import CanFrame, Frame
+from protocols.frames import Frame
 
 _NMT = {command: f"NMT {command.name.lower().replace('_', ' ')}" for command in NmtCommand}
 _RPDOS = {services.rpdo_id(number, 0): f"RPDO{number}" for number in PDO_NUMBERS}
-_SDO = {
-    sdo.DownloadSegment: "SDO download segment",
-    sdo.Upload: "SDO upload",
-    sdo.UploadSegment: "SDO upload segment",
-    sdo.Abort: "SDO abort",
-}
+_SDO = ("SDO download segment", "", "SDO upload", "SDO upload segment", "SDO abort")
+"""By the command of the request; that of 1 has the index, too."""
+READING = (2, 3, 4)
 
 
-def request_in(frame: Frame) -> sdo.Request | None:
-    """Return the SDO request in a frame."""
-    if not isinstance(frame, CanFrame) or not services.is_classic(frame):
-        return None
-    return sdo.decode_request(frame.data) if frame.id & ~NODE_MASK == services.SDO_RX_BASE else None
+def _request(frame: Frame) -> bytes:
+    """Return the SDO request in a frame; b"" if there is none."""
+    if not services.is_classic(frame) or frame.id & ~NODE_MASK != services.SDO_RX_BASE:
+        return b""
+    return frame.data if len(frame.data) == sdo.SIZE else b""
 
 
 def read_only(frame: Frame) -> bool:
     """True if a frame only reads."""
-    return isinstance(request_in(frame), sdo.Upload | sdo.UploadSegment | sdo.Abort)
+    request = _request(frame)
+    return bool(request) and request[0] >> 5 in READING
 
 
 def messages(frame: Frame) -> Sequence[str]:
     """Return the name of the message to a device in a frame: "NMT start", "SDO download 6040", "RPDO1" …"""
-    request = request_in(frame)
-    match request or services.decode(frame):
-        case sdo.Download(index, _, _):
-            return (f"SDO download {index:04X}",)
-        case sdo.DownloadStart(index, _, _):
-            return (f"SDO segmented download {index:04X}",)
+    if request := _request(frame):
+        command = request[0] >> 5
+        if command == 1:
+            kind = "download" if request[0] & 2 else "segmented download"
+            return (f"SDO {kind} {int.from_bytes(request[1:3], 'little'):04X}",)
+        return _SDO[command : command + 1]
+    match services.decode(frame):
         case services.Nmt(command, _):
             return (_NMT[command],)
         case services.Sync():
             return ("SYNC",)
         case services.Heartbeat():
             return ("heartbeat",)
-    if isinstance(frame, CanFrame) and services.is_classic(frame) and frame.id & NODE_MASK:
-        rpdo = _RPDOS.get(frame.id & ~NODE_MASK)
-        return (rpdo,) if rpdo else (_SDO[type(request)],) if type(request) in _SDO else ()
+    if services.is_classic(frame) and frame.id & NODE_MASK and frame.id & ~NODE_MASK in _RPDOS:
+        return (_RPDOS[frame.id & ~NODE_MASK],)
     return ()

@@ -75,7 +75,7 @@ class Node:
 
     def receive(self, t: Nanos, frame: Frame) -> Received | None:
         """Handle a frame; None if it did nothing that a device would react to."""
-        if not isinstance(frame, CanFrame) or not services.is_classic(frame):
+        if not services.is_classic(frame):
             return None
         if frame.id == services.sdo_rx_id(self.address):
             return self._on_sdo(frame.data)

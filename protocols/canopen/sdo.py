@@ -1,9 +1,8 @@
-"""SDO messages: upload (read) and download (write) of one object, expedited or segmented, and abort.
+"""SDO messages of a client: upload (read) and download (write) of one object, expedited or segmented.
 
-Rules. Every SDO frame has 8 bytes. A message is a frozen value; `encode` returns its 8 bytes,
-`decode_request` (client → server) and `decode_response` (server → client) take any bytes and return None for
-malformed ones. Block transfer is not supported: a request for it decodes to `Unsupported`, so that a server
-can refuse it. `transfer` has the client's side of the protocol, `server` the server's.
+Rules. Every SDO frame has 8 bytes. A message is a frozen value; `encode` returns the 8 bytes of a request,
+`decode_response` takes any bytes and returns None for malformed ones. Block transfer is not used. `client`
+has the client's side of the protocol, `server` the server's, which is in bytes.
 
 Source: package canopen 2.4.1 (`sdo/constants.py`, `sdo/exceptions.py` for the numbers of the abort codes);
 CiA 301 "SDO protocols".
@@ -33,11 +32,11 @@ class Download:
 
 @dataclass(frozen=True, slots=True)
 class DownloadStart:
-    """Request: begin to write an object in segments; size in bytes, None if not given."""
+    """Request: begin to write an object in segments; size in bytes."""
 
     index: int
     sub: int
-    size: int | None
+    size: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +64,8 @@ class UploadSegment:
 
 
 @dataclass(frozen=True, slots=True)
-class Unsupported:
-    """A request that is not supported (block transfer), or has an unknown command."""
-
-    command: int
-    index: int
-    sub: int
-
-
-@dataclass(frozen=True, slots=True)
 class Abort:
-    """Either side aborts the transfer."""
+    """Response: the transfer is aborted."""
 
     index: int
     sub: int
@@ -124,7 +114,7 @@ class UploadedSegment:
     last: bool
 
 
-Request: TypeAlias = Download | DownloadStart | DownloadSegment | Upload | UploadSegment | Unsupported | Abort
+Request: TypeAlias = Download | DownloadStart | DownloadSegment | Upload | UploadSegment
 Response: TypeAlias = Downloaded | SegmentDownloaded | Uploaded | UploadStart | UploadedSegment | Abort
 
 ABORT = 0x80
@@ -132,66 +122,29 @@ _HEAD = struct.Struct("<BHB4s")
 _LONG = struct.Struct("<BHBI")
 
 
-def encode(message: Request | Response) -> bytes:
-    """Encode a message. ValueError if its data do not fit."""
+def encode(message: Request) -> bytes:
+    """Encode a request. ValueError if its data do not fit."""
     if isinstance(message, Upload):  # the bulk of all traffic, without the cost of a match
         return _LONG.pack(0x40, message.index, message.sub, 0)
     if isinstance(message, Download):
-        return _expedited(0x23, message)
-    if isinstance(message, Uploaded):
-        return _expedited(0x43, message)
+        size = len(message.data)
+        if not 1 <= size <= EXPEDITED:
+            raise ValueError(f"{size} bytes are no expedited transfer")
+        return _HEAD.pack(0x23 | (EXPEDITED - size) << 2, message.index, message.sub, message.data)
     match message:
-        case Downloaded(index, sub):
-            return _LONG.pack(0x60, index, sub, 0)
         case DownloadStart(index, sub, size):
-            return _LONG.pack(0x20 | (size is not None), index, sub, size or 0)
-        case UploadStart(index, sub, size):
-            return _LONG.pack(0x40 | (size is not None), index, sub, size or 0)
-        case DownloadSegment(toggle, data, last) | UploadedSegment(toggle, data, last):
+            return _LONG.pack(0x21, index, sub, size)
+        case DownloadSegment(toggle, data, last):
             if len(data) > SEGMENT:
                 raise ValueError(f"{len(data)} bytes do not fit into a segment")
             command = toggle << 4 | (SEGMENT - len(data)) << 1 | last
             return bytes((command,)) + data.ljust(SEGMENT, b"\0")
         case UploadSegment(toggle):
             return bytes((0x60 | toggle << 4, 0, 0, 0, 0, 0, 0, 0))
-        case SegmentDownloaded(toggle):
-            return bytes((0x20 | toggle << 4, 0, 0, 0, 0, 0, 0, 0))
-        case Abort(index, sub, code):
-            return _LONG.pack(ABORT, index, sub, code)
-        case Unsupported(command, index, sub):
-            return _LONG.pack(command, index, sub, 0)
-
-
-def _expedited(command: int, message: Download | Uploaded) -> bytes:
-    size = len(message.data)
-    if not 1 <= size <= EXPEDITED:
-        raise ValueError(f"{size} bytes are no expedited transfer")
-    return _HEAD.pack(command | (EXPEDITED - size) << 2, message.index, message.sub, message.data)
-
-
-def decode_request(data: bytes) -> Request | None:
-    """Decode a client's message; None if it is malformed. Expedited data without a size are four bytes."""
-    if len(data) != SIZE:
-        return None
-    command, index, sub, rest = _HEAD.unpack(data)
-    match command >> 5:
-        case 0:
-            return DownloadSegment(*_segment(data))
-        case 1 if command & 2:
-            return Download(index, sub, rest[: EXPEDITED - (command >> 2 & 3)] if command & 1 else rest)
-        case 1:
-            return DownloadStart(index, sub, _size(command, rest))
-        case 2:
-            return Upload(index, sub)
-        case 3:
-            return UploadSegment(bool(command & 0x10))
-        case 4:
-            return Abort(index, sub, int.from_bytes(rest, "little"))
-    return Unsupported(command, index, sub)
 
 
 def decode_response(data: bytes) -> Response | None:
-    """Decode a server's message; None if it is malformed. Expedited data without a size are four bytes."""
+    """Decode a response; None if it is malformed. Expedited data without a size are four bytes."""
     if len(data) != SIZE:
         return None
     command, index, sub, rest = _HEAD.unpack(data)
@@ -201,22 +154,15 @@ def decode_response(data: bytes) -> Response | None:
         case 3:
             return Downloaded(index, sub)
         case 2:
-            return UploadStart(index, sub, _size(command, rest))
+            return UploadStart(index, sub, int.from_bytes(rest, "little") if command & 1 else None)
         case 0:
-            return UploadedSegment(*_segment(data))
+            segment = data[1 : SIZE - (command >> 1 & 7)]
+            return UploadedSegment(bool(command & 0x10), segment, bool(command & 1))
         case 1:
             return SegmentDownloaded(bool(command & 0x10))
         case 4:
             return Abort(index, sub, int.from_bytes(rest, "little"))
     return None
-
-
-def _size(command: int, rest: bytes) -> int | None:
-    return int.from_bytes(rest, "little") if command & 1 else None
-
-
-def _segment(data: bytes) -> tuple[bool, bytes, bool]:
-    return bool(data[0] & 0x10), data[1 : SIZE - (data[0] >> 1 & 7)], bool(data[0] & 1)
 
 
 # -- abort codes --------------------------------------------------------------------------------------

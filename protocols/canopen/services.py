@@ -15,7 +15,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeAlias
+from typing import TypeAlias, TypeGuard
 
 from protocols.frames import CanFrame, Frame
 
@@ -134,14 +134,14 @@ def encode(message: Message) -> CanFrame:
             return CanFrame(EMCY_BASE + node, _EMCY.pack(code, register, vendor))
 
 
-def is_classic(frame: Frame) -> bool:
+def is_classic(frame: Frame) -> TypeGuard[CanFrame]:
     """True for the kind of CAN frame that CANopen uses: 11-bit identifier, not FD, no remote frame."""
     return isinstance(frame, CanFrame) and not (frame.extended or frame.fd or frame.remote)
 
 
 def decode(frame: Frame) -> Message | None:
     """Decode a frame; None if it is none of these messages, or malformed."""
-    if not isinstance(frame, CanFrame) or not is_classic(frame):
+    if not is_classic(frame):
         return None
     data, function, node = frame.data, frame.id & ~NODE_MASK, frame.id & NODE_MASK
     if frame.id == NMT_ID:

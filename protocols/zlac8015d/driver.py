@@ -254,9 +254,9 @@ class ZlacAdapter(Adapter[Motor]):
     # -- received ---------------------------------------------------------------------------------------
 
     def receive(self, t: Nanos, frame: Frame, driver: MotorDriver[Motor]) -> Sequence[Report[Motor] | Rx]:
-        drive = self.drives.get(frame.id & NODE_MASK) if isinstance(frame, CanFrame) else None
-        if drive is None or not isinstance(frame, CanFrame) or not services.is_classic(frame):
+        if not services.is_classic(frame) or frame.id & NODE_MASK not in self.drives:
             return (Rx.IGNORED,)
+        drive = self.drives[frame.id & NODE_MASK]
         function, values = frame.id & ~NODE_MASK, dict[Key, int]()
         if function in NUMBERS:
             number = NUMBERS[function]
