@@ -163,7 +163,7 @@ MISTAKES = [
     ("motors.left.address", "address = 1\n", 'address = "1"\n', 'found "1", expected an integer'),
     ("motors.left.address", "address = 1\n", "address = 1.0\n", "found 1.0, expected an integer"),
     ("motors.left.address", "address = 1\n", "address = -1\n", "found -1, expected an integer of at least 0"),
-    ("motors.left.address", "address = 1\n", "address = 99\n", "a node id is 0 to"),
+    ("motors.left.address", "address = 1\n", "address = 99\n", "it must be 0 to 62"),
     ("motors.right.address", "address = 1\n", "address = 2\n", "'left' has address 2 on bus 'can0' too"),
     ("motors.left.gear", "gear = 8.0", "gear = 0", f"found 0, {POSITIVE}"),
     ("motors.left.gear", "gear = 8.0", "gear = -8.0", f"found -8.0, {POSITIVE}"),
