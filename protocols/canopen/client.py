@@ -137,11 +137,6 @@ class SdoClient:
         """Forget which responses came twice."""
         self._repeated, self.doubled = False, 0
 
-    def resend(self) -> None:
-        """Send the present request again: it may have been lost on our side."""
-        if self.job is not None:
-            self._restart()
-
     # -- responses ------------------------------------------------------------------------------------
 
     def handle(self, t: Nanos, response: sdo.Response) -> Outcome | None:
@@ -156,7 +151,7 @@ class SdoClient:
                 return self._end(t, response, code)
             case sdo.Abort() if self._segments and self._tries < TRIES:
                 self._tries += 1  # another host's request: a device serves one transfer at a time
-                self._restart()
+                self.resend()
             case sdo.Uploaded(index, sub, data) if reading and (index, sub) == job.key and not self._segments:
                 self._value = data
                 return self._end(t, response)
@@ -166,7 +161,8 @@ class SdoClient:
             case sdo.UploadedSegment(toggle, data, last) if reading and self._segments:
                 return self._on_segment(t, response, data, last=last) if toggle == self._toggle else None
             case sdo.Downloaded(index, sub) if not reading and (index, sub) == job.key:
-                return self._on_downloaded(t, response, job.data or b"")
+                self._segments = True
+                return self._next_segment(t, response, job.data or b"")
             case sdo.SegmentDownloaded(toggle) if not reading and self._segments:
                 if toggle == self._toggle:
                     self._toggle = not toggle
@@ -182,12 +178,6 @@ class SdoClient:
             return self._end(t, response, sdo.LENGTH_MISMATCH if wrong else None)
         self._next = sdo.UploadSegment(self._toggle)
         return None
-
-    def _on_downloaded(self, t: Nanos, response: sdo.Response, data: bytes) -> Outcome | None:
-        if 1 <= len(data) <= sdo.EXPEDITED:
-            return self._end(t, response)
-        self._segments = True
-        return self._next_segment(t, response, data)
 
     def _next_segment(self, t: Nanos, response: sdo.Response, data: bytes) -> Outcome | None:
         if self._sent and self._sent >= len(data):
@@ -239,7 +229,7 @@ class SdoClient:
             if self._tries >= TRIES:
                 return None, self._end(now, None, sdo.TIMEOUT)
             self._tries += 1
-            self._restart()
+            self.resend()
         request, self._next = self._next, None
         self._sent_at = self._sent_at if request is None else now
         return request, None
@@ -259,10 +249,10 @@ class SdoClient:
             self.job, self._tries = job, 1
             self._others = 0 if job.purpose is Purpose.POLL else self._others + 1
             self._urgent = job.purpose is Purpose.URGENT
-            self._restart()
+            self.resend()
 
-    def _restart(self) -> None:
-        """Begin the present transfer, or begin it anew."""
+    def resend(self) -> None:
+        """Begin the present transfer, or begin it anew: a request may have been lost on our side."""
         if self.job is None:
             return
         (index, sub), data = self.job.key, self.job.data
@@ -271,7 +261,7 @@ class SdoClient:
         if data is None:
             self._next = sdo.Upload(index, sub)
         elif 1 <= len(data) <= sdo.EXPEDITED:
-            self._next = sdo.Download(index, sub, data)
+            self._next, self._sent = sdo.Download(index, sub, data), len(data)
         else:
             self._next = sdo.DownloadStart(index, sub, len(data))
 
@@ -288,6 +278,4 @@ class SdoClient:
 
 def _key_of(response: sdo.Response) -> Key | None:
     """Return the object that a response names; segments name none."""
-    if isinstance(response, sdo.UploadedSegment | sdo.SegmentDownloaded):
-        return None
-    return response.index, response.sub
+    return (response.index, response.sub) if isinstance(response, sdo.Named) else None

@@ -23,9 +23,7 @@ from protocols.messages import MILLISECOND, Nanos
 
 Refuse: TypeAlias = Callable[[Mapping[Key, int], Key, int], int]
 """(values, key, value) → the abort code with which a device refuses the value, or 0."""
-SAVE = int.from_bytes(b"save", "little")
-LOAD = int.from_bytes(b"load", "little")
-SIGNATURES = {o.STORE: SAVE, o.RESTORE: LOAD}
+SIGNATURES = {o.STORE: int.from_bytes(b"save", "little"), o.RESTORE: int.from_bytes(b"load", "little")}
 NOT_STORED = 0x08000020
 LARGEST_ID = 0x7FF
 
@@ -119,7 +117,7 @@ class Dictionary:
         row = self.objects[key]
         if row.access != "rw":
             return sdo.READ_ONLY
-        value = from_bytes(row.type, data if sized else data[: row.bits // 8])
+        value = from_bytes(row.type, data if sized else data[: row.type.bits // 8])
         if value is None:
             return sdo.LENGTH_MISMATCH
         refused = self._refuse(key, value)
@@ -148,10 +146,9 @@ class Dictionary:
         self.values[o.ERROR_REGISTER] = register
 
     def _missing(self, key: Key) -> int:
-        if key in self.objects and key[0] not in self.lacks:
-            return 0
-        known = key[0] in self.objects.indices and key[0] not in self.lacks
-        return sdo.NO_SUBINDEX if known else sdo.NO_OBJECT
+        if key[0] in self.lacks or key[0] not in self.objects.indices:
+            return sdo.NO_OBJECT
+        return 0 if key in self.objects else sdo.NO_SUBINDEX
 
     def _refuse(self, key: Key, value: int) -> int:
         if key in SIGNATURES:
@@ -207,7 +204,7 @@ class Dictionary:
         """Return an abort code if an object is unknown, not mappable, not writable, or of another length."""
         entry = decode_entry(value)
         known = None if self._missing(entry.key) else self.objects[entry.key]
-        if known is None or not known.mappable or known.bits != entry.bits:
+        if known is None or not known.mappable or known.type.bits != entry.bits:
             return sdo.NOT_MAPPABLE
         return sdo.NOT_MAPPABLE if index < o.TPDO_COMMUNICATION and known.access != "rw" else 0
 

@@ -75,7 +75,7 @@ class Pdo:
             return False
         if self.synchronous and not synced:
             return False
-        if any(each.key in objects and objects[each.key].bits != each.bits for each in self.entries):
+        if any(each.key in objects and objects[each.key].type.bits != each.bits for each in self.entries):
             return False
         return self.kind == "TPDO" or all(key[0] in DUMMIES or key in filled for key in self.keys)
 
@@ -188,7 +188,6 @@ class Setup:
         """What remains to be written."""
         self._check: list[Write] = []
         """What remains to be read back."""
-        self._asked: Job | None = None
         self._begin()
 
     def _begin(self) -> None:
@@ -209,16 +208,13 @@ class Setup:
         if self.failed or not (self._write or self._check):
             return None
         key, value, *_ = (self._write or self._check)[0]
-        data = to_bytes(self.objects[key].type, value) if self._write else None
-        self._asked = Job(Purpose.SETUP, key, data)
-        return self._asked
+        return Job(Purpose.SETUP, key, to_bytes(self.objects[key].type, value) if self._write else None)
 
     def on_outcome(self, outcome: Outcome) -> None:
         """Record the end of that transfer. Without a response all of it is written again: what the device has
         accepted is not known."""
-        if outcome.job != self._asked:
+        if outcome.job != self.job():
             return  # of a setup that was given up
-        self._asked = None
         write = (self._write or self._check)[0]
         if outcome.abort == sdo.TIMEOUT:
             self._begin()

@@ -9,7 +9,7 @@ Source: CiA 301.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal, TypeAlias
@@ -51,11 +51,6 @@ class Object:
     unit: str = ""
     mappable: bool = False
 
-    @property
-    def bits(self) -> int:
-        """Length; 0 for text."""
-        return self.type.bits
-
 
 def title(key: Key) -> str:
     """Return an object's address as text, as `find` takes it: "6083", "608F:01"."""
@@ -92,22 +87,14 @@ def parse(text: str) -> Key | None:
 _ROWS: list[Object] = []
 
 
-def _row(
-    index: int,
-    sub: int,
-    name: str,
-    type_: Type,
-    access: Access = "rw",
-    unit: str = "",
-    *,
-    mappable: bool = False,
-) -> Key:
-    _ROWS.append(Object((index, sub), name, type_, access, unit, mappable))
+def _row(index: int, sub: int, name: str, type_: Type, access: Access = "rw", unit: str = "") -> Key:
+    _ROWS.append(Object((index, sub), name, type_, access, unit))
     return index, sub
 
 
 DEVICE_TYPE = _row(0x1000, 0, "Device type", Type.U32, "ro")
-ERROR_REGISTER = _row(0x1001, 0, "Error register", Type.U8, "ro", mappable=True)
+ERROR_REGISTER = 0x1001, 0
+_ROWS.append(Object(ERROR_REGISTER, "Error register", Type.U8, "ro", mappable=True))
 ERROR_COUNT = _row(0x1003, 0, "Number of errors", Type.U8)
 ERROR_HISTORY = 0x1003
 """Index of the last errors: subindex 1 is the newest."""
@@ -168,12 +155,6 @@ def _pdo_rows(first: int, mapping: int, what: str) -> list[Object]:
     return rows
 
 
-def _counts(rows: list[Object]) -> list[Object]:
-    """Return subindex 0 of every record and array: its highest subindex."""
-    missing = {row.key[0] for row in rows if row.key[1]} - {row.key[0] for row in rows if not row.key[1]}
-    return [Object((index, 0), f"{index:04X} highest subindex", Type.U8, "ro") for index in sorted(missing)]
-
-
 COMMUNICATION: tuple[Object, ...] = (
     *_ROWS,
     *_pdo_rows(RPDO_COMMUNICATION, RPDO_MAPPING, "RPDO"),
@@ -182,27 +163,22 @@ COMMUNICATION: tuple[Object, ...] = (
 """The objects below 2000 that every device here has."""
 
 
-class Objects(Mapping[Key, Object]):
+class Objects(dict[Key, Object]):
     """The objects of one kind of device, by key; never changed."""
 
     def __init__(self, rows: Iterable[Object]) -> None:
         rows = [*COMMUNICATION, *rows]
-        rows += _counts(rows)
-        self._rows = {row.key: row for row in sorted(rows, key=lambda row: row.key)}
+        counted = {row.key[0] for row in rows if not row.key[1]}
+        rows += [
+            Object((index, 0), f"{index:04X} highest subindex", Type.U8, "ro")
+            for index in sorted({row.key[0] for row in rows} - counted)
+        ]
+        super().__init__({row.key: row for row in sorted(rows, key=lambda row: row.key)})
         self._named = {row.name.casefold(): row for row in rows}
-        self.indices = frozenset(index for index, _ in self._rows)
+        self.indices = frozenset(index for index, _ in self)
 
     def __deepcopy__(self, _: dict[int, object]) -> Objects:
         return self
-
-    def __iter__(self) -> Iterator[Key]:
-        return iter(self._rows)
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __getitem__(self, key: Key) -> Object:
-        return self._rows[key]
 
     def find(self, text: str) -> Key | None:
         """Return the key of a name in the table, or of any address: "6083", "0x6083", "608F:01"."""

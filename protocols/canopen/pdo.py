@@ -58,7 +58,7 @@ def encode_entry(entry: Entry) -> int:
 
 def entry(objects: Objects, key: Key) -> Entry:
     """Return the entry of a known object, in its whole length. KeyError if it is not known."""
-    return Entry(*key, objects[key].bits)
+    return Entry(*key, objects[key].type.bits)
 
 
 def mapping(objects: Objects, *keys: Key) -> Mapping:

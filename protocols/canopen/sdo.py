@@ -22,20 +22,24 @@ EXPEDITED = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Download:
-    """Request: write an object of 1 to 4 bytes."""
+class Named:
+    """A message that names its object."""
 
     index: int
     sub: int
+
+
+@dataclass(frozen=True, slots=True)
+class Download(Named):
+    """Request: write an object of 1 to 4 bytes."""
+
     data: bytes
 
 
 @dataclass(frozen=True, slots=True)
-class DownloadStart:
+class DownloadStart(Named):
     """Request: begin to write an object in segments; size in bytes."""
 
-    index: int
-    sub: int
     size: int
 
 
@@ -49,11 +53,8 @@ class DownloadSegment:
 
 
 @dataclass(frozen=True, slots=True)
-class Upload:
+class Upload(Named):
     """Request: read an object."""
-
-    index: int
-    sub: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,20 +65,15 @@ class UploadSegment:
 
 
 @dataclass(frozen=True, slots=True)
-class Abort:
+class Abort(Named):
     """Response: the transfer is aborted."""
 
-    index: int
-    sub: int
     code: int
 
 
 @dataclass(frozen=True, slots=True)
-class Downloaded:
+class Downloaded(Named):
     """Response: the object is written, or its segments may be sent."""
-
-    index: int
-    sub: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,20 +84,16 @@ class SegmentDownloaded:
 
 
 @dataclass(frozen=True, slots=True)
-class Uploaded:
+class Uploaded(Named):
     """Response: the object's value, of 1 to 4 bytes."""
 
-    index: int
-    sub: int
     data: bytes
 
 
 @dataclass(frozen=True, slots=True)
-class UploadStart:
+class UploadStart(Named):
     """Response: the object is longer than 4 bytes, and is read in segments."""
 
-    index: int
-    sub: int
     size: int | None
 
 

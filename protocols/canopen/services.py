@@ -33,11 +33,6 @@ SDO_RX_BASE = 0x600
 HEARTBEAT_BASE = 0x700
 
 
-def emcy_id(node: int) -> int:
-    """Return the identifier of a node's emergency messages."""
-    return EMCY_BASE + node
-
-
 def tpdo_id(number: int, node: int) -> int:
     """Return the identifier of TPDO 1 to 4, from the device."""
     return 0x80 + 0x100 * number + node
@@ -56,11 +51,6 @@ def sdo_tx_id(node: int) -> int:
 def sdo_rx_id(node: int) -> int:
     """Return the identifier of SDO requests to a device."""
     return SDO_RX_BASE + node
-
-
-def heartbeat_id(node: int) -> int:
-    """Return the identifier of a node's heartbeat and boot-up message."""
-    return HEARTBEAT_BASE + node
 
 
 class NmtCommand(IntEnum):
@@ -92,9 +82,7 @@ class Nmt:
 
 @dataclass(frozen=True, slots=True)
 class Sync:
-    """SYNC: sample and act now. The counter is optional (object 1019)."""
-
-    counter: int | None = None
+    """SYNC: sample and act now. Its counter (object 1019) is neither sent nor used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,16 +95,15 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class Emcy:
-    """An emergency: error code as in object 603F, error register 1001, five vendor-specific bytes."""
+    """An emergency: error code as in object 603F, error register 1001. The maker's bytes are not used."""
 
     node: int
     code: int
     register: int
-    vendor: bytes = bytes(5)
 
 
 Message: TypeAlias = Nmt | Sync | Heartbeat | Emcy
-_EMCY = struct.Struct("<HB5s")
+_EMCY = struct.Struct("<HB5x")
 _STATES = {int(state): state for state in NmtState}
 _COMMANDS = {int(command): command for command in NmtCommand}
 
@@ -126,12 +113,12 @@ def encode(message: Message) -> CanFrame:
     match message:
         case Nmt(command, node):
             return CanFrame(NMT_ID, bytes((command, node)))
-        case Sync(counter):
-            return CanFrame(SYNC_ID, b"" if counter is None else bytes((counter,)))
+        case Sync():
+            return CanFrame(SYNC_ID, b"")
         case Heartbeat(node, state):
             return CanFrame(HEARTBEAT_BASE + node, bytes((state,)))
-        case Emcy(node, code, register, vendor):
-            return CanFrame(EMCY_BASE + node, _EMCY.pack(code, register, vendor))
+        case Emcy(node, code, register):
+            return CanFrame(EMCY_BASE + node, _EMCY.pack(code, register))
 
 
 def is_classic(frame: Frame) -> TypeGuard[CanFrame]:
@@ -148,10 +135,9 @@ def decode(frame: Frame) -> Message | None:
         known = len(data) == 2 and data[1] <= MAX_NODE and data[0] in _COMMANDS
         return Nmt(_COMMANDS[data[0]], data[1]) if known else None
     if frame.id == SYNC_ID:
-        return Sync(data[0] if data else None) if len(data) <= 1 else None
+        return Sync() if len(data) <= 1 else None
     if function == HEARTBEAT_BASE and node:
         return Heartbeat(node, _STATES[data[0]]) if len(data) == 1 and data[0] in _STATES else None
     if function == EMCY_BASE and len(data) == 8:
-        code, register, vendor = _EMCY.unpack(data)
-        return Emcy(node, code, register, vendor)
+        return Emcy(node, *_EMCY.unpack(data))
     return None

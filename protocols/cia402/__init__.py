@@ -90,10 +90,10 @@ def spec(device: Device) -> Spec:
     timeout = (options.watchdog_ms or settings.heartbeat_consumer & 0xFFFF) * MILLISECOND
     synced = options.feedback == "sync"
     # A scan uploads from every node, so SDO requests may be sent to all of them.
-    sends = [cs.NMT_ID, cs.SYNC_ID, cs.heartbeat_id(options.host_id)]
+    sends = [cs.NMT_ID, cs.SYNC_ID, cs.HEARTBEAT_BASE + options.host_id]
     sends += [cs.rpdo_id(number, node) for number in PDO_NUMBERS]
     sends += [cs.sdo_rx_id(each) for each in range(1, cs.MAX_NODE + 1)]
-    expects = [cs.emcy_id(node), cs.sdo_tx_id(node), cs.heartbeat_id(node)]
+    expects = [base + node for base in (cs.EMCY_BASE, cs.SDO_TX_BASE, cs.HEARTBEAT_BASE)]
     expects += [cs.tpdo_id(number, node) for number in PDO_NUMBERS]
     any_node = 0x780 | EXTENDED_BIT
     other_producer = (exact(cs.SYNC_ID),) if synced and options.sync_ms else ()

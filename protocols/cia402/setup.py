@@ -60,7 +60,7 @@ def value_of(key: Key, data: bytes) -> int | None:
     known = OBJECTS.get(key)
     if known is None or known.type is Type.TEXT:
         return int.from_bytes(data, "little") if 1 <= len(data) <= 8 else None
-    if not known.type.signed and 1 <= len(data) <= known.bits // 8:
+    if not known.type.signed and 1 <= len(data) <= known.type.bits // 8:
         return int.from_bytes(data, "little")
     return from_bytes(known.type, data)
 
