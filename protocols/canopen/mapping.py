@@ -184,19 +184,18 @@ class Setup:
         self.failed = ""
         """Why it will never be done."""
         self._rounds = 0
-        self._write: list[Write] = []
-        """What remains to be written."""
-        self._check: list[Write] = []
-        """What remains to be read back."""
+        self._steps: list[tuple[Write, bool]] = []
+        """What remains to be written, then to be read back (True)."""
         self._begin()
 
     def _begin(self) -> None:
-        self._write, self._check = self.plan, list({write.key: write for write in self.plan}.values())
+        last = {write.key: write for write in self.plan}
+        self._steps = [(write, False) for write in self.plan] + [(write, True) for write in last.values()]
 
     @property
     def done(self) -> bool:
         """True if everything was read back as it was written."""
-        return not (self._write or self._check or self.failed)
+        return not (self._steps or self.failed)
 
     @property
     def pdos(self) -> list[Pdo]:
@@ -205,44 +204,42 @@ class Setup:
 
     def job(self) -> Job | None:
         """Return the transfer that is next, until its outcome."""
-        if self.failed or not (self._write or self._check):
+        if self.failed or not self._steps:
             return None
-        key, value, *_ = (self._write or self._check)[0]
-        return Job(Purpose.SETUP, key, to_bytes(self.objects[key].type, value) if self._write else None)
+        (key, value, *_), reads = self._steps[0]
+        return Job(Purpose.SETUP, key, None if reads else to_bytes(self.objects[key].type, value))
 
     def on_outcome(self, outcome: Outcome) -> None:
         """Record the end of that transfer. Without a response all of it is written again: what the device has
         accepted is not known."""
         if outcome.job != self.job():
             return  # of a setup that was given up
-        write = (self._write or self._check)[0]
+        write, reads = self._steps[0]
         if outcome.abort == sdo.TIMEOUT:
             self._begin()
         elif outcome.abort is not None:
             self._on_refused(write, outcome.abort)
-        elif self._write:
-            self._write = self._write[1:]
-        elif self._differs(write, outcome.value):
+        elif reads and self._differs(write, outcome.value):
             self._rounds += 1
             if self._rounds == ROUNDS:
                 found = outcome.value[::-1].hex()
                 self.failed = f"{title(write.key)} is {found} after {write.value:x} was written to it"
             self._begin()
         else:
-            self._check = self._check[1:]
+            self._steps = self._steps[1:]
 
     def _differs(self, write: Write, data: bytes) -> bool:
         value = from_bytes(self.objects[write.key].type, data)
         return not write.optional and (value is None or (value ^ write.value) & write.mask != 0)
 
     def _on_refused(self, write: Write, abort: int) -> None:
-        if write.pdo is None and not write.optional:
-            self.failed = f"{title(write.key)}: {sdo.abort_text(abort)}"
-            return
-        gone = [each for each in self.plan if each.key == write.key]
-        if write.pdo is not None and not write.optional:
+        if write.optional:
+            gone = [each for each in self.plan if each.key == write.key]
+        elif write.pdo is not None:
             self.refused.add(write.pdo)
             gone = [each for each in self.plan if each.pdo == write.pdo]
+        else:
+            self.failed = f"{title(write.key)}: {sdo.abort_text(abort)}"
+            return
         self.plan = [each for each in self.plan if each not in gone]
-        self._write = [each for each in self._write if each not in gone]
-        self._check = [each for each in self._check if each not in gone]
+        self._steps = [each for each in self._steps if each[0] not in gone]

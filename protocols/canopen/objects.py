@@ -136,38 +136,33 @@ MAPPED_MOST = 8
 """Objects in one PDO, as far as supported here."""
 
 
-def _pdo_rows(first: int, mapping: int, what: str) -> list[Object]:
+def _pdo_rows(first: int, what: str) -> list[Object]:
     rows = []
     for number in PDO_NUMBERS:
-        index, name = first + number - 1, f"{what}{number}"
+        index, mapped, name = first + number - 1, first + MAPPING_OFFSET + number - 1, f"{what}{number}"
         rows += [
             Object((index, 0), f"{name} highest subindex", Type.U8, "ro"),
             Object((index, COB_ID), f"{name} COB-ID", Type.U32),
             Object((index, TRANSMISSION), f"{name} transmission type", Type.U8),
             Object((index, INHIBIT), f"{name} inhibit time", Type.U16, "rw", "100 µs"),
             Object((index, EVENT_TIMER), f"{name} event timer", Type.U16, "rw", "ms"),
-            Object((mapping + number - 1, 0), f"{name} mapped objects", Type.U8),
-        ]
-        rows += [
-            Object((mapping + number - 1, sub), f"{name} mapped object {sub}", Type.U32)
-            for sub in range(1, MAPPED_MOST + 1)
+            Object((mapped, 0), f"{name} mapped objects", Type.U8),
+            *(
+                Object((mapped, sub), f"{name} mapped object {sub}", Type.U32)
+                for sub in range(1, MAPPED_MOST + 1)
+            ),
         ]
     return rows
 
 
-COMMUNICATION: tuple[Object, ...] = (
-    *_ROWS,
-    *_pdo_rows(RPDO_COMMUNICATION, RPDO_MAPPING, "RPDO"),
-    *_pdo_rows(TPDO_COMMUNICATION, TPDO_MAPPING, "TPDO"),
-)
-"""The objects below 2000 that every device here has."""
+_ROWS += _pdo_rows(RPDO_COMMUNICATION, "RPDO") + _pdo_rows(TPDO_COMMUNICATION, "TPDO")
 
 
 class Objects(dict[Key, Object]):
-    """The objects of one kind of device, by key; never changed."""
+    """The objects of one kind of device, by key, those of every device among them; never changed."""
 
     def __init__(self, rows: Iterable[Object]) -> None:
-        rows = [*COMMUNICATION, *rows]
+        rows = [*_ROWS, *rows]
         counted = {row.key[0] for row in rows if not row.key[1]}
         rows += [
             Object((index, 0), f"{index:04X} highest subindex", Type.U8, "ro")

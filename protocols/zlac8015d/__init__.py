@@ -26,7 +26,7 @@ MARGIN = 1.001
 def spec(device: Device) -> Spec:
     """Return the contract of one motor. Raises ValueError if its address cannot be one."""
     options, node = device.options, device.address & NODE_MASK
-    if device.address not in z.ADDRESSES:
+    if not node or not 0 < device.address <= 0xFF:
         raise ValueError(f"address {device.address} of {device.name}: it must be 1 to 127, or 129 to 255")
     fastest, turns = options.max_rpm * z.RPM, 2**31 / options.counts * math.tau
     return Spec(

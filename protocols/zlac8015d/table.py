@@ -12,7 +12,6 @@ import math
 from collections.abc import Mapping
 
 from protocols.canopen.objects import Access, Key, Object, Objects, Type
-from protocols.canopen.services import MAX_NODE
 from protocols.messages import MILLISECOND, Mode, Nanos
 from protocols.plugin import FaultInfo
 
@@ -20,7 +19,6 @@ LEFT, RIGHT, BOTH = 1, 2, 3
 SIDES = LEFT, RIGHT
 RIGHT_OFFSET = 128
 """Added to the node id: the address of the right motor."""
-ADDRESSES = (*range(1, MAX_NODE + 1), *range(RIGHT_OFFSET + 1, RIGHT_OFFSET + MAX_NODE + 1))
 RPM = math.pi / 30.0
 """rad/s"""
 OFFLINE_TIME, SYNCHRONOUS, FAULT_CODE = (0x2000, 0), (0x200F, 0), (0x603F, 0)

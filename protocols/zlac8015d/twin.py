@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from protocols import messages as msg
 from protocols.canopen import services
@@ -62,11 +61,8 @@ class Half:
         address = device.address & NODE_MASK
         values = {DEVICE_TYPE: 0x20192, z.OFFLINE_TIME: device.settings.offline_time_ms}
         values |= pdo_defaults(z.OBJECTS, address)
-        own: dict[str, Any] = {"lacks": z.LACKS, "timer_unit": z.TIMER_UNIT}
-        self.node = Node(
-            Dictionary(z.OBJECTS, address, values, {}, lambda *_: 0, **own),
-            address,
-        )
+        dictionary = Dictionary(z.OBJECTS, address, values, lacks=z.LACKS, timer_unit=z.TIMER_UNIT)
+        self.node = Node(dictionary, address)
         self.state, self.word, self.target = z.OFF, 0, 0
 
     def receive(self, t: Nanos, frame: Frame) -> tuple[Received | None, Sequence[Obeyed]]:

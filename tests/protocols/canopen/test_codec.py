@@ -34,7 +34,7 @@ def test_what_does_not_fit_an_sdo_message_is_an_error() -> None:
 
 def test_any_eight_bytes_are_served_and_decoded() -> None:
     random, server = np.random.Generator(np.random.PCG64(SEED)), SdoServer()
-    dictionary = Dictionary(OBJECTS, 1, {}, {}, lambda *_: 0)
+    dictionary = Dictionary(OBJECTS, 1, {})
     for _ in range(2000):
         data = random.bytes(8)
         sdo.decode_response(data)
